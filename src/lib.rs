@@ -1,0 +1,2 @@
+//! Rotating bodies on SO(n).
+pub mod solve;

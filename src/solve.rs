@@ -1,0 +1,14 @@
+//! 4 · The mathematics: rotating bodies on SO(n) and the integrators that carry them forward.
+//!
+//! Pure: no I/O, clock, threads, serialisation or logging, and nothing of ours outside this module.
+//! Runtime sizes are const `N` here; symbols follow the paper and are listed in NOTATION.md.
+//!
+//! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).
+
+pub mod failure;
+pub mod hamiltonian;
+pub mod nonlinear;
+pub mod so;
+pub mod stepper;
+pub mod tableau;
+pub mod trajectory;

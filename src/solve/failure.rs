@@ -1,0 +1,115 @@
+//! What can go wrong in a step, by name.
+//!
+//! Invariant: the only numerical failures of the program; each carries the code that users match on, the
+//! quantity that was measured and its limit. Codes are fixed: files and scripts rely on them.
+
+use std::fmt;
+
+/// The fixed vocabulary of numerical failures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum FailureCode {
+    /// The iteration cap was reached while the increment still fell.
+    MaxIterations,
+    /// The increments of the iteration grow.
+    Diverged,
+    /// The increments stopped falling far above round-off.
+    Stalled,
+    /// A stage's interpolated matrix is singular or orientation-reversing: it has no polar factor in SO(n).
+    LeftGlPlus,
+    /// A stage's interpolated matrix is too close to a singular one.
+    IllConditioned,
+    /// Neighbouring nodes of a step are a quarter turn or more apart: the polar factor may have flipped.
+    BranchJump,
+    /// A Lyapunov operator of the step is singular.
+    LyapunovSingular,
+    /// A body point came too close to a point of the potential.
+    PotentialSingularity,
+    /// A value is infinite or not a number.
+    NonFinite,
+}
+
+impl FailureCode {
+    /// The code in logs, answers and scripts.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::MaxIterations => "not_converged.max_iterations",
+            Self::Diverged => "not_converged.diverged",
+            Self::Stalled => "not_converged.stalled",
+            Self::LeftGlPlus => "polar.left_gl_plus",
+            Self::IllConditioned => "polar.ill_conditioned",
+            Self::BranchJump => "polar.branch_jump",
+            Self::LyapunovSingular => "lyapunov_singular",
+            Self::PotentialSingularity => "potential_singularity",
+            Self::NonFinite => "non_finite",
+        }
+    }
+
+    /// The common reason, for a person.
+    pub fn cause(self) -> &'static str {
+        match self {
+            Self::MaxIterations => "the implicit equations of the step converge too slowly: the step is large for how fast the body turns",
+            Self::Diverged => "the implicit equations of the step diverge: the step is too large for how fast the body turns",
+            Self::Stalled => "the implicit equations of the step stopped converging above round-off: values of very different size meet in the scene",
+            Self::LeftGlPlus => "the body turns so far within the step that the interpolated matrix is singular or reversed",
+            Self::IllConditioned => "the body turns so far within the step that the interpolated matrix is nearly singular",
+            Self::BranchJump => "the body turns by a quarter or more between neighbouring nodes of the step: the attitude may have flipped to another branch",
+            Self::LyapunovSingular => "a Lyapunov equation of the step is singular: the body turns by half a turn or more within it",
+            Self::PotentialSingularity => "a body point came too close to a point of the potential for the force to mean anything",
+            Self::NonFinite => "a value of the step is infinite or not a number",
+        }
+    }
+}
+
+impl fmt::Display for FailureCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+/// A step that could not be made. The state before it is untouched.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Failure {
+    /// What happened.
+    pub code: FailureCode,
+    /// Stage (0-based) at which it was seen, where it belongs to one.
+    pub stage: Option<usize>,
+    /// The measured quantity: last increment, smallest eigenvalue, distance ratio, ...
+    pub measured: f64,
+    /// The limit it broke.
+    pub limit: f64,
+    /// Sweeps of the nonlinear solver until then.
+    pub iterations: u32,
+    /// The last increments of the nonlinear solver, oldest first, at most 16.
+    pub increments: Vec<f64>,
+}
+
+impl Failure {
+    /// A failure seen outside the iteration count; the solver adds its own figures.
+    pub fn new(code: FailureCode, stage: Option<usize>, measured: f64, limit: f64) -> Self {
+        Self { code, stage, measured, limit, iterations: 0, increments: Vec::new() }
+    }
+
+    /// Ratio of the last two increments: how fast the iteration converged, above 1 if it did not.
+    pub fn contraction(&self) -> Option<f64> {
+        match self.increments.as_slice() {
+            [.., before, last] if *before > 0.0 => Some(last / before),
+            _ => None,
+        }
+    }
+
+    /// A step that should work, by what was measured at a step of `h`: the fixed point contracts in
+    /// proportion to h, so one that contracts by 0.3 is asked for; without a measured contraction half
+    /// the step. Rounded down to two digits. `None` where no step helps.
+    pub fn advised_step(&self, h: f64) -> Option<f64> {
+        let factor = match self.code {
+            FailureCode::PotentialSingularity | FailureCode::NonFinite | FailureCode::Stalled => return None,
+            _ => match self.contraction() {
+                Some(rho) if rho.is_finite() && rho > 0.3 => (0.3 / rho).clamp(0.01, 0.5),
+                _ => 0.5,
+            },
+        };
+        let target = h * factor;
+        let digit = 10.0_f64.powi(target.log10().floor() as i32 - 1);
+        Some((target / digit).floor() * digit)
+    }
+}

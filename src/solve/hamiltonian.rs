@@ -1,0 +1,251 @@
+//! The rotating body: H(g, mu) = T(mu) + U(g) on T*SO(n), left-trivialised.
+//!
+//! Every potential term depends on the attitude through the body images `g^T v` of a few space vectors v
+//! alone (a direction, a source, an anchor). In the frame of g0, where a step works, the same formulas
+//! hold with `g0^T v` in the place of v: see [`RigidBody::seen_from`].
+//!
+//! Invariant: [`RigidBody::gradient`] is the derivative of [`RigidBody::energy`].
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::failure::{Failure, FailureCode};
+use super::so::{Mat, Vector};
+use super::trajectory::State;
+
+/// Kinetic energy, a quadratic form on so(n)*.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Kinetic<const N: usize> {
+    /// `Omega_ij = w_ij mu_ij`: second moments d_i about the body axes, `w_ij = 1 / (d_i + d_j)`.
+    Principal {
+        /// The weights w, symmetric.
+        weights: Mat<N>,
+    },
+    /// n = 3 with products of inertia: `Omega = hat(J^-1 vee(mu))`.
+    Tensor {
+        /// J^-1.
+        inverse: Matrix3<f64>,
+    },
+}
+
+/// One term of the potential, `x = g y` being the place of the body point y.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Term<const N: usize> {
+    /// The law and its strength.
+    pub law: Law<N>,
+    /// The space vector v: direction, source or anchor.
+    pub space: Vector<N>,
+}
+
+/// How a term depends on `q = g^T v`.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Law<const N: usize> {
+    /// `weight v . (g y) = weight y . q`
+    Uniform {
+        /// Weight.
+        weight: f64,
+        /// Body point y.
+        body_point: Vector<N>,
+    },
+    /// `strength / |g y - v| = strength / |y - q|`
+    PointSource {
+        /// Strength.
+        strength: f64,
+        /// Body point y.
+        body_point: Vector<N>,
+    },
+    /// `stiffness / 2 (|g y - v| - rest_length)^2`
+    Spring {
+        /// Stiffness.
+        stiffness: f64,
+        /// Length at rest.
+        rest_length: f64,
+        /// Body point y.
+        body_point: Vector<N>,
+    },
+    /// `strength / 2 q . M q`
+    GravityGradient {
+        /// Strength.
+        strength: f64,
+        /// The symmetric matrix M.
+        matrix: Mat<N>,
+    },
+}
+
+/// Kinetic and potential energy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Energy {
+    /// T.
+    pub kinetic: f64,
+    /// U.
+    pub potential: f64,
+}
+
+impl Energy {
+    /// H = T + U.
+    pub fn total(&self) -> f64 {
+        self.kinetic + self.potential
+    }
+}
+
+/// Closest approach to a point of the potential, relative to the lengths of the two arms: nearer than
+/// this the difference `y - q` has lost half its digits and the force means nothing.
+const CLOSEST_APPROACH: f64 = 1e-8;
+
+/// A body that turns about a fixed point, in a potential.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigidBody<const N: usize> {
+    kinetic: Kinetic<N>,
+    terms: Vec<Term<N>>,
+}
+
+impl<const N: usize> RigidBody<N> {
+    /// A body with its kinetic energy and the terms of its potential; no terms: a free body.
+    ///
+    /// # Panics
+    /// If `kinetic` is a tensor and n is not 3.
+    pub fn new(kinetic: Kinetic<N>, terms: Vec<Term<N>>) -> Self {
+        assert!(N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }), "an inertia tensor is for n = 3");
+        Self { kinetic, terms }
+    }
+
+    /// dH/dmu: the body angular velocity `Omega`, skew.
+    pub fn velocity(&self, mu: &Mat<N>) -> Mat<N> {
+        match &self.kinetic {
+            Kinetic::Principal { weights } => mu.component_mul(weights),
+            Kinetic::Tensor { inverse } => {
+                let omega = inverse * Vector3::new(mu[(2, 1)], mu[(0, 2)], mu[(1, 0)]);
+                let mut skew = Mat::zeros();
+                for (value, (i, j)) in omega.iter().zip([(2, 1), (0, 2), (1, 0)]) {
+                    skew[(i, j)] = *value;
+                    skew[(j, i)] = -value;
+                }
+                skew
+            }
+        }
+    }
+
+    /// Is H independent of the attitude?
+    pub fn is_free(&self) -> bool {
+        self.terms.is_empty()
+    }
+
+    /// The space vectors of the potential in the frame of `g0`, `g0^T v`, written to `seen`.
+    pub fn seen_from(&self, g0: &Mat<N>, seen: &mut Vec<Vector<N>>) {
+        seen.clear();
+        seen.extend(self.terms.iter().map(|term| g0.tr_mul(&term.space)));
+    }
+
+    /// dH/dg at `g = g0 u`, left-trivialised and skew, given the space vectors `seen` from g0.
+    ///
+    /// A term U(q) with `q = u^T v` has `dH/dg = q (dU/dq)^T - (dU/dq) q^T`: from `x = g y` the paper's
+    /// `asym(g^T grad_g U)`.
+    pub fn gradient(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
+        let mut sum = Mat::zeros();
+        for (term, v) in self.terms.iter().zip(seen) {
+            let q = u.tr_mul(v);
+            let slope = term.law.slope(&q);
+            for j in 0..N {
+                for i in 0..N {
+                    sum[(i, j)] += q[i] * slope[j] - slope[i] * q[j];
+                }
+            }
+        }
+        sum
+    }
+
+    /// Refuses an attitude `u` (in the frame that `seen` belongs to) at which the potential has lost its
+    /// meaning.
+    ///
+    /// # Errors
+    /// [`FailureCode::PotentialSingularity`] with the relative distance and its limit.
+    pub fn check_distances(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Result<(), Failure> {
+        for (term, v) in self.terms.iter().zip(seen) {
+            if let Some(distance) = term.law.relative_distance(&u.tr_mul(v))
+                && !(distance >= CLOSEST_APPROACH)
+            {
+                let code = FailureCode::PotentialSingularity;
+                return Err(Failure::new(code, None, distance, CLOSEST_APPROACH));
+            }
+        }
+        Ok(())
+    }
+
+    /// Kinetic and potential energy of a state.
+    pub fn energy(&self, state: &State<N>) -> Energy {
+        let mu = &state.momentum;
+        // T = <mu, Omega> / 2
+        let kinetic = 0.5 * super::so::inner(mu, &self.velocity(mu));
+        let potential = self
+            .terms
+            .iter()
+            .map(|term| term.law.value(&state.attitude.tr_mul(&term.space)))
+            .sum();
+        Energy { kinetic, potential }
+    }
+
+    /// The projection `Q` onto the space directions that the potential leaves free: rotations of that
+    /// subspace are symmetries, so by Noether `Q m Q` is conserved, m the spatial momentum. `None` if
+    /// fewer than two directions are free.
+    pub fn conserved_directions(&self) -> Option<Mat<N>> {
+        // Gram and Schmidt, twice for round-off, over the space vectors of the terms.
+        let mut q = Mat::<N>::identity();
+        let mut free = N;
+        for term in &self.terms {
+            let rest = q * (q * term.space);
+            let size = rest.norm();
+            if size > 1e-12 * term.space.norm() {
+                let direction = rest / size;
+                q -= direction * direction.transpose();
+                free -= 1;
+            }
+            if free < 2 {
+                return None;
+            }
+        }
+        Some(q)
+    }
+}
+
+impl<const N: usize> Law<N> {
+    /// U(q).
+    fn value(&self, q: &Vector<N>) -> f64 {
+        match self {
+            Self::Uniform { weight, body_point } => weight * body_point.dot(q),
+            Self::PointSource { strength, body_point } => strength / (body_point - q).norm(),
+            Self::Spring { stiffness, rest_length, body_point } => {
+                let stretch = (body_point - q).norm() - rest_length;
+                0.5 * stiffness * stretch * stretch
+            }
+            Self::GravityGradient { strength, matrix } => 0.5 * strength * q.dot(&(matrix * q)),
+        }
+    }
+
+    /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient).
+    fn slope(&self, q: &Vector<N>) -> Vector<N> {
+        match self {
+            Self::Uniform { weight, body_point } => body_point * *weight,
+            Self::PointSource { strength, body_point } => {
+                // strength (y - q) / r^3
+                let square = (body_point - q).norm_squared();
+                body_point * (strength / (square * square.sqrt()))
+            }
+            Self::Spring { stiffness, rest_length, body_point } => {
+                // -stiffness (1 - rest_length / r) (y - q)
+                let ratio = if *rest_length == 0.0 { 0.0 } else { rest_length / (body_point - q).norm() };
+                body_point * (-stiffness * (1.0 - ratio))
+            }
+            Self::GravityGradient { strength, matrix } => matrix * q * *strength,
+        }
+    }
+
+    /// `|y - q|` relative to the arms where the law is singular at zero distance.
+    fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
+        match self {
+            Self::PointSource { body_point, .. } => Some((body_point - q).norm() / (body_point.norm() + q.norm())),
+            Self::Spring { rest_length, body_point, .. } if *rest_length > 0.0 => {
+                Some((body_point - q).norm() / (body_point.norm() + q.norm()))
+            }
+            _ => None,
+        }
+    }
+}

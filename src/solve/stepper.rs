@@ -1,0 +1,3 @@
+//! One-step schemes, one a file.
+
+pub mod vpd;

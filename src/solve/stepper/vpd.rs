@@ -1,0 +1,277 @@
+//! VPD in Hamiltonian form: the variational polar decomposition integrator of Shen, Tran, Leok (2022),
+//! equations (vih), solved in a rearranged form.
+//!
+//! With one skew unknown X_i per stage for the paper's nested inverse of phi~*, and everything in the
+//! frame of g0 (U_i here is the paper's g0^T U_i, f = g0^T g1):
+//!
+//! ```text
+//! U_i P_i = I + h sum_j a_ij U_j Omega_j                                            (vih3)
+//! f  P_e  = I + h sum_j b_j U_j Omega_j                                             (vih2)
+//! W_k  = f Lambda + sum_i (a_ik / b_k) U_i X_i
+//! P_k X_k + X_k P_k = h b_k (asym(U_k^T W_k Omega_k^T) - dH/dg(U_k, mu_k))          (f1), (fff1)
+//! asym(f Lambda) = -p0 - asym(sum_i U_i X_i)                                        (vih4)
+//! mu_k = -asym(U_k^T W_k),    Omega_k = dH/dmu(mu_k)                                (vih1), (vih6)
+//! p1 = -(P_e Lambda + Lambda P_e),    g1 = g0 f                                     (vih5)
+//! ```
+//!
+//! In words: a symplectic partitioned Runge-Kutta method for g and the embedded momentum -W, with the
+//! polar factor as constraint.
+//!
+//! Invariant: on success the state has moved by one step of the tableau's order and its attitude is on the
+//! group to round-off; on failure it has not moved. No sine, cosine or exponential is used.
+
+use crate::solve::failure::{Failure, FailureCode};
+use crate::solve::hamiltonian::RigidBody;
+use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
+use crate::solve::so::{self, Mat, Vector};
+use crate::solve::tableau::Tableau;
+use crate::solve::trajectory::State;
+
+/// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
+const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
+
+/// The stepper: a tableau, a stop rule and its scratch.
+#[derive(Clone, Debug)]
+pub struct Vpd<const N: usize> {
+    tableau: Tableau,
+    stop: StopRule,
+    stages: Vec<Stage<N>>,
+    end: End<N>,
+    seen: Vec<Vector<N>>,
+}
+
+/// The unknowns of one stage, in the frame of g0.
+#[derive(Clone, Copy, Debug)]
+struct Stage<const N: usize> {
+    /// Attitude U_k.
+    u: Mat<N>,
+    /// Symmetric polar factor P_k.
+    p: Mat<N>,
+    /// Body momentum mu_k.
+    mu: Mat<N>,
+    /// Body velocity Omega_k.
+    omega: Mat<N>,
+    /// U_k Omega_k.
+    u_omega: Mat<N>,
+    /// X_k.
+    x: Mat<N>,
+    /// U_k X_k.
+    u_x: Mat<N>,
+    /// W_k.
+    w: Mat<N>,
+}
+
+/// The unknowns of the end point.
+#[derive(Clone, Copy, Debug)]
+struct End<const N: usize> {
+    /// f = g0^T g1.
+    f: Mat<N>,
+    /// P_e.
+    p: Mat<N>,
+    /// The multiplier Lambda.
+    lambda: Mat<N>,
+}
+
+impl<const N: usize> Vpd<N> {
+    /// A stepper for `tableau` that solves each step until `stop`.
+    pub fn new(tableau: Tableau, stop: StopRule) -> Self {
+        let zero = Mat::zeros();
+        let (u, p) = (Mat::identity(), Mat::identity());
+        let stage = Stage { u, p, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, w: zero };
+        Self {
+            stages: vec![stage; tableau.stages()],
+            end: End { f: u, p, lambda: zero },
+            seen: Vec::new(),
+            tableau,
+            stop,
+        }
+    }
+
+    /// Order of the scheme.
+    pub fn order(&self) -> u32 {
+        self.tableau.order()
+    }
+
+    /// Carries `state` forward by `h`.
+    ///
+    /// # Errors
+    /// Any [`FailureCode`]; the state is then untouched.
+    pub fn step(&mut self, body: &RigidBody<N>, h: f64, state: &mut State<N>) -> Result<Convergence, Failure> {
+        body.seen_from(&state.attitude, &mut self.seen);
+        self.guess(body, h, &state.momentum)?;
+        let Self { tableau, stop, stages, end, seen } = self;
+        let solved = fixed_point(*stop, || sweep(tableau, body, seen, h, &state.momentum, stages, end));
+        let convergence = match solved {
+            Ok(convergence) => convergence,
+            Err(failure) => return Err(self.named(body, failure)),
+        };
+        self.check(body)?;
+        let End { f, p, lambda } = &self.end;
+        // (vih5)
+        state.momentum = -so::asym(&(p * lambda));
+        // The product drifts off the group like any product; one correction in space puts it back.
+        state.attitude = so::orthonormalised(&(state.attitude * f));
+        Ok(convergence)
+    }
+
+    /// The smallest singular value of the interpolated matrices of the last step.
+    pub fn sigma_min(&self) -> f64 {
+        self.stretches().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min)
+    }
+
+    fn stretches(&self) -> impl Iterator<Item = &Mat<N>> {
+        self.stages.iter().map(|stage| &stage.p).chain([&self.end.p])
+    }
+
+    /// Starts the unknowns from the velocity at the beginning of the step, kept constant. A function of
+    /// the state alone: a resumed run repeats it to the bit.
+    fn guess(&mut self, body: &RigidBody<N>, h: f64, p0: &Mat<N>) -> Result<(), Failure> {
+        let omega = body.velocity(p0);
+        let turn = |angle: f64| {
+            so::retraction(&(omega * angle)).ok_or(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
+        };
+        self.end = End { f: turn(h)?, p: Mat::identity(), lambda: p0 * -0.5 };
+        for (k, stage) in self.stages.iter_mut().enumerate() {
+            let u = turn(h * self.tableau.c(k))?;
+            *stage = Stage {
+                u,
+                p: Mat::identity(),
+                mu: *p0,
+                omega,
+                u_omega: u * omega,
+                x: Mat::zeros(),
+                u_x: Mat::zeros(),
+                w: self.end.f * self.end.lambda,
+            };
+        }
+        Ok(())
+    }
+
+    /// Refuses a solution on which the polar factor or the potential is not to be trusted.
+    fn check(&self, body: &RigidBody<N>) -> Result<(), Failure> {
+        for (k, p) in self.stretches().enumerate() {
+            let stage = (k < self.stages.len()).then_some(k);
+            // The cheap bound decides nearly always.
+            if so::smallest_eigenvalue_bound(p) < 0.5 {
+                let sigma = so::smallest_eigenvalue(p);
+                if !(sigma >= SMALLEST_SINGULAR_VALUE) {
+                    let code = if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
+                    return Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE));
+                }
+            }
+        }
+        // A determinant is blind past half a turn: continuity from node to node is what tells.
+        let mut nodes: Vec<(f64, usize)> = (0..self.stages.len()).map(|k| (self.tableau.c(k), k)).collect();
+        nodes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let identity = Mat::<N>::identity();
+        let mut before = &identity;
+        let path = nodes.iter().map(|&(_, k)| (Some(k), &self.stages[k].u)).chain([(None, &self.end.f)]);
+        for (stage, u) in path {
+            // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
+            let trace = before.dot(u);
+            let limit = N as f64 - 2.0;
+            if !(trace > limit) {
+                return Err(Failure::new(FailureCode::BranchJump, stage, trace, limit));
+            }
+            before = u;
+        }
+        for (k, stage) in self.stages.iter().enumerate() {
+            body.check_distances(&stage.u, &self.seen)
+                .map_err(|failure| Failure { stage: Some(k), ..failure })?;
+        }
+        Ok(())
+    }
+
+    /// Names the reason behind a failed iteration where the iterate shows one: a charge met explains
+    /// non-finite values and divergence better than they do.
+    fn named(&self, body: &RigidBody<N>, failure: Failure) -> Failure {
+        let met = self.stages.iter().enumerate().find_map(|(k, stage)| {
+            let near = body.check_distances(&stage.u, &self.seen).err()?;
+            Some(Failure { stage: Some(k), ..near })
+        });
+        match met {
+            Some(near) => Failure { iterations: failure.iterations, increments: failure.increments, ..near },
+            None => failure,
+        }
+    }
+}
+
+/// One sweep over all unknowns, each from the newest of the others; returns the largest change of a
+/// stage momentum relative to the largest momentum.
+fn sweep<const N: usize>(
+    tableau: &Tableau,
+    body: &RigidBody<N>,
+    seen: &[Vector<N>],
+    h: f64,
+    p0: &Mat<N>,
+    stages: &mut [Stage<N>],
+    end: &mut End<N>,
+) -> Result<f64, Failure> {
+    let s = stages.len();
+    for i in 0..s {
+        let mut a = Mat::identity();
+        for j in 0..s {
+            a += stages[j].u_omega * (h * tableau.a(i, j));
+        }
+        let stage = &mut stages[i];
+        (stage.u, stage.p) = polar(&a, Some(i))?;
+        stage.u_omega = stage.u * stage.omega;
+    }
+    let mut a = Mat::identity();
+    for j in 0..s {
+        a += stages[j].u_omega * (h * tableau.b(j));
+    }
+    (end.f, end.p) = polar(&a, None)?;
+    let mut sum = Mat::zeros();
+    for k in 0..s {
+        let stage = &mut stages[k];
+        let load = so::asym(&(stage.u.tr_mul(&stage.w) * stage.omega.transpose())) - body.gradient(&stage.u, seen);
+        stage.x = lyapunov(&stage.p, &(load * (h * tableau.b(k))), &stage.x, Some(k))?;
+        stage.u_x = stage.u * stage.x;
+        sum += stage.u_x;
+    }
+    // M X + X M^T is asym(M X) for skew X.
+    end.lambda = lyapunov(&end.f, &(-p0 - so::asym(&sum)), &end.lambda, None)?;
+    let f_lambda = end.f * end.lambda;
+    let (mut change, mut size) = (0.0_f64, p0.amax());
+    for k in 0..s {
+        let mut w = f_lambda;
+        for i in 0..s {
+            w += stages[i].u_x * (tableau.a(i, k) / tableau.b(k));
+        }
+        let stage = &mut stages[k];
+        let mu = -so::asym(&stage.u.tr_mul(&w));
+        change = change.max(amax(&(mu - stage.mu)));
+        size = size.max(amax(&mu));
+        stage.omega = body.velocity(&mu);
+        stage.u_omega = stage.u * stage.omega;
+        (stage.w, stage.mu) = (w, mu);
+    }
+    Ok(if change == 0.0 { 0.0 } else { change / size })
+}
+
+/// Largest entry by size; unlike a plain maximum it keeps a NaN.
+fn amax<const N: usize>(a: &Mat<N>) -> f64 {
+    a.iter().fold(0.0, |largest: f64, x| if x.abs() <= largest { largest } else { x.abs() })
+}
+
+fn polar<const N: usize>(a: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Mat<N>), Failure> {
+    if !a.iter().all(|x| x.is_finite()) {
+        return Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX));
+    }
+    let u = so::polar(a).ok_or(Failure::new(FailureCode::LeftGlPlus, stage, 0.0, SMALLEST_SINGULAR_VALUE))?;
+    let p = so::stretch(&u, a);
+    Ok((u, p))
+}
+
+fn lyapunov<const N: usize>(
+    m: &Mat<N>,
+    c: &Mat<N>,
+    guess: &Mat<N>,
+    stage: Option<usize>,
+) -> Result<Mat<N>, Failure> {
+    if !c.iter().all(|x| x.is_finite()) {
+        return Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX));
+    }
+    so::lyapunov(m, c, guess).ok_or(Failure::new(FailureCode::LyapunovSingular, stage, 0.0, 0.0))
+}
