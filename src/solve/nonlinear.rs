@@ -21,6 +21,8 @@ impl Default for StopRule {
     }
 }
 
+/// A few units in the last place of the largest unknown.
+const ROUND_OFF: f64 = 4e-15;
 /// Below this an increment that no longer falls is round-off.
 const ROUND_OFF_FLOOR: f64 = 1e-12;
 /// So many sweeps in a row without progress are divergence, not a transient.
@@ -80,11 +82,13 @@ pub fn fixed_point(
         if !increment.is_finite() {
             return give_up(FailureCode::NonFinite, f64::MAX);
         }
-        let at_floor = increment >= previous && increment <= ROUND_OFF_FLOOR;
+        grown = if increment >= previous { grown + 1 } else { 0 };
+        // One increment that does not fall may be the wobble of a complex contraction factor; near the
+        // round-off of the unknowns it is the end, above it two in a row are.
+        let at_floor = (grown == 1 && increment <= ROUND_OFF) || (grown == 2 && increment <= ROUND_OFF_FLOOR);
         if increment <= rule.tolerance || at_floor {
             return Ok(Convergence { iterations: iteration, increment, rung: Rung::FixedPoint });
         }
-        grown = if increment >= previous { grown + 1 } else { 0 };
         if grown == PATIENCE {
             // Close to the floor it is round-off of large intermediate values that stops the fall.
             return if increment <= 1e3 * ROUND_OFF_FLOOR {

@@ -26,7 +26,7 @@ impl Sink<3> for Max { type Error=(); fn record(&mut self,s:&Sample<'_,3>)->Resu
     let off=Observables{energy:false,orthogonality:false,momentum:false,sigma_min:false};
     for (name,t) in [("GL2",Tableau::gauss(1).unwrap()),("RK3",Tableau::rk3()),("GL4",Tableau::gauss(2).unwrap()),("GL6",Tableau::gauss(3).unwrap()),("GL8",Tableau::gauss(4).unwrap()),("GL16",Tableau::gauss(8).unwrap())] {
         for n in [2u64,4,8,16,32,64] {
-            let mut st=Vpd::new(t.clone(),StopRule::default());
+            let mut st=Vpd::new(t.clone(),StopRule{tolerance:std::env::var("TOL").ok().and_then(|s|s.parse().ok()).unwrap_or(1e-15),max_iterations:100});
             let r=integrate(&b,&mut st,s0.clone(),Schedule{step_s:0.5/n as f64,steps:n,every:n},off,&mut Null,|_|true).unwrap();
             let p=vee(&r.state.momentum);
             let e=(Vector3::from_column_slice(&p)-pref).norm()+{ let d=r.state.attitude-gref; let m=(d.transpose()*d).symmetric_eigenvalues().max().max(0.).sqrt(); m};
@@ -35,7 +35,7 @@ impl Sink<3> for Max { type Error=(); fn record(&mut self,s:&Sample<'_,3>)->Resu
     }
     for (name,t,h) in [("GL2",Tableau::gauss(1).unwrap(),0.01),("RK3",Tableau::rk3(),0.01),("GL4",Tableau::gauss(2).unwrap(),0.01),("GL6",Tableau::gauss(3).unwrap(),1./26.),("GL6",Tableau::gauss(3).unwrap(),0.01)] {
         let on=Observables{energy:true,orthogonality:true,momentum:true,sigma_min:false};
-        let mut st=Vpd::new(t.clone(),StopRule::default());
+        let mut st=Vpd::new(t.clone(),StopRule{tolerance:std::env::var("TOL").ok().and_then(|s|s.parse().ok()).unwrap_or(1e-15),max_iterations:100});
         let t0=std::time::Instant::now();
         let mut m=Max::default();
         let r=integrate(&b,&mut st,s0.clone(),Schedule{step_s:h,steps:100000,every:10},on,&mut m,|_|true).unwrap();
