@@ -89,23 +89,25 @@ impl Energy {
 
 /// Closest approach to a point of the potential, relative to the lengths of the two arms: nearer than
 /// this the difference `y - q` has lost half its digits and the force means nothing.
-const CLOSEST_APPROACH: f64 = 1e-8;
+pub const CLOSEST_APPROACH: f64 = 1e-8;
 
 /// A body that turns about a fixed point, in a potential.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RigidBody<const N: usize> {
     kinetic: Kinetic<N>,
     terms: Vec<Term<N>>,
+    constant: f64,
 }
 
 impl<const N: usize> RigidBody<N> {
-    /// A body with its kinetic energy and the terms of its potential; no terms: a free body.
+    /// A body with its kinetic energy, the terms of its potential (none: a free body) and the part of the
+    /// potential energy that does not depend on the attitude.
     ///
     /// # Panics
     /// If `kinetic` is a tensor and n is not 3.
-    pub fn new(kinetic: Kinetic<N>, terms: Vec<Term<N>>) -> Self {
+    pub fn new(kinetic: Kinetic<N>, terms: Vec<Term<N>>, constant: f64) -> Self {
         assert!(N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }), "an inertia tensor is for n = 3");
-        Self { kinetic, terms }
+        Self { kinetic, terms, constant }
     }
 
     /// dH/dmu: the body angular velocity `Omega`, skew.
@@ -175,12 +177,12 @@ impl<const N: usize> RigidBody<N> {
         let mu = &state.momentum;
         // T = <mu, Omega> / 2
         let kinetic = 0.5 * super::so::inner(mu, &self.velocity(mu));
-        let potential = self
+        let terms: f64 = self
             .terms
             .iter()
             .map(|term| term.law.value(&state.attitude.tr_mul(&term.space)))
             .sum();
-        Energy { kinetic, potential }
+        Energy { kinetic, potential: terms + self.constant }
     }
 
     /// The projection `Q` onto the space directions that the potential leaves free: rotations of that

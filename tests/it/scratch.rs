@@ -10,7 +10,7 @@ fn dipole() -> (RigidBody<3>, State<3>) {
     let b = RigidBody::new(Kinetic::Principal{weights:w}, vec![
       Term{law: Law::Uniform{weight:1., body_point:e3}, space:e3},
       Term{law: Law::PointSource{strength:1., body_point:Vector3::new(0.,0.1,-1.)}, space:z},
-      Term{law: Law::PointSource{strength:-1., body_point:Vector3::new(0.,-0.1,-1.)}, space:z}]);
+      Term{law: Law::PointSource{strength:-1., body_point:Vector3::new(0.,-0.1,-1.)}, space:z}], 0.0);
     let g = Matrix3::new(1.,0.,0.,0.,0.,-1.,0.,1.,0.);
     (b, State{attitude:g, momentum:hat(&[0.,0.,-0.01])})
 }

@@ -1,0 +1,505 @@
+//! 1 · A scenario: JSON from a file or a request becomes a checked [`Scenario`].
+//!
+//! The types below are the format: the JSON Schema is generated from them, and a scenario is written back
+//! as they stand. Whether the numbers make a body (a rotation, a positive inertia, ...) is for
+//! [`crate::plan`], which knows the mathematics.
+//!
+//! Invariant: a [`Scenario`] exists only if every field has a legal form; every error carries the JSON
+//! pointer of the field at fault.
+
+mod check;
+mod parse;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// A job: a scene, how to integrate it and for how long, and what to log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct Scenario {
+    /// A short name: 1 to 200 bytes, printable.
+    pub name: String,
+    /// What the scene shows.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub description: String,
+    /// The body, its potential and where it starts.
+    pub scene: Scene,
+    /// How it is integrated.
+    #[serde(default)]
+    pub method: Method,
+    /// The step in seconds.
+    pub step_s: f64,
+    /// Number of steps; either this or `duration_s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps: Option<u64>,
+    /// Duration in seconds, a whole number of steps; either this or `steps`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub duration_s: Option<f64>,
+    /// What is logged.
+    #[serde(default)]
+    pub log: LogOptions,
+    /// What a good run of this scenario keeps to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expect: Option<Expect>,
+}
+
+/// A body that turns about a fixed point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Inertia about the fixed point; n follows from it.
+    pub inertia: Inertia,
+    /// The terms of the potential; none for a free body.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub potential: Vec<PotentialTerm>,
+    /// Attitude and momentum at the start.
+    #[serde(default)]
+    pub initial: Initial,
+}
+
+/// Inertia of the body, in SI units.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Inertia {
+    /// n = 3: the moments about the body axes.
+    Principal([f64; 3]),
+    /// n = 3: the inertia matrix, symmetric positive definite.
+    Matrix(Vec<Vec<f64>>),
+    /// Any n: the second moments d_i along the body axes; mu_ij = (d_i + d_j) Omega_ij.
+    SecondMoments(Vec<f64>),
+}
+
+/// One term of the potential. `g` turns body coordinates into space coordinates.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum PotentialTerm {
+    /// weight * direction . (g body_point)
+    Uniform(Uniform),
+    /// strength / |g body_point - position|
+    PointSource(PointSource),
+    /// stiffness / 2 * (|g body_point - position| - rest_length)^2
+    Spring(Spring),
+    /// strength / 2 * (g^T direction) . matrix (g^T direction)
+    GravityGradient(GravityGradient),
+}
+
+/// A uniform field that pulls at a body point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Uniform {
+    /// Weight.
+    pub weight: f64,
+    /// Point of the body, in body coordinates.
+    pub body_point: Vec<f64>,
+    /// Direction in space coordinates, against the pull; used as given, not normalised.
+    pub direction: Vec<f64>,
+}
+
+/// A point of space that attracts or repels a body point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PointSource {
+    /// Strength; positive repels.
+    pub strength: f64,
+    /// Point of the body, in body coordinates.
+    pub body_point: Vec<f64>,
+    /// Place of the source, in space coordinates.
+    pub position: Vec<f64>,
+}
+
+/// A spring from a body point to a point of space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Spring {
+    /// Stiffness.
+    pub stiffness: f64,
+    /// Length at rest, at least 0.
+    #[serde(default)]
+    pub rest_length: f64,
+    /// Point of the body, in body coordinates.
+    pub body_point: Vec<f64>,
+    /// The anchor, in space coordinates.
+    pub position: Vec<f64>,
+}
+
+/// The gradient of a distant body's gravity over this one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GravityGradient {
+    /// Strength; 3 G M / r^3 for a body of mass M at distance r.
+    pub strength: f64,
+    /// Direction to the other body, in space coordinates; used as given, not normalised.
+    pub direction: Vec<f64>,
+    /// Symmetric matrix in body coordinates; the inertia matrix if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<Vec<Vec<f64>>>,
+}
+
+/// The state at t = 0.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Initial {
+    /// The attitude; the identity if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attitude: Option<Attitude>,
+    /// The momentum; either this or `angular_velocity`, at rest if both are absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub momentum: Option<Framed>,
+    /// The angular velocity; either this or `momentum`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angular_velocity: Option<Framed>,
+}
+
+/// A rotation from body to space coordinates.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Attitude {
+    /// Any n: the rotation matrix, row by row, orthogonal to 1e-8.
+    Matrix(Vec<Vec<f64>>),
+    /// n = 3: unit quaternion [w, x, y, z]; normalised if its norm is within 1 % of one.
+    Quaternion([f64; 4]),
+    /// n = 3: a turn about an axis.
+    AxisAngle(AxisAngle),
+}
+
+/// A turn about an axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AxisAngle {
+    /// The axis, of any length but zero.
+    pub axis: [f64; 3],
+    /// The angle in radians.
+    pub angle_rad: f64,
+}
+
+/// An element of so(n) or its dual, in one of the two frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Framed {
+    /// In body coordinates.
+    Body(Vec<Entry>),
+    /// In space coordinates.
+    Space(Vec<Entry>),
+}
+
+/// A 3-vector is made of numbers, a skew n x n matrix of rows.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum Entry {
+    /// A component of a 3-vector (n = 3).
+    Number(f64),
+    /// A row of a skew matrix.
+    Row(Vec<f64>),
+}
+
+/// How the scene is integrated.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Method {
+    /// The integrator.
+    #[serde(default)]
+    pub name: MethodName,
+    /// The Butcher tableau.
+    #[serde(default)]
+    pub tableau: TableauChoice,
+    /// The solver of the implicit equations.
+    #[serde(default)]
+    pub solver: Solver,
+}
+
+/// The integrators.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MethodName {
+    /// The plan chooses.
+    #[default]
+    Auto,
+    /// Variational polar decomposition, Hamiltonian form.
+    Vpd,
+}
+
+/// A Butcher tableau, by name or by its coefficients.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[serde(untagged)]
+pub enum TableauChoice {
+    /// A tableau by name.
+    Named(TableauName),
+    /// A tableau by its coefficients.
+    Custom(Coefficients),
+}
+
+impl Default for TableauChoice {
+    fn default() -> Self {
+        Self::Named(TableauName::Gauss2)
+    }
+}
+
+/// The named tableaux: Gauss with 1 to 8 stages (order twice that), Kutta's third and fourth order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+#[allow(missing_docs)]
+pub enum TableauName {
+    Gauss1,
+    Gauss2,
+    Gauss3,
+    Gauss4,
+    Gauss5,
+    Gauss6,
+    Gauss7,
+    Gauss8,
+    Rk3,
+    Rk4,
+}
+
+/// The coefficients of a tableau.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Coefficients {
+    /// a_ij, row by row.
+    pub a: Vec<Vec<f64>>,
+    /// b_j, none of them zero.
+    pub b: Vec<f64>,
+}
+
+/// The solver of the implicit equations.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Solver {
+    /// Which iteration.
+    #[serde(default)]
+    pub kind: SolverKind,
+    /// Relative increment at which the iteration ends; round-off by default.
+    #[serde(default = "Solver::default_tolerance")]
+    pub tolerance: f64,
+    /// Sweeps after which a step is given up.
+    #[serde(default = "Solver::default_max_iterations")]
+    pub max_iterations: u32,
+}
+
+impl Solver {
+    fn default_tolerance() -> f64 {
+        1e-15
+    }
+
+    fn default_max_iterations() -> u32 {
+        100
+    }
+}
+
+impl Default for Solver {
+    fn default() -> Self {
+        Self {
+            kind: SolverKind::Auto,
+            tolerance: Self::default_tolerance(),
+            max_iterations: Self::default_max_iterations(),
+        }
+    }
+}
+
+/// The iterations.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum SolverKind {
+    /// The program chooses.
+    #[default]
+    Auto,
+    /// Fixed-point sweeps.
+    FixedPoint,
+}
+
+/// What is logged.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LogOptions {
+    /// A sample every so many steps. By default at most 60 samples per second of simulated time, which
+    /// is what viewers like, unless that leaves fewer than a thousand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub every: Option<u64>,
+    /// The topics to log; all that the scene has if absent. What is not logged is not computed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub channels: Option<Vec<ChannelName>>,
+    /// Compression of the log's chunks.
+    #[serde(default)]
+    pub compression: Compression,
+    /// Log time of t = 0 (RFC 3339), in the years 1990 to 2099.
+    #[serde(default = "LogOptions::default_epoch")]
+    pub epoch: Epoch,
+}
+
+impl LogOptions {
+    fn default_epoch() -> Epoch {
+        Epoch::default()
+    }
+}
+
+/// A moment, as RFC 3339 text.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(transparent)]
+pub struct Epoch(pub String);
+
+impl Default for Epoch {
+    fn default() -> Self {
+        Self("2026-01-01T00:00:00Z".to_owned())
+    }
+}
+
+/// The topics of a log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[allow(missing_docs)]
+pub enum ChannelName {
+    #[serde(rename = "/state")]
+    State,
+    #[serde(rename = "/energy")]
+    Energy,
+    #[serde(rename = "/orthogonality")]
+    Orthogonality,
+    #[serde(rename = "/momentum")]
+    Momentum,
+    #[serde(rename = "/solver")]
+    Solver,
+    #[serde(rename = "/tf")]
+    Tf,
+    #[serde(rename = "/scene/body")]
+    SceneBody,
+    #[serde(rename = "/scene/sources")]
+    SceneSources,
+    #[serde(rename = "/log")]
+    Log,
+}
+
+/// Compression of the log's chunks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
+    /// Small.
+    #[default]
+    Zstd,
+    /// Fast.
+    Lz4,
+    /// As it is.
+    None,
+}
+
+/// Bounds that a good run of the scenario keeps to; the run says where it does not.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Expect {
+    /// Largest |H - H0| over the samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy_error_max: Option<f64>,
+    /// Largest spectral norm of g g^T - I over the samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orthogonality_error_max: Option<f64>,
+    /// Largest drift of the conserved spatial momentum over the samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub momentum_drift_max: Option<f64>,
+    /// Rotation matrix that the run ends at, row by row, with `final_attitude_error_max`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub final_attitude: Option<Vec<Vec<f64>>>,
+    /// Largest entry by which the final attitude may differ.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub final_attitude_error_max: Option<f64>,
+}
+
+/// What is wrong with a scenario, and where.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{}: {message}", if pointer.is_empty() { "the scenario" } else { pointer })]
+pub struct ScenarioError {
+    /// Whether the text is JSON at all.
+    pub kind: ScenarioErrorKind,
+    /// JSON pointer (RFC 6901) of the field at fault; empty for the whole document.
+    pub pointer: String,
+    /// What was given and what is allowed.
+    pub message: String,
+}
+
+/// The two ways in which a scenario can be wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ScenarioErrorKind {
+    /// The text is not JSON.
+    Malformed,
+    /// A field is not as it must be.
+    Invalid,
+}
+
+impl ScenarioError {
+    /// A field that is not as it must be.
+    pub(crate) fn invalid(pointer: impl Into<String>, message: impl Into<String>) -> Self {
+        Self { kind: ScenarioErrorKind::Invalid, pointer: pointer.into(), message: message.into() }
+    }
+}
+
+impl Scenario {
+    /// Reads and checks a scenario.
+    ///
+    /// # Errors
+    /// The first thing wrong with it, with the pointer of its field.
+    pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
+        let scenario = parse::parse(text)?;
+        check::check(&scenario)?;
+        Ok(scenario)
+    }
+
+    /// The canonical text of the scenario, with every default written out.
+    pub fn to_json(&self) -> Vec<u8> {
+        let mut text = serde_json::to_vec_pretty(self).expect("the types of a scenario are JSON by construction");
+        text.push(b'\n');
+        text
+    }
+
+    /// The scenario's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// n of SO(n).
+    pub fn dimension(&self) -> usize {
+        match &self.scene.inertia {
+            Inertia::Principal(_) | Inertia::Matrix(_) => 3,
+            Inertia::SecondMoments(moments) => moments.len(),
+        }
+    }
+
+    /// Number of steps, whichever way the duration was given.
+    pub fn step_count(&self) -> u64 {
+        match (self.steps, self.duration_s) {
+            (Some(steps), _) => steps,
+            // Checked to be whole.
+            (None, Some(duration_s)) => (duration_s / self.step_s).round() as u64,
+            (None, None) => 0,
+        }
+    }
+
+    /// A sample is taken every so many steps.
+    pub fn sample_every(&self) -> u64 {
+        const VIEWER_RATE_HZ: f64 = 60.0;
+        const FEW_SAMPLES: u64 = 1000;
+        self.log.every.unwrap_or_else(|| {
+            let for_viewers = (1.0 / (VIEWER_RATE_HZ * self.step_s)).ceil() as u64;
+            for_viewers.clamp(1, (self.step_count() / FEW_SAMPLES).max(1))
+        })
+    }
+
+    /// The log time of t = 0 in nanoseconds since 1970.
+    pub fn epoch_ns(&self) -> u64 {
+        check::epoch_ns(&self.log.epoch.0).unwrap_or_default()
+    }
+}
+
+/// The JSON Schema of a scenario, generated from the types.
+pub fn schema() -> serde_json::Value {
+    schemars::schema_for!(Scenario).to_value()
+}
+
+/// The shipped scenarios: name and JSON text.
+pub const SHIPPED: &[(&str, &str)] = &[
+    ("dipole", include_str!("../scenarios/dipole.json")),
+    ("free-body", include_str!("../scenarios/free-body.json")),
+    ("heavy-top", include_str!("../scenarios/heavy-top.json")),
+    ("pendulum", include_str!("../scenarios/pendulum.json")),
+    ("satellite", include_str!("../scenarios/satellite.json")),
+    ("so4-free", include_str!("../scenarios/so4-free.json")),
+    ("so5-spring", include_str!("../scenarios/so5-spring.json")),
+];

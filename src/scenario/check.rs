@@ -1,0 +1,338 @@
+//! Form and range of every field, before any mathematics.
+
+use std::collections::HashSet;
+
+use super::{Attitude, ChannelName, Entry, Framed, Inertia, PotentialTerm, Scenario, ScenarioError, TableauChoice};
+
+/// Largest n of SO(n) that the program is built for.
+pub(crate) const MAX_DIMENSION: usize = 16;
+/// Largest size of any number of a scene.
+const MAX_SIZE: f64 = 1e15;
+/// Most terms of a potential.
+const MAX_TERMS: usize = 1000;
+/// Most steps of a run.
+const MAX_STEPS: u64 = 1_000_000_000_000;
+/// Most samples of a log.
+const MAX_SAMPLES: u64 = 1_000_000_000;
+/// Smallest and largest step in seconds.
+const STEP_RANGE_S: (f64, f64) = (1e-12, 1e6);
+/// Longest run in seconds of simulated time, so that log time fits its 64 bits.
+const MAX_DURATION_S: f64 = 4e9;
+/// Bounds of the relative tolerance of the solver.
+const TOLERANCE_RANGE: (f64, f64) = (1e-16, 1e-3);
+/// Most sweeps a step may ask for.
+const MAX_ITERATIONS: u32 = 10_000;
+
+type Check = Result<(), ScenarioError>;
+
+fn ensure(condition: bool, pointer: impl Into<String>, message: impl FnOnce() -> String) -> Check {
+    if condition { Ok(()) } else { Err(ScenarioError::invalid(pointer, message())) }
+}
+
+/// Checks everything that can be said without mathematics.
+pub(super) fn check(scenario: &Scenario) -> Check {
+    text("/name", &scenario.name, 200, false)?;
+    text("/description", &scenario.description, 4000, true)?;
+    inertia(&scenario.scene.inertia)?;
+    let n = scenario.dimension();
+    let terms = &scenario.scene.potential;
+    ensure(terms.len() <= MAX_TERMS, "/scene/potential", || {
+        format!("{} terms given, at most {MAX_TERMS} are allowed", terms.len())
+    })?;
+    for (index, term) in terms.iter().enumerate() {
+        potential_term(&format!("/scene/potential/{index}"), term, n)?;
+    }
+    initial(scenario, n)?;
+    method(scenario)?;
+    duration(scenario)?;
+    log(scenario, n)?;
+    expect(scenario, n)
+}
+
+fn text(pointer: &str, given: &str, most: usize, lines: bool) -> Check {
+    ensure(lines || !given.trim().is_empty(), pointer, || "is empty; at least one visible character is needed".into())?;
+    ensure(given.len() <= most, pointer, || format!("has {} bytes, at most {most} are allowed", given.len()))?;
+    // Direction marks can make a name read as another.
+    let forbidden = |c: char| {
+        (c.is_control() && !(lines && c == '\n')) || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    match given.chars().find(|&c| forbidden(c)) {
+        Some(c) => Err(ScenarioError::invalid(
+            pointer,
+            format!("contains the character U+{:04X}; control characters and direction marks are not allowed", c as u32),
+        )),
+        None => Ok(()),
+    }
+}
+
+fn number(pointer: &str, x: f64) -> Check {
+    // JSON has no NaN; an infinite value cannot be written either.
+    ensure(x.abs() <= MAX_SIZE, pointer, || format!("{x:e} given, the size of a number is at most {MAX_SIZE:e}"))
+}
+
+fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
+    ensure(given.len() == n, pointer, || format!("{} numbers given, n = {n} are needed", given.len()))?;
+    given.iter().enumerate().try_for_each(|(i, &x)| number(&format!("{pointer}/{i}"), x))
+}
+
+fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
+    vector(pointer, given, n)?;
+    let size = given.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
+    ensure(size >= 1e-15, pointer, || "is zero; a direction needs a length".into())
+}
+
+fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
+    ensure(given.len() == n, pointer, || format!("{} rows given, n = {n} are needed", given.len()))?;
+    given.iter().enumerate().try_for_each(|(i, row)| vector(&format!("{pointer}/{i}"), row, n))
+}
+
+/// `sign` +1: symmetric, -1: skew.
+fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
+    let size = given.iter().flatten().fold(0.0_f64, |a, x| a.max(x.abs()));
+    for (i, row) in given.iter().enumerate() {
+        for (j, &x) in row.iter().enumerate().take(i + 1) {
+            let partner = sign * given[j][i];
+            ensure((x - partner).abs() <= 1e-12 * size, format!("{pointer}/{i}/{j}"), || {
+                format!("{x} given, {partner} is needed: the matrix must be {word}")
+            })?;
+        }
+    }
+    Ok(())
+}
+
+fn inertia(given: &Inertia) -> Check {
+    const RANGE: (f64, f64) = (1e-12, 1e12);
+    match given {
+        Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
+            ensure(x >= RANGE.0 && x <= RANGE.1, format!("/scene/inertia/principal/{i}"), || {
+                format!("{x:e} given, a moment of inertia lies from {:e} to {:e}", RANGE.0, RANGE.1)
+            })
+        }),
+        Inertia::Matrix(rows) => {
+            matrix("/scene/inertia/matrix", rows, 3)?;
+            symmetry("/scene/inertia/matrix", rows, 1.0, "symmetric")
+        }
+        Inertia::SecondMoments(moments) => {
+            let pointer = "/scene/inertia/second_moments";
+            let n = moments.len();
+            ensure((2..=MAX_DIMENSION).contains(&n), pointer, || {
+                format!("{n} moments given, n lies from 2 to {MAX_DIMENSION}")
+            })?;
+            vector(pointer, moments, n)?;
+            for j in 0..n {
+                for i in 0..j {
+                    let sum = moments[i] + moments[j];
+                    ensure(sum >= RANGE.0 && sum <= RANGE.1, format!("{pointer}/{j}"), || {
+                        format!("d_{i} + d_{j} = {sum:e}; the sum of any two lies from {:e} to {:e}", RANGE.0, RANGE.1)
+                    })?;
+                }
+            }
+            Ok(())
+        }
+    }
+}
+
+fn potential_term(pointer: &str, term: &PotentialTerm, n: usize) -> Check {
+    let field = |name: &str| format!("{pointer}/{name}");
+    match term {
+        PotentialTerm::Uniform(term) => {
+            number(&field("weight"), term.weight)?;
+            vector(&field("body_point"), &term.body_point, n)?;
+            direction(&field("direction"), &term.direction, n)
+        }
+        PotentialTerm::PointSource(term) => {
+            number(&field("strength"), term.strength)?;
+            vector(&field("body_point"), &term.body_point, n)?;
+            vector(&field("position"), &term.position, n)
+        }
+        PotentialTerm::Spring(term) => {
+            number(&field("stiffness"), term.stiffness)?;
+            number(&field("rest_length"), term.rest_length)?;
+            ensure(term.rest_length >= 0.0, field("rest_length"), || {
+                format!("{} given, a length is at least 0", term.rest_length)
+            })?;
+            vector(&field("body_point"), &term.body_point, n)?;
+            vector(&field("position"), &term.position, n)
+        }
+        PotentialTerm::GravityGradient(term) => {
+            number(&field("strength"), term.strength)?;
+            direction(&field("direction"), &term.direction, n)?;
+            match &term.matrix {
+                Some(rows) => {
+                    matrix(&field("matrix"), rows, n)?;
+                    symmetry(&field("matrix"), rows, 1.0, "symmetric")
+                }
+                None => Ok(()),
+            }
+        }
+    }
+}
+
+fn initial(scenario: &Scenario, n: usize) -> Check {
+    let initial = &scenario.scene.initial;
+    let at = "/scene/initial";
+    let only_three = |pointer: String| ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"));
+    match &initial.attitude {
+        None => {}
+        Some(Attitude::Matrix(rows)) => matrix(&format!("{at}/attitude/matrix"), rows, n)?,
+        Some(Attitude::Quaternion(q)) => {
+            let pointer = format!("{at}/attitude/quaternion");
+            only_three(pointer.clone())?;
+            vector(&pointer, q, 4)?;
+            let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+            ensure((norm - 1.0).abs() <= 0.01, pointer, || format!("has the norm {norm}, it must be within 1 % of 1"))?;
+        }
+        Some(Attitude::AxisAngle(turn)) => {
+            let pointer = format!("{at}/attitude/axis_angle");
+            only_three(pointer.clone())?;
+            direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
+            ensure(turn.angle_rad.abs() <= 1e6, format!("{pointer}/angle_rad"), || {
+                format!("{:e} given, an angle is at most 1e6 rad", turn.angle_rad)
+            })?;
+        }
+    }
+    ensure(initial.momentum.is_none() || initial.angular_velocity.is_none(), format!("{at}/angular_velocity"), || {
+        "is given beside `momentum`; give one of the two".into()
+    })?;
+    if let Some(momentum) = &initial.momentum {
+        framed(&format!("{at}/momentum"), momentum, n)?;
+    }
+    if let Some(velocity) = &initial.angular_velocity {
+        framed(&format!("{at}/angular_velocity"), velocity, n)?;
+    }
+    Ok(())
+}
+
+fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
+    let (frame, entries) = match given {
+        Framed::Body(entries) => ("body", entries),
+        Framed::Space(entries) => ("space", entries),
+    };
+    let pointer = format!("{pointer}/{frame}");
+    let shape = |i: usize| {
+        let allowed = if n == 3 { "3 numbers or a skew 3 x 3 matrix".to_owned() } else { format!("a skew {n} x {n} matrix") };
+        ScenarioError::invalid(format!("{pointer}/{i}"), format!("numbers and rows are mixed; {allowed} is needed"))
+    };
+    if matches!(entries.first(), Some(Entry::Number(_))) {
+        ensure(n == 3, pointer.clone(), || format!("is a vector, which is for n = 3; n = {n} needs a skew {n} x {n} matrix"))?;
+        let mut numbers = Vec::new();
+        for (i, entry) in entries.iter().enumerate() {
+            match entry {
+                Entry::Number(x) => numbers.push(*x),
+                Entry::Row(_) => return Err(shape(i)),
+            }
+        }
+        return vector(&pointer, &numbers, 3);
+    }
+    let mut rows = Vec::new();
+    for (i, entry) in entries.iter().enumerate() {
+        match entry {
+            Entry::Row(row) => rows.push(row.clone()),
+            Entry::Number(_) => return Err(shape(i)),
+        }
+    }
+    matrix(&pointer, &rows, n)?;
+    symmetry(&pointer, &rows, -1.0, "skew")
+}
+
+fn method(scenario: &Scenario) -> Check {
+    let solver = &scenario.method.solver;
+    let (low, high) = TOLERANCE_RANGE;
+    ensure(solver.tolerance >= low && solver.tolerance <= high, "/method/solver/tolerance", || {
+        format!("{:e} given, it lies from {low:e} to {high:e}", solver.tolerance)
+    })?;
+    ensure((1..=MAX_ITERATIONS).contains(&solver.max_iterations), "/method/solver/max_iterations", || {
+        format!("{} given, it lies from 1 to {MAX_ITERATIONS}", solver.max_iterations)
+    })?;
+    if let TableauChoice::Custom(tableau) = &scenario.method.tableau {
+        for (i, row) in tableau.a.iter().enumerate() {
+            ensure(row.len() == tableau.a.len(), format!("/method/tableau/a/{i}"), || {
+                format!("{} numbers given in a row of a tableau of {} rows", row.len(), tableau.a.len())
+            })?;
+        }
+    }
+    Ok(())
+}
+
+fn duration(scenario: &Scenario) -> Check {
+    let h = scenario.step_s;
+    let (low, high) = STEP_RANGE_S;
+    ensure(h >= low && h <= high, "/step_s", || format!("{h:e} given, a step lies from {low:e} to {high:e} s"))?;
+    let (pointer, duration_s) = match (scenario.steps, scenario.duration_s) {
+        (Some(_), Some(_)) => {
+            return Err(ScenarioError::invalid("/duration_s", "is given beside `steps`; give one of the two"));
+        }
+        (None, None) => return Err(ScenarioError::invalid("", "missing field `steps` (or `duration_s`)")),
+        (Some(steps), None) => ("/steps", steps as f64 * h),
+        (None, Some(duration_s)) => {
+            ensure(duration_s > 0.0 && duration_s <= MAX_DURATION_S, "/duration_s", || {
+                format!("{duration_s:e} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s")
+            })?;
+            let count = duration_s / h;
+            let whole = count.round();
+            ensure((count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0, "/duration_s", || {
+                let (below, above) = (count.floor() * h, count.ceil() * h);
+                format!("{duration_s} s is not a whole number of steps of {h} s; the nearest are {below} s and {above} s")
+            })?;
+            ("/duration_s", duration_s)
+        }
+    };
+    let steps = scenario.step_count();
+    ensure((1..=MAX_STEPS).contains(&steps), pointer, || format!("{steps} steps, their number lies from 1 to {MAX_STEPS}"))?;
+    ensure(duration_s <= MAX_DURATION_S, pointer, || {
+        format!("{steps} steps of {h} s last {duration_s:e} s, at most {MAX_DURATION_S:e} s are allowed")
+    })
+}
+
+fn log(scenario: &Scenario, n: usize) -> Check {
+    let log = &scenario.log;
+    ensure(log.every != Some(0), "/log/every", || "0 given, at least 1 is needed".into())?;
+    let every = scenario.sample_every();
+    let steps = scenario.step_count();
+    ensure(steps / every <= MAX_SAMPLES, "/log/every", || {
+        let least = steps.div_ceil(MAX_SAMPLES);
+        format!("every {every} steps of {steps} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}")
+    })?;
+    if let Some(channels) = &log.channels {
+        ensure(!channels.is_empty(), "/log/channels", || "is empty; name at least one, or leave it out for all".into())?;
+        let mut seen = HashSet::new();
+        for (i, &channel) in channels.iter().enumerate() {
+            let pointer = format!("/log/channels/{i}");
+            ensure(seen.insert(channel as u8), pointer.clone(), || "names a channel that was named before".into())?;
+            let pictured = matches!(channel, ChannelName::Tf | ChannelName::SceneBody | ChannelName::SceneSources);
+            ensure(!pictured || n == 3, pointer, || format!("is for n = 3, this body has n = {n}"))?;
+        }
+    }
+    epoch_ns(&log.epoch.0).map(|_| ())
+}
+
+/// Nanoseconds since 1970 of an RFC 3339 moment.
+pub(super) fn epoch_ns(text: &str) -> Result<u64, ScenarioError> {
+    let wrong = |message: String| ScenarioError::invalid("/log/epoch", message);
+    let allowed = "a moment like 2026-01-01T00:00:00Z, in the years 1990 to 2099, is needed";
+    let moment = chrono::DateTime::parse_from_rfc3339(text).map_err(|error| wrong(format!("{error}; {allowed}")))?;
+    let ns = moment.timestamp_nanos_opt().and_then(|ns| u64::try_from(ns).ok());
+    // Viewers take these years for calendar time; others for seconds since the start.
+    let range = 631_152_000_000_000_000..4_102_444_800_000_000_000;
+    ns.filter(|ns| range.contains(ns)).ok_or_else(|| wrong(format!("{text} given; {allowed}")))
+}
+
+fn expect(scenario: &Scenario, n: usize) -> Check {
+    let Some(expect) = &scenario.expect else { return Ok(()) };
+    let bounds = [
+        ("energy_error_max", expect.energy_error_max),
+        ("orthogonality_error_max", expect.orthogonality_error_max),
+        ("momentum_drift_max", expect.momentum_drift_max),
+        ("final_attitude_error_max", expect.final_attitude_error_max),
+    ];
+    for (name, bound) in bounds {
+        ensure(bound.is_none_or(|x| x >= 0.0), format!("/expect/{name}"), || "is negative; a bound is at least 0".into())?;
+    }
+    ensure(expect.final_attitude.is_some() == expect.final_attitude_error_max.is_some(), "/expect", || {
+        "`final_attitude` and `final_attitude_error_max` go together".into()
+    })?;
+    match &expect.final_attitude {
+        Some(rows) => matrix("/expect/final_attitude", rows, n),
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,270 @@
+//! JSON text → the types of a scenario, with the pointer of whatever does not fit.
+//!
+//! Two passes. The first reads any JSON into a tree and refuses duplicate keys; it puts the key `kind`
+//! first, so that the second, typed pass can choose the variant of a potential term before its fields and
+//! still know where it is.
+
+use std::fmt;
+
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{self, DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use serde_path_to_error::{Path, Segment};
+
+use super::{
+    Coefficients, Entry, GravityGradient, PointSource, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind,
+    Spring, TableauChoice, TableauName, Uniform,
+};
+
+/// Reads a scenario from JSON text.
+pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
+    let tree = tree(text)?;
+    serde_path_to_error::deserialize(tree).map_err(|error| ScenarioError {
+        kind: ScenarioErrorKind::Invalid,
+        pointer: pointer(error.path()),
+        message: plain(&error.inner().to_string()),
+    })
+}
+
+/// The first pass.
+fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
+    let mut reader = serde_json::Deserializer::from_slice(text);
+    let Tree(value) = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let inner = error.inner();
+        let message = plain(&inner.to_string());
+        // A word or a number that JSON does not have, where a field's value should be (NaN, 1e400), is a
+        // wrong value; anything else that cannot be read is not JSON.
+        let no_number = ["expected value", "number out of range", "invalid number"];
+        let at_value = no_number.iter().any(|start| message.starts_with(start));
+        let wrong_value = inner.is_data() || (at_value && error.path().iter().next().is_some());
+        let kind = if wrong_value { ScenarioErrorKind::Invalid } else { ScenarioErrorKind::Malformed };
+        ScenarioError { kind, pointer: pointer(error.path()), message }
+    })?;
+    reader.end().map_err(|error| ScenarioError {
+        kind: ScenarioErrorKind::Malformed,
+        pointer: String::new(),
+        message: plain(&error.to_string()),
+    })?;
+    Ok(value)
+}
+
+/// A JSON pointer (RFC 6901) from the path that serde took.
+fn pointer(path: &Path) -> String {
+    path.iter()
+        .map(|segment| match segment {
+            Segment::Seq { index } => format!("/{index}"),
+            Segment::Map { key } | Segment::Enum { variant: key } => {
+                format!("/{}", key.replace('~', "~0").replace('/', "~1"))
+            }
+            Segment::Unknown => String::new(),
+        })
+        .collect()
+}
+
+/// serde's words for types, in the words of JSON.
+fn plain(message: &str) -> String {
+    const WORDS: &[(&str, &str)] = &[
+        ("expected f64", "expected a number"),
+        ("expected u64", "expected a whole number, 0 or more"),
+        ("expected u32", "expected a whole number, 0 or more"),
+        ("expected a sequence", "expected a list"),
+        ("expected a map", "expected an object"),
+        ("sequence", "list"),
+        ("floating point `", "number `"),
+        ("integer `", "number `"),
+        ("invalid type: map", "invalid type: object"),
+    ];
+    let mut words = message.to_owned();
+    if let Some((before, after)) = words.split_once("expected struct ") {
+        let rest = after.split_once(' ').map_or("", |(_, rest)| rest);
+        words = format!("{before}expected an object {rest}").trim_end().to_owned();
+    }
+    for (rust, json) in WORDS {
+        words = words.replace(rust, json);
+    }
+    words
+}
+
+/// Any JSON value without duplicate keys.
+struct Tree(Value);
+
+impl<'de> Deserialize<'de> for Tree {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(TreeVisitor).map(Tree)
+    }
+}
+
+struct TreeVisitor;
+
+impl<'de> Visitor<'de> for TreeVisitor {
+    type Value = Value;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a JSON value")
+    }
+
+    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut access: A) -> Result<Value, A::Error> {
+        let mut items = Vec::new();
+        while let Some(Tree(item)) = access.next_element()? {
+            items.push(item);
+        }
+        Ok(Value::Array(items))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut access: A) -> Result<Value, A::Error> {
+        let mut map = Map::new();
+        while let Some(key) = access.next_key::<String>()? {
+            let value = access.next_value_seed(Unique { taken: map.contains_key(&key), key: &key })?;
+            if key == "kind" {
+                map.shift_insert(0, key, value);
+            } else {
+                map.insert(key, value);
+            }
+        }
+        Ok(Value::Object(map))
+    }
+}
+
+/// The value of a key: refused, at its own path, if the key was there before.
+struct Unique<'a> {
+    taken: bool,
+    key: &'a str,
+}
+
+impl<'de> DeserializeSeed<'de> for Unique<'_> {
+    type Value = Value;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
+        if self.taken {
+            return Err(de::Error::custom(format!("duplicate key `{}`", self.key)));
+        }
+        Tree::deserialize(deserializer).map(|Tree(value)| value)
+    }
+}
+
+impl<'de> Deserialize<'de> for PotentialTerm {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(TermVisitor)
+    }
+}
+
+struct TermVisitor;
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Kind {
+    Uniform,
+    PointSource,
+    Spring,
+    GravityGradient,
+}
+
+impl<'de> Visitor<'de> for TermVisitor {
+    type Value = PotentialTerm;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object with the key `kind`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut access: A) -> Result<PotentialTerm, A::Error> {
+        // The first pass put it first.
+        match access.next_key::<String>()? {
+            Some(key) if key == "kind" => {}
+            _ => return Err(de::Error::missing_field("kind")),
+        }
+        let kind = access.next_value::<Kind>()?;
+        let fields = MapAccessDeserializer::new(access);
+        Ok(match kind {
+            Kind::Uniform => PotentialTerm::Uniform(Uniform::deserialize(fields)?),
+            Kind::PointSource => PotentialTerm::PointSource(PointSource::deserialize(fields)?),
+            Kind::Spring => PotentialTerm::Spring(Spring::deserialize(fields)?),
+            Kind::GravityGradient => PotentialTerm::GravityGradient(GravityGradient::deserialize(fields)?),
+        })
+    }
+}
+
+impl<'de> Deserialize<'de> for Entry {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(EntryVisitor)
+    }
+}
+
+struct EntryVisitor;
+
+impl<'de> Visitor<'de> for EntryVisitor {
+    type Value = Entry;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number (of a 3-vector) or a row of numbers (of a skew matrix)")
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Entry, E> {
+        Ok(Entry::Number(value))
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Entry, E> {
+        Ok(Entry::Number(value as f64))
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Entry, E> {
+        Ok(Entry::Number(value as f64))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, access: A) -> Result<Entry, A::Error> {
+        Vec::deserialize(SeqAccessDeserializer::new(access)).map(Entry::Row)
+    }
+}
+
+impl<'de> Deserialize<'de> for TableauChoice {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(TableauVisitor)
+    }
+}
+
+struct TableauVisitor;
+
+impl<'de> Visitor<'de> for TableauVisitor {
+    type Value = TableauChoice;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the name of a tableau or an object with `a` and `b`")
+    }
+
+    fn visit_str<E: de::Error>(self, name: &str) -> Result<TableauChoice, E> {
+        TableauName::deserialize(de::value::StrDeserializer::new(name)).map(TableauChoice::Named)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, access: A) -> Result<TableauChoice, A::Error> {
+        Coefficients::deserialize(MapAccessDeserializer::new(access)).map(TableauChoice::Custom)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut access: A) -> Result<TableauChoice, A::Error> {
+        while access.next_element::<IgnoredAny>()?.is_some() {}
+        Err(de::Error::invalid_type(de::Unexpected::Seq, &self))
+    }
+}

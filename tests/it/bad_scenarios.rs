@@ -1,0 +1,324 @@
+//! Bad input gets an error that names the field: one table, tried at all three doors.
+
+use serde_json::{Value, json};
+use vpd::plan::Plan;
+use vpd::scenario::{Scenario, ScenarioError, ScenarioErrorKind};
+
+/// A scenario with one thing wrong, and the pointer of the field that must be named.
+pub(crate) struct Bad {
+    pub(crate) text: String,
+    pub(crate) pointer: String,
+}
+
+fn dipole() -> Value {
+    serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped")
+}
+
+fn so4() -> Value {
+    serde_json::from_str(include_str!("../../scenarios/so4-free.json")).expect("shipped")
+}
+
+/// A dipole with every optional field written out, so that each can be spoiled.
+fn full() -> Value {
+    let mut full = dipole();
+    full["method"]["solver"] = json!({"kind": "auto", "tolerance": 1e-15, "max_iterations": 50});
+    full["log"] = json!({"every": 1, "channels": ["/state"], "compression": "lz4", "epoch": "2026-01-01T00:00:00Z"});
+    full["scene"]["potential"] = json!([
+        {"kind": "uniform", "weight": 1, "body_point": [0, 0, 1], "direction": [0, 0, 1]},
+        {"kind": "point_source", "strength": 1, "body_point": [0, 0.1, -1], "position": [0, 0, -1.5]},
+        {"kind": "spring", "stiffness": 1, "rest_length": 0.1, "body_point": [1, 0, 0], "position": [0, 0, 2]},
+        {"kind": "gravity_gradient", "strength": 1, "direction": [0, 1, 0], "matrix": [[1, 0, 0], [0, 2, 0], [0, 0, 3]]},
+    ]);
+    full
+}
+
+/// `base` with the raw JSON text `raw` at `pointer` (its parent must exist).
+fn with(mut base: Value, pointer: &str, raw: &str) -> String {
+    const MARK: &str = "@spoiled@";
+    let (parent, key) = pointer.rsplit_once('/').expect("a pointer");
+    match base.pointer_mut(parent).expect("parent exists") {
+        Value::Object(map) => {
+            map.insert(key.to_owned(), MARK.into());
+        }
+        Value::Array(list) => list[key.parse::<usize>().expect("an index")] = MARK.into(),
+        _ => panic!("{parent} has no children"),
+    }
+    base.to_string().replace(&format!("\"{MARK}\""), raw)
+}
+
+/// `base` without the field at `pointer`.
+fn without(mut base: Value, pointer: &str) -> String {
+    let (parent, key) = pointer.rsplit_once('/').expect("a pointer");
+    let map = base.pointer_mut(parent).and_then(Value::as_object_mut).expect("parent exists");
+    map.remove(key).expect("the field was there");
+    base.to_string()
+}
+
+#[allow(clippy::too_many_lines)]
+pub(crate) fn table() -> Vec<Bad> {
+    let mut table = Vec::new();
+    let mut add = |text: String, pointer: &str| table.push(Bad { text, pointer: pointer.to_owned() });
+
+    // Wrong type: every field against every type it is not.
+    let numbers = [
+        "/step_s",
+        "/steps",
+        "/scene/inertia/principal/0",
+        "/scene/potential/0/weight",
+        "/scene/potential/0/body_point/2",
+        "/scene/potential/0/direction/1",
+        "/scene/potential/1/strength",
+        "/scene/potential/1/position/0",
+        "/scene/potential/2/stiffness",
+        "/scene/potential/2/rest_length",
+        "/scene/potential/3/strength",
+        "/scene/potential/3/matrix/1/1",
+        "/scene/initial/attitude/matrix/0/0",
+        "/scene/initial/momentum/body/2",
+        "/method/solver/tolerance",
+        "/method/solver/max_iterations",
+        "/log/every",
+        "/expect/energy_error_max",
+    ];
+    for pointer in numbers {
+        for raw in ["true", "\"1.0\"", "{}", "NaN", "Infinity", "-Infinity", "1e400", "-1e999"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+    // `null` stands for an absent field where a field may be absent.
+    let optional = ["/steps", "/log/every", "/expect/energy_error_max"];
+    for pointer in numbers.iter().filter(|p| !optional.contains(p)) {
+        add(with(full(), pointer, "null"), pointer);
+    }
+    let lists = [
+        "/scene/potential",
+        "/scene/potential/0/body_point",
+        "/scene/potential/0/direction",
+        "/scene/inertia/principal",
+        "/scene/initial/attitude/matrix",
+        "/scene/initial/momentum/body",
+        "/log/channels",
+    ];
+    for pointer in lists {
+        for raw in ["1", "\"text\"", "{}", "false"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+    for pointer in ["/scene", "/method", "/log", "/expect", "/scene/initial", "/scene/potential/0", "/method/solver"] {
+        for raw in ["1", "\"text\"", "true"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+    for pointer in ["/name", "/description", "/method/name", "/log/compression", "/log/epoch", "/log/channels/0"] {
+        for raw in ["1", "[]", "{}", "null"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+
+    // Missing fields are named by their object, unknown and duplicate keys by themselves.
+    for pointer in ["/name", "/scene", "/step_s", "/scene/inertia", "/scene/potential/0/weight", "/scene/potential/0/body_point", "/scene/potential/1/position", "/scene/potential/2/stiffness", "/scene/potential/3/direction", "/scene/potential/0/kind"] {
+        add(without(full(), pointer), pointer.rsplit_once('/').expect("a pointer").0);
+    }
+    for parent in ["", "/scene", "/scene/initial", "/scene/potential/0", "/scene/potential/3", "/method", "/method/solver", "/log", "/expect"] {
+        for key in ["stepsize", "Name", "weigth"] {
+            let pointer = format!("{parent}/{key}");
+            add(with(full(), &pointer, "1"), &pointer);
+        }
+    }
+    for (pointer, key) in [("/step_s", "step_s"), ("/name", "name"), ("/scene/inertia", "inertia"), ("/scene/potential/0/weight", "weight"), ("/scene/potential/0/kind", "kind"), ("/log/every", "every"), ("/method/tableau", "tableau")] {
+        add(with(full(), pointer, &format!("1,\"{key}\":1")), pointer);
+    }
+
+    // Dimensions that do not fit.
+    add(with(full(), "/scene/inertia", r#"{"second_moments":[1,2,3,4]}"#), "/scene/potential/0/body_point");
+    add(with(full(), "/scene/inertia", r#"{"second_moments":[1,2]}"#), "/scene/potential/0/body_point");
+    add(with(full(), "/scene/inertia", r#"{"second_moments":[1]}"#), "/scene/inertia/second_moments");
+    add(with(full(), "/scene/inertia", r#"{"second_moments":[]}"#), "/scene/inertia/second_moments");
+    add(with(full(), "/scene/inertia", "{}"), "/scene/inertia");
+    add(with(full(), "/scene/inertia", r#"{"principal":[1,1,1],"matrix":[]}"#), "/scene/inertia");
+    add(with(full(), "/scene/inertia", r#"{"moments":[1,1,1]}"#), "/scene/inertia");
+    add(with(full(), "/scene/inertia", &format!("{{\"second_moments\":{:?}}}", vec![1.0; 17])), "/scene/inertia/second_moments");
+    for raw in ["[1,2]", "[1,2,3,4]", "[]"] {
+        for pointer in ["/scene/potential/0/body_point", "/scene/potential/1/position", "/scene/potential/2/body_point", "/scene/potential/3/direction", "/scene/initial/momentum/body", "/scene/inertia/principal"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+    add(with(full(), "/scene/potential/3/matrix", "[[1,0,0],[0,1,0]]"), "/scene/potential/3/matrix");
+    add(with(full(), "/scene/potential/3/matrix/1", "[1,0]"), "/scene/potential/3/matrix/1");
+    add(with(full(), "/scene/potential/3/matrix/1/0", "0.5"), "/scene/potential/3/matrix/1/0");
+    add(with(full(), "/scene/initial/attitude/matrix/2", "[0,1]"), "/scene/initial/attitude/matrix/2");
+    add(with(so4(), "/scene/initial", r#"{"attitude":{"quaternion":[1,0,0,0]}}"#), "/scene/initial/attitude/quaternion");
+    add(with(so4(), "/scene/initial", r#"{"attitude":{"axis_angle":{"axis":[1,0,0],"angle_rad":1}}}"#), "/scene/initial/attitude/axis_angle");
+    add(with(so4(), "/scene/initial", r#"{"attitude":{"matrix":[[1,0,0],[0,1,0],[0,0,1]]}}"#), "/scene/initial/attitude/matrix");
+    add(with(so4(), "/scene/initial", r#"{"momentum":{"body":[0,0,1]}}"#), "/scene/initial/momentum/body");
+    add(with(so4(), "/scene/initial", r#"{"momentum":{"space":[[0,1],[-1,0]]}}"#), "/scene/initial/momentum/space");
+    for channel in ["/tf", "/scene/body", "/scene/sources"] {
+        add(with(so4(), "/log", &format!("{{\"channels\":[\"/state\",\"{channel}\"]}}")), "/log/channels/1");
+    }
+
+    // Inertia that is none.
+    for raw in ["0", "-1", "1e-400", "1e-13", "1e13", "-0.0"] {
+        add(with(full(), "/scene/inertia/principal/2", raw), "/scene/inertia/principal/2");
+    }
+    for raw in ["[[1,0,0],[0,1,0],[0,0,0]]", "[[1,2,0],[2,1,0],[0,0,1]]", "[[-1,0,0],[0,1,0],[0,0,1]]"] {
+        add(with(full(), "/scene/inertia", &format!("{{\"matrix\":{raw}}}")), "/scene/inertia/matrix");
+    }
+    add(with(full(), "/scene/inertia", r#"{"matrix":[[1,0,0.1],[0,1,0],[0,0,1]]}"#), "/scene/inertia/matrix/2/0");
+    add(with(so4(), "/scene/inertia/second_moments/0", "-2"), "/scene/inertia/second_moments/1");
+    add(with(so4(), "/scene/inertia/second_moments/3", "-1"), "/scene/inertia/second_moments/3");
+
+    // Attitude and momentum that are none.
+    let attitude = "/scene/initial/attitude";
+    for raw in ["[[1,0,0],[0,0,-1],[0,1.001,0]]", "[[1,0,0],[0,1,0],[0,0,1.0001]]", "[[0,0,0],[0,0,0],[0,0,0]]", "[[1,0,0],[0,1,0],[0,0,-1]]", "[[2,0,0],[0,0.5,0],[0,0,1]]", "[[1,0,0.000001],[0,1,0],[0,0,1]]"] {
+        add(with(full(), attitude, &format!("{{\"matrix\":{raw}}}")), "/scene/initial/attitude/matrix");
+    }
+    for raw in ["[0,0,0,0]", "[2,0,0,0]", "[1,0,0]", "[0.9,0,0,0]", "[1,0,0,0,0]"] {
+        add(with(full(), attitude, &format!("{{\"quaternion\":{raw}}}")), "/scene/initial/attitude/quaternion");
+    }
+    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,0],"angle_rad":1}}"#), "/scene/initial/attitude/axis_angle/axis");
+    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1],"angle_rad":1e9}}"#), "/scene/initial/attitude/axis_angle/angle_rad");
+    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1]}}"#), "/scene/initial/attitude/axis_angle");
+    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1],"angle_deg":90}}"#), "/scene/initial/attitude/axis_angle/angle_deg");
+    add(with(full(), attitude, r#"{"euler":[0,0,1]}"#), "/scene/initial/attitude");
+    add(with(full(), attitude, "\"identity\""), "/scene/initial/attitude");
+    let momentum = "/scene/initial/momentum";
+    add(with(full(), momentum, r#"{"inertial":[0,0,1]}"#), momentum);
+    add(with(full(), momentum, "[0,0,1]"), momentum);
+    add(with(full(), momentum, r#"{"body":[0,[0],1]}"#), "/scene/initial/momentum/body/1");
+    add(with(full(), momentum, r#"{"body":[[0,1,0],1,0]}"#), "/scene/initial/momentum/body/1");
+    add(with(full(), momentum, r#"{"body":[[0,1,0],[1,0,0],[0,0,0]]}"#), "/scene/initial/momentum/body/1/0");
+    add(with(full(), momentum, r#"{"space":[[0.1,0,0],[0,0,0],[0,0,0]]}"#), "/scene/initial/momentum/space/0/0");
+    add(with(full(), momentum, r#"{"body":[0,0,1e16]}"#), "/scene/initial/momentum/body/2");
+    add(with(full(), "/scene/initial/angular_velocity", r#"{"body":[0,0,1]}"#), "/scene/initial/angular_velocity");
+
+    // A body point on a source at the start; a length below zero; directions without a length.
+    add(with(full(), "/scene/potential/1/position", "[0,1,0.1]"), "/scene/potential/1/body_point");
+    add(with(full(), "/scene/potential/2/position", "[1,0,0]"), "/scene/potential/2/body_point");
+    add(with(full(), "/scene/potential/1", r#"{"kind":"point_source","strength":1,"body_point":[0,0,0],"position":[0,0,0]}"#), "/scene/potential/1/body_point");
+    add(with(full(), "/scene/potential/2/rest_length", "-0.5"), "/scene/potential/2/rest_length");
+    add(with(full(), "/scene/potential/0/direction", "[0,0,0]"), "/scene/potential/0/direction");
+    add(with(full(), "/scene/potential/3/direction", "[0,1e-400,0]"), "/scene/potential/3/direction");
+    add(with(full(), "/scene/potential/0/kind", "\"magnetic\""), "/scene/potential/0/kind");
+    add(with(full(), "/scene/potential/0/kind", "null"), "/scene/potential/0/kind");
+    for pointer in ["/scene/potential/0/weight", "/scene/potential/1/strength", "/scene/potential/0/body_point/0"] {
+        add(with(full(), pointer, "1e300"), pointer);
+    }
+
+    // Steps and durations.
+    for raw in ["0", "18446744073709551615", "1000000000001", "18446744073709551616", "-1", "1.5", "1e3"] {
+        add(with(full(), "/steps", raw), "/steps");
+    }
+    for raw in ["0", "-0.01", "1e-400", "5e-324", "1e-13", "1e7", "-0.0"] {
+        add(with(full(), "/step_s", raw), "/step_s");
+    }
+    add(with(full(), "/duration_s", "1000"), "/duration_s");
+    add(without(full(), "/steps"), "");
+    let timed = || {
+        let mut base = full();
+        base.as_object_mut().expect("an object").remove("steps");
+        base
+    };
+    for raw in ["0", "-1", "0.015", "1e-3", "1e10", "1e400", "\"10\"", "NaN"] {
+        add(with(timed(), "/duration_s", raw), "/duration_s");
+    }
+    let long = with(full(), "/step_s", "1e5");
+    add(with(serde_json::from_str(&long).expect("JSON"), "/steps", "100000"), "/steps");
+
+    // Tableaux and solvers.
+    let tableau = "/method/tableau";
+    for raw in ["\"gauss9\"", "\"Gauss2\"", "\"\"", "2", "null", "[[0.5],[1]]"] {
+        add(with(full(), tableau, raw), tableau);
+    }
+    add(with(full(), tableau, r#"{"a":[[0.5]],"b":[1],"c":[0.5]}"#), "/method/tableau/c");
+    add(with(full(), tableau, r#"{"a":[[0.5]]}"#), tableau);
+    add(with(full(), tableau, r#"{"a":[],"b":[]}"#), "/method/tableau/a");
+    add(with(full(), tableau, r#"{"a":[[0,0],[1,0]],"b":[0,1]}"#), "/method/tableau/b/0");
+    add(with(full(), tableau, r#"{"a":[[0,0],[1,0]],"b":[1,1e-400]}"#), "/method/tableau/b/1");
+    add(with(full(), tableau, r#"{"a":[[0,0],[1,0]],"b":[0.5,0.6]}"#), "/method/tableau/b");
+    add(with(full(), tableau, r#"{"a":[[0,0],[1]],"b":[0.5,0.5]}"#), "/method/tableau/a/1");
+    add(with(full(), tableau, r#"{"a":[[0]],"b":[0.5,0.5]}"#), "/method/tableau/a");
+    add(with(full(), tableau, r#"{"a":[[1e9]],"b":[1]}"#), tableau);
+    add(with(full(), tableau, r#"{"a":[["x"]],"b":[1]}"#), "/method/tableau/a/0/0");
+    for raw in ["0", "1", "-1e-15", "1e-17", "1e-400"] {
+        add(with(full(), "/method/solver/tolerance", raw), "/method/solver/tolerance");
+    }
+    for raw in ["0", "10001", "-5", "4294967296", "2.5"] {
+        add(with(full(), "/method/solver/max_iterations", raw), "/method/solver/max_iterations");
+    }
+    add(with(full(), "/method/solver/kind", "\"anderson\""), "/method/solver/kind");
+    for raw in ["\"leapfrog\"", "\"VPD\"", "\"\""] {
+        add(with(full(), "/method/name", raw), "/method/name");
+    }
+
+    // The log.
+    for raw in ["0", "-1", "18446744073709551616", "0.5"] {
+        add(with(full(), "/log/every", raw), "/log/every");
+    }
+    let endless = with(full(), "/steps", "1000000000000");
+    let endless: Value = serde_json::from_str(&with(serde_json::from_str(&endless).expect("JSON"), "/step_s", "0.001")).expect("JSON");
+    add(with(endless, "/log/every", "1"), "/log/every");
+    add(with(full(), "/log/channels", "[]"), "/log/channels");
+    add(with(full(), "/log/channels", r#"["/state","/state"]"#), "/log/channels/1");
+    add(with(full(), "/log/channels", r#"["/state","/imu"]"#), "/log/channels/1");
+    add(with(full(), "/log/compression", "\"gzip\""), "/log/compression");
+    for raw in ["\"yesterday\"", "\"2026-13-01T00:00:00Z\"", "\"1970-01-01T00:00:00Z\"", "\"2200-01-01T00:00:00Z\"", "\"2026-01-01\"", "\"\""] {
+        add(with(full(), "/log/epoch", raw), "/log/epoch");
+    }
+
+    // Names and expectations.
+    add(with(full(), "/name", "\"\""), "/name");
+    add(with(full(), "/name", "\"  \""), "/name");
+    add(with(full(), "/name", &format!("\"{}\"", "x".repeat(201))), "/name");
+    for raw in ["\"a\\nb\"", "\"a\\r\\nb\"", "\"a\\u0000b\"", "\"a\\u202eb\"", "\"a\\u001b[2J\""] {
+        add(with(full(), "/name", raw), "/name");
+    }
+    add(with(full(), "/description", "\"a\\u0007b\""), "/description");
+    add(with(full(), "/description", &format!("\"{}\"", "x".repeat(4001))), "/description");
+    add(with(full(), "/expect/energy_error_max", "-1"), "/expect/energy_error_max");
+    add(with(full(), "/expect/final_attitude", "[[1,0,0],[0,1,0],[0,0,1]]"), "/expect");
+    for raw in ["[]", "1", "\"scenario\"", "null"] {
+        add(raw.to_owned(), "");
+    }
+    table
+}
+
+fn refused(text: &[u8]) -> Option<ScenarioError> {
+    match Scenario::from_json(text) {
+        Ok(scenario) => Plan::new(&scenario).err(),
+        Err(error) => Some(error),
+    }
+}
+
+#[test]
+fn the_unspoiled_scenarios_are_good() {
+    for base in [dipole(), so4(), full()] {
+        assert_eq!(refused(base.to_string().as_bytes()), None);
+    }
+}
+
+#[test]
+fn every_bad_scenario_is_refused_at_its_field() {
+    let table = table();
+    assert!(table.len() >= 300, "{} rows", table.len());
+    let mut wrong = Vec::new();
+    for Bad { text, pointer } in &table {
+        match refused(text.as_bytes()) {
+            None => wrong.push(format!("accepted, {pointer}: {text}")),
+            Some(error) if error.pointer != *pointer || error.kind != ScenarioErrorKind::Invalid => {
+                wrong.push(format!("{pointer} expected: {:?} {error}", error.kind));
+            }
+            Some(error) => assert!(error.message.len() > 10, "{pointer}: {error}"),
+        }
+    }
+    assert!(wrong.is_empty(), "{} of {} wrong:\n{}", wrong.len(), table.len(), wrong.join("\n"));
+}
+
+#[test]
+fn what_is_not_json_is_malformed() {
+    let deep = "[".repeat(100_000);
+    for text in ["", "{", "{\"name\":", "{\"name\":\"a\"} x", "\u{feff}{}", deep.as_str(), "{'name':1}"] {
+        let error = refused(text.as_bytes()).expect("refused");
+        assert_eq!(error.kind, ScenarioErrorKind::Malformed, "{error}");
+    }
+    assert_eq!(refused(b"{\"name\":\"\xff\"}").expect("refused").kind, ScenarioErrorKind::Malformed);
+}
