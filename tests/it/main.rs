@@ -2,4 +2,5 @@
 //! program (scenario, run, command line, log, HTTP).
 
 mod bad_scenarios;
-mod scratch;
+mod laws;
+mod verification;
