@@ -7,15 +7,16 @@
 //! ```text
 //! U_i P_i = I + h sum_j a_ij U_j Omega_j                                            (vih3)
 //! f  P_e  = I + h sum_j b_j U_j Omega_j                                             (vih2)
-//! W_k  = f Lambda + sum_i (a_ik / b_k) U_i X_i
-//! P_k X_k + X_k P_k = h b_k (asym(U_k^T W_k Omega_k^T) - dH/dg(U_k, mu_k))          (f1), (fff1)
+//! V_k  = h b_k f Lambda + h sum_i a_ik U_i X_i
+//! P_k X_k + X_k P_k = asym(U_k^T V_k Omega_k^T) - h b_k dH/dg(U_k, mu_k)            (f1), (fff1)
 //! asym(f Lambda) = -p0 - asym(sum_i U_i X_i)                                        (vih4)
-//! mu_k = -asym(U_k^T W_k),    Omega_k = dH/dmu(mu_k)                                (vih1), (vih6)
+//! mu_k = -asym(U_k^T V_k) / (h b_k),    Omega_k = dH/dmu(mu_k)                      (vih1), (vih6)
 //! p1 = -(P_e Lambda + Lambda P_e),    g1 = g0 f                                     (vih5)
 //! ```
 //!
-//! In words: a symplectic partitioned Runge-Kutta method for g and the embedded momentum -W, with the
-//! polar factor as constraint.
+//! In words: a symplectic partitioned Runge-Kutta method for g and the embedded momentum -V_k / (h b_k),
+//! with the polar factor as constraint. The products h a_ij and h b_j enter both halves with the same bits,
+//! so the pair is symplectic whatever their rounding.
 //!
 //! Invariant: on success the state has moved by one step of the tableau's order and its attitude is on the
 //! group to round-off; on failure it has not moved. No sine, cosine or exponential is used.
@@ -57,8 +58,8 @@ struct Stage<const N: usize> {
     x: Mat<N>,
     /// U_k X_k.
     u_x: Mat<N>,
-    /// W_k.
-    w: Mat<N>,
+    /// V_k.
+    v: Mat<N>,
 }
 
 /// The unknowns of the end point.
@@ -77,7 +78,7 @@ impl<const N: usize> Vpd<N> {
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let zero = Mat::zeros();
         let (u, p) = (Mat::identity(), Mat::identity());
-        let stage = Stage { u, p, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, w: zero };
+        let stage = Stage { u, p, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         Self {
             stages: vec![stage; tableau.stages()],
             end: End { f: u, p, lambda: zero },
@@ -141,7 +142,7 @@ impl<const N: usize> Vpd<N> {
                 u_omega: u * omega,
                 x: Mat::zeros(),
                 u_x: Mat::zeros(),
-                w: self.end.f * self.end.lambda,
+                v: self.end.f * self.end.lambda * (h * self.tableau.b(k)),
             };
         }
         Ok(())
@@ -225,8 +226,9 @@ fn sweep<const N: usize>(
     let mut sum = Mat::zeros();
     for k in 0..s {
         let stage = &mut stages[k];
-        let load = so::asym(&(stage.u.tr_mul(&stage.w) * stage.omega.transpose())) - body.gradient(&stage.u, seen);
-        stage.x = lyapunov(&stage.p, &(load * (h * tableau.b(k))), &stage.x, Some(k))?;
+        let load = so::asym(&(stage.u.tr_mul(&stage.v) * stage.omega.transpose()))
+            - body.gradient(&stage.u, seen) * (h * tableau.b(k));
+        stage.x = lyapunov(&stage.p, &load, &stage.x, Some(k))?;
         stage.u_x = stage.u * stage.x;
         sum += stage.u_x;
     }
@@ -235,17 +237,18 @@ fn sweep<const N: usize>(
     let f_lambda = end.f * end.lambda;
     let (mut change, mut size) = (0.0_f64, p0.amax());
     for k in 0..s {
-        let mut w = f_lambda;
+        let weight = h * tableau.b(k);
+        let mut v = f_lambda * weight;
         for i in 0..s {
-            w += stages[i].u_x * (tableau.a(i, k) / tableau.b(k));
+            v += stages[i].u_x * (h * tableau.a(i, k));
         }
         let stage = &mut stages[k];
-        let mu = -so::asym(&stage.u.tr_mul(&w));
+        let mu = -so::asym(&stage.u.tr_mul(&v)) / weight;
         change = change.max(amax(&(mu - stage.mu)));
         size = size.max(amax(&mu));
         stage.omega = body.velocity(&mu);
         stage.u_omega = stage.u * stage.omega;
-        (stage.w, stage.mu) = (w, mu);
+        (stage.v, stage.mu) = (v, mu);
     }
     Ok(if change == 0.0 { 0.0 } else { change / size })
 }
