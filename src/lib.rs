@@ -1,2 +1,3 @@
 //! Rotating bodies on SO(n).
+pub mod log;
 pub mod solve;

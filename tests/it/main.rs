@@ -1,4 +1,5 @@
 //! The integration tests, one binary: laws and verification of the mathematics, then the doors of the
 //! program (scenario, run, command line, log, HTTP).
 
+mod log;
 mod scratch;
