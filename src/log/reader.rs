@@ -22,6 +22,10 @@ use super::{LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;
 
+/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than its
+/// file, and the length of a big file is no bound at all.
+const RECORD_LIMIT: usize = MAX_CHUNK_BYTES as usize;
+
 /// A part of a log, in the order of the file.
 #[derive(Debug)]
 pub enum Item<'a> {
@@ -114,15 +118,12 @@ pub fn read(
     let bytes = file.metadata().map_err(failed)?.len();
     let mut file = BufReader::with_capacity(READ_AT_ONCE, file);
 
-    // Not the length of the file: a chunk of a body at rest is longer than its file, and the length
-    // of a big file is no bound at all.
-    let limit = MAX_CHUNK_BYTES as usize;
     let options = LinearReaderOptions::default()
         .with_check_finishes_after_end_magic(true)
-        .with_prevalidate_chunk_crcs(true)
+        .with_emit_chunks(true)
         .with_validate_data_section_crc(true)
         .with_validate_summary_section_crc(true)
-        .with_record_length_limit(limit);
+        .with_record_length_limit(RECORD_LIMIT);
     let mut reader = LinearReader::new_with_options(options);
     let mut walk = Walk::default();
     let damage = loop {
@@ -147,7 +148,7 @@ pub fn read(
                 }
             }
             Some(Err(McapError::UnexpectedEof)) => break Some(walk.cut()),
-            Some(Err(error)) => break Some(format!("the log is damaged: {error}")),
+            Some(Err(error)) => break Some(damaged(error)),
         }
     };
     Ok(Ending {
@@ -179,13 +180,12 @@ pub fn read_samples(path: &Path, mut visit: impl FnMut(u64, Message)) -> Result<
     })
 }
 
-/// What is known of the log so far.
+/// What is known of the log so far. Its errors are damage, in words.
 #[derive(Default)]
 struct Walk {
     schemas: HashMap<u16, String>,
     /// Topic and schema name.
     topics: HashMap<u16, (String, String)>,
-    in_chunk: bool,
     chunks: u64,
     data_ended: bool,
     /// Whether the last record of the data is the outcome.
@@ -193,56 +193,31 @@ struct Walk {
 }
 
 impl Walk {
-    /// Takes one record; an error is damage, in words.
+    /// Takes one record of the file.
     fn step(
         &mut self,
         opcode: u8,
         data: &[u8],
         visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
     ) -> Result<ControlFlow<()>, String> {
-        let record =
-            parse_record(opcode, data).map_err(|error| format!("the log is damaged: {error}"))?;
+        let record = parse_record(opcode, data).map_err(damaged)?;
         if self.data_ended {
-            // The summary repeats what was read. Its checksum does not cover the length fields
-            // around it.
+            // The summary repeats what was read. Its checksum does not cover the length of the footer.
             return match opcode {
-                op::FOOTER if data.len() != 20 => Err("the log is damaged: bad footer".to_owned()),
+                op::FOOTER if data.len() != 20 => Err(damaged("bad footer")),
                 _ => Ok(ControlFlow::Continue(())),
             };
         }
-        // The writer indexes each chunk, so two chunks never touch.
-        let in_chunk = matches!(
-            record,
-            Record::Schema { .. } | Record::Channel(_) | Record::Message { .. }
-        );
-        self.chunks += u64::from(in_chunk && !self.in_chunk);
-        self.in_chunk = in_chunk;
         if opcode != op::DATA_END {
             self.outcome_last = false;
         }
         match record {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
-            }
-            Record::Channel(channel) => {
-                let schema = self
-                    .schemas
-                    .get(&channel.schema_id)
-                    .cloned()
-                    .unwrap_or_default();
-                self.topics.insert(channel.id, (channel.topic, schema));
-            }
-            Record::Message { header, data } => {
-                let Some((topic, schema)) = self.topics.get(&header.channel_id) else {
-                    return Err("the log is damaged: a message of an unknown channel".to_owned());
-                };
-                let time_ns = header.log_time;
-                return Ok(visit(Item::Message {
-                    topic,
-                    schema,
-                    time_ns,
-                    data: &data,
-                }));
+            Record::Chunk { header, .. } => {
+                if header.uncompressed_crc == 0 {
+                    return Err(damaged("a chunk without a checksum"));
+                }
+                self.chunks += 1;
+                return self.chunk(data, visit);
             }
             Record::Metadata(metadata) => {
                 self.outcome_last = metadata.name == OUTCOME_RECORD;
@@ -259,9 +234,82 @@ impl Walk {
             }
             Record::DataEnd(_) => {
                 if data.len() != 4 {
-                    return Err("the log is damaged: bad end of data".to_owned());
+                    return Err(damaged("bad end of data"));
                 }
                 self.data_ended = true;
+            }
+            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a message.
+            Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
+                return Err(damaged("a message outside a chunk"));
+            }
+            _ => {}
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Takes a chunk apart, after its checksum agreed.
+    fn chunk(
+        &mut self,
+        chunk: &[u8],
+        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, String> {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(RECORD_LIMIT);
+        let mut reader = LinearReader::new_with_options(options);
+        // The record as it stood in the file: opcode, length, body.
+        let head = std::iter::once(op::CHUNK).chain((chunk.len() as u64).to_le_bytes());
+        let head: Vec<u8> = head.collect();
+        let mut rest = head.as_slice().chain(chunk);
+        while let Some(event) = reader.next_event() {
+            match event.map_err(damaged)? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let space = reader.insert(wanted.clamp(1, READ_AT_ONCE));
+                    let got = rest.read(space).map_err(damaged)?;
+                    reader.notify_read(got);
+                }
+                LinearReadEvent::Record { opcode, data } => {
+                    let record = parse_record(opcode, data).map_err(damaged)?;
+                    if self.entry(record, visit)?.is_break() {
+                        return Ok(ControlFlow::Break(()));
+                    }
+                }
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Takes one record of a chunk.
+    fn entry(
+        &mut self,
+        record: Record<'_>,
+        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, String> {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let schema = self
+                    .schemas
+                    .get(&channel.schema_id)
+                    .cloned()
+                    .unwrap_or_default();
+                self.topics.insert(channel.id, (channel.topic, schema));
+            }
+            Record::Message { header, data } => {
+                let Some((topic, schema)) = self.topics.get(&header.channel_id) else {
+                    return Err(damaged("a message of an unknown channel"));
+                };
+                let time_ns = header.log_time;
+                return Ok(visit(Item::Message {
+                    topic,
+                    schema,
+                    time_ns,
+                    data: &data,
+                }));
             }
             _ => {}
         }
@@ -271,7 +319,7 @@ impl Walk {
     /// What a file lacks that was read to its end.
     fn missing(&self) -> Option<String> {
         if !self.data_ended {
-            Some("the log is damaged: its data has no end record".to_owned())
+            Some(damaged("its data has no end record"))
         } else if !self.outcome_last {
             Some("the log does not say how the job ended".to_owned())
         } else {
@@ -288,4 +336,8 @@ impl Walk {
             }
         }
     }
+}
+
+fn damaged(what: impl std::fmt::Display) -> String {
+    format!("the log is damaged: {what}")
 }
