@@ -1,4 +1,17 @@
-//! Rotating bodies on SO(n), integrated by the variational polar decomposition, logged as MCAP.
-pub mod plan;
+//! `vpd` simulates rotating bodies on SO(n) with variational polar decomposition integrators and writes
+//! MCAP logs.
+//!
+//! The modules stand in the order in which data flows:
+//!
+//! ```text
+//! scenario.json → Scenario → Plan → RigidBody + Vpd → Sample → LogWriter → log.mcap → chart.svg
+//! POST /jobs → store (durable) → engine → worker thread → run → store (finished log) → GET /jobs/{id}/log.mcap
+//! ```
+//!
+//! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
+
 pub mod scenario;
+pub mod plan;
+pub mod run;
 pub mod solve;
+pub mod log;

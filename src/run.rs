@@ -13,7 +13,7 @@ use thiserror::Error;
 
 use crate::log::LogError;
 use crate::log::schema::Channel;
-use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
+use crate::log::writer::{Level, LogCompression, LogHeader, LogWriter, Outcome as LogOutcome};
 use crate::plan::{Model, ModelKinetic, Plan, space_vector};
 use crate::scenario::{ChannelName, Compression, Expect, PotentialTerm, Scenario, ScenarioError};
 use crate::solve::failure::Failure;
@@ -418,25 +418,67 @@ fn unmet(expect: &Expect, summary: &Summary) -> Vec<String> {
     unmet
 }
 
+/// What the log says of the job before its first sample.
 fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
-    let text = |value: &dyn erased::Json| value.json();
     let job = BTreeMap::from([
         ("vpd_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         ("name".to_owned(), scenario.name().to_owned()),
-        ("scenario".to_owned(), text(scenario)),
-        ("plan".to_owned(), text(plan)),
+        ("scenario".to_owned(), json(scenario)),
+        ("plan".to_owned(), json(plan)),
     ]);
     LogHeader {
         epoch_ns: scenario.epoch_ns(),
         channels: plan.channels.iter().map(|channel| log_channel(channel.topic)).collect(),
         compression: match scenario.log.compression {
-            Compression::Zstd => crate::log::writer::LogCompression::Zstd,
-            Compression::Lz4 => crate::log::writer::LogCompression::Lz4,
-            Compression::None => crate::log::writer::LogCompression::None,
+            Compression::Zstd => LogCompression::Zstd,
+            Compression::Lz4 => LogCompression::Lz4,
+            Compression::None => LogCompression::None,
         },
         samples_per_chunk: plan.samples_per_chunk,
         scenario_json: scenario.to_json(),
         job,
-        scene: geometry::scene(scenario, plan),
+        scene: geometry::scene(plan),
+    }
+}
+
+/// What the log says of the job after its last sample: figures of the run, none of the clock.
+fn log_outcome(summary: &Summary) -> LogOutcome {
+    let mut entries = BTreeMap::from([
+        ("steps".to_owned(), summary.steps.to_string()),
+        ("samples".to_owned(), summary.samples.to_string()),
+        ("time_s".to_owned(), json(&summary.time_s)),
+        ("final".to_owned(), json(&summary.last)),
+        ("iterations_per_step".to_owned(), json(&summary.solver.iterations_per_step)),
+    ]);
+    let mut figure = |name: &str, value: Option<f64>| {
+        if let Some(value) = value {
+            entries.insert(name.to_owned(), json(&value));
+        }
+    };
+    figure("energy_max_abs_error", summary.energy.map(|energy| energy.max_abs_error));
+    figure("orthogonality_max", summary.orthogonality.map(|orthogonality| orthogonality.max));
+    figure("momentum_max_drift", summary.momentum.map(|momentum| momentum.max_drift));
+    if let Some(diagnosis) = &summary.diagnosis {
+        entries.insert("code".to_owned(), diagnosis.code.clone());
+        entries.insert("diagnosis".to_owned(), json(diagnosis));
+    }
+    LogOutcome { state: summary.outcome.as_str().to_owned(), entries }
+}
+
+fn json(value: &impl Serialize) -> String {
+    serde_json::to_string(value).expect("figures and names are JSON by construction")
+}
+
+fn log_channel(name: ChannelName) -> Channel {
+    match name {
+        ChannelName::State => Channel::State,
+        ChannelName::Energy => Channel::Energy,
+        ChannelName::Orthogonality => Channel::Orthogonality,
+        ChannelName::Momentum => Channel::Momentum,
+        ChannelName::Solver => Channel::Solver,
+        ChannelName::Tf => Channel::Tf,
+        ChannelName::SceneBody => Channel::SceneBody,
+        ChannelName::SceneSources => Channel::SceneSources,
+        ChannelName::Log => Channel::Log,
     }
 }

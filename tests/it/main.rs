@@ -3,4 +3,5 @@
 
 mod bad_scenarios;
 mod laws;
+mod log;
 mod verification;

@@ -1,0 +1,143 @@
+//! 5 · The log: what a job did, as an MCAP file that common viewers open.
+//!
+//! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a file
+//! up. What stands on which topic is in [`schema`], the messages are in [`messages`], and [`scene`]
+//! draws the body and its surroundings.
+//!
+//! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named
+//! `.mcap.part`. Same inputs give the same bytes: no clock, thread or machine shows in a log.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+pub mod inspect;
+pub mod messages;
+pub mod reader;
+pub mod scene;
+pub mod schema;
+pub mod writer;
+
+/// Name of the metadata record that comes first: scenario, plan, versions.
+pub const JOB_RECORD: &str = "vpd.job";
+/// Name of the metadata record that comes last and makes a log finished: how the job ended.
+pub const OUTCOME_RECORD: &str = "vpd.outcome";
+/// Name of the attachment that holds the scenario.
+pub const SCENARIO_ATTACHMENT: &str = "scenario.json";
+
+/// The most bytes of a chunk before compression, and of any record. The writer keeps below it; the
+/// reader allocates no more at once, whatever a damaged file asks for.
+pub const MAX_CHUNK_BYTES: u64 = 32 << 20;
+
+/// What can go wrong with a log.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// The disk or the quota is full.
+    #[error("no space left for the log {}: {source}", path.display())]
+    StorageFull {
+        /// The file.
+        path: PathBuf,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// The file system failed in another way.
+    #[error("cannot {action} the log {}: {source}", path.display())]
+    Storage {
+        /// The file.
+        path: PathBuf,
+        /// What was tried: "create", "write", ...
+        action: &'static str,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// The MCAP layer refused for a reason other than the file system.
+    #[error("cannot {action} the log {}: {source}", path.display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// The MCAP layer's answer.
+        source: mcap::McapError,
+    },
+    /// A time that a log cannot hold: negative, not a number, beyond the year 2106, or before the
+    /// message that came last.
+    #[error("the log cannot hold the time {time_s} s after its epoch {epoch_ns} ns")]
+    Time {
+        /// Seconds since the start.
+        time_s: f64,
+        /// Nanoseconds from 1970 to the start.
+        epoch_ns: u64,
+    },
+    /// A sample holds an infinity or NaN, which plots cannot show.
+    #[error("the sample of step {step} holds a value that is not finite")]
+    NotFinite {
+        /// The sample's step.
+        step: u64,
+    },
+    /// An earlier write failed; the log is given up.
+    #[error("the log {} is given up: an earlier write failed", path.display())]
+    GivenUp {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl LogError {
+    /// The fixed code in answers and scripts.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::StorageFull { .. } => "storage_full",
+            Self::Storage { .. } => "storage_error",
+            Self::Format { .. } => "log_format",
+            Self::Time { .. } => "log_time",
+            Self::NotFinite { .. } => "log_not_finite",
+            Self::GivenUp { .. } => "log_given_up",
+        }
+    }
+
+    fn io(path: &Path, action: &'static str, source: io::Error) -> Self {
+        let path = path.to_owned();
+        match source.kind() {
+            io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                Self::StorageFull { path, source }
+            }
+            _ => Self::Storage {
+                path,
+                action,
+                source,
+            },
+        }
+    }
+
+    fn mcap(path: &Path, action: &'static str, source: mcap::McapError) -> Self {
+        match source {
+            mcap::McapError::Io(source) => Self::io(path, action, source),
+            source => Self::Format {
+                path: path.to_owned(),
+                action,
+                source,
+            },
+        }
+    }
+}
+
+/// The name of a log while it is being written: `.part` is added.
+pub fn part_path(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".part");
+    PathBuf::from(name)
+}
+
+/// Log time of `time_s` after the epoch, in nanoseconds since 1970, rounded to the nearest.
+///
+/// `None` if that is before the epoch, not a number, or beyond the 32-bit seconds (year 2106) of the
+/// viewers' time stamps.
+pub fn log_time(epoch_ns: u64, time_s: f64) -> Option<u64> {
+    let since_ns = (time_s * 1e9).round();
+    // 2^64, the first value that u64 does not hold.
+    if !(0.0..18_446_744_073_709_551_616.0).contains(&since_ns) {
+        return None;
+    }
+    let time_ns = epoch_ns.checked_add(since_ns as u64)?;
+    (time_ns / 1_000_000_000 <= u64::from(u32::MAX)).then_some(time_ns)
+}

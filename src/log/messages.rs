@@ -1,0 +1,159 @@
+//! The messages of a log: our own, generated from `vpd.proto`, and how a sample fills them.
+//!
+//! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up in
+//! the middle, writes the same bytes.
+
+use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
+
+use crate::solve::so::{self, Mat};
+use crate::solve::trajectory::Sample;
+
+include!(concat!(env!("OUT_DIR"), "/vpd.rs"));
+
+/// The lowest logarithm of an error: below every non-zero error that doubles near 1 can show.
+pub const LOG10_FLOOR: f64 = -20.0;
+
+/// Decimal logarithm of the size of `x`, not below [`LOG10_FLOOR`]: zero has a place in a plot.
+///
+/// By the `libm` crate, so that the bits do not depend on the machine.
+pub fn log10_size(x: f64) -> f64 {
+    libm::log10(x.abs()).max(LOG10_FLOOR)
+}
+
+impl State {
+    /// Attitude and momentum of a sample.
+    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Self {
+        let attitude = &sample.state.attitude;
+        Self {
+            time_s: sample.time_s,
+            // nalgebra stores columns; the rows of g are the columns of its transpose.
+            attitude: attitude.transpose().as_slice().to_vec(),
+            body_momentum: so::vee(&sample.state.momentum),
+            quaternion: quaternion(attitude).map_or_else(Vec::new, |q| q.to_vec()),
+        }
+    }
+}
+
+impl Energy {
+    /// Energy of a sample, if it has any.
+    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+        let (energy, error) = sample.energy.zip(sample.energy_error)?;
+        Some(Self {
+            kinetic: energy.kinetic,
+            potential: energy.potential,
+            total: energy.total(),
+            error,
+            log10_abs_error: log10_size(error),
+        })
+    }
+}
+
+impl Orthogonality {
+    /// Distance of a sample's attitude from the group, if computed.
+    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+        let error = sample.orthogonality_error?;
+        Some(Self {
+            error,
+            log10_error: log10_size(error),
+        })
+    }
+}
+
+impl Momentum {
+    /// Spatial momentum of a sample, if computed.
+    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+        let momentum = sample.spatial_momentum.as_ref()?;
+        Some(Self {
+            spatial_momentum: so::vee(momentum),
+            drift: sample.momentum_drift,
+            log10_drift: sample.momentum_drift.map(log10_size),
+        })
+    }
+}
+
+impl Solver {
+    /// How a sample's step was solved; `None` at the start.
+    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+        let convergence = sample.convergence?;
+        Some(Self {
+            iterations: convergence.iterations,
+            increment: convergence.increment,
+            rung: convergence.rung.as_str().to_owned(),
+            sigma_min: sample.sigma_min,
+        })
+    }
+}
+
+/// The body's frame as seen from space, for viewers; `None` unless n = 3.
+pub fn frames<const N: usize>(sample: &Sample<'_, N>, time_ns: u64) -> Option<FrameTransforms> {
+    let [w, x, y, z] = quaternion(&sample.state.attitude)?;
+    Some(FrameTransforms {
+        transforms: vec![FrameTransform {
+            timestamp: timestamp(time_ns),
+            parent_frame_id: super::scene::SPACE_FRAME.to_owned(),
+            child_frame_id: super::scene::BODY_FRAME.to_owned(),
+            translation: Some(Vector3::default()),
+            rotation: Some(Quaternion { x, y, z, w }),
+        }],
+    })
+}
+
+/// A log time as the viewers' time stamp.
+pub(super) fn timestamp(time_ns: u64) -> Option<Timestamp> {
+    let seconds = u32::try_from(time_ns / 1_000_000_000).ok()?;
+    Timestamp::new_checked(seconds, (time_ns % 1_000_000_000) as u32)
+}
+
+/// The unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; `None` unless n = 3.
+///
+/// The largest of the four squared components gives the first one and the others follow by division
+/// (Shepperd 1978): no cancellation and no trigonometry. A matrix that is not quite a rotation, as
+/// some baseline methods leave it, gives the normalised result of the same formulas.
+pub fn quaternion<const N: usize>(r: &Mat<N>) -> Option<[f64; 4]> {
+    if N != 3 {
+        return None;
+    }
+    let trace = r[(0, 0)] + r[(1, 1)] + r[(2, 2)];
+    // Numbered as the components: 4 q_k^2 = 1 + 2 pivot_k - trace, and 1 + trace for w.
+    let pivots = [trace, r[(0, 0)], r[(1, 1)], r[(2, 2)]];
+    let largest = (1..4).fold(0, |best, k| if pivots[k] > pivots[best] { k } else { best });
+    // Each is four times the product of q_largest with the component in its place.
+    let difference = |i: usize, j: usize| r[(i, j)] - r[(j, i)];
+    let sum = |i: usize, j: usize| r[(i, j)] + r[(j, i)];
+    let mut q = match largest {
+        0 => [
+            1.0 + trace,
+            difference(2, 1),
+            difference(0, 2),
+            difference(1, 0),
+        ],
+        1 => [
+            difference(2, 1),
+            1.0 + 2.0 * r[(0, 0)] - trace,
+            sum(0, 1),
+            sum(0, 2),
+        ],
+        2 => [
+            difference(0, 2),
+            sum(0, 1),
+            1.0 + 2.0 * r[(1, 1)] - trace,
+            sum(1, 2),
+        ],
+        _ => [
+            difference(1, 0),
+            sum(0, 2),
+            sum(1, 2),
+            1.0 + 2.0 * r[(2, 2)] - trace,
+        ],
+    };
+    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if !norm.is_finite() {
+        // A baseline that blew up: no direction is left in such a matrix.
+        return Some([1.0, 0.0, 0.0, 0.0]);
+    }
+    let sign = if q[0] < 0.0 { -1.0 } else { 1.0 };
+    for x in &mut q {
+        *x *= sign / norm;
+    }
+    Some(q)
+}

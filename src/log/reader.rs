@@ -1,0 +1,343 @@
+//! Reads a log: a finished one, one that is being written, or what a crash or a bad disk left of it.
+//!
+//! Invariant: whatever the bytes are, reading ends without a panic and within the memory of
+//! [`MAX_CHUNK_BYTES`] a piece; a chunk is handed out only after its checksum agreed; and every file
+//! that is not a finished log is reported as such.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufReader, Read};
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{McapError, parse_record};
+use prost::Message as _;
+
+use super::messages::{Energy, Momentum, Orthogonality, Solver, State};
+use super::schema::Channel;
+use super::{LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
+
+/// Bytes asked of the file at once: a damaged length must not become an allocation.
+const READ_AT_ONCE: usize = 64 << 10;
+
+/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than its
+/// file, and the length of a big file is no bound at all.
+const RECORD_LIMIT: usize = MAX_CHUNK_BYTES as usize;
+
+/// A part of a log, in the order of the file.
+#[derive(Debug)]
+pub enum Item<'a> {
+    /// A metadata record.
+    Metadata {
+        /// Its name.
+        name: &'a str,
+        /// Its entries.
+        entries: &'a BTreeMap<String, String>,
+    },
+    /// An attached file.
+    Attachment {
+        /// Its name.
+        name: &'a str,
+        /// Its bytes.
+        data: &'a [u8],
+    },
+    /// A message of any topic.
+    Message {
+        /// The topic.
+        topic: &'a str,
+        /// Name of the message type.
+        schema: &'a str,
+        /// Log time, in nanoseconds since 1970.
+        time_ns: u64,
+        /// The encoded message.
+        data: &'a [u8],
+    },
+}
+
+/// A message of our own.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Message {
+    /// Of `/state`.
+    State(State),
+    /// Of `/energy`.
+    Energy(Energy),
+    /// Of `/orthogonality`.
+    Orthogonality(Orthogonality),
+    /// Of `/momentum`.
+    Momentum(Momentum),
+    /// Of `/solver`.
+    Solver(Solver),
+}
+
+impl Message {
+    /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be decoded.
+    pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
+        let channel = Channel::from_topic(topic)?;
+        if channel.schema_name() != schema {
+            return None;
+        }
+        match channel {
+            Channel::State => State::decode(data).ok().map(Self::State),
+            Channel::Energy => Energy::decode(data).ok().map(Self::Energy),
+            Channel::Orthogonality => Orthogonality::decode(data).ok().map(Self::Orthogonality),
+            Channel::Momentum => Momentum::decode(data).ok().map(Self::Momentum),
+            Channel::Solver => Solver::decode(data).ok().map(Self::Solver),
+            Channel::Tf | Channel::SceneBody | Channel::SceneSources | Channel::Log => None,
+        }
+    }
+}
+
+/// What was found at the end of a log.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Ending {
+    /// Whether the log is finished: whole to the last byte, every checksum right, the outcome last.
+    pub finished: bool,
+    /// Why it is not, for a person. `None` also if the visitor stopped the reading.
+    pub damage: Option<String>,
+    /// Chunks seen.
+    pub chunks: u64,
+    /// Bytes of the file.
+    pub bytes: u64,
+}
+
+/// Reads `path` and shows its parts to `visit`, until that breaks off.
+///
+/// Damage is no error: it ends the reading and is told in the [`Ending`]. What was shown before it is
+/// sound.
+///
+/// # Errors
+/// If the file cannot be opened or read.
+pub fn read(
+    path: &Path,
+    mut visit: impl FnMut(Item<'_>) -> ControlFlow<()>,
+) -> Result<Ending, LogError> {
+    let failed = |source| LogError::io(path, "read", source);
+    let file = File::open(path).map_err(failed)?;
+    let bytes = file.metadata().map_err(failed)?.len();
+    let mut file = BufReader::with_capacity(READ_AT_ONCE, file);
+
+    let options = LinearReaderOptions::default()
+        .with_check_finishes_after_end_magic(true)
+        .with_emit_chunks(true)
+        .with_validate_data_section_crc(true)
+        .with_validate_summary_section_crc(true)
+        .with_record_length_limit(RECORD_LIMIT);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut walk = Walk::default();
+    let damage = loop {
+        match reader.next_event() {
+            None => break walk.missing(),
+            Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                let space = reader.insert(wanted.clamp(1, READ_AT_ONCE));
+                let got = file.read(space).map_err(failed)?;
+                reader.notify_read(got);
+            }
+            Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                match walk.step(opcode, data, &mut visit) {
+                    Ok(ControlFlow::Continue(())) => {}
+                    Ok(ControlFlow::Break(())) => {
+                        return Ok(Ending {
+                            chunks: walk.chunks,
+                            bytes,
+                            ..Ending::default()
+                        });
+                    }
+                    Err(damage) => break Some(damage),
+                }
+            }
+            Some(Err(McapError::UnexpectedEof)) => break Some(walk.cut()),
+            Some(Err(error)) => break Some(damaged(error)),
+        }
+    };
+    Ok(Ending {
+        finished: damage.is_none(),
+        damage,
+        chunks: walk.chunks,
+        bytes,
+    })
+}
+
+/// Reads the samples of `path`: every message of `/state`, `/energy`, `/orthogonality`, `/momentum`
+/// and `/solver` goes to `visit` with its log time.
+///
+/// # Errors
+/// If the file cannot be opened or read.
+pub fn read_samples(path: &Path, mut visit: impl FnMut(u64, Message)) -> Result<Ending, LogError> {
+    read(path, |item| {
+        if let Item::Message {
+            topic,
+            schema,
+            time_ns,
+            data,
+        } = item
+            && let Some(message) = Message::decode(topic, schema, data)
+        {
+            visit(time_ns, message);
+        }
+        ControlFlow::Continue(())
+    })
+}
+
+/// What is known of the log so far. Its errors are damage, in words.
+#[derive(Default)]
+struct Walk {
+    schemas: HashMap<u16, String>,
+    /// Topic and schema name.
+    topics: HashMap<u16, (String, String)>,
+    chunks: u64,
+    data_ended: bool,
+    /// Whether the last record of the data is the outcome.
+    outcome_last: bool,
+}
+
+impl Walk {
+    /// Takes one record of the file.
+    fn step(
+        &mut self,
+        opcode: u8,
+        data: &[u8],
+        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, String> {
+        let record = parse_record(opcode, data).map_err(damaged)?;
+        if self.data_ended {
+            // The summary repeats what was read. Its checksum does not cover the length of the footer.
+            return match opcode {
+                op::FOOTER if data.len() != 20 => Err(damaged("bad footer")),
+                _ => Ok(ControlFlow::Continue(())),
+            };
+        }
+        if opcode != op::DATA_END {
+            self.outcome_last = false;
+        }
+        match record {
+            Record::Chunk { header, .. } => {
+                if header.uncompressed_crc == 0 {
+                    return Err(damaged("a chunk without a checksum"));
+                }
+                self.chunks += 1;
+                return self.chunk(data, visit);
+            }
+            Record::Metadata(metadata) => {
+                self.outcome_last = metadata.name == OUTCOME_RECORD;
+                return Ok(visit(Item::Metadata {
+                    name: &metadata.name,
+                    entries: &metadata.metadata,
+                }));
+            }
+            Record::Attachment { header, data, .. } => {
+                return Ok(visit(Item::Attachment {
+                    name: &header.name,
+                    data: &data,
+                }));
+            }
+            Record::DataEnd(_) => {
+                if data.len() != 4 {
+                    return Err(damaged("bad end of data"));
+                }
+                self.data_ended = true;
+            }
+            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a message.
+            Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
+                return Err(damaged("a message outside a chunk"));
+            }
+            _ => {}
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Takes a chunk apart, after its checksum agreed.
+    fn chunk(
+        &mut self,
+        chunk: &[u8],
+        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, String> {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(RECORD_LIMIT);
+        let mut reader = LinearReader::new_with_options(options);
+        // The record as it stood in the file: opcode, length, body.
+        let head = std::iter::once(op::CHUNK).chain((chunk.len() as u64).to_le_bytes());
+        let head: Vec<u8> = head.collect();
+        let mut rest = head.as_slice().chain(chunk);
+        while let Some(event) = reader.next_event() {
+            match event.map_err(damaged)? {
+                LinearReadEvent::ReadRequest(wanted) => {
+                    let space = reader.insert(wanted.clamp(1, READ_AT_ONCE));
+                    let got = rest.read(space).map_err(damaged)?;
+                    reader.notify_read(got);
+                }
+                LinearReadEvent::Record { opcode, data } => {
+                    let record = parse_record(opcode, data).map_err(damaged)?;
+                    if self.entry(record, visit)?.is_break() {
+                        return Ok(ControlFlow::Break(()));
+                    }
+                }
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Takes one record of a chunk.
+    fn entry(
+        &mut self,
+        record: Record<'_>,
+        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>, String> {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let schema = self
+                    .schemas
+                    .get(&channel.schema_id)
+                    .cloned()
+                    .unwrap_or_default();
+                self.topics.insert(channel.id, (channel.topic, schema));
+            }
+            Record::Message { header, data } => {
+                let Some((topic, schema)) = self.topics.get(&header.channel_id) else {
+                    return Err(damaged("a message of an unknown channel"));
+                };
+                let time_ns = header.log_time;
+                return Ok(visit(Item::Message {
+                    topic,
+                    schema,
+                    time_ns,
+                    data: &data,
+                }));
+            }
+            _ => {}
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// What a file lacks that was read to its end.
+    fn missing(&self) -> Option<String> {
+        if !self.data_ended {
+            Some(damaged("its data has no end record"))
+        } else if !self.outcome_last {
+            Some("the log does not say how the job ended".to_owned())
+        } else {
+            None
+        }
+    }
+
+    fn cut(&self) -> String {
+        match (self.data_ended, self.outcome_last) {
+            (true, _) => "the log breaks off within its index".to_owned(),
+            (false, true) => "the log breaks off after the outcome, before its index".to_owned(),
+            (false, false) => {
+                "the log breaks off: the job still runs, or was interrupted".to_owned()
+            }
+        }
+    }
+}
+
+fn damaged(what: impl std::fmt::Display) -> String {
+    format!("the log is damaged: {what}")
+}

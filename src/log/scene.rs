@@ -1,0 +1,194 @@
+//! What a viewer draws: the body's box of inertia with its points, and what stands around it.
+//!
+//! Invariant: the body moves by its frame alone, so each drawing is sent once, at the start.
+
+use foxglove::messages::{
+    ArrowPrimitive, Color, CubePrimitive, Duration, Pose, Quaternion, SceneEntity, SceneUpdate,
+    SpherePrimitive, Vector3,
+};
+
+use super::messages::timestamp;
+
+/// Name of the inertial frame.
+pub const SPACE_FRAME: &str = "space";
+/// Name of the frame that turns with the body.
+pub const BODY_FRAME: &str = "body";
+
+/// What to draw; empty unless n = 3.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SceneGeometry {
+    /// Edge lengths of the box with the body's inertia; zeros for none.
+    pub box_size: [f64; 3],
+    /// Orientation of the box in the body frame: unit quaternion (w, x, y, z).
+    pub box_axes: [f64; 4],
+    /// Points of the body on which forces act, in the body frame.
+    pub body_points: Vec<Marker>,
+    /// Charges and anchors, in the space frame.
+    pub space_points: Vec<Marker>,
+    /// Directions of uniform fields and of gravity, in the space frame; lengths are ignored.
+    pub directions: Vec<[f64; 3]>,
+}
+
+/// A point to draw.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Marker {
+    /// Where it is.
+    pub position: [f64; 3],
+    /// How it is coloured.
+    pub sign: Sign,
+}
+
+/// The colour of a point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sign {
+    /// A positive charge: red.
+    Positive,
+    /// A negative charge: blue.
+    Negative,
+    /// An anchor or a weight: grey.
+    Neutral,
+}
+
+impl SceneGeometry {
+    /// The body with its points and axes, in its own frame.
+    pub fn body(&self, time_ns: u64) -> SceneUpdate {
+        let size = self.size();
+        let mut entity = entity("body", BODY_FRAME, time_ns);
+        if self.box_size.iter().any(|&edge| edge > 0.0) {
+            // A flat or thin body keeps a visible thickness.
+            let [x, y, z] = self.box_size.map(|edge| edge.max(0.01 * size));
+            entity.cubes.push(CubePrimitive {
+                pose: pose([0.0; 3], self.box_axes),
+                size: Some(Vector3 { x, y, z }),
+                color: color([0.62, 0.66, 0.72], 0.7),
+            });
+        }
+        entity.spheres.extend(
+            self.body_points
+                .iter()
+                .map(|point| sphere(point, 0.08 * size)),
+        );
+        // The usual colours: x red, y green, z blue.
+        for k in 0..3 {
+            let axis = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
+            entity
+                .arrows
+                .push(arrow(axis, 0.8 * size, 0.02 * size, axis));
+        }
+        update(entity)
+    }
+
+    /// Charges, anchors and directions, in space; `None` if there are none.
+    pub fn sources(&self, time_ns: u64) -> Option<SceneUpdate> {
+        if self.space_points.is_empty() && self.directions.is_empty() {
+            return None;
+        }
+        let size = self.size();
+        let mut entity = entity("sources", SPACE_FRAME, time_ns);
+        entity.spheres.extend(
+            self.space_points
+                .iter()
+                .map(|point| sphere(point, 0.12 * size)),
+        );
+        let yellow = [0.93, 0.75, 0.15];
+        entity.arrows.extend(
+            self.directions
+                .iter()
+                .map(|&along| arrow(along, 1.2 * size, 0.03 * size, yellow)),
+        );
+        Some(update(entity))
+    }
+
+    /// The length by which drawings are scaled: half the longest edge, or the farthest body point.
+    fn size(&self) -> f64 {
+        let points = self.body_points.iter().map(|point| norm(point.position));
+        let edges = self.box_size.into_iter().map(|edge| 0.5 * edge);
+        let size = points.chain(edges).fold(0.0, f64::max);
+        if size > 0.0 { size } else { 1.0 }
+    }
+}
+
+fn entity(id: &str, frame: &str, time_ns: u64) -> SceneEntity {
+    SceneEntity {
+        timestamp: timestamp(time_ns),
+        frame_id: frame.to_owned(),
+        id: id.to_owned(),
+        // Zero: until replaced.
+        lifetime: Some(Duration::new(0, 0)),
+        frame_locked: true,
+        ..SceneEntity::default()
+    }
+}
+
+fn update(entity: SceneEntity) -> SceneUpdate {
+    SceneUpdate {
+        deletions: Vec::new(),
+        entities: vec![entity],
+    }
+}
+
+fn sphere(point: &Marker, diameter: f64) -> SpherePrimitive {
+    let rgb = match point.sign {
+        Sign::Positive => [0.86, 0.20, 0.18],
+        Sign::Negative => [0.16, 0.38, 0.85],
+        Sign::Neutral => [0.45, 0.45, 0.45],
+    };
+    SpherePrimitive {
+        pose: pose(point.position, [1.0, 0.0, 0.0, 0.0]),
+        size: Some(Vector3 {
+            x: diameter,
+            y: diameter,
+            z: diameter,
+        }),
+        color: color(rgb, 1.0),
+    }
+}
+
+/// An arrow from the origin.
+fn arrow(along: [f64; 3], length: f64, diameter: f64, rgb: [f64; 3]) -> ArrowPrimitive {
+    ArrowPrimitive {
+        pose: pose([0.0; 3], turn_to(along)),
+        shaft_length: 0.85 * length,
+        shaft_diameter: diameter,
+        head_length: 0.15 * length,
+        head_diameter: 2.5 * diameter,
+        color: color(rgb, 1.0),
+    }
+}
+
+/// The rotation that turns the x axis, along which viewers draw arrows, to a direction.
+fn turn_to(direction: [f64; 3]) -> [f64; 4] {
+    let length = norm(direction);
+    if !(length > 0.0 && length.is_finite()) {
+        return [1.0, 0.0, 0.0, 0.0];
+    }
+    let [x, y, z] = direction.map(|c| c / length);
+    // Half-way quaternion (1 + e_x . d, e_x cross d); for d = -e_x half a turn about z.
+    let q = [1.0 + x, 0.0, -z, y];
+    let size = q.iter().map(|c| c * c).sum::<f64>().sqrt();
+    if size < 1e-8 {
+        [0.0, 0.0, 0.0, 1.0]
+    } else {
+        q.map(|c| c / size)
+    }
+}
+
+fn pose([x, y, z]: [f64; 3], [qw, qx, qy, qz]: [f64; 4]) -> Option<Pose> {
+    Some(Pose {
+        position: Some(Vector3 { x, y, z }),
+        orientation: Some(Quaternion {
+            x: qx,
+            y: qy,
+            z: qz,
+            w: qw,
+        }),
+    })
+}
+
+fn color([r, g, b]: [f64; 3], a: f64) -> Option<Color> {
+    Some(Color { r, g, b, a })
+}
+
+fn norm(v: [f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}

@@ -1,0 +1,151 @@
+//! The channels of a log: topic, message type and descriptor of each.
+//!
+//! Invariant: one channel per topic and one schema per message type; topics and names are fixed.
+
+use std::borrow::Cow;
+
+use foxglove::Encode;
+use foxglove::messages::{FrameTransforms, Log, SceneUpdate};
+
+use crate::solve::so;
+
+/// Descriptors of our own messages, written by `build.rs`.
+const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/vpd.descriptors"));
+
+/// The encoding of every schema and message.
+pub(super) const ENCODING: &str = "protobuf";
+
+/// A channel of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Channel {
+    /// Attitude and body momentum.
+    State,
+    /// Energy and its error.
+    Energy,
+    /// Distance of the attitude from the group.
+    Orthogonality,
+    /// Spatial momentum and the drift of its conserved part.
+    Momentum,
+    /// How the steps were solved.
+    Solver,
+    /// The body's frame for viewers; n = 3.
+    Tf,
+    /// The body's box of inertia and its points, once; n = 3.
+    SceneBody,
+    /// Charges, anchors and directions in space, once; n = 3.
+    SceneSources,
+    /// Start, warnings, the diagnosis.
+    Log,
+}
+
+/// The name and descriptor set of a message type.
+pub struct Schema {
+    /// Full name of the message.
+    pub name: &'static str,
+    /// Binary `FileDescriptorSet`, imports included.
+    pub descriptors: Cow<'static, [u8]>,
+}
+
+impl Channel {
+    /// Every channel, in the order in which logs list them.
+    pub const fn all() -> [Self; 9] {
+        use Channel::*;
+        [
+            State,
+            Energy,
+            Orthogonality,
+            Momentum,
+            Solver,
+            Tf,
+            SceneBody,
+            SceneSources,
+            Log,
+        ]
+    }
+
+    /// The topic.
+    pub const fn topic(self) -> &'static str {
+        match self {
+            Self::State => "/state",
+            Self::Energy => "/energy",
+            Self::Orthogonality => "/orthogonality",
+            Self::Momentum => "/momentum",
+            Self::Solver => "/solver",
+            Self::Tf => "/tf",
+            Self::SceneBody => "/scene/body",
+            Self::SceneSources => "/scene/sources",
+            Self::Log => "/log",
+        }
+    }
+
+    /// The channel of a topic.
+    pub fn from_topic(topic: &str) -> Option<Self> {
+        Self::all()
+            .into_iter()
+            .find(|channel| channel.topic() == topic)
+    }
+
+    /// Whether the channel is for bodies in space only.
+    pub const fn needs_three(self) -> bool {
+        matches!(self, Self::Tf | Self::SceneBody | Self::SceneSources)
+    }
+
+    /// Name of the channel's message type.
+    pub const fn schema_name(self) -> &'static str {
+        match self {
+            Self::State => "vpd.State",
+            Self::Energy => "vpd.Energy",
+            Self::Orthogonality => "vpd.Orthogonality",
+            Self::Momentum => "vpd.Momentum",
+            Self::Solver => "vpd.Solver",
+            Self::Tf => "foxglove.FrameTransforms",
+            Self::SceneBody | Self::SceneSources => "foxglove.SceneUpdate",
+            Self::Log => "foxglove.Log",
+        }
+    }
+
+    /// The channel's message type with its descriptors.
+    pub fn schema(self) -> Schema {
+        let descriptors = match self {
+            Self::State | Self::Energy | Self::Orthogonality | Self::Momentum | Self::Solver => {
+                Cow::Borrowed(DESCRIPTORS)
+            }
+            Self::Tf => well_known::<FrameTransforms>(),
+            Self::SceneBody | Self::SceneSources => well_known::<SceneUpdate>(),
+            Self::Log => well_known::<Log>(),
+        };
+        Schema {
+            name: self.schema_name(),
+            descriptors,
+        }
+    }
+
+    /// About how many bytes a sample takes on this channel before compression, message header and
+    /// index included: for estimates of the size of a log and of its chunks. 0 for channels that are
+    /// not written with every sample.
+    pub const fn bytes_per_sample(self, n: usize) -> u64 {
+        // Opcode, length, channel, sequence and two times; then an entry of the index.
+        const HEADER: usize = 1 + 8 + 2 + 4 + 8 + 8;
+        const INDEX: usize = 16;
+        // Tag and value; a list has its tag and length once.
+        const DOUBLE: usize = 9;
+        const LIST: usize = 4;
+        let momentum = LIST + 8 * so::dimension(n);
+        let quaternion = if n == 3 { LIST + 32 } else { 0 };
+        let payload = match self {
+            Self::State => DOUBLE + LIST + 8 * n * n + momentum + quaternion,
+            Self::Energy => 5 * DOUBLE,
+            Self::Orthogonality => 2 * DOUBLE,
+            Self::Momentum => momentum + 2 * DOUBLE,
+            Self::Solver => 2 + 2 * DOUBLE + 13,
+            // Time stamp, two names, translation and four doubles, each part with tag and length.
+            Self::Tf => 75,
+            Self::SceneBody | Self::SceneSources | Self::Log => return 0,
+        };
+        (HEADER + INDEX + payload) as u64
+    }
+}
+
+fn well_known<M: Encode>() -> Cow<'static, [u8]> {
+    M::get_schema().map_or(Cow::Borrowed(&[]), |schema| schema.data)
+}
