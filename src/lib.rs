@@ -15,3 +15,5 @@ pub mod plan;
 pub mod run;
 pub mod solve;
 pub mod log;
+pub mod chart;
+pub mod cli;

@@ -1,2 +1,7 @@
-//! The command line.
-fn main() {}
+//! The `vpd` binary: see [`vpd::cli`].
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    vpd::cli::main()
+}

@@ -220,6 +220,16 @@ pub enum MethodName {
     Vpd,
 }
 
+impl MethodName {
+    /// The name in a scenario.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Vpd => "vpd",
+        }
+    }
+}
+
 /// A Butcher tableau, by name or by its coefficients.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
@@ -367,6 +377,23 @@ pub enum ChannelName {
     SceneSources,
     #[serde(rename = "/log")]
     Log,
+}
+
+impl ChannelName {
+    /// The topic.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::State => "/state",
+            Self::Energy => "/energy",
+            Self::Orthogonality => "/orthogonality",
+            Self::Momentum => "/momentum",
+            Self::Solver => "/solver",
+            Self::Tf => "/tf",
+            Self::SceneBody => "/scene/body",
+            Self::SceneSources => "/scene/sources",
+            Self::Log => "/log",
+        }
+    }
 }
 
 /// Compression of the log's chunks.

@@ -1,0 +1,212 @@
+//! The command line: arguments → one call each. Errors go to stderr, data to stdout.
+//!
+//! Exit codes: 0 ok, 1 the run failed (its log is kept and finished), 2 bad input.
+
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+
+use crate::chart;
+use crate::log::inspect::inspect;
+use crate::plan::Plan;
+use crate::run::{self, JobContext, Outcome, RunError, Summary};
+use crate::scenario::{Scenario, ScenarioError};
+
+mod text;
+
+/// Rotating bodies on SO(n): symplectic, on the group to round-off, logged as MCAP.
+#[derive(Debug, Parser)]
+#[command(name = "vpd", version, about)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a scenario here and write its log.
+    Run(RunArgs),
+    /// Say what a scenario will model and why, without running it.
+    Plan(PlanArgs),
+    /// Draw energy, orthogonality and momentum over time from a log, as SVG.
+    Chart(ChartArgs),
+    /// Sum up a log, finished or not.
+    Inspect(InspectArgs),
+    /// Print the JSON Schema of a scenario.
+    Schema,
+}
+
+#[derive(Debug, Args)]
+struct RunArgs {
+    /// The scenario, a JSON file.
+    scenario: PathBuf,
+    /// The log; by default the scenario's file name with .mcap, here.
+    #[arg(short, long, value_name = "FILE.mcap")]
+    output: Option<PathBuf>,
+    /// Print one JSON summary on stdout.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct PlanArgs {
+    /// The scenario, a JSON file.
+    scenario: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct ChartArgs {
+    /// The log.
+    log: PathBuf,
+    /// Where the charts go.
+    #[arg(short, long, value_name = "DIR", default_value = ".")]
+    output: PathBuf,
+}
+
+#[derive(Debug, Args)]
+struct InspectArgs {
+    /// The log.
+    log: PathBuf,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What ends a command early.
+#[derive(Debug, thiserror::Error)]
+enum CliError {
+    #[error("{}: {source}", path.display())]
+    Read { path: PathBuf, source: io::Error },
+    #[error("{}: {source}", path.display())]
+    Scenario { path: PathBuf, source: ScenarioError },
+    #[error(transparent)]
+    Run(#[from] RunError),
+    #[error("{0}")]
+    Log(#[from] crate::log::LogError),
+    #[error(transparent)]
+    Chart(#[from] chart::ChartError),
+    #[error("cannot write to stdout: {0}")]
+    Output(#[from] io::Error),
+}
+
+impl CliError {
+    fn exit_code(&self) -> ExitCode {
+        match self {
+            Self::Read { .. } | Self::Scenario { .. } | Self::Run(RunError::Scenario(_)) => ExitCode::from(2),
+            _ => ExitCode::from(1),
+        }
+    }
+}
+
+/// Runs the command line of this process.
+pub fn main() -> ExitCode {
+    // Bad arguments end in clap with exit code 2.
+    let cli = Cli::parse();
+    let done = match cli.command {
+        Command::Run(args) => run(&args),
+        Command::Plan(args) => plan(&args),
+        Command::Chart(args) => draw(&args),
+        Command::Inspect(args) => sum_up(&args),
+        Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
+    };
+    done.unwrap_or_else(|error| {
+        // A closed stderr must not turn an answer into a panic.
+        let _ = writeln!(io::stderr(), "vpd: {error}");
+        error.exit_code()
+    })
+}
+
+fn read(path: &Path) -> Result<Scenario, CliError> {
+    let text = std::fs::read(path).map_err(|source| CliError::Read { path: path.to_owned(), source })?;
+    Scenario::from_json(&text).map_err(|source| CliError::Scenario { path: path.to_owned(), source })
+}
+
+fn read_planned(path: &Path) -> Result<(Scenario, Plan), CliError> {
+    let scenario = read(path)?;
+    let plan = Plan::new(&scenario).map_err(|source| CliError::Scenario { path: path.to_owned(), source })?;
+    Ok((scenario, plan))
+}
+
+fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
+    let (scenario, plan) = read_planned(&args.scenario)?;
+    let log = args.output.clone().unwrap_or_else(|| {
+        PathBuf::from(args.scenario.file_name().unwrap_or_default()).with_extension("mcap")
+    });
+    let summary = watched(&scenario, &plan, &log)?;
+    if args.json {
+        print_json(&summary)?;
+    } else {
+        io::stdout().write_all(text::summary(&summary).as_bytes())?;
+    }
+    Ok(match summary.outcome {
+        Outcome::Succeeded => ExitCode::SUCCESS,
+        Outcome::Failed | Outcome::Cancelled => ExitCode::from(1),
+    })
+}
+
+/// Runs on a thread of its own while a progress bar with the time left follows, if somebody looks.
+fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunError> {
+    let (steps_done, cancelled) = (AtomicU64::new(0), AtomicBool::new(false));
+    let context = JobContext { log, steps_done: &steps_done, cancelled: &cancelled };
+    if !io::stderr().is_terminal() {
+        return run::execute(scenario, &context);
+    }
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left")
+        .expect("the template is fixed and valid");
+    let bar = ProgressBar::new(plan.steps).with_style(style).with_message(scenario.name().to_owned());
+    thread::scope(|scope| {
+        let worker = scope.spawn(|| run::execute(scenario, &context));
+        while !worker.is_finished() {
+            bar.set_position(steps_done.load(Ordering::Relaxed));
+            thread::sleep(Duration::from_millis(50));
+        }
+        bar.finish_and_clear();
+        worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
+    let (scenario, plan) = read_planned(&args.scenario)?;
+    if args.json {
+        print_json(&plan)?;
+    } else {
+        io::stdout().write_all(text::plan(scenario.name(), &plan).as_bytes())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
+    let written = chart::draw_log(&args.log, &args.output)?;
+    let mut out = io::stdout();
+    for path in written {
+        writeln!(out, "{}", path.display())?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn sum_up(args: &InspectArgs) -> Result<ExitCode, CliError> {
+    let inspection = inspect(&args.log)?;
+    if args.json {
+        print_json(&inspection)?;
+    } else {
+        writeln!(io::stdout(), "{inspection}")?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn print_json(value: &impl Serialize) -> Result<(), CliError> {
+    let mut out = io::stdout();
+    serde_json::to_writer_pretty(&mut out, value).map_err(io::Error::from)?;
+    writeln!(out)?;
+    Ok(())
+}
