@@ -206,7 +206,7 @@ fn only_what_was_asked_for_is_written() {
 fn other_dimensions_have_no_frames() {
     let (_folder, path) = place();
     let mut log = LogWriter::<4>::create(&path, header()).expect("create");
-    let body = RigidBody::new(Kinetic::Principal { weights: Mat::<4>::repeat(0.5) }, vec![]);
+    let body = RigidBody::new(Kinetic::Principal { weights: Mat::<4>::repeat(0.5) }, vec![], 0.0);
     let momentum = hat::<4>(&[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
     let state = trajectory::State { attitude: Mat::<4>::identity(), momentum };
     run(&body, state, &mut log, 20);
@@ -514,7 +514,7 @@ fn dipole() -> (RigidBody<3>, trajectory::State<3>) {
     ];
     let attitude = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
     let state = trajectory::State { attitude, momentum: hat(&[0.0, 0.0, -0.01]) };
-    (RigidBody::new(Kinetic::Principal { weights }, terms), state)
+    (RigidBody::new(Kinetic::Principal { weights }, terms, 0.0), state)
 }
 
 fn run_dipole<S: Sink<3, Error = LogError>>(sink: &mut S, steps: u64) {

@@ -209,7 +209,7 @@ fn long_runs_keep_the_invariants() {
         ("GL2", gauss(1), 0.01, 3e-5),
         ("RK3", Tableau::rk3(), 0.01, 1e-5),
         ("GL4", gauss(2), 0.01, 1e-8),
-        ("GL6", gauss(3), 0.01, 1e-11),
+        ("GL6", gauss(3), 0.01, 1e-12),
         ("GL6", gauss(3), 1.0 / 26.0, 1e-9),
     ];
     let (body, start) = dipole();

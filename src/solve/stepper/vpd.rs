@@ -46,8 +46,8 @@ pub struct Vpd<const N: usize> {
 struct Stage<const N: usize> {
     /// Attitude U_k.
     u: Mat<N>,
-    /// Symmetric polar factor P_k.
-    p: Mat<N>,
+    /// E_k = P_k - I.
+    e: Mat<N>,
     /// Body momentum mu_k.
     mu: Mat<N>,
     /// Body velocity Omega_k.
@@ -67,8 +67,8 @@ struct Stage<const N: usize> {
 struct End<const N: usize> {
     /// f = g0^T g1.
     f: Mat<N>,
-    /// P_e.
-    p: Mat<N>,
+    /// E = P_e - I.
+    e: Mat<N>,
     /// The multiplier Lambda.
     lambda: Mat<N>,
 }
@@ -77,11 +77,11 @@ impl<const N: usize> Vpd<N> {
     /// A stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let zero = Mat::zeros();
-        let (u, p) = (Mat::identity(), Mat::identity());
-        let stage = Stage { u, p, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
+        let u = Mat::identity();
+        let stage = Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         Self {
             stages: vec![stage; tableau.stages()],
-            end: End { f: u, p, lambda: zero },
+            end: End { f: u, e: zero, lambda: zero },
             seen: Vec::new(),
             tableau,
             stop,
@@ -107,9 +107,9 @@ impl<const N: usize> Vpd<N> {
             Err(failure) => return Err(self.named(body, failure)),
         };
         self.check(body)?;
-        let End { f, p, lambda } = &self.end;
-        // (vih5)
-        state.momentum = -so::asym(&(p * lambda));
+        let End { f, e, lambda } = &self.end;
+        // (vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for skew Lambda.
+        state.momentum = -(lambda * 2.0 + so::asym(&(e * lambda)));
         // The product drifts off the group like any product; one correction in space puts it back.
         state.attitude = so::orthonormalised(&(state.attitude * f));
         Ok(convergence)
@@ -117,11 +117,11 @@ impl<const N: usize> Vpd<N> {
 
     /// The smallest singular value of the interpolated matrices of the last step.
     pub fn sigma_min(&self) -> f64 {
-        self.stretches().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min)
+        1.0 + self.excesses().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min)
     }
 
-    fn stretches(&self) -> impl Iterator<Item = &Mat<N>> {
-        self.stages.iter().map(|stage| &stage.p).chain([&self.end.p])
+    fn excesses(&self) -> impl Iterator<Item = &Mat<N>> {
+        self.stages.iter().map(|stage| &stage.e).chain([&self.end.e])
     }
 
     /// Starts the unknowns from the velocity at the beginning of the step, kept constant. A function of
@@ -131,12 +131,12 @@ impl<const N: usize> Vpd<N> {
         let turn = |angle: f64| {
             so::retraction(&(omega * angle)).ok_or(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
         };
-        self.end = End { f: turn(h)?, p: Mat::identity(), lambda: p0 * -0.5 };
+        self.end = End { f: turn(h)?, e: Mat::zeros(), lambda: p0 * -0.5 };
         for (k, stage) in self.stages.iter_mut().enumerate() {
             let u = turn(h * self.tableau.c(k))?;
             *stage = Stage {
                 u,
-                p: Mat::identity(),
+                e: Mat::zeros(),
                 mu: *p0,
                 omega,
                 u_omega: u * omega,
@@ -150,11 +150,11 @@ impl<const N: usize> Vpd<N> {
 
     /// Refuses a solution on which the polar factor or the potential is not to be trusted.
     fn check(&self, body: &RigidBody<N>) -> Result<(), Failure> {
-        for (k, p) in self.stretches().enumerate() {
+        for (k, e) in self.excesses().enumerate() {
             let stage = (k < self.stages.len()).then_some(k);
             // The cheap bound decides nearly always.
-            if so::smallest_eigenvalue_bound(p) < 0.5 {
-                let sigma = so::smallest_eigenvalue(p);
+            if so::smallest_eigenvalue_bound(e) < -0.5 {
+                let sigma = 1.0 + so::smallest_eigenvalue(e);
                 if !(sigma >= SMALLEST_SINGULAR_VALUE) {
                     let code = if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
                     return Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE));
@@ -210,25 +210,25 @@ fn sweep<const N: usize>(
 ) -> Result<f64, Failure> {
     let s = stages.len();
     for i in 0..s {
-        let mut a = Mat::identity();
+        let mut d = Mat::zeros();
         for j in 0..s {
-            a += stages[j].u_omega * (h * tableau.a(i, j));
+            d += stages[j].u_omega * (h * tableau.a(i, j));
         }
         let stage = &mut stages[i];
-        (stage.u, stage.p) = polar(&a, Some(i))?;
+        (stage.u, stage.e) = polar(&d, Some(i))?;
         stage.u_omega = stage.u * stage.omega;
     }
-    let mut a = Mat::identity();
+    let mut d = Mat::zeros();
     for j in 0..s {
-        a += stages[j].u_omega * (h * tableau.b(j));
+        d += stages[j].u_omega * (h * tableau.b(j));
     }
-    (end.f, end.p) = polar(&a, None)?;
+    (end.f, end.e) = polar(&d, None)?;
     let mut sum = Mat::zeros();
     for k in 0..s {
         let stage = &mut stages[k];
         let load = so::asym(&(stage.u.tr_mul(&stage.v) * stage.omega.transpose()))
             - body.gradient(&stage.u, seen) * (h * tableau.b(k));
-        stage.x = lyapunov(&stage.p, &load, &stage.x, Some(k))?;
+        stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;
         stage.u_x = stage.u * stage.x;
         sum += stage.u_x;
     }
@@ -258,13 +258,17 @@ fn amax<const N: usize>(a: &Mat<N>) -> f64 {
     a.iter().fold(0.0, |largest: f64, x| if x.abs() <= largest { largest } else { x.abs() })
 }
 
-fn polar<const N: usize>(a: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Mat<N>), Failure> {
-    if !a.iter().all(|x| x.is_finite()) {
+/// `U` and `P - I` of `I + d = U P`.
+fn polar<const N: usize>(
+    d: &Mat<N>,
+    stage: Option<usize>,
+) -> Result<(Mat<N>, Mat<N>), Failure> {
+    if !d.iter().all(|x| x.is_finite()) {
         return Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX));
     }
-    let u = so::polar(a).ok_or(Failure::new(FailureCode::LeftGlPlus, stage, 0.0, SMALLEST_SINGULAR_VALUE))?;
-    let p = so::stretch(&u, a);
-    Ok((u, p))
+    let u = so::polar(&(d + Mat::identity()))
+        .ok_or(Failure::new(FailureCode::LeftGlPlus, stage, 0.0, SMALLEST_SINGULAR_VALUE))?;
+    Ok((u, so::stretch_excess(&u, d)))
 }
 
 fn lyapunov<const N: usize>(
