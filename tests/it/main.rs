@@ -2,6 +2,8 @@
 //! program (scenario, run, command line, log, HTTP).
 
 mod bad_scenarios;
+mod cli;
 mod laws;
 mod log;
+mod scenarios;
 mod verification;

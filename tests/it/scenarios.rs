@@ -1,0 +1,133 @@
+//! Every shipped scenario is a test: it runs through the front door and keeps to its own `expect` block.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+use vpd::run::{JobContext, Outcome, Summary, execute};
+use vpd::scenario::{SHIPPED, Scenario};
+
+pub(crate) fn run(text: &str, log: &Path) -> Summary {
+    let scenario = Scenario::from_json(text.as_bytes()).expect("a good scenario");
+    let (steps_done, cancelled) = (AtomicU64::new(0), AtomicBool::new(false));
+    let context = JobContext { log, steps_done: &steps_done, cancelled: &cancelled };
+    execute(&scenario, &context).expect("the log can be written")
+}
+
+#[test]
+fn shipped_scenarios_keep_to_what_they_expect() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    for (name, text) in SHIPPED {
+        let scenario = Scenario::from_json(text.as_bytes()).expect("shipped scenarios are good");
+        assert_eq!(scenario.name(), *name);
+        assert!(scenario.expect.is_some(), "{name} expects nothing");
+        let summary = run(text, &directory.path().join(format!("{name}.mcap")));
+        assert_eq!(summary.outcome, Outcome::Succeeded, "{name}: {:?}", summary.diagnosis);
+        assert!(summary.unmet.is_empty(), "{name}: {:?}", summary.unmet);
+    }
+}
+
+#[test]
+fn an_expectation_that_is_not_met_is_said() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let text = include_str!("../../scenarios/heavy-top.json").replace("1e-9", "1e-15");
+    let summary = run(&text, &directory.path().join("top.mcap"));
+    assert_eq!(summary.unmet.len(), 1, "{:?}", summary.unmet);
+    assert!(summary.unmet[0].starts_with("energy_error_max"), "{:?}", summary.unmet);
+}
+
+#[test]
+fn every_shipped_file_is_listed_and_the_schema_is_current() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios");
+    let mut found: Vec<String> = std::fs::read_dir(&folder)
+        .expect("the folder of scenarios")
+        .map(|entry| entry.expect("readable").file_name().into_string().expect("a plain name"))
+        .filter_map(|name| name.strip_suffix(".json").map(str::to_owned))
+        .filter(|name| name != "scenario.schema")
+        .collect();
+    found.sort();
+    let listed: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
+    assert_eq!(found, listed);
+    let kept = std::fs::read_to_string(folder.join("scenario.schema.json")).expect("the schema is kept");
+    let kept: serde_json::Value = serde_json::from_str(&kept).expect("JSON");
+    assert_eq!(kept, vpd::scenario::schema(), "write it anew: vpd schema > scenarios/scenario.schema.json");
+}
+
+#[test]
+fn canonical_text_reads_back_to_the_same_scenario() {
+    for (name, text) in SHIPPED {
+        let scenario = Scenario::from_json(text.as_bytes()).expect("shipped scenarios are good");
+        let again = Scenario::from_json(&scenario.to_json()).expect("canonical text is good");
+        assert_eq!(scenario, again, "{name}");
+    }
+}
+
+#[test]
+fn constant_terms_are_dropped_and_their_energy_kept() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let scene = |potential: &str| {
+        format!(
+            r#"{{"name":"constant","scene":{{"inertia":{{"principal":[3,2,1]}},"potential":[{potential}],
+            "initial":{{"momentum":{{"body":[0.1,0.2,0.3]}}}}}},"step_s":0.1,"steps":10}}"#
+        )
+    };
+    let constant = r#"{"kind":"point_source","strength":2,"body_point":[0,0,1],"position":[0,0,0]},
+        {"kind":"gravity_gradient","strength":4,"direction":[0,0,1],"matrix":[[0.5,0,0],[0,0.5,0],[0,0,0.5]]},
+        {"kind":"uniform","weight":0,"body_point":[0,0,1],"direction":[0,0,1]}"#;
+    let with = run(&scene(constant), &directory.path().join("with.mcap"));
+    let without = run(&scene(""), &directory.path().join("without.mcap"));
+    let energy = |summary: &Summary| summary.energy.expect("logged").initial;
+    // 2 / 1 + 4 / 2 * 0.5
+    assert!((energy(&with) - energy(&without) - 3.0).abs() < 1e-15);
+    assert_eq!(with.last, without.last);
+}
+
+#[test]
+fn what_nobody_asked_for_is_not_computed() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let text = include_str!("../../scenarios/heavy-top.json")
+        .replace(r#""log": { "every": 5 }"#, r#""log": { "every": 5, "channels": ["/state"] }"#);
+    let path = directory.path().join("top.mcap");
+    let summary = run(&text, &path);
+    assert_eq!((summary.energy, summary.orthogonality, summary.momentum), (None, None, None));
+    let inspection = vpd::log::inspect::inspect(&path).expect("a good log");
+    let topics: Vec<&str> = inspection.topics.iter().map(|topic| topic.topic.as_str()).collect();
+    assert_eq!(topics, ["/state"]);
+}
+
+#[test]
+fn a_failed_run_keeps_its_samples_and_says_why() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let text = include_str!("../../scenarios/dipole.json")
+        .replace("\"step_s\": 0.01", "\"step_s\": 0.5")
+        .replace("\"every\": 10", "\"every\": 1");
+    let path = directory.path().join("dipole.mcap");
+    let summary = run(&text, &path);
+    let diagnosis = summary.diagnosis.expect("half a second is too long a step");
+    assert_eq!(summary.outcome, Outcome::Failed);
+    assert_eq!(diagnosis.step, summary.steps + 1);
+    assert_eq!(summary.samples, summary.steps + 1);
+    let inspection = vpd::log::inspect::inspect(&path).expect("a good log");
+    assert!(inspection.finished);
+    assert_eq!(inspection.samples, summary.samples);
+    let outcome = inspection.outcome.expect("the log says how it ended");
+    assert_eq!(outcome["code"], diagnosis.code);
+    // The advice works.
+    let advised = diagnosis.advised_step_s.expect("a smaller step helps");
+    let text = text.replace("\"step_s\": 0.5", &format!("\"step_s\": {advised}"));
+    let text = text.replace("\"steps\": 100000", "\"steps\": 2000");
+    let again = run(&text, &path);
+    assert_eq!(again.outcome, Outcome::Succeeded, "{advised}: {:?}", again.diagnosis);
+}
+
+#[test]
+fn the_same_scenario_gives_the_same_bytes() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    for (name, text) in SHIPPED {
+        let paths = ["a.mcap", "b.mcap"].map(|file| directory.path().join(file));
+        let [first, second] = paths.map(|path| {
+            run(text, &path);
+            std::fs::read(&path).expect("a log")
+        });
+        assert!(first == second, "{name}");
+    }
+}
