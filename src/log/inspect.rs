@@ -134,7 +134,7 @@ impl Inspection {
         });
         span.start_ns = span.start_ns.min(time_ns);
         span.end_ns = span.end_ns.max(time_ns);
-        span.duration_s = (span.end_ns - span.start_ns) as f64 * 1e-9;
+        span.duration_s = (span.end_ns - span.start_ns) as f64 / 1e9;
     }
 }
 
