@@ -1,4 +1,5 @@
-//! Compiles `src/log/vpd.proto`: message types for the code, a descriptor set for the logs themselves.
+//! Compiles `src/log/vpd.proto`: message types for the code, a descriptor set for the logs
+//! themselves.
 
 use std::error::Error;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! The messages of a log: our own, generated from `vpd.proto`, and how a sample fills them.
 //!
-//! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up in
-//! the middle, writes the same bytes.
+//! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up
+//! in the middle, writes the same bytes.
 
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
 

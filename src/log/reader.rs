@@ -1,8 +1,9 @@
-//! Reads a log: a finished one, one that is being written, or what a crash or a bad disk left of it.
+//! Reads a log: a finished one, one that is being written, or what a crash or a bad disk left of
+//! it.
 //!
 //! Invariant: whatever the bytes are, reading ends without a panic and within the memory of
-//! [`MAX_CHUNK_BYTES`] a piece; a chunk is handed out only after its checksum agreed; and every file
-//! that is not a finished log is reported as such.
+//! [`MAX_CHUNK_BYTES`] a piece; a chunk is handed out only after its checksum agreed; and every
+//! file that is not a finished log is reported as such.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -22,8 +23,8 @@ use super::{LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;
 
-/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than its
-/// file, and the length of a big file is no bound at all.
+/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than
+/// its file, and the length of a big file is no bound at all.
 const RECORD_LIMIT: usize = MAX_CHUNK_BYTES as usize;
 
 /// A part of a log, in the order of the file.
@@ -72,7 +73,8 @@ pub enum Message {
 }
 
 impl Message {
-    /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be decoded.
+    /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be
+    /// decoded.
     pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
         let channel = Channel::from_topic(topic)?;
         if channel.schema_name() != schema {
@@ -104,8 +106,8 @@ pub struct Ending {
 
 /// Reads `path` and shows its parts to `visit`, until that breaks off.
 ///
-/// Damage is no error: it ends the reading and is told in the [`Ending`]. What was shown before it is
-/// sound.
+/// Damage is no error: it ends the reading and is told in the [`Ending`]. What was shown before it
+/// is sound.
 ///
 /// # Errors
 /// If the file cannot be opened or read.
@@ -202,7 +204,8 @@ impl Walk {
     ) -> Result<ControlFlow<()>, String> {
         let record = parse_record(opcode, data).map_err(damaged)?;
         if self.data_ended {
-            // The summary repeats what was read. Its checksum does not cover the length of the footer.
+            // The summary repeats what was read. Its checksum does not cover the length of the
+            // footer.
             return match opcode {
                 op::FOOTER if data.len() != 20 => Err(damaged("bad footer")),
                 _ => Ok(ControlFlow::Continue(())),
@@ -238,7 +241,8 @@ impl Walk {
                 }
                 self.data_ended = true;
             }
-            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a message.
+            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a
+            // message.
             Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
                 return Err(damaged("a message outside a chunk"));
             }

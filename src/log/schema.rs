@@ -121,8 +121,8 @@ impl Channel {
     }
 
     /// About how many bytes a sample takes on this channel before compression, message header and
-    /// index included: for estimates of the size of a log and of its chunks. 0 for channels that are
-    /// not written with every sample.
+    /// index included: for estimates of the size of a log and of its chunks. 0 for channels that
+    /// are not written with every sample.
     pub const fn bytes_per_sample(self, n: usize) -> u64 {
         // Opcode, length, channel, sequence and two times; then an entry of the index.
         const HEADER: usize = 1 + 8 + 2 + 4 + 8 + 8;

@@ -1,7 +1,7 @@
 //! Writes the log of one job.
 //!
-//! Invariant: the final name appears with a complete, synced file whose last record is the outcome, or
-//! not at all. After an error nothing more is written, and a writer that is dropped before
+//! Invariant: the final name appears with a complete, synced file whose last record is the outcome,
+//! or not at all. After an error nothing more is written, and a writer that is dropped before
 //! [`LogWriter::finish`] takes its `.part` file with it; only a killed process leaves one behind.
 
 use std::borrow::Cow;
@@ -79,8 +79,8 @@ pub enum Level {
 
 /// Writes the log of one job in SO(`N`).
 ///
-/// Nothing is synced to the disk before `finish`; closed chunks are with the operating system, where
-/// they survive a kill of the process but not a power cut.
+/// Nothing is synced to the disk before `finish`; closed chunks are with the operating system,
+/// where they survive a kill of the process but not a power cut.
 pub struct LogWriter<const N: usize> {
     path: PathBuf,
     part: PathBuf,
@@ -174,7 +174,8 @@ impl<const N: usize> LogWriter<N> {
         Ok(log)
     }
 
-    /// Adds a line to `/log`, if that is written; its time is never before that of the last message.
+    /// Adds a line to `/log`, if that is written; its time is never before that of the last
+    /// message.
     ///
     /// # Errors
     /// If the file cannot be written, or the log cannot hold the time.
@@ -256,8 +257,8 @@ impl<const N: usize> LogWriter<N> {
         if !self.channels.contains(&channel) {
             return Ok(());
         }
-        // Only now, with a message at hand: channels without one leave an empty chunk that starts in
-        // 1970, and viewers with it.
+        // Only now, with a message at hand: channels without one leave an empty chunk that starts
+        // in 1970, and viewers with it.
         if self.ids.is_none() {
             self.register()?;
         }
@@ -366,7 +367,8 @@ impl<const N: usize> Drop for LogWriter<N> {
         let removed = fs::remove_file(&self.part);
         self.file = None;
         if removed.is_err() {
-            // Systems that keep open files. If this fails too, the file has no outcome and is `.part`.
+            // Systems that keep open files. If this fails too, the file has no outcome and is
+            // `.part`.
             let _ = fs::remove_file(&self.part);
         }
     }

@@ -2,8 +2,9 @@
 
     python check_log.py FILE.mcap SAMPLES EPOCH_NS
 
-The job must be the dipole on a stick of scenarios/dipole.json with every channel on; SAMPLES is how
-many it was to log, EPOCH_NS the log time of its start. One line per check; exit code 1 if one failed.
+The job must be the dipole on a stick of scenarios/dipole.json with every channel on; SAMPLES is
+how many it was to log, EPOCH_NS the log time of its start. One line per check; exit code 1 if one
+failed.
 """
 
 import json
@@ -60,9 +61,11 @@ def check_frame(reader, summary, topics, samples, epoch):
           summary.statistics.message_count == sum(counts.values()),
           f"{summary.statistics.message_count}")
     starts = [chunk.message_start_time for chunk in summary.chunk_indexes]
-    check("no chunk starts before the epoch", starts and min(starts) >= epoch, f"{len(starts)} chunks")
+    check("no chunk starts before the epoch", starts and min(starts) >= epoch,
+          f"{len(starts)} chunks")
     check("no chunk is empty", all(chunk.message_index_offsets for chunk in summary.chunk_indexes))
-    check("every schema is protobuf", all(s.encoding == "protobuf" for s in summary.schemas.values()))
+    check("every schema is protobuf",
+          all(schema.encoding == "protobuf" for schema in summary.schemas.values()))
     names = [record.name for record in reader.iter_metadata()]
     check("the job is first and the outcome last in the metadata",
           names[:1] == ["vpd.job"] and names[-1:] == ["vpd.outcome"], ", ".join(names))
@@ -105,7 +108,8 @@ def check_numbers(topics):
     off = largest(np.max(np.abs(g @ mu - pi)) for g, mu, pi in zip(attitudes, momenta, spatial))
     check("spatial momentum agrees with the states", off <= 1e-14, f"off by {off:.1e}")
 
-    off = largest(np.max(np.abs(rotation(np.array(s.quaternion)) - g)) for s, g in zip(states, attitudes))
+    off = largest(np.max(np.abs(rotation(np.array(state.quaternion)) - g))
+                  for state, g in zip(states, attitudes))
     check("quaternions agree with the attitudes", off <= 1e-14, f"off by {off:.1e}")
     turns = [np.array([f.rotation.w, f.rotation.x, f.rotation.y, f.rotation.z]) for f in frames]
     same = all(np.array_equal(turn, np.array(s.quaternion)) for turn, s in zip(turns, states))
