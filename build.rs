@@ -1,4 +1,5 @@
-//! Compiles `src/log/vpd.proto`: message types for the code, a descriptor set for the logs themselves.
+//! Compiles `src/log/vpd.proto`: message types for the code, a descriptor set for the logs
+//! themselves.
 
 use std::error::Error;
 use std::path::Path;
@@ -24,9 +25,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         .include_source_info(false)
         .open_file(PROTO)?
         .encode_file_descriptor_set();
-    fs::write(
-        Path::new(&env::var("OUT_DIR")?).join("vpd.descriptors"),
-        descriptors,
-    )?;
+    fs::write(Path::new(&env::var("OUT_DIR")?).join("vpd.descriptors"), descriptors)?;
     Ok(())
 }

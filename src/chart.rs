@@ -77,7 +77,9 @@ pub fn draw_log(log: &Path, directory: &Path) -> Result<Vec<PathBuf>, ChartError
         match message {
             Message::Energy(message) => energy.push((time_s, message.error)),
             Message::Orthogonality(message) => orthogonality.push((time_s, message.error)),
-            Message::Momentum(message) => momentum.extend(message.drift.map(|drift| (time_s, drift))),
+            Message::Momentum(message) => {
+                momentum.extend(message.drift.map(|drift| (time_s, drift)))
+            }
             _ => {}
         }
     })?;
@@ -117,7 +119,8 @@ pub fn over_time(title: &str, lines: &[Line]) -> Result<String, ChartError> {
     let decade = |x: f64, round: fn(f64) -> f64| libm::pow(10.0, round(libm::log10(x)));
     let (low, high) = (decade(smallest, f64::floor), decade(largest * 1.01, f64::ceil));
     let mut svg = String::new();
-    draw(&mut svg, title, &lines, end_s, low..high).map_err(|error| ChartError::Draw(error.to_string()))?;
+    draw(&mut svg, title, &lines, end_s, low..high)
+        .map_err(|error| ChartError::Draw(error.to_string()))?;
     Ok(svg)
 }
 
@@ -185,7 +188,8 @@ where
     let mut right = SIZE.0 as i32 - 28;
     let named: Vec<_> = lines.iter().zip(PALETTE.iter().cycle()).collect();
     for (line, color) in named.into_iter().rev() {
-        let style = ("sans-serif", 15).into_font().color(color).pos(Pos::new(HPos::Right, VPos::Top));
+        let style =
+            ("sans-serif", 15).into_font().color(color).pos(Pos::new(HPos::Right, VPos::Top));
         head.draw(&Text::new(line.label.clone(), (right, 16), style))?;
         right -= 9 * line.label.len() as i32 + 24;
     }

@@ -102,7 +102,9 @@ enum CliError {
 impl CliError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Read { .. } | Self::Scenario { .. } | Self::Run(RunError::Scenario(_)) => ExitCode::from(2),
+            Self::Read { .. } | Self::Scenario { .. } | Self::Run(RunError::Scenario(_)) => {
+                ExitCode::from(2)
+            }
             _ => ExitCode::from(1),
         }
     }
@@ -127,13 +129,16 @@ pub fn main() -> ExitCode {
 }
 
 fn read(path: &Path) -> Result<Scenario, CliError> {
-    let text = std::fs::read(path).map_err(|source| CliError::Read { path: path.to_owned(), source })?;
-    Scenario::from_json(&text).map_err(|source| CliError::Scenario { path: path.to_owned(), source })
+    let text =
+        std::fs::read(path).map_err(|source| CliError::Read { path: path.to_owned(), source })?;
+    Scenario::from_json(&text)
+        .map_err(|source| CliError::Scenario { path: path.to_owned(), source })
 }
 
 fn read_planned(path: &Path) -> Result<(Scenario, Plan), CliError> {
     let scenario = read(path)?;
-    let plan = Plan::new(&scenario).map_err(|source| CliError::Scenario { path: path.to_owned(), source })?;
+    let plan = Plan::new(&scenario)
+        .map_err(|source| CliError::Scenario { path: path.to_owned(), source })?;
     Ok((scenario, plan))
 }
 
@@ -161,9 +166,12 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
     if !io::stderr().is_terminal() {
         return run::execute(scenario, &context);
     }
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left")
-        .expect("the template is fixed and valid");
-    let bar = ProgressBar::new(plan.steps).with_style(style).with_message(scenario.name().to_owned());
+    let style = ProgressStyle::with_template(
+        "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
+    )
+    .expect("the template is fixed and valid");
+    let bar =
+        ProgressBar::new(plan.steps).with_style(style).with_message(scenario.name().to_owned());
     thread::scope(|scope| {
         let worker = scope.spawn(|| run::execute(scenario, &context));
         while !worker.is_finished() {

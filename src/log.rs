@@ -1,8 +1,8 @@
 //! 5 · The log: what a job did, as an MCAP file that common viewers open.
 //!
-//! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a file
-//! up. What stands on which topic is in [`schema`], the messages are in [`messages`], and [`scene`]
-//! draws the body and its surroundings.
+//! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
+//! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
+//! [`scene`] draws the body and its surroundings.
 //!
 //! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named
 //! `.mcap.part`. Same inputs give the same bytes: no clock, thread or machine shows in a log.
@@ -101,22 +101,14 @@ impl LogError {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
                 Self::StorageFull { path, source }
             }
-            _ => Self::Storage {
-                path,
-                action,
-                source,
-            },
+            _ => Self::Storage { path, action, source },
         }
     }
 
     fn mcap(path: &Path, action: &'static str, source: mcap::McapError) -> Self {
         match source {
             mcap::McapError::Io(source) => Self::io(path, action, source),
-            source => Self::Format {
-                path: path.to_owned(),
-                action,
-                source,
-            },
+            source => Self::Format { path: path.to_owned(), action, source },
         }
     }
 }
@@ -130,8 +122,8 @@ pub fn part_path(path: &Path) -> PathBuf {
 
 /// Log time of `time_s` after the epoch, in nanoseconds since 1970, rounded to the nearest.
 ///
-/// `None` if that is before the epoch, not a number, or beyond the 32-bit seconds (year 2106) of the
-/// viewers' time stamps.
+/// `None` if that is before the epoch, not a number, or beyond the 32-bit seconds (year 2106) of
+/// the viewers' time stamps.
 pub fn log_time(epoch_ns: u64, time_s: f64) -> Option<u64> {
     let since_ns = (time_s * 1e9).round();
     // 2^64, the first value that u64 does not hold.

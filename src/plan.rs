@@ -8,9 +8,11 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 use serde::Serialize;
 
+use crate::log::schema::Channel;
+use crate::log::writer::Compression;
 use crate::scenario::{
-    Attitude, ChannelName, Compression, Entry, Framed, Inertia, MethodName, PotentialTerm, Scenario, ScenarioError,
-    Solver, TableauChoice, TableauName,
+    Attitude, Entry, Framed, Inertia, MethodName, PotentialTerm, Scenario, ScenarioError, Solver,
+    TableauChoice, TableauName,
 };
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::StopRule;
@@ -78,7 +80,7 @@ pub struct TermPlan {
 #[derive(Clone, Debug, Serialize)]
 pub struct ChannelPlan {
     /// Its topic.
-    pub topic: ChannelName,
+    pub topic: Channel,
     /// What is computed for it at each sample.
     pub computes: &'static str,
 }
@@ -154,18 +156,24 @@ impl Plan {
     }
 
     /// Is the channel logged?
-    pub fn logs(&self, channel: ChannelName) -> bool {
+    pub fn logs(&self, channel: Channel) -> bool {
         self.channels.iter().any(|plan| plan.topic == channel)
     }
 
     /// Keeps a term, or drops it if it does not depend on the attitude.
-    fn add_term(&mut self, pointer: String, term: &PotentialTerm, inertia: &DMatrix<f64>) -> Result<(), ScenarioError> {
+    fn add_term(
+        &mut self,
+        pointer: String,
+        term: &PotentialTerm,
+        inertia: &DMatrix<f64>,
+    ) -> Result<(), ScenarioError> {
         let (constant, why) = match constant_part(term, inertia) {
             Some((value, why)) => (Some(value), why),
             None => (None, "depends on the attitude"),
         };
         if let Some((body_point, position)) = singular_points(term) {
-            let (y, z) = (DVector::from_column_slice(body_point), DVector::from_column_slice(position));
+            let (y, z) =
+                (DVector::from_column_slice(body_point), DVector::from_column_slice(position));
             let distance = (&y - self.model.attitude.tr_mul(&z)).norm();
             if !(distance > CLOSEST_APPROACH * (y.norm() + z.norm())) {
                 let message = format!(
@@ -185,44 +193,22 @@ impl Plan {
     /// Fills in the estimates of size and time.
     fn estimate(&mut self, compression: Compression) {
         let n = self.dimension;
-        // Bytes of a message in a chunk: record and message header, fields, and its index entry.
-        const RECORD: usize = 31;
-        const INDEX: usize = 16;
-        let double = |count: usize| if count == 0 { 0 } else { 8 * count + 3 };
-        let raw: usize = self
-            .channels
-            .iter()
-            .map(|plan| match plan.topic {
-                ChannelName::State => {
-                    RECORD + 9 + double(n * n) + double(so::dimension(n)) + double(if n == 3 { 4 } else { 0 })
-                }
-                ChannelName::Energy => RECORD + 54,
-                ChannelName::Orthogonality => RECORD + 27,
-                ChannelName::Momentum => RECORD + 27 + double(so::dimension(n)),
-                ChannelName::Solver => RECORD + 32,
-                ChannelName::Tf => RECORD + 100,
-                ChannelName::SceneBody | ChannelName::SceneSources | ChannelName::Log => 0,
-            })
-            .sum();
-        let messages = self.channels.iter().filter(|plan| plan.topic.every_sample()).count();
-        // Doubles hardly compress: measured, 0.9 on zstd and 1 on lz4.
-        let ratio = if compression == Compression::Zstd { 0.9 } else { 1.0 };
-        let per_sample = (raw as f64 * ratio) as u64 + (messages * INDEX) as u64;
+        let raw: u64 = self.channels.iter().map(|plan| plan.topic.bytes_per_sample(n)).sum();
+        // Measured on the dipole with all channels.
+        let ratio = match compression {
+            Compression::Zstd => 0.6,
+            Compression::Lz4 => 0.7,
+            Compression::None => 1.0,
+        };
         const FIXED: u64 = 40_000;
-        self.log_bytes = FIXED + self.samples * per_sample;
-        // Chunks of half a mebibyte, but at least a few a log.
-        const CHUNK: usize = 1 << 19;
-        self.samples_per_chunk = (CHUNK / raw.max(1)).max(1) as u64;
+        self.log_bytes = FIXED + (self.samples as f64 * raw as f64 * ratio) as u64;
+        // Chunks of half a mebibyte: what a kill may cost, and what a viewer fetches at once.
+        const CHUNK: u64 = 1 << 19;
+        self.samples_per_chunk = (CHUNK / raw.max(1)).max(1);
         // Measured: ten sweeps a step, for n = 3 about 140 ns a sweep and stage and as much for the end point.
         let size = (n as f64 / 3.0).powi(3).max(1.0);
-        self.run_s = self.steps as f64 * 10.0 * 140e-9 * (self.formulation.stages + 1) as f64 * size;
-    }
-}
-
-impl ChannelName {
-    /// Does every sample put a message on the channel?
-    fn every_sample(self) -> bool {
-        !matches!(self, Self::SceneBody | Self::SceneSources | Self::Log)
+        self.run_s =
+            self.steps as f64 * 10.0 * 140e-9 * (self.formulation.stages + 1) as f64 * size;
     }
 }
 
@@ -237,7 +223,10 @@ fn inertia_matrix(inertia: &Inertia) -> DMatrix<f64> {
         Inertia::Matrix(matrix) => rows(matrix),
         Inertia::SecondMoments(moments) => {
             let trace: f64 = moments.iter().sum();
-            DMatrix::from_diagonal(&DVector::from_iterator(moments.len(), moments.iter().map(|d| trace - d)))
+            DMatrix::from_diagonal(&DVector::from_iterator(
+                moments.len(),
+                moments.iter().map(|d| trace - d),
+            ))
         }
     }
 }
@@ -251,14 +240,16 @@ fn kinetic(given: &Inertia, matrix: &DMatrix<f64>) -> Result<ModelKinetic, Scena
         Inertia::Principal(moments) => Ok(principal(*moments)),
         Inertia::SecondMoments(d) => {
             let n = d.len();
-            let weights = DMatrix::from_fn(n, n, |i, j| if i == j { 0.0 } else { 1.0 / (d[i] + d[j]) });
+            let weights =
+                DMatrix::from_fn(n, n, |i, j| if i == j { 0.0 } else { 1.0 / (d[i] + d[j]) });
             Ok(ModelKinetic::Principal { weights })
         }
         Inertia::Matrix(_) => {
             let pointer = "/scene/inertia/matrix";
             let smallest = matrix.symmetric_eigenvalues().min();
             if !(smallest > 1e-12 * matrix.amax() && smallest >= 1e-12) {
-                let message = format!("is not positive definite: its smallest eigenvalue is {smallest:e}");
+                let message =
+                    format!("is not positive definite: its smallest eigenvalue is {smallest:e}");
                 return Err(ScenarioError::invalid(pointer, message));
             }
             let diagonal = matrix.iter().enumerate().all(|(k, &x)| k % 4 == 0 || x == 0.0);
@@ -274,7 +265,8 @@ fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64>, Scenario
     // Decimal text of a rotation is off by its last digit; more than this is another matrix.
     const TOLERANCE: f64 = 1e-8;
     let from_quaternion = |w: f64, x: f64, y: f64, z: f64| {
-        let rotation = UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
+        let rotation =
+            UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
         DMatrix::from_iterator(3, 3, rotation.matrix().iter().copied())
     };
     match given {
@@ -291,7 +283,9 @@ fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64>, Scenario
             let pointer = "/scene/initial/attitude/matrix";
             let defect = (g.transpose() * &g - DMatrix::identity(n, n)).amax();
             if !(defect <= TOLERANCE) {
-                let message = format!("is not orthogonal: g^T g differs from I by {defect:e}, at most {TOLERANCE:e} is allowed");
+                let message = format!(
+                    "is not orthogonal: g^T g differs from I by {defect:e}, at most {TOLERANCE:e} is allowed"
+                );
                 return Err(ScenarioError::invalid(pointer, message));
             }
             if g.determinant() < 0.0 {
@@ -305,11 +299,17 @@ fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64>, Scenario
 
 /// The skew matrix of a 3-vector or of rows.
 fn skew(entries: &[Entry]) -> DMatrix<f64> {
-    let numbers: Vec<f64> = entries.iter().filter_map(|e| if let Entry::Number(x) = e { Some(*x) } else { None }).collect();
+    let numbers: Vec<f64> = entries
+        .iter()
+        .filter_map(|e| if let Entry::Number(x) = e { Some(*x) } else { None })
+        .collect();
     if let Ok(vector) = <[f64; 3]>::try_from(numbers.as_slice()) {
         return DMatrix::from_iterator(3, 3, so::hat::<3>(&vector).iter().copied());
     }
-    let given: Vec<Vec<f64>> = entries.iter().filter_map(|e| if let Entry::Row(row) = e { Some(row.clone()) } else { None }).collect();
+    let given: Vec<Vec<f64>> = entries
+        .iter()
+        .filter_map(|e| if let Entry::Row(row) = e { Some(row.clone()) } else { None })
+        .collect();
     let a = rows(&given);
     // Exactly skew: text may leave the two halves a digit apart.
     (&a - a.transpose()) * 0.5
@@ -354,28 +354,34 @@ fn tableau(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
         TableauName::Rk4 => Some(Tableau::rk4()),
     };
     match choice {
-        TableauChoice::Named(name) => {
-            named(*name).ok_or_else(|| ScenarioError::invalid("/method/tableau", "this tableau cannot be made"))
-        }
-        TableauChoice::Custom(given) => Tableau::new(given.a.clone(), given.b.clone()).map_err(|error| {
-            let pointer = match error {
-                TableauError::Shape { .. } => "/method/tableau/a".to_owned(),
-                TableauError::Size => "/method/tableau".to_owned(),
-                TableauError::ZeroWeight { stage, .. } => format!("/method/tableau/b/{stage}"),
-                TableauError::Inconsistent { .. } => "/method/tableau/b".to_owned(),
-            };
-            ScenarioError::invalid(pointer, error.to_string())
+        TableauChoice::Named(name) => named(*name).ok_or_else(|| {
+            ScenarioError::invalid("/method/tableau", "this tableau cannot be made")
         }),
+        TableauChoice::Custom(given) => {
+            Tableau::new(given.a.clone(), given.b.clone()).map_err(|error| {
+                let pointer = match error {
+                    TableauError::Shape { .. } => "/method/tableau/a".to_owned(),
+                    TableauError::Size => "/method/tableau".to_owned(),
+                    TableauError::ZeroWeight { stage, .. } => format!("/method/tableau/b/{stage}"),
+                    TableauError::Inconsistent { .. } => "/method/tableau/b".to_owned(),
+                };
+                ScenarioError::invalid(pointer, error.to_string())
+            })
+        }
     }
 }
 
 fn formulation(scenario: &Scenario, tableau: &Tableau) -> Formulation {
     let why = match scenario.method.name {
-        MethodName::Auto => "symplectic, on the group to round-off, of the tableau's order, for any scene",
+        MethodName::Auto => {
+            "symplectic, on the group to round-off, of the tableau's order, for any scene"
+        }
         MethodName::Vpd => "asked for",
     };
     let name = match &scenario.method.tableau {
-        TableauChoice::Named(name) => serde_json::to_value(name).ok().and_then(|v| v.as_str().map(str::to_owned)),
+        TableauChoice::Named(name) => {
+            serde_json::to_value(name).ok().and_then(|v| v.as_str().map(str::to_owned))
+        }
         TableauChoice::Custom(_) => None,
     };
     Formulation {
@@ -388,7 +394,7 @@ fn formulation(scenario: &Scenario, tableau: &Tableau) -> Formulation {
 }
 
 fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
-    use ChannelName as C;
+    use Channel as C;
     let all = [
         (C::State, "the state itself"),
         (C::Energy, "kinetic and potential energy"),
@@ -403,11 +409,11 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     let three = scenario.dimension() == 3;
     let potential = !scenario.scene.potential.is_empty();
     let has = |channel: C| match channel {
-        C::Tf | C::SceneBody => three,
         C::SceneSources => three && potential,
-        _ => true,
+        channel => three || !channel.needs_three(),
     };
-    let asked = |channel: C| scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(&channel));
+    let asked =
+        |channel: C| scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(&channel));
     all.into_iter()
         .filter(|&(topic, _)| has(topic) && asked(topic))
         .map(|(topic, computes)| ChannelPlan { topic, computes })
@@ -417,9 +423,11 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
 /// The value of a term that does not depend on the attitude, and the reason; `None` if it does.
 fn constant_part(term: &PotentialTerm, inertia: &DMatrix<f64>) -> Option<(f64, &'static str)> {
     let zero = |v: &[f64]| v.iter().all(|&x| x == 0.0);
-    let distance = |y: &[f64], z: &[f64]| y.iter().zip(z).map(|(y, z)| (y - z) * (y - z)).sum::<f64>().sqrt();
+    let distance =
+        |y: &[f64], z: &[f64]| y.iter().zip(z).map(|(y, z)| (y - z) * (y - z)).sum::<f64>().sqrt();
     const NOTHING: &str = "has no strength";
-    const FIXED: &str = "is the same at every attitude: its body point or its place is the fixed point";
+    const FIXED: &str =
+        "is the same at every attitude: its body point or its place is the fixed point";
     match term {
         PotentialTerm::Uniform(t) if t.weight == 0.0 => Some((0.0, NOTHING)),
         PotentialTerm::Uniform(t) if zero(&t.body_point) => Some((0.0, FIXED)),
@@ -438,7 +446,10 @@ fn constant_part(term: &PotentialTerm, inertia: &DMatrix<f64>) -> Option<(f64, &
             let level = m[(0, 0)];
             let round = (&m - DMatrix::identity(m.nrows(), m.nrows()) * level).amax() == 0.0;
             let square: f64 = t.direction.iter().map(|x| x * x).sum();
-            round.then_some((0.5 * t.strength * level * square, "is the same at every attitude: its matrix is a multiple of I"))
+            round.then_some((
+                0.5 * t.strength * level * square,
+                "is the same at every attitude: its matrix is a multiple of I",
+            ))
         }
         _ => None,
     }
@@ -448,7 +459,9 @@ fn constant_part(term: &PotentialTerm, inertia: &DMatrix<f64>) -> Option<(f64, &
 fn singular_points(term: &PotentialTerm) -> Option<(&[f64], &[f64])> {
     match term {
         PotentialTerm::PointSource(t) if t.strength != 0.0 => Some((&t.body_point, &t.position)),
-        PotentialTerm::Spring(t) if t.stiffness != 0.0 && t.rest_length > 0.0 => Some((&t.body_point, &t.position)),
+        PotentialTerm::Spring(t) if t.stiffness != 0.0 && t.rest_length > 0.0 => {
+            Some((&t.body_point, &t.position))
+        }
         _ => None,
     }
 }

@@ -13,9 +13,9 @@ use thiserror::Error;
 
 use crate::log::LogError;
 use crate::log::schema::Channel;
-use crate::log::writer::{Level, LogCompression, LogHeader, LogWriter, Outcome as LogOutcome};
+use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
 use crate::plan::{Model, ModelKinetic, Plan, space_vector};
-use crate::scenario::{ChannelName, Compression, Expect, PotentialTerm, Scenario, ScenarioError};
+use crate::scenario::{Expect, PotentialTerm, Scenario, ScenarioError};
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use crate::solve::nonlinear::Rung;
@@ -207,13 +207,18 @@ pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary,
     for_dimension!(2 3 4 5 6 7 8 9 10 11 12 13 14 15 16)
 }
 
-fn run<const N: usize>(scenario: &Scenario, plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunError> {
+fn run<const N: usize>(
+    scenario: &Scenario,
+    plan: &Plan,
+    context: &JobContext<'_>,
+) -> Result<Summary, RunError> {
     let begun = Instant::now();
     let (body, initial) = problem::<N>(&plan.model);
     let mut stepper = Vpd::<N>::new(plan.model.tableau.clone(), plan.model.stop);
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let writer = LogWriter::<N>::create(context.log, header(scenario, plan))?;
-    let mut recorder = Recorder { writer, extremes: Extremes::default(), elsewhere: Duration::ZERO };
+    let mut recorder =
+        Recorder { writer, extremes: Extremes::default(), elsewhere: Duration::ZERO };
     recorder.writer.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
     let integrating = Instant::now();
     let end = trajectory::integrate(
@@ -234,12 +239,18 @@ fn run<const N: usize>(scenario: &Scenario, plan: &Plan, context: &JobContext<'_
     let (outcome, diagnosis) = match &end.ending {
         Ending::Completed => (Outcome::Succeeded, None),
         Ending::Cancelled => (Outcome::Cancelled, None),
-        Ending::Failed(failure) => (Outcome::Failed, Some(diagnosis(failure, end.steps, plan.step_s))),
+        Ending::Failed(failure) => {
+            (Outcome::Failed, Some(diagnosis(failure, end.steps, plan.step_s)))
+        }
     };
     let Recorder { mut writer, extremes, .. } = recorder;
     match &diagnosis {
         Some(diagnosis) => writer.message(Level::Error, time_s, &diagnosis.to_string())?,
-        None => writer.message(Level::Info, time_s, &format!("{}: step {}", outcome.as_str(), end.steps))?,
+        None => writer.message(
+            Level::Info,
+            time_s,
+            &format!("{}: step {}", outcome.as_str(), end.steps),
+        )?,
     }
     let mut summary = Summary {
         outcome,
@@ -248,7 +259,9 @@ fn run<const N: usize>(scenario: &Scenario, plan: &Plan, context: &JobContext<'_
         samples: end.samples,
         last: final_state(&end.state),
         energy: extremes.energy,
-        orthogonality: extremes.orthogonality.map(|(max, sum)| OrthogonalitySummary { max, mean: sum / end.samples as f64 }),
+        orthogonality: extremes
+            .orthogonality
+            .map(|(max, sum)| OrthogonalitySummary { max, mean: sum / end.samples as f64 }),
         momentum: extremes.drift.map(|max_drift| MomentumSummary { max_drift }),
         solver: SolverSummary {
             iterations_per_step: end.iterations as f64 / end.steps.max(1) as f64,
@@ -271,9 +284,14 @@ fn run<const N: usize>(scenario: &Scenario, plan: &Plan, context: &JobContext<'_
 /// The body and its state at the start, with their const size.
 pub(crate) fn problem<const N: usize>(model: &Model) -> (RigidBody<N>, State<N>) {
     let kinetic = match &model.kinetic {
-        ModelKinetic::Principal { weights } => Kinetic::Principal { weights: Mat::from_fn(|i, j| weights[(i, j)]) },
+        ModelKinetic::Principal { weights } => {
+            Kinetic::Principal { weights: Mat::from_fn(|i, j| weights[(i, j)]) }
+        }
         ModelKinetic::Tensor { inertia } => Kinetic::Tensor {
-            inverse: inertia.cholesky().expect("the plan checked that the inertia is positive definite").inverse(),
+            inverse: inertia
+                .cholesky()
+                .expect("the plan checked that the inertia is positive definite")
+                .inverse(),
         },
     };
     let terms = model.terms.iter().map(term).collect();
@@ -289,8 +307,12 @@ pub(crate) fn problem<const N: usize>(model: &Model) -> (RigidBody<N>, State<N>)
 fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {
     let point = |v: &[f64]| Vector::<N>::from_column_slice(v);
     let law = match given {
-        PotentialTerm::Uniform(t) => Law::Uniform { weight: t.weight, body_point: point(&t.body_point) },
-        PotentialTerm::PointSource(t) => Law::PointSource { strength: t.strength, body_point: point(&t.body_point) },
+        PotentialTerm::Uniform(t) => {
+            Law::Uniform { weight: t.weight, body_point: point(&t.body_point) }
+        }
+        PotentialTerm::PointSource(t) => {
+            Law::PointSource { strength: t.strength, body_point: point(&t.body_point) }
+        }
         PotentialTerm::Spring(t) => Law::Spring {
             stiffness: t.stiffness,
             rest_length: t.rest_length,
@@ -309,10 +331,10 @@ fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {
 /// What the asked channels need at a sample.
 fn observables(plan: &Plan) -> Observables {
     Observables {
-        energy: plan.logs(ChannelName::Energy),
-        orthogonality: plan.logs(ChannelName::Orthogonality),
-        momentum: plan.logs(ChannelName::Momentum),
-        sigma_min: plan.logs(ChannelName::Solver),
+        energy: plan.logs(Channel::Energy),
+        orthogonality: plan.logs(Channel::Orthogonality),
+        momentum: plan.logs(Channel::Momentum),
+        sigma_min: plan.logs(Channel::Solver),
     }
 }
 
@@ -338,9 +360,13 @@ impl<const N: usize> Sink<N> for Recorder<N> {
     fn record(&mut self, sample: &Sample<'_, N>) -> Result<(), LogError> {
         let begun = Instant::now();
         if let Some((energy, error)) = sample.energy.zip(sample.energy_error) {
-            let (initial, before) = self.extremes.energy.map_or((energy.total(), 0.0), |e| (e.initial, e.max_abs_error));
+            let (initial, before) = self
+                .extremes
+                .energy
+                .map_or((energy.total(), 0.0), |e| (e.initial, e.max_abs_error));
             let max_abs_error = error.abs().max(before);
-            self.extremes.energy = Some(EnergySummary { initial, max_abs_error, final_error: error });
+            self.extremes.energy =
+                Some(EnergySummary { initial, max_abs_error, final_error: error });
         }
         if let Some(error) = sample.orthogonality_error {
             let (max, sum) = self.extremes.orthogonality.unwrap_or_default();
@@ -356,9 +382,14 @@ impl<const N: usize> Sink<N> for Recorder<N> {
 }
 
 fn final_state<const N: usize>(state: &State<N>) -> FinalState {
-    let rows = |m: &Mat<N>| -> Vec<Vec<f64>> { (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect() };
-    let body_momentum =
-        if N == 3 { serde_json::json!(so::vee(&state.momentum)) } else { serde_json::json!(rows(&state.momentum)) };
+    let rows = |m: &Mat<N>| -> Vec<Vec<f64>> {
+        (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
+    };
+    let body_momentum = if N == 3 {
+        serde_json::json!(so::vee(&state.momentum))
+    } else {
+        serde_json::json!(rows(&state.momentum))
+    };
     FinalState { attitude: rows(&state.attitude), body_momentum }
 }
 
@@ -408,7 +439,11 @@ fn unmet(expect: &Expect, summary: &Summary) -> Vec<String> {
         }
     };
     hold("energy_error_max", summary.energy.map(|e| e.max_abs_error), expect.energy_error_max);
-    hold("orthogonality_error_max", summary.orthogonality.map(|o| o.max), expect.orthogonality_error_max);
+    hold(
+        "orthogonality_error_max",
+        summary.orthogonality.map(|o| o.max),
+        expect.orthogonality_error_max,
+    );
     hold("momentum_drift_max", summary.momentum.map(|m| m.max_drift), expect.momentum_drift_max);
     let attitude_error = expect.final_attitude.as_ref().map(|expected| {
         let pairs = expected.iter().flatten().zip(summary.last.attitude.iter().flatten());
@@ -428,12 +463,8 @@ fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
     ]);
     LogHeader {
         epoch_ns: scenario.epoch_ns(),
-        channels: plan.channels.iter().map(|channel| log_channel(channel.topic)).collect(),
-        compression: match scenario.log.compression {
-            Compression::Zstd => LogCompression::Zstd,
-            Compression::Lz4 => LogCompression::Lz4,
-            Compression::None => LogCompression::None,
-        },
+        channels: plan.channels.iter().map(|channel| channel.topic).collect(),
+        compression: scenario.log.compression,
         samples_per_chunk: plan.samples_per_chunk,
         scenario_json: scenario.to_json(),
         job,
@@ -467,18 +498,4 @@ fn log_outcome(summary: &Summary) -> LogOutcome {
 
 fn json(value: &impl Serialize) -> String {
     serde_json::to_string(value).expect("figures and names are JSON by construction")
-}
-
-fn log_channel(name: ChannelName) -> Channel {
-    match name {
-        ChannelName::State => Channel::State,
-        ChannelName::Energy => Channel::Energy,
-        ChannelName::Orthogonality => Channel::Orthogonality,
-        ChannelName::Momentum => Channel::Momentum,
-        ChannelName::Solver => Channel::Solver,
-        ChannelName::Tf => Channel::Tf,
-        ChannelName::SceneBody => Channel::SceneBody,
-        ChannelName::SceneSources => Channel::SceneSources,
-        ChannelName::Log => Channel::Log,
-    }
 }

@@ -14,6 +14,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::log::schema::Channel;
+use crate::log::writer::Compression;
+
 /// A job: a scene, how to integrate it and for how long, and what to log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -329,7 +332,7 @@ pub struct LogOptions {
     pub every: Option<u64>,
     /// The topics to log; all that the scene has if absent. What is not logged is not computed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub channels: Option<Vec<ChannelName>>,
+    pub channels: Option<Vec<Channel>>,
     /// Compression of the log's chunks.
     #[serde(default)]
     pub compression: Compression,
@@ -353,60 +356,6 @@ impl Default for Epoch {
     fn default() -> Self {
         Self("2026-01-01T00:00:00Z".to_owned())
     }
-}
-
-/// The topics of a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[allow(missing_docs)]
-pub enum ChannelName {
-    #[serde(rename = "/state")]
-    State,
-    #[serde(rename = "/energy")]
-    Energy,
-    #[serde(rename = "/orthogonality")]
-    Orthogonality,
-    #[serde(rename = "/momentum")]
-    Momentum,
-    #[serde(rename = "/solver")]
-    Solver,
-    #[serde(rename = "/tf")]
-    Tf,
-    #[serde(rename = "/scene/body")]
-    SceneBody,
-    #[serde(rename = "/scene/sources")]
-    SceneSources,
-    #[serde(rename = "/log")]
-    Log,
-}
-
-impl ChannelName {
-    /// The topic.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::State => "/state",
-            Self::Energy => "/energy",
-            Self::Orthogonality => "/orthogonality",
-            Self::Momentum => "/momentum",
-            Self::Solver => "/solver",
-            Self::Tf => "/tf",
-            Self::SceneBody => "/scene/body",
-            Self::SceneSources => "/scene/sources",
-            Self::Log => "/log",
-        }
-    }
-}
-
-/// Compression of the log's chunks.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Compression {
-    /// Small.
-    #[default]
-    Zstd,
-    /// Fast.
-    Lz4,
-    /// As it is.
-    None,
 }
 
 /// Bounds that a good run of the scenario keeps to; the run says where it does not.
@@ -471,7 +420,8 @@ impl Scenario {
 
     /// The canonical text of the scenario, with every default written out.
     pub fn to_json(&self) -> Vec<u8> {
-        let mut text = serde_json::to_vec_pretty(self).expect("the types of a scenario are JSON by construction");
+        let mut text = serde_json::to_vec_pretty(self)
+            .expect("the types of a scenario are JSON by construction");
         text.push(b'\n');
         text
     }

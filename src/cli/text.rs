@@ -12,22 +12,51 @@ pub(super) fn summary(summary: &Summary) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{name:<15} {value}");
     };
-    line("outcome", format!("{}, {} steps to t = {} s", summary.outcome.as_str(), summary.steps, summary.time_s));
+    line(
+        "outcome",
+        format!(
+            "{}, {} steps to t = {} s",
+            summary.outcome.as_str(),
+            summary.steps,
+            summary.time_s
+        ),
+    );
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }
     if let Some(energy) = summary.energy {
         let max = energy.max_abs_error;
-        line("energy", format!("{:.6e} at the start, error at most {max:.2e}, {:.2e} at the end", energy.initial, energy.final_error));
+        line(
+            "energy",
+            format!(
+                "{:.6e} at the start, error at most {max:.2e}, {:.2e} at the end",
+                energy.initial, energy.final_error
+            ),
+        );
     }
     if let Some(orthogonality) = summary.orthogonality {
-        line("orthogonality", format!("error at most {:.2e}, {:.2e} on average", orthogonality.max, orthogonality.mean));
+        line(
+            "orthogonality",
+            format!(
+                "error at most {:.2e}, {:.2e} on average",
+                orthogonality.max, orthogonality.mean
+            ),
+        );
     }
     if let Some(momentum) = summary.momentum {
         line("momentum", format!("drift of the conserved part at most {:.2e}", momentum.max_drift));
     }
-    line("solver", format!("{:.2} sweeps a step ({})", summary.solver.iterations_per_step, summary.solver.kind));
-    line("time", format!("{:.3} s, {:.0} ns a step in the integrator", summary.wall_s, summary.ns_per_step));
+    line(
+        "solver",
+        format!(
+            "{:.2} sweeps a step ({})",
+            summary.solver.iterations_per_step, summary.solver.kind
+        ),
+    );
+    line(
+        "time",
+        format!("{:.3} s, {:.0} ns a step in the integrator", summary.wall_s, summary.ns_per_step),
+    );
     line("log", format!("{}, {} samples", summary.log, summary.samples));
     for unmet in &summary.unmet {
         line("not as expected", unmet.clone());
@@ -54,7 +83,13 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             formulation.why
         ),
     );
-    line("steps", format!("{} of {} s, a sample every {}: {} samples", plan.steps, plan.step_s, plan.every, plan.samples));
+    line(
+        "steps",
+        format!(
+            "{} of {} s, a sample every {}: {} samples",
+            plan.steps, plan.step_s, plan.every, plan.samples
+        ),
+    );
     if plan.potential.is_empty() {
         line("potential", "none: a free body".to_owned());
     }
@@ -62,14 +97,22 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         let verdict = if term.kept { "kept" } else { "dropped" };
         line("potential", format!("{} {verdict}: {}", term.pointer, term.why));
     }
-    line("conserved", match plan.free_directions {
-        0 | 1 => "no part of the spatial momentum".to_owned(),
-        free if free == plan.dimension => "the whole spatial momentum".to_owned(),
-        free => format!("the spatial momentum among the {free} directions that the potential leaves free"),
-    });
+    line(
+        "conserved",
+        match plan.free_directions {
+            0 | 1 => "no part of the spatial momentum".to_owned(),
+            free if free == plan.dimension => "the whole spatial momentum".to_owned(),
+            free => format!(
+                "the spatial momentum among the {free} directions that the potential leaves free"
+            ),
+        },
+    );
     for channel in &plan.channels {
-        line("channel", format!("{}: {}", channel.topic.as_str(), channel.computes));
+        line("channel", format!("{}: {}", channel.topic.topic(), channel.computes));
     }
-    line("estimate", format!("{:.1} s on one core, {:.1} MB of log", plan.run_s, plan.log_bytes as f64 / 1e6));
+    line(
+        "estimate",
+        format!("{:.1} s on one core, {:.1} MB of log", plan.run_s, plan.log_bytes as f64 / 1e6),
+    );
     text
 }

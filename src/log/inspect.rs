@@ -83,20 +83,9 @@ pub fn inspect(path: &Path) -> Result<Inspection, LogError> {
     let mut sweeps = Sweeps::default();
     let ending = reader::read(path, |item| {
         match item {
-            Item::Metadata {
-                name: JOB_RECORD,
-                entries,
-            } => sum.job = Some(entries.clone()),
-            Item::Metadata {
-                name: OUTCOME_RECORD,
-                entries,
-            } => sum.outcome = Some(entries.clone()),
-            Item::Message {
-                topic,
-                schema,
-                time_ns,
-                data,
-            } => {
+            Item::Metadata { name: JOB_RECORD, entries } => sum.job = Some(entries.clone()),
+            Item::Metadata { name: OUTCOME_RECORD, entries } => sum.outcome = Some(entries.clone()),
+            Item::Message { topic, schema, time_ns, data } => {
                 sum.count(topic, schema, time_ns);
                 if let Some(message) = Message::decode(topic, schema, data) {
                     sum.extremes.take_in(&message);
@@ -127,14 +116,11 @@ impl Inspection {
                 messages: 1,
             }),
         }
-        let span = self.span.get_or_insert(Span {
-            start_ns: time_ns,
-            end_ns: time_ns,
-            duration_s: 0.0,
-        });
+        let span =
+            self.span.get_or_insert(Span { start_ns: time_ns, end_ns: time_ns, duration_s: 0.0 });
         span.start_ns = span.start_ns.min(time_ns);
         span.end_ns = span.end_ns.max(time_ns);
-        span.duration_s = (span.end_ns - span.start_ns) as f64 * 1e-9;
+        span.duration_s = (span.end_ns - span.start_ns) as f64 / 1e9;
     }
 }
 
@@ -153,10 +139,7 @@ impl Extremes {
                 }
             }
             Message::Solver(solver) => {
-                let most = self
-                    .solver_iterations_max
-                    .unwrap_or(0)
-                    .max(solver.iterations);
+                let most = self.solver_iterations_max.unwrap_or(0).max(solver.iterations);
                 self.solver_iterations_max = Some(most);
                 if let Some(sigma) = solver.sigma_min {
                     let least = self.sigma_min_min.map_or(sigma, |old| old.min(sigma));
@@ -189,10 +172,7 @@ impl Sweeps {
 
 impl fmt::Display for Inspection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let state = self
-            .outcome
-            .as_ref()
-            .and_then(|outcome| outcome.get("state"));
+        let state = self.outcome.as_ref().and_then(|outcome| outcome.get("state"));
         match (self.finished, state) {
             (true, Some(state)) => writeln!(f, "finished: {state}")?,
             (true, None) => writeln!(f, "finished")?,
@@ -210,33 +190,15 @@ impl fmt::Display for Inspection {
             "{} samples over {duration_s} s of simulated time, {} chunks, {} bytes",
             self.samples, self.chunks, self.bytes
         )?;
-        let width = self
-            .topics
-            .iter()
-            .map(|entry| entry.topic.len())
-            .max()
-            .unwrap_or(0);
-        let kind = self
-            .topics
-            .iter()
-            .map(|entry| entry.schema.len())
-            .max()
-            .unwrap_or(0);
-        for Topic {
-            topic,
-            schema,
-            messages,
-        } in &self.topics
-        {
+        let width = self.topics.iter().map(|entry| entry.topic.len()).max().unwrap_or(0);
+        let kind = self.topics.iter().map(|entry| entry.schema.len()).max().unwrap_or(0);
+        for Topic { topic, schema, messages } in &self.topics {
             writeln!(f, "  {topic:width$}  {schema:kind$}  {messages}")?;
         }
         let extremes = &self.extremes;
         for (name, value) in [
             ("energy, largest |H - H0|", extremes.energy_max_abs_error),
-            (
-                "orthogonality, largest |g g^T - I|",
-                extremes.orthogonality_max,
-            ),
+            ("orthogonality, largest |g g^T - I|", extremes.orthogonality_max),
             ("momentum, largest drift", extremes.momentum_drift_max),
             ("smallest singular value", extremes.sigma_min_min),
         ] {
@@ -244,14 +206,10 @@ impl fmt::Display for Inspection {
                 writeln!(f, "{name}: {value:.3e}")?;
             }
         }
-        if let Some((most, mean)) = extremes
-            .solver_iterations_max
-            .zip(extremes.solver_iterations_mean)
+        if let Some((most, mean)) =
+            extremes.solver_iterations_max.zip(extremes.solver_iterations_mean)
         {
-            writeln!(
-                f,
-                "solver sweeps per step: {mean:.2} on average, {most} at most"
-            )?;
+            writeln!(f, "solver sweeps per step: {mean:.2} on average, {most} at most")?;
         }
         for (title, entries) in [("outcome", &self.outcome), ("job", &self.job)] {
             for (key, value) in entries.iter().flatten() {

@@ -1,7 +1,7 @@
 //! The messages of a log: our own, generated from `vpd.proto`, and how a sample fills them.
 //!
-//! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up in
-//! the middle, writes the same bytes.
+//! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up
+//! in the middle, writes the same bytes.
 
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
 
@@ -52,10 +52,7 @@ impl Orthogonality {
     /// Distance of a sample's attitude from the group, if computed.
     pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
         let error = sample.orthogonality_error?;
-        Some(Self {
-            error,
-            log10_error: log10_size(error),
-        })
+        Some(Self { error, log10_error: log10_size(error) })
     }
 }
 
@@ -121,30 +118,10 @@ pub fn quaternion<const N: usize>(r: &Mat<N>) -> Option<[f64; 4]> {
     let difference = |i: usize, j: usize| r[(i, j)] - r[(j, i)];
     let sum = |i: usize, j: usize| r[(i, j)] + r[(j, i)];
     let mut q = match largest {
-        0 => [
-            1.0 + trace,
-            difference(2, 1),
-            difference(0, 2),
-            difference(1, 0),
-        ],
-        1 => [
-            difference(2, 1),
-            1.0 + 2.0 * r[(0, 0)] - trace,
-            sum(0, 1),
-            sum(0, 2),
-        ],
-        2 => [
-            difference(0, 2),
-            sum(0, 1),
-            1.0 + 2.0 * r[(1, 1)] - trace,
-            sum(1, 2),
-        ],
-        _ => [
-            difference(1, 0),
-            sum(0, 2),
-            sum(1, 2),
-            1.0 + 2.0 * r[(2, 2)] - trace,
-        ],
+        0 => [1.0 + trace, difference(2, 1), difference(0, 2), difference(1, 0)],
+        1 => [difference(2, 1), 1.0 + 2.0 * r[(0, 0)] - trace, sum(0, 1), sum(0, 2)],
+        2 => [difference(0, 2), sum(0, 1), 1.0 + 2.0 * r[(1, 1)] - trace, sum(1, 2)],
+        _ => [difference(1, 0), sum(0, 2), sum(1, 2), 1.0 + 2.0 * r[(2, 2)] - trace],
     };
     let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
     if !norm.is_finite() {

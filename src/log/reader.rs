@@ -1,8 +1,9 @@
-//! Reads a log: a finished one, one that is being written, or what a crash or a bad disk left of it.
+//! Reads a log: a finished one, one that is being written, or what a crash or a bad disk left of
+//! it.
 //!
 //! Invariant: whatever the bytes are, reading ends without a panic and within the memory of
-//! [`MAX_CHUNK_BYTES`] a piece; a chunk is handed out only after its checksum agreed; and every file
-//! that is not a finished log is reported as such.
+//! [`MAX_CHUNK_BYTES`] a piece; a chunk is handed out only after its checksum agreed; and every
+//! file that is not a finished log is reported as such.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -22,8 +23,8 @@ use super::{LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;
 
-/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than its
-/// file, and the length of a big file is no bound at all.
+/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than
+/// its file, and the length of a big file is no bound at all.
 const RECORD_LIMIT: usize = MAX_CHUNK_BYTES as usize;
 
 /// A part of a log, in the order of the file.
@@ -72,7 +73,8 @@ pub enum Message {
 }
 
 impl Message {
-    /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be decoded.
+    /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be
+    /// decoded.
     pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
         let channel = Channel::from_topic(topic)?;
         if channel.schema_name() != schema {
@@ -104,8 +106,8 @@ pub struct Ending {
 
 /// Reads `path` and shows its parts to `visit`, until that breaks off.
 ///
-/// Damage is no error: it ends the reading and is told in the [`Ending`]. What was shown before it is
-/// sound.
+/// Damage is no error: it ends the reading and is told in the [`Ending`]. What was shown before it
+/// is sound.
 ///
 /// # Errors
 /// If the file cannot be opened or read.
@@ -138,11 +140,7 @@ pub fn read(
                 match walk.step(opcode, data, &mut visit) {
                     Ok(ControlFlow::Continue(())) => {}
                     Ok(ControlFlow::Break(())) => {
-                        return Ok(Ending {
-                            chunks: walk.chunks,
-                            bytes,
-                            ..Ending::default()
-                        });
+                        return Ok(Ending { chunks: walk.chunks, bytes, ..Ending::default() });
                     }
                     Err(damage) => break Some(damage),
                 }
@@ -151,12 +149,7 @@ pub fn read(
             Some(Err(error)) => break Some(damaged(error)),
         }
     };
-    Ok(Ending {
-        finished: damage.is_none(),
-        damage,
-        chunks: walk.chunks,
-        bytes,
-    })
+    Ok(Ending { finished: damage.is_none(), damage, chunks: walk.chunks, bytes })
 }
 
 /// Reads the samples of `path`: every message of `/state`, `/energy`, `/orthogonality`, `/momentum`
@@ -166,12 +159,7 @@ pub fn read(
 /// If the file cannot be opened or read.
 pub fn read_samples(path: &Path, mut visit: impl FnMut(u64, Message)) -> Result<Ending, LogError> {
     read(path, |item| {
-        if let Item::Message {
-            topic,
-            schema,
-            time_ns,
-            data,
-        } = item
+        if let Item::Message { topic, schema, time_ns, data } = item
             && let Some(message) = Message::decode(topic, schema, data)
         {
             visit(time_ns, message);
@@ -202,7 +190,8 @@ impl Walk {
     ) -> Result<ControlFlow<()>, String> {
         let record = parse_record(opcode, data).map_err(damaged)?;
         if self.data_ended {
-            // The summary repeats what was read. Its checksum does not cover the length of the footer.
+            // The summary repeats what was read. Its checksum does not cover the length of the
+            // footer.
             return match opcode {
                 op::FOOTER if data.len() != 20 => Err(damaged("bad footer")),
                 _ => Ok(ControlFlow::Continue(())),
@@ -227,10 +216,7 @@ impl Walk {
                 }));
             }
             Record::Attachment { header, data, .. } => {
-                return Ok(visit(Item::Attachment {
-                    name: &header.name,
-                    data: &data,
-                }));
+                return Ok(visit(Item::Attachment { name: &header.name, data: &data }));
             }
             Record::DataEnd(_) => {
                 if data.len() != 4 {
@@ -238,7 +224,8 @@ impl Walk {
                 }
                 self.data_ended = true;
             }
-            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a message.
+            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a
+            // message.
             Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
                 return Err(damaged("a message outside a chunk"));
             }
@@ -292,11 +279,7 @@ impl Walk {
                 self.schemas.insert(header.id, header.name);
             }
             Record::Channel(channel) => {
-                let schema = self
-                    .schemas
-                    .get(&channel.schema_id)
-                    .cloned()
-                    .unwrap_or_default();
+                let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
                 self.topics.insert(channel.id, (channel.topic, schema));
             }
             Record::Message { header, data } => {
@@ -304,12 +287,7 @@ impl Walk {
                     return Err(damaged("a message of an unknown channel"));
                 };
                 let time_ns = header.log_time;
-                return Ok(visit(Item::Message {
-                    topic,
-                    schema,
-                    time_ns,
-                    data: &data,
-                }));
+                return Ok(visit(Item::Message { topic, schema, time_ns, data: &data }));
             }
             _ => {}
         }

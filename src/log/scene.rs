@@ -63,17 +63,11 @@ impl SceneGeometry {
                 color: color([0.62, 0.66, 0.72], 0.7),
             });
         }
-        entity.spheres.extend(
-            self.body_points
-                .iter()
-                .map(|point| sphere(point, 0.08 * size)),
-        );
+        entity.spheres.extend(self.body_points.iter().map(|point| sphere(point, 0.08 * size)));
         // The usual colours: x red, y green, z blue.
         for k in 0..3 {
             let axis = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
-            entity
-                .arrows
-                .push(arrow(axis, 0.8 * size, 0.02 * size, axis));
+            entity.arrows.push(arrow(axis, 0.8 * size, 0.02 * size, axis));
         }
         update(entity)
     }
@@ -85,16 +79,10 @@ impl SceneGeometry {
         }
         let size = self.size();
         let mut entity = entity("sources", SPACE_FRAME, time_ns);
-        entity.spheres.extend(
-            self.space_points
-                .iter()
-                .map(|point| sphere(point, 0.12 * size)),
-        );
+        entity.spheres.extend(self.space_points.iter().map(|point| sphere(point, 0.12 * size)));
         let yellow = [0.93, 0.75, 0.15];
         entity.arrows.extend(
-            self.directions
-                .iter()
-                .map(|&along| arrow(along, 1.2 * size, 0.03 * size, yellow)),
+            self.directions.iter().map(|&along| arrow(along, 1.2 * size, 0.03 * size, yellow)),
         );
         Some(update(entity))
     }
@@ -121,10 +109,7 @@ fn entity(id: &str, frame: &str, time_ns: u64) -> SceneEntity {
 }
 
 fn update(entity: SceneEntity) -> SceneUpdate {
-    SceneUpdate {
-        deletions: Vec::new(),
-        entities: vec![entity],
-    }
+    SceneUpdate { deletions: Vec::new(), entities: vec![entity] }
 }
 
 fn sphere(point: &Marker, diameter: f64) -> SpherePrimitive {
@@ -135,11 +120,7 @@ fn sphere(point: &Marker, diameter: f64) -> SpherePrimitive {
     };
     SpherePrimitive {
         pose: pose(point.position, [1.0, 0.0, 0.0, 0.0]),
-        size: Some(Vector3 {
-            x: diameter,
-            y: diameter,
-            z: diameter,
-        }),
+        size: Some(Vector3 { x: diameter, y: diameter, z: diameter }),
         color: color(rgb, 1.0),
     }
 }
@@ -166,22 +147,13 @@ fn turn_to(direction: [f64; 3]) -> [f64; 4] {
     // Half-way quaternion (1 + e_x . d, e_x cross d); for d = -e_x half a turn about z.
     let q = [1.0 + x, 0.0, -z, y];
     let size = q.iter().map(|c| c * c).sum::<f64>().sqrt();
-    if size < 1e-8 {
-        [0.0, 0.0, 0.0, 1.0]
-    } else {
-        q.map(|c| c / size)
-    }
+    if size < 1e-8 { [0.0, 0.0, 0.0, 1.0] } else { q.map(|c| c / size) }
 }
 
 fn pose([x, y, z]: [f64; 3], [qw, qx, qy, qz]: [f64; 4]) -> Option<Pose> {
     Some(Pose {
         position: Some(Vector3 { x, y, z }),
-        orientation: Some(Quaternion {
-            x: qx,
-            y: qy,
-            z: qz,
-            w: qw,
-        }),
+        orientation: Some(Quaternion { x: qx, y: qy, z: qz, w: qw }),
     })
 }
 

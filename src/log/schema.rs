@@ -6,6 +6,8 @@ use std::borrow::Cow;
 
 use foxglove::Encode;
 use foxglove::messages::{FrameTransforms, Log, SceneUpdate};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::solve::so;
 
@@ -15,26 +17,37 @@ const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/vpd.descrip
 /// The encoding of every schema and message.
 pub(super) const ENCODING: &str = "protobuf";
 
-/// A channel of the log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+/// A channel of the log, named by its topic.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
 pub enum Channel {
     /// Attitude and body momentum.
+    #[serde(rename = "/state")]
     State,
     /// Energy and its error.
+    #[serde(rename = "/energy")]
     Energy,
     /// Distance of the attitude from the group.
+    #[serde(rename = "/orthogonality")]
     Orthogonality,
     /// Spatial momentum and the drift of its conserved part.
+    #[serde(rename = "/momentum")]
     Momentum,
     /// How the steps were solved.
+    #[serde(rename = "/solver")]
     Solver,
     /// The body's frame for viewers; n = 3.
+    #[serde(rename = "/tf")]
     Tf,
     /// The body's box of inertia and its points, once; n = 3.
+    #[serde(rename = "/scene/body")]
     SceneBody,
     /// Charges, anchors and directions in space, once; n = 3.
+    #[serde(rename = "/scene/sources")]
     SceneSources,
     /// Start, warnings, the diagnosis.
+    #[serde(rename = "/log")]
     Log,
 }
 
@@ -50,17 +63,7 @@ impl Channel {
     /// Every channel, in the order in which logs list them.
     pub const fn all() -> [Self; 9] {
         use Channel::*;
-        [
-            State,
-            Energy,
-            Orthogonality,
-            Momentum,
-            Solver,
-            Tf,
-            SceneBody,
-            SceneSources,
-            Log,
-        ]
+        [State, Energy, Orthogonality, Momentum, Solver, Tf, SceneBody, SceneSources, Log]
     }
 
     /// The topic.
@@ -80,9 +83,7 @@ impl Channel {
 
     /// The channel of a topic.
     pub fn from_topic(topic: &str) -> Option<Self> {
-        Self::all()
-            .into_iter()
-            .find(|channel| channel.topic() == topic)
+        Self::all().into_iter().find(|channel| channel.topic() == topic)
     }
 
     /// Whether the channel is for bodies in space only.
@@ -114,15 +115,12 @@ impl Channel {
             Self::SceneBody | Self::SceneSources => well_known::<SceneUpdate>(),
             Self::Log => well_known::<Log>(),
         };
-        Schema {
-            name: self.schema_name(),
-            descriptors,
-        }
+        Schema { name: self.schema_name(), descriptors }
     }
 
     /// About how many bytes a sample takes on this channel before compression, message header and
-    /// index included: for estimates of the size of a log and of its chunks. 0 for channels that are
-    /// not written with every sample.
+    /// index included: for estimates of the size of a log and of its chunks. 0 for channels that
+    /// are not written with every sample.
     pub const fn bytes_per_sample(self, n: usize) -> u64 {
         // Opcode, length, channel, sequence and two times; then an entry of the index.
         const HEADER: usize = 1 + 8 + 2 + 4 + 8 + 8;

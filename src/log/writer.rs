@@ -1,7 +1,7 @@
 //! Writes the log of one job.
 //!
-//! Invariant: the final name appears with a complete, synced file whose last record is the outcome, or
-//! not at all. After an error nothing more is written, and a writer that is dropped before
+//! Invariant: the final name appears with a complete, synced file whose last record is the outcome,
+//! or not at all. After an error nothing more is written, and a writer that is dropped before
 //! [`LogWriter::finish`] takes its `.part` file with it; only a killed process leaves one behind.
 
 use std::borrow::Cow;
@@ -13,8 +13,10 @@ use std::path::{Path, PathBuf};
 use foxglove::messages::Log;
 use foxglove::messages::log::Level as FoxgloveLevel;
 use mcap::records::{MessageHeader, Metadata};
-use mcap::{Attachment, Compression, McapResult, WriteOptions};
+use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::messages::{self, Energy, Momentum, Orthogonality, Solver, State, timestamp};
 use super::scene::SceneGeometry;
@@ -26,8 +28,9 @@ use crate::solve::trajectory::{Sample, Sink};
 const LIBRARY: &str = concat!("vpd/", env!("CARGO_PKG_VERSION"));
 
 /// How chunks are compressed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum LogCompression {
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
     /// Smallest.
     #[default]
     Zstd,
@@ -45,7 +48,7 @@ pub struct LogHeader {
     /// What to write. Channels that need n = 3 are passed over for other n.
     pub channels: Vec<Channel>,
     /// How chunks are compressed.
-    pub compression: LogCompression,
+    pub compression: Compression,
     /// A chunk is closed, and so is safe from a kill, every so many samples; fewer where the chunk
     /// would outgrow [`MAX_CHUNK_BYTES`].
     pub samples_per_chunk: u64,
@@ -79,8 +82,8 @@ pub enum Level {
 
 /// Writes the log of one job in SO(`N`).
 ///
-/// Nothing is synced to the disk before `finish`; closed chunks are with the operating system, where
-/// they survive a kill of the process but not a power cut.
+/// Nothing is synced to the disk before `finish`; closed chunks are with the operating system,
+/// where they survive a kill of the process but not a power cut.
 pub struct LogWriter<const N: usize> {
     path: PathBuf,
     part: PathBuf,
@@ -106,9 +109,9 @@ impl<const N: usize> LogWriter<N> {
         let part = super::part_path(path);
         let file = File::create(&part).map_err(|source| LogError::io(path, "create", source))?;
         let compression = match header.compression {
-            LogCompression::Zstd => Some(Compression::Zstd),
-            LogCompression::Lz4 => Some(Compression::Lz4),
-            LogCompression::None => None,
+            Compression::Zstd => Some(mcap::Compression::Zstd),
+            Compression::Lz4 => Some(mcap::Compression::Lz4),
+            Compression::None => None,
         };
         let file = WriteOptions::new()
             .profile("")
@@ -131,10 +134,7 @@ impl<const N: usize> LogWriter<N> {
                 && (*channel != Channel::SceneSources || sources.is_some())
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
-        let sample_bytes: u64 = channels
-            .iter()
-            .map(|channel| channel.bytes_per_sample(N))
-            .sum();
+        let sample_bytes: u64 = channels.iter().map(|channel| channel.bytes_per_sample(N)).sum();
         let mut log = Self {
             path: path.to_owned(),
             part,
@@ -152,10 +152,7 @@ impl<const N: usize> LogWriter<N> {
         };
 
         let start = log.time(0.0)?;
-        let job = Metadata {
-            name: JOB_RECORD.to_owned(),
-            metadata: header.job,
-        };
+        let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job };
         log.attempt(|file| file.write_metadata(&job))?;
         log.attempt(|file| {
             file.attach(&Attachment {
@@ -174,7 +171,8 @@ impl<const N: usize> LogWriter<N> {
         Ok(log)
     }
 
-    /// Adds a line to `/log`, if that is written; its time is never before that of the last message.
+    /// Adds a line to `/log`, if that is written; its time is never before that of the last
+    /// message.
     ///
     /// # Errors
     /// If the file cannot be written, or the log cannot hold the time.
@@ -208,10 +206,7 @@ impl<const N: usize> LogWriter<N> {
         let mut metadata = outcome.entries;
         metadata.insert("state".to_owned(), outcome.state);
         metadata.insert("samples".to_owned(), self.samples.to_string());
-        let record = Metadata {
-            name: OUTCOME_RECORD.to_owned(),
-            metadata,
-        };
+        let record = Metadata { name: OUTCOME_RECORD.to_owned(), metadata };
         self.attempt(|file| file.write_metadata(&record))?;
         self.attempt(|file| file.finish().map(drop))?;
 
@@ -220,14 +215,10 @@ impl<const N: usize> LogWriter<N> {
             move |source| LogError::io(&path, action, source)
         };
         let Some(file) = self.file.take() else {
-            return Err(LogError::GivenUp {
-                path: self.path.clone(),
-            });
+            return Err(LogError::GivenUp { path: self.path.clone() });
         };
-        let file = file
-            .into_inner()
-            .into_inner()
-            .map_err(|error| storage("write")(error.into_error()))?;
+        let file =
+            file.into_inner().into_inner().map_err(|error| storage("write")(error.into_error()))?;
         file.sync_all().map_err(storage("sync"))?;
         fs::rename(&self.part, &self.path).map_err(storage("rename"))?;
         self.part = PathBuf::new();
@@ -236,9 +227,7 @@ impl<const N: usize> LogWriter<N> {
             Some(folder) if folder != Path::new("") => folder,
             _ => Path::new("."),
         };
-        File::open(folder)
-            .and_then(|folder| folder.sync_all())
-            .map_err(storage("sync"))
+        File::open(folder).and_then(|folder| folder.sync_all()).map_err(storage("sync"))
     }
 
     fn time(&self, time_s: f64) -> Result<u64, LogError> {
@@ -256,8 +245,8 @@ impl<const N: usize> LogWriter<N> {
         if !self.channels.contains(&channel) {
             return Ok(());
         }
-        // Only now, with a message at hand: channels without one leave an empty chunk that starts in
-        // 1970, and viewers with it.
+        // Only now, with a message at hand: channels without one leave an empty chunk that starts
+        // in 1970, and viewers with it.
         if self.ids.is_none() {
             self.register()?;
         }
@@ -307,9 +296,7 @@ impl<const N: usize> LogWriter<N> {
         let file = match &mut self.file {
             Some(file) if !self.given_up => file,
             _ => {
-                return Err(LogError::GivenUp {
-                    path: self.path.clone(),
-                });
+                return Err(LogError::GivenUp { path: self.path.clone() });
             }
         };
         action(file).map_err(|source| {
@@ -325,10 +312,7 @@ impl<const N: usize> Sink<N> for LogWriter<N> {
     fn record(&mut self, sample: &Sample<'_, N>) -> Result<(), LogError> {
         let time_ns = self.time(sample.time_s)?;
         if time_ns < self.last_ns {
-            return Err(LogError::Time {
-                time_s: sample.time_s,
-                epoch_ns: self.epoch_ns,
-            });
+            return Err(LogError::Time { time_s: sample.time_s, epoch_ns: self.epoch_ns });
         }
         if !finite(sample) {
             return Err(LogError::NotFinite { step: sample.step });
@@ -366,7 +350,8 @@ impl<const N: usize> Drop for LogWriter<N> {
         let removed = fs::remove_file(&self.part);
         self.file = None;
         if removed.is_err() {
-            // Systems that keep open files. If this fails too, the file has no outcome and is `.part`.
+            // Systems that keep open files. If this fails too, the file has no outcome and is
+            // `.part`.
             let _ = fs::remove_file(&self.part);
         }
     }
@@ -386,10 +371,5 @@ fn finite<const N: usize>(sample: &Sample<'_, N>) -> bool {
     ];
     let state = sample.state.attitude.iter().chain(&sample.state.momentum);
     let spatial = sample.spatial_momentum.iter().flatten();
-    scalars
-        .iter()
-        .flatten()
-        .chain(state)
-        .chain(spatial)
-        .all(|x| x.is_finite())
+    scalars.iter().flatten().chain(state).chain(spatial).all(|x| x.is_finite())
 }

@@ -50,9 +50,10 @@ fn three(v: &[f64]) -> [f64; 3] {
 fn inertia_box(kinetic: &ModelKinetic) -> ([f64; 3], [f64; 4]) {
     let (moments, axes) = match kinetic {
         // w_ij = 1 / J_k for the plane (i, j) about the axis k.
-        ModelKinetic::Principal { weights } => {
-            (Vector3::new(1.0 / weights[(1, 2)], 1.0 / weights[(0, 2)], 1.0 / weights[(0, 1)]), Matrix3::identity())
-        }
+        ModelKinetic::Principal { weights } => (
+            Vector3::new(1.0 / weights[(1, 2)], 1.0 / weights[(0, 2)], 1.0 / weights[(0, 1)]),
+            Matrix3::identity(),
+        ),
         ModelKinetic::Tensor { inertia } => {
             let eigen = inertia.symmetric_eigen();
             let mut axes = eigen.eigenvectors;

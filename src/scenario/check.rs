@@ -2,7 +2,9 @@
 
 use std::collections::HashSet;
 
-use super::{Attitude, ChannelName, Entry, Framed, Inertia, PotentialTerm, Scenario, ScenarioError, TableauChoice};
+use super::{
+    Attitude, Entry, Framed, Inertia, PotentialTerm, Scenario, ScenarioError, TableauChoice,
+};
 
 /// Largest n of SO(n) that the program is built for.
 pub(crate) const MAX_DIMENSION: usize = 16;
@@ -50,16 +52,24 @@ pub(super) fn check(scenario: &Scenario) -> Check {
 }
 
 fn text(pointer: &str, given: &str, most: usize, lines: bool) -> Check {
-    ensure(lines || !given.trim().is_empty(), pointer, || "is empty; at least one visible character is needed".into())?;
-    ensure(given.len() <= most, pointer, || format!("has {} bytes, at most {most} are allowed", given.len()))?;
+    ensure(lines || !given.trim().is_empty(), pointer, || {
+        "is empty; at least one visible character is needed".into()
+    })?;
+    ensure(given.len() <= most, pointer, || {
+        format!("has {} bytes, at most {most} are allowed", given.len())
+    })?;
     // Direction marks can make a name read as another.
     let forbidden = |c: char| {
-        (c.is_control() && !(lines && c == '\n')) || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+        (c.is_control() && !(lines && c == '\n'))
+            || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
     };
     match given.chars().find(|&c| forbidden(c)) {
         Some(c) => Err(ScenarioError::invalid(
             pointer,
-            format!("contains the character U+{:04X}; control characters and direction marks are not allowed", c as u32),
+            format!(
+                "contains the character U+{:04X}; control characters and direction marks are not allowed",
+                c as u32
+            ),
         )),
         None => Ok(()),
     }
@@ -67,11 +77,15 @@ fn text(pointer: &str, given: &str, most: usize, lines: bool) -> Check {
 
 fn number(pointer: &str, x: f64) -> Check {
     // JSON has no NaN; an infinite value cannot be written either.
-    ensure(x.abs() <= MAX_SIZE, pointer, || format!("{x:e} given, the size of a number is at most {MAX_SIZE:e}"))
+    ensure(x.abs() <= MAX_SIZE, pointer, || {
+        format!("{x:e} given, the size of a number is at most {MAX_SIZE:e}")
+    })
 }
 
 fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
-    ensure(given.len() == n, pointer, || format!("{} numbers given, n = {n} are needed", given.len()))?;
+    ensure(given.len() == n, pointer, || {
+        format!("{} numbers given, n = {n} are needed", given.len())
+    })?;
     given.iter().enumerate().try_for_each(|(i, &x)| number(&format!("{pointer}/{i}"), x))
 }
 
@@ -82,7 +96,9 @@ fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
 }
 
 fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
-    ensure(given.len() == n, pointer, || format!("{} rows given, n = {n} are needed", given.len()))?;
+    ensure(given.len() == n, pointer, || {
+        format!("{} rows given, n = {n} are needed", given.len())
+    })?;
     given.iter().enumerate().try_for_each(|(i, row)| vector(&format!("{pointer}/{i}"), row, n))
 }
 
@@ -123,7 +139,10 @@ fn inertia(given: &Inertia) -> Check {
                 for i in 0..j {
                     let sum = moments[i] + moments[j];
                     ensure(sum >= RANGE.0 && sum <= RANGE.1, format!("{pointer}/{j}"), || {
-                        format!("d_{i} + d_{j} = {sum:e}; the sum of any two lies from {:e} to {:e}", RANGE.0, RANGE.1)
+                        format!(
+                            "d_{i} + d_{j} = {sum:e}; the sum of any two lies from {:e} to {:e}",
+                            RANGE.0, RANGE.1
+                        )
                     })?;
                 }
             }
@@ -171,7 +190,9 @@ fn potential_term(pointer: &str, term: &PotentialTerm, n: usize) -> Check {
 fn initial(scenario: &Scenario, n: usize) -> Check {
     let initial = &scenario.scene.initial;
     let at = "/scene/initial";
-    let only_three = |pointer: String| ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"));
+    let only_three = |pointer: String| {
+        ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"))
+    };
     match &initial.attitude {
         None => {}
         Some(Attitude::Matrix(rows)) => matrix(&format!("{at}/attitude/matrix"), rows, n)?,
@@ -180,7 +201,9 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
             only_three(pointer.clone())?;
             vector(&pointer, q, 4)?;
             let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            ensure((norm - 1.0).abs() <= 0.01, pointer, || format!("has the norm {norm}, it must be within 1 % of 1"))?;
+            ensure((norm - 1.0).abs() <= 0.01, pointer, || {
+                format!("has the norm {norm}, it must be within 1 % of 1")
+            })?;
         }
         Some(Attitude::AxisAngle(turn)) => {
             let pointer = format!("{at}/attitude/axis_angle");
@@ -191,9 +214,11 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
             })?;
         }
     }
-    ensure(initial.momentum.is_none() || initial.angular_velocity.is_none(), format!("{at}/angular_velocity"), || {
-        "is given beside `momentum`; give one of the two".into()
-    })?;
+    ensure(
+        initial.momentum.is_none() || initial.angular_velocity.is_none(),
+        format!("{at}/angular_velocity"),
+        || "is given beside `momentum`; give one of the two".into(),
+    )?;
     if let Some(momentum) = &initial.momentum {
         framed(&format!("{at}/momentum"), momentum, n)?;
     }
@@ -210,11 +235,20 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
     };
     let pointer = format!("{pointer}/{frame}");
     let shape = |i: usize| {
-        let allowed = if n == 3 { "3 numbers or a skew 3 x 3 matrix".to_owned() } else { format!("a skew {n} x {n} matrix") };
-        ScenarioError::invalid(format!("{pointer}/{i}"), format!("numbers and rows are mixed; {allowed} is needed"))
+        let allowed = if n == 3 {
+            "3 numbers or a skew 3 x 3 matrix".to_owned()
+        } else {
+            format!("a skew {n} x {n} matrix")
+        };
+        ScenarioError::invalid(
+            format!("{pointer}/{i}"),
+            format!("numbers and rows are mixed; {allowed} is needed"),
+        )
     };
     if matches!(entries.first(), Some(Entry::Number(_))) {
-        ensure(n == 3, pointer.clone(), || format!("is a vector, which is for n = 3; n = {n} needs a skew {n} x {n} matrix"))?;
+        ensure(n == 3, pointer.clone(), || {
+            format!("is a vector, which is for n = 3; n = {n} needs a skew {n} x {n} matrix")
+        })?;
         let mut numbers = Vec::new();
         for (i, entry) in entries.iter().enumerate() {
             match entry {
@@ -238,16 +272,24 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
 fn method(scenario: &Scenario) -> Check {
     let solver = &scenario.method.solver;
     let (low, high) = TOLERANCE_RANGE;
-    ensure(solver.tolerance >= low && solver.tolerance <= high, "/method/solver/tolerance", || {
-        format!("{:e} given, it lies from {low:e} to {high:e}", solver.tolerance)
-    })?;
-    ensure((1..=MAX_ITERATIONS).contains(&solver.max_iterations), "/method/solver/max_iterations", || {
-        format!("{} given, it lies from 1 to {MAX_ITERATIONS}", solver.max_iterations)
-    })?;
+    ensure(
+        solver.tolerance >= low && solver.tolerance <= high,
+        "/method/solver/tolerance",
+        || format!("{:e} given, it lies from {low:e} to {high:e}", solver.tolerance),
+    )?;
+    ensure(
+        (1..=MAX_ITERATIONS).contains(&solver.max_iterations),
+        "/method/solver/max_iterations",
+        || format!("{} given, it lies from 1 to {MAX_ITERATIONS}", solver.max_iterations),
+    )?;
     if let TableauChoice::Custom(tableau) = &scenario.method.tableau {
         for (i, row) in tableau.a.iter().enumerate() {
             ensure(row.len() == tableau.a.len(), format!("/method/tableau/a/{i}"), || {
-                format!("{} numbers given in a row of a tableau of {} rows", row.len(), tableau.a.len())
+                format!(
+                    "{} numbers given in a row of a tableau of {} rows",
+                    row.len(),
+                    tableau.a.len()
+                )
             })?;
         }
     }
@@ -257,30 +299,49 @@ fn method(scenario: &Scenario) -> Check {
 fn duration(scenario: &Scenario) -> Check {
     let h = scenario.step_s;
     let (low, high) = STEP_RANGE_S;
-    ensure(h >= low && h <= high, "/step_s", || format!("{h:e} given, a step lies from {low:e} to {high:e} s"))?;
+    ensure(h >= low && h <= high, "/step_s", || {
+        format!("{h:e} given, a step lies from {low:e} to {high:e} s")
+    })?;
     let (pointer, duration_s) = match (scenario.steps, scenario.duration_s) {
         (Some(_), Some(_)) => {
-            return Err(ScenarioError::invalid("/duration_s", "is given beside `steps`; give one of the two"));
+            return Err(ScenarioError::invalid(
+                "/duration_s",
+                "is given beside `steps`; give one of the two",
+            ));
         }
-        (None, None) => return Err(ScenarioError::invalid("", "missing field `steps` (or `duration_s`)")),
+        (None, None) => {
+            return Err(ScenarioError::invalid("", "missing field `steps` (or `duration_s`)"));
+        }
         (Some(steps), None) => ("/steps", steps as f64 * h),
         (None, Some(duration_s)) => {
             ensure(duration_s > 0.0 && duration_s <= MAX_DURATION_S, "/duration_s", || {
-                format!("{duration_s:e} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s")
+                format!(
+                    "{duration_s:e} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s"
+                )
             })?;
             let count = duration_s / h;
             let whole = count.round();
-            ensure((count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0, "/duration_s", || {
-                let (below, above) = (count.floor() * h, count.ceil() * h);
-                format!("{duration_s} s is not a whole number of steps of {h} s; the nearest are {below} s and {above} s")
-            })?;
+            ensure(
+                (count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0,
+                "/duration_s",
+                || {
+                    let (below, above) = (count.floor() * h, count.ceil() * h);
+                    format!(
+                        "{duration_s} s is not a whole number of steps of {h} s; the nearest are {below} s and {above} s"
+                    )
+                },
+            )?;
             ("/duration_s", duration_s)
         }
     };
     let steps = scenario.step_count();
-    ensure((1..=MAX_STEPS).contains(&steps), pointer, || format!("{steps} steps, their number lies from 1 to {MAX_STEPS}"))?;
+    ensure((1..=MAX_STEPS).contains(&steps), pointer, || {
+        format!("{steps} steps, their number lies from 1 to {MAX_STEPS}")
+    })?;
     ensure(duration_s <= MAX_DURATION_S, pointer, || {
-        format!("{steps} steps of {h} s last {duration_s:e} s, at most {MAX_DURATION_S:e} s are allowed")
+        format!(
+            "{steps} steps of {h} s last {duration_s:e} s, at most {MAX_DURATION_S:e} s are allowed"
+        )
     })
 }
 
@@ -291,16 +352,23 @@ fn log(scenario: &Scenario, n: usize) -> Check {
     let steps = scenario.step_count();
     ensure(steps / every <= MAX_SAMPLES, "/log/every", || {
         let least = steps.div_ceil(MAX_SAMPLES);
-        format!("every {every} steps of {steps} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}")
+        format!(
+            "every {every} steps of {steps} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}"
+        )
     })?;
     if let Some(channels) = &log.channels {
-        ensure(!channels.is_empty(), "/log/channels", || "is empty; name at least one, or leave it out for all".into())?;
+        ensure(!channels.is_empty(), "/log/channels", || {
+            "is empty; name at least one, or leave it out for all".into()
+        })?;
         let mut seen = HashSet::new();
         for (i, &channel) in channels.iter().enumerate() {
             let pointer = format!("/log/channels/{i}");
-            ensure(seen.insert(channel as u8), pointer.clone(), || "names a channel that was named before".into())?;
-            let pictured = matches!(channel, ChannelName::Tf | ChannelName::SceneBody | ChannelName::SceneSources);
-            ensure(!pictured || n == 3, pointer, || format!("is for n = 3, this body has n = {n}"))?;
+            ensure(seen.insert(channel), pointer.clone(), || {
+                "names a channel that was named before".into()
+            })?;
+            ensure(!channel.needs_three() || n == 3, pointer, || {
+                format!("is for n = 3, this body has n = {n}")
+            })?;
         }
     }
     epoch_ns(&log.epoch.0).map(|_| ())
@@ -310,7 +378,8 @@ fn log(scenario: &Scenario, n: usize) -> Check {
 pub(super) fn epoch_ns(text: &str) -> Result<u64, ScenarioError> {
     let wrong = |message: String| ScenarioError::invalid("/log/epoch", message);
     let allowed = "a moment like 2026-01-01T00:00:00Z, in the years 1990 to 2099, is needed";
-    let moment = chrono::DateTime::parse_from_rfc3339(text).map_err(|error| wrong(format!("{error}; {allowed}")))?;
+    let moment = chrono::DateTime::parse_from_rfc3339(text)
+        .map_err(|error| wrong(format!("{error}; {allowed}")))?;
     let ns = moment.timestamp_nanos_opt().and_then(|ns| u64::try_from(ns).ok());
     // Viewers take these years for calendar time; others for seconds since the start.
     let range = 631_152_000_000_000_000..4_102_444_800_000_000_000;
@@ -326,11 +395,15 @@ fn expect(scenario: &Scenario, n: usize) -> Check {
         ("final_attitude_error_max", expect.final_attitude_error_max),
     ];
     for (name, bound) in bounds {
-        ensure(bound.is_none_or(|x| x >= 0.0), format!("/expect/{name}"), || "is negative; a bound is at least 0".into())?;
+        ensure(bound.is_none_or(|x| x >= 0.0), format!("/expect/{name}"), || {
+            "is negative; a bound is at least 0".into()
+        })?;
     }
-    ensure(expect.final_attitude.is_some() == expect.final_attitude_error_max.is_some(), "/expect", || {
-        "`final_attitude` and `final_attitude_error_max` go together".into()
-    })?;
+    ensure(
+        expect.final_attitude.is_some() == expect.final_attitude_error_max.is_some(),
+        "/expect",
+        || "`final_attitude` and `final_attitude_error_max` go together".into(),
+    )?;
     match &expect.final_attitude {
         Some(rows) => matrix("/expect/final_attitude", rows, n),
         None => Ok(()),

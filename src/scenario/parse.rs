@@ -6,15 +6,15 @@
 
 use std::fmt;
 
+use serde::Deserialize;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{self, DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
-use serde::Deserialize;
 use serde_json::{Map, Value};
 use serde_path_to_error::{Path, Segment};
 
 use super::{
-    Coefficients, Entry, GravityGradient, PointSource, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind,
-    Spring, TableauChoice, TableauName, Uniform,
+    Coefficients, Entry, GravityGradient, PointSource, PotentialTerm, Scenario, ScenarioError,
+    ScenarioErrorKind, Spring, TableauChoice, TableauName, Uniform,
 };
 
 /// Reads a scenario from JSON text.
@@ -38,7 +38,8 @@ fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
         let no_number = ["expected value", "number out of range", "invalid number"];
         let at_value = no_number.iter().any(|start| message.starts_with(start));
         let wrong_value = inner.is_data() || (at_value && error.path().iter().next().is_some());
-        let kind = if wrong_value { ScenarioErrorKind::Invalid } else { ScenarioErrorKind::Malformed };
+        let kind =
+            if wrong_value { ScenarioErrorKind::Invalid } else { ScenarioErrorKind::Malformed };
         ScenarioError { kind, pointer: pointer(error.path()), message }
     })?;
     reader.end().map_err(|error| ScenarioError {
@@ -139,7 +140,8 @@ impl<'de> Visitor<'de> for TreeVisitor {
     fn visit_map<A: MapAccess<'de>>(self, mut access: A) -> Result<Value, A::Error> {
         let mut map = Map::new();
         while let Some(key) = access.next_key::<String>()? {
-            let value = access.next_value_seed(Unique { taken: map.contains_key(&key), key: &key })?;
+            let value =
+                access.next_value_seed(Unique { taken: map.contains_key(&key), key: &key })?;
             if key == "kind" {
                 map.shift_insert(0, key, value);
             } else {
@@ -203,7 +205,9 @@ impl<'de> Visitor<'de> for TermVisitor {
             Kind::Uniform => PotentialTerm::Uniform(Uniform::deserialize(fields)?),
             Kind::PointSource => PotentialTerm::PointSource(PointSource::deserialize(fields)?),
             Kind::Spring => PotentialTerm::Spring(Spring::deserialize(fields)?),
-            Kind::GravityGradient => PotentialTerm::GravityGradient(GravityGradient::deserialize(fields)?),
+            Kind::GravityGradient => {
+                PotentialTerm::GravityGradient(GravityGradient::deserialize(fields)?)
+            }
         })
     }
 }

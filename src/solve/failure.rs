@@ -47,14 +47,30 @@ impl FailureCode {
     /// The common reason, for a person.
     pub fn cause(self) -> &'static str {
         match self {
-            Self::MaxIterations => "the implicit equations of the step converge too slowly: the step is large for how fast the body turns",
-            Self::Diverged => "the implicit equations of the step diverge: the step is too large for how fast the body turns",
-            Self::Stalled => "the implicit equations of the step stopped converging above round-off: values of very different size meet in the scene",
-            Self::LeftGlPlus => "the body turns so far within the step that the interpolated matrix is singular or reversed",
-            Self::IllConditioned => "the body turns so far within the step that the interpolated matrix is nearly singular",
-            Self::BranchJump => "the body turns by a quarter or more between neighbouring nodes of the step: the attitude may have flipped to another branch",
-            Self::LyapunovSingular => "a Lyapunov equation of the step is singular: the body turns by half a turn or more within it",
-            Self::PotentialSingularity => "a body point came too close to a point of the potential for the force to mean anything",
+            Self::MaxIterations => {
+                "the implicit equations of the step converge too slowly: the step is large for how fast the body turns"
+            }
+            Self::Diverged => {
+                "the implicit equations of the step diverge: the step is too large for how fast the body turns"
+            }
+            Self::Stalled => {
+                "the implicit equations of the step stopped converging above round-off: values of very different size meet in the scene"
+            }
+            Self::LeftGlPlus => {
+                "the body turns so far within the step that the interpolated matrix is singular or reversed"
+            }
+            Self::IllConditioned => {
+                "the body turns so far within the step that the interpolated matrix is nearly singular"
+            }
+            Self::BranchJump => {
+                "the body turns by a quarter or more between neighbouring nodes of the step: the attitude may have flipped to another branch"
+            }
+            Self::LyapunovSingular => {
+                "a Lyapunov equation of the step is singular: the body turns by half a turn or more within it"
+            }
+            Self::PotentialSingularity => {
+                "a body point came too close to a point of the potential for the force to mean anything"
+            }
             Self::NonFinite => "a value of the step is infinite or not a number",
         }
     }
@@ -102,7 +118,9 @@ impl Failure {
     /// the step. Rounded down to two digits. `None` where no step helps.
     pub fn advised_step(&self, h: f64) -> Option<f64> {
         let factor = match self.code {
-            FailureCode::PotentialSingularity | FailureCode::NonFinite | FailureCode::Stalled => return None,
+            FailureCode::PotentialSingularity | FailureCode::NonFinite | FailureCode::Stalled => {
+                return None;
+            }
             _ => match self.contraction() {
                 Some(rho) if rho.is_finite() && rho > 0.3 => (0.3 / rho).clamp(0.01, 0.5),
                 _ => 0.5,

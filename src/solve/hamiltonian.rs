@@ -106,7 +106,10 @@ impl<const N: usize> RigidBody<N> {
     /// # Panics
     /// If `kinetic` is a tensor and n is not 3.
     pub fn new(kinetic: Kinetic<N>, terms: Vec<Term<N>>, constant: f64) -> Self {
-        assert!(N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }), "an inertia tensor is for n = 3");
+        assert!(
+            N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }),
+            "an inertia tensor is for n = 3"
+        );
         Self { kinetic, terms, constant }
     }
 
@@ -177,11 +180,8 @@ impl<const N: usize> RigidBody<N> {
         let mu = &state.momentum;
         // T = <mu, Omega> / 2
         let kinetic = 0.5 * super::so::inner(mu, &self.velocity(mu));
-        let terms: f64 = self
-            .terms
-            .iter()
-            .map(|term| term.law.value(&state.attitude.tr_mul(&term.space)))
-            .sum();
+        let terms: f64 =
+            self.terms.iter().map(|term| term.law.value(&state.attitude.tr_mul(&term.space))).sum();
         Energy { kinetic, potential: terms + self.constant }
     }
 
@@ -233,7 +233,8 @@ impl<const N: usize> Law<N> {
             }
             Self::Spring { stiffness, rest_length, body_point } => {
                 // -stiffness (1 - rest_length / r) (y - q)
-                let ratio = if *rest_length == 0.0 { 0.0 } else { rest_length / (body_point - q).norm() };
+                let ratio =
+                    if *rest_length == 0.0 { 0.0 } else { rest_length / (body_point - q).norm() };
                 body_point * (-stiffness * (1.0 - ratio))
             }
             Self::GravityGradient { strength, matrix } => matrix * q * *strength,
@@ -243,7 +244,9 @@ impl<const N: usize> Law<N> {
     /// `|y - q|` relative to the arms where the law is singular at zero distance.
     fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
         match self {
-            Self::PointSource { body_point, .. } => Some((body_point - q).norm() / (body_point.norm() + q.norm())),
+            Self::PointSource { body_point, .. } => {
+                Some((body_point - q).norm() / (body_point.norm() + q.norm()))
+            }
             Self::Spring { rest_length, body_point, .. } if *rest_length > 0.0 => {
                 Some((body_point - q).norm() / (body_point.norm() + q.norm()))
             }

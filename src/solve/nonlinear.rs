@@ -85,7 +85,8 @@ pub fn fixed_point(
         grown = if increment >= previous { grown + 1 } else { 0 };
         // One increment that does not fall may be the wobble of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
-        let at_floor = (grown == 1 && increment <= ROUND_OFF) || (grown == 2 && increment <= ROUND_OFF_FLOOR);
+        let at_floor =
+            (grown == 1 && increment <= ROUND_OFF) || (grown == 2 && increment <= ROUND_OFF_FLOOR);
         if increment <= rule.tolerance || at_floor {
             return Ok(Convergence { iterations: iteration, increment, rung: Rung::FixedPoint });
         }

@@ -51,9 +51,7 @@ pub fn hat<const N: usize>(coordinates: &[f64]) -> Mat<N> {
 
 /// The n(n-1)/2 coordinates of a skew matrix: the inverse of [`hat`].
 pub fn vee<const N: usize>(x: &Mat<N>) -> Vec<f64> {
-    coordinate_places::<N>()
-        .map(|(i, j, sign)| sign * x[(i, j)])
-        .collect()
+    coordinate_places::<N>().map(|(i, j, sign)| sign * x[(i, j)]).collect()
 }
 
 /// Where each coordinate of so(n) stands: row, column, sign.
@@ -133,11 +131,7 @@ pub fn polar_tangent<const N: usize>(u: &Mat<N>, p: &Mat<N>, da: &Mat<N>) -> Opt
 /// `tr(polar_tangent_adjoint(S) B^T) = <S, polar_tangent(B)>`.
 ///
 /// `None` where the Lyapunov operator is singular.
-pub fn polar_tangent_adjoint<const N: usize>(
-    u: &Mat<N>,
-    p: &Mat<N>,
-    s: &Mat<N>,
-) -> Option<Mat<N>> {
+pub fn polar_tangent_adjoint<const N: usize>(u: &Mat<N>, p: &Mat<N>, s: &Mat<N>) -> Option<Mat<N>> {
     lyapunov(p, s, &Mat::zeros()).map(|x| u * x)
 }
 
@@ -194,11 +188,8 @@ fn lyapunov_vector<const N: usize>(m: &Mat<N>, c: &Mat<N>) -> Option<Mat<N>> {
     }
     let rhs = Vector3::new(c[(2, 1)], c[(0, 2)], c[(1, 0)]);
     let scale = 1.0 / det;
-    let x = [
-        c0.dot(&rhs) * scale,
-        r2.cross(&r0).dot(&rhs) * scale,
-        r0.cross(&r1).dot(&rhs) * scale,
-    ];
+    let x =
+        [c0.dot(&rhs) * scale, r2.cross(&r0).dot(&rhs) * scale, r0.cross(&r1).dot(&rhs) * scale];
     let mut skew = Mat::<N>::zeros();
     for (value, (i, j)) in x.into_iter().zip([(2, 1), (0, 2), (1, 0)]) {
         skew[(i, j)] = value;
@@ -248,19 +239,14 @@ fn lyapunov_gradient<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> 
 
 /// The smallest eigenvalue of a symmetric matrix. Allocates: for guards and samples, not for sweeps.
 pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
-    DMatrix::from_column_slice(N, N, p.as_slice())
-        .symmetric_eigenvalues()
-        .min()
+    DMatrix::from_column_slice(N, N, p.as_slice()).symmetric_eigenvalues().min()
 }
 
 /// A cheap lower bound of the smallest eigenvalue of a symmetric matrix (Gershgorin's discs).
 pub fn smallest_eigenvalue_bound<const N: usize>(p: &Mat<N>) -> f64 {
     (0..N)
         .map(|i| {
-            let off: f64 = (0..N)
-                .filter(|&j| j != i)
-                .map(|j| p[(i, j)].abs())
-                .sum();
+            let off: f64 = (0..N).filter(|&j| j != i).map(|j| p[(i, j)].abs()).sum();
             p[(i, i)] - off
         })
         .fold(f64::INFINITY, f64::min)
@@ -269,9 +255,7 @@ pub fn smallest_eigenvalue_bound<const N: usize>(p: &Mat<N>) -> f64 {
 /// How far `g` is from the group: the spectral norm of `g g^T - I`.
 pub fn orthogonality_error<const N: usize>(g: &Mat<N>) -> f64 {
     let defect = g * g.transpose() - Mat::<N>::identity();
-    DMatrix::from_column_slice(N, N, defect.as_slice())
-        .symmetric_eigenvalues()
-        .amax()
+    DMatrix::from_column_slice(N, N, defect.as_slice()).symmetric_eigenvalues().amax()
 }
 
 /// The nearest rotation to a matrix that is already orthogonal to about 1e-8: one step of

@@ -19,7 +19,9 @@ pub struct Tableau {
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum TableauError {
     /// `a` is not square of the size of `b`, or empty, or larger than [`MAX_STAGES`].
-    #[error("a must be {stages} rows of {stages} numbers for {stages} weights (1 to {MAX_STAGES} stages)")]
+    #[error(
+        "a must be {stages} rows of {stages} numbers for {stages} weights (1 to {MAX_STAGES} stages)"
+    )]
     Shape {
         /// Number of weights.
         stages: usize,
@@ -28,7 +30,9 @@ pub enum TableauError {
     #[error("every coefficient must be a finite number of size at most {MAX_COEFFICIENT}")]
     Size,
     /// A weight is zero: the stage momentum divides by it.
-    #[error("b[{stage}] = {weight:e}: every weight must be at least {MIN_WEIGHT:e} in size, the stage momentum divides by it")]
+    #[error(
+        "b[{stage}] = {weight:e}: every weight must be at least {MIN_WEIGHT:e} in size, the stage momentum divides by it"
+    )]
     ZeroWeight {
         /// Index of the weight.
         stage: usize,
@@ -198,12 +202,21 @@ impl Tableau {
     /// (Hairer, Lubich, Wanner, Geometric Numerical Integration, III.2).
     fn tree_order(&self) -> u32 {
         let s = self.stages();
-        let matrices = [self.a.clone(), (0..s).map(|i| (0..s).map(|j| self.partner(i, j)).collect()).collect()];
+        let matrices = [
+            self.a.clone(),
+            (0..s).map(|i| (0..s).map(|j| self.partner(i, j)).collect()).collect(),
+        ];
         // A branch: a tree hung below an edge of one colour, its weight at each stage, 1 / gamma, size.
         let mut branches: Vec<Tree> = Vec::new();
         for order in 1..=MAX_TREE_ORDER {
             let mut grown = Vec::new();
-            graft(&branches, 0, Tree { weight: vec![1.0; s], density: 1.0, size: 1 }, order, &mut grown);
+            graft(
+                &branches,
+                0,
+                Tree { weight: vec![1.0; s], density: 1.0, size: 1 },
+                order,
+                &mut grown,
+            );
             for tree in &mut grown {
                 tree.density *= f64::from(order);
                 let sum: f64 = (0..s).map(|i| self.b[i] * tree.weight[i]).sum();
@@ -213,7 +226,8 @@ impl Tableau {
             }
             for tree in grown {
                 for matrix in &matrices {
-                    let below = |row: &Vec<f64>| row.iter().zip(&tree.weight).map(|(a, w)| a * w).sum();
+                    let below =
+                        |row: &Vec<f64>| row.iter().zip(&tree.weight).map(|(a, w)| a * w).sum();
                     let weight = matrix.iter().map(below).collect();
                     branches.push(Tree { weight, density: tree.density, size: tree.size });
                 }
@@ -242,11 +256,8 @@ fn graft(branches: &[Tree], first: usize, root: Tree, size: u32, grown: &mut Vec
             break;
         }
         let weight = root.weight.iter().zip(&branch.weight).map(|(r, b)| r * b).collect();
-        let joined = Tree {
-            weight,
-            density: root.density * branch.density,
-            size: root.size + branch.size,
-        };
+        let joined =
+            Tree { weight, density: root.density * branch.density, size: root.size + branch.size };
         graft(branches, index, joined, size, grown);
     }
 }
@@ -346,6 +357,9 @@ mod tests {
         assert!(matches!(one(vec![1.0, 0.0]), Err(TableauError::ZeroWeight { stage: 1, .. })));
         assert!(matches!(one(vec![0.4, 0.4]), Err(TableauError::Inconsistent { .. })));
         assert!(matches!(one(vec![f64::NAN]), Err(TableauError::Size)));
-        assert!(matches!(Tableau::new(vec![vec![0.0]], vec![0.5, 0.5]), Err(TableauError::Shape { stages: 2 })));
+        assert!(matches!(
+            Tableau::new(vec![vec![0.0]], vec![0.5, 0.5]),
+            Err(TableauError::Shape { stages: 2 })
+        ));
     }
 }

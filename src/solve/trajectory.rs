@@ -121,7 +121,13 @@ pub fn integrate<const N: usize, S: Sink<N>>(
     sink: &mut S,
     mut go_on: impl FnMut(u64) -> bool,
 ) -> Result<Trajectory<N>, S::Error> {
-    let mut run = Trajectory { ending: Ending::Completed, steps: 0, samples: 0, state: initial, iterations: 0 };
+    let mut run = Trajectory {
+        ending: Ending::Completed,
+        steps: 0,
+        samples: 0,
+        state: initial,
+        iterations: 0,
+    };
     let observer = Observer::new(body, &run.state, observables);
     match observer.sample(body, 0, 0.0, &run.state, None, None) {
         Ok(first) => sink.record(&first)?,

@@ -57,7 +57,8 @@ fn without(mut base: Value, pointer: &str) -> String {
 #[allow(clippy::too_many_lines)]
 pub(crate) fn table() -> Vec<Bad> {
     let mut table = Vec::new();
-    let mut add = |text: String, pointer: &str| table.push(Bad { text, pointer: pointer.to_owned() });
+    let mut add =
+        |text: String, pointer: &str| table.push(Bad { text, pointer: pointer.to_owned() });
 
     // Wrong type: every field against every type it is not.
     let numbers = [
@@ -104,81 +105,208 @@ pub(crate) fn table() -> Vec<Bad> {
             add(with(full(), pointer, raw), pointer);
         }
     }
-    for pointer in ["/scene", "/method", "/log", "/expect", "/scene/initial", "/scene/potential/0", "/method/solver"] {
+    for pointer in [
+        "/scene",
+        "/method",
+        "/log",
+        "/expect",
+        "/scene/initial",
+        "/scene/potential/0",
+        "/method/solver",
+    ] {
         for raw in ["1", "\"text\"", "true"] {
             add(with(full(), pointer, raw), pointer);
         }
     }
-    for pointer in ["/name", "/description", "/method/name", "/log/compression", "/log/epoch", "/log/channels/0"] {
+    for pointer in [
+        "/name",
+        "/description",
+        "/method/name",
+        "/log/compression",
+        "/log/epoch",
+        "/log/channels/0",
+    ] {
         for raw in ["1", "[]", "{}", "null"] {
             add(with(full(), pointer, raw), pointer);
         }
     }
 
     // Missing fields are named by their object, unknown and duplicate keys by themselves.
-    for pointer in ["/name", "/scene", "/step_s", "/scene/inertia", "/scene/potential/0/weight", "/scene/potential/0/body_point", "/scene/potential/1/position", "/scene/potential/2/stiffness", "/scene/potential/3/direction", "/scene/potential/0/kind"] {
+    for pointer in [
+        "/name",
+        "/scene",
+        "/step_s",
+        "/scene/inertia",
+        "/scene/potential/0/weight",
+        "/scene/potential/0/body_point",
+        "/scene/potential/1/position",
+        "/scene/potential/2/stiffness",
+        "/scene/potential/3/direction",
+        "/scene/potential/0/kind",
+    ] {
         add(without(full(), pointer), pointer.rsplit_once('/').expect("a pointer").0);
     }
-    for parent in ["", "/scene", "/scene/initial", "/scene/potential/0", "/scene/potential/3", "/method", "/method/solver", "/log", "/expect"] {
+    for parent in [
+        "",
+        "/scene",
+        "/scene/initial",
+        "/scene/potential/0",
+        "/scene/potential/3",
+        "/method",
+        "/method/solver",
+        "/log",
+        "/expect",
+    ] {
         for key in ["stepsize", "Name", "weigth"] {
             let pointer = format!("{parent}/{key}");
             add(with(full(), &pointer, "1"), &pointer);
         }
     }
-    for (pointer, key) in [("/step_s", "step_s"), ("/name", "name"), ("/scene/inertia", "inertia"), ("/scene/potential/0/weight", "weight"), ("/scene/potential/0/kind", "kind"), ("/log/every", "every"), ("/method/tableau", "tableau")] {
+    for (pointer, key) in [
+        ("/step_s", "step_s"),
+        ("/name", "name"),
+        ("/scene/inertia", "inertia"),
+        ("/scene/potential/0/weight", "weight"),
+        ("/scene/potential/0/kind", "kind"),
+        ("/log/every", "every"),
+        ("/method/tableau", "tableau"),
+    ] {
         add(with(full(), pointer, &format!("1,\"{key}\":1")), pointer);
     }
 
     // Dimensions that do not fit.
-    add(with(full(), "/scene/inertia", r#"{"second_moments":[1,2,3,4]}"#), "/scene/potential/0/body_point");
-    add(with(full(), "/scene/inertia", r#"{"second_moments":[1,2]}"#), "/scene/potential/0/body_point");
-    add(with(full(), "/scene/inertia", r#"{"second_moments":[1]}"#), "/scene/inertia/second_moments");
-    add(with(full(), "/scene/inertia", r#"{"second_moments":[]}"#), "/scene/inertia/second_moments");
+    add(
+        with(full(), "/scene/inertia", r#"{"second_moments":[1,2,3,4]}"#),
+        "/scene/potential/0/body_point",
+    );
+    add(
+        with(full(), "/scene/inertia", r#"{"second_moments":[1,2]}"#),
+        "/scene/potential/0/body_point",
+    );
+    add(
+        with(full(), "/scene/inertia", r#"{"second_moments":[1]}"#),
+        "/scene/inertia/second_moments",
+    );
+    add(
+        with(full(), "/scene/inertia", r#"{"second_moments":[]}"#),
+        "/scene/inertia/second_moments",
+    );
     add(with(full(), "/scene/inertia", "{}"), "/scene/inertia");
     add(with(full(), "/scene/inertia", r#"{"principal":[1,1,1],"matrix":[]}"#), "/scene/inertia");
     add(with(full(), "/scene/inertia", r#"{"moments":[1,1,1]}"#), "/scene/inertia");
-    add(with(full(), "/scene/inertia", &format!("{{\"second_moments\":{:?}}}", vec![1.0; 17])), "/scene/inertia/second_moments");
+    add(
+        with(full(), "/scene/inertia", &format!("{{\"second_moments\":{:?}}}", vec![1.0; 17])),
+        "/scene/inertia/second_moments",
+    );
     for raw in ["[1,2]", "[1,2,3,4]", "[]"] {
-        for pointer in ["/scene/potential/0/body_point", "/scene/potential/1/position", "/scene/potential/2/body_point", "/scene/potential/3/direction", "/scene/initial/momentum/body", "/scene/inertia/principal"] {
+        for pointer in [
+            "/scene/potential/0/body_point",
+            "/scene/potential/1/position",
+            "/scene/potential/2/body_point",
+            "/scene/potential/3/direction",
+            "/scene/initial/momentum/body",
+            "/scene/inertia/principal",
+        ] {
             add(with(full(), pointer, raw), pointer);
         }
     }
-    add(with(full(), "/scene/potential/3/matrix", "[[1,0,0],[0,1,0]]"), "/scene/potential/3/matrix");
+    add(
+        with(full(), "/scene/potential/3/matrix", "[[1,0,0],[0,1,0]]"),
+        "/scene/potential/3/matrix",
+    );
     add(with(full(), "/scene/potential/3/matrix/1", "[1,0]"), "/scene/potential/3/matrix/1");
     add(with(full(), "/scene/potential/3/matrix/1/0", "0.5"), "/scene/potential/3/matrix/1/0");
-    add(with(full(), "/scene/initial/attitude/matrix/2", "[0,1]"), "/scene/initial/attitude/matrix/2");
-    add(with(so4(), "/scene/initial", r#"{"attitude":{"quaternion":[1,0,0,0]}}"#), "/scene/initial/attitude/quaternion");
-    add(with(so4(), "/scene/initial", r#"{"attitude":{"axis_angle":{"axis":[1,0,0],"angle_rad":1}}}"#), "/scene/initial/attitude/axis_angle");
-    add(with(so4(), "/scene/initial", r#"{"attitude":{"matrix":[[1,0,0],[0,1,0],[0,0,1]]}}"#), "/scene/initial/attitude/matrix");
-    add(with(so4(), "/scene/initial", r#"{"momentum":{"body":[0,0,1]}}"#), "/scene/initial/momentum/body");
-    add(with(so4(), "/scene/initial", r#"{"momentum":{"space":[[0,1],[-1,0]]}}"#), "/scene/initial/momentum/space");
+    add(
+        with(full(), "/scene/initial/attitude/matrix/2", "[0,1]"),
+        "/scene/initial/attitude/matrix/2",
+    );
+    add(
+        with(so4(), "/scene/initial", r#"{"attitude":{"quaternion":[1,0,0,0]}}"#),
+        "/scene/initial/attitude/quaternion",
+    );
+    add(
+        with(
+            so4(),
+            "/scene/initial",
+            r#"{"attitude":{"axis_angle":{"axis":[1,0,0],"angle_rad":1}}}"#,
+        ),
+        "/scene/initial/attitude/axis_angle",
+    );
+    add(
+        with(so4(), "/scene/initial", r#"{"attitude":{"matrix":[[1,0,0],[0,1,0],[0,0,1]]}}"#),
+        "/scene/initial/attitude/matrix",
+    );
+    add(
+        with(so4(), "/scene/initial", r#"{"momentum":{"body":[0,0,1]}}"#),
+        "/scene/initial/momentum/body",
+    );
+    add(
+        with(so4(), "/scene/initial", r#"{"momentum":{"space":[[0,1],[-1,0]]}}"#),
+        "/scene/initial/momentum/space",
+    );
     for channel in ["/tf", "/scene/body", "/scene/sources"] {
-        add(with(so4(), "/log", &format!("{{\"channels\":[\"/state\",\"{channel}\"]}}")), "/log/channels/1");
+        add(
+            with(so4(), "/log", &format!("{{\"channels\":[\"/state\",\"{channel}\"]}}")),
+            "/log/channels/1",
+        );
     }
 
     // Inertia that is none.
     for raw in ["0", "-1", "1e-400", "1e-13", "1e13", "-0.0"] {
         add(with(full(), "/scene/inertia/principal/2", raw), "/scene/inertia/principal/2");
     }
-    for raw in ["[[1,0,0],[0,1,0],[0,0,0]]", "[[1,2,0],[2,1,0],[0,0,1]]", "[[-1,0,0],[0,1,0],[0,0,1]]"] {
-        add(with(full(), "/scene/inertia", &format!("{{\"matrix\":{raw}}}")), "/scene/inertia/matrix");
+    for raw in
+        ["[[1,0,0],[0,1,0],[0,0,0]]", "[[1,2,0],[2,1,0],[0,0,1]]", "[[-1,0,0],[0,1,0],[0,0,1]]"]
+    {
+        add(
+            with(full(), "/scene/inertia", &format!("{{\"matrix\":{raw}}}")),
+            "/scene/inertia/matrix",
+        );
     }
-    add(with(full(), "/scene/inertia", r#"{"matrix":[[1,0,0.1],[0,1,0],[0,0,1]]}"#), "/scene/inertia/matrix/2/0");
+    add(
+        with(full(), "/scene/inertia", r#"{"matrix":[[1,0,0.1],[0,1,0],[0,0,1]]}"#),
+        "/scene/inertia/matrix/2/0",
+    );
     add(with(so4(), "/scene/inertia/second_moments/0", "-2"), "/scene/inertia/second_moments/1");
     add(with(so4(), "/scene/inertia/second_moments/3", "-1"), "/scene/inertia/second_moments/3");
 
     // Attitude and momentum that are none.
     let attitude = "/scene/initial/attitude";
-    for raw in ["[[1,0,0],[0,0,-1],[0,1.001,0]]", "[[1,0,0],[0,1,0],[0,0,1.0001]]", "[[0,0,0],[0,0,0],[0,0,0]]", "[[1,0,0],[0,1,0],[0,0,-1]]", "[[2,0,0],[0,0.5,0],[0,0,1]]", "[[1,0,0.000001],[0,1,0],[0,0,1]]"] {
-        add(with(full(), attitude, &format!("{{\"matrix\":{raw}}}")), "/scene/initial/attitude/matrix");
+    for raw in [
+        "[[1,0,0],[0,0,-1],[0,1.001,0]]",
+        "[[1,0,0],[0,1,0],[0,0,1.0001]]",
+        "[[0,0,0],[0,0,0],[0,0,0]]",
+        "[[1,0,0],[0,1,0],[0,0,-1]]",
+        "[[2,0,0],[0,0.5,0],[0,0,1]]",
+        "[[1,0,0.000001],[0,1,0],[0,0,1]]",
+    ] {
+        add(
+            with(full(), attitude, &format!("{{\"matrix\":{raw}}}")),
+            "/scene/initial/attitude/matrix",
+        );
     }
     for raw in ["[0,0,0,0]", "[2,0,0,0]", "[1,0,0]", "[0.9,0,0,0]", "[1,0,0,0,0]"] {
-        add(with(full(), attitude, &format!("{{\"quaternion\":{raw}}}")), "/scene/initial/attitude/quaternion");
+        add(
+            with(full(), attitude, &format!("{{\"quaternion\":{raw}}}")),
+            "/scene/initial/attitude/quaternion",
+        );
     }
-    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,0],"angle_rad":1}}"#), "/scene/initial/attitude/axis_angle/axis");
-    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1],"angle_rad":1e9}}"#), "/scene/initial/attitude/axis_angle/angle_rad");
-    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1]}}"#), "/scene/initial/attitude/axis_angle");
-    add(with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1],"angle_deg":90}}"#), "/scene/initial/attitude/axis_angle/angle_deg");
+    add(
+        with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,0],"angle_rad":1}}"#),
+        "/scene/initial/attitude/axis_angle/axis",
+    );
+    add(
+        with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1],"angle_rad":1e9}}"#),
+        "/scene/initial/attitude/axis_angle/angle_rad",
+    );
+    add(
+        with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1]}}"#),
+        "/scene/initial/attitude/axis_angle",
+    );
+    add(
+        with(full(), attitude, r#"{"axis_angle":{"axis":[0,0,1],"angle_deg":90}}"#),
+        "/scene/initial/attitude/axis_angle/angle_deg",
+    );
     add(with(full(), attitude, r#"{"euler":[0,0,1]}"#), "/scene/initial/attitude");
     add(with(full(), attitude, "\"identity\""), "/scene/initial/attitude");
     let momentum = "/scene/initial/momentum";
@@ -186,26 +314,51 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(full(), momentum, "[0,0,1]"), momentum);
     add(with(full(), momentum, r#"{"body":[0,[0],1]}"#), "/scene/initial/momentum/body/1");
     add(with(full(), momentum, r#"{"body":[[0,1,0],1,0]}"#), "/scene/initial/momentum/body/1");
-    add(with(full(), momentum, r#"{"body":[[0,1,0],[1,0,0],[0,0,0]]}"#), "/scene/initial/momentum/body/1/0");
-    add(with(full(), momentum, r#"{"space":[[0.1,0,0],[0,0,0],[0,0,0]]}"#), "/scene/initial/momentum/space/0/0");
+    add(
+        with(full(), momentum, r#"{"body":[[0,1,0],[1,0,0],[0,0,0]]}"#),
+        "/scene/initial/momentum/body/1/0",
+    );
+    add(
+        with(full(), momentum, r#"{"space":[[0.1,0,0],[0,0,0],[0,0,0]]}"#),
+        "/scene/initial/momentum/space/0/0",
+    );
     add(with(full(), momentum, r#"{"body":[0,0,1e16]}"#), "/scene/initial/momentum/body/2");
-    add(with(full(), "/scene/initial/angular_velocity", r#"{"body":[0,0,1]}"#), "/scene/initial/angular_velocity");
+    add(
+        with(full(), "/scene/initial/angular_velocity", r#"{"body":[0,0,1]}"#),
+        "/scene/initial/angular_velocity",
+    );
 
     // A body point on a source at the start; a length below zero; directions without a length.
     add(with(full(), "/scene/potential/1/position", "[0,1,0.1]"), "/scene/potential/1/body_point");
     add(with(full(), "/scene/potential/2/position", "[1,0,0]"), "/scene/potential/2/body_point");
-    add(with(full(), "/scene/potential/1", r#"{"kind":"point_source","strength":1,"body_point":[0,0,0],"position":[0,0,0]}"#), "/scene/potential/1/body_point");
+    add(
+        with(
+            full(),
+            "/scene/potential/1",
+            r#"{"kind":"point_source","strength":1,"body_point":[0,0,0],"position":[0,0,0]}"#,
+        ),
+        "/scene/potential/1/body_point",
+    );
     add(with(full(), "/scene/potential/2/rest_length", "-0.5"), "/scene/potential/2/rest_length");
     add(with(full(), "/scene/potential/0/direction", "[0,0,0]"), "/scene/potential/0/direction");
-    add(with(full(), "/scene/potential/3/direction", "[0,1e-400,0]"), "/scene/potential/3/direction");
+    add(
+        with(full(), "/scene/potential/3/direction", "[0,1e-400,0]"),
+        "/scene/potential/3/direction",
+    );
     add(with(full(), "/scene/potential/0/kind", "\"magnetic\""), "/scene/potential/0/kind");
     add(with(full(), "/scene/potential/0/kind", "null"), "/scene/potential/0/kind");
-    for pointer in ["/scene/potential/0/weight", "/scene/potential/1/strength", "/scene/potential/0/body_point/0"] {
+    for pointer in [
+        "/scene/potential/0/weight",
+        "/scene/potential/1/strength",
+        "/scene/potential/0/body_point/0",
+    ] {
         add(with(full(), pointer, "1e300"), pointer);
     }
 
     // Steps and durations.
-    for raw in ["0", "18446744073709551615", "1000000000001", "18446744073709551616", "-1", "1.5", "1e3"] {
+    for raw in
+        ["0", "18446744073709551615", "1000000000001", "18446744073709551616", "-1", "1.5", "1e3"]
+    {
         add(with(full(), "/steps", raw), "/steps");
     }
     for raw in ["0", "-0.01", "1e-400", "5e-324", "1e-13", "1e7", "-0.0"] {
@@ -255,13 +408,25 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(full(), "/log/every", raw), "/log/every");
     }
     let endless = with(full(), "/steps", "1000000000000");
-    let endless: Value = serde_json::from_str(&with(serde_json::from_str(&endless).expect("JSON"), "/step_s", "0.001")).expect("JSON");
+    let endless: Value = serde_json::from_str(&with(
+        serde_json::from_str(&endless).expect("JSON"),
+        "/step_s",
+        "0.001",
+    ))
+    .expect("JSON");
     add(with(endless, "/log/every", "1"), "/log/every");
     add(with(full(), "/log/channels", "[]"), "/log/channels");
     add(with(full(), "/log/channels", r#"["/state","/state"]"#), "/log/channels/1");
     add(with(full(), "/log/channels", r#"["/state","/imu"]"#), "/log/channels/1");
     add(with(full(), "/log/compression", "\"gzip\""), "/log/compression");
-    for raw in ["\"yesterday\"", "\"2026-13-01T00:00:00Z\"", "\"1970-01-01T00:00:00Z\"", "\"2200-01-01T00:00:00Z\"", "\"2026-01-01\"", "\"\""] {
+    for raw in [
+        "\"yesterday\"",
+        "\"2026-13-01T00:00:00Z\"",
+        "\"1970-01-01T00:00:00Z\"",
+        "\"2200-01-01T00:00:00Z\"",
+        "\"2026-01-01\"",
+        "\"\"",
+    ] {
         add(with(full(), "/log/epoch", raw), "/log/epoch");
     }
 
@@ -304,7 +469,9 @@ fn every_bad_scenario_is_refused_at_its_field() {
     for Bad { text, pointer } in &table {
         match refused(text.as_bytes()) {
             None => wrong.push(format!("accepted, {pointer}: {text}")),
-            Some(error) if error.pointer != *pointer || error.kind != ScenarioErrorKind::Invalid => {
+            Some(error)
+                if error.pointer != *pointer || error.kind != ScenarioErrorKind::Invalid =>
+            {
                 wrong.push(format!("{pointer} expected: {:?} {error}", error.kind));
             }
             Some(error) => assert!(error.message.len() > 10, "{pointer}: {error}"),
@@ -316,9 +483,14 @@ fn every_bad_scenario_is_refused_at_its_field() {
 #[test]
 fn what_is_not_json_is_malformed() {
     let deep = "[".repeat(100_000);
-    for text in ["", "{", "{\"name\":", "{\"name\":\"a\"} x", "\u{feff}{}", deep.as_str(), "{'name':1}"] {
+    for text in
+        ["", "{", "{\"name\":", "{\"name\":\"a\"} x", "\u{feff}{}", deep.as_str(), "{'name':1}"]
+    {
         let error = refused(text.as_bytes()).expect("refused");
         assert_eq!(error.kind, ScenarioErrorKind::Malformed, "{error}");
     }
-    assert_eq!(refused(b"{\"name\":\"\xff\"}").expect("refused").kind, ScenarioErrorKind::Malformed);
+    assert_eq!(
+        refused(b"{\"name\":\"\xff\"}").expect("refused").kind,
+        ScenarioErrorKind::Malformed
+    );
 }

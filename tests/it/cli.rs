@@ -32,7 +32,17 @@ fn run_writes_a_log_and_sums_it_up() {
     let summary: Value = serde_json::from_slice(&run.stdout).expect("one JSON object on stdout");
     assert_eq!(summary["outcome"], "succeeded");
     assert_eq!(summary["log"], "heavy-top.mcap");
-    for pointer in ["/steps", "/time_s", "/energy/initial", "/energy/max_abs_error", "/energy/final_error", "/orthogonality/max", "/solver/iterations_per_step", "/wall_s", "/ns_per_step"] {
+    for pointer in [
+        "/steps",
+        "/time_s",
+        "/energy/initial",
+        "/energy/max_abs_error",
+        "/energy/final_error",
+        "/orthogonality/max",
+        "/solver/iterations_per_step",
+        "/wall_s",
+        "/ns_per_step",
+    ] {
         assert!(summary.pointer(pointer).is_some_and(Value::is_number), "{pointer}");
     }
     assert_eq!(summary["final"]["body_momentum"].as_array().map(Vec::len), Some(3));
@@ -48,7 +58,10 @@ fn run_writes_a_log_and_sums_it_up() {
     assert_eq!(chart.status.code(), Some(0), "{}", text(&chart.stderr));
     for name in ["energy.svg", "orthogonality.svg", "momentum.svg"] {
         let svg = std::fs::read_to_string(at.join("charts").join(name)).expect("a chart");
-        assert!(svg.starts_with("<svg") && svg.contains("<polyline") && !svg.contains("NaN"), "{name}");
+        assert!(
+            svg.starts_with("<svg") && svg.contains("<polyline") && !svg.contains("NaN"),
+            "{name}"
+        );
     }
     let human = vpd(at, &["run", &scenario("heavy-top"), "-o", "other.mcap"]);
     assert!(text(&human.stdout).starts_with("outcome"));
@@ -59,7 +72,9 @@ fn run_writes_a_log_and_sums_it_up() {
 fn a_failed_run_exits_with_one() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let at = directory.path();
-    let spoiled = std::fs::read_to_string(scenario("dipole")).expect("shipped").replace("0.01,\n  \"steps\"", "0.5,\n  \"steps\"");
+    let spoiled = std::fs::read_to_string(scenario("dipole"))
+        .expect("shipped")
+        .replace("0.01,\n  \"steps\"", "0.5,\n  \"steps\"");
     std::fs::write(at.join("fast.json"), spoiled).expect("writable");
     let run = vpd(at, &["run", "fast.json", "--json"]);
     assert_eq!(run.status.code(), Some(1));
@@ -78,7 +93,10 @@ fn bad_input_exits_with_two_and_names_the_field() {
         let run = vpd(at, &["run", "bad.json"]);
         let stderr = text(&run.stderr);
         assert_eq!(run.status.code(), Some(2), "{pointer}: {stderr}");
-        assert!(stderr.contains(if pointer.is_empty() { "the scenario" } else { &pointer }), "{pointer}: {stderr}");
+        assert!(
+            stderr.contains(if pointer.is_empty() { "the scenario" } else { &pointer }),
+            "{pointer}: {stderr}"
+        );
         assert!(run.stdout.is_empty() && !at.join("bad.mcap").exists(), "{pointer}");
     }
     assert_eq!(vpd(at, &["run", "nowhere.json"]).status.code(), Some(2));

@@ -38,14 +38,21 @@ impl Numbers {
 
 /// A body with one term of each kind.
 pub(crate) fn body<const N: usize>(numbers: &mut Numbers) -> RigidBody<N> {
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (2.0 + 0.2 * (i + j) as f64) });
+    let weights =
+        Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (2.0 + 0.2 * (i + j) as f64) });
     let far = |numbers: &mut Numbers| numbers.vector::<N>() + Vector::<N>::repeat(2.0);
     let term = |law, space| Term { law, space };
     let terms = vec![
         term(Law::Uniform { weight: 0.7, body_point: numbers.vector() }, numbers.vector()),
         term(Law::PointSource { strength: 0.5, body_point: numbers.vector() }, far(numbers)),
-        term(Law::Spring { stiffness: 0.8, rest_length: 0.4, body_point: numbers.vector() }, far(numbers)),
-        term(Law::Spring { stiffness: 0.3, rest_length: 0.0, body_point: numbers.vector() }, numbers.vector()),
+        term(
+            Law::Spring { stiffness: 0.8, rest_length: 0.4, body_point: numbers.vector() },
+            far(numbers),
+        ),
+        term(
+            Law::Spring { stiffness: 0.3, rest_length: 0.0, body_point: numbers.vector() },
+            numbers.vector(),
+        ),
         term(
             Law::GravityGradient { strength: 0.6, matrix: so::symmetric_part(&numbers.matrix()) },
             numbers.vector(),
@@ -140,7 +147,8 @@ fn lyapunov_equations() {
             assert!((p * x + x * p - c).amax() < 1e-14, "n = {N}, spread {spread}");
             assert_eq!(x, -x.transpose());
             // The multiplier's equation, with a rotation for M.
-            let f = so::retraction(&(numbers.skew::<N>() * (2.0 * spread / N as f64))).expect("defined");
+            let f = so::retraction(&(numbers.skew::<N>() * (2.0 * spread / N as f64)))
+                .expect("defined");
             let x = so::lyapunov(&f, &c, &Mat::zeros()).expect("less than a quarter turn");
             assert!((f * x + x * f.transpose() - c).amax() < 1e-14, "n = {N}, spread {spread}");
         }
@@ -150,7 +158,9 @@ fn lyapunov_equations() {
     let quarter = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
     let half = quarter * quarter;
     assert_eq!(so::lyapunov(&half, &so::hat(&[1.0, 0.0, 0.0]), &Mat::zeros()), None);
-    let four = Mat::<4>::from_fn(|i, j| [[0.0, -1.0], [1.0, 0.0]][i % 2][j % 2] * f64::from(u8::from(i / 2 == j / 2)));
+    let four = Mat::<4>::from_fn(|i, j| {
+        [[0.0, -1.0], [1.0, 0.0]][i % 2][j % 2] * f64::from(u8::from(i / 2 == j / 2))
+    });
     assert_eq!(so::lyapunov(&four, &Numbers(5).skew::<4>(), &Mat::zeros()), None);
 }
 
@@ -222,13 +232,22 @@ fn conserved_directions_are_those_the_potential_leaves_free() {
         law: Law::PointSource { strength: 1.0, body_point: Vector::<4>::new(0.0, 0.0, 1.0, 0.0) },
         space: Vector::<4>::from(space),
     };
-    let body = |terms| RigidBody::<4>::new(Kinetic::Principal { weights: Mat::repeat(1.0) }, terms, 0.0);
-    let rank = |terms| body(terms).conserved_directions().map(|q: Mat<4>| q.trace().round() as usize);
+    let body =
+        |terms| RigidBody::<4>::new(Kinetic::Principal { weights: Mat::repeat(1.0) }, terms, 0.0);
+    let rank =
+        |terms| body(terms).conserved_directions().map(|q: Mat<4>| q.trace().round() as usize);
     assert_eq!(rank(vec![]), Some(4));
     assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0])]), Some(3));
     assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0]), point([0.0, -3.0, 0.0, 0.0])]), Some(3));
     assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0]), point([1.0, 2.0, 0.0, 0.0])]), Some(2));
-    assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0]), point([1.0, 2.0, 0.0, 0.0]), point([0.0, 0.0, 1.0, 1.0])]), None);
+    assert_eq!(
+        rank(vec![
+            point([0.0, 2.0, 0.0, 0.0]),
+            point([1.0, 2.0, 0.0, 0.0]),
+            point([0.0, 0.0, 1.0, 1.0])
+        ]),
+        None
+    );
 }
 
 /// Paper, (vih), by its own maps and with its nested inverse of phi~*: an oracle for one step, written
@@ -274,7 +293,8 @@ fn step_of_the_paper<const N: usize>(
         // b_i F_i, F_i = dH/dU - asym(U_i^T g1 Lambda Omega_i^T)
         let force: Vec<Mat<N>> = (0..s)
             .map(|i| {
-                let f = gradient(&u[i]) - so::asym(&(u[i].transpose() * g1 * lambda * omega[i].transpose()));
+                let f = gradient(&u[i])
+                    - so::asym(&(u[i].transpose() * g1 * lambda * omega[i].transpose()));
                 f * tableau.b(i)
             })
             .collect();
@@ -298,7 +318,8 @@ fn step_of_the_paper<const N: usize>(
         mu = (0..s)
             .map(|k| {
                 let sum = (0..s).fold(Mat::zeros(), |sum, l| sum + images[l] * tableau.a(l, k));
-                so::asym(&(u[k].transpose() * sum)) * (h / tableau.b(k)) - so::asym(&(u[k].transpose() * g1 * lambda))
+                so::asym(&(u[k].transpose() * sum)) * (h / tableau.b(k))
+                    - so::asym(&(u[k].transpose() * g1 * lambda))
             })
             .collect();
         // (vih4): asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_l(S_l))
@@ -319,12 +340,17 @@ fn the_rearranged_step_is_the_papers() {
         let mut numbers = Numbers(9);
         let body = body::<N>(&mut numbers);
         let state = State { attitude: numbers.rotation(), momentum: numbers.skew() };
-        let tableaux = [Tableau::gauss(1), Tableau::gauss(2), Tableau::gauss(3), Some(Tableau::rk3())];
+        let tableaux =
+            [Tableau::gauss(1), Tableau::gauss(2), Tableau::gauss(3), Some(Tableau::rk3())];
         for tableau in tableaux.into_iter().flatten() {
             let oracle = step_of_the_paper(&body, &tableau, 0.05, &state);
             let mut ours = state.clone();
-            Vpd::new(tableau, StopRule::default()).step(&body, 0.05, &mut ours).expect("a small step");
-            let difference = (ours.attitude - oracle.attitude).amax().max((ours.momentum - oracle.momentum).amax());
+            Vpd::new(tableau, StopRule::default())
+                .step(&body, 0.05, &mut ours)
+                .expect("a small step");
+            let difference = (ours.attitude - oracle.attitude)
+                .amax()
+                .max((ours.momentum - oracle.momentum).amax());
             assert!(difference < 3e-15, "n = {N}: {difference:e}");
         }
     }
@@ -338,7 +364,8 @@ fn the_rearranged_step_is_the_papers() {
 fn a_free_body_keeps_its_spatial_momentum() {
     fn law<const N: usize>() {
         let mut numbers = Numbers(10);
-        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (1.0 + 0.3 * (i + j) as f64) });
+        let weights =
+            Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (1.0 + 0.3 * (i + j) as f64) });
         let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
         let mut state = State { attitude: numbers.rotation::<N>(), momentum: numbers.skew() };
         let start = spatial_momentum(&state);
@@ -378,7 +405,8 @@ fn a_failed_step_leaves_the_state_alone() {
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, -0.2, 0.5]) };
     for stages in [1, 2, 4] {
         let mut state = start.clone();
-        let mut stepper = Vpd::new(Tableau::gauss(stages).expect("1 to 8 stages"), StopRule::default());
+        let mut stepper =
+            Vpd::new(Tableau::gauss(stages).expect("1 to 8 stages"), StopRule::default());
         let failure = stepper.step(&body, 1.0, &mut state).expect_err("60 radians in a step");
         assert_eq!(state, start);
         assert!(failure.advised_step(1.0).is_some_and(|h| h < 1.0), "{failure:?}");

@@ -1,6 +1,9 @@
 //! The integration tests, one binary: laws and verification of the mathematics, then the doors of the
 //! program (scenario, run, command line, log, HTTP).
 
+// A test may say what it measured.
+#![allow(clippy::print_stdout)]
+
 mod bad_scenarios;
 mod cli;
 mod laws;

@@ -47,9 +47,14 @@ fn every_shipped_file_is_listed_and_the_schema_is_current() {
     found.sort();
     let listed: Vec<&str> = SHIPPED.iter().map(|(name, _)| *name).collect();
     assert_eq!(found, listed);
-    let kept = std::fs::read_to_string(folder.join("scenario.schema.json")).expect("the schema is kept");
+    let kept =
+        std::fs::read_to_string(folder.join("scenario.schema.json")).expect("the schema is kept");
     let kept: serde_json::Value = serde_json::from_str(&kept).expect("JSON");
-    assert_eq!(kept, vpd::scenario::schema(), "write it anew: vpd schema > scenarios/scenario.schema.json");
+    assert_eq!(
+        kept,
+        vpd::scenario::schema(),
+        "write it anew: vpd schema > scenarios/scenario.schema.json"
+    );
 }
 
 #[test]

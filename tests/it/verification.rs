@@ -21,7 +21,11 @@ pub(crate) fn dipole() -> (RigidBody<3>, State<3>) {
         space: charge,
     };
     let weight = Term { law: Law::Uniform { weight: 1.0, body_point: vertical }, space: vertical };
-    let body = RigidBody::new(Kinetic::Principal { weights }, vec![weight, source(1.0), source(-1.0)], 0.0);
+    let body = RigidBody::new(
+        Kinetic::Principal { weights },
+        vec![weight, source(1.0), source(-1.0)],
+        0.0,
+    );
     let attitude = Mat::<3>::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
     (body, State { attitude, momentum: so::hat(&[0.0, 0.0, -0.01]) })
 }
@@ -40,9 +44,27 @@ fn rows() -> Vec<Row> {
     let gauss = |stages| Tableau::gauss(stages).expect("1 to 8 stages");
     let row = |name, tableau, order, errors, steps| Row { name, tableau, order, errors, steps };
     vec![
-        row("GL2", gauss(1), 2.0, [Some(2.77e-4), Some(7.03e-5), Some(1.765e-5), Some(4.418e-6)], [32, 256]),
-        row("RK3", Tableau::rk3(), 3.0, [Some(2.99e-4), Some(4.01e-5), Some(5.18e-6), Some(6.59e-7)], [32, 256]),
-        row("GL4", gauss(2), 4.0, [Some(1.868e-6), Some(1.164e-7), Some(7.266e-9), Some(4.541e-10)], [8, 128]),
+        row(
+            "GL2",
+            gauss(1),
+            2.0,
+            [Some(2.77e-4), Some(7.03e-5), Some(1.765e-5), Some(4.418e-6)],
+            [32, 256],
+        ),
+        row(
+            "RK3",
+            Tableau::rk3(),
+            3.0,
+            [Some(2.99e-4), Some(4.01e-5), Some(5.18e-6), Some(6.59e-7)],
+            [32, 256],
+        ),
+        row(
+            "GL4",
+            gauss(2),
+            4.0,
+            [Some(1.868e-6), Some(1.164e-7), Some(7.266e-9), Some(4.541e-10)],
+            [8, 128],
+        ),
         row("RK4", Tableau::rk4(), 4.0, [None; 4], [64, 512]),
         row("GL6", gauss(3), 6.0, [Some(2.62e-10), Some(4.20e-12), None, None], [4, 16]),
         row("GL8", gauss(4), 8.0, [None; 4], [2, 8]),
@@ -50,7 +72,13 @@ fn rows() -> Vec<Row> {
     ]
 }
 
-fn advance<const N: usize>(body: &RigidBody<N>, start: &State<N>, tableau: &Tableau, span: f64, steps: u64) -> State<N> {
+fn advance<const N: usize>(
+    body: &RigidBody<N>,
+    start: &State<N>,
+    tableau: &Tableau,
+    span: f64,
+    steps: u64,
+) -> State<N> {
     let mut stepper = Vpd::new(tableau.clone(), StopRule::default());
     let mut state = start.clone();
     for _ in 0..steps {
@@ -62,16 +90,19 @@ fn advance<const N: usize>(body: &RigidBody<N>, start: &State<N>, tableau: &Tabl
 /// `|p - p_ref|_2 + |g - g_ref|_2`, the paper's measure.
 fn distance(a: &State<3>, b: &State<3>) -> f64 {
     let difference = a.attitude - b.attitude;
-    let spectral = (difference.transpose() * difference).symmetric_eigenvalues().max().max(0.0).sqrt();
+    let spectral =
+        (difference.transpose() * difference).symmetric_eigenvalues().max().max(0.0).sqrt();
     let momentum = a.momentum - b.momentum;
     so::inner(&momentum, &momentum).sqrt() + spectral
 }
 
 /// The dipole at t = 0.5, from two independent methods of 45 digits.
 fn reference() -> State<3> {
-    let data: Value = serde_json::from_str(include_str!("../data/dipole-reference.json")).expect("JSON");
+    let data: Value =
+        serde_json::from_str(include_str!("../data/dipole-reference.json")).expect("JSON");
     let point = &data["points"]["0.5"];
-    let number = |v: &Value| v.as_str().and_then(|text| text.parse::<f64>().ok()).expect("a number as text");
+    let number =
+        |v: &Value| v.as_str().and_then(|text| text.parse::<f64>().ok()).expect("a number as text");
     let momentum: Vec<f64> = (0..3).map(|i| number(&point["ptilde"][i])).collect();
     State { attitude: Mat::from_fn(|i, j| number(&point["g"][i][j])), momentum: so::hat(&momentum) }
 }
@@ -87,10 +118,16 @@ fn the_dipole_meets_its_reference() {
             match expected {
                 Some(expected) if expected > 1e-11 => {
                     let ratio = error / expected;
-                    assert!((ratio - 1.0).abs() <= 0.02, "{} {steps}: {error:e}, {expected:e} expected", row.name);
+                    assert!(
+                        (ratio - 1.0).abs() <= 0.02,
+                        "{} {steps}: {error:e}, {expected:e} expected",
+                        row.name
+                    );
                 }
                 // Table entries below 1e-11 and round-off: see the 4-stage row of the method's table.
-                Some(expected) => assert!(error < 1.1 * expected, "{} {steps}: {error:e}", row.name),
+                Some(expected) => {
+                    assert!(error < 1.1 * expected, "{} {steps}: {error:e}", row.name)
+                }
                 None if row.name.starts_with("GL8") && steps == 8 => {
                     assert!((error / 3.3e-13 - 1.0).abs() < 0.1, "{error:e}");
                 }
@@ -118,7 +155,12 @@ fn orders_are_as_the_tableau_says() {
 
 /// Hamilton's equations `g' = g Omega`, `mu' = [mu, Omega] - dH/dg` by the classical Runge-Kutta method
 /// with small steps: a reference that shares nothing with the integrator.
-fn classical<const N: usize>(body: &RigidBody<N>, start: &State<N>, span: f64, steps: u32) -> State<N> {
+fn classical<const N: usize>(
+    body: &RigidBody<N>,
+    start: &State<N>,
+    span: f64,
+    steps: u32,
+) -> State<N> {
     let mut seen = Vec::new();
     body.seen_from(&Mat::identity(), &mut seen);
     let slope = |g: &Mat<N>, mu: &Mat<N>| {
@@ -171,11 +213,18 @@ fn products_of_inertia_are_a_turned_frame() {
     let (mu, y, v) = (numbers.skew::<3>(), numbers.vector::<3>(), numbers.vector::<3>());
     let field = |body_point| vec![Term { law: Law::Uniform { weight: 2.0, body_point }, space: v }];
     let principal = RigidBody::new(Kinetic::Principal { weights }, field(y), 0.0);
-    let inverse = r.transpose() * Mat::<3>::from_diagonal(&Vector::<3>::from(moments.map(|j| 1.0 / j))) * r;
+    let inverse =
+        r.transpose() * Mat::<3>::from_diagonal(&Vector::<3>::from(moments.map(|j| 1.0 / j))) * r;
     let turned = RigidBody::new(Kinetic::Tensor { inverse }, field(r.transpose() * y), 0.0);
     let gauss = Tableau::gauss(3).expect("3 stages");
     let a = advance(&principal, &State { attitude: g, momentum: mu }, &gauss, 5.0, 50);
-    let b = advance(&turned, &State { attitude: g * r, momentum: r.transpose() * mu * r }, &gauss, 5.0, 50);
+    let b = advance(
+        &turned,
+        &State { attitude: g * r, momentum: r.transpose() * mu * r },
+        &gauss,
+        5.0,
+        50,
+    );
     assert!((a.attitude * r - b.attitude).amax() < 1e-13);
     assert!((r.transpose() * a.momentum * r - b.momentum).amax() < 1e-13);
 }
@@ -215,11 +264,20 @@ fn long_runs_keep_the_invariants() {
     let (body, start) = dipole();
     for (name, tableau, step_s, bound) in runs {
         let schedule = Schedule { step_s, steps: 100_000, every: 1 };
-        let observables = Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+        let observables =
+            Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
         let mut seen = Invariants::default();
         let mut stepper = Vpd::new(tableau, StopRule::default());
-        let run = trajectory::integrate(&body, &mut stepper, start.clone(), schedule, observables, &mut seen, |_| true)
-            .expect("the sink cannot fail");
+        let run = trajectory::integrate(
+            &body,
+            &mut stepper,
+            start.clone(),
+            schedule,
+            observables,
+            &mut seen,
+            |_| true,
+        )
+        .expect("the sink cannot fail");
         assert_eq!(run.ending, Ending::Completed, "{name}");
         let energy = seen.energy.iter().fold(0.0_f64, |max, e| max.max(e.abs()));
         let mean = seen.orthogonality_sum / seen.energy.len() as f64;
@@ -251,9 +309,14 @@ fn trend(series: &[f64]) -> (f64, f64) {
     let n = means.len() as f64;
     let (centre, mean) = ((n - 1.0) / 2.0, means.iter().sum::<f64>() / n);
     let spread: f64 = (0..means.len()).map(|i| (i as f64 - centre).powi(2)).sum();
-    let slope = means.iter().enumerate().map(|(i, m)| (i as f64 - centre) * (m - mean)).sum::<f64>() / spread;
-    let rest: f64 =
-        means.iter().enumerate().map(|(i, m)| (m - mean - slope * (i as f64 - centre)).powi(2)).sum();
+    let slope =
+        means.iter().enumerate().map(|(i, m)| (i as f64 - centre) * (m - mean)).sum::<f64>()
+            / spread;
+    let rest: f64 = means
+        .iter()
+        .enumerate()
+        .map(|(i, m)| (m - mean - slope * (i as f64 - centre)).powi(2))
+        .sum();
     (slope, (rest / (n - 2.0) / spread).sqrt())
 }
 
@@ -262,9 +325,13 @@ fn a_run_stops_when_asked() {
     let (body, start) = dipole();
     let mut stepper = Vpd::new(Tableau::gauss(2).expect("2 stages"), StopRule::default());
     let schedule = Schedule { step_s: 0.01, steps: 1000, every: 100 };
-    let nothing = Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+    let nothing =
+        Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
     let mut seen = Invariants::default();
-    let run = trajectory::integrate(&body, &mut stepper, start, schedule, nothing, &mut seen, |steps| steps < 250)
+    let run =
+        trajectory::integrate(&body, &mut stepper, start, schedule, nothing, &mut seen, |steps| {
+            steps < 250
+        })
         .expect("the sink cannot fail");
     assert_eq!((run.ending, run.steps), (Ending::Cancelled, 250));
     // Steps 0, 100, 200 and the last one made.

@@ -78,7 +78,8 @@ impl<const N: usize> Vpd<N> {
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let zero = Mat::zeros();
         let u = Mat::identity();
-        let stage = Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
+        let stage =
+            Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         Self {
             stages: vec![stage; tableau.stages()],
             end: End { f: u, e: zero, lambda: zero },
@@ -97,11 +98,17 @@ impl<const N: usize> Vpd<N> {
     ///
     /// # Errors
     /// Any [`FailureCode`]; the state is then untouched.
-    pub fn step(&mut self, body: &RigidBody<N>, h: f64, state: &mut State<N>) -> Result<Convergence, Failure> {
+    pub fn step(
+        &mut self,
+        body: &RigidBody<N>,
+        h: f64,
+        state: &mut State<N>,
+    ) -> Result<Convergence, Failure> {
         body.seen_from(&state.attitude, &mut self.seen);
         self.guess(body, h, &state.momentum)?;
         let Self { tableau, stop, stages, end, seen } = self;
-        let solved = fixed_point(*stop, || sweep(tableau, body, seen, h, &state.momentum, stages, end));
+        let solved =
+            fixed_point(*stop, || sweep(tableau, body, seen, h, &state.momentum, stages, end));
         let convergence = match solved {
             Ok(convergence) => convergence,
             Err(failure) => return Err(self.named(body, failure)),
@@ -129,7 +136,12 @@ impl<const N: usize> Vpd<N> {
     fn guess(&mut self, body: &RigidBody<N>, h: f64, p0: &Mat<N>) -> Result<(), Failure> {
         let omega = body.velocity(p0);
         let turn = |angle: f64| {
-            so::retraction(&(omega * angle)).ok_or(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
+            so::retraction(&(omega * angle)).ok_or(Failure::new(
+                FailureCode::NonFinite,
+                None,
+                f64::INFINITY,
+                f64::MAX,
+            ))
         };
         self.end = End { f: turn(h)?, e: Mat::zeros(), lambda: p0 * -0.5 };
         for (k, stage) in self.stages.iter_mut().enumerate() {
@@ -156,17 +168,23 @@ impl<const N: usize> Vpd<N> {
             if so::smallest_eigenvalue_bound(e) < -0.5 {
                 let sigma = 1.0 + so::smallest_eigenvalue(e);
                 if !(sigma >= SMALLEST_SINGULAR_VALUE) {
-                    let code = if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
+                    let code = if sigma > 0.0 {
+                        FailureCode::IllConditioned
+                    } else {
+                        FailureCode::LeftGlPlus
+                    };
                     return Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE));
                 }
             }
         }
         // A determinant is blind past half a turn: continuity from node to node is what tells.
-        let mut nodes: Vec<(f64, usize)> = (0..self.stages.len()).map(|k| (self.tableau.c(k), k)).collect();
+        let mut nodes: Vec<(f64, usize)> =
+            (0..self.stages.len()).map(|k| (self.tableau.c(k), k)).collect();
         nodes.sort_by(|a, b| a.0.total_cmp(&b.0));
         let identity = Mat::<N>::identity();
         let mut before = &identity;
-        let path = nodes.iter().map(|&(_, k)| (Some(k), &self.stages[k].u)).chain([(None, &self.end.f)]);
+        let path =
+            nodes.iter().map(|&(_, k)| (Some(k), &self.stages[k].u)).chain([(None, &self.end.f)]);
         for (stage, u) in path {
             // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
             let trace = before.dot(u);
@@ -191,7 +209,9 @@ impl<const N: usize> Vpd<N> {
             Some(Failure { stage: Some(k), ..near })
         });
         match met {
-            Some(near) => Failure { iterations: failure.iterations, increments: failure.increments, ..near },
+            Some(near) => {
+                Failure { iterations: failure.iterations, increments: failure.increments, ..near }
+            }
             None => failure,
         }
     }
@@ -259,15 +279,16 @@ fn amax<const N: usize>(a: &Mat<N>) -> f64 {
 }
 
 /// `U` and `P - I` of `I + d = U P`.
-fn polar<const N: usize>(
-    d: &Mat<N>,
-    stage: Option<usize>,
-) -> Result<(Mat<N>, Mat<N>), Failure> {
+fn polar<const N: usize>(d: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Mat<N>), Failure> {
     if !d.iter().all(|x| x.is_finite()) {
         return Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX));
     }
-    let u = so::polar(&(d + Mat::identity()))
-        .ok_or(Failure::new(FailureCode::LeftGlPlus, stage, 0.0, SMALLEST_SINGULAR_VALUE))?;
+    let u = so::polar(&(d + Mat::identity())).ok_or(Failure::new(
+        FailureCode::LeftGlPlus,
+        stage,
+        0.0,
+        SMALLEST_SINGULAR_VALUE,
+    ))?;
     Ok((u, so::stretch_excess(&u, d)))
 }
 

@@ -1,0 +1,141 @@
+//! Nothing unfinished or damaged passes for a whole log.
+
+use std::fs;
+
+use vpd::log::inspect::inspect;
+use vpd::log::part_path;
+use vpd::log::writer::{Compression, Level, LogHeader, LogWriter};
+
+use super::fixture::*;
+
+#[test]
+fn a_dropped_writer_leaves_nothing() {
+    let (folder, path) = place();
+    let mut log = LogWriter::<3>::create(&path, header()).expect("create");
+    run_dipole(&mut log, 25);
+    assert!(part_path(&path).exists());
+    assert!(!path.exists());
+    drop(log);
+    assert_eq!(fs::read_dir(folder.path()).expect("folder").count(), 0);
+}
+
+#[test]
+fn a_running_log_reads_up_to_its_last_chunk() {
+    let (_folder, path) = place();
+    let mut log = LogWriter::<3>::create(&path, header()).expect("create");
+    run_dipole(&mut log, 25);
+    let found = inspect(&part_path(&path)).expect("read");
+    assert!(!found.finished);
+    assert_eq!((found.samples, found.chunks), (20, 2), "the third chunk of ten is open");
+    assert!(found.job.is_some());
+    assert!(found.outcome.is_none());
+    log.finish(succeeded()).expect("finish");
+}
+
+#[test]
+fn a_whole_file_without_outcome_is_not_finished() {
+    // What the MCAP layer leaves when it is dropped in a panic.
+    let (_folder, path) = place();
+    mcap::Writer::new(fs::File::create(&path).expect("create"))
+        .expect("start")
+        .finish()
+        .expect("finish");
+    let found = inspect(&path).expect("read");
+    assert!(!found.finished);
+    assert_eq!(found.damage.as_deref(), Some("the log does not say how the job ended"));
+}
+
+#[test]
+fn a_cut_file_is_read_to_the_cut_and_reported() {
+    let (_folder, path) = write_dipole(35);
+    let bytes = fs::read(&path).expect("read");
+    let whole = all_messages(&path);
+    let stride = bytes.len() / 300 + 1;
+    let mut cuts: Vec<_> = (0..bytes.len()).step_by(stride).collect();
+    cuts.extend(record_ends(&bytes));
+    cuts.extend(bytes.len() - 60..bytes.len());
+    let cut = path.with_extension("cut");
+    let mut most = 0;
+    for at in cuts.into_iter().filter(|&at| at < bytes.len()) {
+        fs::write(&cut, &bytes[..at]).expect("write");
+        let found = inspect(&cut).expect("read");
+        assert!(!found.finished, "cut at {at}");
+        assert!(found.damage.is_some(), "cut at {at}");
+        let messages = all_messages(&cut);
+        assert!(whole.starts_with(&messages), "cut at {at}");
+        most = most.max(messages.len());
+    }
+    assert_eq!(most, whole.len(), "a cut in the index costs no sample");
+}
+
+#[test]
+fn a_flipped_bit_is_always_reported() {
+    for compression in [Compression::Zstd, Compression::Lz4, Compression::None] {
+        let (_folder, path) = place();
+        let header = LogHeader { compression, ..header() };
+        let mut log = LogWriter::<3>::create(&path, header).expect("create");
+        run_dipole(&mut log, 25);
+        log.finish(succeeded()).expect("finish");
+        let bytes = fs::read(&path).expect("read");
+        let whole = all_messages(&path);
+        let flipped = path.with_extension("flipped");
+        let seed = 0x5eed_0001_u64 + compression as u64;
+        let mut random = seed;
+        let ends = record_ends(&bytes);
+        for k in 0..400 {
+            let draw = next(&mut random);
+            // Every other flip in the opcode or length of a record, where it hurts most.
+            let byte = if k % 2 == 0 {
+                (ends[draw as usize % ends.len()] + (draw >> 32) as usize % 9).min(bytes.len() - 1)
+            } else {
+                draw as usize % bytes.len()
+            };
+            let bit = next(&mut random) % 8;
+            let mut damaged = bytes.clone();
+            damaged[byte] ^= 1 << bit;
+            fs::write(&flipped, damaged).expect("write");
+            let found = inspect(&flipped).expect("read");
+            assert!(
+                !found.finished && found.damage.is_some(),
+                "{compression:?}, seed {seed:#x}, byte {byte}, bit {bit}: {found}"
+            );
+            let messages = all_messages(&flipped);
+            assert!(
+                messages.iter().all(|message| whole.contains(message)),
+                "{compression:?}, seed {seed:#x}, byte {byte}, bit {bit}"
+            );
+        }
+    }
+}
+
+#[test]
+fn storage_errors_are_told_and_nothing_stays() {
+    let (folder, _) = place();
+    let missing = folder.path().join("missing").join("a.mcap");
+    let error = LogWriter::<3>::create(&missing, header()).err().expect("no such folder");
+    assert_eq!(error.code(), "storage_error");
+    assert!(error.to_string().contains("cannot create"), "{error}");
+}
+
+#[test]
+fn a_full_disk_fails_the_log() {
+    let (folder, path) = place();
+    std::os::unix::fs::symlink("/dev/full", part_path(&path)).expect("symlink");
+    let mut log = match LogWriter::<3>::create(&path, header()) {
+        Ok(log) => log,
+        Err(error) => {
+            assert_eq!(error.code(), "storage_full");
+            return;
+        }
+    };
+    let (body, state) = crate::verification::dipole();
+    let error = try_run(&body, state, &mut log, 1000).expect_err("no space");
+    assert_eq!(error.code(), "storage_full", "{error}");
+    assert_eq!(
+        log.message(Level::Error, 10.0, "full").expect_err("given up").code(),
+        "log_given_up"
+    );
+    assert_eq!(log.finish(succeeded()).expect_err("given up").code(), "log_given_up");
+    assert!(!path.exists());
+    assert_eq!(fs::read_dir(folder.path()).expect("folder").count(), 0);
+}

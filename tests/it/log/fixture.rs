@@ -1,0 +1,174 @@
+//! A small job to log: the dipole on a stick, and ways to look at what came out.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use mcap::records::op;
+use tempfile::TempDir;
+use vpd::log::inspect::{Inspection, inspect};
+use vpd::log::messages::{Energy, Momentum, Orthogonality, Solver, State};
+use vpd::log::reader::{self, Item, Message};
+use vpd::log::scene::{Marker, SceneGeometry, Sign};
+use vpd::log::schema::Channel;
+use vpd::log::writer::{Compression, Level, LogHeader, LogWriter, Outcome};
+use vpd::log::{LogError, part_path};
+use vpd::solve::hamiltonian::RigidBody;
+use vpd::solve::nonlinear::StopRule;
+use vpd::solve::so;
+use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::tableau::Tableau;
+use vpd::solve::trajectory::{self, Observables, Sample, Schedule, Sink, integrate};
+
+pub(super) const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
+pub(super) const EVERYTHING: Observables =
+    Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true };
+
+/// A sink that keeps what the log should hold.
+pub(super) struct Copying {
+    pub(super) log: LogWriter<3>,
+    pub(super) sent: Vec<(u64, Message)>,
+}
+
+impl Sink<3> for Copying {
+    type Error = LogError;
+
+    fn record(&mut self, sample: &Sample<'_, 3>) -> Result<(), LogError> {
+        let time_ns = EPOCH_NS + sample.step * 10_000_000;
+        self.sent.push((time_ns, Message::State(State::of(sample))));
+        let others = [
+            Energy::of(sample).map(Message::Energy),
+            Orthogonality::of(sample).map(Message::Orthogonality),
+            Momentum::of(sample).map(Message::Momentum),
+            Solver::of(sample).map(Message::Solver),
+        ];
+        self.sent.extend(others.into_iter().flatten().map(|message| (time_ns, message)));
+        self.log.record(sample)
+    }
+}
+
+pub(super) fn place() -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let path = folder.path().join("job.mcap");
+    (folder, path)
+}
+
+pub(super) fn header() -> LogHeader {
+    let point = |position, sign| Marker { position, sign };
+    LogHeader {
+        epoch_ns: EPOCH_NS,
+        channels: Channel::all().to_vec(),
+        compression: Compression::Zstd,
+        samples_per_chunk: 10,
+        scenario_json: b"{\"name\":\"dipole\"}".to_vec(),
+        job: BTreeMap::from([("name".to_owned(), "dipole".to_owned())]),
+        scene: SceneGeometry {
+            box_size: [0.2, 0.2, 2.0],
+            box_axes: [1.0, 0.0, 0.0, 0.0],
+            body_points: vec![
+                point([0.0, 0.1, -1.0], Sign::Positive),
+                point([0.0, -0.1, -1.0], Sign::Negative),
+            ],
+            space_points: vec![point([0.0, 0.0, -1.5], Sign::Positive)],
+            directions: vec![[0.0, 0.0, -1.0]],
+        },
+    }
+}
+
+pub(super) fn succeeded() -> Outcome {
+    Outcome { state: "succeeded".to_owned(), entries: BTreeMap::new() }
+}
+
+pub(super) fn run_dipole<S: Sink<3, Error = LogError>>(sink: &mut S, steps: u64) {
+    let (body, state) = crate::verification::dipole();
+    run(&body, state, sink, steps);
+}
+
+pub(super) fn run<const N: usize, S: Sink<N, Error = LogError>>(
+    body: &RigidBody<N>,
+    state: trajectory::State<N>,
+    sink: &mut S,
+    steps: u64,
+) {
+    try_run(body, state, sink, steps).expect("the log takes every sample");
+}
+
+pub(super) fn try_run<const N: usize, S: Sink<N, Error = LogError>>(
+    body: &RigidBody<N>,
+    state: trajectory::State<N>,
+    sink: &mut S,
+    steps: u64,
+) -> Result<(), LogError> {
+    let mut stepper = Vpd::new(Tableau::gauss(2).expect("tableau"), StopRule::default());
+    let schedule = Schedule { step_s: 0.01, steps, every: 1 };
+    let run = integrate(body, &mut stepper, state, schedule, EVERYTHING, sink, |_| true)?;
+    assert_eq!((run.steps, run.samples), (steps, steps + 1));
+    assert!(so::orthogonality_error(&run.state.attitude) < 1e-13);
+    Ok(())
+}
+
+pub(super) fn write_dipole(steps: u64) -> (TempDir, PathBuf) {
+    let (folder, path) = place();
+    let mut log = LogWriter::create(&path, header()).expect("create");
+    run_dipole(&mut log, steps);
+    log.message(Level::Info, steps as f64 * 0.01, "done").expect("message");
+    log.finish(succeeded()).expect("finish");
+    assert!(!part_path(&path).exists());
+    (folder, path)
+}
+
+pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<'_, 3> {
+    Sample {
+        step: 0,
+        time_s,
+        state,
+        energy: None,
+        energy_error: None,
+        orthogonality_error: None,
+        spatial_momentum: None,
+        momentum_drift: None,
+        convergence: None,
+        sigma_min: None,
+    }
+}
+
+pub(super) fn topics(path: &Path) -> Vec<String> {
+    let found: Inspection = inspect(path).expect("read");
+    assert!(found.finished, "{found}");
+    found.topics.into_iter().map(|entry| entry.topic).collect()
+}
+
+pub(super) fn all_messages(path: &Path) -> Vec<(String, u64, Vec<u8>)> {
+    let mut messages = Vec::new();
+    let visit = |item: Item<'_>| {
+        if let Item::Message { topic, time_ns, data, .. } = item {
+            messages.push((topic.to_owned(), time_ns, data.to_vec()));
+        }
+        ControlFlow::Continue(())
+    };
+    reader::read(path, visit).expect("read");
+    messages
+}
+
+/// Where the top-level records of a whole file end.
+pub(super) fn record_ends(bytes: &[u8]) -> Vec<usize> {
+    let mut ends = vec![mcap::MAGIC.len()];
+    let mut at = mcap::MAGIC.len();
+    loop {
+        let opcode = bytes[at];
+        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().expect("eight bytes"));
+        at += 9 + length as usize;
+        ends.push(at);
+        if opcode == op::FOOTER {
+            return ends;
+        }
+    }
+}
+
+/// Vigna's xorshift64* generator: the same numbers on every machine.
+pub(super) fn next(state: &mut u64) -> u64 {
+    *state ^= *state >> 12;
+    *state ^= *state << 25;
+    *state ^= *state >> 27;
+    state.wrapping_mul(0x2545_f491_4f6c_dd1d)
+}
