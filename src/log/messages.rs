@@ -22,21 +22,23 @@ pub fn log10_size(x: f64) -> f64 {
 
 impl State {
     /// Attitude and momentum of a sample.
-    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Self {
-        let attitude = &sample.state.attitude;
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Self {
         Self {
             time_s: sample.time_s,
             // nalgebra stores columns; the rows of g are the columns of its transpose.
-            attitude: attitude.transpose().as_slice().to_vec(),
-            body_momentum: so::vee(&sample.state.momentum),
-            quaternion: quaternion(attitude).map_or_else(Vec::new, |q| q.to_vec()),
+            attitude: sample.attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
+            body_momentum: so::vee(&sample.momentum),
+            quaternion: sample
+                .attitude
+                .and_then(|g| quaternion(&g))
+                .map_or_else(Vec::new, |q| q.to_vec()),
         }
     }
 }
 
 impl Energy {
     /// Energy of a sample, if it has any.
-    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         let (energy, error) = sample.energy.zip(sample.energy_error)?;
         Some(Self {
             kinetic: energy.kinetic,
@@ -50,7 +52,7 @@ impl Energy {
 
 impl Orthogonality {
     /// Distance of a sample's attitude from the group, if computed.
-    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         let error = sample.orthogonality_error?;
         Some(Self { error, log10_error: log10_size(error) })
     }
@@ -58,10 +60,12 @@ impl Orthogonality {
 
 impl Momentum {
     /// Spatial momentum of a sample, if computed.
-    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
-        let momentum = sample.spatial_momentum.as_ref()?;
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
+        if sample.spatial_momentum.is_none() && sample.momentum_drift.is_none() {
+            return None;
+        }
         Some(Self {
-            spatial_momentum: so::vee(momentum),
+            spatial_momentum: sample.spatial_momentum.as_ref().map_or_else(Vec::new, so::vee),
             drift: sample.momentum_drift,
             log10_drift: sample.momentum_drift.map(log10_size),
         })
@@ -70,7 +74,7 @@ impl Momentum {
 
 impl Solver {
     /// How a sample's step was solved; `None` at the start.
-    pub fn of<const N: usize>(sample: &Sample<'_, N>) -> Option<Self> {
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         let convergence = sample.convergence?;
         Some(Self {
             iterations: convergence.iterations,
@@ -82,8 +86,8 @@ impl Solver {
 }
 
 /// The body's frame as seen from space, for viewers; `None` unless n = 3.
-pub fn frames<const N: usize>(sample: &Sample<'_, N>, time_ns: u64) -> Option<FrameTransforms> {
-    let [w, x, y, z] = quaternion(&sample.state.attitude)?;
+pub fn frames<const N: usize>(sample: &Sample<N>, time_ns: u64) -> Option<FrameTransforms> {
+    let [w, x, y, z] = quaternion(&sample.attitude?)?;
     Some(FrameTransforms {
         transforms: vec![FrameTransform {
             timestamp: timestamp(time_ns),

@@ -309,7 +309,7 @@ impl<const N: usize> LogWriter<N> {
 impl<const N: usize> Sink<N> for LogWriter<N> {
     type Error = LogError;
 
-    fn record(&mut self, sample: &Sample<'_, N>) -> Result<(), LogError> {
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), LogError> {
         let time_ns = self.time(sample.time_s)?;
         if time_ns < self.last_ns {
             return Err(LogError::Time { time_s: sample.time_s, epoch_ns: self.epoch_ns });
@@ -358,7 +358,7 @@ impl<const N: usize> Drop for LogWriter<N> {
 }
 
 /// Whether every number of a sample can be plotted.
-fn finite<const N: usize>(sample: &Sample<'_, N>) -> bool {
+fn finite<const N: usize>(sample: &Sample<N>) -> bool {
     let scalars = [
         sample.energy.map(|energy| energy.kinetic),
         sample.energy.map(|energy| energy.potential),
@@ -369,7 +369,7 @@ fn finite<const N: usize>(sample: &Sample<'_, N>) -> bool {
         sample.convergence.map(|convergence| convergence.increment),
         sample.sigma_min,
     ];
-    let state = sample.state.attitude.iter().chain(&sample.state.momentum);
+    let state = sample.attitude.iter().flatten().chain(&sample.momentum);
     let spatial = sample.spatial_momentum.iter().flatten();
     scalars.iter().flatten().chain(state).chain(spatial).all(|x| x.is_finite())
 }

@@ -10,7 +10,6 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
 use super::so::{Mat, Vector};
-use super::trajectory::State;
 
 /// Kinetic energy, a quadratic form on so(n)*.
 #[derive(Clone, Debug, PartialEq)]
@@ -175,13 +174,12 @@ impl<const N: usize> RigidBody<N> {
         Ok(())
     }
 
-    /// Kinetic and potential energy of a state.
-    pub fn energy(&self, state: &State<N>) -> Energy {
-        let mu = &state.momentum;
+    /// Kinetic and potential energy at an attitude and a body momentum.
+    pub fn energy(&self, attitude: &Mat<N>, momentum: &Mat<N>) -> Energy {
         // T = <mu, Omega> / 2
-        let kinetic = 0.5 * super::so::inner(mu, &self.velocity(mu));
+        let kinetic = 0.5 * super::so::inner(momentum, &self.velocity(momentum));
         let terms: f64 =
-            self.terms.iter().map(|term| term.law.value(&state.attitude.tr_mul(&term.space))).sum();
+            self.terms.iter().map(|term| term.law.value(&attitude.tr_mul(&term.space))).sum();
         Energy { kinetic, potential: terms + self.constant }
     }
 

@@ -28,6 +28,11 @@ pub fn inner<const N: usize>(x: &Mat<N>, y: &Mat<N>) -> f64 {
     0.5 * x.dot(y)
 }
 
+/// `g X g^T`: a skew matrix in body coordinates, seen in space (the adjoint action).
+pub fn conjugate<const N: usize>(g: &Mat<N>, x: &Mat<N>) -> Mat<N> {
+    g * x * g.transpose()
+}
+
 /// Number of coordinates of so(n): n (n - 1) / 2.
 pub const fn dimension(n: usize) -> usize {
     n * (n - 1) / 2
@@ -240,6 +245,17 @@ fn lyapunov_gradient<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> 
 /// The smallest eigenvalue of a symmetric matrix. Allocates: for guards and samples, not for sweeps.
 pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
     DMatrix::from_column_slice(N, N, p.as_slice()).symmetric_eigenvalues().min()
+}
+
+/// The frequencies of a skew matrix, ascending, each twice (and a zero for odd n): the square roots of the
+/// eigenvalues of `X X^T`. Rotations leave them alone: they label the coadjoint orbit. For n = 3 the larger
+/// is the length of the vector.
+pub fn frequencies<const N: usize>(x: &Mat<N>) -> Vec<f64> {
+    let square = x * x.transpose();
+    let eigenvalues = DMatrix::from_column_slice(N, N, square.as_slice()).symmetric_eigenvalues();
+    let mut frequencies: Vec<f64> = eigenvalues.iter().map(|l| l.max(0.0).sqrt()).collect();
+    frequencies.sort_by(f64::total_cmp);
+    frequencies
 }
 
 /// A cheap lower bound of the smallest eigenvalue of a symmetric matrix (Gershgorin's discs).

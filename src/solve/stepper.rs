@@ -1,3 +1,39 @@
 //! One-step schemes, one a file.
+//!
+//! Invariant: a stepper owns the state it carries, in the variables of its scheme, and gives attitude and
+//! body momentum out on demand; a step that fails leaves that state as it was.
+
+use super::failure::Failure;
+use super::hamiltonian::RigidBody;
+use super::nonlinear::Convergence;
+use super::so::Mat;
+use super::trajectory::State;
 
 pub mod vpd;
+
+/// A scheme that carries a state of T*SO(n) forward.
+pub trait Stepper<const N: usize> {
+    /// Order of the scheme.
+    fn order(&self) -> u32;
+
+    /// Takes up a state; whatever was there before is forgotten.
+    fn start(&mut self, state: &State<N>);
+
+    /// Carries the state forward by `h`.
+    ///
+    /// # Errors
+    /// Any failure; the state is then untouched.
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure>;
+
+    /// The attitude g; `None` from a scheme that carries none.
+    fn attitude(&self) -> Option<Mat<N>>;
+
+    /// The body momentum mu, skew.
+    fn momentum(&self) -> Mat<N>;
+
+    /// The smallest singular value of the matrices interpolated in the last step; `None` from a scheme
+    /// that interpolates none.
+    fn sigma_min(&self) -> Option<f64> {
+        None
+    }
+}

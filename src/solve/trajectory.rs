@@ -7,7 +7,7 @@ use super::failure::{Failure, FailureCode};
 use super::hamiltonian::{Energy, RigidBody};
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
-use super::stepper::vpd::Vpd;
+use super::stepper::Stepper;
 
 /// A point of T*SO(n), left-trivialised: `g' = g Omega`.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,13 +44,15 @@ pub struct Observables {
 
 /// One sample. What was not asked for is `None`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Sample<'a, const N: usize> {
+pub struct Sample<const N: usize> {
     /// Number of the step that ended here; 0 at the start.
     pub step: u64,
     /// Time in seconds since the start.
     pub time_s: f64,
-    /// Attitude and body momentum.
-    pub state: &'a State<N>,
+    /// The attitude g; `None` from a scheme that carries none.
+    pub attitude: Option<Mat<N>>,
+    /// The body momentum mu, skew.
+    pub momentum: Mat<N>,
     /// Energy H = T + U.
     pub energy: Option<Energy>,
     /// Energy now minus energy at the start.
@@ -77,7 +79,7 @@ pub trait Sink<const N: usize> {
     ///
     /// # Errors
     /// Ends the trajectory.
-    fn record(&mut self, sample: &Sample<'_, N>) -> Result<(), Self::Error>;
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error>;
 }
 
 /// How a trajectory ended.
@@ -100,8 +102,10 @@ pub struct Trajectory<const N: usize> {
     pub steps: u64,
     /// Samples recorded.
     pub samples: u64,
-    /// The state after the last step made.
-    pub state: State<N>,
+    /// The attitude after the last step made; `None` from a scheme that carries none.
+    pub attitude: Option<Mat<N>>,
+    /// The body momentum after the last step made.
+    pub momentum: Mat<N>,
     /// Sweeps of the nonlinear solver in all.
     pub iterations: u64,
 }
@@ -114,78 +118,63 @@ pub struct Trajectory<const N: usize> {
 /// Those of the sink. A step that fails is not an error but an [`Ending`].
 pub fn integrate<const N: usize, S: Sink<N>>(
     body: &RigidBody<N>,
-    stepper: &mut Vpd<N>,
-    initial: State<N>,
+    stepper: &mut dyn Stepper<N>,
+    initial: &State<N>,
     schedule: Schedule,
     observables: Observables,
     sink: &mut S,
     mut go_on: impl FnMut(u64) -> bool,
 ) -> Result<Trajectory<N>, S::Error> {
-    let mut run = Trajectory {
-        ending: Ending::Completed,
-        steps: 0,
-        samples: 0,
-        state: initial,
-        iterations: 0,
-    };
-    let observer = Observer::new(body, &run.state, observables);
-    match observer.sample(body, 0, 0.0, &run.state, None, None) {
-        Ok(first) => sink.record(&first)?,
-        Err(failure) => {
-            run.ending = Ending::Failed(failure);
-            return Ok(run);
-        }
-    }
-    run.samples = 1;
-    let mut recorded = 0;
-    let mut last = None;
-    while run.steps < schedule.steps {
-        if !go_on(run.steps) {
-            run.ending = Ending::Cancelled;
-            break;
-        }
-        let mut next = run.state.clone();
-        let convergence = match stepper.step(body, schedule.step_s, &mut next) {
-            Ok(convergence) => convergence,
-            Err(failure) => {
-                run.ending = Ending::Failed(failure);
-                break;
-            }
-        };
-        let step = run.steps + 1;
-        if step.is_multiple_of(schedule.every) || step == schedule.steps {
-            let time_s = step as f64 * schedule.step_s;
-            let sigma_min = observables.sigma_min.then(|| stepper.sigma_min());
-            match observer.sample(body, step, time_s, &next, Some(convergence), sigma_min) {
+    let Schedule { step_s, steps, every } = schedule;
+    let observer = Observer::new(body, initial, observables);
+    stepper.start(initial);
+    let mut ending = Ending::Completed;
+    let (mut step, mut iterations) = (0, 0);
+    let (mut sampled, mut samples) = (None, 0);
+    let mut convergence = None;
+    loop {
+        let over = step == steps || ending != Ending::Completed;
+        if (over || step % every == 0) && sampled != Some(step) {
+            match observer.sample(body, stepper, step, step as f64 * step_s, convergence) {
                 Ok(sample) => sink.record(&sample)?,
                 Err(failure) => {
-                    run.ending = Ending::Failed(failure);
+                    ending = Ending::Failed(failure);
                     break;
                 }
             }
-            recorded = step;
-            run.samples += 1;
+            (sampled, samples) = (Some(step), samples + 1);
         }
-        last = Some(convergence);
-        run.state = next;
-        run.steps = step;
-        run.iterations += u64::from(convergence.iterations);
-    }
-    if recorded < run.steps {
-        let time_s = run.steps as f64 * schedule.step_s;
-        if let Ok(sample) = observer.sample(body, run.steps, time_s, &run.state, last, None) {
-            sink.record(&sample)?;
-            run.samples += 1;
+        if over {
+            break;
+        }
+        if !go_on(step) {
+            ending = Ending::Cancelled;
+            continue;
+        }
+        match stepper.step(body, step_s) {
+            Ok(solved) => {
+                convergence = Some(solved);
+                iterations += u64::from(solved.iterations);
+                step += 1;
+            }
+            Err(failure) => ending = Ending::Failed(failure),
         }
     }
-    Ok(run)
+    Ok(Trajectory {
+        ending,
+        steps: step,
+        samples,
+        attitude: stepper.attitude(),
+        momentum: stepper.momentum(),
+        iterations,
+    })
 }
 
 /// Computes what a sample holds beside the state, measured against the start.
 struct Observer<const N: usize> {
     observables: Observables,
+    initial: State<N>,
     initial_energy: f64,
-    initial_momentum: Mat<N>,
     conserved: Option<Mat<N>>,
 }
 
@@ -193,48 +182,49 @@ impl<const N: usize> Observer<N> {
     fn new(body: &RigidBody<N>, initial: &State<N>, observables: Observables) -> Self {
         Self {
             observables,
-            initial_energy: if observables.energy { body.energy(initial).total() } else { 0.0 },
-            initial_momentum: spatial_momentum(initial),
+            initial: initial.clone(),
+            initial_energy: body.energy(&initial.attitude, &initial.momentum).total(),
             conserved: body.conserved_directions(),
         }
     }
 
-    fn sample<'a>(
+    fn sample(
         &self,
         body: &RigidBody<N>,
+        stepper: &dyn Stepper<N>,
         step: u64,
         time_s: f64,
-        state: &'a State<N>,
         convergence: Option<Convergence>,
-        sigma_min: Option<f64>,
-    ) -> Result<Sample<'a, N>, Failure> {
-        let Observables { energy, orthogonality, momentum, .. } = self.observables;
-        let energy = energy.then(|| body.energy(state));
-        let spatial_momentum = momentum.then(|| spatial_momentum(state));
+    ) -> Result<Sample<N>, Failure> {
+        let asked = self.observables;
+        let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
+        // A scheme without an attitude serves free bodies, whose energy needs none.
+        let g = attitude.unwrap_or_else(Mat::identity);
+        let energy = asked.energy.then(|| body.energy(&g, &momentum));
         let sample = Sample {
             step,
             time_s,
-            state,
+            attitude,
+            momentum,
             energy,
             energy_error: energy.map(|now| now.total() - self.initial_energy),
-            orthogonality_error: orthogonality.then(|| so::orthogonality_error(&state.attitude)),
-            momentum_drift: spatial_momentum.zip(self.conserved).map(|(now, q)| {
-                let change = q * (now - self.initial_momentum) * q;
-                so::inner(&change, &change).sqrt()
-            }),
-            spatial_momentum,
+            orthogonality_error: attitude
+                .filter(|_| asked.orthogonality)
+                .map(|g| so::orthogonality_error(&g)),
+            spatial_momentum: attitude
+                .filter(|_| asked.momentum)
+                .map(|g| so::conjugate(&g, &momentum)),
+            momentum_drift: if asked.momentum { self.drift(attitude, &momentum) } else { None },
             convergence,
-            sigma_min,
+            sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
         };
         let numbers = [
-            sample.energy_error,
-            sample.energy.map(|energy| energy.kinetic),
+            energy.map(|energy| energy.total()),
             sample.orthogonality_error,
-            spatial_momentum.map(|m| m.sum()),
             sample.momentum_drift,
-            sigma_min,
+            sample.sigma_min,
         ];
-        let finite = state.attitude.iter().chain(&state.momentum).all(|x| x.is_finite())
+        let finite = g.iter().chain(&momentum).all(|x| x.is_finite())
             && numbers.into_iter().flatten().all(f64::is_finite);
         if finite {
             Ok(sample)
@@ -242,9 +232,22 @@ impl<const N: usize> Observer<N> {
             Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
         }
     }
-}
 
-/// The momentum in space coordinates, `g mu g^T`.
-pub fn spatial_momentum<const N: usize>(state: &State<N>) -> Mat<N> {
-    state.attitude * state.momentum * state.attitude.transpose()
+    /// How far what the scene conserves has moved: the spatial momentum among the free directions, or,
+    /// without an attitude, the coadjoint orbit of the body momentum.
+    fn drift(&self, attitude: Option<Mat<N>>, momentum: &Mat<N>) -> Option<f64> {
+        let start = &self.initial;
+        match attitude {
+            Some(g) => self.conserved.map(|q| {
+                let change =
+                    so::conjugate(&g, momentum) - so::conjugate(&start.attitude, &start.momentum);
+                let kept = q * change * q;
+                so::inner(&kept, &kept).sqrt()
+            }),
+            None => {
+                let (now, then) = (so::frequencies(momentum), so::frequencies(&start.momentum));
+                Some(now.iter().zip(&then).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max))
+            }
+        }
+    }
 }

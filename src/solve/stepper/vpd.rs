@@ -25,6 +25,7 @@ use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::solve::so::{self, Mat, Vector};
+use crate::solve::stepper::Stepper;
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
@@ -36,6 +37,7 @@ const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 pub struct Vpd<const N: usize> {
     tableau: Tableau,
     stop: StopRule,
+    state: State<N>,
     stages: Vec<Stage<N>>,
     end: End<N>,
     seen: Vec<Vector<N>>,
@@ -82,49 +84,12 @@ impl<const N: usize> Vpd<N> {
             Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         Self {
             stages: vec![stage; tableau.stages()],
+            state: State { attitude: u, momentum: zero },
             end: End { f: u, e: zero, lambda: zero },
             seen: Vec::new(),
             tableau,
             stop,
         }
-    }
-
-    /// Order of the scheme.
-    pub fn order(&self) -> u32 {
-        self.tableau.order()
-    }
-
-    /// Carries `state` forward by `h`.
-    ///
-    /// # Errors
-    /// Any [`FailureCode`]; the state is then untouched.
-    pub fn step(
-        &mut self,
-        body: &RigidBody<N>,
-        h: f64,
-        state: &mut State<N>,
-    ) -> Result<Convergence, Failure> {
-        body.seen_from(&state.attitude, &mut self.seen);
-        self.guess(body, h, &state.momentum)?;
-        let Self { tableau, stop, stages, end, seen } = self;
-        let solved =
-            fixed_point(*stop, || sweep(tableau, body, seen, h, &state.momentum, stages, end));
-        let convergence = match solved {
-            Ok(convergence) => convergence,
-            Err(failure) => return Err(self.named(body, failure)),
-        };
-        self.check(body)?;
-        let End { f, e, lambda } = &self.end;
-        // (vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for skew Lambda.
-        state.momentum = -(lambda * 2.0 + so::asym(&(e * lambda)));
-        // The product drifts off the group like any product; one correction in space puts it back.
-        state.attitude = so::orthonormalised(&(state.attitude * f));
-        Ok(convergence)
-    }
-
-    /// The smallest singular value of the interpolated matrices of the last step.
-    pub fn sigma_min(&self) -> f64 {
-        1.0 + self.excesses().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min)
     }
 
     fn excesses(&self) -> impl Iterator<Item = &Mat<N>> {
@@ -133,8 +98,9 @@ impl<const N: usize> Vpd<N> {
 
     /// Starts the unknowns from the velocity at the beginning of the step, kept constant. A function of
     /// the state alone: a resumed run repeats it to the bit.
-    fn guess(&mut self, body: &RigidBody<N>, h: f64, p0: &Mat<N>) -> Result<(), Failure> {
-        let omega = body.velocity(p0);
+    fn guess(&mut self, body: &RigidBody<N>, h: f64) -> Result<(), Failure> {
+        let p0 = self.state.momentum;
+        let omega = body.velocity(&p0);
         let turn = |angle: f64| {
             so::retraction(&(omega * angle)).ok_or(Failure::new(
                 FailureCode::NonFinite,
@@ -149,7 +115,7 @@ impl<const N: usize> Vpd<N> {
             *stage = Stage {
                 u,
                 e: Mat::zeros(),
-                mu: *p0,
+                mu: p0,
                 omega,
                 u_omega: u * omega,
                 x: Mat::zeros(),
@@ -214,6 +180,44 @@ impl<const N: usize> Vpd<N> {
             }
             None => failure,
         }
+    }
+}
+
+impl<const N: usize> Stepper<N> for Vpd<N> {
+    fn order(&self) -> u32 {
+        self.tableau.order()
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.state = state.clone();
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        body.seen_from(&self.state.attitude, &mut self.seen);
+        self.guess(body, h)?;
+        let Self { tableau, stop, stages, end, seen, state } = self;
+        let solved =
+            fixed_point(*stop, || sweep(tableau, body, seen, h, &state.momentum, stages, end));
+        let convergence = solved.map_err(|failure| self.named(body, failure))?;
+        self.check(body)?;
+        let End { f, e, lambda } = &self.end;
+        // (vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for skew Lambda.
+        self.state.momentum = -(lambda * 2.0 + so::asym(&(e * lambda)));
+        // The product drifts off the group like any product; one correction in space puts it back.
+        self.state.attitude = so::orthonormalised(&(self.state.attitude * f));
+        Ok(convergence)
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        Some(self.state.attitude)
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.state.momentum
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        Some(1.0 + self.excesses().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min))
     }
 }
 
