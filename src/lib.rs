@@ -11,6 +11,7 @@
 //! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
 
 pub mod chart;
+pub mod serve;
 pub mod cli;
 pub mod log;
 pub mod plan;

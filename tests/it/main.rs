@@ -6,6 +6,7 @@
 
 mod bad_scenarios;
 mod cli;
+mod http;
 mod laws;
 mod log;
 mod scenarios;

@@ -1,0 +1,95 @@
+//! The finished log over HTTP, as viewers read it: whole, or by single ranges; with a strong ETag; readable by
+//! pages of other origins.
+//!
+//! Invariant: a range is answered only out of the file that the client began with. The bytes are never
+//! compressed: their length and positions are what viewers go by.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::Request;
+use axum::http::header::{
+    ACCEPT_RANGES, AUTHORIZATION, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE,
+    ETAG, HeaderName, IF_MATCH, IF_NONE_MATCH, IF_RANGE, LAST_MODIFIED, RANGE,
+};
+use axum::http::{HeaderValue, Method};
+use axum::response::{IntoResponse, Response};
+use tower_http::cors::{AllowOrigin, CorsLayer};
+use tower_http::services::ServeFile;
+use tower_http::set_header::SetResponseHeaderLayer;
+use uuid::Uuid;
+
+use super::Cors;
+use super::problem::Problem;
+
+const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName =
+    HeaderName::from_static("cross-origin-resource-policy");
+
+/// Answers one request for the log at `path`.
+pub(super) async fn log(
+    id: Uuid,
+    path: PathBuf,
+    mut request: Request,
+) -> Result<Response, Problem> {
+    let file = path.clone();
+    let metadata = tokio::task::spawn_blocking(move || file.symlink_metadata()).await;
+    match metadata.map_err(std::io::Error::other).flatten() {
+        // A link planted in the data directory must not lead out of it.
+        Ok(metadata) if metadata.is_file() => {}
+        Ok(_) => return Err(Problem::not_found("log")),
+        Err(error) => return Err(Problem::unreadable(&error)),
+    }
+
+    let mut service = ServeFile::new(path);
+    if let Some(wanted) = request.headers_mut().remove(IF_RANGE) {
+        let mut probe = Request::new(Body::empty());
+        *probe.method_mut() = Method::HEAD;
+        let head = service.try_call(probe).await.map_err(|error| Problem::unreadable(&error))?;
+        // Only an equal strong ETag says that it is the same file; a date is too coarse for that.
+        if head.headers().get(ETAG) != Some(&wanted) {
+            request.headers_mut().remove(RANGE);
+        }
+    }
+    let answer = service.try_call(request).await.map_err(|error| Problem::unreadable(&error))?;
+    let mut response = answer.into_response();
+    if response.status().is_success() {
+        let headers = response.headers_mut();
+        headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+        if let Ok(disposition) =
+            HeaderValue::try_from(format!("attachment; filename=\"vpd-{id}.mcap\""))
+        {
+            headers.insert(CONTENT_DISPOSITION, disposition);
+        }
+    }
+    Ok(response)
+}
+
+/// Lets pages of other origins read what `router` answers.
+pub(super) fn share<S: Clone + Send + Sync + 'static>(router: Router<S>, cors: &Cors) -> Router<S> {
+    let origins = match cors {
+        Cors::Nobody => return router,
+        Cors::Any => AllowOrigin::any(),
+        Cors::Origins(origins) => AllowOrigin::list(
+            origins.iter().filter_map(|origin| HeaderValue::try_from(origin).ok()),
+        ),
+    };
+    let cors = CorsLayer::new()
+        .allow_origin(origins)
+        .allow_methods([Method::GET, Method::HEAD, Method::OPTIONS])
+        .allow_headers([RANGE, IF_MATCH, IF_NONE_MATCH, IF_RANGE, AUTHORIZATION, CONTENT_TYPE])
+        .expose_headers([
+            ACCEPT_RANGES,
+            CONTENT_LENGTH,
+            CONTENT_RANGE,
+            CONTENT_TYPE,
+            ETAG,
+            LAST_MODIFIED,
+        ])
+        .max_age(Duration::from_secs(600));
+    let policy = HeaderValue::from_static("cross-origin");
+    router
+        .layer(cors)
+        .layer(SetResponseHeaderLayer::overriding(CROSS_ORIGIN_RESOURCE_POLICY, policy))
+}

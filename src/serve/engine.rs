@@ -1,0 +1,395 @@
+//! The engine: an index of all jobs, a bounded queue, worker threads.
+//!
+//! Invariants: all state sits behind one std mutex, held for moments and never over an `.await`. A job runs on
+//! an OS thread of its own, and what it costs is seen through two atomics. A state is shown only after the
+//! store holds what it says; an operation once begun goes on to its end, whether or not the client waits.
+
+mod worker;
+
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Bound;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use futures_util::{StreamExt, TryStreamExt, stream};
+use tokio::sync::mpsc;
+use uuid::Uuid;
+
+use super::job::{Fault, Job, Phase, State, View};
+use super::store::{Found, Record, Store, StoreError};
+use super::{ServeError, chain};
+use crate::plan::Plan;
+use crate::scenario::Scenario;
+
+/// A job that ends its process this many times is given up.
+pub(super) const MAX_ATTEMPTS: u32 = 3;
+
+/// How many records the start reads at a time.
+const SCAN_WIDTH: usize = 16;
+
+/// Why the engine does not do what it was asked for.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Refusal {
+    #[error("{limit} jobs wait already: try again later")]
+    QueueFull { limit: usize },
+    #[error("the service is stopping: try again once it is back")]
+    Stopping,
+    #[error("there is no job with this id")]
+    UnknownJob,
+    #[error("the job is running: cancel it first")]
+    JobRunning,
+    #[error("the job has ended already")]
+    JobEnded,
+    #[error("the log can be read once the job has ended")]
+    LogUnfinished { eta_s: Option<f64> },
+    #[error("the job ended before it began a log")]
+    NoLog,
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+#[derive(Debug)]
+struct Index {
+    jobs: BTreeMap<Uuid, Job>,
+    queue: VecDeque<Uuid>,
+    /// Places kept for jobs that are being written to the store.
+    reserved: usize,
+    /// Who holds a copy has something to finish before a stop is complete; gone once the stop has begun.
+    alive: Option<mpsc::Sender<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    store: Store,
+    queue_limit: usize,
+    index: Mutex<Index>,
+    /// There is work in the queue, or no more to come.
+    work: Condvar,
+    /// The stop has begun.
+    halt: Condvar,
+    runtime: tokio::runtime::Handle,
+}
+
+impl Shared {
+    fn index(&self) -> MutexGuard<'_, Index> {
+        // A panic leaves the index whole: no change of it spans a call that may panic.
+        self.index.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A handle on the engine; copies are the same engine.
+#[derive(Clone, Debug)]
+pub(super) struct Engine(Arc<Shared>);
+
+/// Tells when everything that was going on at the stop has come to its end.
+#[derive(Debug)]
+pub(super) struct Drained(mpsc::Receiver<()>);
+
+impl Drained {
+    pub(super) async fn wait(mut self) {
+        // Nobody sends: this returns when the last holder of a sender is gone.
+        let _ = self.0.recv().await;
+    }
+}
+
+/// A place in the queue, given back when dropped.
+struct Place {
+    shared: Arc<Shared>,
+    _alive: mpsc::Sender<()>,
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.shared.index().reserved -= 1;
+    }
+}
+
+impl Engine {
+    /// Takes up the jobs of the store and starts the workers.
+    pub(super) async fn start(
+        store: Store,
+        workers: usize,
+        queue_limit: usize,
+    ) -> Result<(Self, Drained), ServeError> {
+        let unreadable = |error: StoreError| ServeError::Record { message: chain(&error) };
+        let found = store.scan().await.map_err(unreadable)?;
+        let jobs: BTreeMap<_, _> = stream::iter(found)
+            .map(|found| take_up(&store, found))
+            .buffered(SCAN_WIDTH)
+            .try_collect()
+            .await
+            .map_err(unreadable)?;
+        let queue: VecDeque<_> = jobs
+            .iter()
+            .filter(|(_, job)| matches!(job.phase, Phase::Queued))
+            .map(|(id, _)| *id)
+            .collect();
+        tracing::info!(jobs = jobs.len(), queued = queue.len(), "record read");
+
+        let (alive, gone) = mpsc::channel(1);
+        let shared = Arc::new(Shared {
+            store,
+            queue_limit,
+            index: Mutex::new(Index { jobs, queue, reserved: 0, alive: Some(alive.clone()) }),
+            work: Condvar::new(),
+            halt: Condvar::new(),
+            runtime: tokio::runtime::Handle::current(),
+        });
+        for number in 1..=workers.max(1) {
+            let (shared, alive) = (shared.clone(), alive.clone());
+            std::thread::Builder::new().name(format!("worker-{number}")).spawn(move || {
+                shared.work();
+                drop(alive);
+            })?;
+        }
+        Ok((Self(shared), Drained(gone)))
+    }
+
+    /// Takes a job. When this returns the job is on the disk.
+    pub(super) async fn submit(&self, scenario: Scenario, plan: Plan) -> Result<View, Refusal> {
+        let place = self.reserve()?;
+        to_the_end(async move {
+            let id = Uuid::now_v7();
+            let job = Job::new(&scenario, &plan, 0);
+            place.shared.store.accept(id, scenario.to_json()).await?;
+            tracing::info!(job = %id, name = job.name, steps = job.steps, "job accepted");
+            let view = job.view(id);
+            let mut index = place.shared.index();
+            index.jobs.insert(id, job);
+            index.queue.push_back(id);
+            drop(index);
+            place.shared.work.notify_one();
+            Ok(view)
+        })
+        .await
+    }
+
+    fn reserve(&self) -> Result<Place, Refusal> {
+        let mut index = self.0.index();
+        let alive = index.alive.clone().ok_or(Refusal::Stopping)?;
+        if index.queue.len() + index.reserved >= self.0.queue_limit {
+            return Err(Refusal::QueueFull { limit: self.0.queue_limit });
+        }
+        index.reserved += 1;
+        Ok(Place { shared: self.0.clone(), _alive: alive })
+    }
+
+    /// One job, with how it ended.
+    pub(super) async fn get(&self, id: Uuid) -> Result<View, Refusal> {
+        let mut view = self.brief(id)?;
+        if view.state.is_final() {
+            let record = self.0.store.record(id).await?;
+            view.plan = record.plan.clone();
+            view.record = Some(record);
+        }
+        Ok(view)
+    }
+
+    /// One job, without a look at the disk.
+    pub(super) fn brief(&self, id: Uuid) -> Result<View, Refusal> {
+        self.0.index().jobs.get(&id).map(|job| job.view(id)).ok_or(Refusal::UnknownJob)
+    }
+
+    /// Jobs newest first, older than `cursor`; and the cursor for more of them, if there are more.
+    pub(super) fn list(
+        &self,
+        state: Option<State>,
+        limit: usize,
+        cursor: Option<Uuid>,
+    ) -> (Vec<View>, Option<Uuid>) {
+        let index = self.0.index();
+        let older =
+            index.jobs.range((Bound::Unbounded, cursor.map_or(Bound::Unbounded, Bound::Excluded)));
+        let wanted = older.rev().filter(|(_, job)| state.is_none_or(|state| job.state() == state));
+        let mut page: Vec<_> = wanted.take(limit + 1).map(|(id, job)| job.view(*id)).collect();
+        let more = page.len() > limit;
+        page.truncate(limit);
+        let next = page.last().filter(|_| more).map(|view| view.id);
+        (page, next)
+    }
+
+    /// The finished log of a job.
+    pub(super) fn log(&self, id: Uuid) -> Result<PathBuf, Refusal> {
+        let view = self.brief(id)?;
+        match (view.state.is_final(), view.has_log) {
+            (true, true) => Ok(self.0.store.log_path(id)),
+            (true, false) => Err(Refusal::NoLog),
+            (false, _) => Err(Refusal::LogUnfinished { eta_s: view.eta_s }),
+        }
+    }
+
+    /// The scenario of a job, as accepted.
+    pub(super) async fn scenario(&self, id: Uuid) -> Result<axum::body::Bytes, Refusal> {
+        self.brief(id)?;
+        Ok(self.0.store.scenario(id).await?)
+    }
+
+    /// Stops a job: a waiting one has ended when this returns, a running one ends at its next step.
+    pub(super) async fn cancel(&self, id: Uuid) -> Result<View, Refusal> {
+        let shared = self.0.clone();
+        let alive = self.alive()?;
+        to_the_end(async move {
+            let record = {
+                let mut index = shared.index();
+                let Index { jobs, queue, .. } = &mut *index;
+                let job = jobs.get_mut(&id).ok_or(Refusal::UnknownJob)?;
+                match &mut job.phase {
+                    Phase::Ended { .. } => return Err(Refusal::JobEnded),
+                    Phase::Leaving => None,
+                    Phase::Running { control, unwanted, .. } => {
+                        *unwanted = true;
+                        control.cancelled.store(true, Ordering::Relaxed);
+                        None
+                    }
+                    Phase::Queued => {
+                        job.phase = Phase::Leaving;
+                        queue.retain(|waiting| *waiting != id);
+                        Some(job.record(State::Cancelled, None))
+                    }
+                }
+            };
+            tracing::info!(job = %id, "job to be cancelled");
+            match record {
+                Some(record) => shared.end_waiting(id, &record).await?,
+                None => {
+                    if let Err(error) = shared.store.note_cancel(id).await {
+                        tracing::warn!(job = %id, error = chain(&error), "cancellation not on disk");
+                    }
+                }
+            }
+            drop(alive);
+            Engine(shared).brief(id)
+        })
+        .await
+    }
+
+    /// Forgets a job that does not run, and its log.
+    pub(super) async fn forget(&self, id: Uuid) -> Result<(), Refusal> {
+        let shared = self.0.clone();
+        let alive = self.alive()?;
+        to_the_end(async move {
+            {
+                let mut index = shared.index();
+                let Index { jobs, queue, .. } = &mut *index;
+                let job = jobs.get_mut(&id).ok_or(Refusal::UnknownJob)?;
+                match job.phase {
+                    Phase::Running { .. } | Phase::Leaving => return Err(Refusal::JobRunning),
+                    Phase::Ended { .. } => {}
+                    Phase::Queued => {
+                        job.phase = Phase::Leaving;
+                        queue.retain(|waiting| *waiting != id);
+                    }
+                }
+            }
+            if let Err(error) = shared.store.forget(id).await {
+                shared.back_to_queue(id);
+                return Err(error.into());
+            }
+            shared.index().jobs.remove(&id);
+            tracing::info!(job = %id, "job forgotten");
+            drop(alive);
+            Ok(())
+        })
+        .await
+    }
+
+    /// Begins the stop: no new jobs, and running ones are told to end.
+    pub(super) fn stop(&self) {
+        let mut index = self.0.index();
+        index.alive = None;
+        for job in index.jobs.values() {
+            if let Phase::Running { control, .. } = &job.phase {
+                control.cancelled.store(true, Ordering::Relaxed);
+            }
+        }
+        drop(index);
+        self.0.work.notify_all();
+        self.0.halt.notify_all();
+    }
+
+    /// Whether jobs are taken.
+    pub(super) fn is_ready(&self) -> bool {
+        self.0.index().alive.is_some()
+    }
+
+    fn alive(&self) -> Result<mpsc::Sender<()>, Refusal> {
+        self.0.index().alive.clone().ok_or(Refusal::Stopping)
+    }
+}
+
+impl Shared {
+    async fn end_waiting(&self, id: Uuid, record: &Record) -> Result<(), StoreError> {
+        match self.store.publish(id, record).await {
+            Ok(record) => {
+                self.index().jobs.insert(id, Job::ended(&record));
+                tracing::info!(job = %id, "job cancelled");
+                Ok(())
+            }
+            Err(error) => {
+                self.back_to_queue(id);
+                Err(error)
+            }
+        }
+    }
+
+    /// Puts a job whose departure failed to the front of the queue.
+    fn back_to_queue(&self, id: Uuid) {
+        let mut index = self.index();
+        let Index { jobs, queue, .. } = &mut *index;
+        if let Some(job) = jobs.get_mut(&id)
+            && matches!(job.phase, Phase::Leaving)
+        {
+            job.phase = Phase::Queued;
+            queue.push_front(id);
+            self.work.notify_one();
+        }
+    }
+}
+
+/// A job of the store: one that ended, one that must end now, or one to run (again).
+async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError> {
+    let id = found.id;
+    if found.ended {
+        let record = match store.record(id).await {
+            Ok(record) => record,
+            Err(error) => {
+                tracing::error!(job = %id, error = chain(&error), "result unreadable");
+                Job::unnamed(found.attempts).record(State::Failed, Some(&Fault::storage(&error)))
+            }
+        };
+        return Ok((id, Job::ended(&record)));
+    }
+    let text = store.scenario(id).await?;
+    let planned = Scenario::from_json(&text).and_then(|scenario| {
+        let plan = Plan::new(&scenario)?;
+        Ok(Job::new(&scenario, &plan, found.attempts))
+    });
+    let (job, fault) = match planned {
+        Ok(job) => (job, None),
+        Err(error) => (Job::unnamed(found.attempts), Some(Fault::rejected(&error))),
+    };
+    let record = match fault {
+        _ if found.cancelled => job.record(State::Cancelled, None),
+        Some(fault) => job.record(State::Failed, Some(&fault)),
+        None if found.attempts >= MAX_ATTEMPTS => {
+            job.record(State::Failed, Some(&Fault::worker_crashed()))
+        }
+        None => return Ok((id, job)),
+    };
+    tracing::warn!(job = %id, attempts = found.attempts, state = ?record.state, "job ended at the start");
+    store.remove_leftovers(id)?;
+    Ok((id, Job::ended(&store.publish(id, &record).await?)))
+}
+
+/// Runs a task to its end even if the caller, a request whose client has left, is dropped.
+async fn to_the_end<T: Send + 'static>(task: impl Future<Output = T> + Send + 'static) -> T {
+    match tokio::spawn(task).await {
+        Ok(value) => value,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            // Only a runtime that goes down aborts a task, and it drops us next.
+            Err(_) => std::future::pending().await,
+        },
+    }
+}

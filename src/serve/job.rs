@@ -1,0 +1,243 @@
+//! One job as the engine knows it, and as clients see it.
+//!
+//! ```text
+//! queued → running → succeeded | failed | cancelled
+//! ```
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Instant;
+
+use chrono::{DateTime, SubsecRound, Utc};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use uuid::Uuid;
+
+use super::engine::MAX_ATTEMPTS;
+use super::store::{Record, StoreError};
+use crate::plan::Plan;
+use crate::run::RunError;
+use crate::scenario::{Scenario, ScenarioError};
+
+/// Where a job stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum State {
+    Queued,
+    Running,
+    Succeeded,
+    Failed,
+    Cancelled,
+}
+
+impl State {
+    /// True once nothing more happens to the job.
+    pub(super) fn is_final(self) -> bool {
+        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
+    }
+
+    /// The state in answers and queries.
+    pub(super) fn as_str(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Succeeded => "succeeded",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+}
+
+/// A job as seen from outside.
+#[derive(Clone, Debug)]
+pub(super) struct View {
+    pub(super) id: Uuid,
+    pub(super) name: String,
+    pub(super) state: State,
+    pub(super) created: Option<DateTime<Utc>>,
+    pub(super) attempts: u32,
+    pub(super) steps: u64,
+    pub(super) steps_done: u64,
+    pub(super) eta_s: Option<f64>,
+    pub(super) has_log: bool,
+    pub(super) plan: Option<Value>,
+    /// How it ended; only where a single job is asked for.
+    pub(super) record: Option<Record>,
+}
+
+/// What two threads share of a running job.
+#[derive(Debug, Default)]
+pub(super) struct Control {
+    pub(super) steps_done: AtomicU64,
+    pub(super) cancelled: AtomicBool,
+}
+
+#[derive(Debug)]
+pub(super) enum Phase {
+    Queued,
+    /// `unwanted`: a client has cancelled it (a stop of the service sets only the flag in `control`).
+    Running {
+        control: Arc<Control>,
+        since: Instant,
+        unwanted: bool,
+    },
+    /// Out of the queue: being cancelled or forgotten.
+    Leaving,
+    Ended {
+        state: State,
+        steps_done: u64,
+        has_log: bool,
+    },
+}
+
+#[derive(Debug)]
+pub(super) struct Job {
+    pub(super) name: String,
+    pub(super) attempts: u32,
+    pub(super) steps: u64,
+    /// The plan, until the record holds it.
+    pub(super) plan: Option<Value>,
+    pub(super) phase: Phase,
+}
+
+impl Job {
+    pub(super) fn new(scenario: &Scenario, plan: &Plan, attempts: u32) -> Self {
+        Self {
+            name: scenario.name().to_owned(),
+            attempts,
+            steps: plan.steps,
+            plan: serde_json::to_value(plan).ok(),
+            phase: Phase::Queued,
+        }
+    }
+
+    /// A job whose scenario cannot be read.
+    pub(super) fn unnamed(attempts: u32) -> Self {
+        Self { name: String::new(), attempts, steps: 0, plan: None, phase: Phase::Leaving }
+    }
+
+    pub(super) fn ended(record: &Record) -> Self {
+        let Record { state, steps_done, has_log, .. } = *record;
+        Self {
+            name: record.name.clone(),
+            attempts: record.attempts,
+            steps: record.steps,
+            plan: None,
+            phase: Phase::Ended { state, steps_done, has_log },
+        }
+    }
+
+    pub(super) fn state(&self) -> State {
+        match self.phase {
+            Phase::Queued | Phase::Leaving => State::Queued,
+            Phase::Running { .. } => State::Running,
+            Phase::Ended { state, .. } => state,
+        }
+    }
+
+    pub(super) fn view(&self, id: Uuid) -> View {
+        let (mut steps_done, mut eta_s, mut has_log) = (0, None, false);
+        match &self.phase {
+            Phase::Running { control, since, .. } => {
+                steps_done = control.steps_done.load(Ordering::Relaxed);
+                let left = self.steps.saturating_sub(steps_done) as f64;
+                eta_s = (steps_done > 0)
+                    .then(|| since.elapsed().as_secs_f64() * left / steps_done as f64);
+            }
+            Phase::Ended { steps_done: done, has_log: log, .. } => {
+                (steps_done, has_log) = (*done, *log)
+            }
+            Phase::Queued | Phase::Leaving => {}
+        }
+        View {
+            id,
+            name: self.name.clone(),
+            state: self.state(),
+            created: created(id),
+            attempts: self.attempts,
+            steps: self.steps,
+            steps_done,
+            eta_s,
+            has_log,
+            plan: self.plan.clone(),
+            record: None,
+        }
+    }
+
+    /// The record of an end without a summary.
+    pub(super) fn record(&self, state: State, fault: Option<&Fault>) -> Record {
+        Record {
+            name: self.name.clone(),
+            state,
+            attempts: self.attempts,
+            finished: Utc::now().trunc_subsecs(3),
+            steps: self.steps,
+            steps_done: 0,
+            has_log: false,
+            plan: self.plan.clone(),
+            summary: None,
+            diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
+        }
+    }
+}
+
+fn created(id: Uuid) -> Option<DateTime<Utc>> {
+    let (seconds, nanos) = id.get_timestamp()?.to_unix();
+    DateTime::from_timestamp(i64::try_from(seconds).ok()?, nanos)
+}
+
+/// Why a job ended without a summary of its run.
+#[derive(Debug, Serialize)]
+pub(super) struct Fault {
+    code: &'static str,
+    message: String,
+    advice: &'static str,
+}
+
+impl Fault {
+    fn new(code: &'static str, message: impl Into<String>) -> Self {
+        let advice = match code {
+            "storage_full" => {
+                "free space on the disk of the data directory, then submit the job again"
+            }
+            "storage_error" => {
+                "look for disk errors in the log of the service, then submit the job again"
+            }
+            "worker_crashed" => {
+                "the job ends its process: submit it with fewer samples or a smaller n, or report it"
+            }
+            "scenario_rejected" => "submit the scenario again and mend what the answer names",
+            _ => "this is a fault of the program: report it with the scenario",
+        };
+        Self { code, message: message.into(), advice }
+    }
+
+    pub(super) fn storage(error: &StoreError) -> Self {
+        Self::new(error.code(), format!("the service {error}"))
+    }
+
+    pub(super) fn rejected(error: &ScenarioError) -> Self {
+        Self::new(
+            "scenario_rejected",
+            format!("this build does not take the kept scenario: {error}"),
+        )
+    }
+
+    pub(super) fn worker_crashed() -> Self {
+        Self::new("worker_crashed", format!("{} runs of this job never came back", MAX_ATTEMPTS))
+    }
+
+    pub(super) fn panicked() -> Self {
+        Self::new("internal", "the run panicked")
+    }
+
+    /// The cause may name files of the machine: it goes to the service's own log, not into the record.
+    pub(super) fn run(error: &RunError) -> Self {
+        let message = match error.code() {
+            "storage_full" => "the disk filled up while the log was written",
+            "storage_error" => "the log could not be written",
+            _ => "the run broke off",
+        };
+        Self::new(error.code(), message)
+    }
+}

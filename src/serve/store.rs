@@ -1,0 +1,288 @@
+//! The record of the jobs, on disk.
+//!
+//! A job is a prefix: `jobs/<uuid v7>/{scenario.json, cancel, attempt-1, …, log.mcap, result.json}`.
+//!
+//! Invariants: a job exists while its `scenario.json` does. `attempt-N` and `result.json` are written
+//! put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
+//! has written is on the disk when the call returns. A file named `log.mcap` is finished, and it is
+//! the job's log once `result.json` stands. No name that a client sent becomes part of a path.
+
+use std::collections::BTreeMap;
+use std::fs::{DirBuilder, File, TryLockError};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use axum::body::Bytes;
+use chrono::{DateTime, Utc};
+use futures_util::{StreamExt, TryStreamExt, stream};
+use object_store::local::LocalFileSystem;
+use object_store::path::Path as Key;
+use object_store::{Error, ObjectStore, ObjectStoreExt, PutMode, PutOptions};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use uuid::Uuid;
+
+use super::ServeError;
+use super::job::State;
+
+const JOBS: &str = "jobs";
+const SCENARIO: &str = "scenario.json";
+const RESULT: &str = "result.json";
+const CANCEL: &str = "cancel";
+const ATTEMPT: &str = "attempt-";
+const LOG: &str = "log.mcap";
+const PART: &str = "log.mcap.part";
+
+/// How a job ended: the text of `result.json`. Plan, summary and diagnosis stay plain JSON, so that a
+/// newer build can show what an older one wrote.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Record {
+    pub(super) name: String,
+    pub(super) state: State,
+    pub(super) attempts: u32,
+    pub(super) finished: DateTime<Utc>,
+    pub(super) steps: u64,
+    pub(super) steps_done: u64,
+    pub(super) has_log: bool,
+    pub(super) plan: Option<Value>,
+    pub(super) summary: Option<Value>,
+    pub(super) diagnosis: Option<Value>,
+}
+
+/// What the scan found of one job.
+#[derive(Debug)]
+pub(super) struct Found {
+    pub(super) id: Uuid,
+    pub(super) attempts: u32,
+    pub(super) cancelled: bool,
+    pub(super) ended: bool,
+}
+
+/// Reading or writing the record failed.
+#[derive(Debug, thiserror::Error)]
+#[error("could not {action}")]
+pub(super) struct StoreError {
+    action: &'static str,
+    source: Box<dyn std::error::Error + Send + Sync>,
+}
+
+impl StoreError {
+    fn new<E: Into<Box<dyn std::error::Error + Send + Sync>>>(
+        action: &'static str,
+    ) -> impl FnOnce(E) -> Self {
+        move |source| Self { action, source: source.into() }
+    }
+
+    /// `storage_full` or `storage_error`.
+    pub(super) fn code(&self) -> &'static str {
+        let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&*self.source);
+        while let Some(error) = cause {
+            if let Some(error) = error.downcast_ref::<io::Error>()
+                && matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+            {
+                return "storage_full";
+            }
+            cause = error.source();
+        }
+        "storage_error"
+    }
+}
+
+/// The data directory is ours while this lives: two services on one record would run each other's jobs.
+#[derive(Debug)]
+pub(super) struct DataLock {
+    _file: File,
+}
+
+impl DataLock {
+    /// Makes the directory if need be, readable by its owner alone, and locks it.
+    pub(super) fn take(data: &Path) -> Result<Self, ServeError> {
+        let failed = |source| ServeError::Data { path: data.into(), source };
+        if !data.exists() {
+            make_directory(data).map_err(failed)?;
+        }
+        let file = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(data.join("lock"))
+            .map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self { _file: file }),
+            Err(TryLockError::WouldBlock) => Err(ServeError::DataInUse { path: data.into() }),
+            Err(TryLockError::Error(source)) => Err(failed(source)),
+        }
+    }
+}
+
+fn make_directory(path: &Path) -> io::Result<()> {
+    let mut builder = DirBuilder::new();
+    builder.recursive(true);
+    #[cfg(unix)]
+    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+    builder.create(path)?;
+    // The new name must survive a power cut as well, or every job below it goes with it.
+    path.canonicalize()?.parent().map_or(Ok(()), sync_directory)
+}
+
+fn sync_directory(path: &Path) -> io::Result<()> {
+    if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
+}
+
+fn remove_if_there(path: &Path) -> io::Result<()> {
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// The record; the only code that knows names of files.
+#[derive(Debug)]
+pub(super) struct Store {
+    objects: LocalFileSystem,
+    jobs: PathBuf,
+}
+
+impl Store {
+    /// Opens the record in a directory that exists and is locked.
+    pub(super) fn open(data: &Path) -> Result<Self, ServeError> {
+        let failed = |source: io::Error| ServeError::Data { path: data.into(), source };
+        let jobs = data.canonicalize().map_err(failed)?.join(JOBS);
+        make_directory(&jobs).map_err(failed)?;
+        let objects = LocalFileSystem::new_with_prefix(data)
+            .map_err(|error| failed(io::Error::other(error)))?;
+        Ok(Self { objects: objects.with_fsync(true), jobs })
+    }
+
+    /// Keeps a new job.
+    pub(super) async fn accept(&self, id: Uuid, scenario: Vec<u8>) -> Result<(), StoreError> {
+        let failed = StoreError::new("keep the scenario");
+        self.create(id, SCENARIO, scenario).await.map_err(failed)
+    }
+
+    /// The scenario of a job, as accepted.
+    pub(super) async fn scenario(&self, id: Uuid) -> Result<Bytes, StoreError> {
+        self.read(id, SCENARIO).await.map_err(StoreError::new("read the scenario"))
+    }
+
+    /// Notes that attempt `n` begins.
+    pub(super) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
+        let failed = StoreError::new("note the attempt");
+        self.create(id, &format!("{ATTEMPT}{n}"), Vec::new()).await.map_err(failed)
+    }
+
+    /// Takes back the note of an attempt that was interrupted in order: it must not count as a crash.
+    pub(super) async fn take_back_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
+        let failed = StoreError::new("take back the note of the attempt");
+        self.objects.delete(&key(id, &format!("{ATTEMPT}{n}"))).await.map_err(failed)
+    }
+
+    /// Notes that somebody wants the job stopped, so that it stays stopped if we die before it ends.
+    pub(super) async fn note_cancel(&self, id: Uuid) -> Result<(), StoreError> {
+        match self.create(id, CANCEL, Vec::new()).await {
+            Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
+            Err(error) => Err(StoreError::new("note the cancellation")(error)),
+        }
+    }
+
+    /// Ends a job. The first record wins: the one that stands is returned.
+    pub(super) async fn publish(&self, id: Uuid, record: &Record) -> Result<Record, StoreError> {
+        let text = serde_json::to_vec(record).map_err(StoreError::new("write the result"))?;
+        match self.create(id, RESULT, text).await {
+            Ok(()) => Ok(record.clone()),
+            Err(Error::AlreadyExists { .. }) => self.record(id).await,
+            Err(error) => Err(StoreError::new("write the result")(error)),
+        }
+    }
+
+    /// How a job ended.
+    pub(super) async fn record(&self, id: Uuid) -> Result<Record, StoreError> {
+        let failed = "read the result";
+        let text = self.read(id, RESULT).await.map_err(StoreError::new(failed))?;
+        serde_json::from_slice(&text).map_err(StoreError::new(failed))
+    }
+
+    /// Where the log of a job stands, or will stand once it is finished.
+    pub(super) fn log_path(&self, id: Uuid) -> PathBuf {
+        self.directory(id).join(LOG)
+    }
+
+    /// Removes what a dead attempt left of its log. Blocking.
+    pub(super) fn remove_leftovers(&self, id: Uuid) -> Result<(), StoreError> {
+        let directory = self.directory(id);
+        let removed = remove_if_there(&directory.join(PART))
+            .and_then(|()| remove_if_there(&directory.join(LOG)));
+        removed.map_err(StoreError::new("remove an unfinished log"))
+    }
+
+    /// Forgets a job and its log. The scenario goes first: half of it done, the rest is rubbish that the
+    /// next scan removes, not a job to be run again.
+    pub(super) async fn forget(&self, id: Uuid) -> Result<(), StoreError> {
+        let directory = self.directory(id);
+        let removed = tokio::task::spawn_blocking(move || {
+            remove_if_there(&directory.join(SCENARIO))?;
+            sync_directory(&directory)?;
+            std::fs::remove_dir_all(&directory)
+        });
+        match removed.await.map_err(io::Error::other).flatten() {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                Err(StoreError::new("forget the job")(error))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// All jobs, oldest first. Prefixes without a scenario are removed.
+    pub(super) async fn scan(&self) -> Result<Vec<Found>, StoreError> {
+        let failed = "list the jobs";
+        let mut jobs: BTreeMap<Uuid, Vec<String>> = BTreeMap::new();
+        let mut entries = self.objects.list(Some(&Key::from(JOBS)));
+        while let Some(entry) = entries.try_next().await.map_err(StoreError::new(failed))? {
+            let parts: Vec<_> = entry.location.parts().collect();
+            if let [_, id, name] = parts.as_slice()
+                && let Some(id) = parse_id(id.as_ref())
+            {
+                jobs.entry(id).or_default().push(name.as_ref().to_owned());
+            }
+        }
+        let (whole, broken): (Vec<_>, Vec<_>) =
+            jobs.into_iter().partition(|(_, names)| names.iter().any(|name| name == SCENARIO));
+        let removed = stream::iter(broken).map(Ok).try_for_each(|(id, _)| self.forget(id)).await;
+        if let Err(error) = removed {
+            tracing::warn!(%error, "rubbish stays in the data directory");
+        }
+        let found = whole.into_iter().map(|(id, names)| Found {
+            id,
+            attempts: names
+                .iter()
+                .filter_map(|name| name.strip_prefix(ATTEMPT)?.parse().ok())
+                .max()
+                .unwrap_or(0),
+            cancelled: names.iter().any(|name| name == CANCEL),
+            ended: names.iter().any(|name| name == RESULT),
+        });
+        Ok(found.collect())
+    }
+
+    fn directory(&self, id: Uuid) -> PathBuf {
+        self.jobs.join(id.to_string())
+    }
+
+    async fn read(&self, id: Uuid, name: &str) -> Result<Bytes, Error> {
+        self.objects.get(&key(id, name)).await?.bytes().await
+    }
+
+    async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
+        let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
+        self.objects.put_opts(&key(id, name), content.into(), options).await.map(drop)
+    }
+}
+
+/// The one spelling of an id: lower case with hyphens. Anything else is no id.
+pub(super) fn parse_id(text: &str) -> Option<Uuid> {
+    Uuid::try_parse(text).ok().filter(|id| id.to_string() == text)
+}
+
+fn key(id: Uuid, name: &str) -> Key {
+    Key::from_iter([JOBS, &id.to_string(), name])
+}

@@ -1,0 +1,177 @@
+//! Stops, restarts and crashes: what was accepted is done, and done once.
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use tempfile::TempDir;
+use uuid::Uuid;
+use vpd::serve::ServeError;
+
+use super::{assert_whole_log, directory, long, names, record, service, short};
+
+/// Writes the record that a process left which died in its `attempts`-th run of a job.
+fn crashed(data: &TempDir, attempts: u32) -> (String, PathBuf) {
+    let id = Uuid::now_v7().to_string();
+    let directory = record(data, &id);
+    fs::create_dir_all(&directory).expect("a directory");
+    fs::write(directory.join("scenario.json"), short().to_string()).expect("written");
+    for n in 1..=attempts {
+        fs::write(directory.join(format!("attempt-{n}")), "").expect("written");
+    }
+    fs::write(directory.join("log.mcap.part"), "half a log").expect("written");
+    (id, directory)
+}
+
+#[test]
+fn jobs_survive_a_stop() {
+    let data = directory();
+    let server = service(&data).start();
+    let ended = server.finished();
+    let before = server.job(&ended);
+    let log = server.get(&format!("/jobs/{ended}/log.mcap")).body;
+    let interrupted = server.running();
+    let waiting = server.submit(&short());
+    let (result, took) = server.stop();
+    result.expect("stops in order");
+    assert!(took < Duration::from_secs(10), "took {took:?}");
+    // An interruption is no crash.
+    assert!(!names(&record(&data, &interrupted)).iter().any(|name| name.starts_with("attempt-")));
+    assert!(!record(&data, &interrupted).join("result.json").exists());
+
+    let server = service(&data).start();
+    let mut after = server.job(&ended);
+    for job in [&before, &after] {
+        assert_eq!(job["state"], "succeeded");
+    }
+    // The links name the port, which is another one now.
+    after["links"] = before["links"].clone();
+    assert_eq!(after, before);
+    assert_eq!(server.get(&format!("/jobs/{ended}/log.mcap")).body, log);
+    server.wait(&interrupted, "running");
+    assert_eq!(server.job(&waiting)["state"], "queued");
+    server.send("POST", &format!("/jobs/{interrupted}/cancel"), &[], Some(b""));
+    server.wait(&interrupted, "cancelled");
+    server.wait(&waiting, "succeeded");
+}
+
+#[test]
+fn a_stop_under_load_takes_less_than_ten_seconds() {
+    let data = directory();
+    let server = service(&data).workers(2).start();
+    let running = [server.running(), server.running()];
+    let waiting: Vec<_> = (0..20).map(|_| server.submit(&long())).collect();
+    // A client in the middle of its body, who does not go on.
+    let mut idle = TcpStream::connect(server.address).expect("a connection");
+    let head = "POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n";
+    write!(idle, "{head}Content-Length: 9\r\nExpect: 100-continue\r\n\r\n").expect("sent");
+    let mut go_on = [0; 12];
+    idle.read_exact(&mut go_on).expect("an answer");
+    assert_eq!(&go_on, b"HTTP/1.1 100");
+    let (result, took) = server.stop();
+    result.expect("stops in order");
+    assert!(took < Duration::from_secs(10), "took {took:?}");
+
+    let server = service(&data).workers(2).start();
+    for id in running {
+        server.wait(&id, "running");
+    }
+    for id in waiting {
+        assert_eq!(server.job(&id)["state"], "queued");
+    }
+}
+
+#[test]
+fn many_stops_do_not_count_as_crashes() {
+    let data = directory();
+    let mut id = None;
+    for _ in 0..5 {
+        let server = service(&data).start();
+        let id = id.get_or_insert_with(|| server.running()).clone();
+        assert_eq!(server.wait(&id, "running")["attempts"], 1);
+        server.stop().0.expect("stops in order");
+    }
+}
+
+#[test]
+fn a_second_service_on_the_same_directory_is_refused() {
+    let data = directory();
+    let first = service(&data).start();
+    let id = first.finished();
+    let (refused, _) = service(&data).start().stop();
+    assert!(matches!(refused, Err(ServeError::DataInUse { .. })), "{refused:?}");
+    assert_eq!(first.job(&id)["state"], "succeeded");
+    first.stop().0.expect("stops in order");
+    service(&data).start().stop().0.expect("free again");
+}
+
+#[test]
+fn a_job_whose_process_died_runs_again() {
+    let data = directory();
+    let (id, directory) = crashed(&data, 2);
+    let server = service(&data).start();
+    assert_eq!(server.wait(&id, "succeeded")["attempts"], 3);
+    assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
+    let files = ["attempt-1", "attempt-2", "attempt-3", "log.mcap", "result.json", "scenario.json"];
+    assert_eq!(names(&directory), files);
+}
+
+#[test]
+fn a_job_that_kills_its_process_is_given_up() {
+    let data = directory();
+    let (id, directory) = crashed(&data, 3);
+    let (again, _) = crashed(&data, 0);
+    let server = service(&data).start();
+    let job = server.job(&id);
+    assert_eq!(job["state"], "failed");
+    assert_eq!(job["diagnosis"]["code"], "worker_crashed");
+    server.get(&format!("/jobs/{id}/log.mcap")).problem(404, "no_log");
+    assert!(!directory.join("log.mcap.part").exists());
+    server.wait(&again, "succeeded");
+    server.stop().0.expect("stops in order");
+    assert_eq!(service(&data).start().job(&id)["diagnosis"]["code"], "worker_crashed");
+}
+
+#[test]
+fn a_cancellation_survives_a_crash() {
+    let data = directory();
+    let (id, directory) = crashed(&data, 1);
+    fs::write(directory.join("cancel"), "").expect("written");
+    let server = service(&data).start();
+    assert_eq!(server.job(&id)["state"], "cancelled");
+}
+
+#[test]
+fn damage_in_the_record_harms_no_other_job() {
+    let data = directory();
+    let (torn, directory) = crashed(&data, 1);
+    fs::write(directory.join("result.json"), "{\"name\": ").expect("written");
+    let (unreadable, directory) = crashed(&data, 0);
+    fs::write(directory.join("scenario.json"), "{\"name\": ").expect("written");
+    let (half_forgotten, directory) = crashed(&data, 1);
+    fs::remove_file(directory.join("scenario.json")).expect("removed");
+    fs::create_dir_all(record(&data, "not-a-job")).expect("made");
+    fs::write(record(&data, "not-a-job").join("kept"), "").expect("written");
+
+    let server = service(&data).start();
+    server.finished();
+    assert_eq!(server.get("/jobs?state=failed").json()["jobs"].as_array().map(Vec::len), Some(2));
+    assert_eq!(server.job(&unreadable)["diagnosis"]["code"], "scenario_rejected");
+    server.get(&format!("/jobs/{torn}")).problem(500, "storage_error");
+    server.get(&format!("/jobs/{half_forgotten}")).problem(404, "unknown_job");
+    assert!(!directory.exists());
+    assert!(record(&data, "not-a-job").join("kept").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn the_data_directory_is_private() {
+    use std::os::unix::fs::PermissionsExt;
+    let data = directory();
+    let server = service(&data).start();
+    server.finished();
+    let mode = fs::metadata(data.path().join("data")).expect("a directory").permissions().mode();
+    assert_eq!(mode & 0o777, 0o700);
+}
