@@ -3,6 +3,8 @@
 //! Exit codes: 0 ok, 1 the run failed (its log is kept and finished), 2 bad input.
 
 use std::io::{self, IsTerminal, Write};
+use std::net::SocketAddr;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,12 +14,15 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use tokio::net::TcpListener;
+use tracing_subscriber::EnvFilter;
 
 use crate::chart;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
+use crate::serve::{self, Cors, ServeConfig, ServeError};
 
 mod text;
 
@@ -37,6 +42,8 @@ enum Command {
     Plan(PlanArgs),
     /// Draw energy, orthogonality and momentum over time from a log, as SVG.
     Chart(ChartArgs),
+    /// Take jobs over HTTP, run them on worker threads, hand out their logs.
+    Serve(ServeArgs),
     /// Sum up a log, finished or not.
     Inspect(InspectArgs),
     /// Print the JSON Schema of a scenario.
@@ -74,6 +81,28 @@ struct ChartArgs {
 }
 
 #[derive(Debug, Args)]
+struct ServeArgs {
+    /// Address to listen on.
+    #[arg(long, env = "VPD_LISTEN", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+    /// Directory of the jobs and their logs; made if it is not there.
+    #[arg(long, env = "VPD_DATA", default_value = "vpd-data", value_name = "DIR")]
+    data: PathBuf,
+    /// Jobs that run at once; one a core by default.
+    #[arg(long, env = "VPD_WORKERS", value_name = "N")]
+    workers: Option<NonZeroUsize>,
+    /// Jobs that may wait; one more is answered 429.
+    #[arg(long, env = "VPD_QUEUE", default_value_t = 10_000, value_name = "N")]
+    queue: usize,
+    /// Pages that may read logs: `*`, `none`, or origins separated by commas.
+    #[arg(long, env = "VPD_CORS", default_value = "*", value_name = "ORIGINS")]
+    cors: Cors,
+    /// Address under which viewers reach the service, if it is not the one that clients use.
+    #[arg(long, env = "VPD_PUBLIC_URL", value_name = "URL")]
+    public_url: Option<String>,
+}
+
+#[derive(Debug, Args)]
 struct InspectArgs {
     /// The log.
     log: PathBuf,
@@ -95,6 +124,10 @@ enum CliError {
     Log(#[from] crate::log::LogError),
     #[error(transparent)]
     Chart(#[from] chart::ChartError),
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    #[error("cannot listen on {address}: {source}")]
+    Listen { address: SocketAddr, source: io::Error },
     #[error("cannot write to stdout: {0}")]
     Output(#[from] io::Error),
 }
@@ -118,6 +151,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run(&args),
         Command::Plan(args) => plan(&args),
         Command::Chart(args) => draw(&args),
+        Command::Serve(args) => serve(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
     };
@@ -200,6 +234,54 @@ fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
         writeln!(out, "{}", path.display())?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(io::stderr)
+        .with_ansi(io::stderr().is_terminal())
+        .init();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let served = runtime.block_on(async {
+        let listener = TcpListener::bind(args.listen)
+            .await
+            .map_err(|source| CliError::Listen { address: args.listen, source })?;
+        tracing::info!("listening on http://{}", listener.local_addr()?);
+        let workers = args.workers.or_else(|| thread::available_parallelism().ok());
+        let config = ServeConfig {
+            data: args.data.clone(),
+            workers: workers.map_or(1, NonZeroUsize::get),
+            queue_limit: args.queue,
+            cors: args.cors.clone(),
+            public_url: args.public_url.clone(),
+        };
+        serve::serve(listener, config, stop_signal()).await?;
+        Ok(ExitCode::SUCCESS)
+    });
+    // A blocking task of a client that is gone must not hold up the exit.
+    runtime.shutdown_background();
+    served
+}
+
+/// Ends when the process is asked to stop: SIGTERM or ctrl-c.
+async fn stop_signal() {
+    let interrupt = tokio::signal::ctrl_c();
+    let terminate = async {
+        #[cfg(unix)]
+        if let Ok(mut signal) =
+            tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())
+        {
+            signal.recv().await;
+            return;
+        }
+        std::future::pending::<()>().await;
+    };
+    tokio::select! {
+        _ = interrupt => {}
+        () = terminate => {}
+    }
 }
 
 fn sum_up(args: &InspectArgs) -> Result<ExitCode, CliError> {

@@ -10,11 +10,11 @@
 //!
 //! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
 
+pub mod scenario;
+pub mod plan;
+pub mod run;
+pub mod solve;
+pub mod log;
 pub mod chart;
 pub mod serve;
 pub mod cli;
-pub mod log;
-pub mod plan;
-pub mod run;
-pub mod scenario;
-pub mod solve;

@@ -145,7 +145,7 @@ impl From<ScenarioError> for Problem {
             }
             ScenarioErrorKind::Invalid => Self {
                 pointer: Some(error.pointer),
-                ..Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_scenario", error.message)
+                ..Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_input", error.message)
             },
         }
     }

@@ -4,6 +4,8 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 
+use crate::bad_scenarios::Bad;
+
 use super::{assert_whole_log, directory, long, service, short, until};
 
 #[test]
@@ -229,17 +231,17 @@ fn bad_bodies_are_refused_with_a_reason() {
     let mut negative = short();
     negative["scene"]["inertia"]["principal"][2] = json!(-0.01);
     let problem =
-        server.post("/jobs", negative.to_string().as_bytes()).problem(422, "invalid_scenario");
+        server.post("/jobs", negative.to_string().as_bytes()).problem(422, "invalid_input");
     let pointer = problem["pointer"].as_str().expect("a pointer");
     assert!(pointer.starts_with("/scene/inertia/principal"), "{pointer}");
     let mut none = short();
     none["steps"] = json!(0);
     let problem =
-        server.post("/jobs", none.to_string().as_bytes()).problem(422, "invalid_scenario");
+        server.post("/jobs", none.to_string().as_bytes()).problem(422, "invalid_input");
     assert_eq!(problem["pointer"], "/steps");
     let mut unknown = short();
     unknown["colour"] = json!("red");
-    server.post("/jobs", unknown.to_string().as_bytes()).problem(422, "invalid_scenario");
+    server.post("/jobs", unknown.to_string().as_bytes()).problem(422, "invalid_input");
     assert_eq!(server.get("/jobs").json()["jobs"], json!([]));
 }
 
@@ -327,4 +329,15 @@ fn a_client_that_leaves_does_not_undo_its_job() {
     until("the run", || {
         (server.get("/jobs?state=running").json()["jobs"][0]["id"].is_string()).then_some(())
     });
+}
+
+#[test]
+fn every_bad_scenario_is_answered_with_its_field() {
+    let data = directory();
+    let server = service(&data).start();
+    for Bad { text, pointer } in crate::bad_scenarios::table() {
+        let problem = server.post("/jobs", text.as_bytes()).problem(422, "invalid_input");
+        assert_eq!(problem["pointer"], pointer, "{text}");
+    }
+    assert_eq!(server.get("/jobs").json()["jobs"].as_array().map(Vec::len), Some(0));
 }
