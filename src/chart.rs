@@ -22,12 +22,9 @@ pub enum ChartError {
     /// The log could not be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The log holds none of the channels that are charted.
-    #[error("{} has no samples of /energy, /orthogonality or /momentum", path.display())]
-    Empty {
-        /// The log.
-        path: PathBuf,
-    },
+    /// No log holds any of the channels that are charted.
+    #[error("there are no samples of /energy, /orthogonality or /momentum to draw")]
+    Empty,
     /// A file could not be written.
     #[error("{}: {source}", path.display())]
     Write {
@@ -64,13 +61,40 @@ const FLOOR: f64 = 1e-17;
 /// As many points as the plot is wide in pixels, and no more.
 const MAX_POINTS: usize = 800;
 
-/// Draws `energy.svg`, `orthogonality.svg` and `momentum.svg` from a log into `directory`, as far as the
-/// log has the channels, and returns their paths.
+/// Draws `energy.svg`, `orthogonality.svg` and `momentum.svg` from logs into `directory`, one line a log
+/// and named after its file, as far as a log has the channels. Returns the paths of the charts.
 ///
 /// # Errors
-/// If the log cannot be read or has none of the channels, or a file cannot be written.
-pub fn draw_log(log: &Path, directory: &Path) -> Result<Vec<PathBuf>, ChartError> {
-    let (mut energy, mut orthogonality, mut momentum) = (Vec::new(), Vec::new(), Vec::new());
+/// If a log cannot be read, none has any of the channels, or a file cannot be written.
+pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, ChartError> {
+    let mut charts = [
+        ("energy.svg", "Energy error |H - H(0)| in J", Vec::new()),
+        ("orthogonality.svg", "Orthogonality error, spectral norm of g g^T - I", Vec::new()),
+        ("momentum.svg", "Drift of the conserved spatial momentum in kg m^2/s", Vec::new()),
+    ];
+    for log in logs {
+        let label = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        for (chart, points) in charts.iter_mut().zip(series(log)?) {
+            if !points.is_empty() {
+                chart.2.push(Line { label: label.clone(), points });
+            }
+        }
+    }
+    fs::create_dir_all(directory)
+        .map_err(|source| ChartError::Write { path: directory.to_owned(), source })?;
+    let mut written = Vec::new();
+    for (name, title, lines) in charts.iter().filter(|(_, _, lines)| !lines.is_empty()) {
+        let path = directory.join(name);
+        fs::write(&path, over_time(title, lines)?)
+            .map_err(|source| ChartError::Write { path: path.clone(), source })?;
+        written.push(path);
+    }
+    if written.is_empty() { Err(ChartError::Empty) } else { Ok(written) }
+}
+
+/// Energy error, orthogonality error and momentum drift of a log, each over time in seconds.
+fn series(log: &Path) -> Result<[Vec<(f64, f64)>; 3], ChartError> {
+    let [mut energy, mut orthogonality, mut momentum] = [const { Vec::new() }; 3];
     let mut start_ns = None;
     read_samples(log, |time_ns, message| {
         let time_s = (time_ns - *start_ns.get_or_insert(time_ns)) as f64 * 1e-9;
@@ -78,32 +102,12 @@ pub fn draw_log(log: &Path, directory: &Path) -> Result<Vec<PathBuf>, ChartError
             Message::Energy(message) => energy.push((time_s, message.error)),
             Message::Orthogonality(message) => orthogonality.push((time_s, message.error)),
             Message::Momentum(message) => {
-                momentum.extend(message.drift.map(|drift| (time_s, drift)))
+                momentum.extend(message.drift.map(|drift| (time_s, drift)));
             }
             _ => {}
         }
     })?;
-    let charts = [
-        ("energy.svg", "Energy error |H - H(0)|", energy),
-        ("orthogonality.svg", "Orthogonality error, spectral norm of g g^T - I", orthogonality),
-        ("momentum.svg", "Drift of the conserved spatial momentum", momentum),
-    ];
-    fs::create_dir_all(directory)
-        .map_err(|source| ChartError::Write { path: directory.to_owned(), source })?;
-    let mut written = Vec::new();
-    for (name, title, points) in charts {
-        if points.is_empty() {
-            continue;
-        }
-        let svg = over_time(title, &[Line { label: String::new(), points }])?;
-        let path = directory.join(name);
-        fs::write(&path, svg).map_err(|source| ChartError::Write { path: path.clone(), source })?;
-        written.push(path);
-    }
-    if written.is_empty() {
-        return Err(ChartError::Empty { path: log.to_owned() });
-    }
-    Ok(written)
+    Ok([energy, orthogonality, momentum])
 }
 
 /// Draws lines over time with a logarithmic axis for their sizes.
@@ -117,7 +121,9 @@ pub fn over_time(title: &str, lines: &[Line]) -> Result<String, ChartError> {
     let largest = all().map(|&(_, size)| size).fold(FLOOR, f64::max);
     let smallest = all().map(|&(_, size)| size).fold(largest, f64::min);
     let decade = |x: f64, round: fn(f64) -> f64| libm::pow(10.0, round(libm::log10(x)));
-    let (low, high) = (decade(smallest, f64::floor), decade(largest * 1.01, f64::ceil));
+    let high = decade(largest * 1.01, f64::ceil);
+    // Two decades at least, so that the axis has a scale.
+    let low = decade(smallest, f64::floor).min(high * 1e-2);
     let mut svg = String::new();
     draw(&mut svg, title, &lines, end_s, low..high)
         .map_err(|error| ChartError::Draw(error.to_string()))?;

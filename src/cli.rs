@@ -40,7 +40,7 @@ enum Command {
     Run(RunArgs),
     /// Say what a scenario will model and why, without running it.
     Plan(PlanArgs),
-    /// Draw energy, orthogonality and momentum over time from a log, as SVG.
+    /// Draw energy, orthogonality and momentum over time from logs, as SVG.
     Chart(ChartArgs),
     /// Take jobs over HTTP, run them on worker threads, hand out their logs.
     Serve(ServeArgs),
@@ -73,8 +73,9 @@ struct PlanArgs {
 
 #[derive(Debug, Args)]
 struct ChartArgs {
-    /// The log.
-    log: PathBuf,
+    /// The logs; several are drawn on one axis and named after their files.
+    #[arg(required = true, value_name = "LOG.mcap")]
+    logs: Vec<PathBuf>,
     /// Where the charts go.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
@@ -228,7 +229,7 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
 }
 
 fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
-    let written = chart::draw_log(&args.log, &args.output)?;
+    let written = chart::draw_logs(&args.logs, &args.output)?;
     let mut out = io::stdout();
     for path in written {
         writeln!(out, "{}", path.display())?;

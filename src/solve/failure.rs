@@ -127,7 +127,7 @@ impl Failure {
             },
         };
         let target = h * factor;
-        let digit = 10.0_f64.powi(target.log10().floor() as i32 - 1);
+        let digit = libm::pow(10.0, libm::log10(target).floor() - 1.0);
         Some((target / digit).floor() * digit)
     }
 }

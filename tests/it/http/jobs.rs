@@ -236,8 +236,7 @@ fn bad_bodies_are_refused_with_a_reason() {
     assert!(pointer.starts_with("/scene/inertia/principal"), "{pointer}");
     let mut none = short();
     none["steps"] = json!(0);
-    let problem =
-        server.post("/jobs", none.to_string().as_bytes()).problem(422, "invalid_input");
+    let problem = server.post("/jobs", none.to_string().as_bytes()).problem(422, "invalid_input");
     assert_eq!(problem["pointer"], "/steps");
     let mut unknown = short();
     unknown["colour"] = json!("red");

@@ -1,0 +1,72 @@
+//! The invariants of ARCHITECTURE.md that the text of the code can show.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Every Rust file below `path`, or the file itself.
+fn sources(path: &Path) -> Vec<PathBuf> {
+    if path.is_file() {
+        return vec![path.to_owned()];
+    }
+    let entries = fs::read_dir(path).expect("a folder of the crate");
+    entries
+        .map(|entry| entry.expect("readable").path())
+        .filter(|path| path.is_dir() || path.extension().is_some_and(|suffix| suffix == "rs"))
+        .flat_map(|path| sources(&path))
+        .collect()
+}
+
+/// Lines of a module that contain one of the words.
+fn lines_with(module: &str, words: &[&str]) -> Vec<String> {
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let places = [source.join(format!("{module}.rs")), source.join(module)];
+    let files = places.iter().filter(|place| place.exists()).flat_map(|place| sources(place));
+    let mut found = Vec::new();
+    for file in files {
+        let text = fs::read_to_string(&file).expect("readable");
+        let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+        let hits = code.filter(|line| words.iter().any(|word| line.contains(word)));
+        found.extend(hits.map(|line| format!("{}: {line}", file.display())));
+    }
+    found
+}
+
+#[test]
+fn solve_is_pure_and_knows_nobody() {
+    let ours = ["scenario", "plan", "run", "log", "chart", "serve", "cli"];
+    let words: Vec<String> = ours.iter().map(|module| format!("crate::{module}")).collect();
+    let words: Vec<&str> = words.iter().map(String::as_str).collect();
+    let impure = [
+        "std::fs",
+        "std::io",
+        "std::time",
+        "std::thread",
+        "std::net",
+        "serde",
+        "tracing",
+        "print!(",
+    ];
+    assert_eq!(lines_with("solve", &words), Vec::<String>::new());
+    assert_eq!(lines_with("solve", &impure), Vec::<String>::new());
+}
+
+#[test]
+fn scenarios_do_not_know_the_mathematics() {
+    assert_eq!(lines_with("scenario", &["crate::solve", "nalgebra"]), Vec::<String>::new());
+}
+
+#[test]
+fn tokio_stops_at_the_service() {
+    for module in ["solve", "scenario", "plan", "run", "log", "chart"] {
+        assert_eq!(lines_with(module, &["tokio", "axum"]), Vec::<String>::new());
+    }
+}
+
+#[test]
+fn the_machines_mathematics_library_is_not_used() {
+    let functions =
+        [".sin(", ".cos(", ".tan(", ".exp(", ".ln(", ".powf(", ".log10(", ".acos(", ".sin_cos("];
+    for module in ["solve", "plan", "log"] {
+        assert_eq!(lines_with(module, &functions), Vec::<String>::new());
+    }
+}
