@@ -9,6 +9,7 @@ use super::nonlinear::Convergence;
 use super::so::Mat;
 use super::trajectory::State;
 
+mod galerkin;
 pub mod vpd;
 
 /// A scheme that carries a state of T*SO(n) forward.
