@@ -51,7 +51,7 @@ pub struct Plan {
 }
 
 /// The integrator and the reason for it.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Formulation {
     /// Its name in a scenario.
     pub method: MethodName,
@@ -61,8 +61,10 @@ pub struct Formulation {
     pub stages: usize,
     /// Order of the scheme.
     pub order: u32,
+    /// Is the attitude computed? Only where a term of the potential or a channel needs it.
+    pub carries_attitude: bool,
     /// Why it was chosen.
-    pub why: String,
+    pub why: &'static str,
 }
 
 /// What becomes of one term of the potential.
@@ -125,7 +127,7 @@ impl Plan {
         let Solver { tolerance, max_iterations, .. } = scenario.method.solver;
         let mut plan = Self {
             dimension: n,
-            formulation: formulation(scenario, &tableau),
+            formulation: Formulation::default(),
             step_s: scenario.step_s,
             steps: scenario.step_count(),
             every: scenario.sample_every(),
@@ -150,6 +152,7 @@ impl Plan {
         for (index, term) in scenario.scene.potential.iter().enumerate() {
             plan.add_term(format!("/scene/potential/{index}"), term, &inertia)?;
         }
+        plan.formulation = plan.formulate(scenario)?;
         plan.free_directions = free_directions(n, &plan.model.terms);
         plan.estimate(scenario.log.compression);
         Ok(plan)
@@ -188,6 +191,47 @@ impl Plan {
         }
         self.potential.push(TermPlan { pointer, kept: constant.is_none(), why });
         Ok(())
+    }
+
+    /// Chooses the integrator.
+    fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
+        let free = self.model.terms.is_empty();
+        let asked = scenario.method.name;
+        if asked == MethodName::VpdReduced && !free {
+            let term =
+                self.potential.iter().find(|term| term.kept).map_or("", |term| &term.pointer);
+            let message =
+                format!("vpd_reduced is for free bodies, but {term} depends on the attitude");
+            return Err(ScenarioError::invalid("/method/name", message));
+        }
+        let (method, why) = match asked {
+            MethodName::Auto if free => (
+                MethodName::VpdReduced,
+                "no term depends on the attitude, so the momentum moves by itself",
+            ),
+            MethodName::Auto => (
+                MethodName::Vpd,
+                "symplectic, on the group to round-off, of the tableau's order, for any potential",
+            ),
+            method => (method, "asked for"),
+        };
+        let shown = [Channel::State, Channel::Orthogonality, Channel::Tf];
+        let carries_attitude =
+            method != MethodName::VpdReduced || shown.into_iter().any(|channel| self.logs(channel));
+        let tableau = match &scenario.method.tableau {
+            TableauChoice::Named(name) => {
+                serde_json::to_value(name).ok().and_then(|v| v.as_str().map(str::to_owned))
+            }
+            TableauChoice::Custom(_) => None,
+        };
+        Ok(Formulation {
+            method,
+            tableau: tableau.unwrap_or_else(|| "custom".to_owned()),
+            stages: self.model.tableau.stages(),
+            order: self.model.tableau.order(),
+            carries_attitude,
+            why,
+        })
     }
 
     /// Fills in the estimates of size and time.
@@ -368,28 +412,6 @@ fn tableau(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
                 ScenarioError::invalid(pointer, error.to_string())
             })
         }
-    }
-}
-
-fn formulation(scenario: &Scenario, tableau: &Tableau) -> Formulation {
-    let why = match scenario.method.name {
-        MethodName::Auto => {
-            "symplectic, on the group to round-off, of the tableau's order, for any scene"
-        }
-        MethodName::Vpd => "asked for",
-    };
-    let name = match &scenario.method.tableau {
-        TableauChoice::Named(name) => {
-            serde_json::to_value(name).ok().and_then(|v| v.as_str().map(str::to_owned))
-        }
-        TableauChoice::Custom(_) => None,
-    };
-    Formulation {
-        method: MethodName::Vpd,
-        tableau: name.unwrap_or_else(|| "custom".to_owned()),
-        stages: tableau.stages(),
-        order: tableau.order(),
-        why: why.to_owned(),
     }
 }
 

@@ -14,13 +14,16 @@ use thiserror::Error;
 use crate::log::LogError;
 use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
-use crate::plan::{Model, ModelKinetic, Plan, space_vector};
-use crate::scenario::{Expect, PotentialTerm, Scenario, ScenarioError};
+use crate::plan::{Formulation, Model, ModelKinetic, Plan, space_vector};
+use crate::scenario::{Expect, MethodName, PotentialTerm, Scenario, ScenarioError};
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat, Vector};
+use crate::solve::stepper::Stepper;
 use crate::solve::stepper::vpd::Vpd;
+use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
+use crate::solve::stepper::vpd_reduced::VpdReduced;
 use crate::solve::trajectory::{
     self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
 };
@@ -216,7 +219,7 @@ fn run<const N: usize>(
 ) -> Result<Summary, RunError> {
     let begun = Instant::now();
     let (body, initial) = problem::<N>(&plan.model);
-    let mut stepper = Vpd::<N>::new(plan.model.tableau.clone(), plan.model.stop);
+    let mut stepper = stepper::<N>(plan);
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let writer = LogWriter::<N>::create(context.log, header(scenario, plan))?;
     let mut recorder =
@@ -225,7 +228,7 @@ fn run<const N: usize>(
     let integrating = Instant::now();
     let end = trajectory::integrate(
         &body,
-        &mut stepper,
+        stepper.as_mut(),
         &initial,
         schedule,
         observables(plan),
@@ -283,6 +286,17 @@ fn run<const N: usize>(
     Ok(summary)
 }
 
+/// The stepper that the plan chose.
+fn stepper<const N: usize>(plan: &Plan) -> Box<dyn Stepper<N>> {
+    let Formulation { method, carries_attitude, .. } = plan.formulation;
+    let (tableau, stop) = (plan.model.tableau.clone(), plan.model.stop);
+    match method {
+        MethodName::Auto | MethodName::Vpd => Box::new(Vpd::new(tableau, stop)),
+        MethodName::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
+        MethodName::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
+    }
+}
+
 /// The body and its state at the start, with their const size.
 pub(crate) fn problem<const N: usize>(model: &Model) -> (RigidBody<N>, State<N>) {
     let kinetic = match &model.kinetic {
@@ -290,6 +304,7 @@ pub(crate) fn problem<const N: usize>(model: &Model) -> (RigidBody<N>, State<N>)
             Kinetic::Principal { weights: Mat::from_fn(|i, j| weights[(i, j)]) }
         }
         ModelKinetic::Tensor { inertia } => Kinetic::Tensor {
+            inertia: *inertia,
             inverse: inertia
                 .cholesky()
                 .expect("the plan checked that the inertia is positive definite")

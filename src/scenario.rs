@@ -221,6 +221,10 @@ pub enum MethodName {
     Auto,
     /// Variational polar decomposition, Hamiltonian form.
     Vpd,
+    /// Variational polar decomposition, Lagrangian form: the same map, from the Lagrangian.
+    VpdLagrangian,
+    /// Variational polar decomposition, reduced to the momentum: free bodies.
+    VpdReduced,
 }
 
 impl MethodName {
@@ -229,6 +233,8 @@ impl MethodName {
         match self {
             Self::Auto => "auto",
             Self::Vpd => "vpd",
+            Self::VpdLagrangian => "vpd_lagrangian",
+            Self::VpdReduced => "vpd_reduced",
         }
     }
 }

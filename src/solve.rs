@@ -7,6 +7,7 @@
 
 pub mod failure;
 pub mod hamiltonian;
+pub mod lagrangian;
 pub mod nonlinear;
 pub mod so;
 pub mod stepper;

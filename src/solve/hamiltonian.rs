@@ -19,8 +19,10 @@ pub enum Kinetic<const N: usize> {
         /// The weights w, symmetric.
         weights: Mat<N>,
     },
-    /// n = 3 with products of inertia: `Omega = hat(J^-1 vee(mu))`.
+    /// n = 3 with products of inertia: `mu = hat(J vee(Omega))`.
     Tensor {
+        /// J, symmetric positive definite.
+        inertia: Matrix3<f64>,
         /// J^-1.
         inverse: Matrix3<f64>,
     },
@@ -116,14 +118,20 @@ impl<const N: usize> RigidBody<N> {
     pub fn velocity(&self, mu: &Mat<N>) -> Mat<N> {
         match &self.kinetic {
             Kinetic::Principal { weights } => mu.component_mul(weights),
-            Kinetic::Tensor { inverse } => {
-                let omega = inverse * Vector3::new(mu[(2, 1)], mu[(0, 2)], mu[(1, 0)]);
-                let mut skew = Mat::zeros();
-                for (value, (i, j)) in omega.iter().zip([(2, 1), (0, 2), (1, 0)]) {
-                    skew[(i, j)] = *value;
-                    skew[(j, i)] = -value;
-                }
-                skew
+            Kinetic::Tensor { inverse, .. } => {
+                skew_of(inverse * Vector3::new(mu[(2, 1)], mu[(0, 2)], mu[(1, 0)]))
+            }
+        }
+    }
+
+    /// The body momentum of a body angular velocity: the inverse of [`RigidBody::velocity`].
+    pub fn momentum(&self, omega: &Mat<N>) -> Mat<N> {
+        match &self.kinetic {
+            Kinetic::Principal { weights } => {
+                omega.zip_map(weights, |omega, w| if w == 0.0 { 0.0 } else { omega / w })
+            }
+            Kinetic::Tensor { inertia, .. } => {
+                skew_of(inertia * Vector3::new(omega[(2, 1)], omega[(0, 2)], omega[(1, 0)]))
             }
         }
     }
@@ -155,6 +163,23 @@ impl<const N: usize> RigidBody<N> {
             }
         }
         sum
+    }
+
+    /// dH/dg at `g`, left-trivialised and skew.
+    pub fn gradient_at(&self, g: &Mat<N>) -> Mat<N> {
+        let mut seen = Vec::new();
+        self.seen_from(g, &mut seen);
+        self.gradient(&Mat::identity(), &seen)
+    }
+
+    /// [`RigidBody::check_distances`] at `g`.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn check_distances_at(&self, g: &Mat<N>) -> Result<(), Failure> {
+        let mut seen = Vec::new();
+        self.seen_from(g, &mut seen);
+        self.check_distances(&Mat::identity(), &seen)
     }
 
     /// Refuses an attitude `u` (in the frame that `seen` belongs to) at which the potential has lost its
@@ -251,4 +276,14 @@ impl<const N: usize> Law<N> {
             _ => None,
         }
     }
+}
+
+/// hat, for a matrix whose size is known to be 3 only at run time.
+fn skew_of<const N: usize>(v: Vector3<f64>) -> Mat<N> {
+    let mut skew = Mat::zeros();
+    for (&value, (i, j)) in v.iter().zip([(2, 1), (0, 2), (1, 0)]) {
+        skew[(i, j)] = value;
+        skew[(j, i)] = -value;
+    }
+    skew
 }

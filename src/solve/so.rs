@@ -247,13 +247,12 @@ pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
     DMatrix::from_column_slice(N, N, p.as_slice()).symmetric_eigenvalues().min()
 }
 
-/// The frequencies of a skew matrix, ascending, each twice (and a zero for odd n): the square roots of the
-/// eigenvalues of `X X^T`. Rotations leave them alone: they label the coadjoint orbit. For n = 3 the larger
-/// is the length of the vector.
+/// The frequencies of a skew matrix, ascending, each twice (and a zero for odd n): its singular values.
+/// Rotations leave them alone: they label the coadjoint orbit. For n = 3 the larger is the length of the
+/// vector. Allocates: for samples.
 pub fn frequencies<const N: usize>(x: &Mat<N>) -> Vec<f64> {
-    let square = x * x.transpose();
-    let eigenvalues = DMatrix::from_column_slice(N, N, square.as_slice()).symmetric_eigenvalues();
-    let mut frequencies: Vec<f64> = eigenvalues.iter().map(|l| l.max(0.0).sqrt()).collect();
+    let values = DMatrix::from_column_slice(N, N, x.as_slice()).singular_values();
+    let mut frequencies: Vec<f64> = values.iter().copied().collect();
     frequencies.sort_by(f64::total_cmp);
     frequencies
 }

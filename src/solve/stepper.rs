@@ -11,6 +11,8 @@ use super::trajectory::State;
 
 mod galerkin;
 pub mod vpd;
+pub mod vpd_lagrangian;
+pub mod vpd_reduced;
 
 /// A scheme that carries a state of T*SO(n) forward.
 pub trait Stepper<const N: usize> {

@@ -232,7 +232,7 @@ fn kinetic_energy_of_an_inertia_tensor() {
     let root = Matrix3::identity() + numbers.matrix::<3>() * 0.2;
     let inertia = root * root.transpose();
     let inverse = inertia.try_inverse().expect("regular");
-    let body = RigidBody::new(Kinetic::Tensor { inverse }, Vec::new(), 0.25);
+    let body = RigidBody::new(Kinetic::Tensor { inertia, inverse }, Vec::new(), 0.25);
     let mu = numbers.vector::<3>();
     let momentum = so::hat::<3>(mu.as_slice());
     let omega = so::vee(&body.velocity(&momentum));
@@ -240,6 +240,7 @@ fn kinetic_energy_of_an_inertia_tensor() {
     let energy = body.energy(&Mat::identity(), &momentum);
     assert!((energy.kinetic - 0.5 * mu.dot(&(inverse * mu))).abs() < 1e-15);
     assert_eq!(energy.potential, 0.25);
+    assert!((body.momentum(&body.velocity(&momentum)) - momentum).amax() < 1e-15);
 }
 
 #[test]

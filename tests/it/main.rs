@@ -7,6 +7,7 @@
 mod bad_scenarios;
 mod cli;
 mod http;
+mod forms;
 mod laws;
 mod log;
 mod scenarios;

@@ -212,9 +212,10 @@ fn products_of_inertia_are_a_turned_frame() {
     let (mu, y, v) = (numbers.skew::<3>(), numbers.vector::<3>(), numbers.vector::<3>());
     let field = |body_point| vec![Term { law: Law::Uniform { weight: 2.0, body_point }, space: v }];
     let principal = RigidBody::new(Kinetic::Principal { weights }, field(y), 0.0);
-    let inverse =
-        r.transpose() * Mat::<3>::from_diagonal(&Vector::<3>::from(moments.map(|j| 1.0 / j))) * r;
-    let turned = RigidBody::new(Kinetic::Tensor { inverse }, field(r.transpose() * y), 0.0);
+    let tensor = |moments| r.transpose() * Mat::<3>::from_diagonal(&Vector::<3>::from(moments)) * r;
+    let (inertia, inverse) = (tensor(moments), tensor(moments.map(|j| 1.0 / j)));
+    let turned =
+        RigidBody::new(Kinetic::Tensor { inertia, inverse }, field(r.transpose() * y), 0.0);
     let gauss = Tableau::gauss(3).expect("3 stages");
     let a = advance(&principal, &State { attitude: g, momentum: mu }, &gauss, 5.0, 50);
     let b = advance(
