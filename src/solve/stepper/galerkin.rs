@@ -142,7 +142,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// skew Lambda.
     pub(super) fn momentum(&self) -> Mat<N> {
         let End { e, lambda, .. } = &self.end;
-        -(lambda * 2.0 + so::asym(&(e * lambda)))
+        -(lambda * 2.0 + so::asym(&so::product(e, lambda)))
     }
 
     /// The smallest singular value of the interpolated matrices.
@@ -236,7 +236,7 @@ fn sweep<const N: usize>(
         }
         let stage = &mut stages[i];
         (stage.u, stage.e) = polar(&d, Some(i))?;
-        stage.u_omega = stage.u * stage.omega;
+        stage.u_omega = so::product(&stage.u, &stage.omega);
     }
     let mut d = Mat::zeros();
     for j in 0..s {
@@ -246,17 +246,18 @@ fn sweep<const N: usize>(
     let mut sum = Mat::zeros();
     for k in 0..s {
         let stage = &mut stages[k];
-        let mut load = so::asym(&(stage.u.tr_mul(&stage.v) * stage.omega.transpose()));
+        let mut load =
+            -so::asym(&so::product(&so::transposed_product(&stage.u, &stage.v), &stage.omega));
         if let Some(gradient) = dynamics.gradient(&stage.u, &stage.omega) {
             load -= gradient * (h * tableau.b(k));
         }
         stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;
-        stage.u_x = stage.u * stage.x;
+        stage.u_x = so::product(&stage.u, &stage.x);
         sum += stage.u_x;
     }
     // M X + X M^T is asym(M X) for skew X.
     end.lambda = lyapunov(&end.f, &(-p0 - so::asym(&sum)), &end.lambda, None)?;
-    let f_lambda = end.f * end.lambda;
+    let f_lambda = so::product(&end.f, &end.lambda);
     let (mut change, mut size) = (0.0_f64, p0.amax());
     for k in 0..s {
         let weight = h * tableau.b(k);
@@ -265,14 +266,14 @@ fn sweep<const N: usize>(
             v += stages[i].u_x * (h * tableau.a(i, k));
         }
         let stage = &mut stages[k];
-        let mu = -so::asym(&stage.u.tr_mul(&v)) / weight;
+        let mu = -so::asym(&so::transposed_product(&stage.u, &v)) / weight;
         if !mu.iter().all(|x| x.is_finite()) {
             return Err(not_finite(Some(k)));
         }
         change = change.max((mu - stage.mu).amax());
         size = size.max(mu.amax());
         stage.omega = dynamics.velocity(k, &stage.u, &mu, &stage.omega);
-        stage.u_omega = stage.u * stage.omega;
+        stage.u_omega = so::product(&stage.u, &stage.omega);
         (stage.v, stage.mu) = (v, mu);
     }
     Ok(if change == 0.0 { 0.0 } else { change / size })

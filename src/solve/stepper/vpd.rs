@@ -66,7 +66,7 @@ impl<const N: usize> Stepper<N> for Vpd<N> {
         let convergence = step.solve(&mut dynamics, h, &state.momentum, &omega)?;
         state.momentum = step.momentum();
         // The product drifts off the group like any product; one correction in space puts it back.
-        state.attitude = so::orthonormalised(&(state.attitude * step.rotation()));
+        state.attitude = so::orthonormalised(&so::product(&state.attitude, step.rotation()));
         Ok(convergence)
     }
 

@@ -58,7 +58,7 @@ impl<const N: usize> VpdLagrangian<N> {
         let mut dynamics = Euler { lagrangian, g0, inverse };
         let convergence = step.solve(&mut dynamics, h, &state.momentum, &omega)?;
         state.momentum = step.momentum();
-        state.attitude = so::orthonormalised(&(g0 * step.rotation()));
+        state.attitude = so::orthonormalised(&so::product(&g0, step.rotation()));
         Ok(convergence)
     }
 }

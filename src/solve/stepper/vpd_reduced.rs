@@ -67,7 +67,8 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
         let omega = body.velocity(&self.momentum);
         let convergence = self.step.solve(&mut Free(body), h, &self.momentum, &omega)?;
         self.momentum = self.step.momentum();
-        self.attitude = self.attitude.map(|g| so::orthonormalised(&(g * self.step.rotation())));
+        self.attitude =
+            self.attitude.map(|g| so::orthonormalised(&so::product(&g, self.step.rotation())));
         Ok(convergence)
     }
 
