@@ -9,6 +9,8 @@ use super::nonlinear::Convergence;
 use super::so::Mat;
 use super::trajectory::State;
 
+pub mod rk;
+pub mod rkmk;
 pub mod vpd;
 
 /// A scheme that carries a state of T*SO(n) forward.
