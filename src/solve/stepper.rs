@@ -11,6 +11,7 @@ use super::trajectory::State;
 
 pub mod rk;
 pub mod rkmk;
+pub mod splitting;
 pub mod vpd;
 
 /// A scheme that carries a state of T*SO(n) forward.
