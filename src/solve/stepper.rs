@@ -9,6 +9,7 @@ use super::nonlinear::Convergence;
 use super::so::Mat;
 use super::trajectory::State;
 
+pub mod lgvi;
 pub mod rk;
 pub mod rkmk;
 pub mod splitting;
