@@ -10,6 +10,7 @@ use super::so::Mat;
 use super::trajectory::State;
 
 pub mod lgvi;
+pub mod quaternion_gauss;
 pub mod rk;
 pub mod rkmk;
 pub mod splitting;
