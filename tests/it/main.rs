@@ -8,5 +8,6 @@ mod bad_scenarios;
 mod cli;
 mod laws;
 mod log;
+mod methods;
 mod scenarios;
 mod verification;
