@@ -31,7 +31,7 @@
 
 use nalgebra::{Quaternion, Vector3};
 
-use super::so3::Top;
+use super::so3::{self, Top};
 
 /// Longest piece in units of the argument u of Jacobi's functions. The nearest poles are at least pi / 2
 /// away from the real axis: eight terms of the series of S^2 leave 1e-17, five nodes leave 1e-18.
@@ -105,7 +105,8 @@ pub fn flow(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
     direction[pole.axis] = pole.sign;
     let turn = Quaternion::from_parts(libm::cos(half), direction * libm::sin(half));
     let (start, end) = (pole.to(&top.momentum, size), pole.to(&momentum, size));
-    let attitude = (top.attitude * (start * turn * end.conjugate())).normalize();
+    let change = (start * turn * end.conjugate()).normalize();
+    let attitude = so3::renormalised(&(top.attitude * change));
     Some(Top { attitude, momentum })
 }
 
@@ -213,11 +214,11 @@ struct Pole {
 }
 
 impl Pole {
-    /// The shortest rotation from e to `m`, of size `size`: `(G + e . m, e cross m)`, normalised.
+    /// The shortest rotation from e to `m`, of size `size`, at some length: `(G + e . m, e cross m)`.
     fn to(&self, m: &Vector3<f64>, size: f64) -> Quaternion<f64> {
         let mut e = Vector3::zeros();
         e[self.axis] = self.sign;
-        Quaternion::from_parts(size + e.dot(m), e.cross(m)).normalize()
+        Quaternion::from_parts(size + e.dot(m), e.cross(m))
     }
 }
 
@@ -252,7 +253,7 @@ mod tests {
                 let energy = |m: &Vector3<f64>| 0.5 * m.dot(&m.component_mul(&inverse));
                 let change = energy(&long.momentum) - energy(&momentum);
                 assert!(change.abs() < 1e-14 * scale * scale, "{change:e}");
-                let space = |top: &Top| super::super::so3::rotation(&top.attitude) * top.momentum;
+                let space = |top: &Top| so3::rotation(&top.attitude) * top.momentum;
                 assert!((space(&long) - space(&start)).amax() < 4e-15 * scale);
             }
         }

@@ -63,6 +63,11 @@ pub fn unit(g: &Matrix3<f64>) -> Quaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*g)).normalize()
 }
 
+/// A quaternion that is of length one to about 1e-8, to round-off: one step of Newton's for `1 / |q|`.
+pub fn renormalised(q: &Quaternion<f64>) -> Quaternion<f64> {
+    q * (1.5 - 0.5 * q.norm_squared())
+}
+
 /// The rotation matrix of a quaternion of any length but zero.
 pub fn rotation(q: &Quaternion<f64>) -> Matrix3<f64> {
     unit_rotation(&q.normalize())

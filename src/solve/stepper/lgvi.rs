@@ -70,7 +70,7 @@ impl Stepper<3> for Lgvi {
                 let v = Vector3::from(turn.vector());
                 let across = v.cross(&top.momentum);
                 let momentum = top.momentum + (v.cross(&across) - across * turn.scalar()) * 2.0;
-                let attitude = (top.attitude * turn).normalize();
+                let attitude = so3::renormalised(&(top.attitude * turn));
                 Ok((Top { attitude, momentum }, convergence))
             })?;
         self.top = top;

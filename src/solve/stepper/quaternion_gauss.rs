@@ -73,8 +73,12 @@ impl Point {
         Vector3::from((self.q.conjugate() * self.pi).vector()) * 0.5
     }
 
+    fn q_is_finite(&self) -> bool {
+        self.q.coords.iter().all(|x| x.is_finite())
+    }
+
     fn is_finite(&self) -> bool {
-        self.q.coords.iter().chain(&self.pi.coords).all(|x| x.is_finite())
+        self.q_is_finite() && self.pi.coords.iter().all(|x| x.is_finite())
     }
 }
 
@@ -185,8 +189,9 @@ impl Stepper<3> for QuaternionGauss {
         let solved = fixed_point(*stop, || {
             Ok(sweep((weights, skew), body, &inverse, seen, h, (now, carry), stages))
         });
-        // A charge met explains non-finite values and divergence better than they do.
-        for (i, stage) in stages.iter().enumerate() {
+        // A charge met explains non-finite values and divergence better than they do; an iterate that is
+        // not finite itself has met nothing.
+        for (i, stage) in stages.iter().enumerate().filter(|(_, stage)| stage.at.q_is_finite()) {
             body.check_distances(&so3::rotation(&stage.at.q), seen)
                 .map_err(|met| Failure { stage: Some(i), ..met })?;
         }
