@@ -11,9 +11,10 @@ use serde::Serialize;
 use crate::log::schema::Channel;
 use crate::log::writer::Compression;
 use crate::scenario::{
-    Attitude, Entry, Framed, Inertia, MethodName, PotentialTerm, Scenario, ScenarioError, Solver,
-    TableauChoice, TableauName,
+    Attitude, Entry, Framed, Inertia, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
+    Solver, TableauChoice, TableauName,
 };
+use crate::solve::composition::Composition;
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::so;
@@ -55,9 +56,9 @@ pub struct Plan {
 pub struct Formulation {
     /// Its name in a scenario.
     pub method: MethodName,
-    /// The tableau's name, or `custom`.
-    pub tableau: String,
-    /// Number of stages.
+    /// The tableau's name, or `custom`; absent for a composition.
+    pub tableau: Option<String>,
+    /// Number of stages, of a composition of substeps.
     pub stages: usize,
     /// Order of the scheme.
     pub order: u32,
@@ -123,7 +124,8 @@ impl Plan {
         let kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
         let attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
         let momentum = momentum(scenario, &kinetic, &attitude);
-        let tableau = tableau(&scenario.method.tableau)?;
+        let choice = tableau_choice(&scenario.method);
+        let tableau = tableau(&choice, &scenario.method)?;
         let Solver { tolerance, max_iterations, .. } = scenario.method.solver;
         let mut plan = Self {
             dimension: n,
@@ -218,20 +220,19 @@ impl Plan {
         let shown = [Channel::State, Channel::Orthogonality, Channel::Tf];
         let carries_attitude =
             method != MethodName::VpdReduced || shown.into_iter().any(|channel| self.logs(channel));
-        let tableau = match &scenario.method.tableau {
-            TableauChoice::Named(name) => {
-                serde_json::to_value(name).ok().and_then(|v| v.as_str().map(str::to_owned))
+        let tableau = &self.model.tableau;
+        let (name, stages, order) = match (scenario.method.order.unwrap_or(4), method) {
+            (order, method) if method.is_composition() => (
+                None,
+                Composition::new(order).map_or(1, |composition| composition.parts().len()),
+                order,
+            ),
+            (_, method) if method.is_explicit() => {
+                (tableau_name(scenario), tableau.stages(), tableau.classical_order())
             }
-            TableauChoice::Custom(_) => None,
+            _ => (tableau_name(scenario), tableau.stages(), tableau.order()),
         };
-        Ok(Formulation {
-            method,
-            tableau: tableau.unwrap_or_else(|| "custom".to_owned()),
-            stages: self.model.tableau.stages(),
-            order: self.model.tableau.order(),
-            carries_attitude,
-            why,
-        })
+        Ok(Formulation { method, tableau: name, stages, order, carries_attitude, why })
     }
 
     /// Fills in the estimates of size and time.
@@ -384,7 +385,38 @@ fn momentum(scenario: &Scenario, kinetic: &ModelKinetic, attitude: &DMatrix<f64>
     }
 }
 
-fn tableau(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
+/// The tableau asked for, or the method's own.
+fn tableau_choice(method: &Method) -> TableauChoice {
+    let usual = if method.name.is_explicit() { TableauName::Rk4 } else { TableauName::Gauss2 };
+    method.tableau.clone().unwrap_or(TableauChoice::Named(usual))
+}
+
+/// The tableau's name in a scenario, or `custom`.
+fn tableau_name(scenario: &Scenario) -> Option<String> {
+    match tableau_choice(&scenario.method) {
+        TableauChoice::Named(name) => {
+            serde_json::to_value(name).ok().and_then(|v| v.as_str().map(str::to_owned))
+        }
+        TableauChoice::Custom(_) => Some("custom".to_owned()),
+    }
+}
+
+/// The tableau, checked to be one that the method takes.
+fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau, ScenarioError> {
+    let tableau = coefficients(choice)?;
+    let name = method.name.as_str();
+    let wrong = |message| Err(ScenarioError::invalid("/method/tableau", message));
+    if method.name.is_explicit() && !tableau.is_explicit() {
+        return wrong(format!("{name} is explicit; it takes rk3, rk4 or explicit coefficients"));
+    }
+    let gauss = Tableau::gauss(tableau.stages());
+    if method.name == MethodName::QuaternionGauss && gauss.as_ref() != Some(&tableau) {
+        return wrong(format!("{name} takes gauss1 to gauss8"));
+    }
+    Ok(tableau)
+}
+
+fn coefficients(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
     let named = |name: TableauName| match name {
         TableauName::Gauss1 => Tableau::gauss(1),
         TableauName::Gauss2 => Tableau::gauss(2),

@@ -18,9 +18,13 @@ use crate::plan::{Formulation, Model, ModelKinetic, Plan, space_vector};
 use crate::scenario::{Expect, MethodName, PotentialTerm, Scenario, ScenarioError};
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
-use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::stepper::Stepper;
+use crate::solve::stepper::lgvi::Lgvi;
+use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
+use crate::solve::stepper::rk::Rk;
+use crate::solve::stepper::rkmk::Rkmk;
+use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
@@ -141,8 +145,8 @@ pub struct MomentumSummary {
 pub struct SolverSummary {
     /// Mean number of sweeps.
     pub iterations_per_step: f64,
-    /// The rung that made the steps.
-    pub kind: String,
+    /// How the last step was solved; absent if none was made.
+    pub kind: Option<String>,
 }
 
 /// Why a step could not be made, and what to do.
@@ -204,22 +208,24 @@ pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary,
     macro_rules! for_dimension {
         ($($n:literal)*) => {
             match plan.dimension {
-                $($n => run::<$n>(scenario, &plan, context),)*
+                3 => run(scenario, &plan, in_space(&plan), context),
+                $($n => run::<$n>(scenario, &plan, in_any_dimension(&plan), context),)*
                 n => Err(ScenarioError::invalid("/scene/inertia", format!("n = {n} is not supported")).into()),
             }
         };
     }
-    for_dimension!(2 3 4 5 6 7 8 9 10 11 12 13 14 15 16)
+    for_dimension!(2 4 5 6 7 8 9 10 11 12 13 14 15 16)
 }
 
 fn run<const N: usize>(
     scenario: &Scenario,
     plan: &Plan,
+    stepper: Option<Box<dyn Stepper<N>>>,
     context: &JobContext<'_>,
 ) -> Result<Summary, RunError> {
+    let mut stepper = stepper.expect("the plan refuses a method that cannot run the scene");
     let begun = Instant::now();
     let (body, initial) = problem::<N>(&plan.model);
-    let mut stepper = stepper::<N>(plan);
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let writer = LogWriter::<N>::create(context.log, header(scenario, plan))?;
     let mut recorder =
@@ -270,7 +276,7 @@ fn run<const N: usize>(
         momentum: extremes.drift.map(|max_drift| MomentumSummary { max_drift }),
         solver: SolverSummary {
             iterations_per_step: end.iterations as f64 / end.steps.max(1) as f64,
-            kind: Rung::FixedPoint.as_str().to_owned(),
+            kind: end.convergence.map(|solved| solved.rung.as_str().to_owned()),
         },
         wall_s: 0.0,
         ns_per_step: inside.as_nanos() as f64 / end.steps.max(1) as f64,
@@ -286,15 +292,30 @@ fn run<const N: usize>(
     Ok(summary)
 }
 
-/// The stepper that the plan chose.
-fn stepper<const N: usize>(plan: &Plan) -> Box<dyn Stepper<N>> {
+/// The stepper that the plan chose, of those for any n; `None` for the others.
+fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> {
     let Formulation { method, carries_attitude, .. } = plan.formulation;
     let (tableau, stop) = (plan.model.tableau.clone(), plan.model.stop);
-    match method {
+    Some(match method {
         MethodName::Auto | MethodName::Vpd => Box::new(Vpd::new(tableau, stop)),
         MethodName::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
         MethodName::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
-    }
+        MethodName::Rkmk => Box::new(Rkmk::new(tableau)?),
+        MethodName::Rk => Box::new(Rk::new(tableau, false)?),
+        MethodName::RkProjected => Box::new(Rk::new(tableau, true)?),
+        MethodName::Splitting | MethodName::Lgvi | MethodName::QuaternionGauss => return None,
+    })
+}
+
+/// The stepper that the plan chose, for n = 3.
+fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
+    let Formulation { method, order, stages, .. } = plan.formulation;
+    Some(match method {
+        MethodName::Splitting => Box::new(Splitting::new(order)?),
+        MethodName::Lgvi => Box::new(Lgvi::new(order, plan.model.stop)?),
+        MethodName::QuaternionGauss => Box::new(QuaternionGauss::new(stages, plan.model.stop)?),
+        _ => return in_any_dimension(plan),
+    })
 }
 
 /// The body and its state at the start, with their const size.

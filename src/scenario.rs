@@ -204,9 +204,12 @@ pub struct Method {
     /// The integrator.
     #[serde(default)]
     pub name: MethodName,
-    /// The Butcher tableau.
-    #[serde(default)]
-    pub tableau: TableauChoice,
+    /// The Butcher tableau, of methods that have one. If absent: gauss2, and rk4 for explicit methods.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tableau: Option<TableauChoice>,
+    /// The order 2, 4, 6 or 8 of methods that are compositions (splitting, lgvi); 4 if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub order: Option<u32>,
     /// The solver of the implicit equations.
     #[serde(default)]
     pub solver: Solver,
@@ -225,6 +228,18 @@ pub enum MethodName {
     VpdLagrangian,
     /// Variational polar decomposition, reduced to the momentum: free bodies.
     VpdReduced,
+    /// Explicit Runge-Kutta-Munthe-Kaas: on the group, not symplectic.
+    Rkmk,
+    /// Explicit Runge-Kutta in n x n matrices: leaves the group.
+    Rk,
+    /// The same, projected to the group after each step.
+    RkProjected,
+    /// Exact free top and potential kicks, composed; n = 3.
+    Splitting,
+    /// Lie group variational integrator of Lee, Leok and McClamroch, composed; n = 3.
+    Lgvi,
+    /// Canonical Gauss collocation on unit quaternions; n = 3.
+    QuaternionGauss,
 }
 
 impl MethodName {
@@ -235,7 +250,28 @@ impl MethodName {
             Self::Vpd => "vpd",
             Self::VpdLagrangian => "vpd_lagrangian",
             Self::VpdReduced => "vpd_reduced",
+            Self::Rkmk => "rkmk",
+            Self::Rk => "rk",
+            Self::RkProjected => "rk_projected",
+            Self::Splitting => "splitting",
+            Self::Lgvi => "lgvi",
+            Self::QuaternionGauss => "quaternion_gauss",
         }
+    }
+
+    /// Is the method for bodies in space only?
+    pub fn needs_three(self) -> bool {
+        matches!(self, Self::Splitting | Self::Lgvi | Self::QuaternionGauss)
+    }
+
+    /// Is the method a composition, with an order in the place of a tableau?
+    pub fn is_composition(self) -> bool {
+        matches!(self, Self::Splitting | Self::Lgvi)
+    }
+
+    /// Does the method take explicit tableaux only?
+    pub fn is_explicit(self) -> bool {
+        matches!(self, Self::Rkmk | Self::Rk | Self::RkProjected)
     }
 }
 
@@ -247,12 +283,6 @@ pub enum TableauChoice {
     Named(TableauName),
     /// A tableau by its coefficients.
     Custom(Coefficients),
-}
-
-impl Default for TableauChoice {
-    fn default() -> Self {
-        Self::Named(TableauName::Gauss2)
-    }
 }
 
 /// The named tableaux: Gauss with 1 to 8 stages (order twice that), Kutta's third and fourth order.

@@ -5,11 +5,14 @@
 //!
 //! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).
 
+pub mod composition;
 pub mod failure;
+pub mod free_top;
 pub mod hamiltonian;
 pub mod lagrangian;
 pub mod nonlinear;
 pub mod so;
+pub mod so3;
 pub mod stepper;
 pub mod tableau;
 pub mod trajectory;

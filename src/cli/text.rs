@@ -50,7 +50,8 @@ pub(super) fn summary(summary: &Summary) -> String {
         "solver",
         format!(
             "{:.2} sweeps a step ({})",
-            summary.solver.iterations_per_step, summary.solver.kind
+            summary.solver.iterations_per_step,
+            summary.solver.kind.as_deref().unwrap_or("none")
         ),
     );
     line(
@@ -77,7 +78,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         format!(
             "{}, {} ({} stages, order {}): {}",
             formulation.method.as_str(),
-            formulation.tableau,
+            formulation.tableau.as_deref().unwrap_or("composed"),
             formulation.stages,
             formulation.order,
             formulation.why

@@ -45,7 +45,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
         potential_term(&format!("/scene/potential/{index}"), term, n)?;
     }
     initial(scenario, n)?;
-    method(scenario)?;
+    method(scenario, n)?;
     duration(scenario)?;
     log(scenario, n)?;
     expect(scenario, n)
@@ -269,8 +269,27 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
     symmetry(&pointer, &rows, -1.0, "skew")
 }
 
-fn method(scenario: &Scenario) -> Check {
-    let solver = &scenario.method.solver;
+fn method(scenario: &Scenario, n: usize) -> Check {
+    let method = &scenario.method;
+    let name = method.name;
+    ensure(n == 3 || !name.needs_three(), "/method/name", || {
+        format!("{} is for n = 3, this body has n = {n}", name.as_str())
+    })?;
+    ensure(method.order.is_none() || name.is_composition(), "/method/order", || {
+        format!(
+            "is for splitting and lgvi; the order of {} follows from its tableau",
+            name.as_str()
+        )
+    })?;
+    ensure(
+        method.order.is_none_or(|order| matches!(order, 2 | 4 | 6 | 8)),
+        "/method/order",
+        || format!("{} given, 2, 4, 6 or 8 is needed", method.order.unwrap_or_default()),
+    )?;
+    ensure(method.tableau.is_none() || !name.is_composition(), "/method/tableau", || {
+        format!("{} has no tableau; give its `order`", name.as_str())
+    })?;
+    let solver = &method.solver;
     let (low, high) = TOLERANCE_RANGE;
     ensure(
         solver.tolerance >= low && solver.tolerance <= high,
@@ -282,7 +301,7 @@ fn method(scenario: &Scenario) -> Check {
         "/method/solver/max_iterations",
         || format!("{} given, it lies from 1 to {MAX_ITERATIONS}", solver.max_iterations),
     )?;
-    if let TableauChoice::Custom(tableau) = &scenario.method.tableau {
+    if let Some(TableauChoice::Custom(tableau)) = &method.tableau {
         for (i, row) in tableau.a.iter().enumerate() {
             ensure(row.len() == tableau.a.len(), format!("/method/tableau/a/{i}"), || {
                 format!(

@@ -136,6 +136,18 @@ impl<const N: usize> RigidBody<N> {
         }
     }
 
+    /// mu' = `[mu, Omega] - dH/dg` at `g = g0 u`, given the space vectors `seen` from g0 and
+    /// `omega = dH/dmu`: Hamilton's equations, left-trivialised, with `g' = g Omega`.
+    pub fn momentum_rate(
+        &self,
+        u: &Mat<N>,
+        mu: &Mat<N>,
+        omega: &Mat<N>,
+        seen: &[Vector<N>],
+    ) -> Mat<N> {
+        super::so::asym(&(mu * omega)) - self.gradient(u, seen)
+    }
+
     /// Is H independent of the attitude?
     pub fn is_free(&self) -> bool {
         self.terms.is_empty()
@@ -228,6 +240,20 @@ impl<const N: usize> RigidBody<N> {
             }
         }
         Some(q)
+    }
+}
+
+impl RigidBody<3> {
+    /// J^-1, the inverse of the inertia tensor: `vee(Omega) = J^-1 vee(mu)`.
+    pub fn inverse_inertia(&self) -> Matrix3<f64> {
+        match &self.kinetic {
+            Kinetic::Principal { weights } => Matrix3::from_diagonal(&Vector3::new(
+                weights[(2, 1)],
+                weights[(0, 2)],
+                weights[(1, 0)],
+            )),
+            Kinetic::Tensor { inverse, .. } => *inverse,
+        }
     }
 }
 

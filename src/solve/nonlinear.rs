@@ -33,6 +33,10 @@ const PATIENCE: u32 = 3;
 pub enum Rung {
     /// Fixed-point sweeps.
     FixedPoint,
+    /// Newton's method.
+    Newton,
+    /// Nothing to solve: an explicit scheme.
+    Explicit,
 }
 
 impl Rung {
@@ -40,6 +44,8 @@ impl Rung {
     pub fn as_str(self) -> &'static str {
         match self {
             Self::FixedPoint => "fixed_point",
+            Self::Newton => "newton",
+            Self::Explicit => "explicit",
         }
     }
 }
@@ -53,6 +59,11 @@ pub struct Convergence {
     pub increment: f64,
     /// The rung that solved the step.
     pub rung: Rung,
+}
+
+impl Convergence {
+    /// What a step without equations to solve reports.
+    pub const EXPLICIT: Self = Self { iterations: 1, increment: 0.0, rung: Rung::Explicit };
 }
 
 /// Repeats `sweep`, which improves the unknowns in place and returns the relative size of its change.

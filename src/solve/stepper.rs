@@ -13,6 +13,11 @@ mod galerkin;
 pub mod vpd;
 pub mod vpd_lagrangian;
 pub mod vpd_reduced;
+pub mod rkmk;
+pub mod rk;
+pub mod splitting;
+pub mod lgvi;
+pub mod quaternion_gauss;
 
 /// A scheme that carries a state of T*SO(n) forward.
 pub trait Stepper<const N: usize> {

@@ -86,7 +86,7 @@ impl Tableau {
         let mut ascending: Vec<usize> = (0..stages).collect();
         ascending.sort_by(|&i, &j| c[i].total_cmp(&c[j]));
         let mut tableau = Self { a, b, c, ascending, order: 0 };
-        tableau.order = tableau.simplified_order().max(tableau.tree_order());
+        tableau.order = tableau.simplified_order().max(tableau.pair_order());
         Ok(tableau)
     }
 
@@ -168,6 +168,17 @@ impl Tableau {
         self.order
     }
 
+    /// Does each stage need the earlier ones only?
+    pub fn is_explicit(&self) -> bool {
+        self.a.iter().enumerate().all(|(i, row)| row[i..].iter().all(|&a| a == 0.0))
+    }
+
+    /// Order of the tableau as a Runge-Kutta method by itself, without a partner: at least [`Self::order`].
+    /// Exact up to order 6, and never more than that for a tableau that is not symplectic.
+    pub fn classical_order(&self) -> u32 {
+        self.order.max(self.tree_order(std::slice::from_ref(&self.a)))
+    }
+
     /// The momentum's partner coefficients `a^_ij = b_j (1 - a_ji / b_i)`.
     fn partner(&self, i: usize, j: usize) -> f64 {
         self.b[j] * (1.0 - self.a[j][i] / self.b[i])
@@ -205,15 +216,18 @@ impl Tableau {
         quadrature.min(rows + columns + 1).min(2 * rows + 2)
     }
 
-    /// The order of the pair from the conditions of all rooted trees with vertices of two colours
-    /// (position, momentum) up to [`MAX_TREE_ORDER`]: `sum_i b_i Phi_i(t) = 1 / gamma(t)`
-    /// (Hairer, Lubich, Wanner, Geometric Numerical Integration, III.2).
-    fn tree_order(&self) -> u32 {
+    /// The order of the pair of position and momentum coefficients.
+    fn pair_order(&self) -> u32 {
         let s = self.stages();
-        let matrices = [
-            self.a.clone(),
-            (0..s).map(|i| (0..s).map(|j| self.partner(i, j)).collect()).collect(),
-        ];
+        let partner = (0..s).map(|i| (0..s).map(|j| self.partner(i, j)).collect()).collect();
+        self.tree_order(&[self.a.clone(), partner])
+    }
+
+    /// The order from the conditions of all rooted trees with vertices of as many colours as there are
+    /// `matrices`, up to [`MAX_TREE_ORDER`]: `sum_i b_i Phi_i(t) = 1 / gamma(t)`
+    /// (Hairer, Lubich, Wanner, Geometric Numerical Integration, III.1 and III.2).
+    fn tree_order(&self, matrices: &[Vec<Vec<f64>>]) -> u32 {
+        let s = self.stages();
         // A branch: a tree hung below an edge of one colour, its weight at each stage, 1 / gamma, size.
         let mut branches: Vec<Tree> = Vec::new();
         for order in 1..=MAX_TREE_ORDER {
@@ -233,7 +247,7 @@ impl Tableau {
                 }
             }
             for tree in grown {
-                for matrix in &matrices {
+                for matrix in matrices {
                     let below =
                         |row: &Vec<f64>| row.iter().zip(&tree.weight).map(|(a, w)| a * w).sum();
                     let weight = matrix.iter().map(below).collect();
@@ -328,6 +342,21 @@ mod tests {
         // Heun's second-order method.
         let heun = Tableau::new(vec![vec![0.0, 0.0], vec![1.0, 0.0]], vec![0.5, 0.5]);
         assert_eq!(heun.expect("consistent").order(), 2);
+    }
+
+    #[test]
+    fn explicit_tableaux_know_themselves() {
+        for (tableau, order) in [(Tableau::rk3(), 3), (Tableau::rk4(), 4)] {
+            assert!(tableau.is_explicit());
+            assert_eq!(tableau.classical_order(), order);
+        }
+        let gauss = Tableau::gauss(4).expect("4 stages");
+        assert!(!gauss.is_explicit());
+        assert_eq!(gauss.classical_order(), 8);
+        // Ralston's third-order method; its pair is of order 2.
+        let a = vec![vec![0.0; 3], vec![0.5, 0.0, 0.0], vec![0.0, 0.75, 0.0]];
+        let ralston = Tableau::new(a, vec![2.0 / 9.0, 1.0 / 3.0, 4.0 / 9.0]).expect("consistent");
+        assert_eq!(ralston.classical_order(), 3);
     }
 
     #[test]

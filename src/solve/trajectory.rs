@@ -108,6 +108,8 @@ pub struct Trajectory<const N: usize> {
     pub momentum: Mat<N>,
     /// Sweeps of the nonlinear solver in all.
     pub iterations: u64,
+    /// How the last step made was solved; `None` if none was made.
+    pub convergence: Option<Convergence>,
 }
 
 /// Carries `initial` forward along `schedule` and gives the samples to `sink`: the first at the start,
@@ -167,6 +169,7 @@ pub fn integrate<const N: usize, S: Sink<N>>(
         attitude: stepper.attitude(),
         momentum: stepper.momentum(),
         iterations,
+        convergence,
     })
 }
 

@@ -379,7 +379,7 @@ pub(crate) fn table() -> Vec<Bad> {
 
     // Tableaux and solvers.
     let tableau = "/method/tableau";
-    for raw in ["\"gauss9\"", "\"Gauss2\"", "\"\"", "2", "null", "[[0.5],[1]]"] {
+    for raw in ["\"gauss9\"", "\"Gauss2\"", "\"\"", "2", "[[0.5],[1]]"] {
         add(with(full(), tableau, raw), tableau);
     }
     add(with(full(), tableau, r#"{"a":[[0.5]],"b":[1],"c":[0.5]}"#), "/method/tableau/c");
@@ -401,6 +401,26 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(full(), "/method/solver/kind", "\"anderson\""), "/method/solver/kind");
     for raw in ["\"leapfrog\"", "\"VPD\"", "\"\""] {
         add(with(full(), "/method/name", raw), "/method/name");
+    }
+
+    // Methods that do not go with the scene, the tableau or the order.
+    add(with(full(), "/method", r#"{"name":"vpd_reduced"}"#), "/method/name");
+    for name in ["splitting", "lgvi", "quaternion_gauss"] {
+        add(with(so4(), "/method", &format!("{{\"name\":\"{name}\"}}")), "/method/name");
+    }
+    for name in ["rkmk", "rk", "rk_projected"] {
+        let method = format!("{{\"name\":\"{name}\",\"tableau\":\"gauss2\"}}");
+        add(with(full(), "/method", &method), "/method/tableau");
+    }
+    add(
+        with(full(), "/method", r#"{"name":"quaternion_gauss","tableau":"rk3"}"#),
+        "/method/tableau",
+    );
+    add(with(full(), "/method", r#"{"name":"splitting","tableau":"gauss2"}"#), "/method/tableau");
+    add(with(full(), "/method", r#"{"name":"vpd","order":4}"#), "/method/order");
+    for raw in ["3", "0", "10", "-2", "\"4\""] {
+        let method = format!("{{\"name\":\"lgvi\",\"order\":{raw}}}");
+        add(with(full(), "/method", &method), "/method/order");
     }
 
     // The log.

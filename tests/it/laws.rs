@@ -201,6 +201,43 @@ fn retraction_and_its_inverse() {
 }
 
 #[test]
+fn the_exponential() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(12);
+        for size in [1e-9, 1e-3, 0.099, 0.101, 1.0, 30.0] {
+            let x = numbers.skew::<N>() * size;
+            let u = so::exp(&x).expect("finite");
+            assert!(so::orthogonality_error(&u) < 4e-15, "n = {N}");
+            let round_off = 1e-15 * (4.0 + N as f64 * size);
+            let back = so::exp(&-x).expect("finite");
+            assert!((u.transpose() - back).amax() < round_off, "n = {N}, {size}");
+            let twice = so::exp(&(x * 2.0)).expect("finite");
+            assert!((u * u - twice).amax() < round_off, "n = {N}, {size}");
+            // exp(A X A^T) = A exp(X) A^T
+            let a = numbers.rotation::<N>();
+            let turned = so::exp(&so::conjugate(&a, &x)).expect("finite");
+            assert!((so::conjugate(&a, &u) - turned).amax() < round_off, "n = {N}, {size}");
+        }
+        // A rotation of each plane (2 k, 2 k + 1) by its own angle.
+        let angle = |i: usize| 0.3 + 0.5 * (i / 2) as f64;
+        let pair = |i: usize, j: usize| i / 2 == j / 2 && i.max(j) | 1 < N;
+        let x = Mat::<N>::from_fn(|i, j| match (pair(i, j), i == j) {
+            (true, false) => angle(i) * if i > j { 1.0 } else { -1.0 },
+            _ => 0.0,
+        });
+        let expected = Mat::<N>::from_fn(|i, j| match (pair(i, j), i == j) {
+            (true, true) => libm::cos(angle(i)),
+            (true, false) => libm::sin(angle(i)) * if i > j { 1.0 } else { -1.0 },
+            (false, same) => f64::from(u8::from(same)),
+        });
+        assert!((so::exp(&x).expect("finite") - expected).amax() < 1e-15, "n = {N}");
+        assert_eq!(so::exp(&Mat::<N>::repeat(f64::NAN)), None);
+        assert_eq!(so::exp(&Mat::<N>::repeat(f64::INFINITY)), None);
+    }
+    for_sizes!(law);
+}
+
+#[test]
 fn the_gradient_is_the_derivative_of_the_energy() {
     fn law<const N: usize>() {
         let mut numbers = Numbers(7);

@@ -10,6 +10,7 @@ mod http;
 mod forms;
 mod laws;
 mod log;
+mod methods;
 mod scenarios;
 mod verification;
 mod architecture;

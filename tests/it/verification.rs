@@ -84,7 +84,7 @@ fn advance<const N: usize>(
 }
 
 /// `|p - p_ref|_2 + |g - g_ref|_2`, the paper's measure.
-fn distance(a: &State<3>, b: &State<3>) -> f64 {
+pub(crate) fn distance(a: &State<3>, b: &State<3>) -> f64 {
     let difference = a.attitude - b.attitude;
     let spectral =
         (difference.transpose() * difference).symmetric_eigenvalues().max().max(0.0).sqrt();
@@ -93,7 +93,7 @@ fn distance(a: &State<3>, b: &State<3>) -> f64 {
 }
 
 /// The dipole at t = 0.5, from two independent methods of 45 digits.
-fn reference() -> State<3> {
+pub(crate) fn reference() -> State<3> {
     let data: Value =
         serde_json::from_str(include_str!("../data/dipole-reference.json")).expect("JSON");
     let point = &data["points"]["0.5"];
@@ -300,7 +300,7 @@ fn long_runs_keep_the_invariants() {
 }
 
 /// Slope and its standard deviation of the means of 50 intervals of a series.
-fn trend(series: &[f64]) -> (f64, f64) {
+pub(crate) fn trend(series: &[f64]) -> (f64, f64) {
     const INTERVALS: usize = 50;
     let means: Vec<f64> = series
         .chunks(series.len().div_ceil(INTERVALS))

@@ -1,0 +1,108 @@
+//! Explicit Runge-Kutta on (g, mu) as plain matrices, the baseline that knows nothing of the group.
+//!
+//! ```text
+//! g' = g Omega,   mu' = [mu, Omega] - dH/dg,   Omega = dH/dmu
+//! ```
+//!
+//! Kutta (1901), Zeitschrift fuer Mathematik und Physik 46, in R^(n x n). The attitude leaves the group by the
+//! order of the method; optionally it is projected back after each step, to its orthogonal polar factor
+//! (Hairer, Lubich, Wanner, Geometric Numerical Integration, IV.4), which mends the attitude but not the
+//! energy.
+//!
+//! Invariant: the momentum is skew; with projection the attitude is on the group to round-off.
+
+use crate::solve::failure::{Failure, FailureCode};
+use crate::solve::hamiltonian::RigidBody;
+use crate::solve::nonlinear::Convergence;
+use crate::solve::so::{self, Mat, Vector};
+use crate::solve::stepper::Stepper;
+use crate::solve::tableau::Tableau;
+use crate::solve::trajectory::State;
+
+/// The stepper: an explicit tableau and its scratch.
+#[derive(Clone, Debug)]
+pub struct Rk<const N: usize> {
+    tableau: Tableau,
+    order: u32,
+    projected: bool,
+    state: State<N>,
+    /// g' and mu' of each stage.
+    rates: Vec<(Mat<N>, Mat<N>)>,
+    seen: Vec<Vector<N>>,
+}
+
+impl<const N: usize> Rk<N> {
+    /// A stepper for an explicit tableau, with a polar projection after each step if `projected`; `None`
+    /// for any other tableau.
+    pub fn new(tableau: Tableau, projected: bool) -> Option<Self> {
+        tableau.is_explicit().then(|| Self {
+            order: tableau.classical_order(),
+            projected,
+            state: State { attitude: Mat::identity(), momentum: Mat::zeros() },
+            rates: vec![(Mat::zeros(), Mat::zeros()); tableau.stages()],
+            seen: Vec::new(),
+            tableau,
+        })
+    }
+
+    /// The state after the given parts of the rates so far.
+    fn at(&self, stage: Option<usize>, part: impl Fn(usize) -> f64) -> Result<State<N>, Failure> {
+        let State { attitude: mut g, momentum: mut mu } = self.state;
+        for (j, (k, l)) in self.rates.iter().enumerate().take(stage.unwrap_or(usize::MAX)) {
+            g += k * part(j);
+            mu += l * part(j);
+        }
+        if g.iter().chain(&mu).all(|x| x.is_finite()) {
+            Ok(State { attitude: g, momentum: mu })
+        } else {
+            Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))
+        }
+    }
+}
+
+impl<const N: usize> Stepper<N> for Rk<N> {
+    fn order(&self) -> u32 {
+        self.order
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.state = state.clone();
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        body.seen_from(&Mat::identity(), &mut self.seen);
+        for i in 0..self.tableau.stages() {
+            let State { attitude: g, momentum: mu } =
+                self.at(Some(i), |j| h * self.tableau.a(i, j))?;
+            body.check_distances(&g, &self.seen)
+                .map_err(|failure| Failure { stage: Some(i), ..failure })?;
+            let omega = body.velocity(&mu);
+            self.rates[i] = (g * omega, body.momentum_rate(&g, &mu, &omega, &self.seen));
+        }
+        let mut end = self.at(None, |j| h * self.tableau.b(j))?;
+        if self.projected {
+            let factor = so::polar(&end.attitude).ok_or(Failure::new(
+                FailureCode::LeftGlPlus,
+                None,
+                0.0,
+                0.0,
+            ))?;
+            // A quarter turn in one plane, or a reflection: tr(U^T V) <= n - 2.
+            let (trace, limit) = (self.state.attitude.dot(&factor), N as f64 - 2.0);
+            if !(trace > limit) {
+                return Err(Failure::new(FailureCode::BranchJump, None, trace, limit));
+            }
+            end.attitude = factor;
+        }
+        self.state = end;
+        Ok(Convergence::EXPLICIT)
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        Some(self.state.attitude)
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.state.momentum
+    }
+}
