@@ -157,6 +157,78 @@ pub fn inverse_retraction<const N: usize>(u: &Mat<N>) -> Option<Mat<N>> {
     lyapunov(&u.transpose(), &asym(u), &Mat::zeros())
 }
 
+/// `sin(t) / t`, `(1 - cos t) / t^2` and `(t - sin t) / t^3` from `t^2`: the coefficients of the exponential
+/// of so(3) and of its tangent map, without cancellation at any angle.
+pub fn rotation_coefficients(square: f64) -> [f64; 3] {
+    // Below half a radian Taylor's series: 8 terms leave 1e-18 of the first.
+    const SERIES_BELOW: f64 = 0.25;
+    if square < SERIES_BELOW {
+        // sum_k (-t^2)^k / (2k + m)! by Horner, m = 2 and 3.
+        let series = |m: u32| {
+            (1..8).rev().fold(1.0, |sum, k| {
+                let last = f64::from(2 * k + m);
+                1.0 - sum * square / (last * (last - 1.0))
+            })
+        };
+        let (b, c) = (series(2) / 2.0, series(3) / 6.0);
+        [1.0 - square * c, b, c]
+    } else {
+        let t = square.sqrt();
+        let (sine, half) = (libm::sin(t), libm::sin(0.5 * t));
+        [sine / t, 2.0 * half * half / square, (t - sine) / (square * t)]
+    }
+}
+
+/// The exponential of a skew matrix, a rotation to round-off.
+///
+/// n = 3: Rodrigues (1840), `I + sin(t)/t X + (1 - cos t)/t^2 X^2`, t the length of the vector. Else
+/// scaling and squaring of Taylor's series. Not finite where `x` is not.
+pub fn exp<const N: usize>(x: &Mat<N>) -> Mat<N> {
+    if N == 3 {
+        let v = Vector3::new(x[(2, 1)], x[(0, 2)], x[(1, 0)]);
+        let square = v.norm_squared();
+        let [a, b, _] = rotation_coefficients(square);
+        // X^2 = v v^T - t^2 I
+        Mat::from_fn(|i, j| {
+            let even = if i == j {
+                1.0 - b * (v[(i + 1) % 3] * v[(i + 1) % 3] + v[(i + 2) % 3] * v[(i + 2) % 3])
+            } else {
+                b * v[i] * v[j]
+            };
+            even + a * x[(i, j)]
+        })
+    } else {
+        Mat::identity() + exp_minus_one(x)
+    }
+}
+
+/// `exp(X) - I`: kept apart from I, so that squaring does not round at the size of one.
+fn exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
+    // X^14 / 14! is then below 1e-17.
+    const LARGEST: f64 = 0.35;
+    let size = inner(x, x).sqrt();
+    if size > LARGEST && x.iter().all(|entry| entry.is_finite()) {
+        // exp(2 Z) - 1 = 2 E + E^2 with E = exp(Z) - 1
+        let half = exp_minus_one(&(x * 0.5));
+        return half * 2.0 + half * half;
+    }
+    let identity = Mat::<N>::identity();
+    let x2 = x * x;
+    let x4 = x2 * x2;
+    let x6 = x4 * x2;
+    // Even and odd powers up to 13 (Paterson, Stockmeyer 1973).
+    let even = x2 / 2.0
+        + x4 / 24.0
+        + x6 / 720.0
+        + x6 * (x2 / 40_320.0 + x4 / 3_628_800.0 + x6 / 479_001_600.0);
+    let odd = identity
+        + x2 / 6.0
+        + x4 / 120.0
+        + x6 / 5_040.0
+        + x6 * (x2 / 362_880.0 + x4 / 39_916_800.0 + x6 / 6_227_020_800.0);
+    even + x * odd
+}
+
 /// Solves `M X + X M^T = C` for skew `X`, given skew `C`.
 ///
 /// This is the Lyapunov equation of the paper: with `M = P` symmetric positive definite the polar
