@@ -25,6 +25,9 @@ impl Default for StopRule {
 const ROUND_OFF: f64 = 4e-15;
 /// Below this an increment that no longer falls is round-off.
 const ROUND_OFF_FLOOR: f64 = 1e-12;
+/// So many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
+/// carry the unknowns round a few neighbouring numbers, the increment falling and rising by turns.
+const CYCLE: u32 = 6;
 /// So many sweeps in a row without progress are divergence, not a transient.
 const PATIENCE: u32 = 3;
 
@@ -67,6 +70,7 @@ pub fn fixed_point(
     // Ring of the last increments: a failure reports them, convergence needs two.
     let mut recent = [f64::INFINITY; 16];
     let mut grown = 0;
+    let (mut smallest, mut since_smallest) = (f64::INFINITY, 0);
     for iteration in 1..=rule.max_iterations {
         let slot = iteration as usize % recent.len();
         let previous = recent[(iteration as usize + recent.len() - 1) % recent.len()];
@@ -83,10 +87,16 @@ pub fn fixed_point(
             return give_up(FailureCode::NonFinite, f64::MAX);
         }
         grown = if increment >= previous { grown + 1 } else { 0 };
+        if increment < smallest {
+            (smallest, since_smallest) = (increment, 0);
+        } else {
+            since_smallest += 1;
+        }
         // One increment that does not fall may be the wobble of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
-        let at_floor =
-            (grown == 1 && increment <= ROUND_OFF) || (grown == 2 && increment <= ROUND_OFF_FLOOR);
+        let at_floor = (grown == 1 && increment <= ROUND_OFF)
+            || (grown == 2 && increment <= ROUND_OFF_FLOOR)
+            || (since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
         if increment <= rule.tolerance || at_floor {
             return Ok(Convergence { iterations: iteration, increment, rung: Rung::FixedPoint });
         }
