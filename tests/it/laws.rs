@@ -222,6 +222,10 @@ fn the_gradient_is_the_derivative_of_the_energy() {
             let difference = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * e);
             assert!((difference - so::inner(&gradient, &eta)).abs() < 1e-10, "n = {N}");
         }
+        // The same from the other side.
+        let g = g0 * u;
+        let difference = so::conjugate(&g, &gradient) - body.spatial_gradient(&g);
+        assert!(difference.amax() < 1e-14 * N as f64, "n = {N}: {:e}", difference.amax());
     }
     for_sizes!(law);
 }
