@@ -124,3 +124,20 @@ fn with_history(mut failure: Failure, iterations: u32, ring: &[f64; 16], oldest:
         .collect();
     failure
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_cycle_at_round_off_is_convergence() {
+        let cycle = [4.96e-15, 2.49e-15, 2.46e-15];
+        let mut increments = [1e-3, 1e-7, 1e-11].into_iter().chain(cycle.into_iter().cycle());
+        let solved = fixed_point(StopRule::default(), || Ok(increments.next().expect("endless")));
+        assert!(solved.is_ok_and(|solved| solved.iterations <= 15));
+        // Above the floor it is not.
+        let mut increments = cycle.into_iter().cycle().map(|increment| increment * 1e6);
+        let failed = fixed_point(StopRule::default(), || Ok(increments.next().expect("endless")));
+        assert_eq!(failed.map_err(|failure| failure.code), Err(FailureCode::MaxIterations));
+    }
+}
