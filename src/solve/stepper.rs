@@ -10,6 +10,7 @@ use super::so::Mat;
 use super::trajectory::State;
 
 pub mod vpd;
+pub mod vrkmk;
 
 /// A scheme that carries a state of T*SO(n) forward.
 pub trait Stepper<const N: usize> {
