@@ -11,3 +11,4 @@ mod laws;
 mod log;
 mod scenarios;
 mod verification;
+mod vrkmk;

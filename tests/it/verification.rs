@@ -84,7 +84,7 @@ fn advance<const N: usize>(
 }
 
 /// `|p - p_ref|_2 + |g - g_ref|_2`, the paper's measure.
-fn distance(a: &State<3>, b: &State<3>) -> f64 {
+pub(crate) fn distance(a: &State<3>, b: &State<3>) -> f64 {
     let difference = a.attitude - b.attitude;
     let spectral =
         (difference.transpose() * difference).symmetric_eigenvalues().max().max(0.0).sqrt();
@@ -93,7 +93,7 @@ fn distance(a: &State<3>, b: &State<3>) -> f64 {
 }
 
 /// The dipole at t = 0.5, from two independent methods of 45 digits.
-fn reference() -> State<3> {
+pub(crate) fn reference() -> State<3> {
     let data: Value =
         serde_json::from_str(include_str!("../data/dipole-reference.json")).expect("JSON");
     let point = &data["points"]["0.5"];
@@ -154,7 +154,7 @@ fn orders_are_as_the_tableau_says() {
 
 /// Hamilton's equations `g' = g Omega`, `mu' = [mu, Omega] - dH/dg` by the classical Runge-Kutta method
 /// with small steps: a reference that shares nothing with the integrator.
-fn classical<const N: usize>(
+pub(crate) fn classical<const N: usize>(
     body: &RigidBody<N>,
     start: &State<N>,
     span: f64,
@@ -230,11 +230,11 @@ fn products_of_inertia_are_a_turned_frame() {
 
 /// Energy errors of every sample, and the extremes of the other invariants.
 #[derive(Default)]
-struct Invariants {
-    energy: Vec<f64>,
-    orthogonality_max: f64,
+pub(crate) struct Invariants {
+    pub(crate) energy: Vec<f64>,
+    pub(crate) orthogonality_max: f64,
     orthogonality_sum: f64,
-    momentum_max: f64,
+    pub(crate) momentum_max: f64,
 }
 
 impl Sink<3> for Invariants {
