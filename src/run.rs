@@ -28,6 +28,7 @@ use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
+use crate::solve::stepper::vrkmk::Vrkmk;
 use crate::solve::trajectory::{
     self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
 };
@@ -300,6 +301,8 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
         MethodName::Auto | MethodName::Vpd => Box::new(Vpd::new(tableau, stop)),
         MethodName::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
         MethodName::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
+        MethodName::Vrkmk => Box::new(Vrkmk::new(tableau, stop)),
+        MethodName::VrkmkProjected => Box::new(Vrkmk::new(tableau, stop).projected()),
         MethodName::Rkmk => Box::new(Rkmk::new(tableau)?),
         MethodName::Rk => Box::new(Rk::new(tableau, false)?),
         MethodName::RkProjected => Box::new(Rk::new(tableau, true)?),

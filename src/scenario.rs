@@ -228,6 +228,10 @@ pub enum MethodName {
     VpdLagrangian,
     /// Variational polar decomposition, reduced to the momentum: free bodies.
     VpdReduced,
+    /// Variational Runge-Kutta-Munthe-Kaas: symplectic, on the group but for what rounding adds up.
+    Vrkmk,
+    /// The same, projected to the group after each step.
+    VrkmkProjected,
     /// Explicit Runge-Kutta-Munthe-Kaas: on the group, not symplectic.
     Rkmk,
     /// Explicit Runge-Kutta in n x n matrices: leaves the group.
@@ -250,6 +254,8 @@ impl MethodName {
             Self::Vpd => "vpd",
             Self::VpdLagrangian => "vpd_lagrangian",
             Self::VpdReduced => "vpd_reduced",
+            Self::Vrkmk => "vrkmk",
+            Self::VrkmkProjected => "vrkmk_projected",
             Self::Rkmk => "rkmk",
             Self::Rk => "rk",
             Self::RkProjected => "rk_projected",

@@ -194,6 +194,24 @@ impl<const N: usize> RigidBody<N> {
         self.check_distances(&Mat::identity(), &seen)
     }
 
+    /// dU/dg at `g`, right-trivialised and skew, in space: `<gradient, eta> = d/de U(exp(e eta) g)`.
+    ///
+    /// A term U(q) with `q = g^T v` has `v (g dU/dq)^T - (g dU/dq) v^T`. On the group this is `g X g^T`, X
+    /// the left-trivialised gradient; next to it only this form keeps the symmetries that the space vectors
+    /// leave to the bit.
+    pub fn spatial_gradient(&self, g: &Mat<N>) -> Mat<N> {
+        let mut sum = Mat::zeros();
+        for Term { law, space } in &self.terms {
+            let slope = g * law.slope(&g.tr_mul(space));
+            for j in 0..N {
+                for i in 0..N {
+                    sum[(i, j)] += space[i] * slope[j] - slope[i] * space[j];
+                }
+            }
+        }
+        sum
+    }
+
     /// Refuses an attitude `u` (in the frame that `seen` belongs to) at which the potential has lost its
     /// meaning.
     ///

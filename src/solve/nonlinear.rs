@@ -25,6 +25,9 @@ impl Default for StopRule {
 const ROUND_OFF: f64 = 4e-15;
 /// Below this an increment that no longer falls is round-off.
 const ROUND_OFF_FLOOR: f64 = 1e-12;
+/// So many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
+/// carry the unknowns round a few neighbouring numbers, the increment falling and rising by turns.
+const CYCLE: u32 = 6;
 /// So many sweeps in a row without progress are divergence, not a transient.
 const PATIENCE: u32 = 3;
 
@@ -78,6 +81,7 @@ pub fn fixed_point(
     // Ring of the last increments: a failure reports them, convergence needs two.
     let mut recent = [f64::INFINITY; 16];
     let mut grown = 0;
+    let (mut smallest, mut since_smallest) = (f64::INFINITY, 0);
     for iteration in 1..=rule.max_iterations {
         let slot = iteration as usize % recent.len();
         let previous = recent[(iteration as usize + recent.len() - 1) % recent.len()];
@@ -94,10 +98,16 @@ pub fn fixed_point(
             return give_up(FailureCode::NonFinite, f64::MAX);
         }
         grown = if increment >= previous { grown + 1 } else { 0 };
+        if increment < smallest {
+            (smallest, since_smallest) = (increment, 0);
+        } else {
+            since_smallest += 1;
+        }
         // One increment that does not fall may be the wobble of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
-        let at_floor =
-            (grown == 1 && increment <= ROUND_OFF) || (grown == 2 && increment <= ROUND_OFF_FLOOR);
+        let at_floor = (grown == 1 && increment <= ROUND_OFF)
+            || (grown == 2 && increment <= ROUND_OFF_FLOOR)
+            || (since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
         if increment <= rule.tolerance || at_floor {
             return Ok(Convergence { iterations: iteration, increment, rung: Rung::FixedPoint });
         }
@@ -124,4 +134,21 @@ fn with_history(mut failure: Failure, iterations: u32, ring: &[f64; 16], oldest:
         .filter(|increment| increment.is_finite())
         .collect();
     failure
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_cycle_at_round_off_is_convergence() {
+        let cycle = [4.96e-15, 2.49e-15, 2.46e-15];
+        let mut increments = [1e-3, 1e-7, 1e-11].into_iter().chain(cycle.into_iter().cycle());
+        let solved = fixed_point(StopRule::default(), || Ok(increments.next().expect("endless")));
+        assert!(solved.is_ok_and(|solved| solved.iterations <= 15));
+        // Above the floor it is not.
+        let mut increments = cycle.into_iter().cycle().map(|increment| increment * 1e6);
+        let failed = fixed_point(StopRule::default(), || Ok(increments.next().expect("endless")));
+        assert_eq!(failed.map_err(|failure| failure.code), Err(FailureCode::MaxIterations));
+    }
 }

@@ -177,74 +177,6 @@ pub fn retraction<const N: usize>(omega: &Mat<N>) -> Option<Mat<N>> {
     polar(&(Mat::identity() + omega))
 }
 
-/// The exponential of a skew matrix, to round-off.
-///
-/// n = 2, 3: `I + sin(t)/t X + (1 - cos t)/t^2 X^2`, t the angle (Rodrigues). General n: Taylor's series
-/// of `X / 2^k`, squared k times (Moler, Van Loan 2003, method 3), and one correction back to the group.
-///
-/// `None` if an entry is not finite or the angle is so large that it has no digits left.
-pub fn exp<const N: usize>(x: &Mat<N>) -> Option<Mat<N>> {
-    // Angles beyond 2^20 have lost six digits; a step that needs one is lost anyway.
-    const MAX_HALVINGS: i32 = 20;
-    let identity = Mat::<N>::identity();
-    if N <= 3 {
-        let square = inner(x, x);
-        if !square.is_finite() {
-            return None;
-        }
-        let (first, second) = rodrigues(square);
-        return Some(identity + x * first + x * x * second);
-    }
-    // Scale until the sum of the entries of a row, which bounds the angle, is at most 1/2.
-    let mut scaled = *x;
-    let mut halvings = 0;
-    while !(row_sum(&scaled) <= 0.5) {
-        if halvings == MAX_HALVINGS {
-            return None;
-        }
-        scaled *= 0.5;
-        halvings += 1;
-    }
-    let mut term = scaled;
-    let mut sum = scaled;
-    // 0.5^16 / 16! is 7e-19.
-    for k in 2..=15 {
-        term = term * scaled / f64::from(k);
-        sum += term;
-        if term.amax() <= 1e-18 {
-            break;
-        }
-    }
-    let mut u = identity + sum;
-    for _ in 0..halvings {
-        u = u * u;
-    }
-    Some(orthonormalised(&u))
-}
-
-/// `sin(t) / t` and `(1 - cos t) / t^2` from t^2.
-fn rodrigues(square: f64) -> (f64, f64) {
-    // Below t = 0.1 six terms of the series are exact to 1e-18 and spare two divisions.
-    if square < 0.01 {
-        let series = |a: [f64; 6]| a.iter().rev().fold(0.0, |sum, c| sum * square + c);
-        return (
-            series([1.0, -1.0 / 6.0, 1.0 / 120.0, -1.0 / 5040.0, 1.0 / 362_880.0, -2.5e-8]),
-            series([0.5, -1.0 / 24.0, 1.0 / 720.0, -1.0 / 40_320.0, 1.0 / 3_628_800.0, -2.1e-9]),
-        );
-    }
-    let angle = square.sqrt();
-    let half = libm::sin(0.5 * angle);
-    (libm::sin(angle) / angle, 2.0 * half * half / square)
-}
-
-/// Largest sum of the sizes of the entries of a row.
-fn row_sum<const N: usize>(x: &Mat<N>) -> f64 {
-    (0..N).map(|i| x.row(i).iter().map(|x| x.abs()).sum::<f64>()).fold(0.0, |largest, sum| {
-        // Unlike a plain maximum this keeps a NaN.
-        if sum <= largest { largest } else { sum }
-    })
-}
-
 /// The inverse of [`retraction`] (paper, pinverse): the skew `Omega` with
 /// `U^T Omega + Omega U = U - U^T`.
 ///
@@ -255,6 +187,88 @@ pub fn inverse_retraction<const N: usize>(u: &Mat<N>) -> Option<Mat<N>> {
         return None;
     }
     lyapunov(&u.transpose(), &asym(u), &Mat::zeros())
+}
+
+/// `sin(t) / t`, `(1 - cos t) / t^2` and `(t - sin t) / t^3` from `t^2`: the coefficients of the exponential
+/// of so(3) and of its tangent map, without cancellation at any angle.
+pub fn rotation_coefficients(square: f64) -> [f64; 3] {
+    // Below half a radian Taylor's series: 8 terms leave 1e-18 of the first.
+    const SERIES_BELOW: f64 = 0.25;
+    if square < SERIES_BELOW {
+        // sum_k (-t^2)^k / (2k + m)! by Horner, m = 2 and 3.
+        let series = |m: u32| {
+            (1..8).rev().fold(1.0, |sum, k| {
+                let last = f64::from(2 * k + m);
+                1.0 - sum * square / (last * (last - 1.0))
+            })
+        };
+        let (b, c) = (series(2) / 2.0, series(3) / 6.0);
+        [1.0 - square * c, b, c]
+    } else {
+        let t = square.sqrt();
+        let (sine, half) = (libm::sin(t), libm::sin(0.5 * t));
+        [sine / t, 2.0 * half * half / square, (t - sine) / (square * t)]
+    }
+}
+
+/// The exponential of a skew matrix, a rotation to round-off.
+///
+/// n = 3: Rodrigues (1840), `I + sin(t)/t X + (1 - cos t)/t^2 X^2`, t the length of the vector. Else
+/// scaling and squaring of Taylor's series. NaN where `x` is not finite or turns by more than 1e6 radians, which
+/// leaves no digits of use.
+pub fn exp<const N: usize>(x: &Mat<N>) -> Mat<N> {
+    if N == 3 {
+        let v = Vector3::new(x[(2, 1)], x[(0, 2)], x[(1, 0)]);
+        let square = v.norm_squared();
+        if !(square <= LARGEST_ANGLE * LARGEST_ANGLE) {
+            return Mat::repeat(f64::NAN);
+        }
+        let [a, b, _] = rotation_coefficients(square);
+        // X^2 = v v^T - t^2 I
+        Mat::from_fn(|i, j| {
+            let even = if i == j {
+                1.0 - b * (v[(i + 1) % 3] * v[(i + 1) % 3] + v[(i + 2) % 3] * v[(i + 2) % 3])
+            } else {
+                b * v[i] * v[j]
+            };
+            even + a * x[(i, j)]
+        })
+    } else if inner(x, x) <= LARGEST_ANGLE * LARGEST_ANGLE {
+        // Squaring doubles what rounding left; one correction takes it back.
+        orthonormalised(&(Mat::identity() + exp_minus_one(x)))
+    } else {
+        Mat::repeat(f64::NAN)
+    }
+}
+
+/// The largest angle in radians of which [`exp`] still knows the place on the circle.
+const LARGEST_ANGLE: f64 = 1e6;
+
+/// `exp(X) - I`: kept apart from I, so that squaring does not round at the size of one.
+fn exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
+    // X^14 / 14! is then below 1e-17.
+    const LARGEST: f64 = 0.35;
+    let size = inner(x, x).sqrt();
+    if size > LARGEST {
+        // exp(2 Z) - 1 = 2 E + E^2 with E = exp(Z) - 1
+        let half = exp_minus_one(&(x * 0.5));
+        return half * 2.0 + half * half;
+    }
+    let identity = Mat::<N>::identity();
+    let x2 = x * x;
+    let x4 = x2 * x2;
+    let x6 = x4 * x2;
+    // Even and odd powers up to 13 (Paterson, Stockmeyer 1973).
+    let even = x2 / 2.0
+        + x4 / 24.0
+        + x6 / 720.0
+        + x6 * (x2 / 40_320.0 + x4 / 3_628_800.0 + x6 / 479_001_600.0);
+    let odd = identity
+        + x2 / 6.0
+        + x4 / 120.0
+        + x6 / 5_040.0
+        + x6 * (x2 / 362_880.0 + x4 / 39_916_800.0 + x6 / 6_227_020_800.0);
+    even + x * odd
 }
 
 /// Solves `M X + X M^T = C` for skew `X`, given skew `C`.

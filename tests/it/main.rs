@@ -14,3 +14,4 @@ mod methods;
 mod scenarios;
 mod verification;
 mod architecture;
+mod vrkmk;

@@ -50,9 +50,8 @@ fn every_shipped_file_is_listed_and_the_schema_is_current() {
     let kept =
         std::fs::read_to_string(folder.join("scenario.schema.json")).expect("the schema is kept");
     let kept: serde_json::Value = serde_json::from_str(&kept).expect("JSON");
-    assert_eq!(
-        kept,
-        vpd::scenario::schema(),
+    assert!(
+        kept == vpd::scenario::schema(),
         "write it anew: vpd schema > scenarios/scenario.schema.json"
     );
 }

@@ -154,7 +154,7 @@ fn orders_are_as_the_tableau_says() {
 
 /// Hamilton's equations `g' = g Omega`, `mu' = [mu, Omega] - dH/dg` by the classical Runge-Kutta method
 /// with small steps: a reference that shares nothing with the integrator.
-fn classical<const N: usize>(
+pub(crate) fn classical<const N: usize>(
     body: &RigidBody<N>,
     start: &State<N>,
     span: f64,
@@ -231,11 +231,11 @@ fn products_of_inertia_are_a_turned_frame() {
 
 /// Energy errors of every sample, and the extremes of the other invariants.
 #[derive(Default)]
-struct Invariants {
-    energy: Vec<f64>,
-    orthogonality_max: f64,
+pub(crate) struct Invariants {
+    pub(crate) energy: Vec<f64>,
+    pub(crate) orthogonality_max: f64,
     orthogonality_sum: f64,
-    momentum_max: f64,
+    pub(crate) momentum_max: f64,
 }
 
 impl Sink<3> for Invariants {

@@ -61,9 +61,12 @@ impl<const N: usize> Rkmk<N> {
             sigma += k * part(j);
             mu += l * part(j);
         }
-        let turn = so::exp(&sigma).filter(|_| mu.iter().all(|x| x.is_finite()));
-        let u = turn.ok_or(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))?;
-        Ok((sigma, u, mu))
+        let u = so::exp(&sigma);
+        if u.iter().chain(&mu).all(|x| x.is_finite()) {
+            Ok((sigma, u, mu))
+        } else {
+            Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))
+        }
     }
 
     fn dexpinv(&self, sigma: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
