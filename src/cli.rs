@@ -2,11 +2,13 @@
 //!
 //! Exit codes: 0 ok, 1 the run failed (its log is kept and finished), 2 bad input.
 
+use std::fs;
 use std::io::{self, IsTerminal, Write};
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::Duration;
@@ -50,10 +52,42 @@ enum Command {
     Schema,
 }
 
+/// A scenario from a file, with changes.
 #[derive(Debug, Args)]
-struct RunArgs {
+struct ScenarioArgs {
     /// The scenario, a JSON file.
     scenario: PathBuf,
+    /// Change a field, named by its JSON pointer: --set /method/tableau=gauss3 --set /step_s=0.02
+    #[arg(long = "set", value_name = "POINTER=VALUE")]
+    changes: Vec<Change>,
+}
+
+/// One change of a scenario.
+#[derive(Clone, Debug)]
+struct Change {
+    pointer: String,
+    value: serde_json::Value,
+}
+
+impl FromStr for Change {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wanted = || format!("{text:?} is not of the form /pointer/to/field=value");
+        let (pointer, value) = text.split_once('=').ok_or_else(wanted)?;
+        if !pointer.starts_with('/') {
+            return Err(wanted());
+        }
+        // What is not JSON is text, so that names need no quotes.
+        let value = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+        Ok(Self { pointer: pointer.to_owned(), value })
+    }
+}
+
+#[derive(Debug, Args)]
+struct RunArgs {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
     /// The log; by default the scenario's file name with .mcap, here.
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
@@ -64,8 +98,8 @@ struct RunArgs {
 
 #[derive(Debug, Args)]
 struct PlanArgs {
-    /// The scenario, a JSON file.
-    scenario: PathBuf,
+    #[command(flatten)]
+    scenario: ScenarioArgs,
     /// Print JSON.
     #[arg(long)]
     json: bool,
@@ -163,24 +197,48 @@ pub fn main() -> ExitCode {
     })
 }
 
-fn read(path: &Path) -> Result<Scenario, CliError> {
-    let text =
-        std::fs::read(path).map_err(|source| CliError::Read { path: path.to_owned(), source })?;
-    Scenario::from_json(&text)
-        .map_err(|source| CliError::Scenario { path: path.to_owned(), source })
-}
-
-fn read_planned(path: &Path) -> Result<(Scenario, Plan), CliError> {
-    let scenario = read(path)?;
-    let plan = Plan::new(&scenario)
-        .map_err(|source| CliError::Scenario { path: path.to_owned(), source })?;
+/// Reads a scenario, applies the changes and plans it.
+fn planned(args: &ScenarioArgs) -> Result<(Scenario, Plan), CliError> {
+    let path = &args.scenario;
+    let wrong = |source| CliError::Scenario { path: path.clone(), source };
+    let mut text =
+        fs::read(path).map_err(|source| CliError::Read { path: path.clone(), source })?;
+    if !args.changes.is_empty() {
+        // The file is held to its own rules first, duplicate keys among them.
+        Scenario::from_json(&text).map_err(wrong)?;
+        text = changed(&text, &args.changes).map_err(wrong)?;
+    }
+    let scenario = Scenario::from_json(&text).map_err(wrong)?;
+    let plan = Plan::new(&scenario).map_err(wrong)?;
     Ok((scenario, plan))
 }
 
+/// The text of a scenario with some fields replaced or added.
+fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
+    let mut document: serde_json::Value =
+        serde_json::from_slice(text).expect("the text was read as a scenario before");
+    for Change { pointer, value } in changes {
+        let (parent, key) = pointer.rsplit_once('/').expect("a pointer starts with a slash");
+        let missing = || ScenarioError::invalid(pointer.as_str(), "there is no such field to set");
+        match document.pointer_mut(parent).ok_or_else(missing)? {
+            serde_json::Value::Object(map) => {
+                map.insert(key.to_owned(), value.clone());
+            }
+            serde_json::Value::Array(items) => {
+                let index = key.parse::<usize>().ok();
+                let place = index.and_then(|index| items.get_mut(index));
+                *place.ok_or_else(missing)? = value.clone();
+            }
+            _ => return Err(missing()),
+        }
+    }
+    Ok(document.to_string().into_bytes())
+}
+
 fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
-    let (scenario, plan) = read_planned(&args.scenario)?;
+    let (scenario, plan) = planned(&args.scenario)?;
     let log = args.output.clone().unwrap_or_else(|| {
-        PathBuf::from(args.scenario.file_name().unwrap_or_default()).with_extension("mcap")
+        PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
     let summary = watched(&scenario, &plan, &log)?;
     if args.json {
@@ -219,7 +277,7 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
 }
 
 fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
-    let (scenario, plan) = read_planned(&args.scenario)?;
+    let (scenario, plan) = planned(&args.scenario)?;
     if args.json {
         print_json(&plan)?;
     } else {

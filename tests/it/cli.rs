@@ -114,6 +114,34 @@ fn a_log_that_cannot_be_written_exits_with_one() {
 }
 
 #[test]
+fn fields_can_be_set_on_the_command_line() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = scenario("heavy-top");
+    let set = |changes: &[&str]| {
+        let mut arguments = vec!["run", &top, "--json"];
+        for change in changes {
+            arguments.extend(["--set", change]);
+        }
+        vpd(at, &arguments)
+    };
+    let run = set(&["/method/name=vrkmk", "/method/tableau=gauss1", "/duration_s=1"]);
+    let summary: Value = serde_json::from_slice(&run.stdout).expect("JSON");
+    assert_eq!(summary["steps"], 500);
+    let wrong = [
+        (vec!["/scene/inertia/principal/1=-2"], "/scene/inertia/principal/1"),
+        (vec!["/nowhere/at/all=1"], "/nowhere/at/all"),
+        (vec!["/scene/potential/7/weight=1"], "/scene/potential/7/weight"),
+        (vec!["step_s=1"], "/pointer/to/field=value"),
+    ];
+    for (changes, said) in wrong {
+        let run = set(&changes);
+        assert_eq!(run.status.code(), Some(2), "{changes:?}");
+        assert!(text(&run.stderr).contains(said), "{}", text(&run.stderr));
+    }
+}
+
+#[test]
 fn plan_says_what_is_modelled() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let plan = vpd(directory.path(), &["plan", &scenario("dipole"), "--json"]);

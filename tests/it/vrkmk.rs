@@ -7,6 +7,7 @@ use vpd::solve::hamiltonian::{Kinetic, RigidBody};
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat};
 use vpd::solve::stepper::Stepper;
+use vpd::solve::stepper::rkmk::Rkmk;
 use vpd::solve::stepper::vpd::Vpd;
 use vpd::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd::solve::stepper::vrkmk::Vrkmk;
@@ -400,7 +401,7 @@ impl<const N: usize> Stepper<N> for Classical<N> {
 type Constructor<const N: usize> = fn(Tableau) -> Box<dyn Stepper<N>>;
 
 /// Name, constructor, whether the scheme keeps the symplectic form. A new scheme is one row.
-fn schemes<const N: usize>() -> [(&'static str, Constructor<N>, bool); 5] {
+fn schemes<const N: usize>() -> [(&'static str, Constructor<N>, bool); 6] {
     [
         ("vpd", |tableau| Box::new(Vpd::new(tableau, StopRule::default())), true),
         (
@@ -410,6 +411,7 @@ fn schemes<const N: usize>() -> [(&'static str, Constructor<N>, bool); 5] {
         ),
         ("vrkmk", |tableau| Box::new(vrkmk(tableau)), true),
         ("vrkmk, T cut short", |tableau| Box::new(vrkmk(tableau).truncated(1)), true),
+        ("rkmk", |_| Box::new(Rkmk::new(Tableau::rk4()).expect("explicit")), false),
         (
             "classical",
             |_| {
