@@ -108,12 +108,20 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             ),
         },
     );
+    if !formulation.carries_attitude {
+        line("attitude", "not computed: no term and no channel needs it".to_owned());
+    }
     for channel in &plan.channels {
         line("channel", format!("{}: {}", channel.topic.topic(), channel.computes));
     }
     line(
         "estimate",
-        format!("{:.1} s on one core, {:.1} MB of log", plan.run_s, plan.log_bytes as f64 / 1e6),
+        format!(
+            "{:.1} us a step and {:.1} s in all on one core, {:.1} MB of log",
+            plan.step_ns * 1e-3,
+            plan.run_s,
+            plan.log_bytes as f64 / 1e6
+        ),
     );
     text
 }
