@@ -3,7 +3,7 @@
 //! A unit quaternion q turns body vectors y into space vectors `q y q*`; `g' = g hat(Omega)` is
 //! `q' = q Omega / 2`. Only arithmetic and square roots: the same bits everywhere.
 //!
-//! Invariant: [`unit`] and [`rotation`] are inverse to each other up to the sign of q, to round-off.
+//! Invariant: [`unit()`] and [`rotation`] are inverse to each other up to the sign of q, to round-off.
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
