@@ -202,33 +202,6 @@ fn fourth_order_in_every_dimension() {
     measure::<8>();
 }
 
-#[test]
-fn products_of_inertia_are_a_turned_frame() {
-    // The same body in principal axes and in axes turned by r: g' = g r, mu' = r^T mu r.
-    let moments = [2.0, 1.5, 0.7];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
-    let mut numbers = Numbers(22);
-    let (r, g) = (numbers.rotation::<3>(), numbers.rotation::<3>());
-    let (mu, y, v) = (numbers.skew::<3>(), numbers.vector::<3>(), numbers.vector::<3>());
-    let field = |body_point| vec![Term { law: Law::Uniform { weight: 2.0, body_point }, space: v }];
-    let principal = RigidBody::new(Kinetic::Principal { weights }, field(y), 0.0);
-    let tensor = |moments| r.transpose() * Mat::<3>::from_diagonal(&Vector::<3>::from(moments)) * r;
-    let (inertia, inverse) = (tensor(moments), tensor(moments.map(|j| 1.0 / j)));
-    let turned =
-        RigidBody::new(Kinetic::Tensor { inertia, inverse }, field(r.transpose() * y), 0.0);
-    let gauss = Tableau::gauss(3).expect("3 stages");
-    let a = advance(&principal, &State { attitude: g, momentum: mu }, &gauss, 5.0, 50);
-    let b = advance(
-        &turned,
-        &State { attitude: g * r, momentum: r.transpose() * mu * r },
-        &gauss,
-        5.0,
-        50,
-    );
-    assert!((a.attitude * r - b.attitude).amax() < 1e-13);
-    assert!((r.transpose() * a.momentum * r - b.momentum).amax() < 1e-13);
-}
-
 /// Energy errors of every sample, and the extremes of the other invariants.
 #[derive(Default)]
 pub(crate) struct Invariants {

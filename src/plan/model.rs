@@ -1,0 +1,292 @@
+//! The mathematical objects of a scene: inertia, attitude, momentum, potential, tableau. Numbers that make none
+//! are refused here, with the pointer of their field.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
+
+use crate::scenario::{
+    Attitude, Entry, Framed, Inertia, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
+    TableauChoice, TableauName,
+};
+use crate::solve::nonlinear::StopRule;
+use crate::solve::so;
+use crate::solve::tableau::{Tableau, TableauError};
+
+/// The mathematical objects of the scene, of runtime size; [`crate::run`] gives them their const size.
+#[derive(Clone, Debug)]
+pub(crate) struct Model {
+    pub(crate) kinetic: ModelKinetic,
+    /// The terms kept, every default filled in.
+    pub(crate) terms: Vec<PotentialTerm>,
+    /// The sum of the terms that do not depend on the attitude.
+    pub(crate) constant: f64,
+    /// n x n, a rotation to 1e-8.
+    pub(crate) attitude: DMatrix<f64>,
+    /// n x n, skew, in the body frame.
+    pub(crate) momentum: DMatrix<f64>,
+    pub(crate) tableau: Tableau,
+    pub(crate) stop: StopRule,
+}
+
+/// How velocity follows from momentum.
+#[derive(Clone, Debug)]
+pub(crate) enum ModelKinetic {
+    /// `Omega_ij = w_ij mu_ij`.
+    Principal { weights: DMatrix<f64> },
+    /// n = 3: the inertia matrix.
+    Tensor { inertia: Matrix3<f64> },
+}
+
+fn rows(rows: &[Vec<f64>]) -> DMatrix<f64> {
+    DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j])
+}
+
+/// The inertia matrix in body coordinates: `J = tr(D) I - D` for second moments D.
+pub(super) fn inertia_matrix(inertia: &Inertia) -> DMatrix<f64> {
+    match inertia {
+        Inertia::Principal(moments) => DMatrix::from_diagonal(&DVector::from_column_slice(moments)),
+        Inertia::Matrix(matrix) => rows(matrix),
+        Inertia::SecondMoments(moments) => {
+            let trace: f64 = moments.iter().sum();
+            DMatrix::from_diagonal(&DVector::from_iterator(
+                moments.len(),
+                moments.iter().map(|d| trace - d),
+            ))
+        }
+    }
+}
+
+pub(super) fn kinetic(
+    given: &Inertia,
+    matrix: &DMatrix<f64>,
+) -> Result<ModelKinetic, ScenarioError> {
+    // For n = 3 the plane (i, j) turns about the third axis k: d_i + d_j = J_k.
+    let principal = |moments: [f64; 3]| ModelKinetic::Principal {
+        weights: DMatrix::from_fn(3, 3, |i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] }),
+    };
+    match given {
+        Inertia::Principal(moments) => Ok(principal(*moments)),
+        Inertia::SecondMoments(d) => {
+            let n = d.len();
+            let weights =
+                DMatrix::from_fn(n, n, |i, j| if i == j { 0.0 } else { 1.0 / (d[i] + d[j]) });
+            Ok(ModelKinetic::Principal { weights })
+        }
+        Inertia::Matrix(_) => {
+            let pointer = "/scene/inertia/matrix";
+            let smallest = matrix.symmetric_eigenvalues().min();
+            if !(smallest > 1e-12 * matrix.amax() && smallest >= 1e-12) {
+                let message =
+                    format!("is not positive definite: its smallest eigenvalue is {smallest:e}");
+                return Err(ScenarioError::invalid(pointer, message));
+            }
+            let diagonal = matrix.iter().enumerate().all(|(k, &x)| k % 4 == 0 || x == 0.0);
+            if diagonal {
+                return Ok(principal([matrix[(0, 0)], matrix[(1, 1)], matrix[(2, 2)]]));
+            }
+            Ok(ModelKinetic::Tensor { inertia: Matrix3::from_iterator(matrix.iter().copied()) })
+        }
+    }
+}
+
+pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64>, ScenarioError> {
+    // Decimal text of a rotation is off by its last digit; more than this is another matrix.
+    const TOLERANCE: f64 = 1e-8;
+    let from_quaternion = |w: f64, x: f64, y: f64, z: f64| {
+        let rotation =
+            UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
+        DMatrix::from_iterator(3, 3, rotation.matrix().iter().copied())
+    };
+    match given {
+        None => Ok(DMatrix::identity(n, n)),
+        Some(Attitude::Quaternion([w, x, y, z])) => Ok(from_quaternion(*w, *x, *y, *z)),
+        Some(Attitude::AxisAngle(turn)) => {
+            let axis = Vector3::from(turn.axis).normalize();
+            let half = 0.5 * turn.angle_rad;
+            let (w, v) = (libm::cos(half), axis * libm::sin(half));
+            Ok(from_quaternion(w, v.x, v.y, v.z))
+        }
+        Some(Attitude::Matrix(given)) => {
+            let g = rows(given);
+            let pointer = "/scene/initial/attitude/matrix";
+            let defect = (g.transpose() * &g - DMatrix::identity(n, n)).amax();
+            if !(defect <= TOLERANCE) {
+                let message = format!(
+                    "is not orthogonal: g^T g differs from I by {defect:e}, at most {TOLERANCE:e} is allowed"
+                );
+                return Err(ScenarioError::invalid(pointer, message));
+            }
+            if g.determinant() < 0.0 {
+                let message = "is a reflection: its determinant is -1, a rotation has +1";
+                return Err(ScenarioError::invalid(pointer, message));
+            }
+            Ok(g)
+        }
+    }
+}
+
+/// The skew matrix of a 3-vector or of rows.
+fn skew(entries: &[Entry]) -> DMatrix<f64> {
+    let numbers: Vec<f64> = entries
+        .iter()
+        .filter_map(|e| if let Entry::Number(x) = e { Some(*x) } else { None })
+        .collect();
+    if let Ok(vector) = <[f64; 3]>::try_from(numbers.as_slice()) {
+        return DMatrix::from_iterator(3, 3, so::hat::<3>(&vector).iter().copied());
+    }
+    let given: Vec<Vec<f64>> = entries
+        .iter()
+        .filter_map(|e| if let Entry::Row(row) = e { Some(row.clone()) } else { None })
+        .collect();
+    let a = rows(&given);
+    // Exactly skew: text may leave the two halves a digit apart.
+    (&a - a.transpose()) * 0.5
+}
+
+/// The body momentum at the start.
+pub(super) fn momentum(
+    scenario: &Scenario,
+    kinetic: &ModelKinetic,
+    attitude: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let in_body = |framed: &Framed| match framed {
+        Framed::Body(entries) => skew(entries),
+        Framed::Space(entries) => attitude.transpose() * skew(entries) * attitude,
+    };
+    let initial = &scenario.scene.initial;
+    match (&initial.momentum, &initial.angular_velocity) {
+        (Some(momentum), _) => in_body(momentum),
+        (None, Some(velocity)) => {
+            let omega = in_body(velocity);
+            match kinetic {
+                ModelKinetic::Principal { weights } => {
+                    omega.zip_map(weights, |omega, w| if w == 0.0 { 0.0 } else { omega / w })
+                }
+                ModelKinetic::Tensor { inertia } => {
+                    let mu = inertia * Vector3::new(omega[(2, 1)], omega[(0, 2)], omega[(1, 0)]);
+                    DMatrix::from_iterator(3, 3, so::hat::<3>(mu.as_slice()).iter().copied())
+                }
+            }
+        }
+        (None, None) => DMatrix::zeros(attitude.nrows(), attitude.nrows()),
+    }
+}
+
+/// The tableau asked for, or the method's own.
+pub(super) fn tableau_choice(method: &Method) -> TableauChoice {
+    let usual = if method.name.is_explicit() { TableauName::Rk4 } else { TableauName::Gauss2 };
+    method.tableau.clone().unwrap_or(TableauChoice::Named(usual))
+}
+
+/// The tableau, checked to be one that the method takes.
+pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau, ScenarioError> {
+    let tableau = coefficients(choice)?;
+    let name = method.name.as_str();
+    let wrong = |message| Err(ScenarioError::invalid("/method/tableau", message));
+    if method.name.is_explicit() && !tableau.is_explicit() {
+        return wrong(format!("{name} is explicit; it takes rk3, rk4 or explicit coefficients"));
+    }
+    let gauss = Tableau::gauss(tableau.stages());
+    if method.name == MethodName::QuaternionGauss && gauss.as_ref() != Some(&tableau) {
+        return wrong(format!("{name} takes gauss1 to gauss8"));
+    }
+    Ok(tableau)
+}
+
+fn coefficients(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
+    let named = |name: TableauName| match name {
+        TableauName::Gauss1 => Tableau::gauss(1),
+        TableauName::Gauss2 => Tableau::gauss(2),
+        TableauName::Gauss3 => Tableau::gauss(3),
+        TableauName::Gauss4 => Tableau::gauss(4),
+        TableauName::Gauss5 => Tableau::gauss(5),
+        TableauName::Gauss6 => Tableau::gauss(6),
+        TableauName::Gauss7 => Tableau::gauss(7),
+        TableauName::Gauss8 => Tableau::gauss(8),
+        TableauName::Rk3 => Some(Tableau::rk3()),
+        TableauName::Rk4 => Some(Tableau::rk4()),
+    };
+    match choice {
+        TableauChoice::Named(name) => named(*name).ok_or_else(|| {
+            ScenarioError::invalid("/method/tableau", "this tableau cannot be made")
+        }),
+        TableauChoice::Custom(given) => {
+            Tableau::new(given.a.clone(), given.b.clone()).map_err(|error| {
+                let pointer = match error {
+                    TableauError::Shape { .. } => "/method/tableau/a".to_owned(),
+                    TableauError::Size => "/method/tableau".to_owned(),
+                    TableauError::ZeroWeight { stage, .. } => format!("/method/tableau/b/{stage}"),
+                    TableauError::Inconsistent { .. } => "/method/tableau/b".to_owned(),
+                };
+                ScenarioError::invalid(pointer, error.to_string())
+            })
+        }
+    }
+}
+
+/// The value of a term that does not depend on the attitude, and the reason; `None` if it does.
+pub(super) fn constant_part(
+    term: &PotentialTerm,
+    inertia: &DMatrix<f64>,
+) -> Option<(f64, &'static str)> {
+    let zero = |v: &[f64]| v.iter().all(|&x| x == 0.0);
+    let distance =
+        |y: &[f64], z: &[f64]| y.iter().zip(z).map(|(y, z)| (y - z) * (y - z)).sum::<f64>().sqrt();
+    const NOTHING: &str = "has no strength";
+    const FIXED: &str =
+        "is the same at every attitude: its body point or its place is the fixed point";
+    match term {
+        PotentialTerm::Uniform(t) if t.weight == 0.0 => Some((0.0, NOTHING)),
+        PotentialTerm::Uniform(t) if zero(&t.body_point) => Some((0.0, FIXED)),
+        PotentialTerm::PointSource(t) if t.strength == 0.0 => Some((0.0, NOTHING)),
+        PotentialTerm::PointSource(t) if zero(&t.body_point) || zero(&t.position) => {
+            Some((t.strength / distance(&t.body_point, &t.position), FIXED))
+        }
+        PotentialTerm::Spring(t) if t.stiffness == 0.0 => Some((0.0, NOTHING)),
+        PotentialTerm::Spring(t) if zero(&t.body_point) || zero(&t.position) => {
+            let stretch = distance(&t.body_point, &t.position) - t.rest_length;
+            Some((0.5 * t.stiffness * stretch * stretch, FIXED))
+        }
+        PotentialTerm::GravityGradient(t) if t.strength == 0.0 => Some((0.0, NOTHING)),
+        PotentialTerm::GravityGradient(t) => {
+            let m = t.matrix.as_ref().map_or_else(|| inertia.clone(), |given| rows(given));
+            let level = m[(0, 0)];
+            let round = (&m - DMatrix::identity(m.nrows(), m.nrows()) * level).amax() == 0.0;
+            let square: f64 = t.direction.iter().map(|x| x * x).sum();
+            round.then_some((
+                0.5 * t.strength * level * square,
+                "is the same at every attitude: its matrix is a multiple of I",
+            ))
+        }
+        _ => None,
+    }
+}
+
+/// Body point and place of a term whose law is singular where the two meet.
+pub(super) fn singular_points(term: &PotentialTerm) -> Option<(&[f64], &[f64])> {
+    match term {
+        PotentialTerm::PointSource(t) if t.strength != 0.0 => Some((&t.body_point, &t.position)),
+        PotentialTerm::Spring(t) if t.stiffness != 0.0 && t.rest_length > 0.0 => {
+            Some((&t.body_point, &t.position))
+        }
+        _ => None,
+    }
+}
+
+pub(super) fn with_matrix(term: &PotentialTerm, inertia: &DMatrix<f64>) -> PotentialTerm {
+    let mut term = term.clone();
+    if let PotentialTerm::GravityGradient(t) = &mut term {
+        let rows = || inertia.row_iter().map(|row| row.iter().copied().collect()).collect();
+        t.matrix.get_or_insert_with(rows);
+    }
+    term
+}
+
+/// The space vector through whose body image a term depends on the attitude.
+pub(crate) fn space_vector(term: &PotentialTerm) -> &[f64] {
+    match term {
+        PotentialTerm::Uniform(t) => &t.direction,
+        PotentialTerm::PointSource(t) => &t.position,
+        PotentialTerm::Spring(t) => &t.position,
+        PotentialTerm::GravityGradient(t) => &t.direction,
+    }
+}

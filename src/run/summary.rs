@@ -1,0 +1,216 @@
+//! What a run leaves behind beside its log: figures, the last state, and why it failed if it did.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::scenario::Expect;
+use crate::solve::failure::Failure;
+use crate::solve::so::{self, Mat};
+use crate::solve::trajectory::Trajectory;
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// All steps were made.
+    Succeeded,
+    /// A step could not be made; see the diagnosis.
+    Failed,
+    /// Somebody stopped it.
+    Cancelled,
+}
+
+impl Outcome {
+    /// The word in logs and answers.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Succeeded => "succeeded",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+}
+
+/// What a run leaves behind, beside its log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Summary {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Steps made.
+    pub steps: u64,
+    /// Time reached, in seconds.
+    pub time_s: f64,
+    /// Samples logged.
+    pub samples: u64,
+    /// The last state.
+    #[serde(rename = "final")]
+    pub last: FinalState,
+    /// Energy; absent if `/energy` was not logged.
+    pub energy: Option<EnergySummary>,
+    /// Distance from the group; absent if `/orthogonality` was not logged.
+    pub orthogonality: Option<OrthogonalitySummary>,
+    /// Drift of the conserved momentum; absent if `/momentum` was not logged or nothing is conserved.
+    pub momentum: Option<MomentumSummary>,
+    /// The nonlinear solver.
+    pub solver: SolverSummary,
+    /// Wall time of the whole run in seconds.
+    pub wall_s: f64,
+    /// Time inside the integrator alone, per step.
+    pub ns_per_step: f64,
+    /// The log.
+    pub log: String,
+    /// Why the run failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub diagnosis: Option<Diagnosis>,
+    /// What the scenario expected and the run did not keep to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unmet: Vec<String>,
+}
+
+/// The state a run ended at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FinalState {
+    /// Rotation matrix, row by row; absent if no channel needed it.
+    pub attitude: Option<Vec<Vec<f64>>>,
+    /// Body momentum, as in a scenario: 3-vector for n = 3, else skew matrix.
+    pub body_momentum: serde_json::Value,
+}
+
+/// Energy over the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EnergySummary {
+    /// H at the start.
+    pub initial: f64,
+    /// Largest |H - H0|.
+    pub max_abs_error: f64,
+    /// H - H0 at the last sample.
+    pub final_error: f64,
+}
+
+/// Distance from the group over the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OrthogonalitySummary {
+    /// Largest spectral norm of g g^T - I.
+    pub max: f64,
+    /// Mean of the same.
+    pub mean: f64,
+}
+
+/// Conserved momentum over the samples.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MomentumSummary {
+    /// Largest drift.
+    pub max_drift: f64,
+}
+
+/// The nonlinear solver over the run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SolverSummary {
+    /// Mean number of sweeps.
+    pub iterations_per_step: f64,
+    /// How the last step was solved; absent if none was made.
+    pub kind: Option<String>,
+}
+
+/// Why a step could not be made, and what to do.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Diagnosis {
+    /// The failure code; fixed.
+    pub code: String,
+    /// The step that failed, counted from 1; the log holds all samples before it.
+    pub step: u64,
+    /// The time at which that step began, in seconds.
+    pub time_s: f64,
+    /// The step size in seconds.
+    pub step_s: f64,
+    /// The stage at which it was seen, counted from 0.
+    pub stage: Option<usize>,
+    /// What was measured; absent where it is not finite.
+    pub measured: Option<f64>,
+    /// The limit it broke; absent where there is none.
+    pub limit: Option<f64>,
+    /// Sweeps of the nonlinear solver in the failed step.
+    pub iterations: u32,
+    /// The last increments of the nonlinear solver, oldest first.
+    pub increments: Vec<f64>,
+    /// What happened, for a person.
+    pub cause: String,
+    /// What to do about it, for a person.
+    pub advice: String,
+    /// A step in seconds that should work.
+    pub advised_step_s: Option<f64>,
+}
+
+pub(super) fn final_state<const N: usize>(end: &Trajectory<N>) -> FinalState {
+    let rows = |m: &Mat<N>| -> Vec<Vec<f64>> {
+        (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
+    };
+    let body_momentum = if N == 3 {
+        serde_json::json!(so::vee(&end.momentum))
+    } else {
+        serde_json::json!(rows(&end.momentum))
+    };
+    FinalState { attitude: end.attitude.as_ref().map(rows), body_momentum }
+}
+
+pub(super) fn diagnosis(failure: &Failure, steps_done: u64, step_s: f64) -> Diagnosis {
+    let finite = |x: f64| x.is_finite().then_some(x);
+    let advised_step_s = failure.advised_step(step_s);
+    let advice = match advised_step_s {
+        Some(advised) => format!("try \"step_s\": {advised} or a tableau with more stages"),
+        None => "no step helps at this place; look at the scene there".to_owned(),
+    };
+    Diagnosis {
+        code: failure.code.as_str().to_owned(),
+        step: steps_done + 1,
+        time_s: steps_done as f64 * step_s,
+        step_s,
+        stage: failure.stage,
+        measured: finite(failure.measured),
+        limit: finite(failure.limit),
+        iterations: failure.iterations,
+        increments: failure.increments.clone(),
+        cause: failure.code.cause().to_owned(),
+        advice,
+        advised_step_s,
+    }
+}
+
+impl fmt::Display for Diagnosis {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { code, step, time_s, cause, advice, .. } = self;
+        write!(f, "{code} at step {step} (t = {time_s} s): {cause}. {advice}.")
+    }
+}
+
+/// What an expectation asks and a run did not keep to.
+pub(super) fn unmet(expect: &Expect, summary: &Summary) -> Vec<String> {
+    let mut unmet = Vec::new();
+    if summary.outcome != Outcome::Succeeded {
+        unmet.push(format!("outcome: {}", summary.outcome.as_str()));
+    }
+    let mut hold = |name: &str, value: Option<f64>, bound: Option<f64>| {
+        if let Some(bound) = bound {
+            match value {
+                Some(value) if value <= bound => {}
+                Some(value) => unmet.push(format!("{name}: {value:e}, at most {bound:e} expected")),
+                None => unmet.push(format!("{name}: not measured, at most {bound:e} expected")),
+            }
+        }
+    };
+    hold("energy_error_max", summary.energy.map(|e| e.max_abs_error), expect.energy_error_max);
+    hold(
+        "orthogonality_error_max",
+        summary.orthogonality.map(|o| o.max),
+        expect.orthogonality_error_max,
+    );
+    hold("momentum_drift_max", summary.momentum.map(|m| m.max_drift), expect.momentum_drift_max);
+    let attitude_error = expect.final_attitude.as_ref().zip(summary.last.attitude.as_ref());
+    let attitude_error = attitude_error.map(|(expected, reached)| {
+        let pairs = expected.iter().flatten().zip(reached.iter().flatten());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    });
+    hold("final_attitude_error_max", attitude_error, expect.final_attitude_error_max);
+    unmet
+}
