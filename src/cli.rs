@@ -218,19 +218,22 @@ fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
     let mut document: serde_json::Value =
         serde_json::from_slice(text).expect("the text was read as a scenario before");
     for Change { pointer, value } in changes {
-        let (parent, key) = pointer.rsplit_once('/').expect("a pointer starts with a slash");
         let missing = || ScenarioError::invalid(pointer.as_str(), "there is no such field to set");
-        match document.pointer_mut(parent).ok_or_else(missing)? {
-            serde_json::Value::Object(map) => {
-                map.insert(key.to_owned(), value.clone());
-            }
-            serde_json::Value::Array(items) => {
-                let index = key.parse::<usize>().ok();
-                let place = index.and_then(|index| items.get_mut(index));
-                *place.ok_or_else(missing)? = value.clone();
-            }
-            _ => return Err(missing()),
+        let mut place = &mut document;
+        for key in pointer.split('/').skip(1) {
+            place = match place {
+                serde_json::Value::Array(items) => {
+                    let index = key.parse::<usize>().ok();
+                    index.and_then(|index| items.get_mut(index)).ok_or_else(missing)?
+                }
+                // Sections may be left out of a file; one that does not exist is refused when it is read.
+                serde_json::Value::Object(map) => {
+                    map.entry(key).or_insert_with(|| serde_json::json!({}))
+                }
+                _ => return Err(missing()),
+            };
         }
+        *place = value.clone();
     }
     Ok(document.to_string().into_bytes())
 }

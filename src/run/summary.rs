@@ -158,7 +158,10 @@ pub(super) fn diagnosis(failure: &Failure, steps_done: u64, step_s: f64) -> Diag
     let finite = |x: f64| x.is_finite().then_some(x);
     let advised_step_s = failure.advised_step(step_s);
     let advice = match advised_step_s {
-        Some(advised) => format!("try \"step_s\": {advised} or a tableau with more stages"),
+        Some(advised) => {
+            let advised = serde_json::json!(advised);
+            format!("try \"step_s\": {advised} or a tableau with more stages")
+        }
         None => "no step helps at this place; look at the scene there".to_owned(),
     };
     Diagnosis {

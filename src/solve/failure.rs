@@ -97,12 +97,15 @@ pub struct Failure {
     pub iterations: u32,
     /// The last increments of the nonlinear solver, oldest first, at most 16.
     pub increments: Vec<f64>,
+    /// The angle in radians by which the body would turn in the step at its first velocity; `None` where
+    /// the scheme does not say.
+    pub turn_rad: Option<f64>,
 }
 
 impl Failure {
     /// A failure seen outside the iteration count; the solver adds its own figures.
     pub fn new(code: FailureCode, stage: Option<usize>, measured: f64, limit: f64) -> Self {
-        Self { code, stage, measured, limit, iterations: 0, increments: Vec::new() }
+        Self { code, stage, measured, limit, iterations: 0, increments: Vec::new(), turn_rad: None }
     }
 
     /// Ratio of the last two increments: how fast the iteration converged, above 1 if it did not.
@@ -115,7 +118,8 @@ impl Failure {
 
     /// A step that should work, by what was measured at a step of `h`: the fixed point contracts in
     /// proportion to h, so one that contracts by 0.3 is asked for; without a measured contraction half
-    /// the step. Rounded down to two digits. `None` where no step helps.
+    /// the step; and never a turn of more than half a radian. Rounded down to two digits. `None` where
+    /// no step helps.
     pub fn advised_step(&self, h: f64) -> Option<f64> {
         let factor = match self.code {
             FailureCode::PotentialSingularity | FailureCode::NonFinite | FailureCode::Stalled => {
@@ -126,8 +130,12 @@ impl Failure {
                 _ => 0.5,
             },
         };
-        let target = h * factor;
-        let digit = libm::pow(10.0, libm::log10(target).floor() - 1.0);
-        Some((target / digit).floor() * digit)
+        const EASY_TURN_RAD: f64 = 0.5;
+        let gentle = self.turn_rad.map_or(1.0, |turn| EASY_TURN_RAD / turn.max(EASY_TURN_RAD));
+        let target = h * factor.min(gentle);
+        // Two decimal digits, as they would be written.
+        let exponent = libm::log10(target).floor() - 1.0;
+        let digits = (target / libm::pow(10.0, exponent)).floor();
+        format!("{digits}e{exponent}").parse().ok()
     }
 }

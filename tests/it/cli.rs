@@ -130,7 +130,8 @@ fn fields_can_be_set_on_the_command_line() {
     assert_eq!(summary["steps"], 500);
     let wrong = [
         (vec!["/scene/inertia/principal/1=-2"], "/scene/inertia/principal/1"),
-        (vec!["/nowhere/at/all=1"], "/nowhere/at/all"),
+        (vec!["/nowhere/at/all=1"], "/nowhere"),
+        (vec!["/step_s/deeper=1"], "/step_s/deeper"),
         (vec!["/scene/potential/7/weight=1"], "/scene/potential/7/weight"),
         (vec!["step_s=1"], "/pointer/to/field=value"),
     ];

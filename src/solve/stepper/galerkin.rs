@@ -116,6 +116,18 @@ impl<const N: usize> GalerkinStep<N> {
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
+        // |Omega| is the length of the vector for n = 3, and at least the largest frequency for any n.
+        let turn_rad = Some(h.abs() * so::inner(omega, omega).sqrt());
+        self.solved(dynamics, h, p0, omega).map_err(|failure| Failure { turn_rad, ..failure })
+    }
+
+    fn solved(
+        &mut self,
+        dynamics: &mut impl Dynamics<N>,
+        h: f64,
+        p0: &Mat<N>,
+        omega: &Mat<N>,
+    ) -> Result<Convergence, Failure> {
         self.guess(h, p0, omega)?;
         let Self { tableau, stop, stages, end } = self;
         let solved = fixed_point(*stop, || sweep(tableau, dynamics, h, p0, stages, end));
