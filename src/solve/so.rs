@@ -365,6 +365,10 @@ pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
 /// Rotations leave them alone: they label the coadjoint orbit. For n = 3 the larger is the length of the
 /// vector. Allocates: for samples.
 pub fn frequencies<const N: usize>(x: &Mat<N>) -> Vec<f64> {
+    if N == 3 {
+        let length = inner(x, x).sqrt();
+        return vec![0.0, length, length];
+    }
     let values = DMatrix::from_column_slice(N, N, x.as_slice()).singular_values();
     let mut frequencies: Vec<f64> = values.iter().copied().collect();
     frequencies.sort_by(f64::total_cmp);

@@ -108,6 +108,21 @@ fn coordinates_and_pairing() {
 }
 
 #[test]
+fn frequencies_label_the_orbit() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(13);
+        let (x, g) = (numbers.skew::<N>(), numbers.rotation::<N>());
+        let (here, there) = (so::frequencies(&x), so::frequencies(&so::conjugate(&g, &x)));
+        assert!(here.iter().zip(&there).all(|(a, b)| (a - b).abs() < 1e-14), "n = {N}");
+        // Twice <X, X> is the sum of their squares.
+        let sum: f64 = here.iter().map(|frequency| frequency * frequency).sum();
+        assert!((sum - 2.0 * so::inner(&x, &x)).abs() < 1e-14, "n = {N}");
+        assert_eq!(here.len(), N);
+    }
+    for_sizes!(law);
+}
+
+#[test]
 fn polar_factor() {
     fn law<const N: usize>() {
         let mut numbers = Numbers(2);
