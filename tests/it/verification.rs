@@ -264,11 +264,14 @@ fn long_runs_keep_the_invariants() {
         assert!(seen.orthogonality_max <= 2e-15, "{name}: {:e}", seen.orthogonality_max);
         assert!(mean <= 5e-16, "{name}: {mean:e}");
         assert!(seen.momentum_max <= 1e-12, "{name}: {:e}", seen.momentum_max);
-        if step_s == 0.01 {
-            continue;
-        }
         let (slope, deviation) = trend(&seen.energy);
-        assert!(slope.abs() <= 3.0 * deviation, "{name}: trend {slope:e}, {deviation:e}");
+        // Where the method's own error is below 1e-12, what rounding leaves shows as a line: 4e-15 in each
+        // of the 50 intervals. Everywhere else there is none.
+        let rounding = if name == "GL6" && step_s == 0.01 { 1e-14 } else { 0.0 };
+        assert!(
+            slope.abs() <= (3.0 * deviation).max(rounding),
+            "{name}: trend {slope:e}, {deviation:e}"
+        );
     }
 }
 
