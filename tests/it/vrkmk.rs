@@ -26,33 +26,6 @@ fn vrkmk<const N: usize>(tableau: Tableau) -> Vrkmk<N> {
 }
 
 #[test]
-fn the_exponential_is_the_sum_of_its_series() {
-    fn law<const N: usize>() {
-        let mut numbers = Numbers(31);
-        for size in [0.0, 1e-9, 1e-3, 0.2, 0.49, 0.51, 2.0, 40.0] {
-            let x = numbers.skew::<N>() * size;
-            let e = so::exp(&x);
-            assert!(so::orthogonality_error(&e) < 2e-15 * (1.0 + size), "n = {N}, {size}");
-            if size <= 2.0 {
-                let mut term = Mat::<N>::identity();
-                let mut sum = term;
-                for k in 1..40 {
-                    term = term * x / f64::from(k);
-                    sum += term;
-                }
-                assert!((e - sum).amax() < 3e-15, "n = {N}, {size}: {:e}", (e - sum).amax());
-            }
-        }
-        assert!(!so::exp(&Mat::<N>::repeat(f64::INFINITY)).iter().all(|x| x.is_finite()));
-    }
-    law::<2>();
-    law::<3>();
-    law::<4>();
-    law::<5>();
-    law::<8>();
-}
-
-#[test]
 fn one_step_of_the_dipole() {
     let (body, _) = dipole();
     let attitude = so::exp(&so::hat::<3>(&[0.3, -0.5, 0.7]));
