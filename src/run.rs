@@ -16,6 +16,7 @@ use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
 use crate::plan::{Formulation, Plan};
 use crate::scenario::{MethodName, Scenario, ScenarioError};
+use crate::solve::lanes;
 use crate::solve::stepper::Stepper;
 use crate::solve::stepper::lgvi::Lgvi;
 use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
@@ -25,6 +26,7 @@ use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
+use crate::solve::stepper::vpd_space::VpdSpace;
 use crate::solve::stepper::vrkmk::Vrkmk;
 use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
 
@@ -181,8 +183,13 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
 
 /// The stepper that the plan chose, for n = 3.
 fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let Formulation { method, order, stages, .. } = plan.formulation;
+    let Formulation { method, order, stages, carries_attitude, .. } = plan.formulation;
+    let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
     Some(match method {
+        // As many stages as there are lanes; more of them go the way of general n.
+        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if stages <= lanes::WIDTH => {
+            Box::new(VpdSpace::new(tableau.clone(), stop, carries_attitude)?)
+        }
         MethodName::Splitting => Box::new(Splitting::new(order)?),
         MethodName::Lgvi => Box::new(Lgvi::new(order, plan.model.stop)?),
         MethodName::QuaternionGauss => Box::new(QuaternionGauss::new(stages, plan.model.stop)?),

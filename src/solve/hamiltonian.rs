@@ -11,6 +11,8 @@ use nalgebra::{Matrix3, Vector3};
 use super::failure::{Failure, FailureCode};
 use super::so::{Mat, Vector};
 
+mod torque;
+
 /// Kinetic energy, a quadratic form on so(n)*.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Kinetic<const N: usize> {
@@ -97,6 +99,8 @@ pub const CLOSEST_APPROACH: f64 = 1e-8;
 pub struct RigidBody<const N: usize> {
     kinetic: Kinetic<N>,
     terms: Vec<Term<N>>,
+    /// For each term `1 / (|y| + |v|)^2` where its law is singular at zero distance, else zero.
+    reaches: Vec<f64>,
     constant: f64,
 }
 
@@ -111,7 +115,8 @@ impl<const N: usize> RigidBody<N> {
             N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }),
             "an inertia tensor is for n = 3"
         );
-        Self { kinetic, terms, constant }
+        let reaches = terms.iter().map(Term::reach).collect();
+        Self { kinetic, terms, reaches, constant }
     }
 
     /// dH/dmu: the body angular velocity `Omega`, skew.
@@ -151,6 +156,11 @@ impl<const N: usize> RigidBody<N> {
     /// Is H independent of the attitude?
     pub fn is_free(&self) -> bool {
         self.terms.is_empty()
+    }
+
+    /// The space vectors of the potential, one a term.
+    pub fn space_vectors(&self) -> impl Iterator<Item = &Vector<N>> {
+        self.terms.iter().map(|term| &term.space)
     }
 
     /// The space vectors of the potential in the frame of `g0`, `g0^T v`, written to `seen`.
@@ -310,15 +320,25 @@ impl<const N: usize> Law<N> {
 
     /// `|y - q|` relative to the arms where the law is singular at zero distance.
     fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
+        self.singular_point().map(|y| (y - q).norm() / (y.norm() + q.norm()))
+    }
+
+    /// The body point at which a law is singular, if it is.
+    fn singular_point(&self) -> Option<&Vector<N>> {
         match self {
-            Self::PointSource { body_point, .. } => {
-                Some((body_point - q).norm() / (body_point.norm() + q.norm()))
-            }
-            Self::Spring { rest_length, body_point, .. } if *rest_length > 0.0 => {
-                Some((body_point - q).norm() / (body_point.norm() + q.norm()))
-            }
+            Self::PointSource { body_point, .. } => Some(body_point),
+            Self::Spring { rest_length, body_point, .. } if *rest_length > 0.0 => Some(body_point),
             _ => None,
         }
+    }
+}
+
+impl<const N: usize> Term<N> {
+    fn reach(&self) -> f64 {
+        self.law.singular_point().map_or(0.0, |y| {
+            let arms = y.norm() + self.space.norm();
+            1.0 / (arms * arms)
+        })
     }
 }
 

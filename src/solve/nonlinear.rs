@@ -25,6 +25,8 @@ impl Default for StopRule {
 const ROUND_OFF: f64 = 4e-15;
 /// Below this an increment that no longer falls is round-off.
 const ROUND_OFF_FLOOR: f64 = 1e-12;
+/// A contraction that can be relied upon to go on.
+const FAST: f64 = 0.1;
 /// So many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
 /// carry the unknowns round a few neighbouring numbers, the increment falling and rising by turns.
 const CYCLE: u32 = 6;
@@ -105,10 +107,16 @@ pub fn fixed_point(
         }
         // One increment that does not fall may be the wobble of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
+        // What is left after this sweep is about the increment times the contraction. Of the last two the worse:
+        // one may be luck.
+        let contraction = (increment / previous).max(previous / recent[(slot + 14) % recent.len()]);
+        let foreseen = iteration > 2
+            && contraction <= FAST
+            && increment * contraction <= 1e-2 * rule.tolerance;
         let at_floor = (grown == 1 && increment <= ROUND_OFF)
             || (grown == 2 && increment <= ROUND_OFF_FLOOR)
             || (since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
-        if increment <= rule.tolerance || at_floor {
+        if increment <= rule.tolerance || foreseen || at_floor {
             return Ok(Convergence { iterations: iteration, increment, rung: Rung::FixedPoint });
         }
         if grown == PATIENCE {

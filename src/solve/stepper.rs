@@ -13,6 +13,7 @@ mod galerkin;
 pub mod vpd;
 pub mod vpd_lagrangian;
 pub mod vpd_reduced;
+pub mod vpd_space;
 pub mod vrkmk;
 pub mod rkmk;
 pub mod rk;

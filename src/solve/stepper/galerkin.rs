@@ -30,7 +30,7 @@ use crate::solve::so::{self, Mat};
 use crate::solve::tableau::Tableau;
 
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
-const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
+pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 
 /// What a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
 pub(super) trait Dynamics<const N: usize> {

@@ -1,0 +1,222 @@
+//! Numbers in lanes: one formula for one number, for the stages of a step side by side, and for the members of
+//! an ensemble side by side.
+//!
+//! A lane holds the same bits whatever runs beside it and whatever instruction set runs it: there are only
+//! additions, multiplications, divisions and square roots, each rounded by itself, in an order that is written
+//! down here.
+//!
+//! Everything is inlined into its caller, so that it is compiled for the instruction set of the caller.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use fearless_simd::{Simd, f64x2, f64x4, f64x8, prelude::*};
+
+/// The most lanes that there are.
+pub const WIDTH: usize = 8;
+
+/// The numbers of up to [`WIDTH`] lanes, as they lie in memory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(64))]
+pub struct Row(pub [f64; WIDTH]);
+
+impl Row {
+    /// The same number in all lanes.
+    pub const fn splat(value: f64) -> Self {
+        Self([value; WIDTH])
+    }
+}
+
+/// A number, or one in each lane.
+pub trait Real:
+    Copy
+    + Neg<Output = Self>
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Add<f64, Output = Self>
+    + Mul<f64, Output = Self>
+{
+    /// A constant, in as many lanes as `self` has.
+    fn constant(self, value: f64) -> Self;
+    /// The square root.
+    fn root(self) -> Self;
+    /// The size.
+    fn size(self) -> Self;
+    /// The larger of two numbers that are.
+    fn larger(self, other: Self) -> Self;
+}
+
+/// What belongs to a step as a whole: one number, or one for each member of an ensemble.
+pub trait Whole: Real {
+    /// As it lies in memory.
+    type Plain: Copy;
+    /// From memory, like `self`.
+    fn load(self, plain: &Self::Plain) -> Self;
+    /// To memory.
+    fn store(self, plain: &mut Self::Plain);
+}
+
+/// What belongs to the stages of a step: a number for each.
+pub trait Stages: Real {
+    /// What belongs to the step as a whole.
+    type Whole: Whole;
+    /// As it lies in memory.
+    type Plain: Copy;
+    /// From memory, like `self`.
+    fn load(self, plain: &Self::Plain) -> Self;
+    /// To memory.
+    fn store(self, plain: &mut Self::Plain);
+    /// Constants, one for each stage.
+    fn row(self, row: &Row) -> Self;
+    /// The same for all stages.
+    fn spread(self, whole: Self::Whole) -> Self;
+    /// The number of stage `k`.
+    fn stage(self, k: usize) -> Self::Whole;
+    /// The sum over the stages, by halves.
+    fn sum(self) -> Self::Whole;
+    /// `sum_j columns[j] self_j`, summed by halves.
+    fn combined(self, columns: &[Row; WIDTH]) -> Self;
+    /// The largest over the stages.
+    fn largest(self) -> Self::Whole;
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn constant(self, value: f64) -> Self {
+        value
+    }
+
+    #[inline(always)]
+    fn root(self) -> Self {
+        f64::sqrt(self)
+    }
+
+    #[inline(always)]
+    fn size(self) -> Self {
+        f64::abs(self)
+    }
+
+    #[inline(always)]
+    fn larger(self, other: Self) -> Self {
+        if other <= self { self } else { other }
+    }
+}
+
+impl Whole for f64 {
+    type Plain = f64;
+
+    #[inline(always)]
+    fn load(self, plain: &f64) -> Self {
+        *plain
+    }
+
+    #[inline(always)]
+    fn store(self, plain: &mut f64) {
+        *plain = self;
+    }
+}
+
+/// A sum of 2, 4 or 8 terms by halves: the order of the additions does not depend on the lanes, and they do not
+/// wait for one another.
+macro_rules! by_halves {
+    (2, $term:ident) => {
+        $term!(0) + $term!(1)
+    };
+    (4, $term:ident) => {
+        ($term!(0) + $term!(1)) + ($term!(2) + $term!(3))
+    };
+    (8, $term:ident) => {
+        (($term!(0) + $term!(1)) + ($term!(2) + $term!(3)))
+            + (($term!(4) + $term!(5)) + ($term!(6) + $term!(7)))
+    };
+}
+
+macro_rules! stage_lanes {
+    ($vector:ident, $lanes:tt) => {
+        impl<S: Simd> Real for $vector<S> {
+            #[inline(always)]
+            fn constant(self, value: f64) -> Self {
+                Self::splat(self.simd, value)
+            }
+
+            #[inline(always)]
+            fn root(self) -> Self {
+                self.sqrt()
+            }
+
+            #[inline(always)]
+            fn size(self) -> Self {
+                self.abs()
+            }
+
+            #[inline(always)]
+            fn larger(self, other: Self) -> Self {
+                other.simd_le(self).select(self, other)
+            }
+        }
+
+        impl<S: Simd> Stages for $vector<S> {
+            type Whole = f64;
+            type Plain = Row;
+
+            #[inline(always)]
+            fn load(self, plain: &Row) -> Self {
+                Self::from_slice(self.simd, &plain.0[..$lanes])
+            }
+
+            #[inline(always)]
+            fn store(self, plain: &mut Row) {
+                self.store_slice(&mut plain.0[..$lanes]);
+            }
+
+            #[inline(always)]
+            fn row(self, row: &Row) -> Self {
+                Self::from_slice(self.simd, &row.0[..$lanes])
+            }
+
+            #[inline(always)]
+            fn spread(self, whole: f64) -> Self {
+                Self::splat(self.simd, whole)
+            }
+
+            #[inline(always)]
+            fn stage(self, k: usize) -> f64 {
+                self[k]
+            }
+
+            #[inline(always)]
+            fn sum(self) -> f64 {
+                macro_rules! term {
+                    ($j:literal) => {
+                        self[$j]
+                    };
+                }
+                by_halves!($lanes, term)
+            }
+
+            #[inline(always)]
+            fn combined(self, columns: &[Row; WIDTH]) -> Self {
+                macro_rules! term {
+                    ($j:literal) => {
+                        self.row(&columns[$j]) * Self::splat(self.simd, self[$j])
+                    };
+                }
+                by_halves!($lanes, term)
+            }
+
+            #[inline(always)]
+            fn largest(self) -> f64 {
+                let mut largest = self[0];
+                for k in 1..$lanes {
+                    largest = Real::larger(largest, self[k]);
+                }
+                largest
+            }
+        }
+    };
+}
+
+stage_lanes!(f64x2, 2);
+stage_lanes!(f64x4, 4);
+stage_lanes!(f64x8, 8);

@@ -1,0 +1,187 @@
+//! Vectors, matrices and quaternions of space, in lanes. Matrices are rows of columns.
+//!
+//! Invariant: what a function computes in a lane does not depend on the other lanes.
+
+use super::lanes::Real;
+
+/// A vector of R^3.
+pub type Vec3<T> = [T; 3];
+/// A 3 x 3 matrix, row by row.
+pub type Mat3<T> = [[T; 3]; 3];
+/// A symmetric 3 x 3 matrix: xx, yy, zz, yz, xz, xy.
+pub type Sym3<T> = [T; 6];
+
+/// A vector by its components.
+// A macro and no closure: a closure would not be compiled for the instruction set of its caller.
+macro_rules! vec3 {
+    ($i:ident => $component:expr) => {
+        [
+            {
+                let $i = 0_usize;
+                $component
+            },
+            {
+                let $i = 1_usize;
+                $component
+            },
+            {
+                let $i = 2_usize;
+                $component
+            },
+        ]
+    };
+}
+
+/// A matrix by its entries.
+macro_rules! mat3 {
+    ($i:ident, $j:ident => $entry:expr) => {
+        vec3!($i => vec3!($j => $entry))
+    };
+}
+
+pub(crate) use {mat3, vec3};
+
+/// `a x b`
+#[inline(always)]
+pub fn cross<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> Vec3<T> {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// `a . b`
+#[inline(always)]
+pub fn dot<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> T {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// `a + b`
+#[inline(always)]
+pub fn plus<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> Vec3<T> {
+    vec3!(i => a[i] + b[i])
+}
+
+/// `a - b`
+#[inline(always)]
+pub fn minus<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> Vec3<T> {
+    vec3!(i => a[i] - b[i])
+}
+
+/// `c a`
+#[inline(always)]
+pub fn scaled<T: Real>(a: &Vec3<T>, c: T) -> Vec3<T> {
+    vec3!(i => a[i] * c)
+}
+
+/// `M v`
+#[inline(always)]
+pub fn product<T: Real>(m: &Mat3<T>, v: &Vec3<T>) -> Vec3<T> {
+    vec3!(i => dot(&m[i], v))
+}
+
+/// `M^T v`
+#[inline(always)]
+pub fn transposed_product<T: Real>(m: &Mat3<T>, v: &Vec3<T>) -> Vec3<T> {
+    vec3!(i => m[0][i] * v[0] + m[1][i] * v[1] + m[2][i] * v[2])
+}
+
+/// `S v`, S symmetric.
+#[inline(always)]
+pub fn symmetric_product<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+    [
+        *xx * v[0] + *xy * v[1] + *xz * v[2],
+        *xy * v[0] + *yy * v[1] + *yz * v[2],
+        *xz * v[0] + *yz * v[1] + *zz * v[2],
+    ]
+}
+
+/// `A^T B`
+#[inline(always)]
+pub fn transposed_matrix_product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Mat3<T> {
+    mat3!(i, j => a[0][i] * b[0][j] + a[1][i] * b[1][j] + a[2][i] * b[2][j])
+}
+
+/// `M hat(v)`: each row r becomes `r x v`.
+#[inline(always)]
+pub fn times_hat<T: Real>(m: &Mat3<T>, v: &Vec3<T>) -> Mat3<T> {
+    vec3!(i => cross(&m[i], v))
+}
+
+/// `vee(M - M^T)`
+#[inline(always)]
+pub fn vee_asym<T: Real>(m: &Mat3<T>) -> Vec3<T> {
+    [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]]
+}
+
+/// The inverse of a symmetric matrix: cofactors over the determinant.
+#[inline(always)]
+pub fn inverse<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
+    let cofactor_x = *yy * *zz - *yz * *yz;
+    let cofactor_xy = *xz * *yz - *xy * *zz;
+    let cofactor_xz = *xy * *yz - *xz * *yy;
+    let det = *xx * cofactor_x + *xy * cofactor_xy + *xz * cofactor_xz;
+    let scale = det.constant(1.0) / det;
+    [
+        cofactor_x * scale,
+        (*xx * *zz - *xz * *xz) * scale,
+        (*xx * *yy - *xy * *xy) * scale,
+        (*xy * *xz - *xx * *yz) * scale,
+        cofactor_xz * scale,
+        cofactor_xy * scale,
+    ]
+}
+
+/// A quaternion `w + v`; of length one it is a rotation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Turn<T> {
+    /// The real part.
+    pub w: T,
+    /// The imaginary part.
+    pub v: Vec3<T>,
+}
+
+impl<T: Real> Turn<T> {
+    /// The rotation of Cayley's with the vector `half`: `(1 + half) / |1 + half|`, about it by 2 atan |half|.
+    #[inline(always)]
+    pub fn cayley(half: &Vec3<T>) -> Self {
+        let one = half[0].constant(1.0);
+        let w = one / (dot(half, half) + 1.0).root();
+        Self { w, v: scaled(half, w) }
+    }
+
+    /// `self (1 + half)`, of length one to the fourth order of `half` and of what `self` lacks of it.
+    #[inline(always)]
+    pub fn turned(&self, half: &Vec3<T>) -> Self {
+        // |q (1 + a)|^2 = |q|^2 + |a|^2 to fourth order, and 1 / sqrt(1 + e) = 1 - e / 2 to second.
+        let square = self.w * self.w + dot(&self.v, &self.v) + dot(half, half);
+        let scale = square * -0.5 + 1.5;
+        let c = cross(&self.v, half);
+        let w = self.w - dot(&self.v, half);
+        let v: Vec3<T> = vec3!(i => self.v[i] + (self.w * half[i] + c[i]));
+        Self { w: w * scale, v: scaled(&v, scale) }
+    }
+
+    /// `q p`
+    #[inline(always)]
+    pub fn times(&self, p: &Self) -> Self {
+        let c = cross(&self.v, &p.v);
+        Self {
+            w: self.w * p.w - dot(&self.v, &p.v),
+            v: vec3!(i => self.w * p.v[i] + p.w * self.v[i] + c[i]),
+        }
+    }
+
+    /// The rotation matrix.
+    #[inline(always)]
+    pub fn matrix(&self) -> Mat3<T> {
+        // I + 2 w hat(v) + 2 hat(v)^2
+        let [x, y, z] = self.v;
+        let (x2, y2, z2) = (x + x, y + y, z + z);
+        let (xx, yy, zz) = (x * x2, y * y2, z * z2);
+        let (xy, xz, yz) = (x * y2, x * z2, y * z2);
+        let (wx, wy, wz) = (self.w * x2, self.w * y2, self.w * z2);
+        [
+            [-(yy + zz) + 1.0, xy - wz, xz + wy],
+            [xy + wz, -(xx + zz) + 1.0, yz - wx],
+            [xz - wy, yz + wx, -(xx + yy) + 1.0],
+        ]
+    }
+}

@@ -1,0 +1,296 @@
+//! VPD in Hamiltonian form for n = 3 with up to eight stages: the map of [`super::vpd`] and
+//! [`super::vpd_reduced`], computed in vectors and quaternions with the stages side by side in SIMD lanes.
+//!
+//! The state is the attitude as a unit quaternion and the momentum in space. A step adds to both what is small
+//! beside them: `q1 = q0 + q0 (f - 1)`, and the impulse of the torques to the momentum. What rounding takes off
+//! a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
+//! McLachlan, Razakarivony 2008, BIT 48).
+//!
+//! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
+
+use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
+use nalgebra::Matrix3;
+
+use super::Stepper;
+use super::galerkin::SMALLEST_SINGULAR_VALUE;
+use crate::solve::failure::{Failure, FailureCode};
+use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::solve::lanes::{Row, WIDTH};
+use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
+use crate::solve::so::{self, Mat, Vector};
+use crate::solve::so3::Top;
+use crate::solve::space::{Mat3, Sym3, Turn, Vec3, dot, mat3, plus, product, transposed_product, vec3};
+use crate::solve::tableau::Tableau;
+use crate::solve::trajectory::State;
+
+mod sweep;
+
+use sweep::{LaneTableau, Start, Unknowns};
+
+/// The stepper: the tableau in lanes, the state, and the unknowns of the last step.
+#[derive(Clone, Debug)]
+pub struct VpdSpace {
+    tableau: Tableau,
+    lanes: LaneTableau,
+    stop: StopRule,
+    level: Level,
+    state: Carried,
+    unknowns: Unknowns<Row, f64>,
+    seen: Vec<Vec3<f64>>,
+}
+
+/// What is carried from step to step.
+#[derive(Clone, Copy, Debug)]
+enum Carried {
+    /// Attitude and momentum in space.
+    Full { attitude: Turn<f64>, attitude_carry: Turn<f64>, momentum: Vec3<f64>, momentum_carry: Vec3<f64> },
+    /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
+    Reduced { momentum: Vec3<f64> },
+}
+
+const NO_TURN: Turn<f64> = Turn { w: 0.0, v: [0.0; 3] };
+
+impl VpdSpace {
+    /// A stepper for `tableau` that solves each step until `stop`, and carries an attitude if `with_attitude`;
+    /// without, it is for free bodies. `None` if the tableau has more stages than there are lanes.
+    pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Option<Self> {
+        let state = if with_attitude {
+            Carried::Full {
+                attitude: Turn { w: 1.0, v: [0.0; 3] },
+                attitude_carry: NO_TURN,
+                momentum: [0.0; 3],
+                momentum_carry: [0.0; 3],
+            }
+        } else {
+            Carried::Reduced { momentum: [0.0; 3] }
+        };
+        (tableau.stages() <= WIDTH).then(|| Self {
+            lanes: LaneTableau::new(&tableau),
+            tableau,
+            stop,
+            level: Level::new(),
+            state,
+            unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
+            seen: Vec::new(),
+        })
+    }
+
+    /// The same stepper on an older instruction set: a test compares the bits.
+    pub fn on_level(mut self, level: Level) -> Self {
+        self.level = level;
+        self
+    }
+
+    /// E of stage `k`, or of the end point after the last.
+    fn excess(&self, k: usize) -> Sym3<f64> {
+        if k < self.tableau.stages() {
+            self.unknowns.excess.map(|row| row.0[k])
+        } else {
+            self.unknowns.end_excess
+        }
+    }
+
+    /// U_k, or f after the last.
+    fn turn(&self, k: usize) -> Turn<f64> {
+        if k < self.tableau.stages() {
+            let Turn { w, v } = &self.unknowns.attitude;
+            Turn { w: w.0[k], v: vec3!(i => v[i].0[k]) }
+        } else {
+            self.unknowns.end
+        }
+    }
+
+    /// Refuses a solution on which the polar factors or the potential are not to be trusted.
+    fn check(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+        let stages = self.tableau.stages();
+        let stage = |k: usize| (k < stages).then_some(k);
+        for k in 0..=stages {
+            let [xx, yy, zz, yz, xz, xy] = self.excess(k);
+            // Gershgorin's discs decide nearly always.
+            let [yz_, xz_, xy_] = [yz.abs(), xz.abs(), xy.abs()];
+            let bound = (xx - xy_ - xz_).min(yy - xy_ - yz_).min(zz - xz_ - yz_);
+            if !(bound >= -0.5) {
+                let sigma = smallest_singular_value(&self.excess(k));
+                if !(sigma >= SMALLEST_SINGULAR_VALUE) {
+                    let code =
+                        if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
+                    return Err(Failure::new(code, stage(k), sigma, SMALLEST_SINGULAR_VALUE));
+                }
+            }
+        }
+        let mut before = Turn { w: 1.0, v: [0.0; 3] };
+        for k in self.tableau.ascending().iter().copied().chain([stages]) {
+            let turn = self.turn(k);
+            // tr(U^T V) = 4 (p . q)^2 - 1; a quarter turn has 1.
+            let cosine = before.w * turn.w + dot(&before.v, &turn.v);
+            let trace = 4.0 * cosine * cosine - 1.0;
+            if !(trace > 1.0) {
+                return Err(Failure::new(FailureCode::BranchJump, stage(k), trace, 1.0));
+            }
+            before = turn;
+        }
+        // What is not a number is refused, too.
+        if self.unknowns.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
+            Ok(())
+        } else {
+            self.check_distances(body)
+        }
+    }
+
+    /// Refuses stages too close to a point of the potential.
+    fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+        let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
+        (0..self.tableau.stages()).try_for_each(|k| {
+            let u = self.turn(k).matrix();
+            body.check_distances(&Mat::from_fn(|i, j| u[i][j]), &seen)
+                .map_err(|failure| Failure { stage: Some(k), ..failure })
+        })
+    }
+
+    /// Solves the step of length `h` from `momentum`, the body momentum at its beginning, with the space
+    /// vectors of the potential in `self.seen`.
+    fn solve(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        momentum: Vec3<f64>,
+    ) -> Result<Convergence, Failure> {
+        let inverse_inertia = symmetric(&body.inverse_inertia());
+        let Self { tableau, lanes, stop, level, unknowns, seen, .. } = self;
+        let (level, width) = (*level, tableau.stages());
+        let start = Start { tableau: lanes, body, inverse_inertia, seen, step: h, momentum };
+        // As many lanes as the stages need.
+        macro_rules! in_lanes {
+            ($work:ident) => {
+                match width {
+                    1 | 2 => dispatch!(level, simd => sweep::$work(f64x2::splat(simd, 0.0), &start, unknowns)),
+                    3 | 4 => dispatch!(level, simd => sweep::$work(f64x4::splat(simd, 0.0), &start, unknowns)),
+                    _ => dispatch!(level, simd => sweep::$work(f64x8::splat(simd, 0.0), &start, unknowns)),
+                }
+            };
+        }
+        in_lanes!(guess);
+        let solved = fixed_point(*stop, || Ok(in_lanes!(sweep)));
+        match solved {
+            Ok(convergence) => self.check(body).map(|()| convergence),
+            // A charge that was met, or a polar factor that was lost, explains a failed iteration better than
+            // the iteration does.
+            Err(failure) => Err(match self.check_distances(body) {
+                Err(met) => Failure {
+                    iterations: failure.iterations,
+                    increments: failure.increments,
+                    ..met
+                },
+                Ok(()) => failure,
+            }),
+        }
+    }
+}
+
+impl Stepper<3> for VpdSpace {
+    fn order(&self) -> u32 {
+        self.tableau.order()
+    }
+
+    fn start(&mut self, state: &State<3>) {
+        let Top { attitude, momentum } = Top::from_state(state);
+        self.state = match self.state {
+            Carried::Full { .. } => Carried::Full {
+                attitude: Turn { w: attitude.w, v: [attitude.i, attitude.j, attitude.k] },
+                attitude_carry: NO_TURN,
+                momentum: product(&rows(&state.attitude), &momentum.into()),
+                momentum_carry: [0.0; 3],
+            },
+            Carried::Reduced { .. } => Carried::Reduced { momentum: momentum.into() },
+        };
+    }
+
+    fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
+        let p0 = self.body_momentum();
+        self.seen.clear();
+        if let Carried::Full { attitude, .. } = &self.state {
+            let g0 = attitude.matrix();
+            self.seen.extend(body.space_vectors().map(|v| transposed_product(&g0, &(*v).into())));
+        }
+        let convergence = self.solve(body, h, p0).map_err(|failure| {
+            let velocity = body.inverse_inertia() * Vector::<3>::from(p0);
+            Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
+        })?;
+        let Unknowns { end, kick, .. } = &self.unknowns;
+        match &mut self.state {
+            Carried::Full { attitude, attitude_carry, momentum, momentum_carry } => {
+                let g0 = attitude.matrix();
+                let impulse = plus(&product(&g0, kick), momentum_carry);
+                for i in 0..3 {
+                    (momentum[i], momentum_carry[i]) = sum(momentum[i], impulse[i]);
+                }
+                // f - 1: 1 - w = |v|^2 / (1 + w)
+                let square = dot(&end.v, &end.v);
+                let change = Turn { w: -square / (1.0 + end.w), v: end.v };
+                let mut change = attitude.times(&change);
+                // What the length lacks of one.
+                let lack = 0.5 * (1.0 - (attitude.w * attitude.w + dot(&attitude.v, &attitude.v)));
+                change.w += lack * attitude.w + attitude_carry.w;
+                (attitude.w, attitude_carry.w) = sum(attitude.w, change.w);
+                for i in 0..3 {
+                    let change = change.v[i] + (lack * attitude.v[i] + attitude_carry.v[i]);
+                    (attitude.v[i], attitude_carry.v[i]) = sum(attitude.v[i], change);
+                }
+            }
+            Carried::Reduced { momentum } => {
+                *momentum = transposed_product(&end.matrix(), momentum);
+            }
+        }
+        Ok(convergence)
+    }
+
+    fn attitude(&self) -> Option<Mat<3>> {
+        match &self.state {
+            Carried::Full { attitude, .. } => {
+                let g = attitude.matrix();
+                Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
+            }
+            Carried::Reduced { .. } => None,
+        }
+    }
+
+    fn momentum(&self) -> Mat<3> {
+        so::hat(&self.body_momentum())
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.excess(k)));
+        Some(sigmas.fold(f64::INFINITY, f64::min))
+    }
+}
+
+impl VpdSpace {
+    fn body_momentum(&self) -> Vec3<f64> {
+        match &self.state {
+            Carried::Full { attitude, momentum, .. } => {
+                transposed_product(&attitude.matrix(), momentum)
+            }
+            Carried::Reduced { momentum } => *momentum,
+        }
+    }
+}
+
+/// The smallest eigenvalue of `P = I + E`.
+fn smallest_singular_value([xx, yy, zz, yz, xz, xy]: &Sym3<f64>) -> f64 {
+    1.0 + so::smallest_eigenvalue(&Mat::<3>::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz))
+}
+
+fn symmetric(m: &Matrix3<f64>) -> Sym3<f64> {
+    [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(1, 2)], m[(0, 2)], m[(0, 1)]]
+}
+
+fn rows(m: &Mat<3>) -> Mat3<f64> {
+    mat3!(i, j => m[(i, j)])
+}
+
+/// `a + b`, and what rounding left over (Knuth's two-sum).
+fn sum(a: f64, b: f64) -> (f64, f64) {
+    let sum = a + b;
+    let part = sum - a;
+    (sum, (a - (sum - part)) + (b - part))
+}

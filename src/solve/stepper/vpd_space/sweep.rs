@@ -1,0 +1,331 @@
+//! One sweep over the equations of a VPD step for n = 3, the stages side by side in lanes.
+//!
+//! The equations are those of [`crate::solve::stepper::galerkin`] in the vectors of so(3). With
+//! `w_j = h b_j U_j hat(Omega_j)`, `e_ij = a_ij / b_j` and `K(P) = tr(P) I - P`:
+//!
+//! ```text
+//! U_i P_i = I + sum_j e_ij w_j                      f P_e = I + sum_j w_j
+//! pi1 = p0 - h sum_k b_k U_k tau_k                  tau = vee(dH/dg)
+//! K(P_e) lambda = -f^T pi1
+//! W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)
+//! K(P_k) x_k = -h b_k ((tr(N_k) I - N_k^T) Omega_k + tau_k)                  N_k = U_k^T W_k
+//! pi_k = -vee asym(W_k U_k^T)                       Omega_k = J^-1 U_k^T pi_k
+//! ```
+//!
+//! The second line is (vih4) and (vih5) solved exactly: summing the equations of the stages, everything but the
+//! torques cancels. So the spatial momentum changes by the torques alone, and a free body keeps it to the bit.
+//!
+//! The stiff coupling, J^-1 times the momentum, sits in the kinematics (first line and last): they are repeated
+//! within a sweep. So is the linear system of x, which must be consistent with them. The torque is computed once.
+//!
+//! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and `U <- U (1 + theta / 2)`
+//! normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar factor.
+
+use crate::solve::hamiltonian::RigidBody;
+use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
+use crate::solve::space::{
+    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, product, scaled, symmetric_product, times_hat,
+    transposed_matrix_product, transposed_product, vec3, vee_asym,
+};
+
+/// Passes over the kinematics within a sweep. Fewer take more sweeps, and fail at half the step.
+const KINEMATIC_PASSES: u32 = 4;
+/// Passes over the linear system of x within a sweep.
+const MOMENTUM_PASSES: u32 = 3;
+
+/// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
+#[derive(Clone, Debug)]
+pub(super) struct LaneTableau {
+    /// `e_ij`, column by column.
+    columns: [Row; WIDTH],
+    /// `e_ij`, row by row: the columns of its transpose.
+    rows: [Row; WIDTH],
+    weights: Row,
+    nodes: Row,
+    /// Passes over the kinematics and over the linear system within a sweep: numbers that the compiler does not
+    /// know, or it would unroll their loops into more code than a cache holds.
+    passes: [u32; 2],
+}
+
+impl LaneTableau {
+    pub(super) fn new(tableau: &crate::solve::tableau::Tableau) -> Self {
+        let zero = Row::splat(0.0);
+        let mut lanes = Self { columns: [zero; WIDTH], rows: [zero; WIDTH], weights: zero, nodes: zero, passes: [KINEMATIC_PASSES, MOMENTUM_PASSES] };
+        for i in 0..tableau.stages() {
+            lanes.weights.0[i] = tableau.b(i);
+            lanes.nodes.0[i] = tableau.c(i);
+            for j in 0..tableau.stages() {
+                // The same bits enter both halves: the pair is symplectic whatever their rounding.
+                let e = tableau.a(i, j) / tableau.b(j);
+                lanes.columns[j].0[i] = e;
+                lanes.rows[i].0[j] = e;
+            }
+        }
+        lanes
+    }
+}
+
+/// What a step is made from. `P` holds a number in memory, or one for each member.
+pub(super) struct Start<'a, P> {
+    pub(super) tableau: &'a LaneTableau,
+    pub(super) body: &'a RigidBody<3>,
+    /// J^-1.
+    pub(super) inverse_inertia: Sym3<f64>,
+    /// The space vectors of the potential, as seen from g0.
+    pub(super) seen: &'a [Vec3<P>],
+    pub(super) step: f64,
+    /// p0.
+    pub(super) momentum: Vec3<P>,
+}
+
+/// The unknowns of a step in the frame of g0, as they lie in memory; `S` holds a number for each stage.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unknowns<S, P> {
+    /// U_k.
+    pub(super) attitude: Turn<S>,
+    /// pi_k.
+    pub(super) momentum: Vec3<S>,
+    /// x_k.
+    pub(super) x: Vec3<S>,
+    /// f.
+    pub(super) end: Turn<P>,
+    /// K(P_k)^-1.
+    inverse: Sym3<S>,
+    /// E_k = P_k - I.
+    pub(super) excess: Sym3<S>,
+    /// The same of the end point.
+    pub(super) end_excess: Sym3<P>,
+    /// pi1 - p0.
+    pub(super) kick: Vec3<P>,
+    /// The largest over the stages, as [`RigidBody::torque`] gives it.
+    pub(super) nearness: P,
+}
+
+impl<S: Copy, P: Copy> Unknowns<S, P> {
+    /// Nothing yet, in the size of `stages` and `whole`.
+    pub(super) fn blank(stages: S, whole: P) -> Self {
+        Self {
+            attitude: Turn { w: stages, v: [stages; 3] },
+            momentum: [stages; 3],
+            x: [stages; 3],
+            end: Turn { w: whole, v: [whole; 3] },
+            inverse: [stages; 6],
+            excess: [stages; 6],
+            end_excess: [whole; 6],
+            kick: [whole; 3],
+            nearness: whole,
+        }
+    }
+}
+
+/// The first guess: the velocity at the beginning, kept constant, and the torque along it. A function of the
+/// state alone, so that a resumed run repeats it to the bit. (Extrapolating the stages of the step before
+/// saves nothing: docs/decisions/0004.)
+#[inline(always)]
+pub(super) fn guess<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) {
+    let whole = like.stage(0);
+    let p0 = vec3!(i => whole.load(&start.momentum[i]));
+    let inertia = start.inverse_inertia;
+    let velocity = symmetric_product(&symmetric(whole, &inertia), &p0);
+    let elapsed = like.row(&start.tableau.nodes) * start.step;
+    let half = elapsed * 0.5;
+    let attitude = Turn::cayley(&vec3!(i => half * like.spread(velocity[i])));
+    let u = attitude.matrix();
+    let (torque, _) = start.body.torque(&u, start.seen);
+    let p0 = vec3!(i => like.spread(p0[i]));
+    let momentum = minus(&p0, &scaled(&product(&u, &torque), elapsed));
+    // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
+    let mu = transposed_product(&u, &momentum);
+    let omega = symmetric_product(&symmetric(like, &inertia), &mu);
+    let c = cross(&mu, &omega);
+    let weight = like.row(&start.tableau.weights) * (0.5 * start.step);
+    let x: Vec3<R> = vec3!(i => weight * (c[i] * 0.5 - torque[i]));
+    let end = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
+    store_turn(&attitude, &mut unknowns.attitude);
+    store(&momentum, &mut unknowns.momentum);
+    store(&x, &mut unknowns.x);
+    // K(I)^-1
+    for (i, entry) in unknowns.inverse.iter_mut().enumerate() {
+        like.constant(if i < 3 { 0.5 } else { 0.0 }).store(entry);
+    }
+    end.w.store(&mut unknowns.end.w);
+    for i in 0..3 {
+        end.v[i].store(&mut unknowns.end.v[i]);
+    }
+}
+
+/// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the largest, or
+/// of an attitude in the last pass. NaN or infinite if an unknown is.
+#[inline(always)]
+pub(super) fn sweep<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) -> R::Whole {
+    let whole = like.stage(0);
+    let LaneTableau { columns, rows, weights, passes: [kinematic, linear], .. } = start.tableau;
+    let weight = like.row(weights) * start.step;
+    let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
+    let mut attitude = load_turn(like, &unknowns.attitude);
+    let momentum: Vec3<R> = load(like, &unknowns.momentum);
+    let mut inverse_k: Sym3<R> = [like; 6];
+    for i in 0..6 {
+        inverse_k[i] = like.load(&unknowns.inverse[i]);
+    }
+
+    // Kinematics: U_k and Omega_k for the momenta pi_k.
+    let mut u = attitude.matrix();
+    let mut omega = symmetric_product(&inverse_inertia, &transposed_product(&u, &momentum));
+    let mut w = times_hat(&u, &scaled(&omega, weight));
+    let mut turned = like.constant(0.0);
+    let mut excess = inverse_k;
+    for _ in 0..*kinematic {
+        let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
+        let b = transposed_matrix_product(&u, &d);
+        let half = scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
+        excess = stretch_excess(&attitude, &b);
+        inverse_k = inverse_of_k(&excess);
+        attitude = attitude.turned(&half);
+        turned = half[0].size().larger(half[1].size()).larger(half[2].size());
+        u = attitude.matrix();
+        omega = symmetric_product(&inverse_inertia, &transposed_product(&u, &momentum));
+        w = times_hat(&u, &scaled(&omega, weight));
+    }
+
+    // The end point, and the momentum there.
+    let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
+    let end = Turn {
+        w: whole.load(&unknowns.end.w),
+        v: vec3!(i => whole.load(&unknowns.end.v[i])),
+    };
+    let b = transposed_matrix_product(&end.matrix(), &d);
+    let end_excess = stretch_excess(&end, &b);
+    let end_inverse = inverse_of_k(&end_excess);
+    let half = scaled(&symmetric_product(&end_inverse, &residual(&end, &b)), whole.constant(0.5));
+    let end = end.turned(&half);
+    let f = end.matrix();
+    let (torque, nearness) = start.body.torque(&u, start.seen);
+    let kicks = scaled(&product(&u, &torque), -weight);
+    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
+    let pi1: Vec3<R::Whole> = vec3!(i => whole.load(&start.momentum[i]) + kick[i]);
+    let p1 = transposed_product(&f, &pi1);
+    let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
+    let f_lambda = times_hat(&f, &lambda);
+    let f_lambda: Mat3<R> = mat3!(i, j => like.spread(f_lambda[i][j]));
+
+    // The embedded momenta W_k.
+    let mut x: Vec3<R> = load(like, &unknowns.x);
+    let mut m = embedded(&f_lambda, &u, &x, rows);
+    for _ in 0..*linear {
+        let n = transposed_matrix_product(&u, &m);
+        let trace = n[0][0] + n[1][1] + n[2][2];
+        let turned = transposed_product(&n, &omega);
+        let load: Vec3<R> =
+            vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
+        x = symmetric_product(&inverse_k, &load);
+        m = embedded(&f_lambda, &u, &x, rows);
+    }
+    // -vee asym(W U^T)
+    let next = [
+        dot(&m[1], &u[2]) - dot(&m[2], &u[1]),
+        dot(&m[2], &u[0]) - dot(&m[0], &u[2]),
+        dot(&m[0], &u[1]) - dot(&m[1], &u[0]),
+    ];
+    let change = minus(&next, &momentum);
+    let change = change[0].size().larger(change[1].size()).larger(change[2].size()).largest();
+    let size = next[0].size().larger(next[1].size()).larger(next[2].size()).largest();
+    let size = size.larger(pi1[0].size()).larger(pi1[1].size()).larger(pi1[2].size());
+    // Zero where all is finite.
+    let total = ((next[0] + next[1]) + next[2]).sum();
+    let poison = total - total;
+
+    store_turn(&attitude, &mut unknowns.attitude);
+    store(&next, &mut unknowns.momentum);
+    store(&x, &mut unknowns.x);
+    for i in 0..6 {
+        inverse_k[i].store(&mut unknowns.inverse[i]);
+        excess[i].store(&mut unknowns.excess[i]);
+        end_excess[i].store(&mut unknowns.end_excess[i]);
+    }
+    end.w.store(&mut unknowns.end.w);
+    for i in 0..3 {
+        end.v[i].store(&mut unknowns.end.v[i]);
+        kick[i].store(&mut unknowns.kick[i]);
+    }
+    nearness.largest().store(&mut unknowns.nearness);
+    // At rest nothing moves, and nothing changes.
+    let relative = change / size.larger(whole.constant(f64::MIN_POSITIVE));
+    relative.larger(turned.largest()) + poison
+}
+
+/// `W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)`
+#[inline(always)]
+fn embedded<R: Stages>(f_lambda: &Mat3<R>, u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> Mat3<R> {
+    let y = times_hat(u, x);
+    mat3!(i, j => f_lambda[i][j] + y[i][j].combined(rows))
+}
+
+/// `vee asym(U^T A)` for `A = I + D`, given `B = U^T D`: vee asym(U^T) = -4 w v without cancellation.
+#[inline(always)]
+fn residual<T: Real>(attitude: &Turn<T>, b: &Mat3<T>) -> Vec3<T> {
+    let factor = attitude.w * -4.0;
+    let asym = vee_asym(b);
+    vec3!(i => factor * attitude.v[i] + asym[i])
+}
+
+/// `E = P - I = sym(U^T A) - I`, given `B = U^T D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
+#[inline(always)]
+fn stretch_excess<T: Real>(attitude: &Turn<T>, b: &Mat3<T>) -> Sym3<T> {
+    let [x, y, z] = attitude.v;
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    [
+        (yy + zz) * -2.0 + b[0][0],
+        (xx + zz) * -2.0 + b[1][1],
+        (xx + yy) * -2.0 + b[2][2],
+        y * z * 2.0 + (b[1][2] + b[2][1]) * 0.5,
+        x * z * 2.0 + (b[0][2] + b[2][0]) * 0.5,
+        x * y * 2.0 + (b[0][1] + b[1][0]) * 0.5,
+    ]
+}
+
+/// `(tr(P) I - P)^-1` for `P = I + E`.
+#[inline(always)]
+fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
+    inverse(&[*yy + *zz + 2.0, *xx + *zz + 2.0, *xx + *yy + 2.0, -*yz, -*xz, -*xy])
+}
+
+#[inline(always)]
+fn symmetric<T: Real>(like: T, s: &Sym3<f64>) -> Sym3<T> {
+    let mut lanes = [like; 6];
+    for i in 0..6 {
+        lanes[i] = like.constant(s[i]);
+    }
+    lanes
+}
+
+#[inline(always)]
+fn load<R: Stages>(like: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
+    vec3!(i => like.load(&plain[i]))
+}
+
+#[inline(always)]
+fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
+    for i in 0..3 {
+        value[i].store(&mut plain[i]);
+    }
+}
+
+#[inline(always)]
+fn load_turn<R: Stages>(like: R, plain: &Turn<R::Plain>) -> Turn<R> {
+    Turn { w: like.load(&plain.w), v: load(like, &plain.v) }
+}
+
+#[inline(always)]
+fn store_turn<R: Stages>(value: &Turn<R>, plain: &mut Turn<R::Plain>) {
+    value.w.store(&mut plain.w);
+    store(&value.v, &mut plain.v);
+}
