@@ -9,7 +9,7 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use tracing_subscriber::EnvFilter;
 use crate::chart;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
-use crate::run::{self, JobContext, Outcome, RunError, Summary};
+use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
 use crate::serve::{self, Cors, ServeConfig, ServeError};
 
@@ -257,8 +257,8 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
 
 /// Runs on a thread of its own while a progress bar with the time left follows, if somebody looks.
 fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunError> {
-    let (steps_done, cancelled) = (AtomicU64::new(0), AtomicBool::new(false));
-    let context = JobContext { log, steps_done: &steps_done, cancelled: &cancelled };
+    let control = Control::default();
+    let context = JobContext { log, control: &control };
     if !io::stderr().is_terminal() {
         return run::execute(scenario, &context);
     }
@@ -271,7 +271,7 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
     thread::scope(|scope| {
         let worker = scope.spawn(|| run::execute(scenario, &context));
         while !worker.is_finished() {
-            bar.set_position(steps_done.load(Ordering::Relaxed));
+            bar.set_position(control.steps_done.load(Ordering::Relaxed));
             thread::sleep(Duration::from_millis(50));
         }
         bar.finish_and_clear();

@@ -2,21 +2,25 @@
 //!
 //! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
 //! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
-//! [`scene`] draws the body and its surroundings.
+//! [`scene`] draws the body and its surroundings. [`resume`] takes up a log that was interrupted.
 //!
 //! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named
-//! `.mcap.part`. Same inputs give the same bytes: no clock, thread or machine shows in a log.
+//! `.mcap.part`, and each of its whole chunks ends with a checkpoint to go on from. Same inputs give the same bytes: no clock, thread or machine shows in a log.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 pub mod inspect;
 pub mod messages;
+mod part;
 pub mod reader;
+pub mod resume;
 pub mod scene;
 pub mod schema;
 pub mod writer;
 
+/// Opcode of the private record that ends a chunk: where an interrupted run goes on.
+pub const CHECKPOINT_OPCODE: u8 = 0x80;
 /// Name of the metadata record that comes first: scenario, plan, versions.
 pub const JOB_RECORD: &str = "vpd.job";
 /// Name of the metadata record that comes last and makes a log finished: how the job ended.

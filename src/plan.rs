@@ -44,7 +44,8 @@ pub struct Plan {
     pub free_directions: usize,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
-    /// Samples in a chunk of the log.
+    /// Samples in a chunk of the log: half a mebibyte, or what takes about five seconds if that is less.
+    /// An interrupted run goes on from the last whole chunk.
     pub samples_per_chunk: u64,
     /// Estimated size of the log in bytes.
     pub log_bytes: u64,
@@ -234,11 +235,13 @@ impl Plan {
         };
         const FIXED: u64 = 40_000;
         self.log_bytes = FIXED + (self.samples as f64 * raw as f64 * ratio) as u64;
-        // Chunks of half a mebibyte: what a kill may cost, and what a viewer fetches at once.
-        const CHUNK: u64 = 1 << 19;
-        self.samples_per_chunk = (CHUNK / raw.max(1)).max(1);
         self.step_ns = self.step_cost_ns();
         self.run_s = self.steps as f64 * self.step_ns * 1e-9;
+        // What a viewer fetches at once, and what a kill may cost.
+        const CHUNK_BYTES: u64 = 1 << 19;
+        const CHUNK_S: f64 = 5.0;
+        let in_time = CHUNK_S / (self.every as f64 * self.step_ns * 1e-9);
+        self.samples_per_chunk = (CHUNK_BYTES / raw.max(1)).min(in_time as u64).max(1);
     }
 
     /// About what a step costs on one core of a common machine, in nanoseconds: measured on the dipole

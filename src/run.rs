@@ -12,6 +12,8 @@ use serde::Serialize;
 use thiserror::Error;
 
 use crate::log::LogError;
+use crate::log::messages::Figures;
+use crate::log::resume::Resumed;
 use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
 use crate::plan::{Formulation, Plan};
@@ -28,7 +30,9 @@ use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
 use crate::solve::stepper::vpd_space::VpdSpace;
 use crate::solve::stepper::vrkmk::Vrkmk;
-use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
+use crate::solve::trajectory::{
+    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink,
+};
 
 mod geometry;
 mod problem;
@@ -42,12 +46,32 @@ pub use summary::{
 /// What a run shares with those who wait for it.
 #[derive(Clone, Copy, Debug)]
 pub struct JobContext<'a> {
-    /// Where the finished log goes.
+    /// Where the finished log goes. If an interrupted run of the same job left its log there, this one
+    /// goes on from it.
     pub log: &'a Path,
-    /// Steps done so far; the run writes it.
-    pub steps_done: &'a AtomicU64,
-    /// Set it to stop the run after its current step.
-    pub cancelled: &'a AtomicBool,
+    /// How the run is followed and stopped.
+    pub control: &'a Control,
+}
+
+/// How a run is followed and stopped from other threads.
+#[derive(Debug, Default)]
+pub struct Control {
+    /// Steps done so far, those of interrupted runs included; the run writes it.
+    pub steps_done: AtomicU64,
+    /// The step at which this run took up an interrupted one; the run writes it.
+    pub resumed_step: AtomicU64,
+    /// The step up to which the log is on the disk; the run writes it.
+    pub durable_step: AtomicU64,
+    /// Set it to end the run after its current step, with a finished log.
+    pub cancelled: AtomicBool,
+    /// Set it to end the run after its current step, with a log that a later run goes on from.
+    pub interrupted: AtomicBool,
+}
+
+impl Control {
+    fn go_on(&self) -> bool {
+        !self.cancelled.load(Ordering::Relaxed) && !self.interrupted.load(Ordering::Relaxed)
+    }
 }
 
 /// Why a run has no result.
@@ -59,6 +83,9 @@ pub enum RunError {
     /// The log could not be written.
     #[error(transparent)]
     Log(#[from] LogError),
+    /// Somebody interrupted it; the next run goes on from its log.
+    #[error("the run was interrupted")]
+    Interrupted,
 }
 
 impl RunError {
@@ -67,14 +94,17 @@ impl RunError {
         match self {
             Self::Scenario(_) => "invalid_input",
             Self::Log(error) => error.code(),
+            Self::Interrupted => "interrupted",
         }
     }
 }
 
-/// Runs a scenario to its end and writes its log. Blocks.
+/// Runs a scenario to its end and writes its log; the log of a run that was interrupted is taken up where
+/// it ended, with the same bytes in the end. Blocks.
 ///
 /// # Errors
-/// If the scenario cannot be planned or the log cannot be written; no log is left then.
+/// If the scenario cannot be planned or the log cannot be written: no log is left then. If the run is
+/// interrupted: then an unfinished one is.
 pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary, RunError> {
     let plan = Plan::new(scenario)?;
     macro_rules! for_dimension {
@@ -99,25 +129,37 @@ fn run<const N: usize>(
     let begun = Instant::now();
     let (body, initial) = problem::problem::<N>(&plan.model);
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
-    let writer = LogWriter::<N>::create(context.log, header(scenario, plan))?;
-    let mut recorder =
-        Recorder { writer, extremes: Extremes::default(), elsewhere: Duration::ZERO };
-    recorder.writer.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
+    let control = context.control;
+    let (mut recorder, checkpoint) = Recorder::<N>::open(context, &header(scenario, plan))?;
+    let resumed_step = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.step);
+    control.resumed_step.store(resumed_step, Ordering::Relaxed);
+    if checkpoint.is_none() {
+        recorder.writer.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
+    }
     let integrating = Instant::now();
     let end = trajectory::integrate(
         &body,
         stepper.as_mut(),
-        &initial,
+        Origin { initial: &initial, checkpoint: checkpoint.as_ref() },
         schedule,
         observables(plan),
         &mut recorder,
         |steps| {
-            context.steps_done.store(steps, Ordering::Relaxed);
-            !context.cancelled.load(Ordering::Relaxed)
+            control.steps_done.store(steps, Ordering::Relaxed);
+            control.go_on()
         },
-    )?;
+    );
+    let cut_off = match &end {
+        Ok(end) => end.ending == Ending::Cancelled && !control.cancelled.load(Ordering::Relaxed),
+        Err(error) => matches!(error, RunError::Interrupted),
+    };
+    if cut_off {
+        recorder.writer.leave();
+        return Err(RunError::Interrupted);
+    }
+    let end = end?;
     let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
-    context.steps_done.store(end.steps, Ordering::Relaxed);
+    control.steps_done.store(end.steps, Ordering::Relaxed);
     let time_s = end.steps as f64 * plan.step_s;
     let (outcome, diagnosis) = match &end.ending {
         Ending::Completed => (Outcome::Succeeded, None),
@@ -126,7 +168,7 @@ fn run<const N: usize>(
             (Outcome::Failed, Some(summary::diagnosis(failure, end.steps, plan.step_s)))
         }
     };
-    let Recorder { mut writer, extremes, .. } = recorder;
+    let Recorder { mut writer, figures, .. } = recorder;
     match &diagnosis {
         Some(diagnosis) => writer.message(Level::Error, time_s, &diagnosis.to_string())?,
         None => writer.message(
@@ -140,18 +182,17 @@ fn run<const N: usize>(
         steps: end.steps,
         time_s,
         samples: end.samples,
+        resumed_step,
         last: summary::final_state(&end),
-        energy: extremes.energy,
-        orthogonality: extremes
-            .orthogonality
-            .map(|(max, sum)| OrthogonalitySummary { max, mean: sum / end.samples as f64 }),
-        momentum: extremes.drift.map(|max_drift| MomentumSummary { max_drift }),
+        energy: summary::energy(&figures),
+        orthogonality: summary::orthogonality(&figures, end.samples),
+        momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
         solver: SolverSummary {
             iterations_per_step: end.iterations as f64 / end.steps.max(1) as f64,
             kind: end.convergence.map(|solved| solved.rung.as_str().to_owned()),
         },
         wall_s: 0.0,
-        ns_per_step: inside.as_nanos() as f64 / end.steps.max(1) as f64,
+        ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
         log: context.log.display().to_string(),
         diagnosis,
         unmet: Vec::new(),
@@ -207,46 +248,73 @@ fn observables(plan: &Plan) -> Observables {
     }
 }
 
-/// Passes samples to the log, keeps their extremes, and measures the time that is not the integrator's.
-struct Recorder<const N: usize> {
+/// Passes samples to the log, keeps their figures, and measures the time that is not the integrator's.
+struct Recorder<'a, const N: usize> {
     writer: LogWriter<N>,
-    extremes: Extremes,
+    figures: Figures,
     elsewhere: Duration,
+    control: &'a Control,
 }
 
-/// The figures of a summary, as samples come in.
-#[derive(Default)]
-struct Extremes {
-    energy: Option<EnergySummary>,
-    /// Largest and sum.
-    orthogonality: Option<(f64, f64)>,
-    drift: Option<f64>,
-}
+impl<'a, const N: usize> Recorder<'a, N> {
+    /// Takes up the log of an interrupted run, or begins one.
+    fn open(
+        context: &JobContext<'a>,
+        header: &LogHeader,
+    ) -> Result<(Self, Option<Checkpoint<N>>), LogError> {
+        let JobContext { log, control } = *context;
+        let (writer, figures, checkpoint) = match LogWriter::resume(log, header)? {
+            Some((writer, Resumed { checkpoint, figures })) => (writer, figures, Some(checkpoint)),
+            None => (LogWriter::create(log, header)?, Figures::default(), None),
+        };
+        Ok((Self { writer, figures, elsewhere: Duration::ZERO, control }, checkpoint))
+    }
 
-impl<const N: usize> Sink<N> for Recorder<N> {
-    type Error = LogError;
-
-    fn record(&mut self, sample: &Sample<N>) -> Result<(), LogError> {
-        let begun = Instant::now();
+    fn keep(&mut self, sample: &Sample<N>) {
+        let figures = &mut self.figures;
         if let Some((energy, error)) = sample.energy.zip(sample.energy_error) {
-            let (initial, before) = self
-                .extremes
-                .energy
-                .map_or((energy.total(), 0.0), |e| (e.initial, e.max_abs_error));
-            let max_abs_error = error.abs().max(before);
-            self.extremes.energy =
-                Some(EnergySummary { initial, max_abs_error, final_error: error });
+            figures.energy_initial.get_or_insert(energy.total());
+            let before = figures.energy_max_abs_error.unwrap_or_default();
+            figures.energy_max_abs_error = Some(error.abs().max(before));
+            figures.energy_final_error = Some(error);
         }
         if let Some(error) = sample.orthogonality_error {
-            let (max, sum) = self.extremes.orthogonality.unwrap_or_default();
-            self.extremes.orthogonality = Some((error.max(max), sum + error));
+            let before = figures.orthogonality_max.unwrap_or_default();
+            figures.orthogonality_max = Some(error.max(before));
+            figures.orthogonality_sum = Some(figures.orthogonality_sum.unwrap_or_default() + error);
         }
         if let Some(drift) = sample.momentum_drift {
-            self.extremes.drift = Some(drift.max(self.extremes.drift.unwrap_or_default()));
+            let before = figures.momentum_max_drift.unwrap_or_default();
+            figures.momentum_max_drift = Some(drift.max(before));
         }
+    }
+}
+
+impl<const N: usize> Sink<N> for Recorder<'_, N> {
+    type Error = RunError;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), RunError> {
+        // The last sample of a run that is cut off here has no place in the log of the whole.
+        if self.control.interrupted.load(Ordering::Relaxed) {
+            return Err(RunError::Interrupted);
+        }
+        let begun = Instant::now();
+        self.keep(sample);
         let result = self.writer.record(sample);
+        self.control.durable_step.store(self.writer.durable_step(), Ordering::Relaxed);
         self.elsewhere += begun.elapsed();
-        result
+        Ok(result?)
+    }
+
+    fn wants_checkpoint(&self) -> bool {
+        self.writer.wants_checkpoint()
+    }
+
+    fn checkpoint(&mut self, checkpoint: &Checkpoint<N>) -> Result<(), RunError> {
+        let begun = Instant::now();
+        let result = self.writer.checkpoint(checkpoint, self.figures);
+        self.elsewhere += begun.elapsed();
+        Ok(result?)
     }
 }
 
@@ -254,6 +322,7 @@ impl<const N: usize> Sink<N> for Recorder<N> {
 fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
     let job = BTreeMap::from([
         ("vpd_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+        ("vpd_build".to_owned(), env!("VPD_BUILD").to_owned()),
         ("name".to_owned(), scenario.name().to_owned()),
         ("scenario".to_owned(), json(scenario)),
         ("plan".to_owned(), json(plan)),

@@ -5,8 +5,10 @@ use std::fmt;
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use prost::Message as _;
 use serde::Serialize;
 
+use super::messages::Checkpoint;
 use super::reader::{self, Item, Message};
 use super::{JOB_RECORD, LogError, OUTCOME_RECORD};
 
@@ -29,6 +31,8 @@ pub struct Inspection {
     pub samples: u64,
     /// Chunks.
     pub chunks: u64,
+    /// The step of the last checkpoint, from which the run would go on.
+    pub resumes_at_step: Option<u64>,
     /// Bytes of the file.
     pub bytes: u64,
     /// The largest errors and the like.
@@ -85,7 +89,10 @@ pub fn inspect(path: &Path) -> Result<Inspection, LogError> {
         match item {
             Item::Metadata { name: JOB_RECORD, entries } => sum.job = Some(entries.clone()),
             Item::Metadata { name: OUTCOME_RECORD, entries } => sum.outcome = Some(entries.clone()),
-            Item::Message { topic, schema, time_ns, data } => {
+            Item::Checkpoint { data } => {
+                sum.resumes_at_step = Checkpoint::decode(data).ok().map(|found| found.step);
+            }
+            Item::Message { topic, schema, time_ns, data, .. } => {
                 sum.count(topic, schema, time_ns);
                 if let Some(message) = Message::decode(topic, schema, data) {
                     sum.extremes.take_in(&message);

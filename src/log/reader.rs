@@ -11,14 +11,14 @@ use std::io::{BufReader, Read};
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use mcap::records::{Record, op};
+use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
 use prost::Message as _;
 
 use super::messages::{Energy, Momentum, Orthogonality, Solver, State};
 use super::schema::Channel;
-use super::{LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
+use super::{CHECKPOINT_OPCODE, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
 
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;
@@ -52,7 +52,14 @@ pub enum Item<'a> {
         schema: &'a str,
         /// Log time, in nanoseconds since 1970.
         time_ns: u64,
+        /// Number of the sample it belongs to.
+        sequence: u32,
         /// The encoded message.
+        data: &'a [u8],
+    },
+    /// Where an interrupted run goes on: the end of a chunk.
+    Checkpoint {
+        /// The encoded [`super::messages::Checkpoint`].
         data: &'a [u8],
     },
 }
@@ -159,7 +166,7 @@ pub fn read(
 /// If the file cannot be opened or read.
 pub fn read_samples(path: &Path, mut visit: impl FnMut(u64, Message)) -> Result<Ending, LogError> {
     read(path, |item| {
-        if let Item::Message { topic, schema, time_ns, data } = item
+        if let Item::Message { topic, schema, time_ns, data, .. } = item
             && let Some(message) = Message::decode(topic, schema, data)
         {
             visit(time_ns, message);
@@ -286,8 +293,11 @@ impl Walk {
                 let Some((topic, schema)) = self.topics.get(&header.channel_id) else {
                     return Err(damaged("a message of an unknown channel"));
                 };
-                let time_ns = header.log_time;
-                return Ok(visit(Item::Message { topic, schema, time_ns, data: &data }));
+                let MessageHeader { log_time: time_ns, sequence, .. } = header;
+                return Ok(visit(Item::Message { topic, schema, time_ns, sequence, data: &data }));
+            }
+            Record::Unknown { opcode: CHECKPOINT_OPCODE, data } => {
+                return Ok(visit(Item::Checkpoint { data: &data }));
             }
             _ => {}
         }

@@ -72,9 +72,14 @@ impl SceneGeometry {
         update(entity)
     }
 
+    /// Whether anything stands around the body.
+    pub fn has_sources(&self) -> bool {
+        !self.space_points.is_empty() || !self.directions.is_empty()
+    }
+
     /// Charges, anchors and directions, in space; `None` if there are none.
     pub fn sources(&self, time_ns: u64) -> Option<SceneUpdate> {
-        if self.space_points.is_empty() && self.directions.is_empty() {
+        if !self.has_sources() {
             return None;
         }
         let size = self.size();

@@ -2,27 +2,33 @@
 //!
 //! Invariant: the final name appears with a complete, synced file whose last record is the outcome,
 //! or not at all. After an error nothing more is written, and a writer that is dropped before
-//! [`LogWriter::finish`] takes its `.part` file with it; only a killed process leaves one behind.
+//! [`LogWriter::finish`] takes its `.part` file with it; only [`LogWriter::leave`] and a killed process
+//! leave one behind. Every chunk but the last ends with a checkpoint, from which such a file can be
+//! taken up ([`LogWriter::resume`]).
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::BufWriter;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use foxglove::messages::Log;
 use foxglove::messages::log::Level as FoxgloveLevel;
 use mcap::records::{MessageHeader, Metadata};
+use mcap::write::PrivateRecordOptions;
 use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::messages::{self, Energy, Momentum, Orthogonality, Solver, State, timestamp};
+use super::messages::{self, Energy, Figures, Momentum, Orthogonality, Solver, State, timestamp};
+use super::part::{Part, Syncer, folder, sync_folder};
 use super::scene::SceneGeometry;
 use super::schema::{Channel, ENCODING};
-use super::{JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT};
-use crate::solve::trajectory::{Sample, Sink};
+use super::{
+    CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
+    resume,
+};
+use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
 /// Goes into the file's header; part of the bytes.
 const LIBRARY: &str = concat!("vpd/", env!("CARGO_PKG_VERSION"));
@@ -82,13 +88,15 @@ pub enum Level {
 
 /// Writes the log of one job in SO(`N`).
 ///
-/// Nothing is synced to the disk before `finish`; closed chunks are with the operating system,
-/// where they survive a kill of the process but not a power cut.
+/// A closed chunk is with the operating system at once, where it survives a kill of the process, and on
+/// the disk soon after: [`LogWriter::durable_step`] says how far.
 pub struct LogWriter<const N: usize> {
     path: PathBuf,
-    part: PathBuf,
-    /// `None` once finished.
-    file: Option<mcap::Writer<BufWriter<File>>>,
+    /// Empty once the file is no longer ours to remove.
+    pub(super) part: PathBuf,
+    file: mcap::Writer<Part>,
+    part_file: Part,
+    pub(super) syncer: Syncer,
     given_up: bool,
     epoch_ns: u64,
     samples_per_chunk: u64,
@@ -96,7 +104,11 @@ pub struct LogWriter<const N: usize> {
     channels: Vec<Channel>,
     /// Ids by channel, once registered.
     ids: Option<BTreeMap<Channel, u16>>,
-    samples: u64,
+    pub(super) samples: u64,
+    /// Samples when the last chunk was closed.
+    closed_at: u64,
+    /// Whether the open chunk holds messages; one without would start in 1970.
+    chunk_has_messages: bool,
     last_ns: u64,
 }
 
@@ -105,9 +117,28 @@ impl<const N: usize> LogWriter<N> {
     ///
     /// # Errors
     /// If the file cannot be created or written.
-    pub fn create(path: &Path, header: LogHeader) -> Result<Self, LogError> {
+    pub fn create(path: &Path, header: &LogHeader) -> Result<Self, LogError> {
         let part = super::part_path(path);
-        let file = File::create(&part).map_err(|source| LogError::io(path, "create", source))?;
+        let file = Part::create(&part).map_err(|source| LogError::io(path, "create", source))?;
+        let mut log = Self::begin(path, header, file).inspect_err(|_| {
+            let _ = fs::remove_file(&part);
+        })?;
+        log.part = part;
+        let start = log.time(0.0)?;
+        log.put(Channel::SceneBody, start, &header.scene.body(start))?;
+        if let Some(sources) = header.scene.sources(start) {
+            log.put(Channel::SceneSources, start, &sources)?;
+        }
+        log.message(Level::Info, 0.0, "started")?;
+        Ok(log)
+    }
+
+    /// Writes what comes before the first message.
+    pub(super) fn begin(
+        path: &Path,
+        header: &LogHeader,
+        part_file: Part,
+    ) -> Result<Self, LogError> {
         let compression = match header.compression {
             Compression::Zstd => Some(mcap::Compression::Zstd),
             Compression::Lz4 => Some(mcap::Compression::Lz4),
@@ -123,22 +154,21 @@ impl<const N: usize> LogWriter<N> {
             .disable_seeking(true)
             // Chunks end by the count of samples alone.
             .chunk_size(None)
-            .create(BufWriter::new(file))
+            .create(part_file.clone())
             .map_err(|source| LogError::mcap(path, "create", source))?;
-
-        let scene = header.scene;
-        let sources = scene.sources(header.epoch_ns);
         let wanted = |channel: &Channel| {
             header.channels.contains(channel)
                 && (N == 3 || !channel.needs_three())
-                && (*channel != Channel::SceneSources || sources.is_some())
+                && (*channel != Channel::SceneSources || header.scene.has_sources())
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
         let sample_bytes: u64 = channels.iter().map(|channel| channel.bytes_per_sample(N)).sum();
         let mut log = Self {
             path: path.to_owned(),
-            part,
-            file: Some(file),
+            part: PathBuf::new(),
+            file,
+            syncer: Syncer::new(part_file.clone(), path),
+            part_file,
             given_up: false,
             epoch_ns: header.epoch_ns,
             samples_per_chunk: header
@@ -148,11 +178,12 @@ impl<const N: usize> LogWriter<N> {
             channels,
             ids: None,
             samples: 0,
+            closed_at: 0,
+            chunk_has_messages: false,
             last_ns: header.epoch_ns,
         };
-
         let start = log.time(0.0)?;
-        let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job };
+        let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job.clone() };
         log.attempt(|file| file.write_metadata(&job))?;
         log.attempt(|file| {
             file.attach(&Attachment {
@@ -160,14 +191,9 @@ impl<const N: usize> LogWriter<N> {
                 create_time: start,
                 name: SCENARIO_ATTACHMENT.to_owned(),
                 media_type: "application/json".to_owned(),
-                data: Cow::Owned(header.scenario_json),
+                data: Cow::Borrowed(&header.scenario_json),
             })
         })?;
-        log.put(Channel::SceneBody, start, &scene.body(start))?;
-        if let Some(sources) = sources {
-            log.put(Channel::SceneSources, start, &sources)?;
-        }
-        log.message(Level::Info, 0.0, "started")?;
         Ok(log)
     }
 
@@ -198,6 +224,36 @@ impl<const N: usize> LogWriter<N> {
         self.samples
     }
 
+    /// The step up to which the log is on the disk: what a reader finds after a power cut.
+    pub fn durable_step(&self) -> u64 {
+        self.syncer.durable_step()
+    }
+
+    /// Writes a checkpoint and closes the chunk with it.
+    ///
+    /// # Errors
+    /// If the file cannot be written, or an earlier write or sync failed.
+    pub fn checkpoint(
+        &mut self,
+        checkpoint: &Checkpoint<N>,
+        figures: Figures,
+    ) -> Result<(), LogError> {
+        if !self.chunk_has_messages {
+            return self.close_chunk(None);
+        }
+        self.close_chunk(Some(&resume::encode(checkpoint, figures)))?;
+        self.syncer.request(checkpoint.step).map_err(|source| {
+            self.given_up = true;
+            LogError::io(&self.path, "sync", source)
+        })
+    }
+
+    /// Leaves the log unfinished, to be taken up by [`LogWriter::resume`].
+    pub fn leave(mut self) {
+        self.part_file.leave();
+        self.part = PathBuf::new();
+    }
+
     /// Closes the log and gives it its name. Afterwards it is on the disk, its name included.
     ///
     /// # Errors
@@ -214,20 +270,12 @@ impl<const N: usize> LogWriter<N> {
             let path = self.path.clone();
             move |source| LogError::io(&path, action, source)
         };
-        let Some(file) = self.file.take() else {
-            return Err(LogError::GivenUp { path: self.path.clone() });
-        };
-        let file =
-            file.into_inner().into_inner().map_err(|error| storage("write")(error.into_error()))?;
-        file.sync_all().map_err(storage("sync"))?;
+        self.syncer.settle().map_err(storage("sync"))?;
+        self.part_file.close().map_err(storage("sync"))?;
         fs::rename(&self.part, &self.path).map_err(storage("rename"))?;
         self.part = PathBuf::new();
         // The rename is durable with its directory.
-        let folder = match self.path.parent() {
-            Some(folder) if folder != Path::new("") => folder,
-            _ => Path::new("."),
-        };
-        File::open(folder).and_then(|folder| folder.sync_all()).map_err(storage("sync"))
+        sync_folder(folder(&self.path)).map_err(storage("sync"))
     }
 
     fn time(&self, time_s: f64) -> Result<u64, LogError> {
@@ -245,14 +293,7 @@ impl<const N: usize> LogWriter<N> {
         if !self.channels.contains(&channel) {
             return Ok(());
         }
-        // Only now, with a message at hand: channels without one leave an empty chunk that starts
-        // in 1970, and viewers with it.
-        if self.ids.is_none() {
-            self.register()?;
-        }
-        let Some(&channel_id) = self.ids.as_ref().and_then(|ids| ids.get(&channel)) else {
-            return Ok(());
-        };
+        let channel_id = self.id(channel)?;
         let payload = message.encode_to_vec();
         let header = MessageHeader {
             channel_id,
@@ -261,8 +302,7 @@ impl<const N: usize> LogWriter<N> {
             log_time: time_ns,
             publish_time: time_ns,
         };
-        self.last_ns = time_ns;
-        self.attempt(|file| file.write_to_known_channel(&header, &payload))
+        self.write(&header, &payload)
     }
 
     fn put_some(
@@ -272,6 +312,17 @@ impl<const N: usize> LogWriter<N> {
         message: Option<impl Message>,
     ) -> Result<(), LogError> {
         message.map_or(Ok(()), |message| self.put(channel, time_ns, &message))
+    }
+
+    /// The id of a channel that is to be written.
+    pub(super) fn id(&mut self, channel: Channel) -> Result<u16, LogError> {
+        // Only now, with a message at hand: channels without one leave an empty chunk that starts
+        // in 1970, and viewers with it.
+        if self.ids.is_none() {
+            self.register()?;
+        }
+        let id = self.ids.as_ref().and_then(|ids| ids.get(&channel)).copied();
+        id.ok_or_else(|| LogError::GivenUp { path: self.path.clone() })
     }
 
     fn register(&mut self) -> Result<(), LogError> {
@@ -288,18 +339,32 @@ impl<const N: usize> LogWriter<N> {
         Ok(())
     }
 
+    pub(super) fn write(&mut self, header: &MessageHeader, payload: &[u8]) -> Result<(), LogError> {
+        self.last_ns = header.log_time;
+        self.chunk_has_messages = true;
+        self.attempt(|file| file.write_to_known_channel(header, payload))
+    }
+
+    /// Ends the chunk, with the record of a checkpoint if there is one.
+    pub(super) fn close_chunk(&mut self, checkpoint: Option<&[u8]>) -> Result<(), LogError> {
+        self.closed_at = self.samples;
+        self.chunk_has_messages = false;
+        if let Some(record) = checkpoint {
+            let place = PrivateRecordOptions::IncludeInChunks.into();
+            self.attempt(|file| file.write_private_record(CHECKPOINT_OPCODE, record, place))?;
+        }
+        self.attempt(mcap::Writer::flush)
+    }
+
     /// Does something to the file, unless an earlier attempt failed.
     fn attempt<T>(
         &mut self,
-        action: impl FnOnce(&mut mcap::Writer<BufWriter<File>>) -> McapResult<T>,
+        action: impl FnOnce(&mut mcap::Writer<Part>) -> McapResult<T>,
     ) -> Result<T, LogError> {
-        let file = match &mut self.file {
-            Some(file) if !self.given_up => file,
-            _ => {
-                return Err(LogError::GivenUp { path: self.path.clone() });
-            }
-        };
-        action(file).map_err(|source| {
+        if self.given_up {
+            return Err(LogError::GivenUp { path: self.path.clone() });
+        }
+        action(&mut self.file).map_err(|source| {
             self.given_up = true;
             LogError::mcap(&self.path, "write", source)
         })
@@ -317,6 +382,10 @@ impl<const N: usize> Sink<N> for LogWriter<N> {
         if !finite(sample) {
             return Err(LogError::NotFinite { step: sample.step });
         }
+        if self.wants_checkpoint() {
+            // Nobody offered one.
+            self.close_chunk(None)?;
+        }
         for channel in self.channels.clone() {
             match channel {
                 Channel::State => self.put(channel, time_ns, &State::of(sample))?,
@@ -333,25 +402,25 @@ impl<const N: usize> Sink<N> for LogWriter<N> {
             }
         }
         self.samples += 1;
-        if self.samples.is_multiple_of(self.samples_per_chunk) {
-            self.attempt(mcap::Writer::flush)?;
-        }
         Ok(())
+    }
+
+    fn wants_checkpoint(&self) -> bool {
+        self.samples - self.closed_at == self.samples_per_chunk
+    }
+
+    fn checkpoint(&mut self, checkpoint: &Checkpoint<N>) -> Result<(), LogError> {
+        self.checkpoint(checkpoint, Figures::default())
     }
 }
 
 impl<const N: usize> Drop for LogWriter<N> {
     fn drop(&mut self) {
-        if self.part.as_os_str().is_empty() {
-            return;
-        }
-        // First the name, then the file: the MCAP writer completes its file when dropped, and that
-        // must not be seen.
-        let removed = fs::remove_file(&self.part);
-        self.file = None;
-        if removed.is_err() {
-            // Systems that keep open files. If this fails too, the file has no outcome and is
-            // `.part`.
+        // The MCAP writer completes its file when it is dropped: that must not be seen.
+        self.part_file.leave();
+        let _ = self.syncer.settle();
+        if !self.part.as_os_str().is_empty() {
+            // If this fails, the file is `.part` and has no outcome.
             let _ = fs::remove_file(&self.part);
         }
     }

@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::log::messages::Figures;
 use crate::scenario::Expect;
 use crate::solve::failure::Failure;
 use crate::solve::so::{self, Mat};
@@ -43,6 +44,8 @@ pub struct Summary {
     pub time_s: f64,
     /// Samples logged.
     pub samples: u64,
+    /// The step at which this run took up an interrupted one; 0 if it began at the start.
+    pub resumed_step: u64,
     /// The last state.
     #[serde(rename = "final")]
     pub last: FinalState,
@@ -140,6 +143,19 @@ pub struct Diagnosis {
     pub advice: String,
     /// A step in seconds that should work.
     pub advised_step_s: Option<f64>,
+}
+
+pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
+    Some(EnergySummary {
+        initial: figures.energy_initial?,
+        max_abs_error: figures.energy_max_abs_error?,
+        final_error: figures.energy_final_error?,
+    })
+}
+
+pub(super) fn orthogonality(figures: &Figures, samples: u64) -> Option<OrthogonalitySummary> {
+    let mean = figures.orthogonality_sum? / samples as f64;
+    Some(OrthogonalitySummary { max: figures.orthogonality_max?, mean })
 }
 
 pub(super) fn final_state<const N: usize>(end: &Trajectory<N>) -> FinalState {

@@ -251,6 +251,7 @@ fn job_json(view: &View, base: Option<&str>) -> Value {
         "progress": {
             "steps": steps,
             "steps_done": steps_done,
+            "durable_step": view.durable_step,
             "percent": (percent * 100.0).floor() / 100.0,
             "eta_s": view.eta_s.map(|eta| (eta * 10.0).round() / 10.0),
         },

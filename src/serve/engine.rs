@@ -22,7 +22,7 @@ use super::{ServeError, chain};
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
-/// A job that ends its process this many times is given up.
+/// A job that ends its process this many times in a row without coming further is given up.
 pub(super) const MAX_ATTEMPTS: u32 = 3;
 
 /// How many records the start reads at a time.
@@ -237,8 +237,7 @@ impl Engine {
                 match &mut job.phase {
                     Phase::Ended { .. } => return Err(Refusal::JobEnded),
                     Phase::Leaving => None,
-                    Phase::Running { control, unwanted, .. } => {
-                        *unwanted = true;
+                    Phase::Running { control, .. } => {
                         control.cancelled.store(true, Ordering::Relaxed);
                         None
                     }
@@ -294,13 +293,13 @@ impl Engine {
         .await
     }
 
-    /// Begins the stop: no new jobs, and running ones are told to end.
+    /// Begins the stop: no new jobs, and running ones are interrupted.
     pub(super) fn stop(&self) {
         let mut index = self.0.index();
         index.alive = None;
         for job in index.jobs.values() {
             if let Phase::Running { control, .. } = &job.phase {
-                control.cancelled.store(true, Ordering::Relaxed);
+                control.interrupted.store(true, Ordering::Relaxed);
             }
         }
         drop(index);
@@ -361,18 +360,21 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
         return Ok((id, Job::ended(&record)));
     }
     let text = store.scenario(id).await?;
+    let fruitless = store.fruitless_attempts(id, found.attempts).await?;
     let planned = Scenario::from_json(&text).and_then(|scenario| {
         let plan = Plan::new(&scenario)?;
-        Ok(Job::new(&scenario, &plan, found.attempts))
+        let job = Job::new(&scenario, &plan, found.attempts);
+        Ok(Job { suspect: fruitless > 0, cancelled: found.cancelled, ..job })
     });
     let (job, fault) = match planned {
         Ok(job) => (job, None),
         Err(error) => (Job::unnamed(found.attempts), Some(Fault::rejected(&error))),
     };
     let record = match fault {
-        _ if found.cancelled => job.record(State::Cancelled, None),
+        // What ran before goes to its worker, who gives its log an end.
+        _ if found.cancelled && found.attempts == 0 => job.record(State::Cancelled, None),
         Some(fault) => job.record(State::Failed, Some(&fault)),
-        None if found.attempts >= MAX_ATTEMPTS => {
+        None if fruitless >= MAX_ATTEMPTS => {
             job.record(State::Failed, Some(&Fault::worker_crashed()))
         }
         None => return Ok((id, job)),

@@ -5,7 +5,7 @@
 //! ```
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use chrono::{DateTime, SubsecRound, Utc};
@@ -16,7 +16,7 @@ use uuid::Uuid;
 use super::engine::MAX_ATTEMPTS;
 use super::store::{Record, StoreError};
 use crate::plan::Plan;
-use crate::run::RunError;
+use crate::run::{Control, RunError};
 use crate::scenario::{Scenario, ScenarioError};
 
 /// Where a job stands.
@@ -58,6 +58,7 @@ pub(super) struct View {
     pub(super) attempts: u32,
     pub(super) steps: u64,
     pub(super) steps_done: u64,
+    pub(super) durable_step: u64,
     pub(super) eta_s: Option<f64>,
     pub(super) has_log: bool,
     pub(super) plan: Option<Value>,
@@ -65,21 +66,12 @@ pub(super) struct View {
     pub(super) record: Option<Record>,
 }
 
-/// What two threads share of a running job.
-#[derive(Debug, Default)]
-pub(super) struct Control {
-    pub(super) steps_done: AtomicU64,
-    pub(super) cancelled: AtomicBool,
-}
-
 #[derive(Debug)]
 pub(super) enum Phase {
     Queued,
-    /// `unwanted`: a client has cancelled it (a stop of the service sets only the flag in `control`).
     Running {
         control: Arc<Control>,
         since: Instant,
-        unwanted: bool,
     },
     /// Out of the queue: being cancelled or forgotten.
     Leaving,
@@ -94,6 +86,10 @@ pub(super) enum Phase {
 pub(super) struct Job {
     pub(super) name: String,
     pub(super) attempts: u32,
+    /// Whether the last run ended with its process and without having come further.
+    pub(super) suspect: bool,
+    /// Whether a client stopped it before the process ended.
+    pub(super) cancelled: bool,
     pub(super) steps: u64,
     /// The plan, until the record holds it.
     pub(super) plan: Option<Value>,
@@ -105,6 +101,8 @@ impl Job {
         Self {
             name: scenario.name().to_owned(),
             attempts,
+            suspect: false,
+            cancelled: false,
             steps: plan.steps,
             plan: serde_json::to_value(plan).ok(),
             phase: Phase::Queued,
@@ -113,7 +111,15 @@ impl Job {
 
     /// A job whose scenario cannot be read.
     pub(super) fn unnamed(attempts: u32) -> Self {
-        Self { name: String::new(), attempts, steps: 0, plan: None, phase: Phase::Leaving }
+        Self {
+            name: String::new(),
+            attempts,
+            suspect: false,
+            cancelled: false,
+            steps: 0,
+            plan: None,
+            phase: Phase::Leaving,
+        }
     }
 
     pub(super) fn ended(record: &Record) -> Self {
@@ -121,6 +127,8 @@ impl Job {
         Self {
             name: record.name.clone(),
             attempts: record.attempts,
+            suspect: false,
+            cancelled: false,
             steps: record.steps,
             plan: None,
             phase: Phase::Ended { state, steps_done, has_log },
@@ -135,17 +143,30 @@ impl Job {
         }
     }
 
-    pub(super) fn view(&self, id: Uuid) -> View {
-        let (mut steps_done, mut eta_s, mut has_log) = (0, None, false);
+    /// Whether the job runs and may yet be what ended the process.
+    pub(super) fn is_suspect(&self) -> bool {
         match &self.phase {
-            Phase::Running { control, since, .. } => {
+            Phase::Running { control, .. } => {
+                let came_from = control.resumed_step.load(Ordering::Relaxed);
+                self.suspect && control.durable_step.load(Ordering::Relaxed) <= came_from
+            }
+            _ => false,
+        }
+    }
+
+    pub(super) fn view(&self, id: Uuid) -> View {
+        let (mut steps_done, mut durable_step, mut eta_s, mut has_log) = (0, 0, None, false);
+        match &self.phase {
+            Phase::Running { control, since } => {
                 steps_done = control.steps_done.load(Ordering::Relaxed);
+                durable_step = control.durable_step.load(Ordering::Relaxed);
                 let left = self.steps.saturating_sub(steps_done) as f64;
-                eta_s = (steps_done > 0)
-                    .then(|| since.elapsed().as_secs_f64() * left / steps_done as f64);
+                let made = steps_done.saturating_sub(control.resumed_step.load(Ordering::Relaxed));
+                eta_s = (made > 0).then(|| since.elapsed().as_secs_f64() * left / made as f64);
             }
             Phase::Ended { steps_done: done, has_log: log, .. } => {
-                (steps_done, has_log) = (*done, *log)
+                (steps_done, has_log) = (*done, *log);
+                durable_step = if has_log { steps_done } else { 0 };
             }
             Phase::Queued | Phase::Leaving => {}
         }
@@ -157,6 +178,7 @@ impl Job {
             attempts: self.attempts,
             steps: self.steps,
             steps_done,
+            durable_step,
             eta_s,
             has_log,
             plan: self.plan.clone(),

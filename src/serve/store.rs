@@ -24,6 +24,8 @@ use uuid::Uuid;
 
 use super::ServeError;
 use super::job::State;
+use crate::log::LogError;
+use crate::log::resume::last_checkpoint;
 
 const JOBS: &str = "jobs";
 const SCENARIO: &str = "scenario.json";
@@ -165,10 +167,35 @@ impl Store {
         self.read(id, SCENARIO).await.map_err(StoreError::new("read the scenario"))
     }
 
-    /// Notes that attempt `n` begins.
+    /// Notes that attempt `n` begins, and at which step.
     pub(super) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        let failed = StoreError::new("note the attempt");
-        self.create(id, &format!("{ATTEMPT}{n}"), Vec::new()).await.map_err(failed)
+        let failed = "note the attempt";
+        let step = self.progress(id).map_err(StoreError::new(failed))?;
+        let note = step.to_string().into_bytes();
+        self.create(id, &format!("{ATTEMPT}{n}"), note).await.map_err(StoreError::new(failed))
+    }
+
+    /// How many of `n` attempts, counted from the last, came to nothing: the job stands where they began.
+    pub(super) async fn fruitless_attempts(&self, id: Uuid, n: u32) -> Result<u32, StoreError> {
+        let failed = "read the notes of the attempts";
+        let mut reached = self.progress(id).map_err(StoreError::new(failed))?;
+        let mut count = 0;
+        for n in (1..=n).rev() {
+            // One that was taken back, or is torn, began at the start as far as we know.
+            let note = self.read(id, &format!("{ATTEMPT}{n}")).await.unwrap_or_default();
+            let began = std::str::from_utf8(&note).ok().and_then(|text| text.parse().ok());
+            let began: u64 = began.unwrap_or(0);
+            if began < reached {
+                break;
+            }
+            (reached, count) = (began, count + 1);
+        }
+        Ok(count)
+    }
+
+    /// The step from which a run of the job would go on. Blocking.
+    fn progress(&self, id: Uuid) -> Result<u64, LogError> {
+        last_checkpoint(&self.log_path(id)).map(Option::unwrap_or_default)
     }
 
     /// Takes back the note of an attempt that was interrupted in order: it must not count as a crash.
@@ -205,6 +232,18 @@ impl Store {
     /// Where the log of a job stands, or will stand once it is finished.
     pub(super) fn log_path(&self, id: Uuid) -> PathBuf {
         self.directory(id).join(LOG)
+    }
+
+    /// Makes a finished log that has no result an unfinished one again: the run goes on from its last
+    /// checkpoint and ends once more. Blocking.
+    pub(super) fn reopen_log(&self, id: Uuid) -> Result<(), StoreError> {
+        let directory = self.directory(id);
+        match std::fs::rename(directory.join(LOG), directory.join(PART)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                Err(StoreError::new("reopen an unpublished log")(error))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Removes what a dead attempt left of its log. Blocking.

@@ -1,7 +1,8 @@
 //! The one time loop: a stepper carries a state forward, samples go to a sink.
 //!
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of
-//! time; time is `k h`, never a sum.
+//! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
+//! holds, so that a trajectory which is taken up there is, to the bit, the one that was not interrupted.
 
 use super::failure::{Failure, FailureCode};
 use super::hamiltonian::{Energy, RigidBody};
@@ -80,6 +81,59 @@ pub trait Sink<const N: usize> {
     /// # Errors
     /// Ends the trajectory.
     fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error>;
+
+    /// Whether a checkpoint is wanted at the sample that came last.
+    fn wants_checkpoint(&self) -> bool {
+        false
+    }
+
+    /// Takes the checkpoint it wanted.
+    ///
+    /// # Errors
+    /// Ends the trajectory.
+    fn checkpoint(&mut self, _checkpoint: &Checkpoint<N>) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+/// All that a trajectory needs, beside where it began, to go on from a sample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint<const N: usize> {
+    /// Steps made.
+    pub step: u64,
+    /// Samples recorded, that of this step included.
+    pub samples: u64,
+    /// The attitude g; `None` from a scheme that carries none.
+    pub attitude: Option<Mat<N>>,
+    /// The body momentum mu.
+    pub momentum: Mat<N>,
+    /// Sweeps of the nonlinear solver in all.
+    pub iterations: u64,
+    /// How the last step was solved; `None` if none was made.
+    pub convergence: Option<Convergence>,
+}
+
+impl<const N: usize> Checkpoint<N> {
+    fn state(&self) -> State<N> {
+        // A scheme without an attitude does not look at it.
+        let attitude = self.attitude.unwrap_or_else(Mat::identity);
+        State { attitude, momentum: self.momentum }
+    }
+}
+
+/// Where a trajectory begins, and where it is taken up if it was interrupted.
+#[derive(Clone, Copy, Debug)]
+pub struct Origin<'a, const N: usize> {
+    /// The state at t = 0: drifts and errors are measured against it.
+    pub initial: &'a State<N>,
+    /// Where to go on.
+    pub checkpoint: Option<&'a Checkpoint<N>>,
+}
+
+impl<'a, const N: usize> From<&'a State<N>> for Origin<'a, N> {
+    fn from(initial: &'a State<N>) -> Self {
+        Self { initial, checkpoint: None }
+    }
 }
 
 /// How a trajectory ended.
@@ -112,39 +166,59 @@ pub struct Trajectory<const N: usize> {
     pub convergence: Option<Convergence>,
 }
 
-/// Carries `initial` forward along `schedule` and gives the samples to `sink`: the first at the start,
-/// then one every `schedule.every` steps, and the last accepted state whatever happens.
+/// Carries a state forward along `schedule` and gives the samples to `sink`: the first at the start,
+/// then one every `schedule.every` steps, and the last accepted state whatever happens. A trajectory
+/// that is taken up at a checkpoint gives the samples after it.
 /// `go_on(steps_done)` is asked before each step.
 ///
 /// # Errors
 /// Those of the sink. A step that fails is not an error but an [`Ending`].
-pub fn integrate<const N: usize, S: Sink<N>>(
+pub fn integrate<'a, const N: usize, S: Sink<N>>(
     body: &RigidBody<N>,
     stepper: &mut dyn Stepper<N>,
-    initial: &State<N>,
+    origin: impl Into<Origin<'a, N>>,
     schedule: Schedule,
     observables: Observables,
     sink: &mut S,
     mut go_on: impl FnMut(u64) -> bool,
 ) -> Result<Trajectory<N>, S::Error> {
     let Schedule { step_s, steps, every } = schedule;
+    let Origin { initial, checkpoint } = origin.into();
     let observer = Observer::new(body, initial, observables);
-    stepper.start(initial);
     let mut ending = Ending::Completed;
     let (mut step, mut iterations) = (0, 0);
     let (mut sampled, mut samples) = (None, 0);
     let mut convergence = None;
+    match checkpoint {
+        None => stepper.start(initial),
+        Some(found) => {
+            stepper.start(&found.state());
+            (step, iterations) = (found.step, found.iterations);
+            (sampled, samples) = (Some(step), found.samples);
+            convergence = found.convergence;
+        }
+    }
     loop {
         let over = step == steps || ending != Ending::Completed;
         if (over || step % every == 0) && sampled != Some(step) {
-            match observer.sample(body, stepper, step, step as f64 * step_s, convergence) {
-                Ok(sample) => sink.record(&sample)?,
+            let time_s = step as f64 * step_s;
+            let sample = match observer.sample(body, stepper, step, time_s, convergence) {
+                Ok(sample) => sample,
                 Err(failure) => {
                     ending = Ending::Failed(failure);
                     break;
                 }
-            }
+            };
+            sink.record(&sample)?;
             (sampled, samples) = (Some(step), samples + 1);
+            // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
+            if !over && sink.wants_checkpoint() {
+                let Sample { attitude, momentum, .. } = sample;
+                let checkpoint =
+                    Checkpoint { step, samples, attitude, momentum, iterations, convergence };
+                sink.checkpoint(&checkpoint)?;
+                stepper.start(&checkpoint.state());
+            }
         }
         if over {
             break;

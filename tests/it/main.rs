@@ -11,6 +11,7 @@ mod forms;
 mod laws;
 mod log;
 mod methods;
+mod resume;
 mod scenarios;
 mod verification;
 mod architecture;

@@ -1,15 +1,14 @@
 //! Every shipped scenario is a test: it runs through the front door and keeps to its own `expect` block.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 
-use vpd::run::{JobContext, Outcome, Summary, execute};
+use vpd::run::{Control, JobContext, Outcome, Summary, execute};
 use vpd::scenario::{SHIPPED, Scenario};
 
 pub(crate) fn run(text: &str, log: &Path) -> Summary {
     let scenario = Scenario::from_json(text.as_bytes()).expect("a good scenario");
-    let (steps_done, cancelled) = (AtomicU64::new(0), AtomicBool::new(false));
-    let context = JobContext { log, steps_done: &steps_done, cancelled: &cancelled };
+    let control = Control::default();
+    let context = JobContext { log, control: &control };
     execute(&scenario, &context).expect("the log can be written")
 }
 

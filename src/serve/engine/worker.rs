@@ -1,25 +1,29 @@
 //! The worker: takes a job from the queue, runs it, publishes how it ended.
 //!
 //! Invariant: whatever happens in a run (a failure, a full disk, a panic), the thread goes on and the job gets
-//! exactly one result, or none if the service stops, so that it runs again.
+//! exactly one result, or none if the service stops, so that it goes on at the next start. A job whose last
+//! run ended with its process runs alone until it has come further, so that no other is blamed for it.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use uuid::Uuid;
 
-use super::Shared;
-use crate::run::{JobContext, Outcome, Summary, execute};
+use super::{Index, Shared};
+use crate::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use crate::scenario::Scenario;
 use crate::serve::chain;
-use crate::serve::job::{Control, Fault, Job, Phase, State};
+use crate::serve::job::{Fault, Job, Phase, State};
 use crate::serve::store::{Record, StoreError};
 
 /// Pause between attempts to write a result: long enough not to spin, short enough to notice space
 /// that returns.
 const RETRY_PAUSE: Duration = Duration::from_secs(1);
+
+/// How often a worker looks whether a suspect has come further.
+const SUSPECT_PAUSE: Duration = Duration::from_millis(100);
 
 /// A job in the hands of a worker.
 struct Task {
@@ -33,8 +37,10 @@ impl Shared {
     pub(super) fn work(&self) {
         while let Some(task) = self.next() {
             let caught = catch_unwind(AssertUnwindSafe(|| self.run(&task)));
-            let result = caught.unwrap_or_else(|_| Err(Fault::panicked()));
+            let result = caught.unwrap_or_else(|_| Err(Broken::Fault(Fault::panicked())));
             self.conclude(&task, result);
+            // Others may have waited for this one.
+            self.work.notify_all();
         }
     }
 
@@ -43,55 +49,53 @@ impl Shared {
         let mut index = self.index();
         loop {
             index.alive.as_ref()?;
-            let id = index.queue.pop_front();
-            if let Some(id) = id
+            if index.queue.is_empty() {
+                index = self.work.wait(index).unwrap_or_else(PoisonError::into_inner);
+            } else if index.must_wait() {
+                let waited = self.work.wait_timeout(index, SUSPECT_PAUSE);
+                index = waited.unwrap_or_else(PoisonError::into_inner).0;
+            } else if let Some(id) = index.queue.pop_front()
                 && let Some(job) = index.jobs.get_mut(&id)
             {
                 let control = Arc::new(Control::default());
+                control.cancelled.store(job.cancelled, Ordering::Relaxed);
                 job.attempts += 1;
-                job.phase = Phase::Running {
-                    control: control.clone(),
-                    since: Instant::now(),
-                    unwanted: false,
-                };
-                return Some(Task { id, attempt: job.attempts, control });
-            }
-            if id.is_none() {
-                index = self.work.wait(index).unwrap_or_else(std::sync::PoisonError::into_inner);
+                let attempt = job.attempts;
+                job.phase = Phase::Running { control: control.clone(), since: Instant::now() };
+                return Some(Task { id, attempt, control });
             }
         }
     }
 
-    fn run(&self, task: &Task) -> Result<Summary, Fault> {
+    fn run(&self, task: &Task) -> Result<Summary, Broken> {
         let Task { id, attempt, control } = task;
         let storage = |error: StoreError| {
             tracing::error!(job = %id, error = chain(&error), "store failed");
             Fault::storage(&error)
         };
         tracing::info!(job = %id, attempt, "job runs");
-        self.store.remove_leftovers(*id).map_err(storage)?;
+        self.store.reopen_log(*id).map_err(storage)?;
         self.runtime.block_on(self.store.begin_attempt(*id, *attempt)).map_err(storage)?;
         let text = self.runtime.block_on(self.store.scenario(*id)).map_err(storage)?;
         let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
         let log = self.store.log_path(*id);
-        let context = JobContext {
-            log: &log,
-            steps_done: &control.steps_done,
-            cancelled: &control.cancelled,
-        };
-        execute(&scenario, &context).map_err(|error| {
-            tracing::error!(job = %id, error = chain(&error), "run broke off");
-            Fault::run(&error)
+        execute(&scenario, &JobContext { log: &log, control }).map_err(|error| match error {
+            RunError::Interrupted => Broken::Interrupted,
+            error => {
+                tracing::error!(job = %id, error = chain(&error), "run broke off");
+                Broken::Fault(Fault::run(&error))
+            }
         })
     }
 
-    fn conclude(&self, task: &Task, result: Result<Summary, Fault>) {
+    fn conclude(&self, task: &Task, result: Result<Summary, Broken>) {
         let Task { id, attempt, control } = task;
-        let Some((record, unwanted)) = self.record(task, &result) else { return };
-        let stopping = self.index().alive.is_none();
-        if record.state == State::Cancelled && stopping && !unwanted {
-            return self.hand_back(*id, *attempt);
-        }
+        let result = match result {
+            Ok(summary) => Ok(summary),
+            Err(Broken::Fault(fault)) => Err(fault),
+            Err(Broken::Interrupted) => return self.hand_back(*id, *attempt),
+        };
+        let Some(record) = self.record(task, &result) else { return };
         if !record.has_log
             && let Err(error) = self.store.remove_leftovers(*id)
         {
@@ -107,11 +111,10 @@ impl Shared {
         }
     }
 
-    /// What to publish, and whether a client wanted the job stopped.
-    fn record(&self, task: &Task, result: &Result<Summary, Fault>) -> Option<(Record, bool)> {
+    /// What to publish.
+    fn record(&self, task: &Task, result: &Result<Summary, Fault>) -> Option<Record> {
         let index = self.index();
         let job = index.jobs.get(&task.id)?;
-        let unwanted = matches!(job.phase, Phase::Running { unwanted: true, .. });
         let mut record = match result {
             Ok(summary) => {
                 let state = match summary.outcome {
@@ -132,7 +135,7 @@ impl Shared {
             Err(fault) => job.record(State::Failed, Some(fault)),
         };
         record.steps_done = task.control.steps_done.load(Ordering::Relaxed);
-        Some((record, unwanted))
+        Some(record)
     }
 
     /// Writes the result, however long the disk refuses it: a state that is shown must be on the disk.
@@ -148,7 +151,7 @@ impl Shared {
             let waited = self
                 .halt
                 .wait_timeout_while(self.index(), RETRY_PAUSE, |index| index.alive.is_some());
-            let (index, _) = waited.unwrap_or_else(std::sync::PoisonError::into_inner);
+            let (index, _) = waited.unwrap_or_else(PoisonError::into_inner);
             index.alive.as_ref()?;
         }
     }
@@ -162,6 +165,32 @@ impl Shared {
             job.attempts -= 1;
             job.phase = Phase::Queued;
         }
-        tracing::info!(job = %id, "job interrupted; it runs again at the next start");
+        tracing::info!(job = %id, "job interrupted; it goes on at the next start");
+    }
+}
+
+impl Index {
+    /// Whether the next job has to wait: it, or one that runs, may be what ended the process.
+    fn must_wait(&self) -> bool {
+        let mut running =
+            self.jobs.values().filter(|job| matches!(job.phase, Phase::Running { .. }));
+        let next = self.queue.front().and_then(|id| self.jobs.get(id));
+        if next.is_some_and(|job| job.suspect) {
+            running.next().is_some()
+        } else {
+            running.any(Job::is_suspect)
+        }
+    }
+}
+
+/// Why a run has no summary.
+enum Broken {
+    Fault(Fault),
+    Interrupted,
+}
+
+impl From<Fault> for Broken {
+    fn from(fault: Fault) -> Self {
+        Self::Fault(fault)
     }
 }

@@ -140,7 +140,9 @@ fn a_cancellation_survives_a_crash() {
     let (id, directory) = crashed(&data, 1);
     fs::write(directory.join("cancel"), "").expect("written");
     let server = service(&data).start();
-    assert_eq!(server.job(&id)["state"], "cancelled");
+    server.wait(&id, "cancelled");
+    // What had run before is given an end that can be read.
+    assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
 }
 
 #[test]

@@ -11,7 +11,7 @@ use super::fixture::*;
 #[test]
 fn a_dropped_writer_leaves_nothing() {
     let (folder, path) = place();
-    let mut log = LogWriter::<3>::create(&path, header()).expect("create");
+    let mut log = LogWriter::<3>::create(&path, &header()).expect("create");
     run_dipole(&mut log, 25);
     assert!(part_path(&path).exists());
     assert!(!path.exists());
@@ -22,7 +22,7 @@ fn a_dropped_writer_leaves_nothing() {
 #[test]
 fn a_running_log_reads_up_to_its_last_chunk() {
     let (_folder, path) = place();
-    let mut log = LogWriter::<3>::create(&path, header()).expect("create");
+    let mut log = LogWriter::<3>::create(&path, &header()).expect("create");
     run_dipole(&mut log, 25);
     let found = inspect(&part_path(&path)).expect("read");
     assert!(!found.finished);
@@ -73,7 +73,7 @@ fn a_flipped_bit_is_always_reported() {
     for compression in [Compression::Zstd, Compression::Lz4, Compression::None] {
         let (_folder, path) = place();
         let header = LogHeader { compression, ..header() };
-        let mut log = LogWriter::<3>::create(&path, header).expect("create");
+        let mut log = LogWriter::<3>::create(&path, &header).expect("create");
         run_dipole(&mut log, 25);
         log.finish(succeeded()).expect("finish");
         let bytes = fs::read(&path).expect("read");
@@ -112,7 +112,7 @@ fn a_flipped_bit_is_always_reported() {
 fn storage_errors_are_told_and_nothing_stays() {
     let (folder, _) = place();
     let missing = folder.path().join("missing").join("a.mcap");
-    let error = LogWriter::<3>::create(&missing, header()).err().expect("no such folder");
+    let error = LogWriter::<3>::create(&missing, &header()).err().expect("no such folder");
     assert_eq!(error.code(), "storage_error");
     assert!(error.to_string().contains("cannot create"), "{error}");
 }
@@ -121,7 +121,7 @@ fn storage_errors_are_told_and_nothing_stays() {
 fn a_full_disk_fails_the_log() {
     let (folder, path) = place();
     std::os::unix::fs::symlink("/dev/full", part_path(&path)).expect("symlink");
-    let mut log = match LogWriter::<3>::create(&path, header()) {
+    let mut log = match LogWriter::<3>::create(&path, &header()) {
         Ok(log) => log,
         Err(error) => {
             assert_eq!(error.code(), "storage_full");

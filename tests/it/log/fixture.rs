@@ -109,7 +109,7 @@ pub(super) fn try_run<const N: usize, S: Sink<N, Error = LogError>>(
 
 pub(super) fn write_dipole(steps: u64) -> (TempDir, PathBuf) {
     let (folder, path) = place();
-    let mut log = LogWriter::create(&path, header()).expect("create");
+    let mut log = LogWriter::create(&path, &header()).expect("create");
     run_dipole(&mut log, steps);
     log.message(Level::Info, steps as f64 * 0.01, "done").expect("message");
     log.finish(succeeded()).expect("finish");
@@ -167,7 +167,7 @@ pub(super) fn record_ends(bytes: &[u8]) -> Vec<usize> {
 }
 
 /// Vigna's xorshift64* generator: the same numbers on every machine.
-pub(super) fn next(state: &mut u64) -> u64 {
+pub(crate) fn next(state: &mut u64) -> u64 {
     *state ^= *state >> 12;
     *state ^= *state << 25;
     *state ^= *state >> 27;

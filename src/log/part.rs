@@ -1,0 +1,253 @@
+//! The file of an unfinished log: written, synced behind the writer's back, or compared with what is
+//! written anew.
+//!
+//! Invariant: bytes that were reported durable are on the disk and do not change any more, whatever
+//! happens to the process or the machine. A failed sync is never tried again: what it lost is not known.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufRead, BufReader, BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+/// Bytes compared at once when a log is taken up again.
+const COMPARED: usize = 64 << 10;
+
+/// A handle on the file; the MCAP layer writes through a copy of it.
+#[derive(Clone)]
+pub(super) struct Part(Arc<Mutex<Inner>>);
+
+struct Inner {
+    mode: Mode,
+    /// Bytes written so far, compared ones included.
+    position: u64,
+    /// Whether something was written that the file does not hold.
+    differs: bool,
+}
+
+enum Mode {
+    Writing(BufWriter<File>),
+    /// What is written must be what the file holds.
+    Comparing(BufReader<File>),
+    /// Nothing is written any more.
+    Left,
+}
+
+impl Part {
+    /// An empty file, over anything of that name.
+    pub(super) fn create(path: &Path) -> io::Result<Self> {
+        Ok(Self::new(Mode::Writing(BufWriter::new(File::create(path)?))))
+    }
+
+    /// The file that an interrupted run left; what is written is compared with it until its end or
+    /// [`Part::go_on`].
+    pub(super) fn compare(path: &Path) -> io::Result<Self> {
+        let file = OpenOptions::new().read(true).write(true).open(path)?;
+        let held = BufReader::with_capacity(COMPARED, file);
+        Ok(Self::new(Mode::Comparing(held)))
+    }
+
+    fn new(mode: Mode) -> Self {
+        Self(Arc::new(Mutex::new(Inner { mode, position: 0, differs: false })))
+    }
+
+    /// Cuts off what the file holds beyond what was written, and writes from here on.
+    pub(super) fn go_on(&self) -> io::Result<()> {
+        let mut inner = self.inner();
+        inner.write_from_here()?;
+        match &mut inner.mode {
+            Mode::Writing(buffer) => {
+                buffer.flush()?;
+                buffer.get_ref().sync_all()
+            }
+            _ => Err(io::Error::other("the file was left")),
+        }
+    }
+
+    /// Whether something was written that the file does not hold.
+    pub(super) fn differs(&self) -> bool {
+        self.inner().differs
+    }
+
+    /// Lets the file be as it is: what the MCAP layer writes when it is dropped goes nowhere.
+    pub(super) fn leave(&self) {
+        if let Mode::Writing(buffer) = std::mem::replace(&mut self.inner().mode, Mode::Left) {
+            // Not flushed: only whole chunks count, and those were.
+            drop(buffer.into_parts());
+        }
+    }
+
+    /// Everything to the disk, and the file closed.
+    pub(super) fn close(&self) -> io::Result<()> {
+        match std::mem::replace(&mut self.inner().mode, Mode::Left) {
+            Mode::Writing(buffer) => {
+                buffer.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()
+            }
+            _ => Err(io::Error::other("the file was left")),
+        }
+    }
+
+    fn second_handle(&self) -> io::Result<File> {
+        match &self.inner().mode {
+            Mode::Writing(buffer) => buffer.get_ref().try_clone(),
+            _ => Err(io::Error::other("the file is not being written")),
+        }
+    }
+
+    fn inner(&self) -> MutexGuard<'_, Inner> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Inner {
+    /// Ends the comparison at the place that was reached.
+    fn write_from_here(&mut self) -> io::Result<()> {
+        let Mode::Comparing(held) = &self.mode else { return Ok(()) };
+        let mut file = held.get_ref().try_clone()?;
+        file.set_len(self.position)?;
+        file.seek(SeekFrom::Start(self.position))?;
+        self.mode = Mode::Writing(BufWriter::new(file));
+        Ok(())
+    }
+
+    /// Compares the beginning of `bytes`; how many there were.
+    fn compare(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Mode::Comparing(held) = &mut self.mode else { return Ok(0) };
+        let expected = held.fill_buf()?;
+        let length = expected.len().min(bytes.len());
+        if expected[..length] != bytes[..length] {
+            self.differs = true;
+            return Err(io::Error::other("the file holds something else"));
+        }
+        held.consume(length);
+        Ok(length)
+    }
+}
+
+impl Write for Part {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut inner = self.inner();
+        let compared = inner.compare(bytes)?;
+        if compared == 0 && !bytes.is_empty() {
+            // The end of what the file holds: a kill may have cut off the index of the last chunk.
+            inner.write_from_here()?;
+        }
+        let written = match &mut inner.mode {
+            Mode::Writing(buffer) => buffer.write(bytes)?,
+            Mode::Comparing(_) => compared,
+            Mode::Left => bytes.len(),
+        };
+        inner.position += written as u64;
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        match &mut self.inner().mode {
+            Mode::Writing(buffer) => buffer.flush(),
+            Mode::Comparing(_) | Mode::Left => Ok(()),
+        }
+    }
+}
+
+impl Seek for Part {
+    /// Tells the position; the MCAP layer is set up to go nowhere else.
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        match to {
+            SeekFrom::Current(0) => Ok(self.inner().position),
+            _ => Err(io::Error::from(io::ErrorKind::NotSeekable)),
+        }
+    }
+}
+
+/// Syncs the file on a thread of its own, so that the integrator need not wait for the disk.
+pub(super) struct Syncer {
+    part: Part,
+    folder: PathBuf,
+    /// The step up to which the file is on the disk.
+    durable_step: Arc<AtomicU64>,
+    running: Option<(Sender<u64>, JoinHandle<io::Result<()>>)>,
+}
+
+impl Syncer {
+    pub(super) fn new(part: Part, path: &Path) -> Self {
+        let durable_step = Arc::new(AtomicU64::new(0));
+        Self { part, folder: folder(path).to_owned(), durable_step, running: None }
+    }
+
+    /// Brings what is flushed by now, the samples up to `step`, to the disk; soon, and without waiting.
+    ///
+    /// # Errors
+    /// If an earlier sync failed.
+    pub(super) fn request(&mut self, step: u64) -> io::Result<()> {
+        let (requests, _) = match &mut self.running {
+            Some(running) => running,
+            // Only now: most logs end within their first chunk.
+            None => {
+                let (file, folder) = (self.part.second_handle()?, self.folder.clone());
+                let (requests, requested) = channel();
+                let durable_step = self.durable_step.clone();
+                let thread = std::thread::Builder::new()
+                    .name("log-sync".to_owned())
+                    .spawn(move || sync(&file, &folder, &requested, &durable_step))?;
+                self.running.insert((requests, thread))
+            }
+        };
+        // The thread is gone only if it failed.
+        if requests.send(step).is_err() { self.settle() } else { Ok(()) }
+    }
+
+    /// Takes note that the file is on the disk up to `step`.
+    pub(super) fn settled(&self, step: u64) {
+        self.durable_step.store(step, Ordering::Relaxed);
+    }
+
+    pub(super) fn durable_step(&self) -> u64 {
+        self.durable_step.load(Ordering::Relaxed)
+    }
+
+    /// Waits for what was requested.
+    ///
+    /// # Errors
+    /// If a sync failed.
+    pub(super) fn settle(&mut self) -> io::Result<()> {
+        let Some((requests, thread)) = self.running.take() else { return Ok(()) };
+        drop(requests);
+        thread.join().unwrap_or_else(|_| Err(io::Error::other("the sync panicked")))
+    }
+}
+
+/// The life of the thread: syncs as often as the disk can, and no more often than it was asked to.
+fn sync(
+    file: &File,
+    folder: &Path,
+    requested: &Receiver<u64>,
+    durable_step: &AtomicU64,
+) -> io::Result<()> {
+    let mut named = false;
+    while let Ok(step) = requested.recv() {
+        let step = requested.try_iter().last().unwrap_or(step);
+        file.sync_data()?;
+        if !named {
+            // A file is durable with its name.
+            sync_folder(folder)?;
+            named = true;
+        }
+        durable_step.store(step, Ordering::Relaxed);
+    }
+    Ok(())
+}
+
+/// The folder in which a file stands.
+pub(super) fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
+
+/// Makes names in a folder durable.
+pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
+}

@@ -1,0 +1,180 @@
+//! Takes up a log that was left unfinished.
+//!
+//! The chunks that are whole are fed to a new writer, whose bytes must be those of the file: then the
+//! writer stands where the old one stood, with all that it will say in its index, and goes on behind the
+//! last checkpoint. A log of another job or another build differs at its first record.
+//!
+//! Invariant: nothing of the file changes before all of it up to the last checkpoint was found to be
+//! what this build writes; and then only what stands behind it is cut off.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use mcap::records::MessageHeader;
+use prost::Message as _;
+
+use super::messages::{self, Figures};
+use super::part::Part;
+use super::reader::{self, Item};
+use super::schema::Channel;
+use super::writer::{LogHeader, LogWriter};
+use super::{LogError, part_path};
+use crate::solve::nonlinear::{Convergence, Rung};
+use crate::solve::so::Mat;
+use crate::solve::trajectory::Checkpoint;
+
+/// Where a log was taken up.
+#[derive(Clone, Debug)]
+pub struct Resumed<const N: usize> {
+    /// The trajectory goes on from here.
+    pub checkpoint: Checkpoint<N>,
+    /// Figures of the samples so far.
+    pub figures: Figures,
+}
+
+/// A message between two checkpoints.
+struct Pending {
+    channel: Channel,
+    time_ns: u64,
+    sequence: u32,
+    data: Vec<u8>,
+}
+
+impl<const N: usize> LogWriter<N> {
+    /// Takes up the unfinished log of `path` behind its last checkpoint. `None` if there is none that
+    /// this build would write for this job, or none with a checkpoint; nothing is changed then.
+    ///
+    /// # Errors
+    /// If the file cannot be read, or not be cut off behind the checkpoint.
+    pub fn resume(path: &Path, header: &LogHeader) -> Result<Option<(Self, Resumed<N>)>, LogError> {
+        let part = part_path(path);
+        let failed = |source| LogError::io(path, "resume", source);
+        let file = match Part::compare(&part) {
+            Ok(file) => file,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+            Err(error) => return Err(failed(error)),
+        };
+        let (mut log, mut found) = match Self::begin(path, header, file.clone()) {
+            Ok(log) => (log, None),
+            Err(_) if file.differs() => return Ok(None),
+            Err(error) => return Err(error),
+        };
+        let mut pending = Vec::new();
+        let mut fed = Ok(());
+        reader::read(&part, |item| {
+            match item {
+                Item::Message { topic, time_ns, sequence, data, .. } => {
+                    let Some(channel) = Channel::from_topic(topic) else {
+                        return ControlFlow::Break(());
+                    };
+                    pending.push(Pending { channel, time_ns, sequence, data: data.to_vec() });
+                }
+                Item::Checkpoint { data } => {
+                    let Some(resumed) = decode(data) else { return ControlFlow::Break(()) };
+                    fed = log.feed(std::mem::take(&mut pending), data, &resumed.checkpoint);
+                    if fed.is_err() {
+                        return ControlFlow::Break(());
+                    }
+                    found = Some(resumed);
+                }
+                Item::Metadata { .. } | Item::Attachment { .. } => {}
+            }
+            ControlFlow::Continue(())
+        })?;
+        match (fed, found) {
+            (Err(error), _) if !file.differs() => Err(error),
+            (Ok(()), Some(resumed)) => {
+                file.go_on().map_err(failed)?;
+                log.part = part;
+                log.syncer.settled(resumed.checkpoint.step);
+                Ok(Some((log, resumed)))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Writes again what a chunk held, up to its checkpoint.
+    fn feed(
+        &mut self,
+        messages: Vec<Pending>,
+        record: &[u8],
+        checkpoint: &Checkpoint<N>,
+    ) -> Result<(), LogError> {
+        for Pending { channel, time_ns, sequence, data } in messages {
+            let channel_id = self.id(channel)?;
+            let header =
+                MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
+            self.write(&header, &data)?;
+        }
+        self.samples = checkpoint.samples;
+        self.close_chunk(Some(record))
+    }
+}
+
+/// The step of the last checkpoint of an unfinished log: how far an interrupted run has come. `None` if
+/// there is no such log, or none that holds a checkpoint.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn last_checkpoint(path: &Path) -> Result<Option<u64>, LogError> {
+    let part = part_path(path);
+    let mut last = None;
+    if part.exists() {
+        reader::read(&part, |item| {
+            if let Item::Checkpoint { data } = item {
+                last = messages::Checkpoint::decode(data).ok().map(|found| found.step);
+            }
+            ControlFlow::Continue(())
+        })?;
+    }
+    Ok(last)
+}
+
+/// The record of a checkpoint.
+pub(super) fn encode<const N: usize>(checkpoint: &Checkpoint<N>, figures: Figures) -> Vec<u8> {
+    // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
+    let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
+    let solver = checkpoint.convergence.map(|solved| messages::Solver {
+        iterations: solved.iterations,
+        increment: solved.increment,
+        rung: solved.rung.as_str().to_owned(),
+        sigma_min: None,
+    });
+    let message = messages::Checkpoint {
+        step: checkpoint.step,
+        samples: checkpoint.samples,
+        attitude: checkpoint.attitude.as_ref().map_or_else(Vec::new, rows),
+        body_momentum: rows(&checkpoint.momentum),
+        iterations: checkpoint.iterations,
+        solver,
+        figures: Some(figures),
+    };
+    message.encode_to_vec()
+}
+
+fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
+    let message = messages::Checkpoint::decode(record).ok()?;
+    let matrix = |rows: &[f64]| (rows.len() == N * N).then(|| Mat::<N>::from_row_slice(rows));
+    let attitude = match message.attitude.as_slice() {
+        [] => None,
+        rows => Some(matrix(rows)?),
+    };
+    let convergence = match message.solver {
+        None => None,
+        Some(solver) => {
+            let rungs = [Rung::FixedPoint, Rung::Newton, Rung::Explicit];
+            let rung = rungs.into_iter().find(|rung| rung.as_str() == solver.rung)?;
+            let messages::Solver { iterations, increment, .. } = solver;
+            Some(Convergence { iterations, increment, rung })
+        }
+    };
+    let checkpoint = Checkpoint {
+        step: message.step,
+        samples: message.samples,
+        attitude,
+        momentum: matrix(&message.body_momentum)?,
+        iterations: message.iterations,
+        convergence,
+    };
+    Some(Resumed { checkpoint, figures: message.figures.unwrap_or_default() })
+}

@@ -1,0 +1,208 @@
+//! An interrupted run goes on, and nobody can tell from its log.
+
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::thread;
+
+use serde_json::{Value, json};
+use vpd::log::inspect::inspect;
+use vpd::log::part_path;
+use vpd::log::resume::last_checkpoint;
+use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
+use vpd::scenario::Scenario;
+
+/// The dipole, for every method that can run it.
+fn dipole(method: &Value) -> Value {
+    let mut scenario: Value =
+        serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
+    scenario["method"] = method.clone();
+    scenario["steps"] = json!(6000);
+    scenario["log"] = json!({ "every": 1 });
+    scenario
+}
+
+fn shipped(text: &str, steps: u64) -> Value {
+    let mut scenario: Value = serde_json::from_str(text).expect("shipped");
+    if let Some(fields) = scenario.as_object_mut() {
+        fields.remove("duration_s");
+        fields.remove("expect");
+    }
+    scenario["steps"] = json!(steps);
+    scenario["log"] = json!({ "every": 1 });
+    scenario
+}
+
+fn checked(scenario: &Value) -> Scenario {
+    Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario")
+}
+
+fn run(scenario: &Scenario, log: &Path) -> Summary {
+    execute(scenario, &JobContext { log, control: &Control::default() }).expect("a log")
+}
+
+/// Runs until about `step`, or to the end if that comes first.
+fn run_until(scenario: &Scenario, log: &Path, step: u64) -> (Result<Summary, RunError>, Control) {
+    let control = Control::default();
+    let result = thread::scope(|scope| {
+        let worker = scope.spawn(|| execute(scenario, &JobContext { log, control: &control }));
+        while control.steps_done.load(Ordering::Relaxed) < step && !worker.is_finished() {
+            thread::yield_now();
+        }
+        control.interrupted.store(true, Ordering::Relaxed);
+        worker.join().expect("no panic")
+    });
+    (result, control)
+}
+
+/// What a kill leaves is a beginning of the whole log: whatever beginning it is, the run that takes it up
+/// ends with the whole.
+fn take_up(scenario: &Value, cuts: &[f64]) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
+    let scenario = checked(scenario);
+    let reference = run(&scenario, &whole);
+    let bytes = fs::read(&whole).expect("a log");
+    let mut furthest = 0;
+    for part in cuts {
+        let length = (part * bytes.len() as f64) as usize;
+        fs::write(part_path(&cut), &bytes[..length]).expect("written");
+        let step = last_checkpoint(&cut).expect("readable").unwrap_or(0);
+        let summary = run(&scenario, &cut);
+        assert_eq!(summary.resumed_step, step, "cut at {part}");
+        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, taken up at {step}");
+        let same = Summary {
+            log: reference.log.clone(),
+            wall_s: reference.wall_s,
+            ns_per_step: reference.ns_per_step,
+            resumed_step: 0,
+            ..summary
+        };
+        assert_eq!(same, reference);
+        furthest = furthest.max(step);
+    }
+    assert!(furthest > reference.steps / 4, "the furthest checkpoint was at {furthest}");
+}
+
+#[test]
+fn every_method_goes_on_to_the_same_bytes() {
+    let methods = [
+        json!({ "name": "vpd", "tableau": "gauss2" }),
+        json!({ "name": "vpd", "tableau": "gauss4" }),
+        json!({ "name": "vpd_lagrangian", "tableau": "gauss2" }),
+        json!({ "name": "vrkmk", "tableau": "gauss2" }),
+        json!({ "name": "vrkmk_projected", "tableau": "rk3" }),
+        json!({ "name": "rkmk" }),
+        json!({ "name": "rk" }),
+        json!({ "name": "rk_projected" }),
+        json!({ "name": "splitting" }),
+        json!({ "name": "lgvi" }),
+        json!({ "name": "quaternion_gauss", "tableau": "gauss2" }),
+    ];
+    for method in methods {
+        println!("{method}");
+        take_up(&dipole(&method), &[0.4, 0.9]);
+    }
+}
+
+#[test]
+fn every_dimension_and_compression_goes_on_to_the_same_bytes() {
+    take_up(&shipped(include_str!("../../scenarios/so4-free.json"), 4000), &[0.9]);
+    take_up(&shipped(include_str!("../../scenarios/so5-spring.json"), 3000), &[0.9]);
+    for compression in ["lz4", "none"] {
+        let mut scenario = dipole(&json!({ "name": "vpd" }));
+        scenario["log"]["compression"] = json!(compression);
+        take_up(&scenario, &[0.01, 0.3, 0.6, 0.9, 0.995, 1.0]);
+    }
+    // No attitude is carried, no state logged.
+    let mut free = shipped(include_str!("../../scenarios/so4-free.json"), 60_000);
+    free["log"]["channels"] = json!(["/energy", "/momentum"]);
+    take_up(&free, &[0.9]);
+}
+
+#[test]
+fn an_interrupted_run_leaves_what_it_promised() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, parts) = (folder.path().join("whole.mcap"), folder.path().join("parts.mcap"));
+    let mut scenario = dipole(&json!({ "name": "vpd" }));
+    scenario["steps"] = json!(40_000);
+    let scenario = checked(&scenario);
+    run(&scenario, &whole);
+    let mut resumed = 0;
+    for stop in [8_000, 8_100, 20_000] {
+        let (result, control) = run_until(&scenario, &parts, stop);
+        // On a machine that let the run pass us by there is nothing to see.
+        if result.is_ok() {
+            break;
+        }
+        assert!(matches!(result, Err(RunError::Interrupted)), "{result:?}");
+        assert!(!parts.exists());
+        let found = last_checkpoint(&parts).expect("readable").unwrap_or_default();
+        let durable_step = control.durable_step.load(Ordering::Relaxed);
+        assert!(durable_step <= found, "{durable_step} was promised, {found} is there");
+        assert!(found >= resumed);
+        resumed = found;
+    }
+    assert_eq!(run(&scenario, &parts).outcome, Outcome::Succeeded);
+    assert!(fs::read(&whole).expect("a log") == fs::read(&parts).expect("a log"));
+}
+
+#[test]
+fn a_run_that_fails_or_is_cancelled_after_an_interruption_ends_with_a_finished_log() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("log.mcap");
+    let scenario = checked(&dipole(&json!({ "name": "vpd" })));
+    run(&scenario, &log);
+    fs::rename(&log, part_path(&log)).expect("renamed");
+    let control = Control::default();
+    control.cancelled.store(true, Ordering::Relaxed);
+    let summary = execute(&scenario, &JobContext { log: &log, control: &control }).expect("a log");
+    assert_eq!(summary.outcome, Outcome::Cancelled);
+    assert!(summary.resumed_step > 0 && summary.steps == summary.resumed_step);
+    let found = inspect(&log).expect("readable");
+    assert!(found.finished, "{found}");
+    assert_eq!(found.samples, summary.samples);
+}
+
+#[test]
+fn what_another_job_or_a_bad_disk_left_is_not_taken_up() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let scenario = checked(&dipole(&json!({ "name": "vpd" })));
+    run(&scenario, &at("whole.mcap"));
+    let whole = fs::read(at("whole.mcap")).expect("a log");
+    let left = whole[..whole.len() * 9 / 10].to_vec();
+    let mut other = dipole(&json!({ "name": "vpd" }));
+    other["step_s"] = json!(0.005);
+    let other = checked(&other);
+    run(&other, &at("other.mcap"));
+
+    // Of another job: begun anew.
+    fs::write(part_path(&at("other-again.mcap")), &left).expect("written");
+    assert_eq!(run(&other, &at("other-again.mcap")).resumed_step, 0);
+    assert!(
+        fs::read(at("other-again.mcap")).expect("a log")
+            == fs::read(at("other.mcap")).expect("a log")
+    );
+
+    // Cut anywhere, or with a bit flipped anywhere: taken up before the damage, or begun anew.
+    let seed = 0x5eed_0005_u64;
+    println!("seed {seed:#x}");
+    let mut random = seed;
+    let (mut anew, mut taken_up) = (0, 0);
+    for k in 0..60 {
+        let draw = super::log::next(&mut random) as usize;
+        let mut bytes = left.clone();
+        if k % 2 == 0 {
+            bytes.truncate(draw % left.len());
+        } else {
+            bytes[draw % left.len()] ^= 1 << ((draw >> 40) % 8);
+        }
+        fs::write(part_path(&at("log.mcap")), bytes).expect("written");
+        let summary = run(&scenario, &at("log.mcap"));
+        *if summary.resumed_step == 0 { &mut anew } else { &mut taken_up } += 1;
+        assert!(fs::read(at("log.mcap")).expect("a log") == whole, "seed {seed:#x}, case {k}");
+    }
+    println!("{taken_up} taken up, {anew} begun anew");
+    assert!(anew > 0 && taken_up > 0, "{taken_up} taken up, {anew} begun anew");
+}
