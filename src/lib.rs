@@ -12,8 +12,10 @@
 
 pub mod scenario;
 pub mod plan;
+mod assemble;
 pub mod run;
 pub mod solve;
+pub mod study;
 pub mod log;
 pub mod chart;
 pub mod serve;

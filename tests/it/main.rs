@@ -12,6 +12,8 @@ mod laws;
 mod log;
 mod methods;
 mod scenarios;
+mod stability;
+mod study;
 mod verification;
 mod architecture;
 mod vrkmk;
