@@ -25,8 +25,12 @@ use crate::plan::Plan;
 use crate::run::{self, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
 use crate::serve::{self, Cors, ServeConfig, ServeError};
+use crate::study::StudyError;
 
+mod study;
 mod text;
+
+use study::{ChartArgs, StabilityArgs};
 
 /// Rotating bodies on SO(n): symplectic, on the group to round-off, logged as MCAP.
 #[derive(Debug, Parser)]
@@ -42,8 +46,10 @@ enum Command {
     Run(RunArgs),
     /// Say what a scenario will model and why, without running it.
     Plan(PlanArgs),
-    /// Draw energy, orthogonality and momentum over time from logs, as SVG.
+    /// Draw a scenario's speed against accuracy, orders and long-term energy, or what logs hold, as SVG.
     Chart(ChartArgs),
+    /// Find the steps at which each method fails on a scenario: a map and the largest usable steps.
+    Stability(StabilityArgs),
     /// Take jobs over HTTP, run them on worker threads, hand out their logs.
     Serve(ServeArgs),
     /// Sum up a log, finished or not.
@@ -106,16 +112,6 @@ struct PlanArgs {
 }
 
 #[derive(Debug, Args)]
-struct ChartArgs {
-    /// The logs; several are drawn on one axis and named after their files.
-    #[arg(required = true, value_name = "LOG.mcap")]
-    logs: Vec<PathBuf>,
-    /// Where the charts go.
-    #[arg(short, long, value_name = "DIR", default_value = ".")]
-    output: PathBuf,
-}
-
-#[derive(Debug, Args)]
 struct ServeArgs {
     /// Address to listen on.
     #[arg(long, env = "VPD_LISTEN", default_value = "127.0.0.1:8080")]
@@ -160,6 +156,10 @@ enum CliError {
     #[error(transparent)]
     Chart(#[from] chart::ChartError),
     #[error(transparent)]
+    Study(#[from] StudyError),
+    #[error("scenarios and logs are mixed: give either")]
+    Mixed,
+    #[error(transparent)]
     Serve(#[from] ServeError),
     #[error("cannot listen on {address}: {source}")]
     Listen { address: SocketAddr, source: io::Error },
@@ -170,9 +170,11 @@ enum CliError {
 impl CliError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Read { .. } | Self::Scenario { .. } | Self::Run(RunError::Scenario(_)) => {
-                ExitCode::from(2)
-            }
+            Self::Read { .. }
+            | Self::Scenario { .. }
+            | Self::Run(RunError::Scenario(_))
+            | Self::Study(StudyError::Scenario(_))
+            | Self::Mixed => ExitCode::from(2),
             _ => ExitCode::from(1),
         }
     }
@@ -185,7 +187,8 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Run(args) => run(&args),
         Command::Plan(args) => plan(&args),
-        Command::Chart(args) => draw(&args),
+        Command::Chart(args) => study::draw(&args),
+        Command::Stability(args) => study::map(&args),
         Command::Serve(args) => serve(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
@@ -285,15 +288,6 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
         print_json(&plan)?;
     } else {
         io::stdout().write_all(text::plan(scenario.name(), &plan).as_bytes())?;
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
-fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
-    let written = chart::draw_logs(&args.logs, &args.output)?;
-    let mut out = io::stdout();
-    for path in written {
-        writeln!(out, "{}", path.display())?;
     }
     Ok(ExitCode::SUCCESS)
 }

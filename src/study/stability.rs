@@ -22,7 +22,7 @@ pub enum Class {
     WrongBranch,
     /// The attitude is no rotation any more.
     LeftGroup,
-    /// The energy error is as large as the energy that moves.
+    /// The energy error is beyond a tenth of the energy that moves: the run means nothing.
     BlewUp,
     /// A step could not be made.
     Failed(FailureCode),
@@ -94,6 +94,8 @@ const TURNS_RAD: (f64, f64) = (0.03, 6.0);
 const RUN_STEPS: u64 = 4000;
 /// The step beyond the border is at most so many times the largest usable one.
 const BORDER_RATIO: f64 = 1.05;
+/// An energy error beyond this part of the kinetic energy is no integration.
+const MEANINGLESS: f64 = 0.1;
 /// An attitude this far from orthogonal is no rotation.
 const OFF_GROUP: f64 = 1e-6;
 /// A step that ends further than this from where it should has gone to another branch: 60 degrees.
@@ -182,7 +184,7 @@ impl<'a> Judge<'a> {
             step_s,
             steps: RUN_STEPS,
             every: 1,
-            energy_limit: self.scales.kinetic,
+            energy_limit: MEANINGLESS * self.scales.kinetic,
             keep: false,
         };
         let run = measure(self.scene, probe, watch)?;
@@ -211,15 +213,16 @@ impl<'a> Judge<'a> {
             return Ok(Class::WrongBranch);
         }
         let errors: Vec<f64> = run.series.iter().map(|&(_, energy, _)| energy).collect();
-        // Beyond chance in each half and the same way in both: a swing slower than the run has a trend too.
+        // Beyond chance in each half, and alike in both: a swing slower than the run has a trend too.
         let halves = [&errors[..errors.len() / 2], &errors[errors.len() / 2..]].map(trend);
-        let (first, second) = (halves[0].0, halves[1].0);
         let beyond_chance = halves.iter().all(|(change, chance)| change.abs() > 4.0 * chance);
+        let [(first, _), (second, _)] = halves;
+        let alike = first * second > 0.0 && (0.25..4.0).contains(&(first / second));
         // Beyond the amplitude of what only swings, and beyond round-off.
         let largest = run.energy_error();
         let drifts = beyond_chance
-            && first * second > 0.0
-            && (first + second).abs() > 0.5 * largest
+            && alike
+            && (first + second).abs() > 0.6 * largest
             && largest > 1e-12 * self.scales.kinetic;
         Ok(if drifts { Class::EnergyDrifts } else { Class::Stable })
     }
