@@ -19,6 +19,7 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
+use crate::advise;
 use crate::chart;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
@@ -100,6 +101,9 @@ struct RunArgs {
     /// Print one JSON summary on stdout.
     #[arg(long)]
     json: bool,
+    /// Compute a reference afterwards and tell the error of the last state.
+    #[arg(long)]
+    error: bool,
 }
 
 #[derive(Debug, Args)]
@@ -212,7 +216,7 @@ fn planned(args: &ScenarioArgs) -> Result<(Scenario, Plan), CliError> {
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
     let scenario = Scenario::from_json(&text).map_err(wrong)?;
-    let plan = Plan::new(&scenario).map_err(wrong)?;
+    let plan = advise::plan(&scenario).map_err(wrong)?;
     Ok((scenario, plan))
 }
 
@@ -246,7 +250,10 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let log = args.output.clone().unwrap_or_else(|| {
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
-    let summary = watched(&scenario, &plan, &log)?;
+    let mut summary = watched(&scenario, &plan, &log)?;
+    if args.error && summary.outcome == Outcome::Succeeded {
+        summary.error = Some(advise::error_at_end(&scenario)?);
+    }
     if args.json {
         print_json(&summary)?;
     } else {

@@ -16,6 +16,7 @@ mod assemble;
 pub mod run;
 pub mod solve;
 pub mod study;
+pub mod advise;
 pub mod log;
 pub mod chart;
 pub mod serve;

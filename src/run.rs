@@ -11,14 +11,16 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use thiserror::Error;
 
+use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::LogError;
 use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
-use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
+use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
 
+mod advice;
 mod geometry;
 mod summary;
 
@@ -64,7 +66,7 @@ impl RunError {
 /// # Errors
 /// If the scenario cannot be planned or the log cannot be written; no log is left then.
 pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary, RunError> {
-    let plan = Plan::new(scenario)?;
+    let plan = advise::plan(scenario)?;
     assembled(&plan, Run { scenario, plan: &plan, context })
 }
 
@@ -86,10 +88,10 @@ impl Task for Run<'_> {
 fn run<const N: usize>(
     scenario: &Scenario,
     plan: &Plan,
-    assembly: Assembly<N>,
+    mut assembly: Assembly<N>,
     context: &JobContext<'_>,
 ) -> Result<Summary, RunError> {
-    let Assembly { body, mut stepper, initial } = assembly;
+    let Assembly { body, stepper, initial } = &mut assembly;
     let begun = Instant::now();
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let writer = LogWriter::<N>::create(context.log, header(scenario, plan))?;
@@ -98,9 +100,9 @@ fn run<const N: usize>(
     recorder.writer.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
     let integrating = Instant::now();
     let end = trajectory::integrate(
-        &body,
+        body,
         stepper.as_mut(),
-        &initial,
+        initial,
         schedule,
         observables(plan),
         &mut recorder,
@@ -116,7 +118,14 @@ fn run<const N: usize>(
         Ending::Completed => (Outcome::Succeeded, None),
         Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
-            (Outcome::Failed, Some(summary::diagnosis(failure, end.steps, plan.step_s)))
+            let last = State {
+                attitude: end.attitude.unwrap_or(initial.attitude),
+                momentum: end.momentum,
+            };
+            let advised =
+                advice::advised_step(&mut assembly, &last, end.steps, plan.step_s, failure);
+            let diagnosis = summary::diagnosis(failure, end.steps, plan.step_s, advised);
+            (Outcome::Failed, Some(diagnosis))
         }
     };
     let Recorder { mut writer, extremes, .. } = recorder;
@@ -134,6 +143,7 @@ fn run<const N: usize>(
         time_s,
         samples: end.samples,
         last: summary::final_state(&end),
+        error: None,
         energy: extremes.energy,
         orthogonality: extremes
             .orthogonality

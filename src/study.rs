@@ -33,6 +33,9 @@ pub enum StudyError {
     /// There is no reference to measure against.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
+    /// The run whose error was asked for fails.
+    #[error("the run fails, so its end has no error")]
+    Failed,
     /// Somebody stopped it.
     #[error("the study was cancelled")]
     Cancelled,
@@ -108,16 +111,16 @@ pub(crate) fn solver_word(kind: SolverKind) -> &'static str {
 /// The solvers that the VPD methods take by name.
 const SOLVERS: &[SolverKind] = &[SolverKind::FixedPoint];
 
-fn with_tableau(name: MethodName, tableau: TableauName) -> Method {
+pub(crate) fn with_tableau(name: MethodName, tableau: TableauName) -> Method {
     Method { name, tableau: Some(TableauChoice::Named(tableau)), ..Method::default() }
 }
 
-fn with_order(name: MethodName, order: u32) -> Method {
+pub(crate) fn with_order(name: MethodName, order: u32) -> Method {
     Method { name, order: Some(order), ..Method::default() }
 }
 
 /// Those of the methods that run on the scene.
-fn entries(scene: &Scenario, methods: Vec<Method>) -> Vec<Entry> {
+pub(crate) fn entries(scene: &Scenario, methods: Vec<Method>) -> Vec<Entry> {
     let three = scene.dimension() == 3;
     methods
         .into_iter()

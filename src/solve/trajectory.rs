@@ -134,13 +134,19 @@ pub fn integrate<const N: usize, S: Sink<N>>(
     let (mut step, mut iterations) = (0, 0);
     let (mut sampled, mut samples) = (None, 0);
     let mut convergence = None;
+    let mut last = (Some(initial.attitude), initial.momentum);
     loop {
         let over = step == steps || ending != Ending::Completed;
         if (over || step % every == 0) && sampled != Some(step) {
             match observer.sample(body, stepper, step, step as f64 * step_s, convergence) {
-                Ok(sample) => sink.record(&sample)?,
+                Ok(sample) => {
+                    last = (sample.attitude, sample.momentum);
+                    sink.record(&sample)?;
+                }
                 Err(failure) => {
+                    // The run is good up to the sample before: all that is reported ends there.
                     ending = Ending::Failed(failure);
+                    step = sampled.unwrap_or(0);
                     break;
                 }
             }
@@ -162,15 +168,9 @@ pub fn integrate<const N: usize, S: Sink<N>>(
             Err(failure) => ending = Ending::Failed(failure),
         }
     }
-    Ok(Trajectory {
-        ending,
-        steps: step,
-        samples,
-        attitude: stepper.attitude(),
-        momentum: stepper.momentum(),
-        iterations,
-        convergence,
-    })
+    // Every way out of the loop led past a sample of the last state.
+    let (attitude, momentum) = last;
+    Ok(Trajectory { ending, steps: step, samples, attitude, momentum, iterations, convergence })
 }
 
 /// Computes what a sample holds beside the state, measured against the start.

@@ -116,7 +116,8 @@ pub(crate) fn variant(
 ) -> Result<Plan, ScenarioError> {
     let mut scenario = scene.clone();
     scenario.method = method.clone();
-    (scenario.step_s, scenario.steps, scenario.duration_s) = (step_s, Some(steps), None);
+    (scenario.step_s, scenario.steps, scenario.duration_s) = (Some(step_s), Some(steps), None);
+    scenario.accuracy = None;
     let channels = vec![Channel::State, Channel::Energy, Channel::Orthogonality];
     scenario.log = LogOptions { channels: Some(channels), ..LogOptions::default() };
     Plan::new(&scenario)

@@ -52,8 +52,8 @@ pub enum ReferenceError {
 pub struct Reference {
     /// The time in seconds.
     pub time_s: f64,
-    /// The state.
-    pub point: Point,
+    /// The state at each eighth of the time, the start first.
+    pub points: Vec<Point>,
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
     pub momentum_scale: f64,
     /// How far the last two solutions of the first family are apart; no error below it can be told.
@@ -64,6 +64,8 @@ pub struct Reference {
     pub steps: u64,
 }
 
+/// Solutions are compared at so many times; their steps come in multiples of it.
+pub(crate) const EIGHTHS: u64 = 8;
 /// Two solutions that agree to this are taken.
 const AGREED: f64 = 1e-13;
 /// A reference worse than this is none.
@@ -83,15 +85,15 @@ impl Reference {
         watch: &Watch,
     ) -> Result<Self, StudyError> {
         let first = with_tableau(MethodName::Vpd, TableauName::Gauss8);
-        let start = (time_s / scales.easy_step_s).ceil().max(1.0) as u64;
-        let mut before = None;
+        let start = EIGHTHS * (time_s / scales.easy_step_s / EIGHTHS as f64).ceil().max(1.0) as u64;
+        let mut before: Option<Vec<Point>> = None;
         let mut best: Option<Self> = None;
         let mut steps = start;
         for _ in 0..8 {
             let run = solution(scene, &first, time_s, steps, watch)?;
             if let (Some(before), Some(run)) = (&before, &run) {
                 let mut reference = Self::from_run(time_s, run);
-                reference.error = reference.distance(before);
+                reference.error = reference.worst(before);
                 let better = best.as_ref().is_none_or(|best| reference.error < best.error);
                 let fell = best.as_ref().is_none_or(|best| reference.error < 0.25 * best.error);
                 if better {
@@ -103,7 +105,7 @@ impl Reference {
                     break;
                 }
             }
-            before = run.map(|run| run.last);
+            before = run.map(|run| run.points);
             steps *= 2;
         }
         let mut reference = best.ok_or(ReferenceError::NoStep { time_s })?;
@@ -117,7 +119,7 @@ impl Reference {
     fn from_run(time_s: f64, run: &Measured) -> Self {
         Self {
             time_s,
-            point: run.last.clone(),
+            points: run.points.clone(),
             momentum_scale: run.largest_momentum,
             error: 0.0,
             cross_check: 0.0,
@@ -133,7 +135,7 @@ impl Reference {
         for halvings in 0..4 {
             let run = solution(scene, &second, self.time_s, self.steps << halvings, watch)?;
             if let Some(run) = run {
-                difference = difference.min(self.distance(&run.last));
+                difference = difference.min(self.worst(&run.points));
             }
             if difference <= allowed {
                 self.cross_check = difference;
@@ -146,8 +148,26 @@ impl Reference {
     /// The error of a state: that of the attitude (for n = 3 the spectral norm) plus that of the body
     /// momentum in parts of its largest size.
     pub fn distance(&self, point: &Point) -> f64 {
+        self.distance_at(self.points.len() - 1, point)
+    }
+
+    /// The error of a state at an eighth of the time.
+    pub(crate) fn distance_at(&self, eighth: usize, point: &Point) -> f64 {
         let scale = if self.momentum_scale > 0.0 { self.momentum_scale } else { 1.0 };
-        self.point.attitude_distance(point) + self.point.momentum_distance(point) / scale
+        let own = &self.points[eighth];
+        own.attitude_distance(point) + own.momentum_distance(point) / scale
+    }
+
+    /// The state at the end.
+    pub fn end(&self) -> &Point {
+        &self.points[self.points.len() - 1]
+    }
+
+    /// The largest error at any eighth.
+    fn worst(&self, points: &[Point]) -> f64 {
+        let errors =
+            points.iter().enumerate().map(|(eighth, point)| self.distance_at(eighth, point));
+        errors.fold(0.0, f64::max)
     }
 }
 
@@ -163,9 +183,9 @@ fn solution(
         method,
         step_s: time_s / steps as f64,
         steps,
-        every: steps.div_ceil(1000),
+        every: steps / EIGHTHS,
         energy_limit: f64::INFINITY,
-        keep: false,
+        keep: true,
     };
     watch.expect(1);
     let run = measure(scene, probe, watch)?;

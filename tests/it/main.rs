@@ -4,10 +4,12 @@
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
 
+mod advise;
 mod bad_scenarios;
 mod cli;
 mod http;
 mod forms;
+mod gallery;
 mod laws;
 mod log;
 mod methods;

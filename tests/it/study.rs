@@ -24,8 +24,8 @@ fn reference_at(scene: &Scenario, time_s: f64) -> Result<Reference, StudyError> 
 fn the_reference_of_the_dipole_meets_the_digits() {
     let ours = reference_at(&shipped("dipole"), 0.5).expect("a reference");
     let digits = reference();
-    let attitude = (0..9).map(|k| ours.point.attitude[k] - digits.attitude[k]);
-    let momentum = (0..9).map(|k| ours.point.momentum[k] - digits.momentum[k]);
+    let attitude = (0..9).map(|k| ours.end().attitude[k] - digits.attitude[k]);
+    let momentum = (0..9).map(|k| ours.end().momentum[k] - digits.momentum[k]);
     let error = attitude.chain(momentum).map(f64::abs).fold(0.0, f64::max);
     println!(
         "{error:.1e} from the digits, {:.1e} said, {:.1e} from vrkmk",
