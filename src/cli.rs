@@ -19,14 +19,19 @@ use serde::Serialize;
 use tokio::net::TcpListener;
 use tracing_subscriber::EnvFilter;
 
+use crate::advise;
 use crate::chart;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
 use crate::serve::{self, Cors, ServeConfig, ServeError};
+use crate::study::StudyError;
 
+mod study;
 mod text;
+
+use study::{ChartArgs, StabilityArgs};
 
 /// Rotating bodies on SO(n): symplectic, on the group to round-off, logged as MCAP.
 #[derive(Debug, Parser)]
@@ -42,8 +47,10 @@ enum Command {
     Run(RunArgs),
     /// Say what a scenario will model and why, without running it.
     Plan(PlanArgs),
-    /// Draw energy, orthogonality and momentum over time from logs, as SVG.
+    /// Draw a scenario's speed against accuracy, orders and long-term energy, or what logs hold, as SVG.
     Chart(ChartArgs),
+    /// Find the steps at which each method fails on a scenario: a map and the largest usable steps.
+    Stability(StabilityArgs),
     /// Take jobs over HTTP, run them on worker threads, hand out their logs.
     Serve(ServeArgs),
     /// Sum up a log, finished or not.
@@ -94,6 +101,9 @@ struct RunArgs {
     /// Print one JSON summary on stdout.
     #[arg(long)]
     json: bool,
+    /// Compute a reference afterwards and tell the error of the last state.
+    #[arg(long)]
+    error: bool,
 }
 
 #[derive(Debug, Args)]
@@ -103,16 +113,6 @@ struct PlanArgs {
     /// Print JSON.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Args)]
-struct ChartArgs {
-    /// The logs; several are drawn on one axis and named after their files.
-    #[arg(required = true, value_name = "LOG.mcap")]
-    logs: Vec<PathBuf>,
-    /// Where the charts go.
-    #[arg(short, long, value_name = "DIR", default_value = ".")]
-    output: PathBuf,
 }
 
 #[derive(Debug, Args)]
@@ -160,6 +160,10 @@ enum CliError {
     #[error(transparent)]
     Chart(#[from] chart::ChartError),
     #[error(transparent)]
+    Study(#[from] StudyError),
+    #[error("scenarios and logs are mixed: give either")]
+    Mixed,
+    #[error(transparent)]
     Serve(#[from] ServeError),
     #[error("cannot listen on {address}: {source}")]
     Listen { address: SocketAddr, source: io::Error },
@@ -170,9 +174,11 @@ enum CliError {
 impl CliError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Read { .. } | Self::Scenario { .. } | Self::Run(RunError::Scenario(_)) => {
-                ExitCode::from(2)
-            }
+            Self::Read { .. }
+            | Self::Scenario { .. }
+            | Self::Run(RunError::Scenario(_))
+            | Self::Study(StudyError::Scenario(_))
+            | Self::Mixed => ExitCode::from(2),
             _ => ExitCode::from(1),
         }
     }
@@ -185,7 +191,8 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Run(args) => run(&args),
         Command::Plan(args) => plan(&args),
-        Command::Chart(args) => draw(&args),
+        Command::Chart(args) => study::draw(&args),
+        Command::Stability(args) => study::map(&args),
         Command::Serve(args) => serve(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
@@ -209,7 +216,7 @@ fn planned(args: &ScenarioArgs) -> Result<(Scenario, Plan), CliError> {
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
     let scenario = Scenario::from_json(&text).map_err(wrong)?;
-    let plan = Plan::new(&scenario).map_err(wrong)?;
+    let plan = advise::plan(&scenario).map_err(wrong)?;
     Ok((scenario, plan))
 }
 
@@ -243,7 +250,10 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let log = args.output.clone().unwrap_or_else(|| {
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
-    let summary = watched(&scenario, &plan, &log)?;
+    let mut summary = watched(&scenario, &plan, &log)?;
+    if args.error && summary.outcome == Outcome::Succeeded {
+        summary.error = Some(advise::error_at_end(&scenario)?);
+    }
     if args.json {
         print_json(&summary)?;
     } else {
@@ -285,15 +295,6 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
         print_json(&plan)?;
     } else {
         io::stdout().write_all(text::plan(scenario.name(), &plan).as_bytes())?;
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
-fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
-    let written = chart::draw_logs(&args.logs, &args.output)?;
-    let mut out = io::stdout();
-    for path in written {
-        writeln!(out, "{}", path.display())?;
     }
     Ok(ExitCode::SUCCESS)
 }

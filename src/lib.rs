@@ -12,8 +12,11 @@
 
 pub mod scenario;
 pub mod plan;
+mod assemble;
 pub mod run;
 pub mod solve;
+pub mod study;
+pub mod advise;
 pub mod log;
 pub mod chart;
 pub mod serve;

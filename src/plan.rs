@@ -53,8 +53,43 @@ pub struct Plan {
     pub step_ns: f64,
     /// Estimated time of the run in seconds.
     pub run_s: f64,
+    /// How method and step were chosen for an accuracy; see [`crate::advise`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub advice: Option<Advice>,
     #[serde(skip)]
     pub(crate) model: Model,
+}
+
+/// The choice of method and step for an accuracy.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Advice {
+    /// The error asked for.
+    pub error: f64,
+    /// The error expected at the end of the run.
+    pub expected_error: f64,
+    /// How many times the expected error fits into the one asked for.
+    pub margin: f64,
+    /// The time over which pilots ran; beyond it their errors were carried on.
+    pub pilot_time_s: f64,
+    /// How well the pilots' reference is known.
+    pub reference_error: f64,
+    /// What was tried, the cheapest first.
+    pub candidates: Vec<Candidate>,
+}
+
+/// A method that was tried.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Candidate {
+    /// Its name in a scenario.
+    pub method: MethodName,
+    /// Its tableau, or the order of a composition.
+    pub tableau: String,
+    /// The largest step that was found to reach the accuracy, in seconds; absent if none did.
+    pub step_s: Option<f64>,
+    /// The error expected there, else the least that was met.
+    pub expected_error: Option<f64>,
+    /// Its estimated cost for a second of motion, in microseconds: sweeps counted, not timed.
+    pub cost_us: Option<f64>,
 }
 
 /// The integrator and the reason for it.
@@ -101,6 +136,9 @@ impl Plan {
     /// Where the numbers make no body, no rotation or no tableau, with the pointer of the field.
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let n = scenario.dimension();
+        let step_s = scenario.step_s.ok_or_else(|| {
+            ScenarioError::invalid("/accuracy", "has not been turned into a method and a step")
+        })?;
         let inertia = inertia_matrix(&scenario.scene.inertia);
         let kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
         let attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
@@ -111,7 +149,7 @@ impl Plan {
         let mut plan = Self {
             dimension: n,
             formulation: Formulation::default(),
-            step_s: scenario.step_s,
+            step_s,
             steps: scenario.step_count(),
             every: scenario.sample_every(),
             samples: 0,
@@ -122,6 +160,7 @@ impl Plan {
             log_bytes: 0,
             step_ns: 0.0,
             run_s: 0.0,
+            advice: None,
             model: Model {
                 kinetic,
                 terms: Vec::new(),
@@ -246,7 +285,7 @@ impl Plan {
 
     /// About what a step costs on one core of a common machine, in nanoseconds: measured on the dipole
     /// at h = 0.01, where implicit methods take ten sweeps, and scaled to other n by the size of a product.
-    fn step_cost_ns(&self) -> f64 {
+    pub(crate) fn step_cost_ns(&self) -> f64 {
         let stages = self.formulation.stages as f64;
         let size = (self.dimension as f64 / 3.0).powi(3).max(1.0);
         match self.formulation.method {

@@ -1,7 +1,7 @@
 //! 3 · The one door: scenario → plan → body and stepper → samples → log.
 //!
-//! Invariant: the only place that turns runtime n into const N. A numerical failure is a [`Summary`] with a
-//! [`Diagnosis`] and a finished log; only the log itself can make a run an error.
+//! Invariant: a numerical failure is a [`Summary`] with a [`Diagnosis`] and a finished log; only the log
+//! itself can make a run an error.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,31 +11,21 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use thiserror::Error;
 
+use crate::advise;
+use crate::assemble::{Assembly, Task, assembled};
 use crate::log::LogError;
 use crate::log::messages::Figures;
 use crate::log::resume::Resumed;
 use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
-use crate::plan::{Formulation, Plan};
-use crate::scenario::{MethodName, Scenario, ScenarioError};
-use crate::solve::lanes;
-use crate::solve::stepper::Stepper;
-use crate::solve::stepper::lgvi::Lgvi;
-use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
-use crate::solve::stepper::rk::Rk;
-use crate::solve::stepper::rkmk::Rkmk;
-use crate::solve::stepper::splitting::Splitting;
-use crate::solve::stepper::vpd::Vpd;
-use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
-use crate::solve::stepper::vpd_reduced::VpdReduced;
-use crate::solve::stepper::vpd_space::VpdSpace;
-use crate::solve::stepper::vrkmk::Vrkmk;
+use crate::plan::Plan;
+use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink,
+    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State,
 };
 
+mod advice;
 mod geometry;
-mod problem;
 mod summary;
 
 pub use summary::{
@@ -106,28 +96,33 @@ impl RunError {
 /// If the scenario cannot be planned or the log cannot be written: no log is left then. If the run is
 /// interrupted: then an unfinished one is.
 pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary, RunError> {
-    let plan = Plan::new(scenario)?;
-    macro_rules! for_dimension {
-        ($($n:literal)*) => {
-            match plan.dimension {
-                3 => run(scenario, &plan, in_space(&plan), context),
-                $($n => run::<$n>(scenario, &plan, in_any_dimension(&plan), context),)*
-                n => Err(ScenarioError::invalid("/scene/inertia", format!("n = {n} is not supported")).into()),
-            }
-        };
+    let plan = advise::plan(scenario)?;
+    assembled(&plan, Run { scenario, plan: &plan, context })
+}
+
+/// A run that writes its log.
+struct Run<'a> {
+    scenario: &'a Scenario,
+    plan: &'a Plan,
+    context: &'a JobContext<'a>,
+}
+
+impl Task for Run<'_> {
+    type Output = Result<Summary, RunError>;
+
+    fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
+        run(self.scenario, self.plan, assembly, self.context)
     }
-    for_dimension!(2 4 5 6 7 8 9 10 11 12 13 14 15 16)
 }
 
 fn run<const N: usize>(
     scenario: &Scenario,
     plan: &Plan,
-    stepper: Option<Box<dyn Stepper<N>>>,
+    mut assembly: Assembly<N>,
     context: &JobContext<'_>,
 ) -> Result<Summary, RunError> {
-    let mut stepper = stepper.expect("the plan refuses a method that cannot run the scene");
+    let Assembly { body, stepper, initial } = &mut assembly;
     let begun = Instant::now();
-    let (body, initial) = problem::problem::<N>(&plan.model);
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let control = context.control;
     let (mut recorder, checkpoint) = Recorder::<N>::open(context, &header(scenario, plan))?;
@@ -138,9 +133,9 @@ fn run<const N: usize>(
     }
     let integrating = Instant::now();
     let end = trajectory::integrate(
-        &body,
+        body,
         stepper.as_mut(),
-        Origin { initial: &initial, checkpoint: checkpoint.as_ref() },
+        Origin { initial, checkpoint: checkpoint.as_ref() },
         schedule,
         observables(plan),
         &mut recorder,
@@ -165,7 +160,14 @@ fn run<const N: usize>(
         Ending::Completed => (Outcome::Succeeded, None),
         Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
-            (Outcome::Failed, Some(summary::diagnosis(failure, end.steps, plan.step_s)))
+            let last = State {
+                attitude: end.attitude.unwrap_or(initial.attitude),
+                momentum: end.momentum,
+            };
+            let advised =
+                advice::advised_step(&mut assembly, &last, end.steps, plan.step_s, failure);
+            let diagnosis = summary::diagnosis(failure, end.steps, plan.step_s, advised);
+            (Outcome::Failed, Some(diagnosis))
         }
     };
     let Recorder { mut writer, figures, .. } = recorder;
@@ -184,6 +186,7 @@ fn run<const N: usize>(
         samples: end.samples,
         resumed_step,
         last: summary::final_state(&end),
+        error: None,
         energy: summary::energy(&figures),
         orthogonality: summary::orthogonality(&figures, end.samples),
         momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
@@ -203,39 +206,6 @@ fn run<const N: usize>(
     writer.finish(log_outcome(&summary))?;
     summary.wall_s = begun.elapsed().as_secs_f64();
     Ok(summary)
-}
-
-/// The stepper that the plan chose, of those for any n; `None` for the others.
-fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> {
-    let Formulation { method, carries_attitude, .. } = plan.formulation;
-    let (tableau, stop) = (plan.model.tableau.clone(), plan.model.stop);
-    Some(match method {
-        MethodName::Auto | MethodName::Vpd => Box::new(Vpd::new(tableau, stop)),
-        MethodName::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
-        MethodName::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
-        MethodName::Vrkmk => Box::new(Vrkmk::new(tableau, stop)),
-        MethodName::VrkmkProjected => Box::new(Vrkmk::new(tableau, stop).projected()),
-        MethodName::Rkmk => Box::new(Rkmk::new(tableau)?),
-        MethodName::Rk => Box::new(Rk::new(tableau, false)?),
-        MethodName::RkProjected => Box::new(Rk::new(tableau, true)?),
-        MethodName::Splitting | MethodName::Lgvi | MethodName::QuaternionGauss => return None,
-    })
-}
-
-/// The stepper that the plan chose, for n = 3.
-fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let Formulation { method, order, stages, carries_attitude, .. } = plan.formulation;
-    let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
-    Some(match method {
-        // As many stages as there are lanes; more of them go the way of general n.
-        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if stages <= lanes::WIDTH => {
-            Box::new(VpdSpace::new(tableau.clone(), stop, carries_attitude)?)
-        }
-        MethodName::Splitting => Box::new(Splitting::new(order)?),
-        MethodName::Lgvi => Box::new(Lgvi::new(order, plan.model.stop)?),
-        MethodName::QuaternionGauss => Box::new(QuaternionGauss::new(stages, plan.model.stop)?),
-        _ => return in_any_dimension(plan),
-    })
 }
 
 /// What the asked channels need at a sample.

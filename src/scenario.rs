@@ -10,6 +10,8 @@
 mod check;
 mod parse;
 
+pub(crate) use check::SMALLEST_STEP_S;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -32,8 +34,12 @@ pub struct Scenario {
     /// How it is integrated.
     #[serde(default)]
     pub method: Method,
-    /// The step in seconds.
-    pub step_s: f64,
+    /// The step in seconds; either this or `accuracy`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step_s: Option<f64>,
+    /// How accurate the end of the run is to be; the program then chooses method and step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub accuracy: Option<Accuracy>,
     /// Number of steps; either this or `duration_s`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<u64>,
@@ -46,6 +52,15 @@ pub struct Scenario {
     /// What a good run of this scenario keeps to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect: Option<Expect>,
+}
+
+/// An accuracy in the place of a method and a step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Accuracy {
+    /// Largest error at the end: of the attitude (for n = 3 the spectral norm), plus of the body momentum in
+    /// parts of its largest size.
+    pub error: f64,
 }
 
 /// A body that turns about a fixed point.
@@ -481,12 +496,14 @@ impl Scenario {
         }
     }
 
-    /// Number of steps, whichever way the duration was given.
+    /// Number of steps, whichever way the duration was given; 0 while no step has been chosen.
     pub fn step_count(&self) -> u64 {
         match (self.steps, self.duration_s) {
             (Some(steps), _) => steps,
             // Checked to be whole.
-            (None, Some(duration_s)) => (duration_s / self.step_s).round() as u64,
+            (None, Some(duration_s)) => {
+                self.step_s.map_or(0, |step_s| (duration_s / step_s).round() as u64)
+            }
             (None, None) => 0,
         }
     }
@@ -496,7 +513,8 @@ impl Scenario {
         const VIEWER_RATE_HZ: f64 = 60.0;
         const FEW_SAMPLES: u64 = 1000;
         self.log.every.unwrap_or_else(|| {
-            let for_viewers = (1.0 / (VIEWER_RATE_HZ * self.step_s)).ceil() as u64;
+            let step_s = self.step_s.unwrap_or(f64::INFINITY);
+            let for_viewers = (1.0 / (VIEWER_RATE_HZ * step_s)).ceil() as u64;
             for_viewers.clamp(1, (self.step_count() / FEW_SAMPLES).max(1))
         })
     }

@@ -24,6 +24,9 @@ pub(super) fn summary(summary: &Summary) -> String {
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }
+    if let Some(error) = summary.error {
+        line("error", format!("{error:.2e} at the end, against a reference"));
+    }
     if let Some(energy) = summary.energy {
         let max = energy.max_abs_error;
         line(
@@ -84,6 +87,30 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             formulation.why
         ),
     );
+    if let Some(advice) = &plan.advice {
+        line(
+            "accuracy",
+            format!(
+                "{:.1e} asked for, {:.1e} expected at the end: {:.1} times to spare; pilots ran to t = {} s",
+                advice.error, advice.expected_error, advice.margin, advice.pilot_time_s
+            ),
+        );
+        for candidate in &advice.candidates {
+            let found = match (candidate.step_s, candidate.cost_us, candidate.expected_error) {
+                (Some(step_s), Some(cost_us), Some(error)) => {
+                    format!(
+                        "step {step_s:.3e} s, error {error:.1e}, {cost_us:.0} us a second of motion"
+                    )
+                }
+                (_, _, Some(error)) => {
+                    format!("not reached or too dear; error {error:.1e} at best")
+                }
+                _ => "no step works".to_owned(),
+            };
+            let name = candidate.method.as_str();
+            line("candidate", format!("{name} {}: {found}", candidate.tableau));
+        }
+    }
     line(
         "steps",
         format!(

@@ -49,6 +49,10 @@ pub struct Summary {
     /// The last state.
     #[serde(rename = "final")]
     pub last: FinalState,
+    /// Error of the last state against a reference, where it was asked for: see
+    /// [`crate::advise::error_at_end`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<f64>,
     /// Energy; absent if `/energy` was not logged.
     pub energy: Option<EnergySummary>,
     /// Distance from the group; absent if `/orthogonality` was not logged.
@@ -141,7 +145,7 @@ pub struct Diagnosis {
     pub cause: String,
     /// What to do about it, for a person.
     pub advice: String,
-    /// A step in seconds that should work.
+    /// A step in seconds that got past the place; absent if none did.
     pub advised_step_s: Option<f64>,
 }
 
@@ -170,15 +174,19 @@ pub(super) fn final_state<const N: usize>(end: &Trajectory<N>) -> FinalState {
     FinalState { attitude: end.attitude.as_ref().map(rows), body_momentum }
 }
 
-pub(super) fn diagnosis(failure: &Failure, steps_done: u64, step_s: f64) -> Diagnosis {
+pub(super) fn diagnosis(
+    failure: &Failure,
+    steps_done: u64,
+    step_s: f64,
+    advised_step_s: Option<f64>,
+) -> Diagnosis {
     let finite = |x: f64| x.is_finite().then_some(x);
-    let advised_step_s = failure.advised_step(step_s);
     let advice = match advised_step_s {
         Some(advised) => {
             let advised = serde_json::json!(advised);
             format!("try \"step_s\": {advised} or a tableau with more stages")
         }
-        None => "no step helps at this place; look at the scene there".to_owned(),
+        None => "no smaller step got past this place; look at the scene there".to_owned(),
     };
     Diagnosis {
         code: failure.code.as_str().to_owned(),

@@ -3,7 +3,8 @@
 use std::collections::HashSet;
 
 use super::{
-    Attitude, Entry, Framed, Inertia, PotentialTerm, Scenario, ScenarioError, TableauChoice,
+    Accuracy, Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError,
+    TableauChoice,
 };
 
 /// Largest n of SO(n) that the program is built for.
@@ -16,8 +17,12 @@ const MAX_TERMS: usize = 1000;
 const MAX_STEPS: u64 = 1_000_000_000_000;
 /// Most samples of a log.
 const MAX_SAMPLES: u64 = 1_000_000_000;
-/// Smallest and largest step in seconds.
-const STEP_RANGE_S: (f64, f64) = (1e-12, 1e6);
+/// Smallest step in seconds.
+pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
+/// Largest step in seconds.
+const LARGEST_STEP_S: f64 = 1e6;
+/// Smallest and largest error that may be asked for.
+const ACCURACY_RANGE: (f64, f64) = (1e-13, 0.1);
 /// Longest run in seconds of simulated time, so that log time fits its 64 bits.
 const MAX_DURATION_S: f64 = 4e9;
 /// Bounds of the relative tolerance of the solver.
@@ -315,9 +320,38 @@ fn method(scenario: &Scenario, n: usize) -> Check {
     Ok(())
 }
 
+/// An accuracy is given in the place of a method and a step.
+fn accuracy(scenario: &Scenario, error: f64) -> Check {
+    let (low, high) = ACCURACY_RANGE;
+    ensure(error >= low && error <= high, "/accuracy/error", || {
+        format!("{error:e} given, it lies from {low:e} to {high:e}")
+    })?;
+    let beside = |given: bool, pointer: &str| {
+        ensure(!given, pointer, || "is given beside `accuracy`, which chooses it".into())
+    };
+    beside(scenario.method != Method::default(), "/method")?;
+    beside(scenario.step_s.is_some(), "/step_s")?;
+    beside(scenario.steps.is_some(), "/steps")?;
+    let Some(duration_s) = scenario.duration_s else {
+        return Err(ScenarioError::invalid("", "missing field `duration_s`, needed by `accuracy`"));
+    };
+    whole_duration(duration_s)
+}
+
+fn whole_duration(duration_s: f64) -> Check {
+    ensure(duration_s > 0.0 && duration_s <= MAX_DURATION_S, "/duration_s", || {
+        format!("{duration_s:e} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s")
+    })
+}
+
 fn duration(scenario: &Scenario) -> Check {
-    let h = scenario.step_s;
-    let (low, high) = STEP_RANGE_S;
+    if let Some(Accuracy { error }) = scenario.accuracy {
+        return accuracy(scenario, error);
+    }
+    let Some(h) = scenario.step_s else {
+        return Err(ScenarioError::invalid("", "missing field `step_s` (or `accuracy`)"));
+    };
+    let (low, high) = (SMALLEST_STEP_S, LARGEST_STEP_S);
     ensure(h >= low && h <= high, "/step_s", || {
         format!("{h:e} given, a step lies from {low:e} to {high:e} s")
     })?;
@@ -333,11 +367,7 @@ fn duration(scenario: &Scenario) -> Check {
         }
         (Some(steps), None) => ("/steps", steps as f64 * h),
         (None, Some(duration_s)) => {
-            ensure(duration_s > 0.0 && duration_s <= MAX_DURATION_S, "/duration_s", || {
-                format!(
-                    "{duration_s:e} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s"
-                )
-            })?;
+            whole_duration(duration_s)?;
             let count = duration_s / h;
             let whole = count.round();
             ensure(

@@ -26,7 +26,7 @@ use super::engine::{Engine, Refusal};
 use super::job::{State, View};
 use super::problem::{self, Problem};
 use super::{ServeConfig, download, store};
-use crate::plan::Plan;
+use crate::advise;
 use crate::scenario::{SHIPPED, Scenario, ScenarioError, schema};
 
 /// Largest request body, bytes.
@@ -115,7 +115,7 @@ async fn submit_job(
     // A mebibyte of JSON takes a while to check: not on a thread that others wait for.
     let checked = move || {
         let scenario = Scenario::from_json(&body)?;
-        let plan = Plan::new(&scenario)?;
+        let plan = advise::plan(&scenario)?;
         Ok::<_, ScenarioError>((scenario, plan))
     };
     let (scenario, plan) = off_thread(checked).await?;

@@ -19,6 +19,7 @@ use uuid::Uuid;
 use super::job::{Fault, Job, Phase, State, View};
 use super::store::{Found, Record, Store, StoreError};
 use super::{ServeError, chain};
+use crate::advise;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
@@ -362,7 +363,7 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
     let text = store.scenario(id).await?;
     let fruitless = store.fruitless_attempts(id, found.attempts).await?;
     let planned = Scenario::from_json(&text).and_then(|scenario| {
-        let plan = Plan::new(&scenario)?;
+        let plan = advise::plan(&scenario)?;
         let job = Job::new(&scenario, &plan, found.attempts);
         Ok(Job { suspect: fruitless > 0, cancelled: found.cancelled, ..job })
     });

@@ -116,19 +116,13 @@ impl Failure {
         }
     }
 
-    /// A step that should work, by what was measured at a step of `h`: the fixed point contracts in
-    /// proportion to h, so one that contracts by 0.3 is asked for; without a measured contraction half
-    /// the step; and never a turn of more than half a radian. Rounded down to two digits. `None` where
-    /// no step helps.
-    pub fn advised_step(&self, h: f64) -> Option<f64> {
-        let factor = match self.code {
-            FailureCode::PotentialSingularity | FailureCode::NonFinite | FailureCode::Stalled => {
-                return None;
-            }
-            _ => match self.contraction() {
-                Some(rho) if rho.is_finite() && rho > 0.3 => (0.3 / rho).clamp(0.01, 0.5),
-                _ => 0.5,
-            },
+    /// A smaller step to try, by what was measured at a step of `h`: the fixed point contracts in proportion
+    /// to h, so one that contracts by 0.3 is asked for; without a measured contraction half the step; and
+    /// never a turn of more than half a radian. Rounded down to two digits.
+    pub fn smaller_step(&self, h: f64) -> f64 {
+        let factor = match self.contraction() {
+            Some(rho) if rho.is_finite() && rho > 0.3 => (0.3 / rho).clamp(0.01, 0.5),
+            _ => 0.5,
         };
         const EASY_TURN_RAD: f64 = 0.5;
         let gentle = self.turn_rad.map_or(1.0, |turn| EASY_TURN_RAD / turn.max(EASY_TURN_RAD));
@@ -136,6 +130,6 @@ impl Failure {
         // Two decimal digits, as they would be written.
         let exponent = libm::log10(target).floor() - 1.0;
         let digits = (target / libm::pow(10.0, exponent)).floor();
-        format!("{digits}e{exponent}").parse().ok()
+        format!("{digits}e{exponent}").parse().unwrap_or(target)
     }
 }

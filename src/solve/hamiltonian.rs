@@ -6,6 +6,8 @@
 //!
 //! Invariant: [`RigidBody::gradient`] is the derivative of [`RigidBody::energy`].
 
+use std::cell::Cell;
+
 use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
@@ -95,13 +97,15 @@ impl Energy {
 pub const CLOSEST_APPROACH: f64 = 1e-8;
 
 /// A body that turns about a fixed point, in a potential.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct RigidBody<const N: usize> {
     kinetic: Kinetic<N>,
     terms: Vec<Term<N>>,
     /// For each term `1 / (|y| + |v|)^2` where its law is singular at zero distance, else zero.
     reaches: Vec<f64>,
     constant: f64,
+    /// Gradients taken so far: the work of a method, counted where it is done.
+    evaluations: Cell<u64>,
 }
 
 impl<const N: usize> RigidBody<N> {
@@ -116,7 +120,7 @@ impl<const N: usize> RigidBody<N> {
             "an inertia tensor is for n = 3"
         );
         let reaches = terms.iter().map(Term::reach).collect();
-        Self { kinetic, terms, reaches, constant }
+        Self { kinetic, terms, reaches, constant, evaluations: Cell::new(0) }
     }
 
     /// dH/dmu: the body angular velocity `Omega`, skew.
@@ -153,6 +157,18 @@ impl<const N: usize> RigidBody<N> {
         super::so::asym(&(mu * omega)) - self.gradient(u, seen)
     }
 
+    /// How often the gradient of the potential was taken since the body was made; 0 for a free body.
+    pub fn force_evaluations(&self) -> u64 {
+        self.evaluations.get()
+    }
+
+    /// Adds to [`RigidBody::force_evaluations`].
+    pub(super) fn count(&self, gradients: u64) {
+        if !self.is_free() {
+            self.evaluations.set(self.evaluations.get() + gradients);
+        }
+    }
+
     /// Is H independent of the attitude?
     pub fn is_free(&self) -> bool {
         self.terms.is_empty()
@@ -174,6 +190,7 @@ impl<const N: usize> RigidBody<N> {
     /// A term U(q) with `q = u^T v` has `dH/dg = q (dU/dq)^T - (dU/dq) q^T`: from `x = g y` the paper's
     /// `asym(g^T grad_g U)`.
     pub fn gradient(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
+        self.count(1);
         let mut sum = Mat::zeros();
         for (term, v) in self.terms.iter().zip(seen) {
             let q = u.tr_mul(v);
@@ -210,6 +227,7 @@ impl<const N: usize> RigidBody<N> {
     /// the left-trivialised gradient; next to it only this form keeps the symmetries that the space vectors
     /// leave to the bit.
     pub fn spatial_gradient(&self, g: &Mat<N>) -> Mat<N> {
+        self.count(1);
         let mut sum = Mat::zeros();
         for Term { law, space } in &self.terms {
             let slope = g * law.slope(&g.tr_mul(space));

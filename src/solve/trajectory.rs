@@ -189,10 +189,12 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
     let (mut step, mut iterations) = (0, 0);
     let (mut sampled, mut samples) = (None, 0);
     let mut convergence = None;
+    let mut last = (Some(initial.attitude), initial.momentum);
     match checkpoint {
         None => stepper.start(initial),
         Some(found) => {
             stepper.start(&found.state());
+            last = (found.attitude, found.momentum);
             (step, iterations) = (found.step, found.iterations);
             (sampled, samples) = (Some(step), found.samples);
             convergence = found.convergence;
@@ -205,10 +207,13 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
             let sample = match observer.sample(body, stepper, step, time_s, convergence) {
                 Ok(sample) => sample,
                 Err(failure) => {
+                    // The run is good up to the sample before: all that is reported ends there.
                     ending = Ending::Failed(failure);
+                    step = sampled.unwrap_or(0);
                     break;
                 }
             };
+            last = (sample.attitude, sample.momentum);
             sink.record(&sample)?;
             (sampled, samples) = (Some(step), samples + 1);
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
@@ -236,15 +241,9 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
             Err(failure) => ending = Ending::Failed(failure),
         }
     }
-    Ok(Trajectory {
-        ending,
-        steps: step,
-        samples,
-        attitude: stepper.attitude(),
-        momentum: stepper.momentum(),
-        iterations,
-        convergence,
-    })
+    // Every way out of the loop led past a sample of the last state.
+    let (attitude, momentum) = last;
+    Ok(Trajectory { ending, steps: step, samples, attitude, momentum, iterations, convergence })
 }
 
 /// Computes what a sample holds beside the state, measured against the start.

@@ -450,6 +450,30 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(full(), "/log/epoch", raw), "/log/epoch");
     }
 
+    // An accuracy in the place of method and step.
+    let accurate = || {
+        let mut accurate = dipole();
+        let map = accurate.as_object_mut().expect("an object");
+        for field in ["method", "step_s", "steps"] {
+            map.remove(field);
+        }
+        accurate["accuracy"] = json!({"error": 1e-8});
+        accurate["duration_s"] = json!(1.0);
+        accurate
+    };
+    for raw in ["0", "-1e-8", "1e-14", "1", "null", "\"1e-8\"", "[]"] {
+        add(with(accurate(), "/accuracy/error", raw), "/accuracy/error");
+    }
+    for raw in ["{}", "1e-8"] {
+        add(with(accurate(), "/accuracy", raw), "/accuracy");
+    }
+    add(with(accurate(), "/accuracy/digits", "8"), "/accuracy/digits");
+    add(with(accurate(), "/method", r#"{"name":"vpd"}"#), "/method");
+    add(with(accurate(), "/step_s", "0.01"), "/step_s");
+    add(with(accurate(), "/steps", "100"), "/steps");
+    add(with(accurate(), "/duration_s", "0"), "/duration_s");
+    add(without(accurate(), "/duration_s"), "");
+
     // Names and expectations.
     add(with(full(), "/name", "\"\""), "/name");
     add(with(full(), "/name", "\"  \""), "/name");

@@ -508,6 +508,6 @@ fn a_failed_step_leaves_the_state_alone() {
             (stepper.attitude(), stepper.momentum()),
             (Some(start.attitude), start.momentum)
         );
-        assert!(failure.advised_step(1.0).is_some_and(|h| h < 1.0), "{failure:?}");
+        assert!(failure.smaller_step(1.0) < 1.0, "{failure:?}");
     }
 }

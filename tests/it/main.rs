@@ -4,15 +4,19 @@
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
 
+mod advise;
 mod bad_scenarios;
 mod cli;
 mod http;
 mod forms;
+mod gallery;
 mod laws;
 mod log;
 mod methods;
 mod resume;
 mod scenarios;
+mod stability;
+mod study;
 mod verification;
 mod architecture;
 mod vrkmk;

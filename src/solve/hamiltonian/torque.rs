@@ -9,7 +9,8 @@ use crate::solve::space::{Mat3, Vec3, cross, dot, minus, plus, scaled, transpose
 impl RigidBody<3> {
     /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient`] in lanes. Beside
     /// it the nearness, minus the square of the smallest relative distance to a point of the potential; -1 if
-    /// there is none. [`RigidBody::check_distances`] refuses from `-CLOSEST_APPROACH^2` on.
+    /// there is none; [`RigidBody::check_distances`] refuses from `-CLOSEST_APPROACH^2` on. The caller
+    /// counts the evaluations: not every lane is a stage.
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
     #[inline(always)]

@@ -19,7 +19,9 @@ use crate::solve::lanes::{Row, WIDTH};
 use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
-use crate::solve::space::{Mat3, Sym3, Turn, Vec3, dot, mat3, plus, product, transposed_product, vec3};
+use crate::solve::space::{
+    Mat3, Sym3, Turn, Vec3, dot, mat3, plus, product, transposed_product, vec3,
+};
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
@@ -43,7 +45,12 @@ pub struct VpdSpace {
 #[derive(Clone, Copy, Debug)]
 enum Carried {
     /// Attitude and momentum in space.
-    Full { attitude: Turn<f64>, attitude_carry: Turn<f64>, momentum: Vec3<f64>, momentum_carry: Vec3<f64> },
+    Full {
+        attitude: Turn<f64>,
+        attitude_carry: Turn<f64>,
+        momentum: Vec3<f64>,
+        momentum_carry: Vec3<f64>,
+    },
     /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
     Reduced { momentum: Vec3<f64> },
 }
@@ -112,8 +119,11 @@ impl VpdSpace {
             if !(bound >= -0.5) {
                 let sigma = smallest_singular_value(&self.excess(k));
                 if !(sigma >= SMALLEST_SINGULAR_VALUE) {
-                    let code =
-                        if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
+                    let code = if sigma > 0.0 {
+                        FailureCode::IllConditioned
+                    } else {
+                        FailureCode::LeftGlPlus
+                    };
                     return Err(Failure::new(code, stage(k), sigma, SMALLEST_SINGULAR_VALUE));
                 }
             }
@@ -171,6 +181,9 @@ impl VpdSpace {
         }
         in_lanes!(guess);
         let solved = fixed_point(*stop, || Ok(in_lanes!(sweep)));
+        let sweeps =
+            solved.as_ref().map_or_else(|failure| failure.iterations, |solved| solved.iterations);
+        body.count(u64::from(sweeps + 1) * width as u64);
         match solved {
             Ok(convergence) => self.check(body).map(|()| convergence),
             // A charge that was met, or a polar factor that was lost, explains a failed iteration better than

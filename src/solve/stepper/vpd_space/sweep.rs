@@ -24,8 +24,8 @@
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, product, scaled, symmetric_product, times_hat,
-    transposed_matrix_product, transposed_product, vec3, vee_asym,
+    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, product, scaled, symmetric_product,
+    times_hat, transposed_matrix_product, transposed_product, vec3, vee_asym,
 };
 
 /// Passes over the kinematics within a sweep. Fewer take more sweeps, and fail at half the step.
@@ -50,7 +50,13 @@ pub(super) struct LaneTableau {
 impl LaneTableau {
     pub(super) fn new(tableau: &crate::solve::tableau::Tableau) -> Self {
         let zero = Row::splat(0.0);
-        let mut lanes = Self { columns: [zero; WIDTH], rows: [zero; WIDTH], weights: zero, nodes: zero, passes: [KINEMATIC_PASSES, MOMENTUM_PASSES] };
+        let mut lanes = Self {
+            columns: [zero; WIDTH],
+            rows: [zero; WIDTH],
+            weights: zero,
+            nodes: zero,
+            passes: [KINEMATIC_PASSES, MOMENTUM_PASSES],
+        };
         for i in 0..tableau.stages() {
             lanes.weights.0[i] = tableau.b(i);
             lanes.nodes.0[i] = tableau.c(i);
@@ -186,7 +192,8 @@ pub(super) fn sweep<R: Stages>(
     for _ in 0..*kinematic {
         let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
         let b = transposed_matrix_product(&u, &d);
-        let half = scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
+        let half =
+            scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
         excess = stretch_excess(&attitude, &b);
         inverse_k = inverse_of_k(&excess);
         attitude = attitude.turned(&half);
@@ -198,10 +205,8 @@ pub(super) fn sweep<R: Stages>(
 
     // The end point, and the momentum there.
     let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
-    let end = Turn {
-        w: whole.load(&unknowns.end.w),
-        v: vec3!(i => whole.load(&unknowns.end.v[i])),
-    };
+    let end =
+        Turn { w: whole.load(&unknowns.end.w), v: vec3!(i => whole.load(&unknowns.end.v[i])) };
     let b = transposed_matrix_product(&end.matrix(), &d);
     let end_excess = stretch_excess(&end, &b);
     let end_inverse = inverse_of_k(&end_excess);
@@ -224,8 +229,7 @@ pub(super) fn sweep<R: Stages>(
         let n = transposed_matrix_product(&u, &m);
         let trace = n[0][0] + n[1][1] + n[2][2];
         let turned = transposed_product(&n, &omega);
-        let load: Vec3<R> =
-            vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
+        let load: Vec3<R> = vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
         x = symmetric_product(&inverse_k, &load);
         m = embedded(&f_lambda, &u, &x, rows);
     }
@@ -264,7 +268,12 @@ pub(super) fn sweep<R: Stages>(
 
 /// `W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)`
 #[inline(always)]
-fn embedded<R: Stages>(f_lambda: &Mat3<R>, u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> Mat3<R> {
+fn embedded<R: Stages>(
+    f_lambda: &Mat3<R>,
+    u: &Mat3<R>,
+    x: &Vec3<R>,
+    rows: &[Row; WIDTH],
+) -> Mat3<R> {
     let y = times_hat(u, x);
     mat3!(i, j => f_lambda[i][j] + y[i][j].combined(rows))
 }

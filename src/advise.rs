@@ -1,0 +1,261 @@
+//! 3 · An accuracy → a method and a step: pilot runs on the scene itself choose.
+//!
+//! Each method is tried over the time of the run, or as much of it as is soon done, against a reference;
+//! its step is moved until the error is just below the one asked for. The cheapest that gets there is
+//! taken. Cost is counted in sweeps, never timed.
+//!
+//! Where the run is longer than the pilots their errors are carried on, as the power of time by which they grew.
+//!
+//! Invariant: the choice is a function of the scenario alone: the same scenario, the same bytes.
+
+use crate::plan::{Advice, Candidate, Plan};
+use crate::scenario::{Accuracy, MethodName, Scenario, ScenarioError, TableauName};
+use crate::solve::nonlinear::Rung;
+use crate::study::measure::{Measured, Probe, measure, variant};
+use crate::study::reference::{EIGHTHS, Reference};
+use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
+
+/// Easy steps of the scene that pilots are worth.
+const PILOT_STEPS: f64 = 600.0;
+/// The error asked for is aimed at with this margin where pilots saw the whole run.
+const MARGIN: f64 = 2.0;
+/// And with this one where their errors were carried on.
+const CARRIED_MARGIN: f64 = 6.0;
+/// Errors that grow faster than this power of time are not carried on.
+const FASTEST_GROWTH: f64 = 3.0;
+/// Steps that are tried for a method.
+const TRIES: u32 = 7;
+
+/// The plan of any scenario: an accuracy is turned into a method and a step first.
+///
+/// # Errors
+/// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
+pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
+    match scenario.accuracy {
+        None => Plan::new(scenario),
+        Some(accuracy) => {
+            let (settled, advice) = settle(scenario, accuracy)?;
+            let mut plan = Plan::new(&settled)?;
+            plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
+            plan.advice = Some(advice);
+            Ok(plan)
+        }
+    }
+}
+
+/// The error at the end of the scenario's run against a reference at that time. The run is made once more, in
+/// memory.
+///
+/// # Errors
+/// If there is no such reference, or the run fails.
+pub fn error_at_end(scenario: &Scenario) -> Result<f64, StudyError> {
+    let scenario = match scenario.accuracy {
+        None => scenario.clone(),
+        Some(accuracy) => settle(scenario, accuracy)?.0,
+    };
+    let Plan { step_s, steps, .. } = Plan::new(&scenario)?;
+    let time_s = step_s * steps as f64;
+    let watch = Watch::default();
+    let scales = Scales::of(&scenario, time_s, &watch)?;
+    let reference = Reference::at(&scenario, time_s, &scales, &watch)?;
+    let probe = Probe {
+        method: &scenario.method,
+        step_s,
+        steps,
+        every: steps,
+        energy_limit: f64::INFINITY,
+        keep: false,
+    };
+    let run = measure(&scenario, probe, &watch)?;
+    if run.completed() { Ok(reference.distance(&run.last)) } else { Err(StudyError::Failed) }
+}
+
+/// The methods that are tried.
+fn methods(scene: &Scenario) -> Vec<Entry> {
+    use MethodName as M;
+    use TableauName as T;
+    let mut methods = vec![with_order(M::Splitting, 4), with_order(M::Splitting, 8)];
+    let gauss = [T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss6, T::Gauss8];
+    methods.extend(gauss.map(|tableau| with_tableau(M::QuaternionGauss, tableau)));
+    methods.push(with_order(M::Lgvi, 4));
+    methods.extend(gauss.map(|tableau| with_tableau(M::VpdReduced, tableau)));
+    methods.extend(gauss.map(|tableau| with_tableau(M::Vpd, tableau)));
+    methods.extend([T::Gauss2, T::Gauss4].map(|tableau| with_tableau(M::Vrkmk, tableau)));
+    entries(scene, methods)
+}
+
+/// A pilot that reached the accuracy, or the best that did not.
+#[derive(Clone, Copy, Debug)]
+struct Pilot {
+    steps: u64,
+    /// The error expected at the end of the run.
+    expected: f64,
+    cost_ns: f64,
+}
+
+fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), ScenarioError> {
+    let refused = |message: String| ScenarioError::invalid("/accuracy/error", message);
+    let told = |error: StudyError| match error {
+        StudyError::Scenario(error) => error,
+        other => refused(other.to_string()),
+    };
+    let watch = Watch::default();
+    let duration_s = scenario.duration_s.unwrap_or_default();
+    let scales = Scales::of(scenario, duration_s, &watch).map_err(told)?;
+    let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
+    let reference = Reference::at(scenario, pilot_s, &scales, &watch).map_err(told)?;
+    if reference.error > asked.error / (2.0 * MARGIN) {
+        return Err(refused(format!(
+            "{:e} asked for, but errors grow on this scene so that only {:.1e} can be told at t = {pilot_s} s",
+            asked.error,
+            2.0 * MARGIN * reference.error
+        )));
+    }
+    let trial = Trial { scenario, asked, duration_s, scales, reference };
+    let mut found: Vec<(Entry, Option<Pilot>, Option<f64>)> = Vec::new();
+    let mut cheapest = f64::INFINITY;
+    for entry in methods(scenario) {
+        let (reached, least) = trial.search(&entry, cheapest, &watch)?;
+        cheapest = cheapest.min(reached.map_or(f64::INFINITY, |pilot| pilot.cost_ns));
+        found.push((entry, reached, least));
+    }
+    // The sort is stable: of equals the first in the list.
+    let cost = |pilot: &Option<Pilot>| pilot.map_or(f64::INFINITY, |pilot| pilot.cost_ns);
+    found.sort_by(|a, b| cost(&a.1).total_cmp(&cost(&b.1)));
+    let Some((entry, Some(pilot), _)) = found.first().cloned() else {
+        let least = found.iter().filter_map(|(_, _, least)| *least).fold(f64::INFINITY, f64::min);
+        return Err(refused(format!(
+            "{:e} asked for, but no method was found to reach it; the least error expected is {least:.1e}",
+            asked.error
+        )));
+    };
+    let steps = trial.whole_steps(pilot.steps);
+    let settled = Scenario {
+        method: entry.method.clone(),
+        step_s: Some(duration_s / steps as f64),
+        steps: Some(steps),
+        duration_s: None,
+        accuracy: None,
+        ..scenario.clone()
+    };
+    let candidates = found.iter().map(|(entry, reached, least)| Candidate {
+        method: entry.method.name,
+        tableau: entry.tableau.clone(),
+        step_s: reached.map(|pilot| pilot_s / pilot.steps as f64),
+        expected_error: reached.map_or(*least, |pilot| Some(pilot.expected)),
+        cost_us: reached.map(|pilot| 1e-3 * pilot.cost_ns / pilot_s),
+    });
+    let advice = Advice {
+        error: asked.error,
+        expected_error: pilot.expected,
+        margin: asked.error / pilot.expected,
+        pilot_time_s: pilot_s,
+        reference_error: trial.reference.error,
+        candidates: candidates.collect(),
+    };
+    Ok((settled, advice))
+}
+
+/// What the search for a step needs to know.
+struct Trial<'a> {
+    scenario: &'a Scenario,
+    asked: Accuracy,
+    duration_s: f64,
+    scales: Scales,
+    reference: Reference,
+}
+
+impl Trial<'_> {
+    fn is_whole(&self) -> bool {
+        self.duration_s <= self.reference.time_s
+    }
+
+    /// The steps of the whole run, for so many of a pilot.
+    fn whole_steps(&self, steps: u64) -> u64 {
+        (steps as f64 * self.duration_s / self.reference.time_s).ceil() as u64
+    }
+
+    /// The cheapest step of a method that is expected to reach the accuracy, and the least error met. Given
+    /// up where it costs more than `cheapest`.
+    fn search(
+        &self,
+        entry: &Entry,
+        cheapest: f64,
+        watch: &Watch,
+    ) -> Result<(Option<Pilot>, Option<f64>), ScenarioError> {
+        let time_s = self.reference.time_s;
+        let margin = if self.is_whole() { MARGIN } else { CARRIED_MARGIN };
+        let goal = self.asked.error / margin;
+        let multiple = |steps: f64| EIGHTHS * (steps / EIGHTHS as f64).ceil().max(1.0) as u64;
+        // A radian a step, and then by the order of the method; never back to where a step failed.
+        let mut steps = multiple(time_s * self.scales.fastest_rad_s);
+        let (mut reached, mut least) = (None::<Pilot>, None::<f64>);
+        let mut too_few = 0;
+        for _ in 0..TRIES {
+            let probe = Probe {
+                method: &entry.method,
+                step_s: time_s / steps as f64,
+                steps,
+                every: steps / EIGHTHS,
+                energy_limit: f64::INFINITY,
+                keep: true,
+            };
+            let run = measure(self.scenario, probe, watch)?;
+            let cost_ns = self.cost_ns(entry, &run)?;
+            let expected = run.completed().then(|| self.expected(&run)).flatten();
+            let ratio = match expected {
+                Some(expected) => {
+                    least = Some(least.map_or(expected, |least| least.min(expected)));
+                    if expected <= goal && reached.is_none_or(|reached| steps < reached.steps) {
+                        reached = Some(Pilot { steps, expected, cost_ns });
+                    }
+                    libm::pow(expected.max(1e-16) / goal, 1.0 / f64::from(entry.order))
+                }
+                None => 2.0,
+            };
+            if expected.is_none_or(|expected| expected > goal) {
+                too_few = too_few.max(steps);
+            }
+            if reached.is_none() && cost_ns > 2.0 * cheapest {
+                break;
+            }
+            // A little more than the order asks for, in bounds.
+            let next = multiple(steps as f64 * (1.03 * ratio).clamp(0.4, 4.0));
+            let next = match reached {
+                Some(reached) if next >= reached.steps => break,
+                Some(_) if next <= too_few => break,
+                _ => next.max(too_few + EIGHTHS),
+            };
+            steps = next;
+        }
+        Ok((reached, least))
+    }
+
+    /// The error expected at the end of the run; `None` where errors grow too fast to be carried on.
+    fn expected(&self, run: &Measured) -> Option<f64> {
+        let errors: Vec<f64> = run
+            .points
+            .iter()
+            .enumerate()
+            .map(|(eighth, point)| self.reference.distance_at(eighth, point))
+            .collect();
+        let largest = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
+        // Not the last alone: an error that swings may pass through zero there.
+        let late = largest(&errors[errors.len() / 2..]);
+        if self.is_whole() {
+            return Some(late);
+        }
+        let early = largest(&errors[..errors.len() / 2 + 1]).max(self.reference.error);
+        let growth = libm::log2(late / early).max(1.0);
+        let ratio = self.duration_s / self.reference.time_s;
+        (growth <= FASTEST_GROWTH).then(|| late * libm::pow(ratio, growth))
+    }
+
+    /// What a run costs on a common machine, by the plan's figures for ten sweeps.
+    fn cost_ns(&self, entry: &Entry, run: &Measured) -> Result<f64, ScenarioError> {
+        let plan = variant(self.scenario, &entry.method, 1.0, 1)?;
+        let explicit = run.rung == Some(Rung::Explicit) || entry.method.name == MethodName::Lgvi;
+        let steps = if explicit { run.steps as f64 } else { run.iterations as f64 / 10.0 };
+        Ok(steps * plan.step_cost_ns())
+    }
+}

@@ -1,0 +1,252 @@
+//! The map of where methods fail: steps across, methods down, the energy error as a colour, what failed as a
+//! hatch.
+//!
+//! Invariant: what a cell says can be read without its colour: a hatch is a class, and classes are named below.
+
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::{Area, ChartError, Drawn, INK};
+use crate::solve::failure::FailureCode as Code;
+use crate::study::stability::{Class, Map};
+
+const CELL: (i32, i32) = (26, 20);
+const LEFT: i32 = 230;
+const TOP: i32 = 64;
+const RIGHT: i32 = 130;
+/// Energy errors, in parts of the energy that moves, at the two ends of the colours, as powers of ten.
+const DECADES: (f64, f64) = (-16.0, 0.0);
+/// Cividis (Nunez, Anderton, Renslow 2018) from its bright end, read by eye at five places: even in lightness,
+/// so that it also tells in grey and to the colour-blind.
+const CIVIDIS: [(f64, f64, f64); 5] = [
+    (254.0, 232.0, 56.0),
+    (187.0, 173.0, 108.0),
+    (124.0, 123.0, 120.0),
+    (65.0, 77.0, 107.0),
+    (0.0, 34.0, 78.0),
+];
+const GREY: RGBColor = RGBColor(226, 226, 226);
+
+/// Draws the map as SVG.
+///
+/// # Errors
+/// If the drawing fails, which no finite data makes it do.
+pub fn stability_map(name: &str, map: &Map) -> Result<String, ChartError> {
+    let mut svg = String::new();
+    draw(&mut svg, name, map).map_err(|error| ChartError::Draw(error.to_string()))?;
+    Ok(svg)
+}
+
+fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
+    let classes = classes(map);
+    let (columns, rows) = (map.steps_s.len() as i32, map.cells.len() as i32);
+    let bottom = TOP + rows * CELL.1;
+    let legend_rows = (classes.len() as i32 + 2) / 3;
+    let size = (LEFT + columns * CELL.0 + RIGHT, bottom + 74 + 26 * legend_rows);
+    let root = SVGBackend::with_string(svg, (size.0 as u32, size.1 as u32)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let text = |text: String, at: (i32, i32), size: i32, h: HPos, v: VPos| {
+        let font = ("sans-serif", size).into_font().color(&INK).pos(Pos::new(h, v));
+        root.draw(&Text::new(text, at, font))
+    };
+    text(format!("{name}: where each method is usable"), (20, 14), 19, HPos::Left, VPos::Top)?;
+    for (row, (cells, border)) in map.cells.iter().zip(&map.borders).enumerate() {
+        let y = TOP + row as i32 * CELL.1;
+        text(border.label.clone(), (LEFT - 10, y + CELL.1 / 2), 14, HPos::Right, VPos::Center)?;
+        for (column, cell) in cells.iter().enumerate() {
+            let corner = (LEFT + column as i32 * CELL.0, y);
+            draw_cell(&root, corner, cell.class, color(map, cell.row.energy_error))?;
+        }
+        if let Some(step_s) = border.usable_step_s {
+            let x = LEFT + column_of(map, step_s);
+            let line = [(x, y + 1), (x, y + CELL.1 - 1)];
+            root.draw(&PathElement::new(line, RGBColor(213, 94, 0).stroke_width(4)))?;
+        }
+    }
+    // The axes: steps below, turns above.
+    for (column, step_s) in map.steps_s.iter().enumerate().step_by(4) {
+        let x = LEFT + column as i32 * CELL.0 + CELL.0 / 2;
+        root.draw(&PathElement::new([(x, bottom), (x, bottom + 5)], INK))?;
+        text(short(*step_s), (x, bottom + 8), 14, HPos::Center, VPos::Top)?;
+        root.draw(&PathElement::new([(x, TOP - 5), (x, TOP)], INK))?;
+        let turn = short(step_s * map.fastest_rad_s);
+        text(turn, (x, TOP - 8), 14, HPos::Center, VPos::Bottom)?;
+    }
+    let right = LEFT + columns * CELL.0 + 8;
+    text("step in s".to_owned(), (right, bottom + 8), 14, HPos::Left, VPos::Top)?;
+    text("turn in rad".to_owned(), (right, TOP - 8), 14, HPos::Left, VPos::Bottom)?;
+    color_bar(&root, (right + 6, TOP + 44), &text)?;
+    let line = [(24, bottom + 45), (24, bottom + 61)];
+    root.draw(&PathElement::new(line, RGBColor(213, 94, 0).stroke_width(4)))?;
+    let border = "largest usable step, to 5 %".to_owned();
+    text(border, (60, bottom + 53), 14, HPos::Left, VPos::Center)?;
+    for (at, &class) in classes.iter().enumerate() {
+        let place = at as i32 + 1;
+        let corner = (20 + (place % 3) * 290, bottom + 43 + (place / 3) * 26);
+        draw_cell(&root, corner, class, CIVIDIS_MIDDLE)?;
+        let label = (corner.0 + 36, corner.1 + CELL.1 / 2);
+        text(words(class), label, 14, HPos::Left, VPos::Center)?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+const CIVIDIS_MIDDLE: RGBColor = RGBColor(124, 123, 120);
+
+/// The classes that the map shows beside `stable`, each once.
+fn classes(map: &Map) -> Vec<Class> {
+    let mut classes = Vec::new();
+    for class in map.cells.iter().flatten().map(|cell| cell.class) {
+        if class != Class::Stable && !classes.contains(&class) {
+            classes.push(class);
+        }
+    }
+    classes.sort_by_key(|class| class.as_str());
+    classes
+}
+
+fn words(class: Class) -> String {
+    match class {
+        Class::Failed(code) => format!("failed: {code}"),
+        Class::EnergyDrifts => "energy drifts".to_owned(),
+        Class::BlewUp => "blew up".to_owned(),
+        Class::LeftGroup => "left the group".to_owned(),
+        Class::WrongBranch => "wrong branch".to_owned(),
+        Class::Stable => "stable".to_owned(),
+    }
+}
+
+/// Where a step stands on the axis, in pixels from the left.
+fn column_of(map: &Map, step_s: f64) -> i32 {
+    let (first, last) = (map.steps_s[0], map.steps_s[map.steps_s.len() - 1]);
+    let columns =
+        (map.steps_s.len() - 1) as f64 * libm::log(step_s / first) / libm::log(last / first);
+    ((columns + 0.5) * f64::from(CELL.0)) as i32
+}
+
+fn color(map: &Map, energy_error: Option<f64>) -> RGBColor {
+    let (low, high) = DECADES;
+    let error = energy_error.unwrap_or_default() / map.energy_scale.max(f64::MIN_POSITIVE);
+    let decade = libm::log10(error.max(f64::MIN_POSITIVE)).clamp(low, high);
+    shade((decade - low) / (high - low))
+}
+
+/// The colour at a place from 0 to 1.
+fn shade(place: f64) -> RGBColor {
+    let scaled = place * (CIVIDIS.len() - 1) as f64;
+    let index = (scaled as usize).min(CIVIDIS.len() - 2);
+    let part = scaled - index as f64;
+    let (a, b) = (CIVIDIS[index], CIVIDIS[index + 1]);
+    let mix = |a: f64, b: f64| (a + part * (b - a)).round() as u8;
+    RGBColor(mix(a.0, b.0), mix(a.1, b.1), mix(a.2, b.2))
+}
+
+fn color_bar(
+    root: &Area<'_>,
+    (x, y): (i32, i32),
+    text: &impl Fn(
+        String,
+        (i32, i32),
+        i32,
+        HPos,
+        VPos,
+    ) -> Result<(), DrawingAreaErrorKind<std::io::Error>>,
+) -> Drawn {
+    const HEIGHT: i32 = 240;
+    let (low, high) = DECADES;
+    for line in 0..HEIGHT {
+        let place = 1.0 - f64::from(line) / f64::from(HEIGHT);
+        let row = [(x, y + line), (x + 18, y + line + 1)];
+        root.draw(&Rectangle::new(row, shade(place).filled()))?;
+    }
+    for part in 0..=4 {
+        let at = y + HEIGHT * part / 4;
+        let decade = high - (high - low) * f64::from(part) / 4.0;
+        text(format!("1e{decade}"), (x + 26, at), 14, HPos::Left, VPos::Center)?;
+    }
+    let top = y - 16;
+    text("energy error".to_owned(), (x - 6, top - 14), 14, HPos::Left, VPos::Center)?;
+    text("/ kinetic energy".to_owned(), (x - 6, top + 2), 14, HPos::Left, VPos::Center)?;
+    Ok(())
+}
+
+/// A cell: its colour where it is usable, else grey with the hatch of its class.
+fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor) -> Drawn {
+    let (w, h) = (CELL.0 - 1, CELL.1 - 1);
+    let fill = if class.is_usable() { color } else { GREY };
+    root.draw(&Rectangle::new([(x, y), (x + w, y + h)], fill.filled()))?;
+    let line = |from: (i32, i32), to: (i32, i32)| {
+        let points = [(x + from.0, y + from.1), (x + to.0, y + to.1)];
+        root.draw(&PathElement::new(points, INK))
+    };
+    let rising = |every: i32| {
+        (0..w + h)
+            .step_by(every as usize)
+            .try_for_each(|d| line((d.min(w), d - d.min(w)), (d - d.min(h), d.min(h))))
+    };
+    let falling = |every: i32| {
+        (0..w + h)
+            .step_by(every as usize)
+            .try_for_each(|d| line((w - d.min(w), d - d.min(w)), (w - (d - d.min(h)), d.min(h))))
+    };
+    let flat =
+        |every: usize| (every as i32 / 2..h).step_by(every).try_for_each(|d| line((0, d), (w, d)));
+    let upright =
+        |every: usize| (every as i32 / 2..w).step_by(every).try_for_each(|d| line((d, 0), (d, h)));
+    match class {
+        Class::Stable => {}
+        Class::EnergyDrifts => {
+            // A ramp, as the energy would show it.
+            let ramp = vec![(x, y + h), (x + w, y + h), (x + w, y + h / 2)];
+            root.draw(&Polygon::new(ramp, WHITE.filled()))?;
+            line((0, h), (w, h / 2))?;
+        }
+        Class::WrongBranch => {
+            let thick = INK.stroke_width(3);
+            root.draw(&PathElement::new([(x + 5, y + 3), (x + w - 5, y + h - 3)], thick))?;
+            root.draw(&PathElement::new([(x + 5, y + h - 3), (x + w - 5, y + 3)], thick))?;
+        }
+        Class::LeftGroup => {
+            root.draw(&Circle::new((x + w / 2, y + h / 2), 6, INK.stroke_width(2)))?;
+        }
+        Class::BlewUp => {
+            root.draw(&Rectangle::new([(x, y), (x + w, y + h)], INK.filled()))?;
+        }
+        Class::Failed(code) => match code {
+            Code::MaxIterations => rising(6)?,
+            Code::Diverged => falling(6)?,
+            Code::Stalled => flat(5)?,
+            Code::LeftGlPlus => upright(5)?,
+            Code::IllConditioned => {
+                flat(6)?;
+                upright(6)?;
+            }
+            Code::BranchJump => {
+                rising(8)?;
+                falling(8)?;
+            }
+            Code::LyapunovSingular => upright(10)?,
+            Code::PotentialSingularity => flat(10)?,
+            Code::NonFinite => {
+                let dots = [(6, 5), (13, 5), (19, 5), (6, 13), (13, 13), (19, 13)];
+                for (dx, dy) in dots {
+                    root.draw(&Circle::new((x + dx, y + dy), 1, INK.filled()))?;
+                }
+            }
+        },
+    }
+    Ok(())
+}
+
+/// Two digits, as short as can be.
+fn short(x: f64) -> String {
+    let digits = libm::log10(x).floor() as i32 - 1;
+    let unit = libm::pow(10.0, f64::from(digits));
+    let rounded = (x / unit).round();
+    format!("{rounded}e{digits}").parse::<f64>().map_or_else(
+        |_| String::new(),
+        |x| {
+            if x < 1e-3 { format!("{x:e}") } else { x.to_string() }
+        },
+    )
+}

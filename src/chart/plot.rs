@@ -1,0 +1,325 @@
+//! Lines on two axes, each linear or logarithmic.
+//!
+//! Invariant: nothing is drawn over the data: title above, names beside.
+
+use std::ops::Range;
+
+use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, ValueFormatter};
+use plotters::element::DashedPathElement;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::{Area, ChartError, Drawn, INK, PALE, PALETTE};
+
+/// How an axis is divided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Evenly.
+    Linear,
+    /// By powers of ten; only the size of a value is drawn.
+    Log,
+}
+
+/// An axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Axis<'a> {
+    /// What it shows, with its unit.
+    pub label: &'a str,
+    /// How it is divided.
+    pub scale: Scale,
+}
+
+/// The look of a line: its colour tells the family of the method, dash and marker the member.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Style {
+    /// Number of the colour.
+    pub color: usize,
+    /// Number of the member in its family.
+    pub member: usize,
+    /// Is each point marked?
+    pub marked: bool,
+}
+
+/// A line of a chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// What it is, for the legend; not shown for a single line.
+    pub label: String,
+    /// Its points.
+    pub points: Vec<(f64, f64)>,
+    /// Its look.
+    pub style: Style,
+}
+
+/// A chart of lines.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plot<'a> {
+    /// What it shows.
+    pub title: String,
+    /// Across.
+    pub x: Axis<'a>,
+    /// Up.
+    pub y: Axis<'a>,
+    /// The lines.
+    pub lines: Vec<Line>,
+    /// Dashed lines in black to compare slopes with: two ends each.
+    pub guides: Vec<[(f64, f64); 2]>,
+    /// What the guides are, for the legend.
+    pub guide_label: String,
+}
+
+const SIZE: (u32, u32) = (960, 480);
+const TITLE_HEIGHT: u32 = 44;
+/// Values on a logarithmic axis below this are drawn at it: a tenth of the spacing of the numbers below one.
+const FLOOR: f64 = 1e-17;
+/// As many points as the plot is wide in pixels, and no more.
+const MAX_POINTS: usize = 800;
+/// Lengths of dash and gap in pixels; a dash of 0 is a whole line.
+const GUIDE: (u32, u32) = (5, 5);
+const DASHES: [(u32, u32); 6] = [(0, 0), (8, 4), (3, 3), (14, 4), (14, 8), (3, 7)];
+
+/// An axis with its range and the places that get a number; in decades if logarithmic.
+#[derive(Clone, Debug)]
+struct Ruler {
+    scale: Scale,
+    range: Range<f64>,
+    ticks: Vec<f64>,
+}
+
+impl Scale {
+    /// Where a value is drawn, in decades on a logarithmic axis.
+    fn place(self, value: f64) -> f64 {
+        match self {
+            Self::Linear => value,
+            Self::Log => libm::log10(value.abs().max(FLOOR)),
+        }
+    }
+
+    /// An axis on which all places can be drawn.
+    fn ruler(self, places: impl Iterator<Item = f64>) -> Ruler {
+        let (low, high) = places
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
+        let (low, high, step) = match self {
+            Self::Log => {
+                // Whole decades, two at least, so that the axis has a scale.
+                let high = (high + 1e-9).ceil();
+                let low = low.floor().min(high - 2.0);
+                (low, high, ((high - low) / 10.0).ceil())
+            }
+            Self::Linear => {
+                // A range that nearly begins at zero begins there.
+                let low = if low > 0.0 && low < 0.05 * high { 0.0 } else { low };
+                let span = (high - low).max(f64::MIN_POSITIVE);
+                let decade = libm::pow(10.0, libm::log10(span / 5.0).floor());
+                let steps = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * decade);
+                let step = steps.into_iter().find(|step| span / step <= 8.0).unwrap_or(span);
+                (low, low + span, step)
+            }
+        };
+        let first = (low / step).ceil();
+        let count = (high / step - first + 1e-9).floor().max(0.0) as usize;
+        let ticks = (0..=count).map(|k| (first + k as f64) * step).collect();
+        Ruler { scale: self, range: low..high, ticks }
+    }
+}
+
+impl Ranged for Ruler {
+    type FormatOption = NoDefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, place: &f64, (from, to): (i32, i32)) -> i32 {
+        let part = (place - self.range.start) / (self.range.end - self.range.start);
+        from + (f64::from(to - from) * part).round() as i32
+    }
+
+    fn key_points<H: KeyPointHint>(&self, hint: H) -> Vec<f64> {
+        if hint.weight().allow_light_points() { Vec::new() } else { self.ticks.clone() }
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.range.clone()
+    }
+}
+
+impl ValueFormatter<f64> for Ruler {
+    fn format_ext(&self, place: &f64) -> String {
+        match self.scale {
+            Scale::Log => format!("1e{}", place.round()),
+            Scale::Linear => {
+                let text = format!("{place:.6}");
+                text.trim_end_matches('0').trim_end_matches('.').to_owned()
+            }
+        }
+    }
+}
+
+impl Plot<'_> {
+    /// Draws the chart as SVG.
+    ///
+    /// # Errors
+    /// If the drawing fails, which no finite data makes it do.
+    pub fn draw(&self) -> Result<String, ChartError> {
+        let mut svg = String::new();
+        self.draw_into(&mut svg).map_err(|error| ChartError::Draw(error.to_string()))?;
+        Ok(svg)
+    }
+
+    fn draw_into(&self, svg: &mut String) -> Drawn {
+        let place = |&(x, y): &(f64, f64)| (self.x.scale.place(x), self.y.scale.place(y));
+        let lines: Vec<Vec<(f64, f64)>> = self
+            .lines
+            .iter()
+            .map(|line| envelope(&line.points).iter().map(place).collect())
+            .collect();
+        let all = || lines.iter().flatten();
+        let x = self.x.scale.ruler(all().map(|p| p.0));
+        let y = self.y.scale.ruler(all().map(|p| p.1));
+        let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+        root.fill(&WHITE)?;
+        let (head, below) = root.split_vertically(TITLE_HEIGHT);
+        let title = ("sans-serif", 19).into_font().color(&INK);
+        head.draw(&Text::new(self.title.clone(), (20, 14), title))?;
+        let (body, side) = below.split_horizontally(SIZE.0 - self.legend_width());
+        let mut chart = ChartBuilder::on(&body)
+            .margin(10)
+            .margin_right(24)
+            .x_label_area_size(48)
+            .y_label_area_size(76)
+            .build_cartesian_2d(x.clone(), y.clone())?;
+        chart
+            .configure_mesh()
+            .light_line_style(TRANSPARENT)
+            .bold_line_style(PALE)
+            .axis_style(INK)
+            .x_desc(self.x.label)
+            .y_desc(self.y.label)
+            .x_label_formatter(&|place| x.format_ext(place))
+            .y_label_formatter(&|place| y.format_ext(place))
+            .label_style(("sans-serif", 15).into_font().color(&INK))
+            .axis_desc_style(("sans-serif", 16).into_font().color(&INK))
+            .draw()?;
+        // From here on in pixels, so that the legend shows what the chart shows.
+        let pixels = |points: &[(f64, f64)]| -> Vec<(i32, i32)> {
+            points.iter().map(|point| chart.backend_coord(point)).collect()
+        };
+        for guide in &self.guides {
+            let ends = guide.map(|end| place(&end));
+            if let Some(ends) = clipped(ends, &x.range, &y.range) {
+                dashed(&root, pixels(&ends), GUIDE, BLACK.stroke_width(1))?;
+            }
+        }
+        for (line, points) in self.lines.iter().zip(&lines) {
+            line.style.draw(&root, pixels(points))?;
+        }
+        self.legend(&side)?;
+        root.present()?;
+        Ok(())
+    }
+
+    fn has_legend(&self) -> bool {
+        self.lines.len() > 1 || !self.guides.is_empty()
+    }
+
+    /// Room for the names beside the chart, if there is more than one line.
+    fn legend_width(&self) -> u32 {
+        let labels = self.lines.iter().map(|line| &line.label).chain([&self.guide_label]);
+        let longest = labels.map(|label| label.chars().count() as u32).max().unwrap_or(0);
+        if self.has_legend() { 56 + 8 * longest } else { 0 }
+    }
+
+    fn legend(&self, side: &Area<'_>) -> Drawn {
+        if !self.has_legend() {
+            return Ok(());
+        }
+        let font =
+            ("sans-serif", 15).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
+        let mut y = 24;
+        for line in &self.lines {
+            side.draw(&Text::new(line.label.clone(), (44, y), font.clone()))?;
+            line.style.draw(side, vec![(4, y), (36, y)])?;
+            y += 22;
+        }
+        if !self.guides.is_empty() {
+            side.draw(&Text::new(self.guide_label.clone(), (44, y), font))?;
+            dashed(side, vec![(4, y), (36, y)], GUIDE, BLACK.stroke_width(1))?;
+        }
+        Ok(())
+    }
+}
+
+impl Style {
+    /// Draws a line through pixels, and a mark at each (of a sample in a legend, in its middle).
+    fn draw(self, area: &Area<'_>, pixels: Vec<(i32, i32)>) -> Drawn {
+        let color = PALETTE[self.color % PALETTE.len()];
+        let dash = DASHES[self.member % DASHES.len()];
+        dashed(area, pixels.clone(), dash, color.stroke_width(2))?;
+        if self.marked {
+            for pixel in pixels {
+                self.mark(area, pixel, color.filled())?;
+            }
+        }
+        Ok(())
+    }
+
+    fn mark(self, area: &Area<'_>, (x, y): (i32, i32), style: ShapeStyle) -> Drawn {
+        match self.member % 5 {
+            0 => area.draw(&Circle::new((x, y), 4, style))?,
+            1 => area.draw(&Rectangle::new([(x - 4, y - 4), (x + 4, y + 4)], style))?,
+            2 => area.draw(&TriangleMarker::new((x, y), 6, style))?,
+            3 => {
+                area.draw(&Polygon::new([(x - 6, y), (x, y - 6), (x + 6, y), (x, y + 6)], style))?
+            }
+            _ => area.draw(&Cross::new(
+                (x, y),
+                4,
+                ShapeStyle { filled: false, stroke_width: 2, ..style },
+            ))?,
+        }
+        Ok(())
+    }
+}
+
+fn dashed(
+    area: &Area<'_>,
+    pixels: Vec<(i32, i32)>,
+    (dash, gap): (u32, u32),
+    style: ShapeStyle,
+) -> Drawn {
+    if dash == 0 {
+        area.draw(&PathElement::new(pixels, style))?;
+    } else {
+        area.draw(&DashedPathElement::new(pixels, dash, gap, style))?;
+    }
+    Ok(())
+}
+
+/// The part of a straight line inside a box; `None` if there is none.
+fn clipped([a, b]: [(f64, f64); 2], x: &Range<f64>, y: &Range<f64>) -> Option<[(f64, f64); 2]> {
+    // Liang and Barsky: the parts of the line inside each of the four edges.
+    let (dx, dy) = (b.0 - a.0, b.1 - a.1);
+    let (mut from, mut to) = (0.0_f64, 1.0_f64);
+    for (change, room) in
+        [(-dx, a.0 - x.start), (dx, x.end - a.0), (-dy, a.1 - y.start), (dy, y.end - a.1)]
+    {
+        let at = room / change;
+        if change < 0.0 {
+            from = from.max(at);
+        } else if change > 0.0 {
+            to = to.min(at);
+        } else if room < 0.0 {
+            return None;
+        }
+    }
+    let point = |t: f64| (a.0 + t * dx, a.1 + t * dy);
+    (from < to).then(|| [point(from), point(to)])
+}
+
+/// The sizes of a line, the largest of each of at most [`MAX_POINTS`] intervals.
+fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let width = points.len().div_ceil(MAX_POINTS).max(1);
+    points
+        .chunks(width)
+        .map(|chunk| (chunk[0].0, chunk.iter().map(|&(_, y)| y.abs()).fold(0.0, f64::max)))
+        .collect()
+}

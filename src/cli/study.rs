@@ -1,0 +1,233 @@
+//! `vpd chart` and `vpd stability`: studies of scenarios, and the charts of logs.
+
+use std::fs::File;
+use std::io::{self, IsTerminal, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::str::FromStr;
+use std::sync::atomic::Ordering;
+use std::thread;
+use std::time::Duration;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Deserialize;
+use serde::de::IntoDeserializer;
+use serde::de::value::{Error as WordError, StrDeserializer};
+
+use super::{Change, CliError, ScenarioArgs, planned};
+use crate::chart;
+use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
+use crate::study::long_term::long_term;
+use crate::study::precision::{Precision, precision};
+use crate::study::stability::{Border, stability};
+use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
+
+#[derive(Debug, Args)]
+pub(super) struct ChartArgs {
+    /// Scenarios to study, or logs to draw; several logs go on one axis and are named after their files.
+    #[arg(required = true, value_name = "SCENARIO|LOG.mcap")]
+    inputs: Vec<PathBuf>,
+    #[command(flatten)]
+    study: StudyArgs,
+    /// Compare the errors at this time, in seconds; by default after about one turn.
+    #[arg(long, value_name = "SECONDS")]
+    until: Option<f64>,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct StabilityArgs {
+    /// The scenario, a JSON file.
+    scenario: PathBuf,
+    #[command(flatten)]
+    study: StudyArgs,
+}
+
+/// What all studies take.
+#[derive(Debug, Args)]
+struct StudyArgs {
+    /// Change a field of the scenario, named by its JSON pointer: --set /step_s=0.02
+    #[arg(long = "set", value_name = "POINTER=VALUE")]
+    changes: Vec<Change>,
+    /// Study these methods in the place of the usual ones: vpd:gauss2, splitting:4, vpd:gauss4:fixed_point
+    #[arg(long = "method", value_name = "NAME[:TABLEAU[:SOLVER]]")]
+    methods: Vec<MethodWord>,
+    /// Where charts and tables go; several scenarios get a directory each below it.
+    #[arg(short, long, value_name = "DIR", default_value = ".")]
+    output: PathBuf,
+}
+
+impl StudyArgs {
+    fn scenario(&self, path: &Path) -> Result<Scenario, CliError> {
+        let args = ScenarioArgs { scenario: path.to_owned(), changes: self.changes.clone() };
+        planned(&args).map(|(scenario, _)| scenario)
+    }
+
+    fn entries(
+        &self,
+        path: &Path,
+        scene: &Scenario,
+        usual: fn(&Scenario) -> Vec<Entry>,
+    ) -> Result<Vec<Entry>, CliError> {
+        if self.methods.is_empty() {
+            return Ok(usual(scene));
+        }
+        let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
+        let entry = |word: &MethodWord| Entry::new(scene, word.0.clone()).map_err(wrong);
+        self.methods.iter().map(entry).collect()
+    }
+}
+
+/// A method in one word, as in `vpd:gauss2`.
+#[derive(Clone, Debug)]
+struct MethodWord(Method);
+
+impl FromStr for MethodWord {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        /// A word as it stands in a scenario.
+        fn word<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, String> {
+            let reader: StrDeserializer<'a, WordError> = text.into_deserializer();
+            T::deserialize(reader).map_err(|error| error.to_string())
+        }
+        let mut parts = text.split(':');
+        let mut method = Method {
+            name: word::<MethodName>(parts.next().unwrap_or_default())?,
+            ..Method::default()
+        };
+        if let Some(part) = parts.next() {
+            match part.parse() {
+                Ok(order) => method.order = Some(order),
+                Err(_) => method.tableau = Some(TableauChoice::Named(word::<TableauName>(part)?)),
+            }
+        }
+        if let Some(part) = parts.next() {
+            method.solver.kind = word::<SolverKind>(part)?;
+        }
+        match parts.next() {
+            Some(_) => Err("NAME, NAME:TABLEAU or NAME:TABLEAU:SOLVER is needed".to_owned()),
+            None => Ok(Self(method)),
+        }
+    }
+}
+
+/// Draws logs, or studies scenarios.
+pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
+    let logs = args.inputs.iter().filter(|path| is_log(path)).count();
+    if logs == args.inputs.len() {
+        list(&chart::draw_logs(&args.inputs, &args.study.output)?)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if logs > 0 {
+        return Err(CliError::Mixed);
+    }
+    for path in &args.inputs {
+        let scene = args.study.scenario(path)?;
+        let entries = args.study.entries(path, &scene, usual_methods)?;
+        let directory = if args.inputs.len() == 1 {
+            args.study.output.clone()
+        } else {
+            args.study.output.join(path.file_stem().unwrap_or_default())
+        };
+        let (exact, long) = followed(scene.name(), |watch| {
+            let exact = precision(&scene, &entries, args.until, watch)?;
+            Ok((exact, long_term(&scene, &entries, watch)?))
+        })?;
+        io::stdout().write_all(orders(&entries, &exact).as_bytes())?;
+        let mut files = chart::precision(scene.name(), &entries, &exact)?;
+        files.extend(chart::long_term(scene.name(), &entries, &long)?);
+        files.push(("table.csv", exact.table.to_csv()));
+        files.push(("table.json", exact.table.to_json()));
+        files.push(("long-term.csv", long.table.to_csv()));
+        files.push(("long-term.json", long.table.to_json()));
+        list(&chart::write(&directory, &files)?)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Draws the map of a scenario and lists the largest usable steps.
+pub(super) fn map(args: &StabilityArgs) -> Result<ExitCode, CliError> {
+    let scene = args.study.scenario(&args.scenario)?;
+    let entries = args.study.entries(&args.scenario, &scene, all_methods)?;
+    let map = followed(scene.name(), |watch| stability(&scene, &entries, watch))?;
+    let table = map.table();
+    let borders = borders(&map.borders);
+    io::stdout().write_all(borders.as_bytes())?;
+    let files = [
+        ("stability.svg", chart::stability_map(scene.name(), &map)?),
+        ("stability.csv", table.to_csv()),
+        ("stability.json", table.to_json()),
+        ("borders.txt", borders),
+    ];
+    list(&chart::write(&args.study.output, &files)?)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Does the file begin as an MCAP log does?
+fn is_log(path: &Path) -> bool {
+    let mut magic = [0; 5];
+    let read = File::open(path).and_then(|mut file| file.read_exact(&mut magic));
+    read.is_ok() && &magic == b"\x89MCAP"
+}
+
+fn list(paths: &[PathBuf]) -> io::Result<()> {
+    paths.iter().try_for_each(|path| writeln!(io::stdout(), "{}", path.display()))
+}
+
+/// The reference and the orders measured against it.
+fn orders(entries: &[Entry], study: &Precision) -> String {
+    let reference = &study.reference;
+    let mut text = format!(
+        "reference: t = {} s, known to {:.1e}; vrkmk meets vpd to {:.1e}\n",
+        reference.time_s, reference.error, reference.cross_check
+    );
+    for (line, entry) in entries.iter().enumerate() {
+        let measured = study.measured_order(line);
+        let measured = measured.map_or_else(|| "-".to_owned(), |order| format!("{order:.2}"));
+        text += &format!("{:28} order {:>2}, measured {measured}\n", entry.label(), entry.order);
+    }
+    text
+}
+
+/// The largest usable steps.
+fn borders(borders: &[Border]) -> String {
+    let mut text = format!("{:28} {:>12} {:>8}  beyond it\n", "method", "usable step", "turn");
+    for border in borders {
+        let figure = |x: Option<f64>, digits: usize| {
+            x.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"))
+        };
+        let step = border.usable_step_s.map_or_else(|| "-".to_owned(), |x| format!("{x:.2e}"));
+        text += &format!(
+            "{:28} {step:>10} s {:>4} rad  {}\n",
+            border.label,
+            figure(border.turn_rad, 2),
+            border.broken.unwrap_or("-"),
+        );
+    }
+    text
+}
+
+/// Does a study on a thread of its own while a progress bar follows, if somebody looks.
+fn followed<T: Send>(
+    name: &str,
+    study: impl FnOnce(&Watch) -> Result<T, StudyError> + Send,
+) -> Result<T, CliError> {
+    let watch = Watch::default();
+    if !io::stderr().is_terminal() {
+        return Ok(study(&watch)?);
+    }
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} runs")
+        .expect("the template is fixed and valid");
+    let bar = ProgressBar::new(1).with_style(style).with_message(name.to_owned());
+    thread::scope(|scope| {
+        let worker = scope.spawn(|| study(&watch));
+        while !worker.is_finished() {
+            bar.set_length(watch.total.load(Ordering::Relaxed).max(1));
+            bar.set_position(watch.done.load(Ordering::Relaxed));
+            thread::sleep(Duration::from_millis(50));
+        }
+        bar.finish_and_clear();
+        Ok(worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?)
+    })
+}

@@ -1,0 +1,248 @@
+//! 4 · Studies: many runs of one scene, one table.
+//!
+//! Which method, which step: [`precision`] measures error and work against the step, [`long_term`] the energy
+//! and the distance from the group over a long run, [`stability`] where each method fails. All measure with
+//! [`measure`] and against a [`reference::Reference`] that the program computes itself.
+//!
+//! Invariant: a study repeats to the bit but for its times; it ends early only if it is cancelled.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use thiserror::Error;
+
+use crate::plan::Plan;
+use crate::scenario::{
+    Method, MethodName, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName,
+};
+
+pub mod long_term;
+pub mod measure;
+pub mod precision;
+pub mod reference;
+pub mod stability;
+pub mod table;
+
+use reference::ReferenceError;
+
+/// Why a study has no result.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum StudyError {
+    /// The scene cannot be planned with a method.
+    #[error(transparent)]
+    Scenario(#[from] ScenarioError),
+    /// There is no reference to measure against.
+    #[error(transparent)]
+    Reference(#[from] ReferenceError),
+    /// The run whose error was asked for fails.
+    #[error("the run fails, so its end has no error")]
+    Failed,
+    /// Somebody stopped it.
+    #[error("the study was cancelled")]
+    Cancelled,
+}
+
+/// What a study shares with those who wait for it.
+#[derive(Debug, Default)]
+pub struct Watch {
+    /// Runs made so far.
+    pub done: AtomicU64,
+    /// Runs to be made, as far as that is known.
+    pub total: AtomicU64,
+    /// Set it to stop the study within a step of its current run.
+    pub cancelled: AtomicBool,
+}
+
+impl Watch {
+    fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    fn expect(&self, runs: u64) {
+        self.total.fetch_add(runs, Ordering::Relaxed);
+    }
+
+    fn advance(&self, runs: u64) -> Result<(), StudyError> {
+        self.done.fetch_add(runs, Ordering::Relaxed);
+        if self.is_cancelled() { Err(StudyError::Cancelled) } else { Ok(()) }
+    }
+}
+
+/// A method that takes part in a study.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// The method with its tableau or order.
+    pub method: Method,
+    /// Its tableau, or `order 4`, for tables and charts.
+    pub tableau: String,
+    /// Its order.
+    pub order: u32,
+}
+
+impl Entry {
+    /// An entry for a method that runs on the scene.
+    ///
+    /// # Errors
+    /// Those of planning the scene with the method.
+    pub fn new(scene: &Scenario, method: Method) -> Result<Self, ScenarioError> {
+        let formulation = measure::variant(scene, &method, 1.0, 1)?.formulation;
+        let tableau = formulation.tableau.unwrap_or_else(|| format!("order {}", formulation.order));
+        let method = Method { name: formulation.method, ..method };
+        Ok(Self { method, tableau, order: formulation.order })
+    }
+
+    /// `vpd gauss2`, and the solver where it was asked for.
+    pub fn label(&self) -> String {
+        let name = self.method.name.as_str();
+        match self.method.solver.kind {
+            SolverKind::Auto => format!("{name} {}", self.tableau),
+            kind => format!("{name} {}, {}", self.tableau, solver_word(kind)),
+        }
+    }
+}
+
+/// A solver's name in a scenario.
+pub(crate) fn solver_word(kind: SolverKind) -> &'static str {
+    match kind {
+        SolverKind::Auto => "auto",
+        SolverKind::FixedPoint => "fixed_point",
+    }
+}
+
+/// The solvers that the VPD methods take by name.
+const SOLVERS: &[SolverKind] = &[SolverKind::FixedPoint];
+
+pub(crate) fn with_tableau(name: MethodName, tableau: TableauName) -> Method {
+    Method { name, tableau: Some(TableauChoice::Named(tableau)), ..Method::default() }
+}
+
+pub(crate) fn with_order(name: MethodName, order: u32) -> Method {
+    Method { name, order: Some(order), ..Method::default() }
+}
+
+/// Those of the methods that run on the scene.
+pub(crate) fn entries(scene: &Scenario, methods: Vec<Method>) -> Vec<Entry> {
+    let three = scene.dimension() == 3;
+    methods
+        .into_iter()
+        .filter(|method| three || !method.name.needs_three())
+        .filter_map(|method| Entry::new(scene, method).ok())
+        .collect()
+}
+
+/// The methods of a chart: a few of each family, so that its lines can be told apart.
+pub fn usual_methods(scene: &Scenario) -> Vec<Entry> {
+    use MethodName as M;
+    use TableauName as T;
+    entries(
+        scene,
+        vec![
+            with_tableau(M::Vpd, T::Gauss1),
+            with_tableau(M::Vpd, T::Gauss2),
+            with_tableau(M::Vpd, T::Gauss3),
+            with_tableau(M::Vpd, T::Gauss4),
+            with_tableau(M::Vpd, T::Gauss8),
+            with_tableau(M::VpdReduced, T::Gauss4),
+            with_tableau(M::Vrkmk, T::Gauss2),
+            with_tableau(M::Vrkmk, T::Gauss4),
+            with_tableau(M::QuaternionGauss, T::Gauss4),
+            with_tableau(M::QuaternionGauss, T::Gauss8),
+            with_order(M::Splitting, 4),
+            with_order(M::Splitting, 8),
+            with_order(M::Lgvi, 4),
+            with_tableau(M::Rkmk, T::Rk4),
+            with_tableau(M::Rk, T::Rk4),
+        ],
+    )
+}
+
+/// Every method and tableau worth a row of the stability map, the VPD methods with each solver.
+pub fn all_methods(scene: &Scenario) -> Vec<Entry> {
+    use MethodName as M;
+    use TableauName as T;
+    let mut methods = Vec::new();
+    for &kind in SOLVERS {
+        for tableau in [T::Gauss1, T::Rk3, T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss6, T::Gauss8] {
+            let mut method = with_tableau(M::Vpd, tableau);
+            method.solver.kind = kind;
+            methods.push(method);
+        }
+    }
+    methods.extend([
+        with_tableau(M::VpdLagrangian, T::Gauss2),
+        with_tableau(M::VpdReduced, T::Gauss2),
+        with_tableau(M::Vrkmk, T::Gauss1),
+        with_tableau(M::Vrkmk, T::Rk3),
+        with_tableau(M::Vrkmk, T::Gauss2),
+        with_tableau(M::Vrkmk, T::Gauss3),
+        with_tableau(M::Vrkmk, T::Gauss4),
+        with_tableau(M::VrkmkProjected, T::Gauss2),
+    ]);
+    for tableau in [T::Gauss1, T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss8] {
+        methods.push(with_tableau(M::QuaternionGauss, tableau));
+    }
+    methods.extend([2, 4, 6, 8].map(|order| with_order(M::Splitting, order)));
+    methods.extend([2, 4, 8].map(|order| with_order(M::Lgvi, order)));
+    for name in [M::Rkmk, M::Rk, M::RkProjected] {
+        methods.extend([T::Rk3, T::Rk4].map(|tableau| with_tableau(name, tableau)));
+    }
+    entries(scene, methods)
+}
+
+/// A time and a length over which to study a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Scales {
+    /// Largest size of the body angular velocity met, rad/s.
+    pub fastest_rad_s: f64,
+    /// Largest kinetic energy met, J.
+    pub kinetic: f64,
+    /// A step in seconds at which a method of eighth order works.
+    pub easy_step_s: f64,
+}
+
+impl Scales {
+    /// Measures them on a run of at most `time_s` seconds.
+    ///
+    /// # Errors
+    /// If the scene cannot be planned, or no step works.
+    pub fn of(scene: &Scenario, time_s: f64, watch: &Watch) -> Result<Self, StudyError> {
+        /// A run longer than this tells no more.
+        const MOST_STEPS: f64 = 5000.0;
+        /// Angle of a step that a method of eighth order takes easily, rad.
+        const EASY_TURN_RAD: f64 = 0.25;
+        let method = with_tableau(MethodName::Vpd, TableauName::Gauss4);
+        let rate = measure::initial_rate(scene)?.max(1.0 / time_s);
+        let mut step_s = (EASY_TURN_RAD / rate).min(time_s);
+        for _ in 0..40 {
+            let steps = (time_s / step_s).ceil().clamp(1.0, MOST_STEPS) as u64;
+            let probe = measure::Probe {
+                method: &method,
+                step_s,
+                steps,
+                every: 1,
+                energy_limit: f64::INFINITY,
+                keep: false,
+            };
+            let run = measure::measure(scene, probe, watch)?;
+            watch.advance(0)?;
+            let gentle = run.fastest_rad_s * step_s <= 2.0 * EASY_TURN_RAD;
+            let energy = run.largest_kinetic;
+            if run.completed() && gentle && run.energy_error() <= 1e-6 * energy {
+                return Ok(Self {
+                    fastest_rad_s: run.fastest_rad_s.max(1.0 / time_s),
+                    kinetic: energy,
+                    easy_step_s: step_s,
+                });
+            }
+            step_s *= 0.5;
+        }
+        Err(ReferenceError::NoStep { time_s }.into())
+    }
+}
+
+/// The time a scene is studied for unless the caller says otherwise: about one turn, as far as it runs.
+fn usual_time(scene: &Scenario) -> Result<f64, ScenarioError> {
+    let plan = Plan::new(scene)?;
+    let duration_s = plan.steps as f64 * plan.step_s;
+    let rate = measure::initial_rate(scene)?;
+    Ok(duration_s.min(if rate > 0.0 { std::f64::consts::TAU / rate } else { duration_s }))
+}

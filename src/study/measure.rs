@@ -1,0 +1,300 @@
+//! One run of a study, in memory: no log, no files.
+//!
+//! Invariant: all figures but the time repeat to the bit.
+
+use std::cell::Cell;
+use std::convert::Infallible;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use nalgebra::DMatrix;
+
+use super::{Entry, Watch};
+use crate::assemble::{Assembly, Task, assembled};
+use crate::log::schema::Channel;
+use crate::plan::Plan;
+use crate::scenario::{LogOptions, Method, Scenario, ScenarioError};
+use crate::solve::failure::Failure;
+use crate::solve::hamiltonian::RigidBody;
+use crate::solve::nonlinear::Rung;
+use crate::solve::so::{self, Mat};
+use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
+
+/// A state of any size: attitude and body momentum, n x n.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point {
+    /// The attitude g.
+    pub attitude: DMatrix<f64>,
+    /// The body momentum, skew.
+    pub momentum: DMatrix<f64>,
+}
+
+impl Point {
+    fn of<const N: usize>(attitude: &Mat<N>, momentum: &Mat<N>) -> Self {
+        let sized = |m: &Mat<N>| DMatrix::from_fn(N, N, |i, j| m[(i, j)]);
+        Self { attitude: sized(attitude), momentum: sized(momentum) }
+    }
+
+    /// `|g - h|_F / sqrt(2)`: for n = 3 the spectral norm of the difference of two rotations.
+    pub fn attitude_distance(&self, other: &Self) -> f64 {
+        half_norm(&self.attitude, &other.attitude)
+    }
+
+    /// `|p - q|_F / sqrt(2)`: for n = 3 the length of the difference of the vectors.
+    pub fn momentum_distance(&self, other: &Self) -> f64 {
+        half_norm(&self.momentum, &other.momentum)
+    }
+}
+
+fn half_norm(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
+    (0.5 * a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sqrt()
+}
+
+/// A run to be made on a scene.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Probe<'a> {
+    pub(crate) method: &'a Method,
+    pub(crate) step_s: f64,
+    pub(crate) steps: u64,
+    /// A sample every so many steps.
+    pub(crate) every: u64,
+    /// The run is stopped once |H - H0| is above this.
+    pub(crate) energy_limit: f64,
+    /// Are the states at the samples kept?
+    pub(crate) keep: bool,
+}
+
+/// How a run of a study ended.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum End {
+    Completed,
+    Cancelled,
+    /// Past the energy limit.
+    BlewUp,
+    Failed(Failure),
+}
+
+/// What a run of a study was like.
+#[derive(Clone, Debug)]
+pub(crate) struct Measured {
+    pub(crate) end: End,
+    pub(crate) steps: u64,
+    pub(crate) last: Point,
+    /// The states at the samples, where they were asked for.
+    pub(crate) points: Vec<Point>,
+    /// Time, H - H0 and the orthogonality error at each sample.
+    pub(crate) series: Vec<(f64, f64, f64)>,
+    pub(crate) iterations: u64,
+    pub(crate) rung: Option<Rung>,
+    pub(crate) force_evaluations: u64,
+    /// Largest size of the body angular velocity at a sample, rad/s.
+    pub(crate) fastest_rad_s: f64,
+    pub(crate) largest_kinetic: f64,
+    pub(crate) largest_momentum: f64,
+}
+
+impl Measured {
+    pub(crate) fn energy_error(&self) -> f64 {
+        self.series.iter().map(|&(_, energy, _)| energy.abs()).fold(0.0, f64::max)
+    }
+
+    pub(crate) fn orthogonality_error(&self) -> f64 {
+        self.series.iter().map(|&(_, _, orthogonality)| orthogonality).fold(0.0, f64::max)
+    }
+
+    pub(crate) fn completed(&self) -> bool {
+        self.end == End::Completed
+    }
+}
+
+/// The plan of a scene with another method and step.
+pub(crate) fn variant(
+    scene: &Scenario,
+    method: &Method,
+    step_s: f64,
+    steps: u64,
+) -> Result<Plan, ScenarioError> {
+    let mut scenario = scene.clone();
+    scenario.method = method.clone();
+    (scenario.step_s, scenario.steps, scenario.duration_s) = (Some(step_s), Some(steps), None);
+    scenario.accuracy = None;
+    let channels = vec![Channel::State, Channel::Energy, Channel::Orthogonality];
+    scenario.log = LogOptions { channels: Some(channels), ..LogOptions::default() };
+    Plan::new(&scenario)
+}
+
+/// Makes a run and measures it.
+///
+/// # Errors
+/// If the scene cannot be planned with the method.
+pub(crate) fn measure(
+    scene: &Scenario,
+    probe: Probe<'_>,
+    watch: &Watch,
+) -> Result<Measured, ScenarioError> {
+    let plan = variant(scene, probe.method, probe.step_s, probe.steps)?;
+    Ok(assembled(&plan, Measurement { probe, watch }))
+}
+
+struct Measurement<'a> {
+    probe: Probe<'a>,
+    watch: &'a Watch,
+}
+
+impl Task for Measurement<'_> {
+    type Output = Measured;
+
+    fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
+        let Assembly { body, mut stepper, initial } = assembly;
+        let Probe { step_s, steps, every, energy_limit, keep, .. } = self.probe;
+        let blown = Cell::new(false);
+        let mut gauge = Gauge {
+            body: &body,
+            energy_limit,
+            blown: &blown,
+            keep,
+            points: Vec::new(),
+            series: Vec::new(),
+            fastest: 0.0,
+            kinetic: 0.0,
+            momentum: 0.0,
+        };
+        let observables =
+            Observables { energy: true, orthogonality: true, momentum: false, sigma_min: false };
+        let trajectory = trajectory::integrate(
+            &body,
+            stepper.as_mut(),
+            &initial,
+            Schedule { step_s, steps, every },
+            observables,
+            &mut gauge,
+            |_| !blown.get() && !self.watch.cancelled.load(Ordering::Relaxed),
+        );
+        let Ok(trajectory) = trajectory;
+        let Gauge { points, series, fastest, kinetic, momentum, .. } = gauge;
+        let attitude = trajectory.attitude.unwrap_or_else(Mat::identity);
+        Measured {
+            end: match trajectory.ending {
+                Ending::Completed if blown.get() => End::BlewUp,
+                Ending::Cancelled if blown.get() => End::BlewUp,
+                Ending::Completed => End::Completed,
+                Ending::Cancelled => End::Cancelled,
+                Ending::Failed(failure) => End::Failed(failure),
+            },
+            steps: trajectory.steps,
+            last: Point::of(&attitude, &trajectory.momentum),
+            points,
+            series,
+            iterations: trajectory.iterations,
+            rung: trajectory.convergence.map(|solved| solved.rung),
+            force_evaluations: body.force_evaluations(),
+            fastest_rad_s: fastest,
+            largest_kinetic: kinetic,
+            largest_momentum: momentum,
+        }
+    }
+}
+
+/// Takes the figures of each sample.
+struct Gauge<'a, const N: usize> {
+    body: &'a RigidBody<N>,
+    energy_limit: f64,
+    blown: &'a Cell<bool>,
+    keep: bool,
+    points: Vec<Point>,
+    series: Vec<(f64, f64, f64)>,
+    fastest: f64,
+    kinetic: f64,
+    momentum: f64,
+}
+
+impl<const N: usize> Sink<N> for Gauge<'_, N> {
+    type Error = Infallible;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Infallible> {
+        let energy_error = sample.energy_error.unwrap_or_default();
+        let orthogonality = sample.orthogonality_error.unwrap_or_default();
+        self.series.push((sample.time_s, energy_error, orthogonality));
+        self.blown.set(self.blown.get() || energy_error.abs() > self.energy_limit);
+        self.fastest = self.fastest.max(size(&self.body.velocity(&sample.momentum)));
+        self.momentum = self.momentum.max(size(&sample.momentum));
+        self.kinetic = self.kinetic.max(sample.energy.map_or(0.0, |energy| energy.kinetic));
+        if self.keep {
+            let attitude = sample.attitude.unwrap_or_else(Mat::identity);
+            self.points.push(Point::of(&attitude, &sample.momentum));
+        }
+        Ok(())
+    }
+}
+
+fn size<const N: usize>(x: &Mat<N>) -> f64 {
+    so::inner(x, x).sqrt()
+}
+
+/// A first guess of how fast a scene moves, in rad/s: the larger of its velocity at the start and the root
+/// of its acceleration there.
+pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
+    struct Rate;
+    impl Task for Rate {
+        type Output = f64;
+
+        fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
+            let Assembly { body, initial, .. } = assembly;
+            let mut seen = Vec::new();
+            body.seen_from(&initial.attitude, &mut seen);
+            let omega = body.velocity(&initial.momentum);
+            let rate = body.momentum_rate(&Mat::identity(), &initial.momentum, &omega, &seen);
+            size(&omega).max(size(&body.velocity(&rate)).sqrt())
+        }
+    }
+    let plan = variant(scene, &Method::default(), 1.0, 1)?;
+    Ok(assembled(&plan, Rate))
+}
+
+/// Nanoseconds a step takes, each the least over `repeats` turns in which all runs take part one after
+/// the other, so that what disturbs the machine disturbs all alike. Stops early if cancelled.
+pub(crate) fn time(
+    scene: &Scenario,
+    runs: &[(&Entry, f64, u64)],
+    repeats: u32,
+    watch: &Watch,
+) -> Result<Vec<f64>, ScenarioError> {
+    let mut least = vec![f64::INFINITY; runs.len()];
+    for _ in 0..repeats {
+        for (least, &(entry, step_s, steps)) in least.iter_mut().zip(runs) {
+            if watch.is_cancelled() {
+                return Ok(Vec::new());
+            }
+            let plan = variant(scene, &entry.method, step_s, steps)?;
+            *least = least.min(assembled(&plan, Timing { step_s, steps }));
+        }
+    }
+    Ok(least)
+}
+
+struct Timing {
+    step_s: f64,
+    steps: u64,
+}
+
+impl Task for Timing {
+    type Output = f64;
+
+    fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
+        let Assembly { body, mut stepper, initial } = assembly;
+        // Long enough for the clock.
+        const LEAST_NS: u128 = 100_000;
+        let begun = Instant::now();
+        let mut made = 0;
+        while made == 0 || begun.elapsed().as_nanos() < LEAST_NS {
+            stepper.start(&initial);
+            for _ in 0..self.steps {
+                if stepper.step(&body, self.step_s).is_err() {
+                    return f64::INFINITY;
+                }
+            }
+            made += self.steps;
+        }
+        begun.elapsed().as_nanos() as f64 / made as f64
+    }
+}

@@ -1,0 +1,119 @@
+//! Error against step and work: which method reaches an accuracy first.
+
+use std::ops::Range;
+
+use super::measure::{self, Probe};
+use super::reference::Reference;
+use super::table::{Row, Table};
+use super::{Entry, Scales, StudyError, Watch, usual_time};
+use crate::scenario::Scenario;
+
+/// What was measured of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Precision {
+    /// The state at the end of all runs.
+    pub reference: Reference,
+    /// One row a run: each method with its steps from the largest down.
+    pub table: Table,
+    /// The rows of each method, in the order of the entries.
+    pub lines: Vec<Range<usize>>,
+}
+
+/// Halvings of the step at most.
+const HALVINGS: u32 = 14;
+/// Turns in which the methods take part when their times are measured.
+const REPEATS: u32 = 5;
+
+/// Runs each method over `until_s` (about one turn if absent) with a step that is halved until the error
+/// is that of the reference, and measures errors and work; the times of all runs in turns.
+///
+/// # Errors
+/// If there is no reference to be trusted, or the study is cancelled.
+pub fn precision(
+    scene: &Scenario,
+    entries: &[Entry],
+    until_s: Option<f64>,
+    watch: &Watch,
+) -> Result<Precision, StudyError> {
+    let time_s = until_s.map_or_else(|| usual_time(scene), Ok)?;
+    let scales = Scales::of(scene, time_s, watch)?;
+    let reference = Reference::at(scene, time_s, &scales, watch)?;
+    let floor = reference.error.max(f64::EPSILON);
+    // The first step turns the body by about a radian where it is fastest.
+    let start = (time_s * scales.fastest_rad_s).ceil().max(1.0) as u64;
+    let (mut table, mut lines) = (Table::default(), Vec::new());
+    for entry in entries {
+        let first = table.rows.len();
+        let mut least = f64::INFINITY;
+        for halving in 0..HALVINGS {
+            let steps = start << halving;
+            let step_s = time_s / steps as f64;
+            let probe = Probe {
+                method: &entry.method,
+                step_s,
+                steps,
+                every: steps.div_ceil(10_000),
+                energy_limit: f64::INFINITY,
+                keep: false,
+            };
+            watch.expect(1);
+            let run = measure::measure(scene, probe, watch)?;
+            watch.advance(1)?;
+            let error = reference.distance(&run.last);
+            let row = Row::new(entry, step_s, &run, Some(error));
+            table.rows.push(row);
+            if !run.completed() {
+                continue;
+            }
+            // At the reference's own error, or where round-off takes over, a smaller step tells nothing.
+            if error <= 3.0 * floor || (error < 1e-11 && error > 0.5 * least) {
+                break;
+            }
+            least = least.min(error);
+        }
+        lines.push(first..table.rows.len());
+    }
+    let timed: Vec<(usize, &Entry)> = lines
+        .iter()
+        .zip(entries)
+        .flat_map(|(range, entry)| range.clone().map(move |row| (row, entry)))
+        .filter(|&(row, _)| table.rows[row].error.is_some())
+        .collect();
+    let runs: Vec<_> = timed
+        .iter()
+        .map(|&(row, entry)| (entry, table.rows[row].step_s, table.rows[row].steps))
+        .collect();
+    watch.expect(1);
+    let times = measure::time(scene, &runs, REPEATS, watch)?;
+    watch.advance(1)?;
+    for ((row, _), ns) in timed.iter().zip(times) {
+        table.rows[*row].ns_per_step = Some(ns).filter(|ns| ns.is_finite());
+    }
+    Ok(Precision { reference, table, lines })
+}
+
+impl Precision {
+    /// The order that the errors of a method show: the slope of a line through the logarithms of those that
+    /// are small enough for it and above round-off; `None` with fewer than three.
+    pub fn measured_order(&self, line: usize) -> Option<f64> {
+        let above = 100.0 * self.reference.error.max(1e-15);
+        let points: Vec<(f64, f64)> = self.table.rows[self.lines[line].clone()]
+            .iter()
+            .filter_map(|row| row.error.map(|error| (row.step_s, error)))
+            .filter(|&(_, error)| error > above && error < 1e-2)
+            .map(|(step_s, error)| (libm::log(step_s), libm::log(error)))
+            .collect();
+        // The smallest steps show the order best.
+        let points = &points[points.len().saturating_sub(4)..];
+        if points.len() < 3 {
+            return None;
+        }
+        let count = points.len() as f64;
+        let (x0, y0) = (
+            points.iter().map(|p| p.0).sum::<f64>() / count,
+            points.iter().map(|p| p.1).sum::<f64>() / count,
+        );
+        let spread: f64 = points.iter().map(|p| (p.0 - x0) * (p.0 - x0)).sum();
+        Some(points.iter().map(|p| (p.0 - x0) * (p.1 - y0)).sum::<f64>() / spread)
+    }
+}

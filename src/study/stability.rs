@@ -1,0 +1,293 @@
+//! Where each method fails: a sweep of the step, and the border of what is usable.
+//!
+//! Invariant: a cell has exactly one class, the first that fits in the order of [`Class`] from the bottom up.
+
+use serde::Serialize;
+
+use super::long_term::trend;
+use super::measure::{End, Measured, Probe, measure};
+use super::table::{Row, Table};
+use super::{Entry, Scales, StudyError, Watch, usual_time, with_tableau};
+use crate::scenario::{MethodName, Scenario, TableauName};
+use crate::solve::failure::FailureCode;
+
+/// What became of a method at a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// Bounded energy error, on the group, on the right branch.
+    Stable,
+    /// The energy error has a trend: it would grow with a longer run.
+    EnergyDrifts,
+    /// A step turned the attitude elsewhere, while energy and orthogonality look fine.
+    WrongBranch,
+    /// The attitude is no rotation any more.
+    LeftGroup,
+    /// The energy error is beyond a tenth of the energy that moves: the run means nothing.
+    BlewUp,
+    /// A step could not be made.
+    Failed(FailureCode),
+}
+
+impl Class {
+    /// The class in tables.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Stable => "stable",
+            Self::EnergyDrifts => "energy_drifts",
+            Self::WrongBranch => "wrong_branch",
+            Self::LeftGroup => "left_group",
+            Self::BlewUp => "blew_up",
+            Self::Failed(code) => code.as_str(),
+        }
+    }
+
+    /// Does a run of this class mean something? One whose energy drifts does, for a while.
+    pub fn is_usable(self) -> bool {
+        matches!(self, Self::Stable | Self::EnergyDrifts)
+    }
+}
+
+/// A method at a step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// What became of it.
+    pub class: Class,
+    /// The figures.
+    pub row: Row,
+}
+
+/// The largest step at which a method is usable, and every smaller one of the sweep too.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Border {
+    /// The method with its tableau and solver.
+    pub label: String,
+    /// Largest usable step in seconds, to 5 %; absent if no step of the sweep is.
+    pub usable_step_s: Option<f64>,
+    /// By how much the body turns in it where it is fastest, rad.
+    pub turn_rad: Option<f64>,
+    /// Smallest step beyond it that was tried, in seconds; absent if the whole sweep is usable.
+    pub broken_step_s: Option<f64>,
+    /// What happens there.
+    pub broken: Option<&'static str>,
+}
+
+/// The map of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Map {
+    /// The steps of the sweep in seconds, rising.
+    pub steps_s: Vec<f64>,
+    /// Of each method, in the order of the entries, a cell for each step.
+    pub cells: Vec<Vec<Cell>>,
+    /// Of each method its border.
+    pub borders: Vec<Border>,
+    /// The energy that moves, J: errors of the energy are seen in parts of it.
+    pub energy_scale: f64,
+    /// The fastest turn of the body, rad/s.
+    pub fastest_rad_s: f64,
+}
+
+/// Steps of the sweep.
+const SWEEP: usize = 24;
+/// Angle by which the body turns in the smallest and the largest step of the sweep where it is fastest.
+const TURNS_RAD: (f64, f64) = (0.03, 6.0);
+/// Steps of each run: long enough for an instability to show, and a drift.
+const RUN_STEPS: u64 = 4000;
+/// The step beyond the border is at most so many times the largest usable one.
+const BORDER_RATIO: f64 = 1.05;
+/// An energy error beyond this part of the kinetic energy is no integration.
+const MEANINGLESS: f64 = 0.1;
+/// An attitude this far from orthogonal is no rotation.
+const OFF_GROUP: f64 = 1e-6;
+/// A step that ends further than this from where it should has gone to another branch: 60 degrees.
+const WRONG_BRANCH: f64 = 1.0;
+
+/// Sweeps the step for each method and bisects the border of what is usable.
+///
+/// # Errors
+/// If the scene cannot be studied, or the study is cancelled.
+pub fn stability(scene: &Scenario, entries: &[Entry], watch: &Watch) -> Result<Map, StudyError> {
+    let judge = Judge::of(scene, watch)?;
+    let steps_s = judge.sweep();
+    watch.expect((entries.len() * SWEEP) as u64);
+    let mut map = Map {
+        cells: Vec::new(),
+        borders: Vec::new(),
+        energy_scale: judge.scales.kinetic,
+        fastest_rad_s: judge.scales.fastest_rad_s,
+        steps_s,
+    };
+    for entry in entries {
+        let mut cells = Vec::with_capacity(SWEEP);
+        for &step_s in &map.steps_s {
+            cells.push(judge.cell(entry, step_s, watch)?);
+            watch.advance(1)?;
+        }
+        let broken = cells.iter().position(|cell| !cell.class.is_usable());
+        let bracket = Bracket {
+            usable_step_s: match broken {
+                Some(at) => at.checked_sub(1).map(|at| map.steps_s[at]),
+                None => map.steps_s.last().copied(),
+            },
+            broken: broken.map(|at| (map.steps_s[at], cells[at].class)),
+        };
+        map.borders.push(judge.border(entry, bracket, watch)?);
+        map.cells.push(cells);
+    }
+    Ok(map)
+}
+
+impl Map {
+    /// All cells as one table, the class as the outcome.
+    pub fn table(&self) -> Table {
+        let row = |cell: &Cell| Row { outcome: cell.class.as_str().to_owned(), ..cell.row.clone() };
+        Table { rows: self.cells.iter().flatten().map(row).collect() }
+    }
+}
+
+/// Between these steps lies a border.
+#[derive(Clone, Copy, Debug)]
+struct Bracket {
+    usable_step_s: Option<f64>,
+    broken: Option<(f64, Class)>,
+}
+
+/// Judges cells of one scene.
+#[derive(Debug)]
+pub struct Judge<'a> {
+    scene: &'a Scenario,
+    scales: Scales,
+}
+
+impl<'a> Judge<'a> {
+    /// Measures the scales of the scene over about ten turns.
+    ///
+    /// # Errors
+    /// If no step works on the scene.
+    pub fn of(scene: &'a Scenario, watch: &Watch) -> Result<Self, StudyError> {
+        let time_s = 10.0 * usual_time(scene)?;
+        Ok(Self { scene, scales: Scales::of(scene, time_s, watch)? })
+    }
+
+    fn sweep(&self) -> Vec<f64> {
+        let (low, high) = TURNS_RAD;
+        let ratio = libm::pow(high / low, 1.0 / (SWEEP - 1) as f64);
+        (0..SWEEP).map(|k| low * libm::pow(ratio, k as f64) / self.scales.fastest_rad_s).collect()
+    }
+
+    /// A method at a step.
+    ///
+    /// # Errors
+    /// If the scene cannot be planned with the method, or the study is cancelled.
+    pub fn cell(&self, entry: &Entry, step_s: f64, watch: &Watch) -> Result<Cell, StudyError> {
+        let probe = Probe {
+            method: &entry.method,
+            step_s,
+            steps: RUN_STEPS,
+            every: 1,
+            energy_limit: MEANINGLESS * self.scales.kinetic,
+            keep: false,
+        };
+        let run = measure(self.scene, probe, watch)?;
+        watch.advance(0)?;
+        let class = self.class(entry, step_s, &run, watch)?;
+        Ok(Cell { class, row: Row::new(entry, step_s, &run, None) })
+    }
+
+    fn class(
+        &self,
+        entry: &Entry,
+        step_s: f64,
+        run: &Measured,
+        watch: &Watch,
+    ) -> Result<Class, StudyError> {
+        if let End::Failed(failure) = &run.end {
+            return Ok(Class::Failed(failure.code));
+        }
+        if run.end == End::BlewUp {
+            return Ok(Class::BlewUp);
+        }
+        if run.orthogonality_error() > OFF_GROUP {
+            return Ok(Class::LeftGroup);
+        }
+        if self.leaves_branch(entry, step_s, watch)? {
+            return Ok(Class::WrongBranch);
+        }
+        let errors: Vec<f64> = run.series.iter().map(|&(_, energy, _)| energy).collect();
+        // Beyond chance in each half, and alike in both: a swing slower than the run has a trend too.
+        let halves = [&errors[..errors.len() / 2], &errors[errors.len() / 2..]].map(trend);
+        let beyond_chance = halves.iter().all(|(change, chance)| change.abs() > 4.0 * chance);
+        let [(first, _), (second, _)] = halves;
+        let alike = first * second > 0.0 && (0.25..4.0).contains(&(first / second));
+        // Beyond the amplitude of what only swings, and beyond round-off.
+        let largest = run.energy_error();
+        let drifts = beyond_chance
+            && alike
+            && (first + second).abs() > 0.6 * largest
+            && largest > 1e-12 * self.scales.kinetic;
+        Ok(if drifts { Class::EnergyDrifts } else { Class::Stable })
+    }
+
+    /// Does the first step end where it should? Told by a solution of order 16 in steps that are known to work.
+    fn leaves_branch(&self, entry: &Entry, step_s: f64, watch: &Watch) -> Result<bool, StudyError> {
+        let exact = with_tableau(MethodName::Vpd, TableauName::Gauss8);
+        let parts = (step_s / self.scales.easy_step_s).ceil().max(1.0) as u64;
+        let end = |method, step_s, steps| {
+            let energy_limit = f64::INFINITY;
+            let probe = Probe { method, step_s, steps, every: steps, energy_limit, keep: false };
+            measure(self.scene, probe, watch)
+        };
+        let ours = end(&entry.method, step_s, 1)?;
+        let exact = end(&exact, step_s / parts as f64, parts)?;
+        Ok(ours.completed()
+            && exact.completed()
+            && ours.last.attitude_distance(&exact.last) > WRONG_BRANCH)
+    }
+
+    /// The border of a method between two steps of which the first is usable and the second is not, to
+    /// 5 %; `None` if they are not so.
+    ///
+    /// # Errors
+    /// Those of [`Judge::cell`].
+    pub fn border_between(
+        &self,
+        entry: &Entry,
+        (usable_step_s, broken_step_s): (f64, f64),
+        watch: &Watch,
+    ) -> Result<Option<Border>, StudyError> {
+        let low = self.cell(entry, usable_step_s, watch)?.class;
+        let high = self.cell(entry, broken_step_s, watch)?.class;
+        if !low.is_usable() || high.is_usable() {
+            return Ok(None);
+        }
+        let bracket =
+            Bracket { usable_step_s: Some(usable_step_s), broken: Some((broken_step_s, high)) };
+        self.border(entry, bracket, watch).map(Some)
+    }
+
+    fn border(
+        &self,
+        entry: &Entry,
+        mut bracket: Bracket,
+        watch: &Watch,
+    ) -> Result<Border, StudyError> {
+        while let Bracket { usable_step_s: Some(usable), broken: Some((broken, _)) } = bracket
+            && broken > BORDER_RATIO * usable
+        {
+            let middle = (usable * broken).sqrt();
+            let class = self.cell(entry, middle, watch)?.class;
+            if class.is_usable() {
+                bracket.usable_step_s = Some(middle);
+            } else {
+                bracket.broken = Some((middle, class));
+            }
+        }
+        let Bracket { usable_step_s, broken } = bracket;
+        Ok(Border {
+            label: entry.label(),
+            usable_step_s,
+            turn_rad: usable_step_s.map(|step_s| step_s * self.scales.fastest_rad_s),
+            broken_step_s: broken.map(|(step_s, _)| step_s),
+            broken: broken.map(|(_, class)| class.as_str()),
+        })
+    }
+}
