@@ -10,6 +10,7 @@ mod cli;
 mod http;
 mod forms;
 mod gallery;
+mod lanes;
 mod laws;
 mod log;
 mod methods;
