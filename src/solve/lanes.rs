@@ -220,3 +220,180 @@ macro_rules! stage_lanes {
 stage_lanes!(f64x2, 2);
 stage_lanes!(f64x4, 4);
 stage_lanes!(f64x8, 8);
+
+/// The stages of a step, and in each the members of an ensemble side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<S: Simd, const K: usize>(pub [f64x8<S>; K]);
+
+/// Elementwise, in place: no closure, which would not be compiled for the instruction set of its caller.
+macro_rules! elementwise {
+    ($self:ident, $k:ident => $element:expr) => {{
+        let mut result = $self.0;
+        for $k in 0..K {
+            result[$k] = $element;
+        }
+        Self(result)
+    }};
+}
+
+macro_rules! rows_operator {
+    ($operator:ident, $function:ident, $symbol:tt) => {
+        impl<S: Simd, const K: usize> $operator for Rows<S, K> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $function(self, other: Self) -> Self {
+                elementwise!(self, k => self.0[k] $symbol other.0[k])
+            }
+        }
+    };
+}
+
+rows_operator!(Add, add, +);
+rows_operator!(Sub, sub, -);
+rows_operator!(Mul, mul, *);
+rows_operator!(Div, div, /);
+
+impl<S: Simd, const K: usize> Add<f64> for Rows<S, K> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: f64) -> Self {
+        elementwise!(self, k => self.0[k] + other)
+    }
+}
+
+impl<S: Simd, const K: usize> Mul<f64> for Rows<S, K> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, other: f64) -> Self {
+        elementwise!(self, k => self.0[k] * other)
+    }
+}
+
+impl<S: Simd, const K: usize> Neg for Rows<S, K> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        elementwise!(self, k => -self.0[k])
+    }
+}
+
+impl<S: Simd, const K: usize> Real for Rows<S, K> {
+    #[inline(always)]
+    fn constant(self, value: f64) -> Self {
+        elementwise!(self, k => self.0[k].constant(value))
+    }
+
+    #[inline(always)]
+    fn root(self) -> Self {
+        elementwise!(self, k => self.0[k].root())
+    }
+
+    #[inline(always)]
+    fn size(self) -> Self {
+        elementwise!(self, k => self.0[k].size())
+    }
+
+    #[inline(always)]
+    fn larger(self, other: Self) -> Self {
+        elementwise!(self, k => self.0[k].larger(other.0[k]))
+    }
+}
+
+impl<S: Simd> Whole for f64x8<S> {
+    type Plain = Row;
+
+    #[inline(always)]
+    fn load(self, plain: &Row) -> Self {
+        Self::from_slice(self.simd, &plain.0)
+    }
+
+    #[inline(always)]
+    fn store(self, plain: &mut Row) {
+        self.store_slice(&mut plain.0);
+    }
+}
+
+macro_rules! member_lanes {
+    ($stages:tt) => {
+        impl<S: Simd> Stages for Rows<S, $stages> {
+            type Whole = f64x8<S>;
+            type Plain = [Row; $stages];
+
+            #[inline(always)]
+            fn load(self, plain: &Self::Plain) -> Self {
+                let mut rows = self.0;
+                for k in 0..$stages {
+                    rows[k] = Whole::load(self.0[0], &plain[k]);
+                }
+                Self(rows)
+            }
+
+            #[inline(always)]
+            fn store(self, plain: &mut Self::Plain) {
+                for k in 0..$stages {
+                    Whole::store(self.0[k], &mut plain[k]);
+                }
+            }
+
+            #[inline(always)]
+            fn row(self, row: &Row) -> Self {
+                let mut rows = self.0;
+                for k in 0..$stages {
+                    rows[k] = self.0[0].constant(row.0[k]);
+                }
+                Self(rows)
+            }
+
+            #[inline(always)]
+            fn spread(self, whole: f64x8<S>) -> Self {
+                Self([whole; $stages])
+            }
+
+            #[inline(always)]
+            fn stage(self, k: usize) -> f64x8<S> {
+                self.0[k]
+            }
+
+            #[inline(always)]
+            fn sum(self) -> f64x8<S> {
+                macro_rules! term {
+                    ($j:literal) => {
+                        self.0[$j]
+                    };
+                }
+                by_halves!($stages, term)
+            }
+
+            #[inline(always)]
+            fn combined(self, columns: &[Row; WIDTH]) -> Self {
+                let mut rows = self.0;
+                for k in 0..$stages {
+                    macro_rules! term {
+                        ($j:literal) => {
+                            self.0[$j] * columns[$j].0[k]
+                        };
+                    }
+                    rows[k] = by_halves!($stages, term);
+                }
+                Self(rows)
+            }
+
+            #[inline(always)]
+            fn largest(self) -> f64x8<S> {
+                let mut largest = self.0[0];
+                for k in 1..$stages {
+                    largest = largest.larger(self.0[k]);
+                }
+                largest
+            }
+        }
+    };
+}
+
+member_lanes!(2);
+member_lanes!(4);
+member_lanes!(8);

@@ -175,38 +175,94 @@ fn swept(
     leave: bool,
     mut sweep: impl FnMut() -> Result<f64, Failure>,
 ) -> Result<Option<Convergence>, Failure> {
-    let mut history = History::new();
-    let mut grown = 0;
-    let (mut smallest, mut since_smallest) = (f64::INFINITY, 0);
-    for iteration in 1..=rule.max_iterations {
+    let mut progress = Progress::new(rule, leave);
+    loop {
+        let increment = sweep().map_err(|failure| progress.failure_of(failure))?;
+        match progress.judged(increment)? {
+            Verdict::GoOn => {}
+            Verdict::Converged(convergence) => return Ok(Some(convergence)),
+            Verdict::Leave => return Ok(None),
+        }
+    }
+}
+
+/// What the increments of a fixed-point iteration tell.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Progress {
+    rule: StopRule,
+    leave: bool,
+    history: History,
+    iteration: u32,
+    grown: u32,
+    smallest: f64,
+    since_smallest: u32,
+}
+
+/// What to do after a sweep.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Verdict {
+    /// Another sweep.
+    GoOn,
+    /// The equations are solved.
+    Converged(Convergence),
+    /// Sweeps get on too slowly.
+    Leave,
+}
+
+impl Progress {
+    /// An iteration that begins; it is left for Newton's method where that is quicker if `leave`.
+    pub(super) fn new(rule: StopRule, leave: bool) -> Self {
+        let (smallest, since_smallest) = (f64::INFINITY, 0);
+        Self {
+            rule,
+            leave,
+            history: History::new(),
+            iteration: 0,
+            grown: 0,
+            smallest,
+            since_smallest,
+        }
+    }
+
+    /// A failure of the next sweep, with the figures of the iteration.
+    fn failure_of(&self, failure: Failure) -> Failure {
+        self.history.of(failure, self.iteration + 1)
+    }
+
+    /// Judges the iteration by its newest increment.
+    ///
+    /// # Errors
+    /// If it does not converge.
+    pub(super) fn judged(&mut self, increment: f64) -> Result<Verdict, Failure> {
+        let Self { rule, leave, history, iteration, grown, smallest, since_smallest } = self;
         let [previous, before] = history.last_two();
-        let increment = sweep().map_err(|failure| history.of(failure, iteration))?;
+        *iteration += 1;
         history.note(increment);
         if !increment.is_finite() {
             return Err(history.failure(FailureCode::NonFinite, f64::MAX));
         }
-        grown = if increment >= previous { grown + 1 } else { 0 };
-        if increment < smallest {
-            (smallest, since_smallest) = (increment, 0);
+        *grown = if increment >= previous { *grown + 1 } else { 0 };
+        if increment < *smallest {
+            (*smallest, *since_smallest) = (increment, 0);
         } else {
-            since_smallest += 1;
+            *since_smallest += 1;
         }
         // What is left after this sweep is about the increment times the contraction. Of the last two the
         // worse: one may be luck.
         let contraction = (increment / previous).max(previous / before);
-        let foreseen = iteration > 2
+        let foreseen = *iteration > 2
             && contraction <= FAST
             && increment * contraction <= FORESEEN * rule.tolerance;
         // One increment that does not fall may be the wobble of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
-        let at_floor = (grown == 1 && increment <= ROUND_OFF)
-            || (grown == 2 && increment <= ROUND_OFF_FLOOR)
-            || (since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
+        let at_floor = (*grown == 1 && increment <= ROUND_OFF)
+            || (*grown == 2 && increment <= ROUND_OFF_FLOOR)
+            || (*since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
         if increment <= rule.tolerance || foreseen || at_floor {
-            let rung = Rung::FixedPoint;
-            return Ok(Some(Convergence { iterations: iteration, increment, rung }));
+            let (iterations, rung) = (*iteration, Rung::FixedPoint);
+            return Ok(Verdict::Converged(Convergence { iterations, increment, rung }));
         }
-        if grown == PATIENCE {
+        if *grown == PATIENCE {
             // Close to the floor it is round-off of large intermediate values that stops the fall.
             return Err(if increment <= 1e3 * ROUND_OFF_FLOOR {
                 history.failure(FailureCode::Stalled, ROUND_OFF_FLOOR)
@@ -214,11 +270,14 @@ fn swept(
                 history.failure(FailureCode::Diverged, previous)
             });
         }
-        if leave && iteration == TRIAL && increment > SLOW * history.before(TRIAL_SPAN) {
-            return Ok(None);
+        if *leave && *iteration == TRIAL && increment > SLOW * history.before(TRIAL_SPAN) {
+            return Ok(Verdict::Leave);
         }
+        if *iteration == rule.max_iterations {
+            return Err(history.failure(FailureCode::MaxIterations, rule.tolerance));
+        }
+        Ok(Verdict::GoOn)
     }
-    Err(history.failure(FailureCode::MaxIterations, rule.tolerance))
 }
 
 /// The last increments of an iteration.

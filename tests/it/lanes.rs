@@ -10,6 +10,7 @@ use vpd::solve::stepper::vpd::Vpd;
 use vpd::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd::solve::stepper::vpd_reduced::VpdReduced;
 use vpd::solve::stepper::vpd_space::VpdSpace;
+use vpd::solve::stepper::vpd_space::ensemble::VpdEnsemble;
 use vpd::solve::stepper::vrkmk::Vrkmk;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::State;
@@ -203,4 +204,47 @@ fn carried_sums_leave_no_drift() {
     let rounded = energy_error(&mut Vpd::new(eight(), StopRule::default()), 10_000);
     println!("1e5 steps: {long:e}; 1e4 steps: {carried:e}, without carry {rounded:e}");
     assert!(3.0 * carried < rounded, "{carried:e} {rounded:e}");
+}
+
+/// Every member of an ensemble ends with the bits of its own run, or with its failure.
+#[test]
+fn members_are_their_own_runs_bit_for_bit() {
+    let (body, start) = dipole();
+    for (stages, h) in [(1, 0.02), (2, 0.05), (3, 0.1), (4, 0.1), (6, 0.15), (8, 0.2)] {
+        let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
+        let mut numbers = Numbers(stages as u64 + 11);
+        // The last turns too fast for the step: it goes by itself, and may fail.
+        let states: Vec<State<3>> = (0..7)
+            .map(|m| {
+                let size = if m == 6 { 60.0 } else { 0.1 };
+                let attitude = start.attitude * so::exp(&(numbers.skew() * 0.3));
+                State { attitude, momentum: numbers.skew() * size }
+            })
+            .collect();
+        let mut ensemble = VpdEnsemble::new(&tableau, StopRule::default()).expect("1 to 8 stages");
+        ensemble.start(states.clone());
+        let mut alone: Vec<VpdSpace> = states
+            .iter()
+            .map(|state| {
+                let mut stepper = in_lanes(&tableau, true);
+                stepper.start(state);
+                stepper
+            })
+            .collect();
+        let mut failed = 0;
+        for step in 0..100 {
+            let together = ensemble.step(&body, h).to_vec();
+            for (m, (stepper, result)) in alone.iter_mut().zip(together).enumerate() {
+                failed += usize::from(result.is_err());
+                let own = stepper.step(&body, h).map_err(|failure| failure.code);
+                let result = result.map_err(|failure| failure.code);
+                assert_eq!(own, result, "{stages} stages, step {step}, member {m}");
+            }
+            for (m, stepper) in alone.iter().enumerate() {
+                let State { attitude, momentum } = ensemble.state(m);
+                assert_eq!((stepper.attitude(), stepper.momentum()), (Some(attitude), momentum));
+            }
+        }
+        println!("{stages} stages: {failed} failures of the fast member");
+    }
 }

@@ -25,6 +25,7 @@ use crate::solve::space::{
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
+pub mod ensemble;
 mod sweep;
 
 use sweep::{LaneTableau, Start, Unknowns};
@@ -150,8 +151,11 @@ impl VpdSpace {
     /// Refuses stages too close to a point of the potential.
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
-        (0..self.tableau.stages()).try_for_each(|k| {
-            let u = self.turn(k).matrix();
+        // An iterate that is no number meets no charge.
+        let turns = (0..self.tableau.stages()).map(|k| (k, self.turn(k)));
+        let mut finite = turns.filter(|(_, Turn { w, v })| (w + v[0] + v[1] + v[2]).is_finite());
+        finite.try_for_each(|(k, turn)| {
+            let u = turn.matrix();
             body.check_distances(&Mat::from_fn(|i, j| u[i][j]), &seen)
                 .map_err(|failure| Failure { stage: Some(k), ..failure })
         })
@@ -173,19 +177,14 @@ impl VpdSpace {
             InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };
         let solved = solver.solve(&mut equations);
         body.count(equations.torques);
-        match solved {
-            Ok(convergence) => self.check(body).map(|()| convergence),
-            // A charge that was met, or a polar factor that was lost, explains a failed iteration better than
-            // the iteration does.
-            Err(failure) => Err(match self.check_distances(body) {
-                Err(met) => Failure {
-                    iterations: failure.iterations,
-                    increments: failure.increments,
-                    ..met
-                },
-                Ok(()) => failure,
-            }),
-        }
+        // A charge that was met explains a failed iteration better than the iteration does.
+        solved.map_err(|failure| match self.check_distances(body) {
+            Err(met) => {
+                let Failure { iterations, increments, .. } = failure;
+                Failure { iterations, increments, ..met }
+            }
+            Ok(()) => failure,
+        })
     }
 }
 
@@ -264,15 +263,60 @@ impl Stepper<3> for VpdSpace {
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let p0 = self.body_momentum();
+        self.look(body);
+        let solved = self.solve(body, h, p0).map_err(|failure| self.turned(body, h, failure))?;
+        self.accepted(body, h, solved)
+    }
+
+    fn attitude(&self) -> Option<Mat<3>> {
+        match &self.state {
+            Carried::Full { attitude, .. } => {
+                let g = attitude.matrix();
+                Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
+            }
+            Carried::Reduced { .. } => None,
+        }
+    }
+
+    fn momentum(&self) -> Mat<3> {
+        so::hat(&self.body_momentum())
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.excess(k)));
+        Some(sigmas.fold(f64::INFINITY, f64::min))
+    }
+}
+
+impl VpdSpace {
+    /// The space vectors of the potential from where the step begins.
+    fn look(&mut self, body: &RigidBody<3>) {
         self.seen.clear();
         if let Carried::Full { attitude, .. } = &self.state {
             let g0 = attitude.matrix();
             self.seen.extend(body.space_vectors().map(|v| transposed_product(&g0, &(*v).into())));
         }
-        let convergence = self.solve(body, h, p0).map_err(|failure| {
-            let velocity = body.inverse_inertia() * Vector::<3>::from(p0);
-            Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
-        })?;
+    }
+
+    /// Checks the solved step and takes it over into the state.
+    fn accepted(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        solved: Convergence,
+    ) -> Result<Convergence, Failure> {
+        self.check(body).map_err(|failure| self.turned(body, h, failure))?;
+        self.advance();
+        Ok(solved)
+    }
+
+    /// A failure with the angle by which the body would turn.
+    fn turned(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
+        let velocity = body.inverse_inertia() * Vector::<3>::from(self.body_momentum());
+        Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
+    }
+
+    fn advance(&mut self) {
         let Unknowns { end, kick, .. } = &self.unknowns;
         match &mut self.state {
             Carried::Full { attitude, attitude_carry, momentum, momentum_carry } => {
@@ -298,30 +342,8 @@ impl Stepper<3> for VpdSpace {
                 *momentum = transposed_product(&end.matrix(), momentum);
             }
         }
-        Ok(convergence)
     }
 
-    fn attitude(&self) -> Option<Mat<3>> {
-        match &self.state {
-            Carried::Full { attitude, .. } => {
-                let g = attitude.matrix();
-                Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
-            }
-            Carried::Reduced { .. } => None,
-        }
-    }
-
-    fn momentum(&self) -> Mat<3> {
-        so::hat(&self.body_momentum())
-    }
-
-    fn sigma_min(&self) -> Option<f64> {
-        let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.excess(k)));
-        Some(sigmas.fold(f64::INFINITY, f64::min))
-    }
-}
-
-impl VpdSpace {
     fn body_momentum(&self) -> Vec3<f64> {
         match &self.state {
             Carried::Full { attitude, momentum, .. } => {

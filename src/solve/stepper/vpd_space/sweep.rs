@@ -124,6 +124,40 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
     }
 }
 
+impl<S, P> Unknowns<S, P> {
+    /// Each number taken over by `stages` or `whole`.
+    pub(super) fn mapped<T, Q>(
+        &self,
+        stages: impl Fn(&S) -> T,
+        whole: impl Fn(&P) -> Q,
+    ) -> Unknowns<T, Q> {
+        let Self { attitude, momentum, x, end, inverse, excess, end_excess, kick, nearness } = self;
+        Unknowns {
+            attitude: Turn { w: stages(&attitude.w), v: vec3!(i => stages(&attitude.v[i])) },
+            momentum: vec3!(i => stages(&momentum[i])),
+            x: vec3!(i => stages(&x[i])),
+            end: Turn { w: whole(&end.w), v: vec3!(i => whole(&end.v[i])) },
+            inverse: inverse.each_ref().map(&stages),
+            excess: excess.each_ref().map(&stages),
+            end_excess: end_excess.each_ref().map(&whole),
+            kick: vec3!(i => whole(&kick[i])),
+            nearness: whole(nearness),
+        }
+    }
+}
+
+/// [`sweep`] for members, with the increment of each in memory.
+#[inline(always)]
+pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
+    like: R,
+    start: &Start<'_, Row>,
+    unknowns: &mut Unknowns<R::Plain, Row>,
+) -> Row {
+    let mut increments = Row::splat(0.0);
+    sweep(like, start, unknowns).store(&mut increments);
+    increments
+}
+
 impl Unknowns<Row, f64> {
     /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
     /// numbers, too: what is zero times a NaN is none.
