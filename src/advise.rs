@@ -33,14 +33,24 @@ const TRIES: u32 = 7;
 /// # Errors
 /// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
+    let (settled, advice) = settled(scenario)?;
+    let mut plan = Plan::new(&settled)?;
+    if advice.is_some() {
+        plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
+    }
+    plan.advice = advice;
+    Ok(plan)
+}
+
+/// The scenario with a method and a step, and how they were chosen if it came with an accuracy.
+///
+/// # Errors
+/// At `/accuracy/error` where no method is known to reach it.
+pub fn settled(scenario: &Scenario) -> Result<(Scenario, Option<Advice>), ScenarioError> {
     match scenario.accuracy {
-        None => Plan::new(scenario),
+        None => Ok((scenario.clone(), None)),
         Some(accuracy) => {
-            let (settled, advice) = settle(scenario, accuracy)?;
-            let mut plan = Plan::new(&settled)?;
-            plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
-            plan.advice = Some(advice);
-            Ok(plan)
+            settle(scenario, accuracy).map(|(settled, advice)| (settled, Some(advice)))
         }
     }
 }
@@ -51,10 +61,7 @@ pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
 /// # Errors
 /// If there is no such reference, or the run fails.
 pub fn error_at_end(scenario: &Scenario) -> Result<f64, StudyError> {
-    let scenario = match scenario.accuracy {
-        None => scenario.clone(),
-        Some(accuracy) => settle(scenario, accuracy)?.0,
-    };
+    let (scenario, _) = settled(scenario)?;
     let Plan { step_s, steps, .. } = Plan::new(&scenario)?;
     let time_s = step_s * steps as f64;
     let watch = Watch::default();
