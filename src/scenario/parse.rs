@@ -54,6 +54,11 @@ fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     Ok(value)
 }
 
+/// A number that may be left out, but is none if it is `null`.
+pub(super) fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    f64::deserialize(deserializer).map(Some)
+}
+
 /// A JSON pointer (RFC 6901) from the path that serde took.
 fn pointer(path: &Path) -> String {
     path.iter()
