@@ -6,6 +6,7 @@
 
 mod bad_scenarios;
 mod cli;
+mod faults;
 mod http;
 mod forms;
 mod laws;
