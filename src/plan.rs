@@ -23,6 +23,9 @@ use model::{
     tableau_choice, with_matrix,
 };
 
+/// About what a log takes beside its samples: schemas, scenario, plan, index.
+pub(crate) const LOG_FIXED_BYTES: u64 = 40_000;
+
 /// What a job will do, for people and for [`crate::run`].
 #[derive(Clone, Debug, Serialize)]
 pub struct Plan {
@@ -272,8 +275,7 @@ impl Plan {
             Compression::Lz4 => 0.7,
             Compression::None => 1.0,
         };
-        const FIXED: u64 = 40_000;
-        self.log_bytes = FIXED + (self.samples as f64 * raw as f64 * ratio) as u64;
+        self.log_bytes = LOG_FIXED_BYTES + (self.samples as f64 * raw as f64 * ratio) as u64;
         self.step_ns = self.step_cost_ns();
         self.run_s = self.steps as f64 * self.step_ns * 1e-9;
         // What a viewer fetches at once, and what a kill may cost.

@@ -11,6 +11,7 @@ mod check;
 mod parse;
 
 pub(crate) use check::SMALLEST_STEP_S;
+pub(crate) use parse::{from_tree, tree as read_tree};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

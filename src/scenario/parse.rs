@@ -23,7 +23,7 @@ pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
 }
 
 /// The second pass: a tree → types.
-fn from_tree<'de, T: Deserialize<'de>>(tree: Value) -> Result<T, ScenarioError> {
+pub(crate) fn from_tree<'de, T: Deserialize<'de>>(tree: Value) -> Result<T, ScenarioError> {
     serde_path_to_error::deserialize(tree).map_err(|error| ScenarioError {
         kind: ScenarioErrorKind::Invalid,
         pointer: pointer(error.path()),
@@ -32,7 +32,7 @@ fn from_tree<'de, T: Deserialize<'de>>(tree: Value) -> Result<T, ScenarioError> 
 }
 
 /// The first pass: text → a tree without duplicate keys.
-fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
+pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     let mut reader = serde_json::Deserializer::from_slice(text);
     let Tree(value) = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let inner = error.inner();
