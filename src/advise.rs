@@ -260,11 +260,11 @@ impl Trial<'_> {
         (growth <= FASTEST_GROWTH).then(|| late * libm::pow(ratio, growth + DOUBT))
     }
 
-    /// What a run costs on a common machine, by the plan's figures for ten sweeps.
+    /// What a run costs on a common machine, by the plan's figures for a sweep.
     fn cost_ns(&self, entry: &Entry, run: &Measured) -> Result<f64, ScenarioError> {
         let plan = variant(self.scenario, &entry.method, 1.0, 1)?;
-        let explicit = run.rung == Some(Rung::Explicit) || entry.method.name == MethodName::Lgvi;
-        let steps = if explicit { run.steps as f64 } else { run.iterations as f64 / 10.0 };
-        Ok(steps * plan.step_cost_ns())
+        let whole = run.rung == Some(Rung::Explicit) || entry.method.name == MethodName::Lgvi;
+        let count = if whole { run.steps } else { run.iterations };
+        Ok(count as f64 * plan.sweep_cost_ns())
     }
 }
