@@ -148,7 +148,7 @@ impl Plan {
         let momentum = momentum(scenario, &kinetic, &attitude);
         let choice = tableau_choice(&scenario.method);
         let tableau = tableau(&choice, &scenario.method)?;
-        let Solver { tolerance, max_iterations, .. } = scenario.method.solver;
+        let Solver { kind, tolerance, max_iterations } = scenario.method.solver;
         let mut plan = Self {
             dimension: n,
             formulation: Formulation::default(),
@@ -171,7 +171,7 @@ impl Plan {
                 attitude,
                 momentum,
                 tableau,
-                stop: StopRule { tolerance, max_iterations },
+                stop: StopRule { tolerance, max_iterations, rungs: model::rungs(kind) },
             },
         };
         plan.samples = 1 + plan.steps.div_ceil(plan.every);

@@ -292,6 +292,19 @@ impl MethodName {
         matches!(self, Self::Splitting | Self::Lgvi)
     }
 
+    /// Has the method Newton's method to go to?
+    pub fn has_newton(self) -> bool {
+        matches!(
+            self,
+            Self::Auto
+                | Self::Vpd
+                | Self::VpdLagrangian
+                | Self::VpdReduced
+                | Self::Vrkmk
+                | Self::VrkmkProjected
+        )
+    }
+
     /// Does the method take explicit tableaux only?
     pub fn is_explicit(self) -> bool {
         matches!(self, Self::Rkmk | Self::Rk | Self::RkProjected)
@@ -345,7 +358,7 @@ pub struct Solver {
     /// Relative increment at which the iteration ends; round-off by default.
     #[serde(default = "Solver::default_tolerance")]
     pub tolerance: f64,
-    /// Sweeps after which a step is given up.
+    /// Sweeps, or corrections of Newton's method, after which a step is given up.
     #[serde(default = "Solver::default_max_iterations")]
     pub max_iterations: u32,
 }
@@ -374,11 +387,13 @@ impl Default for Solver {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SolverKind {
-    /// The program chooses.
+    /// Fixed-point sweeps, and Newton's method in the steps where they do not get on.
     #[default]
     Auto,
-    /// Fixed-point sweeps.
+    /// Fixed-point sweeps alone.
     FixedPoint,
+    /// Newton's method alone.
+    Newton,
 }
 
 /// What is logged.

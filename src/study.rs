@@ -105,11 +105,12 @@ pub(crate) fn solver_word(kind: SolverKind) -> &'static str {
     match kind {
         SolverKind::Auto => "auto",
         SolverKind::FixedPoint => "fixed_point",
+        SolverKind::Newton => "newton",
     }
 }
 
 /// The solvers that the VPD methods take by name.
-const SOLVERS: &[SolverKind] = &[SolverKind::FixedPoint];
+const SOLVERS: &[SolverKind] = &[SolverKind::FixedPoint, SolverKind::Newton];
 
 pub(crate) fn with_tableau(name: MethodName, tableau: TableauName) -> Method {
     Method { name, tableau: Some(TableauChoice::Named(tableau)), ..Method::default() }

@@ -5,9 +5,9 @@ use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use crate::scenario::{
     Attitude, Entry, Framed, Inertia, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
-    TableauChoice, TableauName,
+    SolverKind, TableauChoice, TableauName,
 };
-use crate::solve::nonlinear::StopRule;
+use crate::solve::nonlinear::{Rungs, StopRule};
 use crate::solve::so;
 use crate::solve::tableau::{Tableau, TableauError};
 
@@ -34,6 +34,15 @@ pub(crate) enum ModelKinetic {
     Principal { weights: DMatrix<f64> },
     /// n = 3: the inertia matrix.
     Tensor { inertia: Matrix3<f64> },
+}
+
+/// The rungs of the solver that a scenario allows.
+pub(super) fn rungs(kind: SolverKind) -> Rungs {
+    match kind {
+        SolverKind::Auto => Rungs::Both,
+        SolverKind::FixedPoint => Rungs::FixedPoint,
+        SolverKind::Newton => Rungs::Newton,
+    }
 }
 
 fn rows(rows: &[Vec<f64>]) -> DMatrix<f64> {

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use super::{
     Accuracy, Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError,
-    TableauChoice,
+    SolverKind, TableauChoice,
 };
 
 /// Largest n of SO(n) that the program is built for.
@@ -295,6 +295,11 @@ fn method(scenario: &Scenario, n: usize) -> Check {
         format!("{} has no tableau; give its `order`", name.as_str())
     })?;
     let solver = &method.solver;
+    ensure(
+        solver.kind != SolverKind::Newton || name.has_newton(),
+        "/method/solver/kind",
+        || format!("\"newton\" given, {} is solved by fixed_point or auto", name.as_str()),
+    )?;
     let (low, high) = TOLERANCE_RANGE;
     ensure(
         solver.tolerance >= low && solver.tolerance <= high,

@@ -1,23 +1,41 @@
-//! The one nonlinear solver: repeats a sweep until its increments are round-off, or says why not.
+//! The one nonlinear solver: repeats a sweep until its increments are round-off, goes to Newton's method where that
+//! does not get on, or says why not.
 //!
 //! Invariant: an iteration ends at its tolerance, at the round-off floor, or with a [`Failure`]; it never
 //! runs out silently. Every decision depends on computed floats alone, so it repeats to the bit.
 
 use super::failure::{Failure, FailureCode};
 
+mod newton;
+
+use newton::Newton;
+
 /// When an iteration has converged and when it is given up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopRule {
     /// The increment (relative to the size of the unknowns) at which the iteration has converged.
     pub tolerance: f64,
-    /// Sweeps after which it is given up.
+    /// Sweeps, or corrections of Newton's method, after which it is given up.
     pub max_iterations: u32,
+    /// What may be tried.
+    pub rungs: Rungs,
+}
+
+/// The rungs of the solver that may be tried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rungs {
+    /// Sweeps, and Newton's method where they do not get on.
+    Both,
+    /// Sweeps alone.
+    FixedPoint,
+    /// Newton's method alone.
+    Newton,
 }
 
 impl Default for StopRule {
     /// To round-off.
     fn default() -> Self {
-        Self { tolerance: 1e-15, max_iterations: 100 }
+        Self { tolerance: 1e-15, max_iterations: 100, rungs: Rungs::Both }
     }
 }
 
@@ -27,6 +45,14 @@ const ROUND_OFF: f64 = 4e-15;
 const ROUND_OFF_FLOOR: f64 = 1e-12;
 /// A contraction that can be relied upon to go on.
 const FAST: f64 = 0.1;
+/// A sweep is spared if it would change less than this part of the tolerance: what is left out leans to one side,
+/// and a tenth of the tolerance at each step shows as a drift of the energy.
+const FORESEEN: f64 = 1e-2;
+/// After so many sweeps it is judged whether they get on: over the last so many ...
+const TRIAL: u32 = 16;
+const TRIAL_SPAN: usize = 4;
+/// ... the increment must have fallen to this part. Slower than that Newton's method is quicker.
+const SLOW: f64 = 0.1;
 /// So many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
 /// carry the unknowns round a few neighbouring numbers, the increment falling and rising by turns.
 const CYCLE: u32 = 6;
@@ -58,7 +84,7 @@ impl Rung {
 /// How a solve ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Convergence {
-    /// Sweeps made.
+    /// Sweeps made; corrections of Newton's method, each of several sweeps.
     pub iterations: u32,
     /// The last increment, relative to the size of the unknowns.
     pub increment: f64,
@@ -71,6 +97,66 @@ impl Convergence {
     pub const EXPLICIT: Self = Self { iterations: 1, increment: 0.0, rung: Rung::Explicit };
 }
 
+/// The equations of a step, as a sweep over their unknowns.
+pub trait Equations {
+    /// Sets the unknowns to their first guess, a function of the state alone.
+    ///
+    /// # Errors
+    /// If there is none.
+    fn guess(&mut self) -> Result<(), Failure>;
+
+    /// Improves the unknowns in place; returns the size of its change, relative to theirs. What it makes of the
+    /// unknowns depends on nothing but the unknowns.
+    ///
+    /// # Errors
+    /// Where they make no sense.
+    fn sweep(&mut self) -> Result<f64, Failure>;
+
+    /// Appends the unknowns, in units that make them about one in size.
+    fn unknowns(&self, values: &mut Vec<f64>);
+
+    /// Takes the unknowns up, in the order and the units of [`Equations::unknowns`].
+    fn set(&mut self, values: &[f64]);
+}
+
+/// A solver and what it works with.
+#[derive(Clone, Debug)]
+pub struct Solver {
+    rule: StopRule,
+    newton: Newton,
+}
+
+impl Solver {
+    /// A solver that follows `rule`.
+    pub fn new(rule: StopRule) -> Self {
+        Self { rule, newton: Newton::default() }
+    }
+
+    /// Solves `equations` from their first guess: by sweeps, and by Newton's method where they contract too
+    /// slowly or not at all; or by the rung that the rule names.
+    ///
+    /// # Errors
+    /// Those of the equations, and [`FailureCode::MaxIterations`], [`FailureCode::Diverged`],
+    /// [`FailureCode::Stalled`], [`FailureCode::NonFinite`]; each with the last increments.
+    pub fn solve(&mut self, equations: &mut impl Equations) -> Result<Convergence, Failure> {
+        equations.guess()?;
+        match self.rule.rungs {
+            Rungs::FixedPoint => fixed_point(self.rule, || equations.sweep()),
+            Rungs::Newton => self.newton.solve(self.rule, equations),
+            Rungs::Both => match swept(self.rule, true, || equations.sweep()) {
+                Ok(Some(convergence)) => Ok(convergence),
+                // From the beginning: where sweeps went is no better a place. If neither gets there, the sweeps
+                // tell why more plainly.
+                stuck => {
+                    equations.guess()?;
+                    let newton = self.newton.solve(self.rule, equations);
+                    newton.map_err(|failure| stuck.err().unwrap_or(failure))
+                }
+            },
+        }
+    }
+}
+
 /// Repeats `sweep`, which improves the unknowns in place and returns the relative size of its change.
 ///
 /// # Errors
@@ -78,26 +164,26 @@ impl Convergence {
 /// [`FailureCode::Stalled`], [`FailureCode::NonFinite`]; each with the last increments.
 pub fn fixed_point(
     rule: StopRule,
-    mut sweep: impl FnMut() -> Result<f64, Failure>,
+    sweep: impl FnMut() -> Result<f64, Failure>,
 ) -> Result<Convergence, Failure> {
-    // Ring of the last increments: a failure reports them, convergence needs two.
-    let mut recent = [f64::INFINITY; 16];
+    swept(rule, false, sweep).map(|solved| solved.expect("a fixed point is not left half-way"))
+}
+
+/// [`fixed_point`]; `None` if `leave` and it gets on too slowly.
+fn swept(
+    rule: StopRule,
+    leave: bool,
+    mut sweep: impl FnMut() -> Result<f64, Failure>,
+) -> Result<Option<Convergence>, Failure> {
+    let mut history = History::new();
     let mut grown = 0;
     let (mut smallest, mut since_smallest) = (f64::INFINITY, 0);
     for iteration in 1..=rule.max_iterations {
-        let slot = iteration as usize % recent.len();
-        let previous = recent[(iteration as usize + recent.len() - 1) % recent.len()];
-        let increment = match sweep() {
-            Ok(increment) => increment,
-            Err(failure) => return Err(with_history(failure, iteration, &recent, slot)),
-        };
-        recent[slot] = increment;
-        let give_up = |code, limit| {
-            let failure = Failure::new(code, None, increment, limit);
-            Err(with_history(failure, iteration, &recent, (slot + 1) % recent.len()))
-        };
+        let [previous, before] = history.last_two();
+        let increment = sweep().map_err(|failure| history.of(failure, iteration))?;
+        history.note(increment);
         if !increment.is_finite() {
-            return give_up(FailureCode::NonFinite, f64::MAX);
+            return Err(history.failure(FailureCode::NonFinite, f64::MAX));
         }
         grown = if increment >= previous { grown + 1 } else { 0 };
         if increment < smallest {
@@ -105,43 +191,77 @@ pub fn fixed_point(
         } else {
             since_smallest += 1;
         }
-        // One increment that does not fall may be the wobble of a complex contraction factor; near the
-        // round-off of the unknowns it is the end, above it two in a row are.
-        // What is left after this sweep is about the increment times the contraction. Of the last two the worse:
-        // one may be luck.
-        let contraction = (increment / previous).max(previous / recent[(slot + 14) % recent.len()]);
+        // What is left after this sweep is about the increment times the contraction. Of the last two the
+        // worse: one may be luck.
+        let contraction = (increment / previous).max(previous / before);
         let foreseen = iteration > 2
             && contraction <= FAST
-            && increment * contraction <= 1e-2 * rule.tolerance;
+            && increment * contraction <= FORESEEN * rule.tolerance;
+        // One increment that does not fall may be the wobble of a complex contraction factor; near the
+        // round-off of the unknowns it is the end, above it two in a row are.
         let at_floor = (grown == 1 && increment <= ROUND_OFF)
             || (grown == 2 && increment <= ROUND_OFF_FLOOR)
             || (since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
         if increment <= rule.tolerance || foreseen || at_floor {
-            return Ok(Convergence { iterations: iteration, increment, rung: Rung::FixedPoint });
+            let rung = Rung::FixedPoint;
+            return Ok(Some(Convergence { iterations: iteration, increment, rung }));
         }
         if grown == PATIENCE {
             // Close to the floor it is round-off of large intermediate values that stops the fall.
-            return if increment <= 1e3 * ROUND_OFF_FLOOR {
-                give_up(FailureCode::Stalled, ROUND_OFF_FLOOR)
+            return Err(if increment <= 1e3 * ROUND_OFF_FLOOR {
+                history.failure(FailureCode::Stalled, ROUND_OFF_FLOOR)
             } else {
-                give_up(FailureCode::Diverged, previous)
-            };
+                history.failure(FailureCode::Diverged, previous)
+            });
         }
-        if iteration == rule.max_iterations {
-            return give_up(FailureCode::MaxIterations, rule.tolerance);
+        if leave && iteration == TRIAL && increment > SLOW * history.before(TRIAL_SPAN) {
+            return Ok(None);
         }
     }
-    Err(Failure::new(FailureCode::MaxIterations, None, f64::INFINITY, rule.tolerance))
+    Err(history.failure(FailureCode::MaxIterations, rule.tolerance))
 }
 
-/// Adds the solver's figures to a failure; `oldest` is the slot of the ring where the history begins.
-fn with_history(mut failure: Failure, iterations: u32, ring: &[f64; 16], oldest: usize) -> Failure {
-    failure.iterations = iterations;
-    failure.increments = (0..ring.len())
-        .map(|k| ring[(oldest + k) % ring.len()])
-        .filter(|increment| increment.is_finite())
-        .collect();
-    failure
+/// The last increments of an iteration.
+#[derive(Clone, Copy, Debug)]
+struct History {
+    ring: [f64; 16],
+    count: usize,
+}
+
+impl History {
+    fn new() -> Self {
+        Self { ring: [f64::INFINITY; 16], count: 0 }
+    }
+
+    fn note(&mut self, increment: f64) {
+        self.ring[self.count % self.ring.len()] = increment;
+        self.count += 1;
+    }
+
+    /// The increment `back` before the last; infinite before the first.
+    fn before(&self, back: usize) -> f64 {
+        if back < self.count { self.ring[(self.count - 1 - back) % self.ring.len()] } else { f64::INFINITY }
+    }
+
+    fn last(&self) -> f64 {
+        self.before(0)
+    }
+
+    fn last_two(&self) -> [f64; 2] {
+        [self.before(0), self.before(1)]
+    }
+
+    /// A failure of the iteration itself.
+    fn failure(&self, code: FailureCode, limit: f64) -> Failure {
+        self.of(Failure::new(code, None, self.last(), limit), self.count as u32)
+    }
+
+    /// A failure with the figures of the iteration.
+    fn of(&self, failure: Failure, iterations: u32) -> Failure {
+        let kept = self.count.min(self.ring.len());
+        let increments = (0..kept).rev().map(|back| self.before(back));
+        Failure { iterations, increments: increments.filter(|x| x.is_finite()).collect(), ..failure }
+    }
 }
 
 #[cfg(test)]

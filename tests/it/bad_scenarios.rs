@@ -399,6 +399,9 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(full(), "/method/solver/max_iterations", raw), "/method/solver/max_iterations");
     }
     add(with(full(), "/method/solver/kind", "\"anderson\""), "/method/solver/kind");
+    let mut rival = full();
+    rival["method"]["name"] = json!("quaternion_gauss");
+    add(with(rival, "/method/solver/kind", "\"newton\""), "/method/solver/kind");
     for raw in ["\"leapfrog\"", "\"VPD\"", "\"\""] {
         add(with(full(), "/method/name", raw), "/method/name");
     }

@@ -25,7 +25,7 @@
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
 
 use crate::solve::failure::{Failure, FailureCode};
-use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
+use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
 use crate::solve::so::{self, Mat};
 use crate::solve::tableau::Tableau;
 
@@ -50,7 +50,7 @@ pub(super) trait Dynamics<const N: usize> {
 #[derive(Clone, Debug)]
 pub(super) struct GalerkinStep<const N: usize> {
     tableau: Tableau,
-    stop: StopRule,
+    solver: Solver,
     stages: Vec<Stage<N>>,
     end: End<N>,
 }
@@ -95,7 +95,7 @@ impl<const N: usize> GalerkinStep<N> {
         let stage =
             Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         let end = End { f: u, e: zero, lambda: zero };
-        Self { stages: vec![stage; tableau.stages()], end, tableau, stop }
+        Self { stages: vec![stage; tableau.stages()], end, tableau, solver: Solver::new(stop) }
     }
 
     /// Order of the scheme.
@@ -128,9 +128,9 @@ impl<const N: usize> GalerkinStep<N> {
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
-        self.guess(h, p0, omega)?;
-        let Self { tableau, stop, stages, end } = self;
-        let solved = fixed_point(*stop, || sweep(tableau, dynamics, h, p0, stages, end));
+        let Self { tableau, solver, stages, end } = self;
+        let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
+        let solved = solver.solve(&mut equations);
         match solved {
             Ok(convergence) => self.check(dynamics).map(|()| convergence),
             // A charge that was met explains a failed iteration better than the iteration does.
@@ -164,25 +164,6 @@ impl<const N: usize> GalerkinStep<N> {
 
     fn excesses(&self) -> impl Iterator<Item = &Mat<N>> {
         self.stages.iter().map(|stage| &stage.e).chain([&self.end.e])
-    }
-
-    fn guess(&mut self, h: f64, p0: &Mat<N>, omega: &Mat<N>) -> Result<(), Failure> {
-        let turn = |angle: f64| so::retraction(&(omega * angle)).ok_or_else(|| not_finite(None));
-        self.end = End { f: turn(h)?, e: Mat::zeros(), lambda: p0 * -0.5 };
-        for (k, stage) in self.stages.iter_mut().enumerate() {
-            let u = turn(h * self.tableau.c(k))?;
-            *stage = Stage {
-                u,
-                e: Mat::zeros(),
-                mu: *p0,
-                omega: *omega,
-                u_omega: u * omega,
-                x: Mat::zeros(),
-                u_x: Mat::zeros(),
-                v: self.end.f * self.end.lambda * (h * self.tableau.b(k)),
-            };
-        }
-        Ok(())
     }
 
     /// Refuses a solution on which the polar factors or the dynamics are not to be trusted.
@@ -227,6 +208,70 @@ impl<const N: usize> GalerkinStep<N> {
         self.stages.iter().enumerate().try_for_each(|(k, stage)| {
             dynamics.check(&stage.u).map_err(|failure| Failure { stage: Some(k), ..failure })
         })
+    }
+}
+
+/// A step being solved.
+struct Sweeps<'a, const N: usize, D> {
+    tableau: &'a Tableau,
+    dynamics: &'a mut D,
+    h: f64,
+    p0: &'a Mat<N>,
+    /// The velocity at the beginning.
+    omega: &'a Mat<N>,
+    stages: &'a mut [Stage<N>],
+    end: &'a mut End<N>,
+}
+
+impl<const N: usize, D: Dynamics<N>> Equations for Sweeps<'_, N, D> {
+    fn guess(&mut self) -> Result<(), Failure> {
+        let Self { tableau, h, p0, omega, .. } = *self;
+        let turn = |angle: f64| so::retraction(&(omega * angle)).ok_or_else(|| not_finite(None));
+        *self.end = End { f: turn(h)?, e: Mat::zeros(), lambda: p0 * -0.5 };
+        for (k, stage) in self.stages.iter_mut().enumerate() {
+            let u = turn(h * tableau.c(k))?;
+            *stage = Stage {
+                u,
+                e: Mat::zeros(),
+                mu: *p0,
+                omega: *omega,
+                u_omega: u * omega,
+                x: Mat::zeros(),
+                u_x: Mat::zeros(),
+                v: self.end.f * self.end.lambda * (h * tableau.b(k)),
+            };
+        }
+        Ok(())
+    }
+
+    fn sweep(&mut self) -> Result<f64, Failure> {
+        sweep(self.tableau, self.dynamics, self.h, self.p0, self.stages, self.end)
+    }
+
+    fn unknowns(&self, values: &mut Vec<f64>) {
+        let (turn, momentum) = self.units();
+        for stage in self.stages.iter() {
+            values.extend(stage.u_omega.iter().chain(&stage.omega).map(|x| x / turn));
+            values.extend(stage.v.iter().map(|x| x / momentum));
+        }
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let (turn, momentum) = self.units();
+        let matrix = |values: &[f64], unit: f64| Mat::from_column_slice(values) * unit;
+        for (stage, values) in self.stages.iter_mut().zip(values.chunks_exact(3 * N * N)) {
+            stage.u_omega = matrix(&values[..N * N], turn);
+            stage.omega = matrix(&values[N * N..2 * N * N], turn);
+            stage.v = matrix(&values[2 * N * N..], momentum);
+        }
+    }
+}
+
+impl<const N: usize, D> Sweeps<'_, N, D> {
+    /// The units of velocities and of the embedded momenta.
+    fn units(&self) -> (f64, f64) {
+        let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
+        (unit(self.omega.amax()), unit(self.h.abs() * self.p0.amax()))
     }
 }
 

@@ -16,7 +16,7 @@ use super::galerkin::SMALLEST_SINGULAR_VALUE;
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::solve::lanes::{Row, WIDTH};
-use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
+use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
@@ -34,7 +34,7 @@ use sweep::{LaneTableau, Start, Unknowns};
 pub struct VpdSpace {
     tableau: Tableau,
     lanes: LaneTableau,
-    stop: StopRule,
+    solver: Solver,
     level: Level,
     state: Carried,
     unknowns: Unknowns<Row, f64>,
@@ -74,7 +74,7 @@ impl VpdSpace {
         (tableau.stages() <= WIDTH).then(|| Self {
             lanes: LaneTableau::new(&tableau),
             tableau,
-            stop,
+            solver: Solver::new(stop),
             level: Level::new(),
             state,
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
@@ -166,24 +166,13 @@ impl VpdSpace {
         momentum: Vec3<f64>,
     ) -> Result<Convergence, Failure> {
         let inverse_inertia = symmetric(&body.inverse_inertia());
-        let Self { tableau, lanes, stop, level, unknowns, seen, .. } = self;
-        let (level, width) = (*level, tableau.stages());
+        let Self { tableau, lanes, solver, level, unknowns, seen, .. } = self;
         let start = Start { tableau: lanes, body, inverse_inertia, seen, step: h, momentum };
-        // As many lanes as the stages need.
-        macro_rules! in_lanes {
-            ($work:ident) => {
-                match width {
-                    1 | 2 => dispatch!(level, simd => sweep::$work(f64x2::splat(simd, 0.0), &start, unknowns)),
-                    3 | 4 => dispatch!(level, simd => sweep::$work(f64x4::splat(simd, 0.0), &start, unknowns)),
-                    _ => dispatch!(level, simd => sweep::$work(f64x8::splat(simd, 0.0), &start, unknowns)),
-                }
-            };
-        }
-        in_lanes!(guess);
-        let solved = fixed_point(*stop, || Ok(in_lanes!(sweep)));
-        let sweeps =
-            solved.as_ref().map_or_else(|failure| failure.iterations, |solved| solved.iterations);
-        body.count(u64::from(sweeps + 1) * width as u64);
+        let (level, stages) = (*level, tableau.stages());
+        let mut equations =
+            InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };
+        let solved = solver.solve(&mut equations);
+        body.count(equations.torques);
         match solved {
             Ok(convergence) => self.check(body).map(|()| convergence),
             // A charge that was met, or a polar factor that was lost, explains a failed iteration better than
@@ -197,6 +186,61 @@ impl VpdSpace {
                 Ok(()) => failure,
             }),
         }
+    }
+}
+
+/// The equations of a step, in as many lanes as the stages need.
+struct InLanes<'a> {
+    level: Level,
+    stages: usize,
+    start: Start<'a, f64>,
+    unknowns: &'a mut Unknowns<Row, f64>,
+    /// The unit of momenta.
+    momentum_scale: f64,
+    /// Torques computed.
+    torques: u64,
+}
+
+macro_rules! in_lanes {
+    ($work:ident, $equations:ident) => {{
+        let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
+        *torques += *stages as u64;
+        match stages {
+            1 | 2 => dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns)),
+            3 | 4 => dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns)),
+            _ => dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns)),
+        }
+    }};
+}
+
+impl InLanes<'_> {
+    fn lanes(&self) -> usize {
+        self.stages.next_power_of_two().max(2)
+    }
+}
+
+impl Equations for InLanes<'_> {
+    fn guess(&mut self) -> Result<(), Failure> {
+        in_lanes!(guess, self);
+        let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
+        let size = self.unknowns.momentum.iter().fold(0.0, largest);
+        self.momentum_scale = if size > 0.0 { size } else { 1.0 };
+        Ok(())
+    }
+
+    fn sweep(&mut self) -> Result<f64, Failure> {
+        Ok(in_lanes!(sweep, self))
+    }
+
+    fn unknowns(&self, values: &mut Vec<f64>) {
+        self.unknowns.visit(self.lanes(), self.momentum_scale, |x, unit| values.push(x / unit));
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let mut values = values.iter();
+        self.unknowns.visit_mut(self.lanes(), self.momentum_scale, |x, unit| {
+            *x = values.next().map_or(*x, |value| value * unit);
+        });
     }
 }
 

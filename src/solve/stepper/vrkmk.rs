@@ -27,7 +27,7 @@ use nalgebra::Vector3;
 
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
-use crate::solve::nonlinear::{Convergence, StopRule, fixed_point};
+use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::stepper::Stepper;
 use crate::solve::tableau::Tableau;
@@ -41,7 +41,7 @@ mod maps;
 #[derive(Clone, Debug)]
 pub struct Vrkmk<const N: usize> {
     tableau: Tableau,
-    stop: StopRule,
+    solver: Solver,
     /// `B_k / k!` up to the truncation.
     beta: Vec<f64>,
     projected: bool,
@@ -102,7 +102,7 @@ impl<const N: usize> Vrkmk<N> {
             momentum: Mat::zeros(),
             space: Vec::new(),
             tableau,
-            stop,
+            solver: Solver::new(stop),
         }
     }
 
@@ -142,11 +142,11 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         // Attitudes of the stages are absolute: the potential is seen from space.
         body.seen_from(&Mat::identity(), &mut self.space);
-        let Self { tableau, stop, beta, attitude, momentum, space, unknowns, .. } = self;
+        let Self { tableau, solver, beta, attitude, momentum, space, unknowns, .. } = self;
         let step = Step { tableau, beta, body, space, h, g0: attitude };
         let (convergence, (g1, m1)) = match unknowns {
-            Unknowns::Vector(stages) => step.solve(*stop, momentum, stages)?,
-            Unknowns::Bracket(stages) => step.solve(*stop, momentum, stages)?,
+            Unknowns::Vector(stages) => step.solve(solver, momentum, stages)?,
+            Unknowns::Bracket(stages) => step.solve(solver, momentum, stages)?,
         };
         self.attitude = if self.projected { so::orthonormalised(&g1) } else { g1 };
         self.momentum = m1;
@@ -185,17 +185,13 @@ impl<const N: usize> Step<'_, N> {
     /// Solves the step from the spatial momentum `m0`; returns g1 and m1.
     fn solve<A: Skew<N>>(
         &self,
-        stop: StopRule,
+        solver: &mut Solver,
         m0: &Mat<N>,
         unknowns: &mut Stages<N, A>,
     ) -> Result<(Convergence, (Mat<N>, Mat<N>)), Failure> {
         let m0 = A::from_matrix(m0);
-        // A function of the state alone: a resumed run repeats it to the bit.
         let (xi, _) = slopes(self.body, self.g0, &m0);
-        for stage in &mut unknowns.stages {
-            *stage = Stage { k: xi, p: m0, load: A::zero(), g: *self.g0 };
-        }
-        let solved = fixed_point(stop, || self.sweep(&m0, unknowns));
+        let solved = solver.solve(&mut Sweeps { step: self, m0: &m0, xi: &xi, unknowns });
         // An iterate that is no number meets no charge.
         let finite = |stage: &Stage<N, A>| stage.g.iter().all(|x| x.is_finite());
         let mut met = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
@@ -266,6 +262,54 @@ impl<const N: usize> Step<'_, N> {
             stages[j].p = p;
         }
         Ok(greater(displacement, if change == 0.0 { 0.0 } else { change / size }))
+    }
+}
+
+/// A step being solved: `xi` is the slope at its beginning, kept constant for the first guess.
+struct Sweeps<'a, 'b, const N: usize, A> {
+    step: &'a Step<'b, N>,
+    m0: &'a A,
+    xi: &'a A,
+    unknowns: &'a mut Stages<N, A>,
+}
+
+impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
+    fn guess(&mut self) -> Result<(), Failure> {
+        for stage in &mut self.unknowns.stages {
+            *stage = Stage { k: *self.xi, p: *self.m0, load: A::zero(), g: *self.step.g0 };
+        }
+        Ok(())
+    }
+
+    fn sweep(&mut self) -> Result<f64, Failure> {
+        self.step.sweep(self.m0, self.unknowns)
+    }
+
+    fn unknowns(&self, values: &mut Vec<f64>) {
+        let (slope, momentum) = self.units();
+        for stage in &self.unknowns.stages {
+            values.extend(stage.k.matrix().iter().map(|x| x / slope));
+            values.extend(stage.p.matrix().iter().map(|x| x / momentum));
+        }
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let (slope, momentum) = self.units();
+        let skew = |values: &[f64], unit: f64| {
+            A::from_matrix(&(Mat::<N>::from_column_slice(values) * unit))
+        };
+        for (stage, values) in self.unknowns.stages.iter_mut().zip(values.chunks_exact(2 * N * N)) {
+            stage.k = skew(&values[..N * N], slope);
+            stage.p = skew(&values[N * N..], momentum);
+        }
+    }
+}
+
+impl<const N: usize, A: Skew<N>> Sweeps<'_, '_, N, A> {
+    /// The units of slopes and of momenta.
+    fn units(&self) -> (f64, f64) {
+        let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
+        (unit(self.xi.size()), unit(self.m0.size()))
     }
 }
 

@@ -124,6 +124,26 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
     }
 }
 
+impl Unknowns<Row, f64> {
+    /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
+    /// numbers, too: what is zero times a NaN is none.
+    pub(super) fn visit_mut(&mut self, lanes: usize, momentum: f64, mut visit: impl FnMut(&mut f64, f64)) {
+        let Self { attitude, momentum: momenta, x, end, inverse, .. } = self;
+        let turns = [&mut attitude.w].into_iter().chain(&mut attitude.v).chain(inverse);
+        let rows = turns.map(|row| (row, 1.0)).chain(momenta.iter_mut().chain(x).map(|row| (row, momentum)));
+        for (row, unit) in rows {
+            row.0[..lanes].iter_mut().for_each(|number| visit(number, unit));
+        }
+        [&mut end.w].into_iter().chain(&mut end.v).for_each(|number| visit(number, 1.0));
+    }
+
+    /// The same without a change.
+    pub(super) fn visit(&self, lanes: usize, momentum: f64, mut visit: impl FnMut(f64, f64)) {
+        let mut copy = *self;
+        copy.visit_mut(lanes, momentum, |number, unit| visit(*number, unit));
+    }
+}
+
 /// The first guess: the velocity at the beginning, kept constant, and the torque along it. A function of the
 /// state alone, so that a resumed run repeats it to the bit. (Extrapolating the stages of the step before
 /// saves nothing: docs/decisions/0004.)
