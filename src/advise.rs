@@ -264,7 +264,10 @@ impl Trial<'_> {
     fn cost_ns(&self, entry: &Entry, run: &Measured) -> Result<f64, ScenarioError> {
         let plan = variant(self.scenario, &entry.method, 1.0, 1)?;
         let whole = run.rung == Some(Rung::Explicit) || entry.method.name == MethodName::Lgvi;
-        let count = if whole { run.steps } else { run.iterations };
+        // A correction of Newton's method is several sweeps; each sweep takes a gradient at every stage.
+        let sweeps =
+            run.iterations.max(run.force_evaluations / plan.formulation.stages.max(1) as u64);
+        let count = if whole { run.steps } else { sweeps };
         Ok(count as f64 * plan.sweep_cost_ns())
     }
 }

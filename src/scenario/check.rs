@@ -295,11 +295,9 @@ fn method(scenario: &Scenario, n: usize) -> Check {
         format!("{} has no tableau; give its `order`", name.as_str())
     })?;
     let solver = &method.solver;
-    ensure(
-        solver.kind != SolverKind::Newton || name.has_newton(),
-        "/method/solver/kind",
-        || format!("\"newton\" given, {} is solved by fixed_point or auto", name.as_str()),
-    )?;
+    ensure(solver.kind != SolverKind::Newton || name.has_newton(), "/method/solver/kind", || {
+        format!("\"newton\" given, {} is solved by fixed_point or auto", name.as_str())
+    })?;
     let (low, high) = TOLERANCE_RANGE;
     ensure(
         solver.tolerance >= low && solver.tolerance <= high,

@@ -240,7 +240,11 @@ impl History {
 
     /// The increment `back` before the last; infinite before the first.
     fn before(&self, back: usize) -> f64 {
-        if back < self.count { self.ring[(self.count - 1 - back) % self.ring.len()] } else { f64::INFINITY }
+        if back < self.count {
+            self.ring[(self.count - 1 - back) % self.ring.len()]
+        } else {
+            f64::INFINITY
+        }
     }
 
     fn last(&self) -> f64 {
@@ -260,7 +264,11 @@ impl History {
     fn of(&self, failure: Failure, iterations: u32) -> Failure {
         let kept = self.count.min(self.ring.len());
         let increments = (0..kept).rev().map(|back| self.before(back));
-        Failure { iterations, increments: increments.filter(|x| x.is_finite()).collect(), ..failure }
+        Failure {
+            iterations,
+            increments: increments.filter(|x| x.is_finite()).collect(),
+            ..failure
+        }
     }
 }
 

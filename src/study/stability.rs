@@ -245,27 +245,6 @@ impl<'a> Judge<'a> {
             && ours.last.attitude_distance(&exact.last) > WRONG_BRANCH)
     }
 
-    /// The border of a method between two steps of which the first is usable and the second is not, to
-    /// 5 %; `None` if they are not so.
-    ///
-    /// # Errors
-    /// Those of [`Judge::cell`].
-    pub fn border_between(
-        &self,
-        entry: &Entry,
-        (usable_step_s, broken_step_s): (f64, f64),
-        watch: &Watch,
-    ) -> Result<Option<Border>, StudyError> {
-        let low = self.cell(entry, usable_step_s, watch)?.class;
-        let high = self.cell(entry, broken_step_s, watch)?.class;
-        if !low.is_usable() || high.is_usable() {
-            return Ok(None);
-        }
-        let bracket =
-            Bracket { usable_step_s: Some(usable_step_s), broken: Some((broken_step_s, high)) };
-        self.border(entry, bracket, watch).map(Some)
-    }
-
     fn border(
         &self,
         entry: &Entry,

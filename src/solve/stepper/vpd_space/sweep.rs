@@ -127,10 +127,17 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
 impl Unknowns<Row, f64> {
     /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
     /// numbers, too: what is zero times a NaN is none.
-    pub(super) fn visit_mut(&mut self, lanes: usize, momentum: f64, mut visit: impl FnMut(&mut f64, f64)) {
+    pub(super) fn visit_mut(
+        &mut self,
+        lanes: usize,
+        momentum: f64,
+        mut visit: impl FnMut(&mut f64, f64),
+    ) {
         let Self { attitude, momentum: momenta, x, end, inverse, .. } = self;
         let turns = [&mut attitude.w].into_iter().chain(&mut attitude.v).chain(inverse);
-        let rows = turns.map(|row| (row, 1.0)).chain(momenta.iter_mut().chain(x).map(|row| (row, momentum)));
+        let rows = turns
+            .map(|row| (row, 1.0))
+            .chain(momenta.iter_mut().chain(x).map(|row| (row, momentum)));
         for (row, unit) in rows {
             row.0[..lanes].iter_mut().for_each(|number| visit(number, unit));
         }
