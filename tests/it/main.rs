@@ -11,6 +11,7 @@ mod faults;
 mod http;
 mod forms;
 mod gallery;
+mod lanes;
 mod laws;
 mod log;
 mod methods;

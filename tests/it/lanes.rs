@@ -1,0 +1,206 @@
+//! VPD for n = 3 in lanes: the same map as in matrices, the same bits on every instruction set; and the rungs of
+//! the solver.
+
+use fearless_simd::{Level, Simd};
+use vpd::solve::hamiltonian::{Kinetic, RigidBody};
+use vpd::solve::nonlinear::{Rung, Rungs, StopRule};
+use vpd::solve::so::{self, Mat};
+use vpd::solve::stepper::Stepper;
+use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::stepper::vpd_lagrangian::VpdLagrangian;
+use vpd::solve::stepper::vpd_reduced::VpdReduced;
+use vpd::solve::stepper::vpd_space::VpdSpace;
+use vpd::solve::stepper::vrkmk::Vrkmk;
+use vpd::solve::tableau::Tableau;
+use vpd::solve::trajectory::State;
+
+use crate::laws::{self, Numbers, advance};
+use crate::verification::dipole;
+
+fn tableaux() -> Vec<Tableau> {
+    let gauss = (1..=8).filter_map(Tableau::gauss);
+    gauss.chain([Tableau::rk3(), Tableau::rk4()]).collect()
+}
+
+fn in_lanes(tableau: &Tableau, with_attitude: bool) -> VpdSpace {
+    VpdSpace::new(tableau.clone(), StopRule::default(), with_attitude).expect("at most 8 stages")
+}
+
+/// A thin free body.
+fn free() -> RigidBody<3> {
+    let moments = [1.01, 1.0, 0.01];
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+    RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+}
+
+#[test]
+fn lanes_and_matrices_make_the_same_step() {
+    let mut numbers = Numbers(7);
+    let body = laws::body::<3>(&mut numbers);
+    let mut worst = 0.0_f64;
+    for tableau in tableaux() {
+        for h in [0.02, 0.2] {
+            let start = State { attitude: numbers.rotation(), momentum: numbers.skew() * 4.0 };
+            let mut matrices = Vpd::new(tableau.clone(), StopRule::default());
+            let lanes = advance(&mut in_lanes(&tableau, true), &body, &start, &[h]);
+            let matrices = advance(&mut matrices, &body, &start, &[h]);
+            let attitude = (lanes.attitude - matrices.attitude).amax();
+            let momentum = (lanes.momentum - matrices.momentum).amax();
+            worst = worst.max(attitude).max(momentum);
+        }
+    }
+    println!("largest difference of a step: {worst:e}");
+    assert!(worst < 1e-13, "{worst:e}");
+}
+
+#[test]
+fn the_reduced_form_in_lanes_is_that_in_matrices() {
+    let mut numbers = Numbers(8);
+    let body = free();
+    for tableau in tableaux() {
+        let start = State { attitude: Mat::identity(), momentum: numbers.skew() };
+        let (mut lanes, stop) = (in_lanes(&tableau, false), StopRule::default());
+        let mut matrices = VpdReduced::new(tableau, stop, false);
+        for stepper in [&mut lanes as &mut dyn Stepper<3>, &mut matrices] {
+            stepper.start(&start);
+            stepper.step(&body, 0.02).expect("a small step");
+        }
+        let difference = (lanes.momentum() - matrices.momentum()).amax();
+        assert!(difference < 1e-14, "{difference:e}");
+        assert_eq!(lanes.attitude(), None);
+    }
+}
+
+#[test]
+fn every_instruction_set_makes_the_same_bits() {
+    let detected = Level::new();
+    #[cfg(target_arch = "x86_64")]
+    let levels = [
+        Some(Level::baseline()),
+        detected.as_sse4_2().map(Simd::level),
+        detected.as_avx2().map(Simd::level),
+        detected.as_avx512().map(Simd::level),
+    ];
+    #[cfg(not(target_arch = "x86_64"))]
+    let levels = [Some(Level::baseline()), Some(detected)];
+    let (body, start) = dipole();
+    for tableau in tableaux() {
+        let ends: Vec<State<3>> = levels
+            .iter()
+            .flatten()
+            .map(|level| {
+                let mut stepper = in_lanes(&tableau, true).on_level(*level);
+                advance(&mut stepper, &body, &start, &[0.03; 50])
+            })
+            .collect();
+        assert!(ends.len() >= 2 || cfg!(not(target_arch = "x86_64")), "only one instruction set");
+        assert!(ends.iter().all(|end| *end == ends[0]), "{} stages", tableau.stages());
+    }
+}
+
+#[test]
+fn a_free_body_keeps_its_spatial_momentum_to_the_bit() {
+    let mut numbers = Numbers(9);
+    let body = free();
+    let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
+    let mut stepper = in_lanes(&Tableau::gauss(3).expect("3 stages"), true);
+    stepper.start(&start);
+    let momentum = |stepper: &VpdSpace| {
+        so::conjugate(&stepper.attitude().expect("carried"), &stepper.momentum())
+    };
+    let before = momentum(&stepper);
+    for _ in 0..10_000 {
+        stepper.step(&body, 0.02).expect("a small step");
+    }
+    // Only what the reading of it rounds is left.
+    assert!((momentum(&stepper) - before).amax() < 2e-15);
+}
+
+/// Newton's method makes the step that the sweeps make.
+#[test]
+fn newton_and_sweeps_agree_where_both_get_there() {
+    let (body, start) = dipole();
+    let rule = |rungs| StopRule { rungs, ..StopRule::default() };
+    for stages in [2, 3] {
+        let tableau = || Tableau::gauss(stages).expect("a few stages");
+        let steppers = |rungs| -> Vec<Box<dyn Stepper<3>>> {
+            vec![
+                Box::new(VpdSpace::new(tableau(), rule(rungs), true).expect("a few stages")),
+                Box::new(Vpd::new(tableau(), rule(rungs))),
+                Box::new(VpdLagrangian::new(tableau(), rule(rungs))),
+                Box::new(Vrkmk::new(tableau(), rule(rungs))),
+            ]
+        };
+        let pairs = steppers(Rungs::FixedPoint).into_iter().zip(steppers(Rungs::Newton));
+        for (k, (mut sweeps, mut newton)) in pairs.enumerate() {
+            newton.start(&start);
+            let solved = newton.step(&body, 0.05).expect("a step of moderate size");
+            assert_eq!(solved.rung, Rung::Newton);
+            assert!(solved.iterations <= 8, "{} corrections", solved.iterations);
+            let newton = State {
+                attitude: newton.attitude().expect("carried"),
+                momentum: newton.momentum(),
+            };
+            let sweeps = advance(sweeps.as_mut(), &body, &start, &[0.05]);
+            let difference = (newton.attitude - sweeps.attitude).amax();
+            assert!(difference < 2e-15, "{k}: {difference:e}");
+            assert!((newton.momentum - sweeps.momentum).amax() < 2e-15, "{k}");
+        }
+    }
+}
+
+/// GL4 and GL6 at h = 0.125, 8 stages at h = 0.25: large steps are solved, and Newton's method takes few
+/// corrections.
+#[test]
+fn large_steps_are_solved() {
+    let (body, start) = dipole();
+    for (stages, h, steps, most) in
+        [(2, 0.125, 8_000, Some(5.0)), (3, 0.125, 8_000, Some(5.0)), (8, 0.25, 4_000, None)]
+    {
+        let tableau = || Tableau::gauss(stages).expect("a few stages");
+        for rungs in [Rungs::FixedPoint, Rungs::Newton] {
+            let rule = StopRule { rungs, ..StopRule::default() };
+            let mut stepper = VpdSpace::new(tableau(), rule, true).expect("a few stages");
+            stepper.start(&start);
+            let mut iterations = 0;
+            for step in 0..steps {
+                let solved = stepper.step(&body, h);
+                let solved =
+                    solved.unwrap_or_else(|failure| panic!("{stages}, {step}: {failure:?}"));
+                iterations += solved.iterations;
+            }
+            let mean = f64::from(iterations) / f64::from(steps);
+            println!("{stages} stages, h = {h}, {rungs:?}: {mean:.2} a step");
+            if let (Rungs::Newton, Some(most)) = (rungs, most) {
+                assert!(mean <= most, "{mean}");
+            }
+        }
+    }
+}
+
+/// The largest energy error of the dipole over so many steps of 0.1 with 8 stages.
+fn energy_error(stepper: &mut dyn Stepper<3>, steps: u32) -> f64 {
+    let (body, start) = dipole();
+    let initial = body.energy(&start.attitude, &start.momentum).total();
+    stepper.start(&start);
+    let mut largest = 0.0_f64;
+    for _ in 0..steps {
+        stepper.step(&body, 0.1).expect("a step of moderate size");
+        let attitude = stepper.attitude().expect("carried");
+        let error = body.energy(&attitude, &stepper.momentum()).total() - initial;
+        largest = largest.max(error.abs());
+    }
+    largest
+}
+
+#[test]
+fn carried_sums_leave_no_drift() {
+    let eight = || Tableau::gauss(8).expect("8 stages");
+    let long = energy_error(&mut in_lanes(&eight(), true), 100_000);
+    assert!(long <= 1e-13, "{long:e}");
+    // The matrices store the state as it is rounded.
+    let carried = energy_error(&mut in_lanes(&eight(), true), 10_000);
+    let rounded = energy_error(&mut Vpd::new(eight(), StopRule::default()), 10_000);
+    println!("1e5 steps: {long:e}; 1e4 steps: {carried:e}, without carry {rounded:e}");
+    assert!(3.0 * carried < rounded, "{carried:e} {rounded:e}");
+}
