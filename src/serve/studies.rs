@@ -144,7 +144,7 @@ struct Answer {
 /// Where a study stands.
 #[derive(Clone, Debug)]
 enum Phase {
-    Queued(Question),
+    Queued(Box<Question>),
     Running,
     Succeeded(Arc<Answer>),
     Failed(String),
@@ -258,7 +258,7 @@ impl Studies {
         let study = Study {
             kind: question.kind,
             name: question.scene.name().to_owned(),
-            phase: Phase::Queued(question),
+            phase: Phase::Queued(Box::new(question)),
             watch: Arc::default(),
         };
         let view = study.view(id);
@@ -373,7 +373,7 @@ impl Shared {
         }
     }
 
-    fn next(&self) -> (Uuid, Question, Arc<Watch>) {
+    fn next(&self) -> (Uuid, Box<Question>, Arc<Watch>) {
         let mut index = self.index();
         loop {
             if let Some(id) = index.queue.pop_front()
