@@ -13,7 +13,7 @@ use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use tokio::net::TcpListener;
@@ -25,7 +25,7 @@ use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
-use crate::serve::{self, Cors, ServeConfig, ServeError};
+use crate::serve::{self, Cors, Limits, ServeConfig, ServeError, Tokens};
 use crate::study::StudyError;
 
 mod study;
@@ -127,7 +127,7 @@ struct ServeArgs {
     #[arg(long, env = "VPD_WORKERS", value_name = "N")]
     workers: Option<NonZeroUsize>,
     /// Jobs that may wait; one more is answered 429.
-    #[arg(long, env = "VPD_QUEUE", default_value_t = 10_000, value_name = "N")]
+    #[arg(long, env = "VPD_QUEUE", default_value_t = Limits::default().queue, value_name = "N")]
     queue: usize,
     /// Pages that may read logs: `*`, `none`, or origins separated by commas.
     #[arg(long, env = "VPD_CORS", default_value = "*", value_name = "ORIGINS")]
@@ -135,6 +135,43 @@ struct ServeArgs {
     /// Address under which viewers reach the service, if it is not the one that clients use.
     #[arg(long, env = "VPD_PUBLIC_URL", value_name = "URL")]
     public_url: Option<String>,
+    /// Names under which clients may call the service, beside localhost and its addresses.
+    #[arg(long = "host", env = "VPD_HOSTS", value_name = "NAME", value_delimiter = ',')]
+    hosts: Vec<String>,
+    /// File with lines of SCOPE TOKEN; the scopes are read, submit, admin. Or the lines in VPD_TOKENS.
+    #[arg(long, env = "VPD_TOKENS_FILE", value_name = "FILE")]
+    tokens: Option<PathBuf>,
+    /// Serve other machines without tokens.
+    #[arg(long)]
+    insecure: bool,
+    /// Longest job that is taken, in seconds of estimated computing.
+    #[arg(long, env = "VPD_MAX_RUN_S", default_value_t = Limits::default().run_s, value_name = "S")]
+    max_run_s: f64,
+    /// Largest log that is taken on, in bytes as estimated.
+    #[arg(long, env = "VPD_MAX_LOG_BYTES", default_value_t = Limits::default().log_bytes, value_name = "N")]
+    max_log_bytes: u64,
+    /// Bytes of the disk that logs leave free.
+    #[arg(long, env = "VPD_RESERVE_BYTES", default_value_t = Limits::default().reserve_bytes, value_name = "N")]
+    reserve_bytes: u64,
+    /// Connections at once.
+    #[arg(long, env = "VPD_CONNECTIONS", default_value_t = Limits::default().connections, value_name = "N")]
+    connections: usize,
+    /// Connections at once from one address.
+    #[arg(long, env = "VPD_CONNECTIONS_PER_CLIENT", default_value_t = Limits::default().connections_per_client, value_name = "N")]
+    connections_per_client: usize,
+    /// Requests a second from one address.
+    #[arg(long, env = "VPD_REQUESTS_PER_S", default_value_t = Limits::default().requests_per_s, value_name = "N")]
+    requests_per_s: u32,
+    /// How the service's own log is written, on stderr: text, or JSON with one object a line.
+    #[arg(long, env = "VPD_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    log_format: LogFormat,
+}
+
+/// How the service writes its own log.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum LogFormat {
+    Text,
+    Json,
 }
 
 #[derive(Debug, Args)]
@@ -165,6 +202,8 @@ enum CliError {
     Mixed,
     #[error(transparent)]
     Serve(#[from] ServeError),
+    #[error("{0}")]
+    Tokens(String),
     #[error("cannot listen on {address}: {source}")]
     Listen { address: SocketAddr, source: io::Error },
     #[error("cannot write to stdout: {0}")]
@@ -176,9 +215,11 @@ impl CliError {
         match self {
             Self::Read { .. }
             | Self::Scenario { .. }
-            | Self::Run(RunError::Scenario(_))
+            | Self::Tokens(_)
+            | Self::Mixed
+            | Self::Serve(ServeError::Unguarded { .. })
             | Self::Study(StudyError::Scenario(_))
-            | Self::Mixed => ExitCode::from(2),
+            | Self::Run(RunError::Scenario(_)) => ExitCode::from(2),
             _ => ExitCode::from(1),
         }
     }
@@ -301,11 +342,17 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
 
 fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
+    let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
-        .with_ansi(io::stderr().is_terminal())
-        .init();
+        // A closed stderr must not turn a line of the log into a panic.
+        .log_internal_errors(false)
+        .with_ansi(io::stderr().is_terminal());
+    match args.log_format {
+        LogFormat::Text => log.init(),
+        LogFormat::Json => log.json().init(),
+    }
+    let tokens = tokens(args.tokens.as_deref())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let served = runtime.block_on(async {
         let listener = TcpListener::bind(args.listen)
@@ -316,9 +363,20 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
         let config = ServeConfig {
             data: args.data.clone(),
             workers: workers.map_or(1, NonZeroUsize::get),
-            queue_limit: args.queue,
+            limits: Limits {
+                queue: args.queue,
+                run_s: args.max_run_s,
+                log_bytes: args.max_log_bytes,
+                reserve_bytes: args.reserve_bytes,
+                connections: args.connections,
+                connections_per_client: args.connections_per_client,
+                requests_per_s: args.requests_per_s,
+            },
             cors: args.cors.clone(),
             public_url: args.public_url.clone(),
+            hosts: args.hosts.clone(),
+            tokens,
+            insecure: args.insecure,
         };
         serve::serve(listener, config, stop_signal()).await?;
         Ok(ExitCode::SUCCESS)
@@ -326,6 +384,16 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     // A blocking task of a client that is gone must not hold up the exit.
     runtime.shutdown_background();
     served
+}
+
+/// The tokens in a file, or else in the environment.
+fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
+    let text = match path {
+        Some(path) => fs::read_to_string(path)
+            .map_err(|source| CliError::Read { path: path.to_owned(), source })?,
+        None => std::env::var("VPD_TOKENS").unwrap_or_default(),
+    };
+    text.parse().map_err(CliError::Tokens)
 }
 
 /// Ends when the process is asked to stop: SIGTERM or ctrl-c.

@@ -164,8 +164,7 @@ fn run<const N: usize>(
                 attitude: end.attitude.unwrap_or(initial.attitude),
                 momentum: end.momentum,
             };
-            let advised =
-                advice::advised_step(&mut assembly, &last, end.steps, plan.step_s, failure);
+            let advised = advice::advised_step(&mut assembly, &last, end.steps, schedule, failure);
             let diagnosis = summary::diagnosis(failure, end.steps, plan.step_s, advised);
             (Outcome::Failed, Some(diagnosis))
         }

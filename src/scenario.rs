@@ -11,6 +11,7 @@ mod check;
 mod parse;
 
 pub(crate) use check::SMALLEST_STEP_S;
+pub(crate) use parse::{from_tree, tree as read_tree};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,7 +36,8 @@ pub struct Scenario {
     #[serde(default)]
     pub method: Method,
     /// The step in seconds; either this or `accuracy`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "parse::given")]
+    #[schemars(with = "f64")]
     pub step_s: Option<f64>,
     /// How accurate the end of the run is to be; the program then chooses method and step.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -10,93 +10,46 @@
 //!   after a restart, three times at most.
 //! - A job ends once. Its state is never ahead of its record on the disk.
 //! - The queue is bounded and says so; a client that leaves does not undo what it asked for.
-//! - Only finished logs are served.
+//! - Only finished logs are served, or streams that end with one.
+//! - Other machines are served with tokens only, unless somebody insists.
 //!
-//! Reads in this order: `api` (routes, thin handlers), `problem` (the only place that knows status codes),
-//! `download` (the log over HTTP), `engine` (queue and workers), `job` (its
-//! life), `store` (the record).
+//! Reads in this order: `config`, `listen` (connections), `gate` (who may come in), `api` (routes, thin
+//! handlers) with `openapi` (their description), `view` (what answers look like) and `problem` (the only place
+//! that knows status codes), `download` and `follow` (the log over HTTP, finished and growing), `engine` (queue
+//! and workers), `job` (its life), `store` (the record), `metrics`.
 
 mod api;
+mod config;
 mod download;
 mod engine;
+mod follow;
+mod gate;
 mod job;
+mod listen;
+mod metrics;
+mod openapi;
 mod problem;
 mod store;
+mod studies;
+mod view;
 
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
-use tokio::sync::oneshot;
+use tokio::sync::watch;
+
+pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
 
 use engine::Engine;
 use store::{DataLock, Store};
+use studies::Studies;
 
 /// How long a stop waits for runs to end; together with what comes before and after, less than ten seconds.
 const DRAIN: Duration = Duration::from_secs(9);
 
 /// How long a stop waits for answers in flight; a download that is cut off goes on with a range.
 const LAST_ANSWERS: Duration = Duration::from_secs(3);
-
-/// What the service needs to know.
-#[derive(Clone, Debug)]
-pub struct ServeConfig {
-    /// Directory of jobs and logs; made if it is not there. One service at a time.
-    pub data: PathBuf,
-    /// How many jobs run at once, at least 1.
-    pub workers: usize,
-    /// How many jobs may wait; one more is answered 429.
-    pub queue_limit: usize,
-    /// Which web pages may read the logs.
-    pub cors: Cors,
-    /// Address under which viewers reach the service, as `https://example.org/vpd`; absent: the one
-    /// that the client used.
-    pub public_url: Option<String>,
-}
-
-/// Which web pages (viewers) may read logs from this service.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Cors {
-    /// All of them.
-    Any,
-    /// None but our own.
-    Nobody,
-    /// Those of the listed origins, as `https://app.foxglove.dev`.
-    Origins(Vec<String>),
-}
-
-impl FromStr for Cors {
-    type Err = String;
-
-    /// `*`, `none`, or origins with commas between.
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "*" => Ok(Self::Any),
-            "none" => Ok(Self::Nobody),
-            _ => text
-                .split(',')
-                .map(|origin| checked_origin(origin.trim()))
-                .collect::<Result<_, _>>()
-                .map(Self::Origins),
-        }
-    }
-}
-
-fn checked_origin(text: &str) -> Result<String, String> {
-    let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
-    match host {
-        Some(host)
-            if !host.is_empty()
-                && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-.:[]".contains(&b)) =>
-        {
-            Ok(text.to_owned())
-        }
-        _ => Err(format!(
-            "not an origin: {text:?}; write `*`, `none` or scheme://host[:port] with commas between"
-        )),
-    }
-}
 
 /// Why the service could not start, or not end in order.
 #[derive(Debug, thiserror::Error)]
@@ -123,6 +76,14 @@ pub enum ServeError {
         /// What failed, and why.
         message: String,
     },
+    /// Everybody who reaches the address could run jobs.
+    #[error(
+        "{address} can be reached by other machines: give tokens (--tokens FILE), or insist with --insecure"
+    )]
+    Unguarded {
+        /// The address.
+        address: std::net::SocketAddr,
+    },
     /// A worker thread cannot be started, or the listener failed.
     #[error("the system refuses a thread or a socket")]
     System(#[from] std::io::Error),
@@ -139,23 +100,21 @@ pub async fn serve(
     config: ServeConfig,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
+    let address = listener.local_addr()?;
+    if !address.ip().is_loopback() && config.tokens.is_empty() && !config.insecure {
+        return Err(ServeError::Unguarded { address });
+    }
     let lock = DataLock::take(&config.data)?;
     let store = Store::open(&config.data)?;
-    let (engine, drained) = Engine::start(store, config.workers, config.queue_limit).await?;
-    let app = api::router(engine.clone(), &config);
+    let (engine, drained) = Engine::start(store, config.workers, config.limits).await?;
+    let app = api::router(engine.clone(), Studies::start()?, &config);
 
-    let (stop, stopped) = oneshot::channel::<()>();
-    let server = axum::serve(listener, app).with_graceful_shutdown(async {
-        let _ = stopped.await;
-    });
-    let mut server = std::pin::pin!(server.into_future());
-    tokio::select! {
-        result = &mut server => result?,
-        () = shutdown => tracing::info!("stopping"),
-    }
-
+    let (stop, stopped) = watch::channel(false);
+    let server = tokio::spawn(listen::listen(listener, app, config.limits, stopped));
+    shutdown.await;
+    tracing::info!("stopping");
     engine.stop();
-    let _ = stop.send(());
+    let _ = stop.send(true);
     // Both at once: the answers in flight end while the runs stop.
     let answered = tokio::time::timeout(LAST_ANSWERS, server);
     let (_, workers) = tokio::join!(answered, tokio::time::timeout(DRAIN, drained.wait()));

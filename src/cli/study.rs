@@ -16,6 +16,7 @@ use serde::de::IntoDeserializer;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
 use super::{Change, CliError, ScenarioArgs, planned};
+use crate::advise;
 use crate::chart;
 use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
 use crate::study::long_term::long_term;
@@ -60,7 +61,9 @@ struct StudyArgs {
 impl StudyArgs {
     fn scenario(&self, path: &Path) -> Result<Scenario, CliError> {
         let args = ScenarioArgs { scenario: path.to_owned(), changes: self.changes.clone() };
-        planned(&args).map(|(scenario, _)| scenario)
+        let (scenario, _) = planned(&args)?;
+        let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
+        advise::settled(&scenario).map(|(settled, _)| settled).map_err(wrong)
     }
 
     fn entries(

@@ -1,29 +1,28 @@
 //! The step to try after a failure: tried here first, not guessed.
 //!
-//! Invariant: an advised step got past the place where the run failed, or is so small that trying takes long.
+//! Invariant: an advised step was tried and got past the place where the run failed.
 
 use crate::assemble::Assembly;
 use crate::scenario::SMALLEST_STEP_S;
 use crate::solve::failure::Failure;
-use crate::solve::trajectory::State;
+use crate::solve::trajectory::{Schedule, State};
 
-/// Steps that a try may take.
-const TRY_STEPS: u64 = 5000;
+/// Steps of a try at most.
+const TRY_STEPS: f64 = 5000.0;
 /// Smaller and smaller steps to try.
-const TRIES: usize = 16;
-/// So many steps beyond the place are tried too.
-const BEYOND: u64 = 4;
+const TRIES: usize = 20;
 
-/// A step that gets past a `failure` of the step after `done` steps of `h`; `None` if none was found. `last`
-/// is the state before it.
+/// A smaller step for a run of which step `done + 1` failed; `None` if none was found in reasonable time.
+/// `last` is the state before it.
 pub(super) fn advised_step<const N: usize>(
     assembly: &mut Assembly<N>,
     last: &State<N>,
     done: u64,
-    h: f64,
+    schedule: Schedule,
     failure: &Failure,
 ) -> Option<f64> {
     let Assembly { body, stepper, initial } = assembly;
+    let Schedule { step_s: h, steps: asked, .. } = schedule;
     let energy = body.energy(&initial.attitude, &initial.momentum);
     let start = energy.total();
     // What the energy may change by in a run that means anything; no limit where nothing moves at first.
@@ -36,17 +35,19 @@ pub(super) fn advised_step<const N: usize>(
         if step_s < SMALLEST_STEP_S {
             return None;
         }
-        // From the beginning if that is soon done: the failed run may have gone astray before it failed.
         let count = |steps: u64| (steps as f64 * h / step_s).ceil();
-        let whole = count(done + BEYOND);
-        let (from, steps) =
-            if whole <= TRY_STEPS as f64 { (&*initial, whole) } else { (last, count(BEYOND)) };
-        if steps > TRY_STEPS as f64 {
-            return Some(step_s);
+        // From the beginning if the place is soon passed: the run may have gone astray before it failed.
+        let (from, past, left) = if count(done + 2) <= TRY_STEPS {
+            (&*initial, count(done + 2), count(asked))
+        } else {
+            (last, count(2), count(asked - done))
+        };
+        if past > TRY_STEPS {
+            return None;
         }
         stepper.start(from);
-        let tried = (0..steps as u64).try_for_each(|_| stepper.step(body, step_s).map(|_| ()));
-        match tried {
+        let steps = left.min(TRY_STEPS) as u64;
+        match (0..steps).try_for_each(|_| stepper.step(body, step_s).map(|_| ())) {
             Err(again) => met = again,
             Ok(()) => {
                 let attitude = stepper.attitude().unwrap_or(initial.attitude);
@@ -54,7 +55,7 @@ pub(super) fn advised_step<const N: usize>(
                 if change.abs() <= allowed {
                     return Some(step_s);
                 }
-                // Past it, but astray: a smaller step again.
+                // Past it, but astray: half the step again.
                 met = Failure { increments: Vec::new(), turn_rad: None, ..met };
             }
         }

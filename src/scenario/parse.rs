@@ -19,7 +19,11 @@ use super::{
 
 /// Reads a scenario from JSON text.
 pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
-    let tree = tree(text)?;
+    from_tree(tree(text)?)
+}
+
+/// The second pass: a tree → types.
+pub(crate) fn from_tree<'de, T: Deserialize<'de>>(tree: Value) -> Result<T, ScenarioError> {
     serde_path_to_error::deserialize(tree).map_err(|error| ScenarioError {
         kind: ScenarioErrorKind::Invalid,
         pointer: pointer(error.path()),
@@ -27,8 +31,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
     })
 }
 
-/// The first pass.
-fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
+/// The first pass: text → a tree without duplicate keys.
+pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     let mut reader = serde_json::Deserializer::from_slice(text);
     let Tree(value) = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let inner = error.inner();
@@ -48,6 +52,11 @@ fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
         message: plain(&error.to_string()),
     })?;
     Ok(value)
+}
+
+/// A number that may be left out, but is none if it is `null`.
+pub(super) fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    f64::deserialize(deserializer).map(Some)
 }
 
 /// A JSON pointer (RFC 6901) from the path that serde took.

@@ -1,72 +1,330 @@
 //! The routes. A handler unpacks, makes one call, packs.
 //!
 //! Invariant: what a client sends reaches the inside as a checked type (`JobId`, `Scenario`, `ListQuery`) or
-//! not at all.
+//! not at all; and every route is in the list that also makes the API's description.
 
 use axum::body::Bytes;
-use axum::extract::rejection::{BytesRejection, QueryRejection};
+use axum::extract::rejection::QueryRejection;
 use axum::extract::{FromRequestParts, Path, Query, Request, State as Shared};
 use axum::http::header::{CONTENT_ENCODING, CONTENT_TYPE, HOST, LOCATION, X_CONTENT_TYPE_OPTIONS};
 use axum::http::request::Parts;
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, HeaderValue, StatusCode};
-use axum::middleware::map_response;
-use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
+use axum::middleware::{from_fn, from_fn_with_state, map_response};
+use axum::response::{Html, IntoResponse, Response};
+use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Json, Router};
+use schemars::JsonSchema;
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 use tower_http::catch_panic::CatchPanicLayer;
-use tower_http::limit::RequestBodyLimitLayer;
+use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 use uuid::Uuid;
 
+use super::config::Scope;
 use super::engine::{Engine, Refusal};
-use super::job::{State, View};
+use super::gate::{self, Gate};
+use super::job::State;
+use super::openapi::{self, Operation};
 use super::problem::{self, Problem};
-use super::{ServeConfig, download, store};
+use super::studies::{self, Question, Studies, StudyRefusal, StudyView};
+use super::view::{JobList, JobView, ScenarioList, Status};
+use super::{ServeConfig, download, follow, metrics, store};
 use crate::advise;
 use crate::scenario::{SHIPPED, Scenario, ScenarioError, schema};
-
-/// Largest request body, bytes.
-const MAX_BODY: usize = 1 << 20;
 
 /// Jobs on a page of the list, unless the client says otherwise, and at most.
 const PAGE: usize = 50;
 const MAX_PAGE: usize = 500;
 
+/// Longest idempotency key, bytes.
+const MAX_KEY: usize = 255;
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+
 #[derive(Clone, Debug)]
 struct App {
     engine: Engine,
+    studies: Studies,
     public_url: Option<String>,
 }
 
+/// A route: where it is, what it says of itself, who may use it, what it does.
+struct Route {
+    method: Method,
+    path: &'static str,
+    /// `None`: everybody.
+    scope: Option<Scope>,
+    /// Whether pages of other origins may read the answer.
+    shared: bool,
+    operation: Operation,
+    handler: MethodRouter<App>,
+}
+
+impl Route {
+    fn new(
+        path: &'static str,
+        scope: Scope,
+        operation: Operation,
+        handler: MethodRouter<App>,
+    ) -> Self {
+        let (method, scope) = (Method::GET, Some(scope));
+        Self { method, path, scope, shared: false, operation, handler }
+    }
+
+    fn method(self, method: Method) -> Self {
+        Self { method, ..self }
+    }
+
+    fn open(self) -> Self {
+        Self { scope: None, ..self }
+    }
+
+    fn shared(self) -> Self {
+        Self { shared: true, ..self }
+    }
+}
+
+/// All routes but that of their description.
+fn routes() -> Vec<Route> {
+    use Scope::{Admin, Read, Submit};
+    let op = Operation::new;
+    vec![
+        Route::new(
+            "/jobs",
+            Submit,
+            op("submitJob", "Take a job; it is on the disk before the answer")
+                .header::<String>(
+                    "Idempotency-Key",
+                    "The same key with the same scenario gives the same job, also after a restart",
+                )
+                .body::<Scenario>()
+                .json::<JobView>(202, "Taken")
+                .json::<JobView>(200, "Taken before under this key, and ended"),
+            post(submit_job),
+        )
+        .method(Method::POST),
+        Route::new(
+            "/jobs",
+            Read,
+            op("listJobs", "Jobs, newest first")
+                .query::<State>("state", "Only those in this state")
+                .query::<Limit>("limit", "How many at most; 50 if absent")
+                .query::<Uuid>("cursor", "`next_cursor` of the page before")
+                .json::<JobList>(200, "A page"),
+            get(list_jobs),
+        ),
+        Route::new(
+            "/jobs/{id}",
+            Read,
+            op("getJob", "State, progress, plan, summary or diagnosis, links")
+                .json::<JobView>(200, "The job"),
+            get(get_job),
+        ),
+        Route::new(
+            "/jobs/{id}",
+            Admin,
+            op("forgetJob", "Forget a job that does not run, and its log").empty(204, "Forgotten"),
+            delete(forget_job),
+        )
+        .method(Method::DELETE),
+        Route::new(
+            "/jobs/{id}/cancel",
+            Submit,
+            op("cancelJob", "Stop a job; what it logged becomes a finished log")
+                .json::<JobView>(202, "It ends at its next step")
+                .json::<JobView>(200, "It has ended"),
+            post(cancel_job),
+        )
+        .method(Method::POST),
+        Route::new(
+            "/jobs/{id}/scenario.json",
+            Read,
+            op("getJobScenario", "The scenario as accepted").json::<Scenario>(200, "The scenario"),
+            get(get_job_scenario),
+        ),
+        Route::new(
+            "/jobs/{id}/events",
+            Read,
+            op(
+                "followJob",
+                "Server-sent events: state (the job), progress; until the job has ended",
+            )
+            .raw(200, "text/event-stream", "Events"),
+            get(get_events),
+        )
+        .shared(),
+        Route::new(
+            "/jobs/{id}/log.mcap",
+            Read,
+            op("getLog", "The finished log; single ranges, ETag")
+                .raw(200, "application/octet-stream", "The whole log")
+                .raw(206, "application/octet-stream", "A range of it")
+                .empty(304, "Not changed"),
+            get(get_log),
+        )
+        .shared(),
+        Route::new(
+            "/jobs/{id}/live.mcap",
+            Read,
+            op("followLog", "The log as its chunks are closed, to its end").raw(
+                200,
+                "application/octet-stream",
+                "The bytes of the finished log",
+            ),
+            get(get_live),
+        )
+        .shared(),
+        Route::new(
+            "/studies",
+            Submit,
+            op("submitStudy", "Take a study: many runs of one scene, one table")
+                .body::<studies::Request>()
+                .json::<StudyView>(202, "Taken; kept in memory"),
+            post(submit_study),
+        )
+        .method(Method::POST),
+        Route::new(
+            "/studies/{id}",
+            Read,
+            op("getStudy", "State, progress, table, links").json::<StudyView>(200, "The study"),
+            get(get_study),
+        ),
+        Route::new(
+            "/studies/{id}",
+            Admin,
+            op("forgetStudy", "Forget a study that does not run").empty(204, "Forgotten"),
+            delete(forget_study),
+        )
+        .method(Method::DELETE),
+        Route::new(
+            "/studies/{id}/cancel",
+            Submit,
+            op("cancelStudy", "Stop a study").json::<StudyView>(202, "It ends within a step"),
+            post(cancel_study),
+        )
+        .method(Method::POST),
+        Route::new(
+            "/studies/{id}/table.csv",
+            Read,
+            op("getStudyTable", "The table of a study").raw(200, "text/csv", "One row a run"),
+            get(get_study_table),
+        )
+        .shared(),
+        Route::new(
+            "/studies/{id}/charts/{name}",
+            Read,
+            op("getStudyChart", "A chart of a study").raw(200, "image/svg+xml", "The chart"),
+            get(get_study_chart),
+        )
+        .shared(),
+        Route::new(
+            "/scenarios",
+            Read,
+            op("listScenarios", "Shipped examples").json::<ScenarioList>(200, "Names and texts"),
+            get(list_scenarios),
+        ),
+        Route::new(
+            "/scenarios/{name}",
+            Read,
+            op("getScenario", "A shipped example").json::<Scenario>(200, "The scenario"),
+            get(get_scenario),
+        ),
+        Route::new(
+            "/scenario.schema.json",
+            Read,
+            op("getSchema", "The JSON Schema of a scenario").json::<Value>(200, "The schema"),
+            get(get_schema),
+        ),
+        Route::new(
+            "/metrics",
+            Read,
+            op("getMetrics", "Figures for Prometheus").raw(
+                200,
+                metrics::MEDIA_TYPE,
+                "OpenMetrics text",
+            ),
+            get(get_metrics),
+        ),
+        Route::new(
+            "/healthz",
+            Read,
+            op("isAlive", "Liveness").json::<Status>(200, "Alive"),
+            get(healthz),
+        )
+        .open(),
+        Route::new(
+            "/readyz",
+            Read,
+            op("isReady", "Readiness").json::<Status>(200, "Takes jobs"),
+            get(readyz),
+        )
+        .open(),
+        Route::new(
+            "/docs",
+            Read,
+            op("readDocs", "This description as a page").raw(
+                200,
+                "text/html; charset=utf-8",
+                "A page",
+            ),
+            get(async || Html(include_str!("docs.html"))),
+        )
+        .open(),
+    ]
+}
+
 /// All routes of the service.
-pub(super) fn router(engine: Engine, config: &ServeConfig) -> Router {
-    let log = Router::new().route("/jobs/{id}/log.mcap", get(get_log));
+pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> Router {
+    let gate = Gate::new(config);
     let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
-    Router::new()
-        .route("/jobs", get(list_jobs).post(submit_job))
-        .route("/jobs/{id}", get(get_job).delete(forget_job))
-        .route("/jobs/{id}/cancel", post(cancel_job))
-        .route("/jobs/{id}/scenario.json", get(get_job_scenario))
-        .merge(download::share(log, &config.cors))
-        .route("/scenario.schema.json", get(get_schema))
-        .route("/scenarios", get(list_scenarios))
-        .route("/scenarios/{name}", get(get_scenario))
-        .route("/healthz", get(healthz))
-        .route("/readyz", get(readyz))
-        .layer(RequestBodyLimitLayer::new(MAX_BODY))
+    let routes = routes();
+    let described = routes.iter().map(|route| {
+        let Route { method, path, scope, operation, .. } = route;
+        (method, *path, *scope, operation)
+    });
+    let description = openapi::document(described);
+    let (mut own, mut shared) = (Router::new(), Router::new());
+    for Route { path, scope, shared: for_all, handler, .. } in routes {
+        let handler = match scope {
+            Some(scope) => {
+                handler.route_layer(from_fn_with_state((gate.clone(), scope), gate::authorise))
+            }
+            None => handler,
+        };
+        let place = if for_all { &mut shared } else { &mut own };
+        *place = std::mem::take(place).route(path, handler);
+    }
+    own.merge(download::share(shared, &config.cors))
+        .route("/openapi.json", get(async move || Json(description)))
+        .layer(from_fn(gate::whole_body))
+        .layer(from_fn_with_state(gate, gate::admit))
         .layer(map_response(problem::fill))
         .layer(CatchPanicLayer::custom(problem::panicked))
         .layer(SetResponseHeaderLayer::overriding(
             X_CONTENT_TYPE_OPTIONS,
             HeaderValue::from_static("nosniff"),
         ))
-        .layer(TraceLayer::new_for_http())
-        .with_state(App { engine, public_url })
+        .layer(PropagateRequestIdLayer::new(REQUEST_ID))
+        .layer(TraceLayer::new_for_http().make_span_with(span))
+        .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+        .with_state(App { engine, studies, public_url })
 }
+
+/// A request in the service's own log: without its query, which may hold a token.
+fn span(request: &Request) -> tracing::Span {
+    let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
+    let (method, path) = (request.method(), request.uri().path());
+    tracing::info_span!("request", id, %method, path)
+}
+
+/// A size of a page.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+struct Limit(#[schemars(range(min = 1, max = 500))] usize);
 
 /// The id in the path of a job.
 struct JobId(Uuid);
@@ -78,6 +336,19 @@ impl<S: Send + Sync> FromRequestParts<S> for JobId {
         let text = Path::<String>::from_request_parts(parts, state).await;
         let id = text.ok().and_then(|Path(text)| store::parse_id(&text));
         id.map(Self).ok_or_else(|| Refusal::UnknownJob.into())
+    }
+}
+
+/// The id in the path of a study.
+struct StudyId(Uuid);
+
+impl<S: Send + Sync> FromRequestParts<S> for StudyId {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let text = Path::<String>::from_request_parts(parts, state).await;
+        let id = text.ok().and_then(|Path(text)| store::parse_id(&text));
+        id.map(Self).ok_or_else(|| StudyRefusal::Unknown.into())
     }
 }
 
@@ -106,12 +377,12 @@ async fn submit_job(
     Shared(app): Shared<App>,
     Base(base): Base,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Bytes,
 ) -> Result<Response, Problem> {
     if !is_plain_json(&headers) {
         return Err(Problem::not_json());
     }
-    let body = body?;
+    let key = idempotency_key(&headers)?;
     // A mebibyte of JSON takes a while to check: not on a thread that others wait for.
     let checked = move || {
         let scenario = Scenario::from_json(&body)?;
@@ -119,16 +390,27 @@ async fn submit_job(
         Ok::<_, ScenarioError>((scenario, plan))
     };
     let (scenario, plan) = off_thread(checked).await?;
-    let view = app.engine.submit(scenario, plan).await?;
+    let view = app.engine.submit(scenario, plan, key).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
-    Ok((StatusCode::ACCEPTED, location, Json(job_json(&view, base.as_deref()))).into_response())
+    let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
+    Ok((status, location, Json(JobView::new(&view, base.as_deref()))).into_response())
+}
+
+/// The key of a request as an id of ours: no text of a client becomes a name of a file.
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<Uuid>, Problem> {
+    let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
+    let key = key.as_bytes();
+    if key.is_empty() || key.len() > MAX_KEY {
+        return Err(Problem::bad_header("an Idempotency-Key has 1 to 255 characters"));
+    }
+    Ok(Some(Uuid::new_v5(&Uuid::NAMESPACE_OID, key)))
 }
 
 async fn list_jobs(
     Shared(app): Shared<App>,
     Base(base): Base,
     query: Result<Query<ListQuery>, QueryRejection>,
-) -> Result<Json<Value>, Problem> {
+) -> Result<Json<JobList>, Problem> {
     let Query(ListQuery { state, limit, cursor }) = query?;
     let limit = limit.unwrap_or(PAGE);
     if !(1..=MAX_PAGE).contains(&limit) {
@@ -137,18 +419,18 @@ async fn list_jobs(
     let unusable = || Problem::bad_query("cursor is not one that this list gave");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
     let (page, next) = app.engine.list(state, limit, cursor);
-    let jobs: Vec<_> = page.iter().map(|view| job_json(view, base.as_deref())).collect();
+    let jobs = page.iter().map(|view| JobView::new(view, base.as_deref())).collect();
     let filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
     let link = next.map(|next| format!("/jobs?{filter}limit={limit}&cursor={next}"));
-    Ok(Json(json!({ "jobs": jobs, "next_cursor": next, "links": { "next": link } })))
+    Ok(Json(JobList::new(jobs, next, link)))
 }
 
 async fn get_job(
     Shared(app): Shared<App>,
     Base(base): Base,
     JobId(id): JobId,
-) -> Result<Json<Value>, Problem> {
-    Ok(Json(job_json(&app.engine.get(id).await?, base.as_deref())))
+) -> Result<Json<JobView>, Problem> {
+    Ok(Json(JobView::new(&app.engine.get(id).await?, base.as_deref())))
 }
 
 async fn cancel_job(
@@ -158,7 +440,7 @@ async fn cancel_job(
 ) -> Result<Response, Problem> {
     let view = app.engine.cancel(id).await?;
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
-    Ok((status, Json(job_json(&view, base.as_deref()))).into_response())
+    Ok((status, Json(JobView::new(&view, base.as_deref()))).into_response())
 }
 
 async fn forget_job(Shared(app): Shared<App>, JobId(id): JobId) -> Result<StatusCode, Problem> {
@@ -174,24 +456,90 @@ async fn get_log(
     download::log(id, app.engine.log(id)?, request).await
 }
 
+async fn get_live(Shared(app): Shared<App>, JobId(id): JobId) -> Result<Response, Problem> {
+    Ok(follow::log(app.engine, id)?)
+}
+
+async fn get_events(
+    Shared(app): Shared<App>,
+    Base(base): Base,
+    JobId(id): JobId,
+) -> Result<Response, Problem> {
+    app.engine.brief(id)?;
+    Ok(follow::events(app.engine, id, base))
+}
+
+async fn get_metrics(Shared(app): Shared<App>) -> Response {
+    let text = off_thread(move || app.engine.metrics()).await;
+    ([(CONTENT_TYPE, metrics::MEDIA_TYPE)], text).into_response()
+}
+
 async fn get_job_scenario(Shared(app): Shared<App>, JobId(id): JobId) -> Result<Response, Problem> {
     Ok(json_text(app.engine.scenario(id).await?))
+}
+
+async fn submit_study(
+    Shared(app): Shared<App>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Problem> {
+    if !is_plain_json(&headers) {
+        return Err(Problem::not_json());
+    }
+    let question = off_thread(move || Question::from_json(&body)).await?;
+    let view = app.studies.submit(question)?;
+    let location = [(LOCATION, format!("/studies/{}", view.id))];
+    Ok((StatusCode::ACCEPTED, location, Json(view)).into_response())
+}
+
+async fn get_study(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<Json<StudyView>, Problem> {
+    Ok(Json(app.studies.get(id)?))
+}
+
+async fn cancel_study(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<(StatusCode, Json<StudyView>), Problem> {
+    Ok((StatusCode::ACCEPTED, Json(app.studies.cancel(id)?)))
+}
+
+async fn forget_study(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<StatusCode, Problem> {
+    app.studies.forget(id)?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+async fn get_study_table(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<Response, Problem> {
+    let text = app.studies.file(id, "table.csv")?;
+    Ok(([(CONTENT_TYPE, "text/csv")], text).into_response())
+}
+
+async fn get_study_chart(
+    Shared(app): Shared<App>,
+    Path((id, name)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let id = store::parse_id(&id).ok_or(StudyRefusal::Unknown)?;
+    if !name.ends_with(".svg") {
+        return Err(StudyRefusal::NoFile.into());
+    }
+    let text = app.studies.file(id, &name)?;
+    Ok(([(CONTENT_TYPE, "image/svg+xml")], text).into_response())
 }
 
 async fn get_schema() -> Json<Value> {
     Json(schema())
 }
 
-async fn list_scenarios() -> Json<Value> {
-    let scenarios: Vec<_> = SHIPPED
-        .iter()
-        .map(|(name, text)| {
-            let scenario: Value = serde_json::from_str(text).unwrap_or_default();
-            let link = format!("/scenarios/{name}");
-            json!({ "name": name, "description": scenario["description"], "links": { "self": link } })
-        })
-        .collect();
-    Json(json!({ "scenarios": scenarios }))
+async fn list_scenarios() -> Json<ScenarioList> {
+    Json(ScenarioList::shipped())
 }
 
 async fn get_scenario(Path(name): Path<String>) -> Result<Response, Problem> {
@@ -200,13 +548,13 @@ async fn get_scenario(Path(name): Path<String>) -> Result<Response, Problem> {
     shipped.map(|(_, text)| json_text(*text)).ok_or_else(|| Problem::not_found("scenario"))
 }
 
-async fn healthz() -> Json<Value> {
-    Json(json!({ "status": "ok" }))
+async fn healthz() -> Json<Status> {
+    Json(Status { status: "ok" })
 }
 
-async fn readyz(Shared(app): Shared<App>) -> Result<Json<Value>, Problem> {
+async fn readyz(Shared(app): Shared<App>) -> Result<Json<Status>, Problem> {
     if app.engine.is_ready() {
-        Ok(Json(json!({ "status": "ready" })))
+        Ok(Json(Status { status: "ready" }))
     } else {
         Err(Problem::not_ready())
     }
@@ -236,62 +584,4 @@ async fn off_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static
             Err(_) => std::future::pending().await,
         },
     }
-}
-
-/// A job as clients see it.
-fn job_json(view: &View, base: Option<&str>) -> Value {
-    let View { id, steps, steps_done, .. } = view;
-    let percent = if *steps == 0 { 0.0 } else { 100.0 * *steps_done as f64 / *steps as f64 };
-    let mut job = json!({
-        "id": id,
-        "name": view.name,
-        "state": view.state,
-        "created": view.created,
-        "attempts": view.attempts,
-        "progress": {
-            "steps": steps,
-            "steps_done": steps_done,
-            "durable_step": view.durable_step,
-            "percent": (percent * 100.0).floor() / 100.0,
-            "eta_s": view.eta_s.map(|eta| (eta * 10.0).round() / 10.0),
-        },
-        "plan": view.plan,
-    });
-    if let Some(record) = &view.record {
-        job["finished"] = json!(record.finished);
-        job["summary"] = json!(record.summary);
-        job["diagnosis"] = json!(record.diagnosis);
-    }
-    let mut links =
-        json!({ "self": format!("/jobs/{id}"), "scenario": format!("/jobs/{id}/scenario.json") });
-    if view.has_log || !view.state.is_final() {
-        links["log"] = json!(format!("/jobs/{id}/log.mcap"));
-    }
-    if let Some(base) = base.filter(|_| view.has_log) {
-        links["viewers"] = viewers(&format!("{base}/jobs/{id}/log.mcap"));
-    }
-    job["links"] = links;
-    job
-}
-
-/// Links that open a log in viewers. A desktop link does nothing where the program is not installed.
-fn viewers(log: &str) -> Value {
-    let log = percent_encoded(log);
-    json!({
-        "foxglove": format!("https://app.foxglove.dev/~/view?ds=remote-file&ds.url={log}"),
-        "foxglove_desktop": format!("foxglove://open?ds=remote-file&ds.url={log}"),
-        "lichtblick_desktop": format!("lichtblick://open?ds=remote-file&ds.url={log}"),
-        "rerun": format!("https://rerun.io/viewer?url={log}"),
-    })
-}
-
-/// Everything but RFC 3986's unreserved characters as `%XX`.
-fn percent_encoded(text: &str) -> String {
-    let encode = |byte: u8| match byte {
-        b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => {
-            char::from(byte).to_string()
-        }
-        _ => format!("%{byte:02X}"),
-    };
-    text.bytes().map(encode).collect()
 }

@@ -21,7 +21,7 @@ use tower_http::services::ServeFile;
 use tower_http::set_header::SetResponseHeaderLayer;
 use uuid::Uuid;
 
-use super::Cors;
+use super::config::Cors;
 use super::problem::Problem;
 
 const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName =
@@ -53,17 +53,19 @@ pub(super) async fn log(
         }
     }
     let answer = service.try_call(request).await.map_err(|error| Problem::unreadable(&error))?;
+    let response = answer.into_response();
+    Ok(if response.status().is_success() { as_log(id, response) } else { response })
+}
+
+/// Names an answer as the log of a job.
+pub(super) fn as_log(id: Uuid, answer: impl IntoResponse) -> Response {
     let mut response = answer.into_response();
-    if response.status().is_success() {
-        let headers = response.headers_mut();
-        headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
-        if let Ok(disposition) =
-            HeaderValue::try_from(format!("attachment; filename=\"vpd-{id}.mcap\""))
-        {
-            headers.insert(CONTENT_DISPOSITION, disposition);
-        }
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static("application/octet-stream"));
+    if let Ok(name) = HeaderValue::try_from(format!("attachment; filename=\"vpd-{id}.mcap\"")) {
+        headers.insert(CONTENT_DISPOSITION, name);
     }
-    Ok(response)
+    response
 }
 
 /// Lets pages of other origins read what `router` answers.

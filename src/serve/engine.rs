@@ -6,7 +6,7 @@
 
 mod worker;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::ops::Bound;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -17,8 +17,9 @@ use tokio::sync::mpsc;
 use uuid::Uuid;
 
 use super::job::{Fault, Job, Phase, State, View};
-use super::store::{Found, Record, Store, StoreError};
-use super::{ServeError, chain};
+use super::metrics::Metrics;
+use super::store::{Ending, Found, Record, Store, StoreError};
+use super::{Limits, ServeError, chain};
 use crate::advise;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
@@ -36,6 +37,20 @@ pub(super) enum Refusal {
     QueueFull { limit: usize },
     #[error("the service is stopping: try again once it is back")]
     Stopping,
+    #[error(
+        "the run is expected to take {estimate_s:.0} s of computing, more than the {limit_s:.0} s allowed here"
+    )]
+    TooExpensive { estimate_s: f64, limit_s: f64 },
+    #[error(
+        "the log is expected to take {estimate} bytes, more than the {limit} allowed here: log every {every} steps, or fewer channels"
+    )]
+    LogTooLarge { estimate: u64, limit: u64, every: u64 },
+    #[error("the disk has no room for the log of this job beside those that were accepted before")]
+    DiskFull,
+    #[error("this Idempotency-Key came with another scenario before")]
+    KeyReused,
+    #[error("the request with this Idempotency-Key is still being answered")]
+    KeyBusy,
     #[error("there is no job with this id")]
     UnknownJob,
     #[error("the job is running: cancel it first")]
@@ -54,16 +69,43 @@ pub(super) enum Refusal {
 struct Index {
     jobs: BTreeMap<Uuid, Job>,
     queue: VecDeque<Uuid>,
+    /// The job that came under each idempotency key.
+    keys: HashMap<Uuid, Uuid>,
+    /// Bytes that the logs of jobs which have not ended are expected to take.
+    promised_bytes: u64,
     /// Places kept for jobs that are being written to the store.
     reserved: usize,
     /// Who holds a copy has something to finish before a stop is complete; gone once the stop has begun.
     alive: Option<mpsc::Sender<()>>,
 }
 
+impl Index {
+    /// Takes note of how a job ended.
+    fn end(&mut self, ending: Ending) {
+        let id = ending.id;
+        let key = self.remove(id).and_then(|job| job.key);
+        self.jobs.insert(id, Job { key, ..Job::ended(ending) });
+        if let Some(key) = key {
+            self.keys.insert(key, id);
+        }
+    }
+
+    /// Forgets a job, and the key under which it came.
+    fn remove(&mut self, id: Uuid) -> Option<Job> {
+        let job = self.jobs.remove(&id)?;
+        self.promised_bytes -= job.log_bytes;
+        if let Some(key) = job.key {
+            self.keys.remove(&key);
+        }
+        Some(job)
+    }
+}
+
 #[derive(Debug)]
 struct Shared {
     store: Store,
-    queue_limit: usize,
+    metrics: Metrics,
+    limits: Limits,
     index: Mutex<Index>,
     /// There is work in the queue, or no more to come.
     work: Condvar,
@@ -94,15 +136,35 @@ impl Drained {
     }
 }
 
-/// A place in the queue, given back when dropped.
+/// What is kept for a job that is being written to the store; given back when dropped.
 struct Place {
     shared: Arc<Shared>,
+    key: Option<Uuid>,
+    log_bytes: u64,
     _alive: mpsc::Sender<()>,
+}
+
+impl Place {
+    /// The job stands: it has its place in the queue.
+    fn fill(mut self, id: Uuid, job: Job) {
+        self.key = None;
+        let mut index = self.shared.index();
+        index.promised_bytes += job.log_bytes;
+        index.jobs.insert(id, job);
+        index.queue.push_back(id);
+        drop(index);
+        self.shared.work.notify_one();
+    }
 }
 
 impl Drop for Place {
     fn drop(&mut self) {
-        self.shared.index().reserved -= 1;
+        let mut index = self.shared.index();
+        index.reserved -= 1;
+        index.promised_bytes -= self.log_bytes;
+        if let Some(key) = self.key {
+            index.keys.remove(&key);
+        }
     }
 }
 
@@ -111,7 +173,7 @@ impl Engine {
     pub(super) async fn start(
         store: Store,
         workers: usize,
-        queue_limit: usize,
+        limits: Limits,
     ) -> Result<(Self, Drained), ServeError> {
         let unreadable = |error: StoreError| ServeError::Record { message: chain(&error) };
         let found = store.scan().await.map_err(unreadable)?;
@@ -126,13 +188,23 @@ impl Engine {
             .filter(|(_, job)| matches!(job.phase, Phase::Queued))
             .map(|(id, _)| *id)
             .collect();
+        let keys = jobs.iter().filter_map(|(id, job)| Some((job.key?, *id))).collect();
+        let promised_bytes = jobs.values().map(|job| job.log_bytes).sum();
         tracing::info!(jobs = jobs.len(), queued = queue.len(), "record read");
 
         let (alive, gone) = mpsc::channel(1);
         let shared = Arc::new(Shared {
             store,
-            queue_limit,
-            index: Mutex::new(Index { jobs, queue, reserved: 0, alive: Some(alive.clone()) }),
+            metrics: Metrics::new(),
+            limits,
+            index: Mutex::new(Index {
+                jobs,
+                queue,
+                keys,
+                promised_bytes,
+                reserved: 0,
+                alive: Some(alive.clone()),
+            }),
             work: Condvar::new(),
             halt: Condvar::new(),
             runtime: tokio::runtime::Handle::current(),
@@ -147,40 +219,86 @@ impl Engine {
         Ok((Self(shared), Drained(gone)))
     }
 
-    /// Takes a job. When this returns the job is on the disk.
-    pub(super) async fn submit(&self, scenario: Scenario, plan: Plan) -> Result<View, Refusal> {
-        let place = self.reserve()?;
+    /// Takes a job. When this returns the job is on the disk. A key that came before, with the same
+    /// scenario, gives the job of that time.
+    pub(super) async fn submit(
+        &self,
+        scenario: Scenario,
+        plan: Plan,
+        key: Option<Uuid>,
+    ) -> Result<View, Refusal> {
+        self.0.limits.admit(&plan)?;
+        let shared = self.0.clone();
+        let free_bytes = tokio::task::spawn_blocking(move || shared.store.free_bytes()).await;
+        // A runtime that goes down takes no jobs.
+        let free_bytes = free_bytes.map_err(|_| Refusal::Stopping)??;
+        let id = Uuid::now_v7();
+        let text = scenario.to_json();
+        let place = match self.reserve(id, key, plan.log_bytes, free_bytes)? {
+            Ok(place) => place,
+            Err(earlier) => return self.submitted_before(earlier, &text).await,
+        };
         to_the_end(async move {
-            let id = Uuid::now_v7();
-            let job = Job::new(&scenario, &plan, 0);
-            place.shared.store.accept(id, scenario.to_json()).await?;
+            let job = Job { key, ..Job::new(&scenario, &plan, 0) };
+            place.shared.store.accept(id, key, text).await?;
             tracing::info!(job = %id, name = job.name, steps = job.steps, "job accepted");
             let view = job.view(id);
-            let mut index = place.shared.index();
-            index.jobs.insert(id, job);
-            index.queue.push_back(id);
-            drop(index);
-            place.shared.work.notify_one();
+            place.shared.metrics.accept();
+            place.fill(id, job);
             Ok(view)
         })
         .await
     }
 
-    fn reserve(&self) -> Result<Place, Refusal> {
+    /// A place for a job, or the job that came under its key before.
+    fn reserve(
+        &self,
+        id: Uuid,
+        key: Option<Uuid>,
+        log_bytes: u64,
+        free_bytes: u64,
+    ) -> Result<Result<Place, Uuid>, Refusal> {
         let mut index = self.0.index();
         let alive = index.alive.clone().ok_or(Refusal::Stopping)?;
-        if index.queue.len() + index.reserved >= self.0.queue_limit {
-            return Err(Refusal::QueueFull { limit: self.0.queue_limit });
+        if let Some(earlier) = key.and_then(|key| index.keys.get(&key)) {
+            return Ok(Err(*earlier));
+        }
+        let Limits { queue, reserve_bytes, .. } = self.0.limits;
+        if index.queue.len() + index.reserved >= queue {
+            return Err(Refusal::QueueFull { limit: queue });
+        }
+        if index.promised_bytes.saturating_add(log_bytes).saturating_add(reserve_bytes) > free_bytes
+        {
+            return Err(Refusal::DiskFull);
         }
         index.reserved += 1;
-        Ok(Place { shared: self.0.clone(), _alive: alive })
+        index.promised_bytes += log_bytes;
+        if let Some(key) = key {
+            index.keys.insert(key, id);
+        }
+        Ok(Ok(Place { shared: self.0.clone(), key, log_bytes, _alive: alive }))
+    }
+
+    /// The job that came under a key before, if it came with the same scenario.
+    async fn submitted_before(&self, id: Uuid, text: &[u8]) -> Result<View, Refusal> {
+        self.brief(id).map_err(|_| Refusal::KeyBusy)?;
+        if self.0.store.scenario(id).await?[..] != *text {
+            return Err(Refusal::KeyReused);
+        }
+        self.get(id).await
     }
 
     /// One job, with how it ended.
     pub(super) async fn get(&self, id: Uuid) -> Result<View, Refusal> {
         let mut view = self.brief(id)?;
         if view.state.is_final() {
-            let record = self.0.store.record(id).await?;
+            let record = self.0.store.record(id).await.or_else(|error| {
+                tracing::error!(job = %id, error = chain(&error), "result unreadable");
+                let index = self.0.index();
+                let job = index.jobs.get(&id).ok_or(Refusal::UnknownJob)?;
+                let record = job.record(view.state, Some(&Fault::damaged()));
+                Ok::<_, Refusal>(Record { finished: None, ..record })
+            })?;
             view.plan = record.plan.clone();
             view.record = Some(record);
         }
@@ -208,6 +326,22 @@ impl Engine {
         page.truncate(limit);
         let next = page.last().filter(|_| more).map(|view| view.id);
         (page, next)
+    }
+
+    /// Where the log of a job stands, or will stand.
+    pub(super) fn log_path(&self, id: Uuid) -> PathBuf {
+        self.0.store.log_path(id)
+    }
+
+    /// The figures of the service as text. Blocking.
+    pub(super) fn metrics(&self) -> String {
+        let free_bytes = self.0.store.free_bytes().unwrap_or_default();
+        let (counts, queue) = {
+            let index = self.0.index();
+            let count = |state| index.jobs.values().filter(|job| job.state() == state).count();
+            (State::ALL.map(|state| (state, count(state))), index.queue.len())
+        };
+        self.0.metrics.text(&counts, queue, free_bytes)
     }
 
     /// The finished log of a job.
@@ -286,7 +420,7 @@ impl Engine {
                 shared.back_to_queue(id);
                 return Err(error.into());
             }
-            shared.index().jobs.remove(&id);
+            shared.index().remove(id);
             tracing::info!(job = %id, "job forgotten");
             drop(alive);
             Ok(())
@@ -322,7 +456,8 @@ impl Shared {
     async fn end_waiting(&self, id: Uuid, record: &Record) -> Result<(), StoreError> {
         match self.store.publish(id, record).await {
             Ok(record) => {
-                self.index().jobs.insert(id, Job::ended(&record));
+                self.metrics.end(&record, 0);
+                self.index().end(Ending::of(id, &record));
                 tracing::info!(job = %id, "job cancelled");
                 Ok(())
             }
@@ -351,26 +486,25 @@ impl Shared {
 async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError> {
     let id = found.id;
     if found.ended {
-        let record = match store.record(id).await {
-            Ok(record) => record,
-            Err(error) => {
-                tracing::error!(job = %id, error = chain(&error), "result unreadable");
-                Job::unnamed(found.attempts).record(State::Failed, Some(&Fault::storage(&error)))
-            }
+        let ending = match found.ending {
+            Some(ending) => ending,
+            None => unindexed(store, &found).await,
         };
-        return Ok((id, Job::ended(&record)));
+        return Ok((id, Job { key: found.key, ..Job::ended(ending) }));
     }
-    let text = store.scenario(id).await?;
     let fruitless = store.fruitless_attempts(id, found.attempts).await?;
-    let planned = Scenario::from_json(&text).and_then(|scenario| {
-        let plan = advise::plan(&scenario)?;
+    let planned = store.scenario(id).await.map_err(|error| Fault::storage(&error));
+    let planned = planned.and_then(|text| {
+        let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
+        let plan = advise::plan(&scenario).map_err(|error| Fault::rejected(&error))?;
         let job = Job::new(&scenario, &plan, found.attempts);
         Ok(Job { suspect: fruitless > 0, cancelled: found.cancelled, ..job })
     });
     let (job, fault) = match planned {
         Ok(job) => (job, None),
-        Err(error) => (Job::unnamed(found.attempts), Some(Fault::rejected(&error))),
+        Err(fault) => (Job::unnamed(found.attempts), Some(fault)),
     };
+    let job = Job { key: found.key, ..job };
     let record = match fault {
         // What ran before goes to its worker, who gives its log an end.
         _ if found.cancelled && found.attempts == 0 => job.record(State::Cancelled, None),
@@ -382,7 +516,23 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
     };
     tracing::warn!(job = %id, attempts = found.attempts, state = ?record.state, "job ended at the start");
     store.remove_leftovers(id)?;
-    Ok((id, Job::ended(&store.publish(id, &record).await?)))
+    let ending = Ending::of(id, &store.publish(id, &record).await?);
+    Ok((id, Job { key: found.key, ..Job::ended(ending) }))
+}
+
+/// How a job ended that the index does not know.
+async fn unindexed(store: &Store, found: &Found) -> Ending {
+    let id = found.id;
+    let ending = match store.record(id).await {
+        Ok(record) => Ending::of(id, &record),
+        Err(error) => {
+            tracing::error!(job = %id, error = chain(&error), "result unreadable");
+            let record = Job::unnamed(found.attempts).record(State::Failed, None);
+            return Ending { has_log: found.has_log, ..Ending::of(id, &record) };
+        }
+    };
+    store.add_to_index(&ending);
+    ending
 }
 
 /// Runs a task to its end even if the caller, a request whose client has left, is dropped.

@@ -9,18 +9,19 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use chrono::{DateTime, SubsecRound, Utc};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use uuid::Uuid;
 
 use super::engine::MAX_ATTEMPTS;
-use super::store::{Record, StoreError};
+use super::store::{Ending, Record, StoreError};
 use crate::plan::Plan;
 use crate::run::{Control, RunError};
 use crate::scenario::{Scenario, ScenarioError};
 
 /// Where a job stands.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum State {
     Queued,
@@ -31,6 +32,10 @@ pub(super) enum State {
 }
 
 impl State {
+    /// All of them, in the order of a job's life.
+    pub(super) const ALL: [Self; 5] =
+        [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
+
     /// True once nothing more happens to the job.
     pub(super) fn is_final(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
@@ -90,9 +95,13 @@ pub(super) struct Job {
     pub(super) suspect: bool,
     /// Whether a client stopped it before the process ended.
     pub(super) cancelled: bool,
+    /// The key under which the client sent it.
+    pub(super) key: Option<Uuid>,
     pub(super) steps: u64,
     /// The plan, until the record holds it.
     pub(super) plan: Option<Value>,
+    /// What its log is expected to take.
+    pub(super) log_bytes: u64,
     pub(super) phase: Phase,
 }
 
@@ -103,8 +112,10 @@ impl Job {
             attempts,
             suspect: false,
             cancelled: false,
+            key: None,
             steps: plan.steps,
             plan: serde_json::to_value(plan).ok(),
+            log_bytes: plan.log_bytes,
             phase: Phase::Queued,
         }
     }
@@ -116,21 +127,25 @@ impl Job {
             attempts,
             suspect: false,
             cancelled: false,
+            key: None,
             steps: 0,
             plan: None,
+            log_bytes: 0,
             phase: Phase::Leaving,
         }
     }
 
-    pub(super) fn ended(record: &Record) -> Self {
-        let Record { state, steps_done, has_log, .. } = *record;
+    pub(super) fn ended(ending: Ending) -> Self {
+        let Ending { name, state, attempts, steps, steps_done, has_log, .. } = ending;
         Self {
-            name: record.name.clone(),
-            attempts: record.attempts,
+            name,
+            attempts,
             suspect: false,
             cancelled: false,
-            steps: record.steps,
+            key: None,
+            steps,
             plan: None,
+            log_bytes: 0,
             phase: Phase::Ended { state, steps_done, has_log },
         }
     }
@@ -192,7 +207,7 @@ impl Job {
             name: self.name.clone(),
             state,
             attempts: self.attempts,
-            finished: Utc::now().trunc_subsecs(3),
+            finished: Some(Utc::now().trunc_subsecs(3)),
             steps: self.steps,
             steps_done: 0,
             has_log: false,
@@ -228,6 +243,7 @@ impl Fault {
             "worker_crashed" => {
                 "the job ends its process: submit it with fewer samples or a smaller n, or report it"
             }
+            "record_damaged" => "look for disk errors; if the job has a log, its outcome is there",
             "scenario_rejected" => "submit the scenario again and mend what the answer names",
             _ => "this is a fault of the program: report it with the scenario",
         };
@@ -245,8 +261,16 @@ impl Fault {
         )
     }
 
+    /// A record that cannot be read: what is left of the job is its state.
+    pub(super) fn damaged() -> Self {
+        Self::new("record_damaged", "the result of this job cannot be read")
+    }
+
     pub(super) fn worker_crashed() -> Self {
-        Self::new("worker_crashed", format!("{} runs of this job never came back", MAX_ATTEMPTS))
+        Self::new(
+            "worker_crashed",
+            format!("{MAX_ATTEMPTS} runs of this job in a row came to nothing: the process ended"),
+        )
     }
 
     pub(super) fn panicked() -> Self {

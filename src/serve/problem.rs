@@ -4,19 +4,25 @@
 //! (`fill` sees to that); no answer names a file of the machine.
 
 use std::any::Any;
+use std::time::Duration;
 
 use axum::Json;
-use axum::extract::rejection::{BytesRejection, QueryRejection};
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER};
+use axum::extract::rejection::QueryRejection;
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
-use serde_json::{Value, json};
+use schemars::JsonSchema;
+use serde::Serialize;
 
 use super::chain;
+use super::config::Scope;
 use super::engine::Refusal;
+use super::studies::StudyRefusal;
 use crate::scenario::{ScenarioError, ScenarioErrorKind};
 
-const MEDIA_TYPE: &str = "application/problem+json";
+pub(super) const MEDIA_TYPE: &str = "application/problem+json";
+
+const UNPROCESSABLE: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
 
 /// Longest detail in an answer, bytes: enough to say what is wrong, too short to echo a body.
 const MAX_DETAIL: usize = 1024;
@@ -62,6 +68,57 @@ impl Problem {
         Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail)
     }
 
+    /// A request that does not say whom it calls.
+    pub(super) fn bad_host() -> Self {
+        Self::new(StatusCode::BAD_REQUEST, "bad_host", "the request needs one Host header")
+    }
+
+    /// A name that is not ours.
+    pub(super) fn misdirected() -> Self {
+        let detail = "the service is not known by this name: use localhost or its address, or start it with --host NAME";
+        Self::new(StatusCode::MISDIRECTED_REQUEST, "unknown_host", detail)
+    }
+
+    /// Too many requests from this address.
+    pub(super) fn too_often(wait: Duration) -> Self {
+        let detail = "too many requests from this address: wait a moment";
+        let seconds = wait.as_secs_f64().ceil().max(1.0) as u64;
+        Self::new(StatusCode::TOO_MANY_REQUESTS, "rate_limited", detail).retry(seconds)
+    }
+
+    /// No token, or none of ours.
+    pub(super) fn unauthorised() -> Self {
+        let detail = "send a token: Authorization: Bearer TOKEN";
+        Self::new(StatusCode::UNAUTHORIZED, "unauthorized", detail)
+    }
+
+    /// A token that does not reach so far.
+    pub(super) fn forbidden(scope: Scope) -> Self {
+        let detail = format!("this needs a token of the scope {scope}");
+        Self::new(StatusCode::FORBIDDEN, "forbidden", detail)
+    }
+
+    /// A body beyond the limit.
+    pub(super) fn too_large() -> Self {
+        Self::from_status(StatusCode::PAYLOAD_TOO_LARGE)
+    }
+
+    /// A body that did not come in time.
+    pub(super) fn too_slow() -> Self {
+        let detail = "the body did not come within 30 s";
+        Self::new(StatusCode::REQUEST_TIMEOUT, "too_slow", detail)
+    }
+
+    /// A body that breaks off.
+    pub(super) fn broken_body() -> Self {
+        Self::from_status(StatusCode::BAD_REQUEST)
+    }
+
+    /// A header that cannot be used.
+    pub(super) fn bad_header(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, "bad_header", detail)
+    }
+
     /// The service stops or does not take jobs.
     pub(super) fn not_ready() -> Self {
         Refusal::Stopping.into()
@@ -98,23 +155,39 @@ impl Problem {
         Self::new(status, code, detail)
     }
 
-    fn body(&self) -> Value {
-        let mut end = self.detail.len().min(MAX_DETAIL);
-        while !self.detail.is_char_boundary(end) {
+    fn body(self) -> Body {
+        let mut detail = self.detail;
+        let mut end = detail.len().min(MAX_DETAIL);
+        while !detail.is_char_boundary(end) {
             end -= 1;
         }
-        let mut body = json!({
-            "type": format!("urn:vpd:problem:{}", self.code),
-            "title": title(self.code),
-            "status": self.status.as_u16(),
-            "detail": &self.detail[..end],
-            "code": self.code,
-        });
-        if let Some(pointer) = &self.pointer {
-            body["pointer"] = json!(pointer);
+        detail.truncate(end);
+        Body {
+            kind: format!("urn:vpd:problem:{}", self.code),
+            title: title(self.code),
+            status: self.status.as_u16(),
+            detail,
+            code: self.code,
+            pointer: self.pointer,
         }
-        body
     }
+}
+
+/// The text of a problem.
+#[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "Problem")]
+pub(super) struct Body {
+    #[serde(rename = "type")]
+    kind: String,
+    title: String,
+    status: u16,
+    /// What is wrong, for a person.
+    detail: String,
+    /// What is wrong, for a program; fixed.
+    code: &'static str,
+    /// JSON pointer of the field at fault.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pointer: Option<String>,
 }
 
 /// The code as a sentence opens: `queue_full` → `Queue full`.
@@ -128,10 +201,14 @@ fn title(code: &str) -> String {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let mut response = (self.status, Json(self.body())).into_response();
+        let (status, retry_after_s) = (self.status, self.retry_after_s);
+        let mut response = (status, Json(self.body())).into_response();
         response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
-        if let Some(seconds) = self.retry_after_s {
+        if let Some(seconds) = retry_after_s {
             response.headers_mut().insert(RETRY_AFTER, seconds.into());
+        }
+        if status == StatusCode::UNAUTHORIZED {
+            response.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
         }
         response
     }
@@ -151,6 +228,20 @@ impl From<ScenarioError> for Problem {
     }
 }
 
+impl From<StudyRefusal> for Problem {
+    fn from(refusal: StudyRefusal) -> Self {
+        let with = |status, code| Self::new(status, code, refusal.to_string());
+        match refusal {
+            StudyRefusal::QueueFull => {
+                with(StatusCode::TOO_MANY_REQUESTS, "queue_full").retry(RETRY_S)
+            }
+            StudyRefusal::Unknown => with(StatusCode::NOT_FOUND, "unknown_study"),
+            StudyRefusal::NoFile => with(StatusCode::NOT_FOUND, "no_file"),
+            StudyRefusal::Running => with(StatusCode::CONFLICT, "study_running"),
+        }
+    }
+}
+
 impl From<Refusal> for Problem {
     fn from(refusal: Refusal) -> Self {
         let detail = refusal.to_string();
@@ -159,6 +250,18 @@ impl From<Refusal> for Problem {
             Refusal::QueueFull { .. } => {
                 with(StatusCode::TOO_MANY_REQUESTS, "queue_full").retry(RETRY_S)
             }
+            Refusal::TooExpensive { .. } => {
+                Self { pointer: Some("/steps".to_owned()), ..with(UNPROCESSABLE, "too_expensive") }
+            }
+            Refusal::LogTooLarge { .. } => Self {
+                pointer: Some("/log/every".to_owned()),
+                ..with(UNPROCESSABLE, "log_too_large")
+            },
+            Refusal::DiskFull => {
+                with(StatusCode::INSUFFICIENT_STORAGE, "storage_full").retry(MAX_RETRY_S as u64)
+            }
+            Refusal::KeyReused => with(UNPROCESSABLE, "idempotency_key_reused"),
+            Refusal::KeyBusy => with(StatusCode::CONFLICT, "idempotency_key_busy").retry(1),
             Refusal::Stopping => with(StatusCode::SERVICE_UNAVAILABLE, "stopping").retry(RETRY_S),
             Refusal::UnknownJob => with(StatusCode::NOT_FOUND, "unknown_job"),
             Refusal::NoLog => with(StatusCode::NOT_FOUND, "no_log"),
@@ -171,17 +274,12 @@ impl From<Refusal> for Problem {
             Refusal::Store(error) => {
                 tracing::error!(error = chain(&error), "store failed");
                 match error.code() {
-                    "storage_full" => with(StatusCode::INSUFFICIENT_STORAGE, "storage_full"),
+                    "storage_full" => with(StatusCode::INSUFFICIENT_STORAGE, "storage_full")
+                        .retry(MAX_RETRY_S as u64),
                     code => with(StatusCode::INTERNAL_SERVER_ERROR, code),
                 }
             }
         }
-    }
-}
-
-impl From<BytesRejection> for Problem {
-    fn from(rejection: BytesRejection) -> Self {
-        Self::from_status(rejection.status())
     }
 }
 

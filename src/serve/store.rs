@@ -1,16 +1,20 @@
 //! The record of the jobs, on disk.
 //!
-//! A job is a prefix: `jobs/<uuid v7>/{scenario.json, cancel, attempt-1, …, log.mcap, result.json}`.
+//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, cancel, attempt-1, …, log.mcap, result.json}`.
 //!
 //! Invariants: a job exists while its `scenario.json` does. `attempt-N` and `result.json` are written
 //! put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
-//! has written is on the disk when the call returns. A file named `log.mcap` is finished, and it is
-//! the job's log once `result.json` stands. No name that a client sent becomes part of a path.
+//! has written is on the disk when the call returns, under a checksum. A file named `log.mcap` is finished, and
+//! it is the job's log once `result.json` stands. No name that a client sent becomes part of a path.
+//!
+//! `index.jsonl` repeats of each result what lists show, so that a start need not read them all. It is no
+//! record: what it lacks, or holds damaged, is read from the result.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{DirBuilder, File, TryLockError};
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use axum::body::Bytes;
 use chrono::{DateTime, Utc};
@@ -34,6 +38,11 @@ const CANCEL: &str = "cancel";
 const ATTEMPT: &str = "attempt-";
 const LOG: &str = "log.mcap";
 const PART: &str = "log.mcap.part";
+const KEY: &str = "key-";
+const INDEX: &str = "index.jsonl";
+
+/// What begins the last line of a text that has a checksum.
+const SEAL: &str = "crc32 ";
 
 /// How a job ended: the text of `result.json`. Plan, summary and diagnosis stay plain JSON, so that a
 /// newer build can show what an older one wrote.
@@ -42,7 +51,7 @@ pub(super) struct Record {
     pub(super) name: String,
     pub(super) state: State,
     pub(super) attempts: u32,
-    pub(super) finished: DateTime<Utc>,
+    pub(super) finished: Option<DateTime<Utc>>,
     pub(super) steps: u64,
     pub(super) steps_done: u64,
     pub(super) has_log: bool,
@@ -55,9 +64,32 @@ pub(super) struct Record {
 #[derive(Debug)]
 pub(super) struct Found {
     pub(super) id: Uuid,
+    pub(super) key: Option<Uuid>,
     pub(super) attempts: u32,
     pub(super) cancelled: bool,
     pub(super) ended: bool,
+    pub(super) has_log: bool,
+    /// How it ended, if the index knows.
+    pub(super) ending: Option<Ending>,
+}
+
+/// What lists show of a job that ended.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Ending {
+    pub(super) id: Uuid,
+    pub(super) name: String,
+    pub(super) state: State,
+    pub(super) attempts: u32,
+    pub(super) steps: u64,
+    pub(super) steps_done: u64,
+    pub(super) has_log: bool,
+}
+
+impl Ending {
+    pub(super) fn of(id: Uuid, record: &Record) -> Self {
+        let Record { state, attempts, steps, steps_done, has_log, .. } = *record;
+        Self { id, name: record.name.clone(), state, attempts, steps, steps_done, has_log }
+    }
 }
 
 /// Reading or writing the record failed.
@@ -142,36 +174,68 @@ fn remove_if_there(path: &Path) -> io::Result<()> {
 #[derive(Debug)]
 pub(super) struct Store {
     objects: LocalFileSystem,
+    data: PathBuf,
     jobs: PathBuf,
+    /// Open for appending.
+    index: Mutex<File>,
 }
 
 impl Store {
     /// Opens the record in a directory that exists and is locked.
     pub(super) fn open(data: &Path) -> Result<Self, ServeError> {
         let failed = |source: io::Error| ServeError::Data { path: data.into(), source };
-        let jobs = data.canonicalize().map_err(failed)?.join(JOBS);
+        let data = data.canonicalize().map_err(failed)?;
+        let jobs = data.join(JOBS);
         make_directory(&jobs).map_err(failed)?;
-        let objects = LocalFileSystem::new_with_prefix(data)
+        let index = File::options().create(true).append(true).open(data.join(INDEX));
+        let index = Mutex::new(index.map_err(failed)?);
+        let objects = LocalFileSystem::new_with_prefix(&data)
             .map_err(|error| failed(io::Error::other(error)))?;
-        Ok(Self { objects: objects.with_fsync(true), jobs })
+        Ok(Self { objects: objects.with_fsync(true), data, jobs, index })
     }
 
-    /// Keeps a new job.
-    pub(super) async fn accept(&self, id: Uuid, scenario: Vec<u8>) -> Result<(), StoreError> {
-        let failed = StoreError::new("keep the scenario");
-        self.create(id, SCENARIO, scenario).await.map_err(failed)
+    /// Bytes that may still be written to the disk. Blocking.
+    #[cfg(unix)]
+    pub(super) fn free_bytes(&self) -> Result<u64, StoreError> {
+        let disk = rustix::fs::statvfs(&self.data).map_err(io::Error::from);
+        let disk = disk.map_err(StoreError::new("ask the disk for its free space"))?;
+        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+
+    /// Unknown: a full disk is found by running into it.
+    #[cfg(not(unix))]
+    pub(super) fn free_bytes(&self) -> Result<u64, StoreError> {
+        Ok(u64::MAX)
+    }
+
+    /// Keeps a new job, and the key under which the client sent it. The scenario goes last: before it
+    /// there is no job.
+    pub(super) async fn accept(
+        &self,
+        id: Uuid,
+        key: Option<Uuid>,
+        scenario: Vec<u8>,
+    ) -> Result<(), StoreError> {
+        let failed = "keep the scenario";
+        if let Some(key) = key {
+            let kept = self.create(id, &format!("{KEY}{key}"), Vec::new()).await;
+            kept.map_err(StoreError::new(failed))?;
+        }
+        self.create(id, SCENARIO, sealed(scenario)).await.map_err(StoreError::new(failed))
     }
 
     /// The scenario of a job, as accepted.
     pub(super) async fn scenario(&self, id: Uuid) -> Result<Bytes, StoreError> {
-        self.read(id, SCENARIO).await.map_err(StoreError::new("read the scenario"))
+        let failed = "read the scenario";
+        let text = self.read(id, SCENARIO).await.map_err(StoreError::new(failed))?;
+        unsealed(text).map_err(StoreError::new(failed))
     }
 
     /// Notes that attempt `n` begins, and at which step.
     pub(super) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
         let failed = "note the attempt";
         let step = self.progress(id).map_err(StoreError::new(failed))?;
-        let note = step.to_string().into_bytes();
+        let note = sealed(step.to_string().into_bytes());
         self.create(id, &format!("{ATTEMPT}{n}"), note).await.map_err(StoreError::new(failed))
     }
 
@@ -182,8 +246,9 @@ impl Store {
         let mut count = 0;
         for n in (1..=n).rev() {
             // One that was taken back, or is torn, began at the start as far as we know.
-            let note = self.read(id, &format!("{ATTEMPT}{n}")).await.unwrap_or_default();
-            let began = std::str::from_utf8(&note).ok().and_then(|text| text.parse().ok());
+            let note = self.read(id, &format!("{ATTEMPT}{n}")).await.ok();
+            let note = note.and_then(|note| unsealed(note).ok());
+            let began = note.and_then(|note| std::str::from_utf8(&note).ok()?.parse().ok());
             let began: u64 = began.unwrap_or(0);
             if began < reached {
                 break;
@@ -215,8 +280,11 @@ impl Store {
     /// Ends a job. The first record wins: the one that stands is returned.
     pub(super) async fn publish(&self, id: Uuid, record: &Record) -> Result<Record, StoreError> {
         let text = serde_json::to_vec(record).map_err(StoreError::new("write the result"))?;
-        match self.create(id, RESULT, text).await {
-            Ok(()) => Ok(record.clone()),
+        match self.create(id, RESULT, sealed(text)).await {
+            Ok(()) => {
+                self.add_to_index(&Ending::of(id, record));
+                Ok(record.clone())
+            }
             Err(Error::AlreadyExists { .. }) => self.record(id).await,
             Err(error) => Err(StoreError::new("write the result")(error)),
         }
@@ -226,6 +294,7 @@ impl Store {
     pub(super) async fn record(&self, id: Uuid) -> Result<Record, StoreError> {
         let failed = "read the result";
         let text = self.read(id, RESULT).await.map_err(StoreError::new(failed))?;
+        let text = unsealed(text).map_err(StoreError::new(failed))?;
         serde_json::from_slice(&text).map_err(StoreError::new(failed))
     }
 
@@ -290,8 +359,12 @@ impl Store {
         if let Err(error) = removed {
             tracing::warn!(%error, "rubbish stays in the data directory");
         }
+        let mut index = self.read_index(&whole);
         let found = whole.into_iter().map(|(id, names)| Found {
             id,
+            key: names.iter().find_map(|name| parse_id(name.strip_prefix(KEY)?)),
+            has_log: names.iter().any(|name| name == LOG),
+            ending: index.remove(&id),
             attempts: names
                 .iter()
                 .filter_map(|name| name.strip_prefix(ATTEMPT)?.parse().ok())
@@ -301,6 +374,38 @@ impl Store {
             ended: names.iter().any(|name| name == RESULT),
         });
         Ok(found.collect())
+    }
+
+    /// Adds a line to the index; a lost one costs the next start a look at the result.
+    pub(super) fn add_to_index(&self, ending: &Ending) {
+        let Ok(line) = index_line(ending) else { return };
+        let mut index = self.index.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Err(error) = index.write_all(line.as_bytes()) {
+            tracing::warn!(%error, "index not written");
+        }
+    }
+
+    /// The sound lines of the index that belong to a job; without the others, if they became many.
+    fn read_index(&self, jobs: &[(Uuid, Vec<String>)]) -> HashMap<Uuid, Ending> {
+        let path = self.data.join(INDEX);
+        let text = std::fs::read(&path).unwrap_or_default();
+        let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let count = lines.clone().count();
+        let mut index: HashMap<Uuid, Ending> =
+            lines.filter_map(index_entry).map(|ending| (ending.id, ending)).collect();
+        let known: HashSet<Uuid> = jobs.iter().map(|(id, _)| *id).collect();
+        index.retain(|id, _| known.contains(id));
+        if count > 2 * index.len() + 100 {
+            let text: String =
+                index.values().filter_map(|ending| index_line(ending).ok()).collect();
+            let mut file = self.index.lock().unwrap_or_else(PoisonError::into_inner);
+            // Appending goes on behind what is written here.
+            let rewritten = file.set_len(0).and_then(|()| file.write_all(text.as_bytes()));
+            if let Err(error) = rewritten {
+                tracing::warn!(%error, "index not rewritten");
+            }
+        }
+        index
     }
 
     fn directory(&self, id: Uuid) -> PathBuf {
@@ -314,6 +419,37 @@ impl Store {
     async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
         self.objects.put_opts(&key(id, name), content.into(), options).await.map(drop)
+    }
+}
+
+/// A line of the index: a checksum and what it covers.
+fn index_line(ending: &Ending) -> serde_json::Result<String> {
+    let json = serde_json::to_string(ending)?;
+    Ok(format!("{:08x} {json}\n", crc32fast::hash(json.as_bytes())))
+}
+
+fn index_entry(line: &[u8]) -> Option<Ending> {
+    let (sum, json) = std::str::from_utf8(line).ok()?.split_once(' ')?;
+    let sum = u32::from_str_radix(sum, 16).ok()?;
+    if sum == crc32fast::hash(json.as_bytes()) { serde_json::from_str(json).ok() } else { None }
+}
+
+/// A text with its checksum in a last line.
+fn sealed(mut text: Vec<u8>) -> Vec<u8> {
+    let sum = crc32fast::hash(&text);
+    text.extend_from_slice(format!("\n{SEAL}{sum:08x}\n").as_bytes());
+    text
+}
+
+/// The text above a checksum that is right.
+fn unsealed(text: Bytes) -> Result<Bytes, String> {
+    // Line end, word, eight digits, line end.
+    let end = text.len().checked_sub(SEAL.len() + 10).ok_or("the text breaks off")?;
+    let sum = crc32fast::hash(&text[..end]);
+    if text[end..] == *format!("\n{SEAL}{sum:08x}\n").as_bytes() {
+        Ok(text.slice(..end))
+    } else {
+        Err("the text is damaged: its checksum is not right".to_owned())
     }
 }
 

@@ -23,6 +23,14 @@ pub enum ReferenceError {
         /// The time.
         time_s: f64,
     },
+    /// The reference would take too many steps.
+    #[error("t = {time_s} s is too far for a reference on this scene: at most {most_s:.3} s")]
+    TooFar {
+        /// The time.
+        time_s: f64,
+        /// The longest time allowed.
+        most_s: f64,
+    },
     /// Round-off grows too much.
     #[error(
         "errors grow so fast on this scene that two solutions of order 16 differ by {difference:.1e} at t = {time_s} s: ask for a shorter time"
@@ -66,6 +74,8 @@ pub struct Reference {
 
 /// Solutions are compared at so many times; their steps come in multiples of it.
 pub(crate) const EIGHTHS: u64 = 8;
+/// Steps of the first solution at most.
+const MOST_STEPS: f64 = 20_000.0;
 /// Two solutions that agree to this are taken.
 const AGREED: f64 = 1e-13;
 /// A reference worse than this is none.
@@ -84,6 +94,10 @@ impl Reference {
         scales: &Scales,
         watch: &Watch,
     ) -> Result<Self, StudyError> {
+        let most_s = MOST_STEPS * scales.easy_step_s;
+        if time_s > most_s {
+            return Err(ReferenceError::TooFar { time_s, most_s }.into());
+        }
         let first = with_tableau(MethodName::Vpd, TableauName::Gauss8);
         let start = EIGHTHS * (time_s / scales.easy_step_s / EIGHTHS as f64).ceil().max(1.0) as u64;
         let mut before: Option<Vec<Point>> = None;

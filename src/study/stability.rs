@@ -213,16 +213,18 @@ impl<'a> Judge<'a> {
             return Ok(Class::WrongBranch);
         }
         let errors: Vec<f64> = run.series.iter().map(|&(_, energy, _)| energy).collect();
-        // Beyond chance in each half, and alike in both: a swing slower than the run has a trend too.
-        let halves = [&errors[..errors.len() / 2], &errors[errors.len() / 2..]].map(trend);
-        let beyond_chance = halves.iter().all(|(change, chance)| change.abs() > 4.0 * chance);
-        let [(first, _), (second, _)] = halves;
-        let alike = first * second > 0.0 && (0.25..4.0).contains(&(first / second));
-        // Beyond the amplitude of what only swings, and beyond round-off.
+        let (change, chance) = trend(&errors);
+        // The same way from quarter to quarter: a swing slower than the run has a trend too, but turns.
+        let quarter = errors.len() / 4;
+        let mean = |k: usize| {
+            errors[k * quarter..(k + 1) * quarter].iter().sum::<f64>() / quarter.max(1) as f64
+        };
+        let onwards = (0..3).all(|k| (mean(k + 1) - mean(k)) / change > 0.08);
+        // Beyond chance, beyond the amplitude of what only swings, and beyond round-off.
         let largest = run.energy_error();
-        let drifts = beyond_chance
-            && alike
-            && (first + second).abs() > 0.6 * largest
+        let drifts = onwards
+            && change.abs() > 5.0 * chance
+            && change.abs() > 0.6 * largest
             && largest > 1e-12 * self.scales.kinetic;
         Ok(if drifts { Class::EnergyDrifts } else { Class::Stable })
     }
@@ -241,27 +243,6 @@ impl<'a> Judge<'a> {
         Ok(ours.completed()
             && exact.completed()
             && ours.last.attitude_distance(&exact.last) > WRONG_BRANCH)
-    }
-
-    /// The border of a method between two steps of which the first is usable and the second is not, to
-    /// 5 %; `None` if they are not so.
-    ///
-    /// # Errors
-    /// Those of [`Judge::cell`].
-    pub fn border_between(
-        &self,
-        entry: &Entry,
-        (usable_step_s, broken_step_s): (f64, f64),
-        watch: &Watch,
-    ) -> Result<Option<Border>, StudyError> {
-        let low = self.cell(entry, usable_step_s, watch)?.class;
-        let high = self.cell(entry, broken_step_s, watch)?.class;
-        if !low.is_usable() || high.is_usable() {
-            return Ok(None);
-        }
-        let bracket =
-            Bracket { usable_step_s: Some(usable_step_s), broken: Some((broken_step_s, high)) };
-        self.border(entry, bracket, watch).map(Some)
     }
 
     fn border(

@@ -57,7 +57,9 @@ fn scenarios_do_not_know_the_mathematics() {
 
 #[test]
 fn tokio_stops_at_the_service() {
-    for module in ["solve", "scenario", "plan", "run", "log", "chart"] {
+    for module in
+        ["solve", "scenario", "plan", "assemble", "study", "advise", "run", "log", "chart"]
+    {
         assert_eq!(lines_with(module, &["tokio", "axum"]), Vec::<String>::new());
     }
 }
@@ -66,7 +68,7 @@ fn tokio_stops_at_the_service() {
 fn the_machines_mathematics_library_is_not_used() {
     let functions =
         [".sin(", ".cos(", ".tan(", ".exp(", ".ln(", ".powf(", ".log10(", ".acos(", ".sin_cos("];
-    for module in ["solve", "plan", "log"] {
+    for module in ["solve", "plan", "assemble", "study", "advise", "log"] {
         assert_eq!(lines_with(module, &functions), Vec::<String>::new());
     }
 }

@@ -1,8 +1,11 @@
 //! The service through its door: a real listener, a real client, real directories.
 
+mod follow;
+mod guard;
 mod jobs;
 mod life;
 mod log;
+mod studies;
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -14,7 +17,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 use ureq::http::{HeaderMap, Request};
-use vpd::serve::{Cors, ServeConfig, ServeError, serve};
+use vpd::serve::{Cors, Limits, ServeConfig, ServeError, serve};
 
 /// Longest wait for anything that should happen soon: long, for machines under load.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -63,19 +66,16 @@ struct Setup {
 }
 
 fn service(data: &TempDir) -> Setup {
-    let config = ServeConfig {
-        data: data.path().join("data"),
-        workers: 1,
-        queue_limit: 100,
-        cors: Cors::Any,
-        public_url: None,
-    };
+    let mut config = ServeConfig::new(data.path().join("data"));
+    config.limits.queue = 100;
+    // The tests are one client, and a busy one.
+    config.limits.requests_per_s = 100_000;
     Setup { config }
 }
 
 impl Setup {
     fn queue_limit(mut self, limit: usize) -> Self {
-        self.config.queue_limit = limit;
+        self.config.limits.queue = limit;
         self
     }
 
@@ -91,6 +91,21 @@ impl Setup {
 
     fn public_url(mut self, url: &str) -> Self {
         self.config.public_url = Some(url.to_owned());
+        self
+    }
+
+    fn limits(mut self, change: impl FnOnce(&mut Limits)) -> Self {
+        change(&mut self.config.limits);
+        self
+    }
+
+    fn tokens(mut self, text: &str) -> Self {
+        self.config.tokens = text.parse().expect("tokens");
+        self
+    }
+
+    fn host(mut self, name: &str) -> Self {
+        self.config.hosts.push(name.to_owned());
         self
     }
 
@@ -152,7 +167,11 @@ impl Server {
             None => agent.run(request.body(()).expect("a request")),
         };
         let (parts, mut body) = answer.expect("an answer").into_parts();
-        let body = if method == "HEAD" { Vec::new() } else { body.read_to_vec().expect("a body") };
+        let body = if method == "HEAD" {
+            Vec::new()
+        } else {
+            body.with_config().limit(u64::MAX).read_to_vec().expect("a body")
+        };
         Answer { status: parts.status.as_u16(), headers: parts.headers, body }
     }
 
@@ -276,6 +295,11 @@ fn directory() -> TempDir {
 /// Where a job's record stands.
 fn record(data: &TempDir, id: &str) -> PathBuf {
     data.path().join("data/jobs").join(id)
+}
+
+/// A text as the store keeps it, with its checksum.
+fn sealed(text: &str) -> String {
+    format!("{text}\ncrc32 {:08x}\n", crc32fast::hash(text.as_bytes()))
 }
 
 fn names(directory: &Path) -> Vec<String> {

@@ -1,5 +1,8 @@
 //! Studies: the program's own references against digits, orders from the table, and what a cancel does.
 
+use std::path::Path;
+use std::process::{Command, Output};
+
 use serde_json::Value;
 use vpd::plan::Plan;
 use vpd::scenario::{SHIPPED, Scenario};
@@ -101,4 +104,100 @@ fn a_cancelled_study_ends() {
     let watch = Watch { cancelled: true.into(), ..Watch::default() };
     let ended = precision(&scene, &usual_methods(&scene), Some(0.5), &watch);
     assert_eq!(ended, Err(StudyError::Cancelled));
+}
+
+fn vpd(directory: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_vpd"))
+        .current_dir(directory)
+        .args(arguments)
+        .output()
+        .expect("the binary starts")
+}
+
+fn file(name: &str) -> String {
+    format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"))
+}
+
+#[test]
+fn chart_studies_a_scenario() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = file("heavy-top");
+    let few = [
+        "--method",
+        "vpd:gauss2",
+        "--method",
+        "splitting:4",
+        "--until",
+        "0.1",
+        "--set",
+        "/duration_s=1",
+    ];
+    let done = vpd(at, &[&["chart", &top, "-o", "study"], few.as_slice()].concat());
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let said = String::from_utf8(done.stdout).expect("text");
+    assert!(said.starts_with("reference: t = 0.1 s"), "{said}");
+    for name in ["order", "time", "forces", "energy", "orthogonality"] {
+        let svg = std::fs::read_to_string(at.join(format!("study/{name}.svg"))).expect("a chart");
+        assert!(svg.contains("vpd gauss2") && svg.contains("splitting order 4"), "{name}");
+        assert!(svg.matches("<polyline").count() >= 2, "{name}");
+    }
+    let table = std::fs::read_to_string(at.join("study/table.csv")).expect("a table");
+    assert!(table.starts_with("method,tableau,order,solver,step_s,"), "{table}");
+    let columns = |line: &str| line.split(',').count();
+    assert!(table.lines().all(|line| columns(line) == 14), "{table}");
+}
+
+#[test]
+fn stability_maps_a_scenario() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let done =
+        vpd(at, &["stability", &file("dipole"), "--method", "splitting:2", "--method", "rkmk:rk4"]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let said = String::from_utf8(done.stdout).expect("text");
+    let borders = std::fs::read_to_string(at.join("borders.txt")).expect("the borders");
+    assert!(said.starts_with(&borders) && borders.lines().count() == 3, "{said}");
+    let map = std::fs::read_to_string(at.join("stability.svg")).expect("the map");
+    for word in ["splitting order 2", "rkmk rk4", "blew up", "energy drifts", "largest usable step"]
+    {
+        assert!(map.contains(word), "{word}");
+    }
+    let table = std::fs::read_to_string(at.join("stability.csv")).expect("a table");
+    assert_eq!(table.lines().count(), 1 + 2 * 24);
+}
+
+#[test]
+fn studies_refuse_what_makes_none() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let log = at.join("a.mcap");
+    std::fs::write(&log, b"\x89MCAP0\r\n").expect("written");
+    let (dipole, log) = (file("dipole"), log.to_string_lossy().into_owned());
+    for (arguments, code) in [
+        (vec!["chart", &dipole, &log], 2),
+        (vec!["chart", &dipole, "--method", "vpd:gauss9"], 2),
+        (vec!["chart", &dipole, "--method", "rkmk:gauss2"], 2),
+        (vec!["chart", "nothing.json"], 2),
+        (vec!["stability", &dipole, "--method", "euler"], 2),
+        (vec!["stability", &dipole, "--method", "vpd:gauss2:newton:more"], 2),
+        // No reference can be trusted there.
+        (vec!["chart", &dipole, "--until", "300"], 1),
+    ] {
+        let done = vpd(at, &arguments);
+        assert_eq!(done.status.code(), Some(code), "{arguments:?}");
+        assert!(!done.stderr.is_empty() && done.stdout.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_run_tells_its_error_if_asked() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let done = vpd(at, &["run", &file("dipole"), "--set", "/steps=50", "--error", "--json"]);
+    assert_eq!(done.status.code(), Some(0), "{}", String::from_utf8_lossy(&done.stderr));
+    let summary: Value = serde_json::from_slice(&done.stdout).expect("JSON");
+    // Gauss 2 stages, h = 0.01, t = 0.5: 1.2e-9 in SI units.
+    let error = summary["error"].as_f64().expect("an error");
+    assert!((1e-10..1e-8).contains(&error), "{error:e}");
 }

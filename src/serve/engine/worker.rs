@@ -16,7 +16,7 @@ use crate::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use crate::scenario::Scenario;
 use crate::serve::chain;
 use crate::serve::job::{Fault, Job, Phase, State};
-use crate::serve::store::{Record, StoreError};
+use crate::serve::store::{Ending, Record, StoreError};
 
 /// Pause between attempts to write a result: long enough not to spin, short enough to notice space
 /// that returns.
@@ -105,7 +105,10 @@ impl Shared {
             Some(record) => {
                 let steps_done = control.steps_done.load(Ordering::Relaxed);
                 tracing::info!(job = %id, attempt, steps_done, state = ?record.state, "job ended");
-                self.index().jobs.insert(*id, Job::ended(&record));
+                let log = std::fs::metadata(self.store.log_path(*id)).ok();
+                let log = log.filter(|_| record.has_log);
+                self.metrics.end(&record, log.map_or(0, |log| log.len()));
+                self.index().end(Ending::of(*id, &record));
             }
             None => self.hand_back(*id, *attempt),
         }

@@ -214,7 +214,7 @@ fn ids_that_are_none_are_unknown_jobs() {
     }
     assert!(
         server
-            .raw(b"GET /jobs/../../etc/passwd HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+            .raw(b"GET /jobs/../../etc/passwd HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
             .contains(" 404 ")
     );
 }
@@ -265,8 +265,7 @@ fn only_plain_json_of_a_mebibyte_at_most_is_read() {
         assert_eq!(answer.status, 202, "{kind}");
     }
 
-    let head =
-        "POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nConnection: close\r\n";
+    let head = "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nConnection: close\r\n";
     let announced = server
         .raw(format!("{head}Expect: 100-continue\r\nContent-Length: 1048577\r\n\r\n").as_bytes());
     assert!(announced.starts_with("HTTP/1.1 413 "), "{announced}");
@@ -320,7 +319,7 @@ fn a_client_that_leaves_does_not_undo_its_job() {
     let data = directory();
     let server = service(&data).start();
     let body = long().to_string();
-    let head = "POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n";
+    let head = "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n";
     let mut stream = std::net::TcpStream::connect(server.address).expect("a connection");
     write!(stream, "{head}Content-Length: {}\r\n\r\n{body}", body.len()).expect("sent");
     until("the job", || server.get("/jobs").json()["jobs"][0]["id"].as_str().map(str::to_owned));

@@ -6,18 +6,19 @@ use std::net::TcpStream;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use serde_json::Value;
 use tempfile::TempDir;
 use uuid::Uuid;
 use vpd::serve::ServeError;
 
-use super::{assert_whole_log, directory, long, names, record, service, short};
+use super::{assert_whole_log, directory, long, names, record, sealed, service, short};
 
 /// Writes the record that a process left which died in its `attempts`-th run of a job.
 fn crashed(data: &TempDir, attempts: u32) -> (String, PathBuf) {
     let id = Uuid::now_v7().to_string();
     let directory = record(data, &id);
     fs::create_dir_all(&directory).expect("a directory");
-    fs::write(directory.join("scenario.json"), short().to_string()).expect("written");
+    fs::write(directory.join("scenario.json"), sealed(&short().to_string())).expect("written");
     for n in 1..=attempts {
         fs::write(directory.join(format!("attempt-{n}")), "").expect("written");
     }
@@ -65,7 +66,7 @@ fn a_stop_under_load_takes_less_than_ten_seconds() {
     let waiting: Vec<_> = (0..20).map(|_| server.submit(&long())).collect();
     // A client in the middle of its body, who does not go on.
     let mut idle = TcpStream::connect(server.address).expect("a connection");
-    let head = "POST /jobs HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n";
+    let head = "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n";
     write!(idle, "{head}Content-Length: 9\r\nExpect: 100-continue\r\n\r\n").expect("sent");
     let mut go_on = [0; 12];
     idle.read_exact(&mut go_on).expect("an answer");
@@ -160,11 +161,65 @@ fn damage_in_the_record_harms_no_other_job() {
     let server = service(&data).start();
     server.finished();
     assert_eq!(server.get("/jobs?state=failed").json()["jobs"].as_array().map(Vec::len), Some(2));
-    assert_eq!(server.job(&unreadable)["diagnosis"]["code"], "scenario_rejected");
-    server.get(&format!("/jobs/{torn}")).problem(500, "storage_error");
+    assert_eq!(server.job(&unreadable)["diagnosis"]["code"], "storage_error");
+    let damaged = server.job(&torn);
+    assert_eq!((&damaged["state"], &damaged["finished"]), (&"failed".into(), &Value::Null));
+    assert_eq!(damaged["diagnosis"]["code"], "record_damaged");
     server.get(&format!("/jobs/{half_forgotten}")).problem(404, "unknown_job");
     assert!(!directory.exists());
     assert!(record(&data, "not-a-job").join("kept").exists());
+}
+
+#[test]
+fn a_start_needs_no_look_at_the_results() {
+    let data = directory();
+    let server = service(&data).start();
+    let ids: Vec<_> = (0..3).map(|_| server.finished()).collect();
+    server.stop().0.expect("stops in order");
+    // Were they read, the jobs would have lost their names.
+    for id in &ids {
+        fs::write(record(&data, id).join("result.json"), "torn").expect("written");
+    }
+    let server = service(&data).start();
+    let listed = server.get("/jobs?state=succeeded").json();
+    assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(3));
+    assert_eq!(listed["jobs"][0]["name"], "dipole");
+    assert_eq!(server.job(&ids[0])["state"], "succeeded");
+    assert_eq!(server.job(&ids[0])["diagnosis"]["code"], "record_damaged");
+    assert_whole_log(&server.get(&format!("/jobs/{}/log.mcap", ids[0])).body);
+    server.stop().0.expect("stops in order");
+
+    // A damaged line is passed over, its job looked up.
+    let index = data.path().join("data/index.jsonl");
+    let text = fs::read_to_string(&index).expect("an index").replacen("dipole", "DIPOLE", 1);
+    fs::write(&index, text).expect("written");
+    let server = service(&data).start();
+    let listed = server.get("/jobs?state=succeeded").json();
+    assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(2));
+}
+
+#[test]
+fn an_interrupted_job_goes_on_from_its_log() {
+    let data = directory();
+    let mut scenario = short();
+    scenario["steps"] = 60_000.into();
+    scenario["log"]["every"] = 1.into();
+    let server = service(&data).start();
+    let whole = server.submit(&scenario);
+    server.wait(&whole, "succeeded");
+    let whole = server.get(&format!("/jobs/{whole}/log.mcap")).body;
+    let id = server.submit(&scenario);
+    super::until("a checkpoint", || {
+        let job = server.job(&id);
+        (job["progress"]["durable_step"].as_u64() > Some(0)).then_some(())
+    });
+    server.stop().0.expect("stops in order");
+    let ended = record(&data, &id).join("result.json").exists();
+    let server = service(&data).start();
+    let job = server.wait(&id, "succeeded");
+    // On a machine that let the job end before the stop there was nothing to take up.
+    assert!(ended || job["summary"]["resumed_step"].as_u64() > Some(0), "{job}");
+    assert!(server.get(&format!("/jobs/{id}/log.mcap")).body == whole);
 }
 
 #[cfg(unix)]

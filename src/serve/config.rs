@@ -1,0 +1,224 @@
+//! What the service is told at its start: where, for whom, and how much.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use subtle::ConstantTimeEq;
+
+use super::engine::Refusal;
+use crate::plan::{LOG_FIXED_BYTES, Plan};
+
+/// Shortest token that is taken, bytes: long enough not to be guessed.
+const SHORTEST_TOKEN: usize = 16;
+
+/// What the service needs to know.
+#[derive(Clone, Debug)]
+pub struct ServeConfig {
+    /// Directory of jobs and logs; made if it is not there. One service at a time.
+    pub data: PathBuf,
+    /// How many jobs run at once, at least 1.
+    pub workers: usize,
+    /// How much is taken on.
+    pub limits: Limits,
+    /// Which web pages may read the logs.
+    pub cors: Cors,
+    /// Address under which viewers reach the service, as `https://example.org/vpd`; absent: the one
+    /// that the client used.
+    pub public_url: Option<String>,
+    /// Names under which clients may call the service, beside `localhost`, addresses and the name in
+    /// `public_url`. Any other name is a sign of DNS rebinding.
+    pub hosts: Vec<String>,
+    /// Who may do what; without any token, everybody everything.
+    pub tokens: Tokens,
+    /// Whether to serve other machines without tokens.
+    pub insecure: bool,
+}
+
+impl ServeConfig {
+    /// A service of one worker on `data` with the limits of [`Limits::default`], for this machine.
+    pub fn new(data: impl Into<PathBuf>) -> Self {
+        Self {
+            data: data.into(),
+            workers: 1,
+            limits: Limits::default(),
+            cors: Cors::Any,
+            public_url: None,
+            hosts: Vec::new(),
+            tokens: Tokens::default(),
+            insecure: false,
+        }
+    }
+}
+
+/// How much the service takes on. What goes beyond is refused with the figures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Jobs that may wait; one more is answered 429.
+    pub queue: usize,
+    /// Longest estimated computing time of a job in seconds; more is answered 422.
+    pub run_s: f64,
+    /// Largest estimated log in bytes; more is answered 422.
+    pub log_bytes: u64,
+    /// Bytes of the disk that logs leave free; a job without room is answered 507.
+    pub reserve_bytes: u64,
+    /// Connections at once; more are closed.
+    pub connections: usize,
+    /// Connections at once from one address; more are closed.
+    pub connections_per_client: usize,
+    /// Requests a second from one address, on average; more are answered 429.
+    pub requests_per_s: u32,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            queue: 10_000,
+            run_s: 7.0 * 86_400.0,
+            log_bytes: 16 << 30,
+            reserve_bytes: 64 << 20,
+            connections: 1024,
+            connections_per_client: 64,
+            requests_per_s: 1000,
+        }
+    }
+}
+
+impl Limits {
+    /// Refuses a job that is too large by itself.
+    pub(super) fn admit(&self, plan: &Plan) -> Result<(), Refusal> {
+        if !(plan.run_s <= self.run_s) {
+            return Err(Refusal::TooExpensive { estimate_s: plan.run_s, limit_s: self.run_s });
+        }
+        if plan.log_bytes > self.log_bytes {
+            // In proportion, and a little more to be on the safe side.
+            let samples_bytes = |log_bytes: u64| log_bytes.saturating_sub(LOG_FIXED_BYTES) as f64;
+            let excess = samples_bytes(plan.log_bytes) / samples_bytes(self.log_bytes).max(1.0);
+            let every = ((plan.every as f64 * excess * 1.01).ceil() as u64).min(plan.steps);
+            let (estimate, limit) = (plan.log_bytes, self.log_bytes);
+            return Err(Refusal::LogTooLarge { estimate, limit, every });
+        }
+        Ok(())
+    }
+}
+
+/// What a client may do; each includes the ones before it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Scope {
+    /// Look at jobs, logs and figures.
+    Read,
+    /// Submit and cancel jobs.
+    Submit,
+    /// Forget jobs.
+    Admin,
+}
+
+impl fmt::Display for Scope {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Read => "read",
+            Self::Submit => "submit",
+            Self::Admin => "admin",
+        })
+    }
+}
+
+/// Bearer tokens and what each allows.
+#[derive(Clone, Default, PartialEq, Eq)]
+pub struct Tokens(Vec<(Scope, String)>);
+
+impl Tokens {
+    /// True if there are none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// What a token allows; `None` if it is not one of ours. Takes as long for a wrong one as for a
+    /// right one of the same length.
+    pub(super) fn scope(&self, token: &str) -> Option<Scope> {
+        let same = |known: &str| bool::from(known.as_bytes().ct_eq(token.as_bytes()));
+        let found = self.0.iter().filter(|(_, known)| same(known));
+        found.map(|(scope, _)| *scope).max()
+    }
+}
+
+/// Tokens are shown nowhere.
+impl fmt::Debug for Tokens {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} tokens", self.0.len())
+    }
+}
+
+impl FromStr for Tokens {
+    type Err = String;
+
+    /// Lines of `read TOKEN`, `submit TOKEN` or `admin TOKEN`; empty ones and those that begin with #
+    /// are passed over.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let mut tokens = Vec::new();
+        for (number, line) in (1..).zip(text.lines()) {
+            let line = line.trim();
+            if line.is_empty() || line.starts_with('#') {
+                continue;
+            }
+            // The message does not repeat the line: it may hold a token.
+            let wrong = |what: &str| format!("line {number} of the tokens: {what}");
+            let (scope, token) = line
+                .split_once(char::is_whitespace)
+                .ok_or_else(|| wrong("write SCOPE TOKEN, as in: submit 4bd1..."))?;
+            let scope = [Scope::Read, Scope::Submit, Scope::Admin]
+                .into_iter()
+                .find(|known| known.to_string() == scope)
+                .ok_or_else(|| wrong("the scope is read, submit or admin"))?;
+            let token = token.trim();
+            if token.len() < SHORTEST_TOKEN || !token.bytes().all(|b| b.is_ascii_graphic()) {
+                return Err(wrong("a token has at least 16 characters without spaces"));
+            }
+            tokens.push((scope, token.to_owned()));
+        }
+        Ok(Self(tokens))
+    }
+}
+
+/// Which web pages (viewers) may read logs from this service.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Cors {
+    /// All of them.
+    Any,
+    /// None but our own.
+    Nobody,
+    /// Those of the listed origins, as `https://app.foxglove.dev`.
+    Origins(Vec<String>),
+}
+
+impl FromStr for Cors {
+    type Err = String;
+
+    /// `*`, `none`, or origins with commas between.
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "*" => Ok(Self::Any),
+            "none" => Ok(Self::Nobody),
+            _ => text
+                .split(',')
+                .map(|origin| checked_origin(origin.trim()))
+                .collect::<Result<_, _>>()
+                .map(Self::Origins),
+        }
+    }
+}
+
+fn checked_origin(text: &str) -> Result<String, String> {
+    let host = text.strip_prefix("https://").or_else(|| text.strip_prefix("http://"));
+    match host {
+        Some(host)
+            if !host.is_empty()
+                && host.bytes().all(|b| b.is_ascii_alphanumeric() || b"-.:[]".contains(&b)) =>
+        {
+            Ok(text.to_owned())
+        }
+        _ => Err(format!(
+            "not an origin: {text:?}; write `*`, `none` or scheme://host[:port] with commas between"
+        )),
+    }
+}

@@ -1,0 +1,191 @@
+//! Who may come in: the name that was called, how often, with which token, and how large a body.
+//!
+//! Invariant: a request reaches a handler only under a name of ours, within the rate of its address, with a
+//! token of the route's scope if there are tokens, and with a body that is whole and small.
+
+use std::net::IpAddr;
+use std::num::NonZeroU32;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::{Body, BodyDataStream, Bytes};
+use axum::extract::{Request, State};
+use axum::http::header::{AUTHORIZATION, CONTENT_LENGTH, EXPECT, HOST};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, Method, Uri};
+use axum::middleware::Next;
+use axum::response::Response;
+use futures_util::StreamExt;
+use governor::clock::{Clock, DefaultClock};
+use governor::state::keyed::HashMapStateStore;
+use governor::{Quota, RateLimiter};
+
+use super::ServeConfig;
+use super::config::{Scope, Tokens};
+use super::listen::Peer;
+use super::problem::Problem;
+
+/// Largest request body, bytes.
+const MAX_BODY: usize = 1 << 20;
+
+/// How much of a body that is too large is read and thrown away, bytes: a client that is still sending
+/// would not see the answer.
+const DRAINED: usize = 16 << 20;
+
+/// How long that may take.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// Longest time for a body.
+const BODY_TIMEOUT: Duration = Duration::from_secs(30);
+
+/// Addresses of which the rate is remembered before the quiet ones are forgotten.
+const REMEMBERED: usize = 10_000;
+
+/// What is checked of each request.
+#[derive(Clone, Debug)]
+pub(super) struct Gate(Arc<Rules>);
+
+#[derive(Debug)]
+struct Rules {
+    hosts: Vec<String>,
+    tokens: Tokens,
+    rate: RateLimiter<IpAddr, HashMapStateStore<IpAddr>, DefaultClock>,
+}
+
+impl Gate {
+    pub(super) fn new(config: &ServeConfig) -> Self {
+        let public = config.public_url.as_ref().and_then(|url| url.parse::<Uri>().ok());
+        let public = public.and_then(|url| url.host().map(str::to_owned));
+        let hosts = config.hosts.iter().cloned().chain(public);
+        let rate = NonZeroU32::new(config.limits.requests_per_s).unwrap_or(NonZeroU32::MIN);
+        Self(Arc::new(Rules {
+            hosts: hosts.map(|host| host.to_ascii_lowercase()).collect(),
+            tokens: config.tokens.clone(),
+            rate: RateLimiter::hashmap(Quota::per_second(rate)),
+        }))
+    }
+
+    /// Whether a name is ours. An address is: a page that rebinds a name to our address still calls the name.
+    fn knows(&self, authority: &Authority) -> bool {
+        let host = authority.host().to_ascii_lowercase();
+        let bare = host.trim_start_matches('[').trim_end_matches(']');
+        bare.parse::<IpAddr>().is_ok()
+            || host == "localhost"
+            || host.ends_with(".localhost")
+            || self.0.hosts.contains(&host)
+    }
+
+    fn check_host(&self, request: &Request) -> Result<(), Problem> {
+        // An absolute address in the request line goes before the header (RFC 9112, 3.2.2).
+        let authority = match request.uri().authority() {
+            Some(authority) => Some(authority.clone()),
+            None => {
+                let mut hosts = request.headers().get_all(HOST).iter();
+                let host = hosts.next().and_then(|host| host.to_str().ok()?.parse().ok());
+                host.filter(|_| hosts.next().is_none())
+            }
+        };
+        match authority {
+            None => Err(Problem::bad_host()),
+            Some(authority) if self.knows(&authority) => Ok(()),
+            Some(_) => Err(Problem::misdirected()),
+        }
+    }
+
+    fn check_rate(&self, request: &Request) -> Result<(), Problem> {
+        let Some(Peer(peer)) = request.extensions().get() else { return Ok(()) };
+        let rate = &self.0.rate;
+        if rate.len() > REMEMBERED {
+            rate.retain_recent();
+        }
+        rate.check_key(peer).map_err(|until| {
+            Problem::too_often(until.wait_time_from(DefaultClock::default().now()))
+        })
+    }
+
+    /// Whether a request may do what `scope` says.
+    fn check_token(&self, request: &Request, scope: Scope) -> Result<(), Problem> {
+        if self.0.tokens.is_empty() {
+            return Ok(());
+        }
+        let token = bearer(request.headers()).or_else(|| {
+            // Viewers can send no header: the address of a log carries the token.
+            let is_log = request.uri().path().ends_with(".mcap");
+            is_log.then(|| query_token(request.uri())).flatten()
+        });
+        let held = token.and_then(|token| self.0.tokens.scope(token));
+        match held {
+            None => Err(Problem::unauthorised()),
+            Some(held) if held < scope => Err(Problem::forbidden(scope)),
+            Some(_) => Ok(()),
+        }
+    }
+}
+
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let (kind, token) = headers.get(AUTHORIZATION)?.to_str().ok()?.split_once(' ')?;
+    kind.eq_ignore_ascii_case("bearer").then(|| token.trim())
+}
+
+fn query_token(uri: &Uri) -> Option<&str> {
+    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
+}
+
+/// Host and rate, for every request.
+pub(super) async fn admit(
+    State(gate): State<Gate>,
+    request: Request,
+    next: Next,
+) -> Result<Response, Problem> {
+    gate.check_host(&request)?;
+    gate.check_rate(&request)?;
+    Ok(next.run(request).await)
+}
+
+/// The token, for the requests of one route.
+pub(super) async fn authorise(
+    State((gate, scope)): State<(Gate, Scope)>,
+    request: Request,
+    next: Next,
+) -> Result<Response, Problem> {
+    gate.check_token(&request, scope)?;
+    Ok(next.run(request).await)
+}
+
+/// Reads the body before anything else happens, so that half a body does nothing.
+pub(super) async fn whole_body(request: Request, next: Next) -> Result<Response, Problem> {
+    if matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS) {
+        return Ok(next.run(request).await);
+    }
+    let (parts, body) = request.into_parts();
+    let announced = parts.headers.get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()?.parse().ok());
+    // A client that asks first is told before it sends.
+    if announced.is_some_and(|n: usize| n > MAX_BODY) && parts.headers.contains_key(EXPECT) {
+        return Err(Problem::too_large());
+    }
+    let read = tokio::time::timeout(BODY_TIMEOUT, read(body.into_data_stream())).await;
+    let body = read.map_err(|_| Problem::too_slow())??;
+    Ok(next.run(Request::from_parts(parts, Body::from(body))).await)
+}
+
+async fn read(mut stream: BodyDataStream) -> Result<Bytes, Problem> {
+    let mut body = Vec::new();
+    while let Some(piece) = stream.next().await {
+        let piece = piece.map_err(|_| Problem::broken_body())?;
+        if body.len() + piece.len() > MAX_BODY {
+            let _ = tokio::time::timeout(DRAIN_TIMEOUT, drain(stream)).await;
+            return Err(Problem::too_large());
+        }
+        body.extend_from_slice(&piece);
+    }
+    Ok(body.into())
+}
+
+async fn drain(mut stream: BodyDataStream) {
+    let mut length = 0;
+    while let Some(Ok(piece)) = stream.next().await
+        && length < DRAINED
+    {
+        length += piece.len();
+    }
+}

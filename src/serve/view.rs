@@ -1,0 +1,199 @@
+//! What answers look like.
+
+use chrono::{DateTime, Utc};
+use schemars::JsonSchema;
+use serde::Serialize;
+use serde_json::Value;
+use uuid::Uuid;
+
+use super::job::{State, View};
+use crate::scenario::SHIPPED;
+
+/// A job as clients see it.
+#[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "Job")]
+pub(super) struct JobView {
+    id: Uuid,
+    name: String,
+    state: State,
+    /// When it was taken.
+    created: Option<DateTime<Utc>>,
+    /// Runs so far.
+    attempts: u32,
+    progress: Progress,
+    /// What will be modelled and why; absent in lists once the job has ended.
+    plan: Option<Value>,
+    /// When it ended.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    finished: Option<DateTime<Utc>>,
+    /// The figures of its run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    summary: Option<Value>,
+    /// Why it failed: code, cause, advice.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    diagnosis: Option<Value>,
+    links: Links,
+}
+
+/// How far a job has come.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub(super) struct Progress {
+    steps: u64,
+    steps_done: u64,
+    /// The step up to which the log is on the disk: a crash costs no step before it.
+    durable_step: u64,
+    percent: f64,
+    /// Seconds left.
+    eta_s: Option<f64>,
+}
+
+/// Where the rest is.
+#[derive(Debug, Serialize, JsonSchema)]
+struct Links {
+    #[serde(rename = "self")]
+    this: String,
+    scenario: String,
+    events: String,
+    /// The finished log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    log: Option<String>,
+    /// The log as it grows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    live: Option<String>,
+    /// Links that open the log in viewers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    viewers: Option<Viewers>,
+}
+
+/// Links that open a log in viewers. A desktop link does nothing where the program is not installed.
+#[derive(Debug, Serialize, JsonSchema)]
+struct Viewers {
+    foxglove: String,
+    foxglove_desktop: String,
+    lichtblick_desktop: String,
+    rerun: String,
+}
+
+/// A page of jobs.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct JobList {
+    jobs: Vec<JobView>,
+    /// Where the next page begins; null on the last one.
+    next_cursor: Option<Uuid>,
+    links: PageLinks,
+}
+
+#[derive(Debug, Serialize, JsonSchema)]
+struct PageLinks {
+    next: Option<String>,
+}
+
+/// The shipped examples.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct ScenarioList {
+    scenarios: Vec<ScenarioEntry>,
+}
+
+#[derive(Debug, Serialize, JsonSchema)]
+struct ScenarioEntry {
+    name: &'static str,
+    description: Value,
+    links: ScenarioLinks,
+}
+
+#[derive(Debug, Serialize, JsonSchema)]
+struct ScenarioLinks {
+    #[serde(rename = "self")]
+    this: String,
+}
+
+/// How the service is.
+#[derive(Debug, Serialize, JsonSchema)]
+pub(super) struct Status {
+    pub(super) status: &'static str,
+}
+
+impl JobView {
+    /// `base` is the address under which viewers reach the service.
+    pub(super) fn new(view: &View, base: Option<&str>) -> Self {
+        let View { id, name, state, created, attempts, has_log, plan, .. } = view.clone();
+        let record = view.record.clone();
+        let will_have_log = has_log || !state.is_final();
+        let log = format!("/jobs/{id}/log.mcap");
+        let viewers = base.filter(|_| has_log).map(|base| Viewers::of(&format!("{base}{log}")));
+        Self {
+            id,
+            name,
+            state,
+            created,
+            attempts,
+            progress: Progress::of(view),
+            plan,
+            finished: record.as_ref().and_then(|record| record.finished),
+            summary: record.as_ref().and_then(|record| record.summary.clone()),
+            diagnosis: record.and_then(|record| record.diagnosis),
+            links: Links {
+                this: format!("/jobs/{id}"),
+                scenario: format!("/jobs/{id}/scenario.json"),
+                events: format!("/jobs/{id}/events"),
+                log: will_have_log.then_some(log),
+                live: will_have_log.then(|| format!("/jobs/{id}/live.mcap")),
+                viewers,
+            },
+        }
+    }
+}
+
+impl Progress {
+    pub(super) fn of(view: &View) -> Self {
+        let View { steps, steps_done, durable_step, eta_s, .. } = *view;
+        let percent = if steps == 0 { 0.0 } else { 100.0 * steps_done as f64 / steps as f64 };
+        Self {
+            steps,
+            steps_done,
+            durable_step,
+            percent: (percent * 100.0).floor() / 100.0,
+            eta_s: eta_s.map(|eta| (eta * 10.0).round() / 10.0),
+        }
+    }
+}
+
+impl JobList {
+    pub(super) fn new(jobs: Vec<JobView>, next_cursor: Option<Uuid>, next: Option<String>) -> Self {
+        Self { jobs, next_cursor, links: PageLinks { next } }
+    }
+}
+
+impl ScenarioList {
+    pub(super) fn shipped() -> Self {
+        let scenarios = SHIPPED.iter().map(|&(name, text)| {
+            let scenario: Value = serde_json::from_str(text).unwrap_or_default();
+            let links = ScenarioLinks { this: format!("/scenarios/{name}") };
+            ScenarioEntry { name, description: scenario["description"].clone(), links }
+        });
+        Self { scenarios: scenarios.collect() }
+    }
+}
+
+impl Viewers {
+    fn of(log: &str) -> Self {
+        let log = percent_encoded(log);
+        Self {
+            foxglove: format!("https://app.foxglove.dev/~/view?ds=remote-file&ds.url={log}"),
+            foxglove_desktop: format!("foxglove://open?ds=remote-file&ds.url={log}"),
+            lichtblick_desktop: format!("lichtblick://open?ds=remote-file&ds.url={log}"),
+            rerun: format!("https://rerun.io/viewer?url={log}"),
+        }
+    }
+}
+
+/// Everything but RFC 3986's unreserved characters as `%XX`.
+fn percent_encoded(text: &str) -> String {
+    let encode = |byte: u8| match byte {
+        b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => {
+            char::from(byte).to_string()
+        }
+        _ => format!("%{byte:02X}"),
+    };
+    text.bytes().map(encode).collect()
+}

@@ -1,0 +1,64 @@
+//! Faults, given to the real binary: kills, stops, full and failing disks, damaged files, nonsense on the wire.
+//!
+//! Each test prints its seed (`VPD_SEED` sets another one) and counts that its faults were given; `VPD_FAULTS=20`
+//! gives twenty times as many.
+
+mod damage;
+mod disk;
+mod kill;
+mod load;
+mod process;
+mod wire;
+
+use serde_json::{Value, json};
+
+/// How many times more than in CI.
+fn scale() -> usize {
+    std::env::var("VPD_FAULTS").ok().and_then(|text| text.parse().ok()).unwrap_or(1)
+}
+
+/// The numbers that a test draws; printed, so that it can be run again.
+struct Random(u64);
+
+impl Random {
+    fn new() -> Self {
+        let given = std::env::var("VPD_SEED").ok().and_then(|text| text.parse().ok());
+        let seed = given.unwrap_or_else(|| {
+            let clock = std::time::UNIX_EPOCH.elapsed().expect("after 1970");
+            clock.as_nanos() as u64 | 1
+        });
+        println!("VPD_SEED={seed}");
+        Self(seed)
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        (super::log::next(&mut self.0) >> 16) as usize % end
+    }
+}
+
+/// A dipole of so many steps, every fifth of them logged: a chunk, and so a checkpoint, each 30 ms or so.
+fn dipole(steps: u64) -> Value {
+    let mut scenario: Value =
+        serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
+    scenario["steps"] = json!(steps);
+    scenario["log"] = json!({ "every": 5 });
+    scenario
+}
+
+/// Damages a file: a flipped bit, a cut, or 512 bytes of zeros, none of which may leave it as it was.
+fn damage(random: &mut Random, bytes: &[u8]) -> Vec<u8> {
+    let mut damaged = bytes.to_vec();
+    let at = random.below(bytes.len());
+    match random.below(3) {
+        0 => damaged[at] ^= 1 << random.below(8),
+        1 => damaged.truncate(at),
+        _ => {
+            let end = (at + 512).min(bytes.len());
+            damaged[at..end].fill(0);
+        }
+    }
+    if damaged == bytes {
+        damaged[at] ^= 1;
+    }
+    damaged
+}

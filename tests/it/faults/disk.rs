@@ -1,0 +1,243 @@
+//! Disks that are full or fail: each change of a file in turn, and a real file system without room.
+
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use super::process::Service;
+use super::{dipole, scale};
+
+/// The shim that makes calls fail, and the file through which it is told which.
+struct Faults {
+    library: PathBuf,
+    plan: File,
+    place: PathBuf,
+}
+
+impl Faults {
+    /// `None`, loudly, where there is no C compiler or no preloading.
+    fn new(folder: &Path) -> Option<Self> {
+        let library = folder.join("inject.so");
+        let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/faults/inject.c");
+        let compiler = std::env::var("CC").unwrap_or_else(|_| "cc".to_owned());
+        let built = Command::new(compiler)
+            .args(["-shared", "-fPIC", "-O1", "-o"])
+            .arg(&library)
+            .args([source, "-ldl"])
+            .status();
+        if !cfg!(target_os = "linux") || !built.is_ok_and(|status| status.success()) {
+            println!("SKIPPED: faults are injected with a C compiler on Linux");
+            return None;
+        }
+        let place = folder.join("plan");
+        fs::write(&place, [0; 40]).expect("written");
+        let plan = File::options().read(true).write(true).open(&place).expect("a file");
+        Some(Self { library, plan, place })
+    }
+
+    fn start(&self, folder: &Path) -> Service {
+        let data = folder.join("data");
+        let environment = [
+            ("LD_PRELOAD", self.library.as_path()),
+            ("VPD_FAULTS", &self.place),
+            ("VPD_FAULTS_DIR", &data),
+        ];
+        Service::start_with(folder, &["--workers", "1"], &environment)
+    }
+
+    /// Lets the `nth` call from now fail, and all after it if `forever`.
+    fn arm(&mut self, nth: i64, errno: i64, forever: bool) {
+        let [.., fired, _] = self.read();
+        // The countdown last: it is what arms.
+        for (slot, value) in [(1, errno), (2, i64::from(forever)), (3, fired), (4, 0), (0, nth)] {
+            self.plan.seek(SeekFrom::Start(8 * slot)).expect("a file");
+            self.plan.write_all(&value.to_ne_bytes()).expect("written");
+        }
+    }
+
+    fn read(&mut self) -> [i64; 5] {
+        let mut bytes = [0; 40];
+        self.plan.seek(SeekFrom::Start(0)).expect("a file");
+        self.plan.read_exact(&mut bytes).expect("read");
+        std::array::from_fn(|slot| {
+            i64::from_ne_bytes(bytes[8 * slot..8 * slot + 8].try_into().expect("eight bytes"))
+        })
+    }
+
+    fn given(&mut self) -> i64 {
+        self.read()[3]
+    }
+}
+
+/// What a job may come to on a bad disk: nothing that is damaged is published.
+fn check(service: &Service, id: &str, code: &str, digest: &str) -> bool {
+    let job = service.ended(id);
+    if job["state"] == "succeeded" {
+        assert_eq!(service.digest(id), digest);
+        return false;
+    }
+    assert_eq!(
+        (&job["state"], &job["diagnosis"]["code"]),
+        (&"failed".into(), &code.into()),
+        "{job}"
+    );
+    assert_eq!(service.get(&format!("/jobs/{id}/log.mcap")).status, 404);
+    true
+}
+
+fn advance(errno: i64, code: &str) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(mut faults) = Faults::new(folder.path()) else { return };
+    let service = faults.start(folder.path());
+    let scenario = dipole(10_000);
+    let text = scenario.to_string();
+    let digest = service.reference(&scenario);
+    let (mut refused, mut failed, mut survived) = (0, 0, 0);
+    let mut nth = 1;
+    loop {
+        // Once single; every fourth time the disk stays bad until somebody mends it.
+        let forever = nth % 4 == 0;
+        let before = faults.given();
+        faults.arm(nth, errno, forever);
+        let answer = service.send("POST", "/jobs", Some(&text));
+        let begun = Instant::now();
+        while faults.given() == before && answer.status == 202 {
+            let id = answer.json()["id"].as_str().expect("an id").to_owned();
+            if service.job(&id)["state"] == "succeeded" || begun.elapsed() > Duration::from_secs(20)
+            {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        let given = faults.given() - before;
+        assert_eq!(service.get("/healthz").status, 200);
+        faults.arm(0, errno, false);
+        match answer.status {
+            202 => {
+                let id = answer.json()["id"].as_str().expect("an id").to_owned();
+                *if check(&service, &id, code, &digest) { &mut failed } else { &mut survived } += 1;
+            }
+            status => {
+                assert_eq!(
+                    (status, answer.code()),
+                    (if errno == 28 { 507 } else { 500 }, code.to_owned())
+                );
+                refused += 1;
+            }
+        }
+        // No restart, and the next job runs.
+        assert_eq!(service.reference(&scenario), digest);
+        if given == 0 {
+            break;
+        }
+        nth += 1;
+    }
+    println!(
+        "{code} at each of {} calls: {refused} refused, {failed} failed, {survived} went on",
+        nth - 1
+    );
+    assert!(nth > 20 && refused > 0 && failed > 0, "{nth}: {refused} refused, {failed} failed");
+}
+
+#[test]
+fn no_space_at_each_write_in_turn() {
+    advance(28, "storage_full");
+}
+
+#[test]
+fn an_io_error_at_each_write_in_turn() {
+    advance(5, "storage_error");
+}
+
+/// A small file system, unmounted when dropped.
+struct Disk(PathBuf);
+
+impl Disk {
+    fn mount(place: &Path, bytes: u64) -> Option<Self> {
+        fs::create_dir_all(place).expect("a folder");
+        let options = format!("size={bytes}");
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", &options, "none"])
+            .arg(place)
+            .stderr(std::process::Stdio::null())
+            .status();
+        mounted.is_ok_and(|status| status.success()).then(|| Self(place.to_owned()))
+    }
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+#[test]
+fn a_disk_that_fills_up_fails_the_job_and_no_more() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().join("disk");
+    let Some(_disk) = Disk::mount(&place, 24 << 20) else {
+        println!(
+            "SKIPPED: cannot mount a tmpfs here; no_space_at_each_write_in_turn stands in for it"
+        );
+        return;
+    };
+    let service = Service::start(&place, &["--workers", "1", "--reserve-bytes", "0"]);
+    let scenario = dipole(20_000);
+    let reference = service.submit(&scenario);
+    assert_eq!(service.ended(&reference)["state"], "succeeded");
+    let digest = service.digest(&reference);
+    let log = fs::metadata(service.data.join("jobs").join(&reference).join("log.mcap"));
+    let size = log.expect("a log").len();
+    let blocker = {
+        let mut scenario = dipole(10_000_000_000);
+        scenario["log"]["every"] = 10_000_000.into();
+        scenario
+    };
+    let ballast = place.join("ballast");
+    let (mut full, mut fitted) = (0, 0);
+    let sizes = 32 * scale() as u64;
+    for k in 0..sizes {
+        // From no room at all to enough.
+        let room = (size + 400_000) * k / sizes;
+        let first = service.submit(&blocker);
+        let id = service.submit(&scenario);
+        fill(&ballast, room);
+        assert_eq!(
+            service.send("POST", &format!("/jobs/{first}/cancel"), Some("")).status / 100,
+            2
+        );
+        // A result that finds no room waits for it.
+        let begun = Instant::now();
+        while service.job(&id)["state"]
+            .as_str()
+            .is_some_and(|state| state == "queued" || state == "running")
+            && begun.elapsed() < Duration::from_secs(2)
+        {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert_eq!(service.get("/healthz").status, 200);
+        fs::remove_file(&ballast).expect("removed");
+        *if check(&service, &id, "storage_full", &digest) { &mut full } else { &mut fitted } += 1;
+        service.ended(&first);
+        for id in [&first, &id] {
+            assert_eq!(service.send("DELETE", &format!("/jobs/{id}"), None).status, 204);
+        }
+        // No restart, and the next job runs.
+        let next = service.submit(&scenario);
+        assert_eq!(service.ended(&next)["state"], "succeeded");
+        assert_eq!(service.send("DELETE", &format!("/jobs/{next}"), None).status, 204);
+    }
+    println!("{sizes} sizes: {full} times full, {fitted} times enough");
+    assert!(full > 0 && fitted > 0);
+}
+
+/// Leaves `room` bytes.
+fn fill(ballast: &Path, room: u64) {
+    let mut file = File::create(ballast).expect("a file");
+    let block = vec![0; 4096];
+    while file.write_all(&block).is_ok() {}
+    let length = file.metadata().expect("a file").len();
+    file.set_len(length.saturating_sub(room)).expect("shorter");
+}

@@ -1,0 +1,93 @@
+//! Studies over HTTP.
+
+use serde_json::{Value, json};
+
+use super::{Server, directory, service, short, until};
+
+fn ask(server: &Server, study: &Value) -> String {
+    let answer = server.post("/studies", study.to_string().as_bytes());
+    assert_eq!(answer.status, 202, "{}", answer.json());
+    let location = answer.header("location").to_owned();
+    assert_eq!(location, format!("/studies/{}", answer.json()["id"].as_str().expect("an id")));
+    location
+}
+
+fn ended(server: &Server, location: &str) -> Value {
+    until("the study ends", || {
+        let study = server.get(location).json();
+        let state = study["state"].as_str().expect("a state").to_owned();
+        (!["queued", "running"].contains(&state.as_str())).then_some(study)
+    })
+}
+
+#[test]
+fn a_study_has_a_table_and_charts() {
+    let data = directory();
+    let server = service(&data).start();
+    let methods =
+        json!([{ "name": "vpd", "tableau": "gauss2" }, { "name": "splitting", "order": 4 }]);
+    let location = ask(
+        &server,
+        &json!({
+            "kind": "precision", "scenario": short(), "methods": methods, "until_s": 0.5
+        }),
+    );
+    let study = ended(&server, &location);
+    assert_eq!(study["state"], "succeeded", "{study}");
+    assert!(study["rows"].as_array().is_some_and(|rows| rows.len() >= 10));
+    assert_eq!(study["runs"], study["runs_done"]);
+    let links = study["links"].as_array().expect("links");
+    assert_eq!(links.len(), 4, "{links:?}");
+    for link in links {
+        let link = link.as_str().expect("an address");
+        let answer = server.get(link);
+        assert_eq!(answer.status, 200, "{link}");
+        let chart = link.ends_with(".svg");
+        let kind = if chart { "image/svg+xml" } else { "text/csv" };
+        assert_eq!(answer.header("content-type"), kind);
+    }
+    let map = ask(
+        &server,
+        &json!({
+            "kind": "stability", "scenario": short(), "methods": [{ "name": "rkmk", "tableau": "rk4" }]
+        }),
+    );
+    let map = ended(&server, &map);
+    assert_eq!(map["borders"][0]["label"], "rkmk rk4", "{map}");
+    server.get("/studies/0190b5a8-0000-7000-8000-000000000000").problem(404, "unknown_study");
+    server.get(&format!("{location}/charts/nothing.svg")).problem(404, "no_file");
+}
+
+#[test]
+fn a_study_that_cannot_be_made_is_refused_at_its_field() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut bad = short();
+    bad["scene"]["inertia"]["principal"][2] = json!(0);
+    for (study, pointer) in [
+        (json!({ "kind": "precision", "scenario": bad }), "/scenario/scene/inertia/principal/2"),
+        (json!({ "kind": "guess", "scenario": short() }), "/kind"),
+        (json!({ "kind": "stability" }), ""),
+        (json!({ "kind": "precision", "scenario": short(), "until_s": -1 }), "/until_s"),
+        (
+            json!({ "kind": "precision", "scenario": short(), "methods": [{ "name": "rkmk", "tableau": "gauss2" }] }),
+            "/methods/0/tableau",
+        ),
+    ] {
+        let problem =
+            server.post("/studies", study.to_string().as_bytes()).problem(422, "invalid_input");
+        assert_eq!(problem["pointer"], pointer, "{problem}");
+    }
+}
+
+#[test]
+fn a_cancelled_study_has_no_result() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = short();
+    scenario["steps"] = json!(1_000_000);
+    let location = ask(&server, &json!({ "kind": "long_term", "scenario": scenario }));
+    assert_eq!(server.post(&format!("{location}/cancel"), b"").status, 202);
+    assert_eq!(ended(&server, &location)["state"], "cancelled");
+    server.get(&format!("{location}/table.csv")).problem(404, "no_file");
+}
