@@ -52,7 +52,7 @@ pub(super) fn summary(summary: &Summary) -> String {
     line(
         "solver",
         format!(
-            "{:.2} sweeps a step ({})",
+            "{:.2} iterations a step ({})",
             summary.solver.iterations_per_step,
             summary.solver.kind.as_deref().unwrap_or("none")
         ),

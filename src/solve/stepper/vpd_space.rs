@@ -151,10 +151,11 @@ impl VpdSpace {
     /// Refuses stages too close to a point of the potential.
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
-        // An iterate that is no number meets no charge.
+        // An iterate that is no rotation, or no number, meets no charge.
         let turns = (0..self.tableau.stages()).map(|k| (k, self.turn(k)));
-        let mut finite = turns.filter(|(_, Turn { w, v })| (w + v[0] + v[1] + v[2]).is_finite());
-        finite.try_for_each(|(k, turn)| {
+        let is_rotation =
+            |turn: &Turn<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
+        turns.filter(|(_, turn)| is_rotation(turn)).try_for_each(|(k, turn)| {
             let u = turn.matrix();
             body.check_distances(&Mat::from_fn(|i, j| u[i][j]), &seen)
                 .map_err(|failure| Failure { stage: Some(k), ..failure })
@@ -177,13 +178,19 @@ impl VpdSpace {
             InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };
         let solved = solver.solve(&mut equations);
         body.count(equations.torques);
-        // A charge that was met explains a failed iteration better than the iteration does.
-        solved.map_err(|failure| match self.check_distances(body) {
-            Err(met) => {
-                let Failure { iterations, increments, .. } = failure;
-                Failure { iterations, increments, ..met }
+        solved.map_err(|mut failure| {
+            // The state is finite: an iterate that is not has grown out of all bounds.
+            if failure.code == FailureCode::NonFinite && failure.iterations > 1 {
+                failure.code = FailureCode::Diverged;
             }
-            Ok(()) => failure,
+            // A charge that was met explains a failed iteration better than the iteration does.
+            match self.check_distances(body) {
+                Err(met) => {
+                    let Failure { iterations, increments, .. } = failure;
+                    Failure { iterations, increments, ..met }
+                }
+                Ok(()) => failure,
+            }
         })
     }
 }

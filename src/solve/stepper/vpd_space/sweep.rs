@@ -187,7 +187,7 @@ impl Unknowns<Row, f64> {
 
 /// The first guess: the velocity at the beginning, kept constant, and the torque along it. A function of the
 /// state alone, so that a resumed run repeats it to the bit. (Extrapolating the stages of the step before
-/// saves nothing: docs/decisions/0004.)
+/// saves nothing: docs/decisions/0006.)
 #[inline(always)]
 pub(super) fn guess<R: Stages>(
     like: R,
@@ -306,7 +306,7 @@ pub(super) fn sweep<R: Stages>(
     let size = size.larger(pi1[0].size()).larger(pi1[1].size()).larger(pi1[2].size());
     // Zero where all is finite.
     let total = ((next[0] + next[1]) + next[2]).sum();
-    let poison = total - total;
+    let poison = total * 0.0;
 
     store_turn(&attitude, &mut unknowns.attitude);
     store(&next, &mut unknowns.momentum);

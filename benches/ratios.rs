@@ -1,0 +1,359 @@
+//! Speed beside accuracy, as ratios in one run: `cargo bench --bench ratios`.
+//!
+//! All on the dipole of the scenarios unless said otherwise; errors are |g - g_ref| + |p - p_ref|. Times are the least of
+//! several repeats, in which all candidates take turns: the machine may be shared.
+
+use std::time::Instant;
+
+use vpd::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use vpd::solve::nonlinear::{Rungs, StopRule};
+use vpd::solve::so::{self, Mat, Vector};
+use vpd::solve::stepper::Stepper;
+use vpd::solve::stepper::quaternion_gauss::QuaternionGauss;
+use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::stepper::vpd_space::VpdSpace;
+use vpd::solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use vpd::solve::stepper::vrkmk::Vrkmk;
+use vpd::solve::tableau::Tableau;
+use vpd::solve::trajectory::State;
+
+fn main() {
+    against_vrkmk();
+    one_trajectory();
+    ensembles();
+    largest_steps();
+    growth();
+}
+
+fn say(line: &str) {
+    use std::io::Write;
+    // A reader that has gone away is no failure of a bench.
+    let _ = writeln!(std::io::stdout(), "{line}");
+}
+
+fn dipole() -> (RigidBody<3>, State<3>) {
+    let moments = [1.01, 1.0, 0.01];
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+    let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
+    let charge = Vector::<3>::new(0.0, 0.0, -1.5);
+    let source = |strength: f64| Term {
+        law: Law::PointSource { strength, body_point: Vector::<3>::new(0.0, 0.1 * strength, -1.0) },
+        space: charge,
+    };
+    let weight = Term { law: Law::Uniform { weight: 1.0, body_point: vertical }, space: vertical };
+    let terms = vec![weight, source(1.0), source(-1.0)];
+    let attitude = Mat::<3>::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
+    let start = State { attitude, momentum: so::hat(&[0.0, 0.0, -0.01]) };
+    (RigidBody::new(Kinetic::Principal { weights }, terms, 0.0), start)
+}
+
+fn gauss(stages: usize) -> Tableau {
+    Tableau::gauss(stages).expect("1 to 8 stages")
+}
+
+fn in_lanes(stages: usize, rungs: Rungs) -> VpdSpace {
+    let stop = StopRule { rungs, ..StopRule::default() };
+    VpdSpace::new(gauss(stages), stop, true).expect("at most 8 stages")
+}
+
+/// The end after `steps` of `h`, and the iterations of a step; `None` if one fails.
+fn end(
+    stepper: &mut dyn Stepper<3>,
+    (body, start): &(RigidBody<3>, State<3>),
+    h: f64,
+    steps: usize,
+) -> Option<(State<3>, f64)> {
+    stepper.start(start);
+    let mut iterations = 0;
+    for _ in 0..steps {
+        iterations += stepper.step(body, h).ok()?.iterations;
+    }
+    let attitude = stepper.attitude()?;
+    Some((State { attitude, momentum: stepper.momentum() }, f64::from(iterations) / steps as f64))
+}
+
+fn difference(a: &State<3>, b: &State<3>) -> f64 {
+    let momentum = so::inner(&(a.momentum - b.momentum), &(a.momentum - b.momentum)).sqrt();
+    let attitude = (a.attitude - b.attitude).singular_values().max();
+    attitude + momentum
+}
+
+/// Seconds for `steps` steps.
+fn seconds(
+    stepper: &mut dyn Stepper<3>,
+    scene: &(RigidBody<3>, State<3>),
+    h: f64,
+    steps: usize,
+) -> f64 {
+    let begun = Instant::now();
+    end(stepper, scene, h, steps);
+    begun.elapsed().as_secs_f64()
+}
+
+/// A method with a tableau and a step, what it reaches at t = 0.5, and its time for a unit of time.
+struct Candidate {
+    name: &'static str,
+    stages: usize,
+    steps: usize,
+    error: f64,
+    us: f64,
+    stepper: Box<dyn Stepper<3>>,
+}
+
+fn against_vrkmk() {
+    say("\n## VPD against VRKMK at equal error at t = 0.5 (us for a unit of time)\n");
+    let scene = dipole();
+    let reference = end(&mut in_lanes(8, Rungs::Both), &scene, 0.5 / 64.0, 64).expect("solvable").0;
+    let mut candidates = Vec::new();
+    for stages in 1..=8 {
+        for steps in [1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 256, 512, 1024] {
+            let vrkmk = Vrkmk::<3>::new(gauss(stages), StopRule::default());
+            let pair: [(_, Box<dyn Stepper<3>>); 2] =
+                [("vpd", Box::new(in_lanes(stages, Rungs::Both))), ("vrkmk", Box::new(vrkmk))];
+            for (name, mut stepper) in pair {
+                let Some((state, _)) = end(stepper.as_mut(), &scene, 0.5 / steps as f64, steps)
+                else {
+                    continue;
+                };
+                let error = difference(&state, &reference);
+                candidates.push(Candidate {
+                    name,
+                    stages,
+                    steps,
+                    error,
+                    us: f64::INFINITY,
+                    stepper,
+                });
+            }
+        }
+    }
+    for _ in 0..7 {
+        for Candidate { steps, us, stepper, .. } in &mut candidates {
+            let repeats = (400 / *steps).max(1);
+            let begun = Instant::now();
+            for _ in 0..repeats {
+                seconds(stepper.as_mut(), &scene, 0.5 / *steps as f64, *steps);
+            }
+            *us = us.min(begun.elapsed().as_secs_f64() * 2e6 / repeats as f64);
+        }
+    }
+    let best = |name: &str, stages: Option<usize>, target: f64| {
+        let reaching = candidates.iter().filter(|c| {
+            c.name == name && c.error <= target && stages.is_none_or(|stages| c.stages == stages)
+        });
+        reaching.min_by(|a, b| a.us.total_cmp(&b.us))
+    };
+    say("| error | vpd | us | vrkmk | us | ratio |\n|---|---|---|---|---|---|");
+    for target in [1e-4, 1e-6, 1e-8, 1e-10, 1e-12] {
+        if let (Some(ours), Some(theirs)) = (best("vpd", None, target), best("vrkmk", None, target))
+        {
+            let row = |c: &Candidate| format!("gauss{}, 1/{}", c.stages, 2 * c.steps);
+            say(&format!(
+                "| {target:.0e} | {} | {:.1} | {} | {:.1} | {:.1} |",
+                row(ours),
+                ours.us,
+                row(theirs),
+                theirs.us,
+                theirs.us / ours.us
+            ));
+        }
+    }
+    say("\nThe same tableau: time of vrkmk for that of vpd.\n");
+    say("| tableau | 1e-4 | 1e-6 | 1e-8 | 1e-10 | 1e-12 |\n|---|---|---|---|---|---|");
+    for stages in 1..=8 {
+        let cells: Vec<String> = [1e-4, 1e-6, 1e-8, 1e-10, 1e-12]
+            .iter()
+            .map(|&target| {
+                let pair = (best("vpd", Some(stages), target), best("vrkmk", Some(stages), target));
+                match pair {
+                    (Some(ours), Some(theirs)) => format!("{:.1}", theirs.us / ours.us),
+                    _ => "-".to_owned(),
+                }
+            })
+            .collect();
+        say(&format!("| gauss{stages} | {} |", cells.join(" | ")));
+    }
+}
+
+fn one_trajectory() {
+    say("\n## One trajectory (ns a step, us for a unit of time)\n");
+    let scene = dipole();
+    let reference = |t: f64| end(&mut in_lanes(8, Rungs::Both), &scene, 0.05, (t * 20.0) as usize);
+    let short = reference(0.5).expect("solvable").0;
+    let long = reference(50.0).expect("solvable").0;
+    let mut rival = QuaternionGauss::new(8, StopRule::default()).expect("8 stages");
+    let checked = end(&mut rival, &scene, 0.1, 500).expect("solvable").0;
+    say(&format!(
+        "The reference at t = 50 is VPD with 8 stages, h = 0.05; Gauss on quaternions, h = 0.1, differs by {:.1e}.\n",
+        difference(&long, &checked)
+    ));
+    say(
+        "| tableau | h | iterations | ns a step | us a unit | error t = 0.5 | error t = 50 |\n|---|---|---|---|---|---|---|",
+    );
+    for (stages, h) in [
+        (2, 0.01),
+        (3, 0.01),
+        (2, 0.125),
+        (3, 0.125),
+        (4, 0.1),
+        (8, 0.1),
+        (8, 0.2),
+        (8, 0.25),
+        (8, 0.5),
+    ] {
+        let mut stepper = in_lanes(stages, Rungs::Both);
+        let at = |stepper: &mut VpdSpace, t: f64| {
+            let steps = (t / h).round() as usize;
+            // A step that does not divide the time has no error there.
+            ((steps as f64 * h - t).abs() < 1e-9).then(|| end(stepper, &scene, h, steps)).flatten()
+        };
+        let show = |found: Option<(State<3>, f64)>, reference: &State<3>| {
+            found.map_or("-".to_owned(), |(state, _)| {
+                format!("{:.1e}", difference(&state, reference))
+            })
+        };
+        let early = show(at(&mut stepper, 0.5), &short);
+        let found = at(&mut stepper, 50.0);
+        let iterations = found.as_ref().map_or(f64::NAN, |found| found.1);
+        let late = show(found, &long);
+        let steps = (50.0 / h) as usize;
+        let least =
+            (0..15).map(|_| seconds(&mut stepper, &scene, h, steps)).fold(f64::INFINITY, f64::min);
+        say(&format!(
+            "| gauss{stages} | {h} | {iterations:.2} | {:.0} | {:.1} | {early} | {late} |",
+            least * 1e9 / steps as f64,
+            least * 1e6 / (steps as f64 * h)
+        ));
+    }
+}
+
+fn ensembles() {
+    say("\n## Eight members in lanes against one at a time, a core\n");
+    say("| tableau | h | us a unit and member | alone | ratio |\n|---|---|---|---|---|");
+    let scene = dipole();
+    let (body, start) = &scene;
+    let states: Vec<State<3>> = (0..8)
+        .map(|m| {
+            let turn = so::exp(&so::hat(&[0.01 * f64::from(m), -0.02, 0.005 * f64::from(m)]));
+            State { attitude: start.attitude * turn, momentum: start.momentum }
+        })
+        .collect();
+    for (stages, h) in
+        [(1, 0.01), (2, 0.01), (2, 0.05), (3, 0.05), (4, 0.1), (8, 0.1), (8, 0.25), (8, 0.5)]
+    {
+        let (mut together, mut alone) = (f64::INFINITY, f64::INFINITY);
+        let steps = (20.0 / h) as usize;
+        let mut ensemble = VpdEnsemble::new(&gauss(stages), StopRule::default()).expect("8 stages");
+        let mut stepper = in_lanes(stages, Rungs::Both);
+        for _ in 0..7 {
+            ensemble.start(states.clone());
+            let begun = Instant::now();
+            for _ in 0..steps {
+                ensemble.step(body, h);
+            }
+            together = together.min(begun.elapsed().as_secs_f64());
+            let begun = Instant::now();
+            for state in &states {
+                stepper.start(state);
+                for _ in 0..steps {
+                    // What fails fails together as well as alone.
+                    let _ = stepper.step(body, h);
+                }
+            }
+            alone = alone.min(begun.elapsed().as_secs_f64());
+        }
+        let unit = 1e6 / (steps as f64 * h * 8.0);
+        say(&format!(
+            "| gauss{stages} | {h} | {:.2} | {:.2} | {:.2} |",
+            together * unit,
+            alone * unit,
+            alone / together
+        ));
+    }
+}
+
+/// The largest step at which 10,000 steps are solved, by bisection, and whether the solver alone is the limit.
+fn largest_steps() {
+    say("\n## Largest step solved over 10,000 steps\n");
+    say(
+        "The plain fixed point sweeps once over everything (general n, n = 3); nested sweeps, then Newton's method.\n",
+    );
+    say(
+        "| scene | tableau | plain | nested | newton | both | nested / plain | both / plain |\n|---|---|---|---|---|---|---|---|",
+    );
+    let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
+    let body = |moments: [f64; 3], weight: f64| {
+        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+        let law = Law::Uniform { weight, body_point: vertical };
+        RigidBody::new(Kinetic::Principal { weights }, vec![Term { law, space: vertical }], 0.0)
+    };
+    let tilt = so::exp(&so::hat(&[0.5, 0.0, 0.0]));
+    let spinning = |spin: [f64; 3]| State { attitude: tilt, momentum: so::hat(&spin) };
+    let scenes = [
+        ("dipole", dipole()),
+        ("heavy top", (body([1.0, 1.0, 0.5], 1.0), spinning([0.0, 0.1, 2.0]))),
+        ("thin body", (body([1.0, 1.0, 1e-3], 1.0), spinning([0.1, 0.2, 1e-3]))),
+    ];
+    for (name, scene) in &scenes {
+        for stages in [2, 3, 8] {
+            let largest = |make: &dyn Fn() -> Box<dyn Stepper<3>>| {
+                let (mut low, mut high) = (1e-3_f64, 4.0_f64);
+                while high / low > 1.05 {
+                    let middle = (low * high).sqrt();
+                    match end(make().as_mut(), scene, middle, 10_000) {
+                        Some(_) => low = middle,
+                        None => high = middle,
+                    }
+                }
+                low
+            };
+            let stop = StopRule { rungs: Rungs::FixedPoint, ..StopRule::default() };
+            let plain = largest(&|| Box::new(Vpd::<3>::new(gauss(stages), stop)));
+            let [nested, newton, both] = [Rungs::FixedPoint, Rungs::Newton, Rungs::Both]
+                .map(|rungs| largest(&|| Box::new(in_lanes(stages, rungs))));
+            say(&format!(
+                "| {name} | gauss{stages} | {plain:.3} | {nested:.3} | {newton:.3} | {both:.3} | {:.1} | {:.1} |",
+                nested / plain,
+                both / plain
+            ));
+        }
+    }
+}
+
+/// How the time of a step grows with n and with the stages.
+fn growth() {
+    say("\n## Growth of a step with n (two stages, h = 0.01)\n");
+    say("| n | ns a step | sweeps | power since the row above |\n|---|---|---|---|");
+    fn row<const N: usize>(before: Option<(usize, f64)>) -> Option<(usize, f64)> {
+        let weights =
+            Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (1.0 + 0.1 * (i + j) as f64) });
+        let vector =
+            |seed: f64| Vector::<N>::from_fn(|i, _| (seed * (i + 1) as f64).rem_euclid(1.0));
+        let law = Law::Uniform { weight: 0.7, body_point: vector(0.414) };
+        let terms = vec![Term { law, space: vector(0.236) }];
+        let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
+        let momentum = so::asym(&Mat::from_fn(|i, j| (0.317 * (N * i + j) as f64).rem_euclid(1.0)));
+        let momentum = momentum / so::inner(&momentum, &momentum).sqrt();
+        let mut stepper = Vpd::<N>::new(gauss(2), StopRule::default());
+        let (mut least, mut sweeps) = (f64::INFINITY, 0.0);
+        for _ in 0..5 {
+            stepper.start(&State { attitude: Mat::identity(), momentum });
+            let begun = Instant::now();
+            let mut iterations = 0;
+            for _ in 0..100 {
+                iterations += stepper.step(&body, 0.01).map_or(0, |solved| solved.iterations);
+            }
+            least = least.min(begun.elapsed().as_secs_f64() * 1e7);
+            sweeps = f64::from(iterations) / 100.0;
+        }
+        let power = before.map_or("-".to_owned(), |(n, ns)| {
+            format!("{:.2}", (least / ns).ln() / (N as f64 / n as f64).ln())
+        });
+        say(&format!("| {N} | {least:.0} | {sweeps:.1} | {power} |"));
+        Some((N, least))
+    }
+    let mut before = row::<4>(None);
+    before = row::<8>(before);
+    before = row::<16>(before);
+    row::<32>(before);
+}
