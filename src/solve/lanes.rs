@@ -396,4 +396,3 @@ macro_rules! member_lanes {
 
 member_lanes!(2);
 member_lanes!(4);
-member_lanes!(8);

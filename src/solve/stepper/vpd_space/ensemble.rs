@@ -2,7 +2,8 @@
 //!
 //! A lane goes through the sweeps of [`VpdSpace`] with the same bits; its solution is taken when its own iteration has
 //! converged, whatever the others still do. A member whose sweeps do not get on makes that step by itself, with
-//! Newton's method where that helps. Without AVX2 lanes would gain nothing: then every member goes by itself.
+//! Newton's method where that helps. Without AVX2, and with more than four stages, which fill the lanes of one
+//! member, this would gain nothing: then every member goes by itself.
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
 
@@ -58,7 +59,8 @@ pub struct VpdEnsemble {
 enum Lanes {
     Two(Box<Unknowns<[Row; 2], Row>>),
     Four(Box<Unknowns<[Row; 4], Row>>),
-    Eight(Box<Unknowns<[Row; 8], Row>>),
+    /// The stages of one member fill the lanes: members go by themselves.
+    Stages,
 }
 
 impl VpdEnsemble {
@@ -69,7 +71,7 @@ impl VpdEnsemble {
         let lanes = match tableau.stages() {
             1 | 2 => Lanes::Two(Box::new(Unknowns::blank([zero; 2], zero))),
             3 | 4 => Lanes::Four(Box::new(Unknowns::blank([zero; 4], zero))),
-            _ => Lanes::Eight(Box::new(Unknowns::blank([zero; 8], zero))),
+            _ => Lanes::Stages,
         };
         Some(Self {
             solutions: vec![stepper.unknowns; WIDTH],
@@ -122,7 +124,11 @@ impl VpdEnsemble {
     fn swept(&mut self, body: &RigidBody<3>, h: f64) -> [Option<Convergence>; WIDTH] {
         let mut solved = [None; WIDTH];
         let level = self.stepper.level;
-        if self.stop.rungs == Rungs::Newton || self.members.is_empty() || !has_lanes(level) {
+        if self.stop.rungs == Rungs::Newton
+            || self.members.is_empty()
+            || !has_lanes(level)
+            || matches!(self.lanes, Lanes::Stages)
+        {
             return solved;
         }
         // Lanes without a member repeat the last.
@@ -175,10 +181,11 @@ impl VpdEnsemble {
         match &mut self.lanes {
             Lanes::Two(unknowns) => iterate!(unknowns, 2),
             Lanes::Four(unknowns) => iterate!(unknowns, 4),
-            Lanes::Eight(unknowns) => iterate!(unknowns, 8),
+            Lanes::Stages => return solved,
         }
-        let torques = self.members.len() * self.stepper.tableau.stages();
-        body.count(torques as u64);
+        let own = solved.iter().take(self.members.len()).flatten();
+        let evaluations: u64 = own.map(|solved| u64::from(solved.iterations) + 1).sum();
+        body.count(evaluations * self.stepper.tableau.stages() as u64);
         solved
     }
 }
