@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use uuid::Uuid;
 
-use super::engine::MAX_ATTEMPTS;
 use super::store::{Ending, Record, StoreError};
 use crate::plan::Plan;
 use crate::run::{Control, RunError};
@@ -269,7 +268,7 @@ impl Fault {
     pub(super) fn worker_crashed() -> Self {
         Self::new(
             "worker_crashed",
-            format!("{MAX_ATTEMPTS} runs of this job in a row came to nothing: the process ended"),
+            "the process ended in several runs of this job, without any progress",
         )
     }
 
