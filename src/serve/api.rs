@@ -100,7 +100,7 @@ fn routes() -> Vec<Route> {
                     "Idempotency-Key",
                     "The same key with the same scenario gives the same job, also after a restart",
                 )
-                .body::<Scenario>(SHIPPED[0].1)
+                .body::<Scenario>(Some(SHIPPED[0].1))
                 .json::<JobView>(202, "Taken")
                 .json::<JobView>(200, "Taken before under this key, and ended"),
             post(submit_job),
@@ -181,7 +181,7 @@ fn routes() -> Vec<Route> {
             "/studies",
             Submit,
             op("submitStudy", "Take a study: many runs of one scene, one table")
-                .body::<studies::Request>()
+                .body::<studies::Request>(None)
                 .json::<StudyView>(202, "Taken; kept in memory"),
             post(submit_study),
         )

@@ -97,8 +97,8 @@ pub(super) struct Job {
     /// The key under which the client sent it.
     pub(super) key: Option<Uuid>,
     pub(super) steps: u64,
-    /// The plan, until the record holds it.
-    pub(super) plan: Option<Value>,
+    /// The plan as JSON, until the record holds it; as text, for there may be many jobs.
+    pub(super) plan: Option<Box<str>>,
     /// What its log is expected to take.
     pub(super) log_bytes: u64,
     pub(super) phase: Phase,
@@ -113,7 +113,7 @@ impl Job {
             cancelled: false,
             key: None,
             steps: plan.steps,
-            plan: serde_json::to_value(plan).ok(),
+            plan: serde_json::to_string(plan).ok().map(String::into_boxed_str),
             log_bytes: plan.log_bytes,
             phase: Phase::Queued,
         }
@@ -195,9 +195,13 @@ impl Job {
             durable_step,
             eta_s,
             has_log,
-            plan: self.plan.clone(),
+            plan: self.plan(),
             record: None,
         }
+    }
+
+    fn plan(&self) -> Option<Value> {
+        serde_json::from_str(self.plan.as_ref()?).ok()
     }
 
     /// The record of an end without a summary.
@@ -210,7 +214,7 @@ impl Job {
             steps: self.steps,
             steps_done: 0,
             has_log: false,
-            plan: self.plan.clone(),
+            plan: self.plan(),
             summary: None,
             diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
         }

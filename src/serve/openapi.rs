@@ -22,7 +22,7 @@ pub(super) struct Operation {
     id: &'static str,
     summary: &'static str,
     parameters: Vec<Parameter>,
-    body: Option<(SchemaOf, &'static str)>,
+    body: Option<(SchemaOf, Option<&'static str>)>,
     answers: Vec<Answer>,
 }
 
@@ -62,8 +62,8 @@ impl Operation {
         self
     }
 
-    /// The JSON that is sent, with the text of an example.
-    pub(super) fn body<T: JsonSchema>(mut self, example: &'static str) -> Self {
+    /// The JSON that is sent, with the text of an example if there is one.
+    pub(super) fn body<T: JsonSchema>(mut self, example: Option<&'static str>) -> Self {
         self.body = Some((schema_of::<T>, example));
         self
     }
@@ -136,9 +136,11 @@ impl Operation {
             "responses": answers,
         });
         if let Some((schema, example)) = self.body {
-            let example: Value = serde_json::from_str(example).unwrap_or_default();
-            let content =
-                json!({ "application/json": { "schema": schema(generator), "example": example } });
+            let mut content = json!({ "schema": schema(generator) });
+            if let Some(example) = example {
+                content["example"] = serde_json::from_str(example).unwrap_or_default();
+            }
+            let content = json!({ "application/json": content });
             operation["requestBody"] = json!({ "required": true, "content": content });
         }
         if let Some(scope) = scope {

@@ -63,7 +63,7 @@ def check(vpd, cases, seed, folder):
         )
         run = subprocess.run(
             [pathlib.Path(sys.executable).parent / "schemathesis", "--config-file", config, "run",
-             f"{base}/openapi.json", "--max-examples", str(max(1, cases // 16)), "--seed", str(seed),
+             f"{base}/openapi.json", "--max-examples", str(max(1, cases // 10)), "--seed", str(seed),
              # A scenario may be of the right form and still describe no body.
              "--exclude-checks", "positive_data_acceptance",
              "--continue-on-failure", "--no-color"],
