@@ -16,7 +16,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpSocket};
 use tracing_subscriber::EnvFilter;
 
 use crate::advise;
@@ -355,8 +355,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let tokens = tokens(args.tokens.as_deref())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let served = runtime.block_on(async {
-        let listener = TcpListener::bind(args.listen)
-            .await
+        let listener = listener(args.listen)
             .map_err(|source| CliError::Listen { address: args.listen, source })?;
         tracing::info!("listening on http://{}", listener.local_addr()?);
         let workers = args.workers.or_else(|| thread::available_parallelism().ok());
@@ -384,6 +383,15 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     // A blocking task of a client that is gone must not hold up the exit.
     runtime.shutdown_background();
     served
+}
+
+/// Listens with room for many clients that come at once; the usual 128 make the others wait a second.
+fn listener(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
+    // As usual: a restart need not wait for the connections of before.
+    socket.set_reuseaddr(cfg!(unix))?;
+    socket.bind(address)?;
+    socket.listen(4096)
 }
 
 /// The tokens in a file, or else in the environment.

@@ -6,8 +6,8 @@
 //!
 //! Invariants
 //! - tokio stops here: a step never runs on an async thread, and no lock is held over an `.await`.
-//! - 202 means kept: the scenario is on the disk before the answer, and a job without a result is run again
-//!   after a restart, three times at most.
+//! - 202 means kept: the scenario is on the disk before the answer, and a job without a result goes
+//!   on after a restart, unless it was what ended the process.
 //! - A job ends once. Its state is never ahead of its record on the disk.
 //! - The queue is bounded and says so; a client that leaves does not undo what it asked for.
 //! - Only finished logs are served, or streams that end with one.

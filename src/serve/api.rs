@@ -30,7 +30,7 @@ use super::job::State;
 use super::openapi::{self, Operation};
 use super::problem::{self, Problem};
 use super::studies::{self, Question, Studies, StudyRefusal, StudyView};
-use super::view::{JobList, JobView, ScenarioList, Status};
+use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, follow, metrics, store};
 use crate::advise;
 use crate::scenario::{SHIPPED, Scenario, ScenarioError, schema};
@@ -100,7 +100,7 @@ fn routes() -> Vec<Route> {
                     "Idempotency-Key",
                     "The same key with the same scenario gives the same job, also after a restart",
                 )
-                .body::<Scenario>()
+                .body::<Scenario>(Some(SHIPPED[0].1))
                 .json::<JobView>(202, "Taken")
                 .json::<JobView>(200, "Taken before under this key, and ended"),
             post(submit_job),
@@ -152,7 +152,7 @@ fn routes() -> Vec<Route> {
                 "followJob",
                 "Server-sent events: state (the job), progress; until the job has ended",
             )
-            .raw(200, "text/event-stream", "Events"),
+            .answer::<JobEvent>(200, "text/event-stream", "Events"),
             get(get_events),
         )
         .shared(),
@@ -181,7 +181,7 @@ fn routes() -> Vec<Route> {
             "/studies",
             Submit,
             op("submitStudy", "Take a study: many runs of one scene, one table")
-                .body::<studies::Request>()
+                .body::<studies::Request>(None)
                 .json::<StudyView>(202, "Taken; kept in memory"),
             post(submit_study),
         )

@@ -24,9 +24,6 @@ use crate::advise;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
-/// A job that ends its process this many times in a row without coming further is given up.
-pub(super) const MAX_ATTEMPTS: u32 = 3;
-
 /// How many records the start reads at a time.
 const SCAN_WIDTH: usize = 16;
 
@@ -492,13 +489,13 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
         };
         return Ok((id, Job { key: found.key, ..Job::ended(ending) }));
     }
-    let fruitless = store.fruitless_attempts(id, found.attempts).await?;
+    let deaths = store.deaths(id, found.attempts).await?;
     let planned = store.scenario(id).await.map_err(|error| Fault::storage(&error));
     let planned = planned.and_then(|text| {
         let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
         let plan = advise::plan(&scenario).map_err(|error| Fault::rejected(&error))?;
         let job = Job::new(&scenario, &plan, found.attempts);
-        Ok(Job { suspect: fruitless > 0, cancelled: found.cancelled, ..job })
+        Ok(Job { suspect: deaths.fruitless > 0, cancelled: found.cancelled, ..job })
     });
     let (job, fault) = match planned {
         Ok(job) => (job, None),
@@ -509,9 +506,7 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
         // What ran before goes to its worker, who gives its log an end.
         _ if found.cancelled && found.attempts == 0 => job.record(State::Cancelled, None),
         Some(fault) => job.record(State::Failed, Some(&fault)),
-        None if fruitless >= MAX_ATTEMPTS => {
-            job.record(State::Failed, Some(&Fault::worker_crashed()))
-        }
+        None if deaths.convict() => job.record(State::Failed, Some(&Fault::worker_crashed())),
         None => return Ok((id, job)),
     };
     tracing::warn!(job = %id, attempts = found.attempts, state = ?record.state, "job ended at the start");

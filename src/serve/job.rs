@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use uuid::Uuid;
 
-use super::engine::MAX_ATTEMPTS;
 use super::store::{Ending, Record, StoreError};
 use crate::plan::Plan;
 use crate::run::{Control, RunError};
@@ -98,8 +97,8 @@ pub(super) struct Job {
     /// The key under which the client sent it.
     pub(super) key: Option<Uuid>,
     pub(super) steps: u64,
-    /// The plan, until the record holds it.
-    pub(super) plan: Option<Value>,
+    /// The plan as JSON, until the record holds it; as text, for there may be many jobs.
+    pub(super) plan: Option<Box<str>>,
     /// What its log is expected to take.
     pub(super) log_bytes: u64,
     pub(super) phase: Phase,
@@ -114,7 +113,7 @@ impl Job {
             cancelled: false,
             key: None,
             steps: plan.steps,
-            plan: serde_json::to_value(plan).ok(),
+            plan: serde_json::to_string(plan).ok().map(String::into_boxed_str),
             log_bytes: plan.log_bytes,
             phase: Phase::Queued,
         }
@@ -196,9 +195,13 @@ impl Job {
             durable_step,
             eta_s,
             has_log,
-            plan: self.plan.clone(),
+            plan: self.plan(),
             record: None,
         }
+    }
+
+    fn plan(&self) -> Option<Value> {
+        serde_json::from_str(self.plan.as_ref()?).ok()
     }
 
     /// The record of an end without a summary.
@@ -211,7 +214,7 @@ impl Job {
             steps: self.steps,
             steps_done: 0,
             has_log: false,
-            plan: self.plan.clone(),
+            plan: self.plan(),
             summary: None,
             diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
         }
@@ -269,7 +272,7 @@ impl Fault {
     pub(super) fn worker_crashed() -> Self {
         Self::new(
             "worker_crashed",
-            format!("{MAX_ATTEMPTS} runs of this job in a row came to nothing: the process ended"),
+            "the process ended in several runs of this job, without any progress",
         )
     }
 

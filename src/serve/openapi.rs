@@ -22,7 +22,7 @@ pub(super) struct Operation {
     id: &'static str,
     summary: &'static str,
     parameters: Vec<Parameter>,
-    body: Option<SchemaOf>,
+    body: Option<(SchemaOf, Option<&'static str>)>,
     answers: Vec<Answer>,
 }
 
@@ -62,9 +62,9 @@ impl Operation {
         self
     }
 
-    /// The JSON that is sent.
-    pub(super) fn body<T: JsonSchema>(mut self) -> Self {
-        self.body = Some(schema_of::<T>);
+    /// The JSON that is sent, with the text of an example if there is one.
+    pub(super) fn body<T: JsonSchema>(mut self, example: Option<&'static str>) -> Self {
+        self.body = Some((schema_of::<T>, example));
         self
     }
 
@@ -78,7 +78,8 @@ impl Operation {
         self.answer::<String>(status, media_type, about)
     }
 
-    fn answer<T: JsonSchema>(
+    /// An answer of a media type with parts of one schema.
+    pub(super) fn answer<T: JsonSchema>(
         mut self,
         status: u16,
         media_type: &'static str,
@@ -134,8 +135,12 @@ impl Operation {
             "parameters": parameters,
             "responses": answers,
         });
-        if let Some(schema) = self.body {
-            let content = json!({ "application/json": { "schema": schema(generator) } });
+        if let Some((schema, example)) = self.body {
+            let mut content = json!({ "schema": schema(generator) });
+            if let Some(example) = example {
+                content["example"] = serde_json::from_str(example).unwrap_or_default();
+            }
+            let content = json!({ "application/json": content });
             operation["requestBody"] = json!({ "required": true, "content": content });
         }
         if let Some(scope) = scope {

@@ -1,6 +1,7 @@
 //! The record of the jobs, on disk.
 //!
-//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, cancel, attempt-1, …, log.mcap, result.json}`.
+//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, cancel, attempt-1, trace-1,
+//! …, log.mcap, result.json}`.
 //!
 //! Invariants: a job exists while its `scenario.json` does. `attempt-N` and `result.json` are written
 //! put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
@@ -36,10 +37,17 @@ const SCENARIO: &str = "scenario.json";
 const RESULT: &str = "result.json";
 const CANCEL: &str = "cancel";
 const ATTEMPT: &str = "attempt-";
+const TRACE: &str = "trace-";
 const LOG: &str = "log.mcap";
 const PART: &str = "log.mcap.part";
 const KEY: &str = "key-";
 const INDEX: &str = "index.jsonl";
+
+/// A job that ends its process at the same step so many times in a row is given up.
+pub(super) const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
+
+/// A job of which so many runs in a row came to nothing is given up, wherever they ended.
+const MAX_FRUITLESS: u32 = 20;
 
 /// What begins the last line of a text that has a checksum.
 const SEAL: &str = "crc32 ";
@@ -71,6 +79,23 @@ pub(super) struct Found {
     pub(super) has_log: bool,
     /// How it ended, if the index knows.
     pub(super) ending: Option<Ending>,
+}
+
+/// How the processes of a job's last attempts ended, counted backwards from the last attempt.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Deaths {
+    /// Attempts after which the job stood where they began.
+    pub(super) fruitless: u32,
+    /// Those of them that died at the step of the last one.
+    pub(super) at_one_place: u32,
+}
+
+impl Deaths {
+    /// Whether the job itself is to blame. A kill from outside hits a run anywhere; a run that ends its
+    /// own process does so at the same step every time, or at least never gets beyond it.
+    pub(super) fn convict(self) -> bool {
+        self.at_one_place >= MAX_DEATHS_AT_ONE_PLACE || self.fruitless >= MAX_FRUITLESS
+    }
 }
 
 /// What lists show of a job that ended.
@@ -239,11 +264,23 @@ impl Store {
         self.create(id, &format!("{ATTEMPT}{n}"), note).await.map_err(StoreError::new(failed))
     }
 
-    /// How many of `n` attempts, counted from the last, came to nothing: the job stands where they began.
-    pub(super) async fn fruitless_attempts(&self, id: Uuid, n: u32) -> Result<u32, StoreError> {
+    /// A file in which attempt `n` leaves how far it came, should its process die. Blocking.
+    pub(super) fn trace(&self, id: Uuid, n: u32) -> Option<File> {
+        File::create(self.directory(id).join(format!("{TRACE}{n}"))).ok()
+    }
+
+    /// What the last of `n` attempts came to. Blocking but for the store.
+    pub(super) async fn deaths(&self, id: Uuid, n: u32) -> Result<Deaths, StoreError> {
         let failed = "read the notes of the attempts";
         let mut reached = self.progress(id).map_err(StoreError::new(failed))?;
-        let mut count = 0;
+        let trace = |n: u32| {
+            let trace = std::fs::read(self.directory(id).join(format!("{TRACE}{n}"))).ok()?;
+            // Before it makes steps a run is where every other one is: that says nothing.
+            let step = u64::from_le_bytes(trace.try_into().ok()?);
+            (step > 0).then_some(step)
+        };
+        let last = trace(n);
+        let mut deaths = Deaths::default();
         for n in (1..=n).rev() {
             // One that was taken back, or is torn, began at the start as far as we know.
             let note = self.read(id, &format!("{ATTEMPT}{n}")).await.ok();
@@ -253,9 +290,12 @@ impl Store {
             if began < reached {
                 break;
             }
-            (reached, count) = (began, count + 1);
+            if deaths.at_one_place == deaths.fruitless && last.is_some() && trace(n) == last {
+                deaths.at_one_place += 1;
+            }
+            (reached, deaths.fruitless) = (began, deaths.fruitless + 1);
         }
-        Ok(count)
+        Ok(deaths)
     }
 
     /// The step from which a run of the job would go on. Blocking.
@@ -266,6 +306,7 @@ impl Store {
     /// Takes back the note of an attempt that was interrupted in order: it must not count as a crash.
     pub(super) async fn take_back_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
         let failed = StoreError::new("take back the note of the attempt");
+        let _ = std::fs::remove_file(self.directory(id).join(format!("{TRACE}{n}")));
         self.objects.delete(&key(id, &format!("{ATTEMPT}{n}"))).await.map_err(failed)
     }
 

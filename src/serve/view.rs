@@ -74,6 +74,23 @@ struct Viewers {
     rerun: String,
 }
 
+/// A server-sent event; only its schema is used.
+#[derive(JsonSchema)]
+#[allow(dead_code, reason = "events are written by axum")]
+pub(super) struct JobEvent {
+    event: EventName,
+    /// As JSON: the job for `state`, its progress for `progress`.
+    data: String,
+}
+
+#[derive(JsonSchema)]
+#[schemars(rename_all = "snake_case")]
+#[allow(dead_code, reason = "events are written by axum")]
+enum EventName {
+    State,
+    Progress,
+}
+
 /// A page of jobs.
 #[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct JobList {

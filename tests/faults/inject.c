@@ -1,6 +1,6 @@
 /* Makes the n-th change of a file below a directory fail, for the fault tests. Preloaded into the real
  * binary; driven through a file that both sides map:
- *   [0] calls left before the fault (0: disarmed)  [1] errno  [2] 1: every call after it fails as well
+ *   [0] calls left before the fault (0: disarmed)  [1] errno, or -1: abort  [2] 1: every call after it fails as well
  *   [3] faults given                               [4] calls seen while armed
  */
 #define _GNU_SOURCE
@@ -45,6 +45,7 @@ static int fails(void) {
     }
     __atomic_store_n(&plan[0], plan[2] ? 1 : 0, __ATOMIC_SEQ_CST);
     __atomic_add_fetch(&plan[3], 1, __ATOMIC_SEQ_CST);
+    if (plan[1] < 0) abort();
     errno = (int)plan[1];
     return 1;
 }

@@ -57,10 +57,11 @@ impl Shared {
             } else if let Some(id) = index.queue.pop_front()
                 && let Some(job) = index.jobs.get_mut(&id)
             {
-                let control = Arc::new(Control::default());
-                control.cancelled.store(job.cancelled, Ordering::Relaxed);
                 job.attempts += 1;
                 let attempt = job.attempts;
+                let trace = self.store.trace(id, attempt);
+                let control = Arc::new(Control { trace, ..Control::default() });
+                control.cancelled.store(job.cancelled, Ordering::Relaxed);
                 job.phase = Phase::Running { control: control.clone(), since: Instant::now() };
                 return Some(Task { id, attempt, control });
             }

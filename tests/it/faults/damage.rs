@@ -1,9 +1,12 @@
 //! Damaged files of the store: every one is noticed, none harms another job.
 
 use std::fs;
+use std::path::Path;
 
 use uuid::Uuid;
 use vpd::log::inspect::inspect;
+use vpd::plan::Plan;
+use vpd::scenario::Scenario;
 
 use super::process::Service;
 use super::{Random, damage, dipole, scale};
@@ -69,4 +72,44 @@ fn every_damaged_file_is_reported() {
         assert!(!found.finished && found.damage.is_some(), "{found}");
     }
     println!("{} damaged files, all reported", 3 * count);
+}
+
+#[test]
+fn the_corpus_of_the_fuzzers_and_its_neighbours_are_read_without_a_panic() {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut random = Random::new();
+    let files = |name: &str| -> Vec<Vec<u8>> {
+        let entries = fs::read_dir(corpus.join(name)).expect("a corpus");
+        entries.map(|entry| fs::read(entry.expect("an entry").path()).expect("a file")).collect()
+    };
+    let (mut taken, mut refused) = (0, 0);
+    for text in files("scenario") {
+        Scenario::from_json(&text).expect("the corpus begins with good ones");
+        for _ in 0..200 * scale() {
+            match Scenario::from_json(&damage(&mut random, &text)) {
+                Ok(scenario) => {
+                    // What can be read can be planned, or is refused with its field.
+                    let _ = Plan::new(&scenario);
+                    assert_eq!(
+                        Scenario::from_json(&scenario.to_json()).expect("read back"),
+                        scenario
+                    );
+                    taken += 1;
+                }
+                Err(_) => refused += 1,
+            }
+        }
+    }
+    let part = folder.path().join("log.mcap.part");
+    for bytes in files("log") {
+        fs::write(&part, &bytes).expect("written");
+        assert!(inspect(&part).expect("readable").finished);
+        for _ in 0..100 * scale() {
+            fs::write(&part, damage(&mut random, &bytes)).expect("written");
+            assert!(!inspect(&part).expect("readable").finished);
+        }
+    }
+    println!("scenarios: {taken} taken, {refused} refused");
+    assert!(taken > 0 && refused > 0);
 }

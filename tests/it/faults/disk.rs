@@ -10,7 +10,7 @@ use super::process::Service;
 use super::{dipole, scale};
 
 /// The shim that makes calls fail, and the file through which it is told which.
-struct Faults {
+pub(super) struct Faults {
     library: PathBuf,
     plan: File,
     place: PathBuf,
@@ -18,7 +18,7 @@ struct Faults {
 
 impl Faults {
     /// `None`, loudly, where there is no C compiler or no preloading.
-    fn new(folder: &Path) -> Option<Self> {
+    pub(super) fn new(folder: &Path) -> Option<Self> {
         let library = folder.join("inject.so");
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/faults/inject.c");
         let compiler = std::env::var("CC").unwrap_or_else(|_| "cc".to_owned());
@@ -38,17 +38,21 @@ impl Faults {
     }
 
     fn start(&self, folder: &Path) -> Service {
-        let data = folder.join("data");
+        self.start_on(folder, &folder.join("data"))
+    }
+
+    /// Faults for the files whose paths begin so.
+    pub(super) fn start_on(&self, folder: &Path, data: &Path) -> Service {
         let environment = [
             ("LD_PRELOAD", self.library.as_path()),
             ("VPD_FAULTS", &self.place),
-            ("VPD_FAULTS_DIR", &data),
+            ("VPD_FAULTS_DIR", data),
         ];
-        Service::start_with(folder, &["--workers", "1"], &environment)
+        Service::start_with(folder, &["--workers", "2"], &environment)
     }
 
     /// Lets the `nth` call from now fail, and all after it if `forever`.
-    fn arm(&mut self, nth: i64, errno: i64, forever: bool) {
+    pub(super) fn arm(&mut self, nth: i64, errno: i64, forever: bool) {
         let [.., fired, _] = self.read();
         // The countdown last: it is what arms.
         for (slot, value) in [(1, errno), (2, i64::from(forever)), (3, fired), (4, 0), (0, nth)] {
@@ -66,7 +70,7 @@ impl Faults {
         })
     }
 
-    fn given(&mut self) -> i64 {
+    pub(super) fn given(&mut self) -> i64 {
         self.read()[3]
     }
 }

@@ -5,6 +5,7 @@ use std::time::Duration;
 use serde_json::Value;
 use vpd::log::resume::last_checkpoint;
 
+use super::disk::Faults;
 use super::process::Service;
 use super::{Random, dipole, scale};
 
@@ -135,4 +136,45 @@ fn any_number_of_workers_gives_the_same_bytes() {
         println!("{} runs: {}", digests.len(), digests[0]);
         assert!(digests.iter().all(|digest| *digest == digests[0]), "{digests:?}");
     }
+}
+
+#[test]
+fn a_job_that_aborts_its_process_is_given_up_and_the_others_go_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(mut faults) = Faults::new(folder.path()) else { return };
+    // Queued behind two long runs, so that its id is known before it begins.
+    let mut blocker = dipole(300_000);
+    blocker["name"] = "blocker".into();
+    let service = Service::start(folder.path(), &["--workers", "2"]);
+    let blockers = [service.submit(&blocker), service.submit(&blocker)];
+    let poison = service.submit(&dipole(20_000));
+    let innocents: Vec<_> = (0..8).map(|_| service.submit(&dipole(5_000))).collect();
+    assert!(service.terminate().0.success());
+    for id in &blockers {
+        std::fs::write(folder.path().join("data/jobs").join(id).join("cancel"), "")
+            .expect("written");
+    }
+    let part = folder.path().join("data/jobs").join(&poison).join("log.mcap.part");
+    let mut deaths = 0;
+    loop {
+        // The first two changes of a new file are its birth and its head; the fourth is within its first chunk.
+        let _ = std::fs::remove_file(&part);
+        faults.arm(4, -1, false);
+        let before = faults.given();
+        let service = faults.start_on(folder.path(), &part);
+        if deaths == 3 {
+            let job = service.ended(&poison);
+            assert_eq!(job["diagnosis"]["code"], "worker_crashed", "{job}");
+            for id in &innocents {
+                assert_eq!(service.ended(id)["state"], "succeeded");
+            }
+            assert_eq!(faults.given(), before);
+            break;
+        }
+        let status = service.dies();
+        assert!(!status.success());
+        assert_eq!(faults.given(), before + 1, "it died of something else: {status}");
+        deaths += 1;
+    }
+    println!("given up after {deaths} deaths; {} others done", innocents.len());
 }

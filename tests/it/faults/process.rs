@@ -76,6 +76,11 @@ impl Service {
         self.child.id()
     }
 
+    /// Waits until it has ended by itself.
+    pub(super) fn dies(mut self) -> ExitStatus {
+        self.child.wait().expect("a child")
+    }
+
     /// `kill -9`.
     pub(super) fn kill(mut self) {
         self.child.kill().expect("killed");

@@ -20,7 +20,8 @@ fn crashed(data: &TempDir, attempts: u32) -> (String, PathBuf) {
     fs::create_dir_all(&directory).expect("a directory");
     fs::write(directory.join("scenario.json"), sealed(&short().to_string())).expect("written");
     for n in 1..=attempts {
-        fs::write(directory.join(format!("attempt-{n}")), "").expect("written");
+        fs::write(directory.join(format!("attempt-{n}")), sealed("0")).expect("written");
+        fs::write(directory.join(format!("trace-{n}")), 512_u64.to_le_bytes()).expect("written");
     }
     fs::write(directory.join("log.mcap.part"), "half a log").expect("written");
     (id, directory)
@@ -115,8 +116,27 @@ fn a_job_whose_process_died_runs_again() {
     let server = service(&data).start();
     assert_eq!(server.wait(&id, "succeeded")["attempts"], 3);
     assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
-    let files = ["attempt-1", "attempt-2", "attempt-3", "log.mcap", "result.json", "scenario.json"];
-    assert_eq!(names(&directory), files);
+    let mut files = names(&directory);
+    files.retain(|name| !name.starts_with("attempt-") && !name.starts_with("trace-"));
+    assert_eq!(files, ["log.mcap", "result.json", "scenario.json"]);
+}
+
+#[test]
+fn a_job_is_not_blamed_for_kills_from_outside() {
+    let data = directory();
+    // Died at three different steps: whoever killed the process, the job did not.
+    let (id, directory) = crashed(&data, 10);
+    for n in 1..=10_u64 {
+        let step = 256 * (n % 3);
+        fs::write(directory.join(format!("trace-{n}")), step.to_le_bytes()).expect("written");
+    }
+    let (hopeless, directory) = crashed(&data, 20);
+    for n in 1..=20_u64 {
+        fs::write(directory.join(format!("trace-{n}")), n.to_le_bytes()).expect("written");
+    }
+    let server = service(&data).start();
+    assert_eq!(server.wait(&id, "succeeded")["attempts"], 11);
+    assert_eq!(server.job(&hopeless)["diagnosis"]["code"], "worker_crashed");
 }
 
 #[test]
