@@ -73,11 +73,7 @@ const MOMENTUM: Axis<'static> = Axis { label: "drift in kg m^2/s", scale: Scale:
 /// # Errors
 /// If a log cannot be read, none has any of the channels, or a file cannot be written.
 pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, ChartError> {
-    let mut charts = [
-        ("energy.svg", over_time("Energy error", ENERGY)),
-        ("orthogonality.svg", over_time("Orthogonality error", ORTHOGONALITY)),
-        ("momentum.svg", over_time("Drift of the conserved spatial momentum", MOMENTUM)),
-    ];
+    let mut charts = LogChart::ALL.map(|which| (which.file(), which.empty()));
     for (color, log) in logs.iter().enumerate() {
         let label = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let style = Style { color, member: color, marked: false };
@@ -94,6 +90,55 @@ pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, Cha
         return Err(ChartError::Empty);
     }
     write(directory, &drawn)
+}
+
+/// What is drawn of a log over time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogChart {
+    /// The error of the energy.
+    Energy,
+    /// The distance of the attitude from the group.
+    Orthogonality,
+    /// The drift of the momentum that the scene conserves.
+    Momentum,
+}
+
+impl LogChart {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Energy, Self::Orthogonality, Self::Momentum];
+
+    /// The name of its file.
+    pub const fn file(self) -> &'static str {
+        match self {
+            Self::Energy => "energy.svg",
+            Self::Orthogonality => "orthogonality.svg",
+            Self::Momentum => "momentum.svg",
+        }
+    }
+
+    fn empty(self) -> Plot<'static> {
+        match self {
+            Self::Energy => over_time("Energy error", ENERGY),
+            Self::Orthogonality => over_time("Orthogonality error", ORTHOGONALITY),
+            Self::Momentum => over_time("Drift of the conserved spatial momentum", MOMENTUM),
+        }
+    }
+}
+
+/// Draws one chart of one log.
+///
+/// # Errors
+/// If the log cannot be read, or does not hold what the chart shows.
+pub fn draw_log(log: &Path, which: LogChart) -> Result<String, ChartError> {
+    let mut series = series(log)?;
+    let points = std::mem::take(&mut series[which as usize]);
+    if points.is_empty() {
+        return Err(ChartError::Empty);
+    }
+    let style = Style { color: 0, member: 0, marked: false };
+    let mut chart = which.empty();
+    chart.lines.push(Line { label: String::new(), points, style });
+    chart.draw()
 }
 
 /// Writes files into a directory that is made if it is not there; returns their paths.
@@ -132,7 +177,7 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
 
 /// Energy error, orthogonality error and momentum drift of a log, each over time in seconds.
 fn series(log: &Path) -> Result<[Vec<(f64, f64)>; 3], ChartError> {
-    let [mut energy, mut orthogonality, mut momentum] = [const { Vec::new() }; 3];
+    let [mut energy, mut orthogonality, mut momentum] = [const { Series::new() }; 3];
     let mut start_ns = None;
     read_samples(log, |time_ns, message| {
         let time_s = (time_ns - *start_ns.get_or_insert(time_ns)) as f64 * 1e-9;
@@ -140,10 +185,71 @@ fn series(log: &Path) -> Result<[Vec<(f64, f64)>; 3], ChartError> {
             Message::Energy(message) => energy.push((time_s, message.error)),
             Message::Orthogonality(message) => orthogonality.push((time_s, message.error)),
             Message::Momentum(message) => {
-                momentum.extend(message.drift.map(|drift| (time_s, drift)));
+                if let Some(drift) = message.drift {
+                    momentum.push((time_s, drift));
+                }
             }
             _ => {}
         }
     })?;
-    Ok([energy, orthogonality, momentum])
+    Ok([energy, orthogonality, momentum].map(|series| series.points))
+}
+
+/// Points over time in bounded memory: once there are too many, the larger of two neighbours stays.
+struct Series {
+    points: Vec<(f64, f64)>,
+    /// Samples behind a point.
+    each: usize,
+    /// Samples behind the last point.
+    held: usize,
+}
+
+impl Series {
+    const LIMIT: usize = 1 << 16;
+
+    const fn new() -> Self {
+        Self { points: Vec::new(), each: 1, held: 1 }
+    }
+
+    fn push(&mut self, point: (f64, f64)) {
+        if self.held < self.each {
+            self.held += 1;
+            if let Some(last) = self.points.last_mut() {
+                *last = larger(*last, point);
+            }
+            return;
+        }
+        if self.points.len() == Self::LIMIT {
+            self.points = self.points.chunks(2).map(|pair| larger(pair[0], pair[1])).collect();
+            self.each *= 2;
+        }
+        self.held = 1;
+        self.points.push(point);
+    }
+}
+
+/// The point with the larger size.
+fn larger(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    if b.1.abs() > a.1.abs() { b } else { a }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Series;
+
+    #[test]
+    fn a_long_series_keeps_its_extremes_in_bounded_memory() {
+        let mut series = Series::new();
+        let value = |k: usize| if k == 777_777 { -5.0 } else { (k % 7) as f64 * 1e-3 };
+        for k in 0..1_000_000 {
+            series.push((k as f64, value(k)));
+        }
+        let points = &series.points;
+        assert!(points.len() <= Series::LIMIT && points.len() > Series::LIMIT / 2);
+        assert!(points.contains(&(777_777.0, -5.0)));
+        assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        // What a point stands for is never far away.
+        assert!(points.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 2.0 * series.each as f64));
+        assert!(points.last().is_some_and(|point| point.0 >= 1e6 - 2.0 * series.each as f64));
+    }
 }

@@ -9,6 +9,7 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
@@ -21,12 +22,14 @@ use tracing_subscriber::EnvFilter;
 
 use crate::advise;
 use crate::chart;
+use crate::live::Live;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
-use crate::serve::{self, Cors, Limits, ServeConfig, ServeError, Tokens};
+use crate::serve::{self, Cors, LAYOUT, Limits, ServeConfig, ServeError, Tokens};
 use crate::study::StudyError;
+use crate::verify::{self, VerifyError};
 
 mod study;
 mod text;
@@ -55,6 +58,8 @@ enum Command {
     Serve(ServeArgs),
     /// Sum up a log, finished or not.
     Inspect(InspectArgs),
+    /// Run the job inside a log again and compare every sample bit for bit.
+    Verify(InspectArgs),
     /// Print the JSON Schema of a scenario.
     Schema,
 }
@@ -101,6 +106,9 @@ struct RunArgs {
     /// Print one JSON summary on stdout.
     #[arg(long)]
     json: bool,
+    /// Write layouts for Foxglove and Lichtblick beside the log.
+    #[arg(long)]
+    layouts: bool,
     /// Compute a reference afterwards and tell the error of the last state.
     #[arg(long)]
     error: bool,
@@ -162,6 +170,9 @@ struct ServeArgs {
     /// Requests a second from one address.
     #[arg(long, env = "VPD_REQUESTS_PER_S", default_value_t = Limits::default().requests_per_s, value_name = "N")]
     requests_per_s: u32,
+    /// Address on which Foxglove and Lichtblick watch a running job live, as 127.0.0.1:8765.
+    #[arg(long, env = "VPD_FOXGLOVE_LISTEN", value_name = "ADDRESS")]
+    foxglove_listen: Option<SocketAddr>,
     /// How the service's own log is written, on stderr: text, or JSON with one object a line.
     #[arg(long, env = "VPD_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     log_format: LogFormat,
@@ -188,12 +199,18 @@ struct InspectArgs {
 enum CliError {
     #[error("{}: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
+    #[error("cannot write {}: {source}", path.display())]
+    Write { path: PathBuf, source: io::Error },
     #[error("{}: {source}", path.display())]
     Scenario { path: PathBuf, source: ScenarioError },
     #[error(transparent)]
     Run(#[from] RunError),
     #[error("{0}")]
     Log(#[from] crate::log::LogError),
+    #[error("{}: {source}", path.display())]
+    Verify { path: PathBuf, source: VerifyError },
+    #[error("cannot listen for viewers on {address}: {source}")]
+    Live { address: SocketAddr, source: foxglove::FoxgloveError },
     #[error(transparent)]
     Chart(#[from] chart::ChartError),
     #[error(transparent)]
@@ -236,6 +253,7 @@ pub fn main() -> ExitCode {
         Command::Stability(args) => study::map(&args),
         Command::Serve(args) => serve(&args),
         Command::Inspect(args) => sum_up(&args),
+        Command::Verify(args) => verify(&args),
         Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
     };
     done.unwrap_or_else(|error| {
@@ -292,6 +310,13 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
     let mut summary = watched(&scenario, &plan, &log)?;
+    if args.layouts {
+        let place = log.parent().unwrap_or(Path::new(""));
+        for viewer in ["foxglove", "lichtblick"] {
+            let path = place.join(format!("vpd-{viewer}.json"));
+            fs::write(&path, LAYOUT).map_err(|source| CliError::Write { path, source })?;
+        }
+    }
     if args.error && summary.outcome == Outcome::Succeeded {
         summary.error = Some(advise::error_at_end(&scenario)?);
     }
@@ -376,6 +401,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             hosts: args.hosts.clone(),
             tokens,
             insecure: args.insecure,
+            live: live(args).await?,
         };
         serve::serve(listener, config, stop_signal()).await?;
         Ok(ExitCode::SUCCESS)
@@ -402,6 +428,17 @@ fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
         None => std::env::var("VPD_TOKENS").unwrap_or_default(),
     };
     text.parse().map_err(CliError::Tokens)
+}
+
+/// The server of viewers, if one is asked for. It knows no tokens.
+async fn live(args: &ServeArgs) -> Result<Option<Arc<Live>>, CliError> {
+    let Some(address) = args.foxglove_listen else { return Ok(None) };
+    if !address.ip().is_loopback() && !args.insecure {
+        return Err(ServeError::Unguarded { address }.into());
+    }
+    let live = Live::listen(address).await.map_err(|source| CliError::Live { address, source })?;
+    tracing::info!("viewers may connect to ws://{}:{}", address.ip(), live.port());
+    Ok(Some(Arc::new(live)))
 }
 
 /// Ends when the process is asked to stop: SIGTERM or ctrl-c.
@@ -431,6 +468,17 @@ fn sum_up(args: &InspectArgs) -> Result<ExitCode, CliError> {
         writeln!(io::stdout(), "{inspection}")?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn verify(args: &InspectArgs) -> Result<ExitCode, CliError> {
+    let wrong = |source| CliError::Verify { path: args.log.clone(), source };
+    let verification = verify::verify(&args.log).map_err(wrong)?;
+    if args.json {
+        print_json(&verification)?;
+    } else {
+        writeln!(io::stdout(), "{verification}")?;
+    }
+    Ok(if verification.same { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
 fn print_json(value: &impl Serialize) -> Result<(), CliError> {

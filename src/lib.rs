@@ -18,6 +18,8 @@ pub mod solve;
 pub mod study;
 pub mod advise;
 pub mod log;
+pub mod live;
+pub mod verify;
 pub mod chart;
 pub mod serve;
 pub mod cli;

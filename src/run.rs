@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
@@ -14,6 +15,7 @@ use thiserror::Error;
 
 use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
+use crate::live::{Live, Show};
 use crate::log::LogError;
 use crate::log::messages::Figures;
 use crate::log::resume::Resumed;
@@ -60,6 +62,8 @@ pub struct Control {
     /// Where the run writes its step, eight bytes, every [`TRACED_STEPS`]: for whoever finds its process
     /// dead and asks whether it always dies at the same place.
     pub trace: Option<File>,
+    /// Where viewers look on.
+    pub live: Option<Arc<Live>>,
 }
 
 /// Steps between two notes of the trace: not more often, for the cost; by count, so that a run that ends
@@ -237,6 +241,7 @@ struct Recorder<'a, const N: usize> {
     figures: Figures,
     elsewhere: Duration,
     control: &'a Control,
+    show: Option<Show>,
 }
 
 impl<'a, const N: usize> Recorder<'a, N> {
@@ -250,7 +255,9 @@ impl<'a, const N: usize> Recorder<'a, N> {
             Some((writer, Resumed { checkpoint, figures })) => (writer, figures, Some(checkpoint)),
             None => (LogWriter::create(log, header)?, Figures::default(), None),
         };
-        Ok((Self { writer, figures, elsewhere: Duration::ZERO, control }, checkpoint))
+        let announce = |live: &Arc<Live>| live.announce(header.epoch_ns, header.scene.clone());
+        let show = control.live.as_ref().map(announce);
+        Ok((Self { writer, figures, elsewhere: Duration::ZERO, control, show }, checkpoint))
     }
 
     fn keep(&mut self, sample: &Sample<N>) {
@@ -283,6 +290,9 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
         }
         let begun = Instant::now();
         self.keep(sample);
+        if let Some(show) = &self.show {
+            show.sample(sample);
+        }
         let result = self.writer.record(sample);
         self.control.durable_step.store(self.writer.durable_step(), Ordering::Relaxed);
         self.elsewhere += begun.elapsed();

@@ -28,6 +28,7 @@ mod job;
 mod listen;
 mod metrics;
 mod openapi;
+mod page;
 mod problem;
 mod store;
 mod studies;
@@ -40,6 +41,7 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 
 pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
+pub(crate) use page::LAYOUT;
 
 use engine::Engine;
 use store::{DataLock, Store};
@@ -106,7 +108,8 @@ pub async fn serve(
     }
     let lock = DataLock::take(&config.data)?;
     let store = Store::open(&config.data)?;
-    let (engine, drained) = Engine::start(store, config.workers, config.limits).await?;
+    let (engine, drained) =
+        Engine::start(store, config.workers, config.limits, config.live.clone()).await?;
     let app = api::router(engine.clone(), Studies::start()?, &config);
 
     let (stop, stopped) = watch::channel(false);

@@ -15,7 +15,7 @@ use crate::solve::so;
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/vpd.descriptors"));
 
 /// The encoding of every schema and message.
-pub(super) const ENCODING: &str = "protobuf";
+pub(crate) const ENCODING: &str = "protobuf";
 
 /// A channel of the log, named by its topic.
 #[derive(

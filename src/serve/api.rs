@@ -28,11 +28,13 @@ use super::engine::{Engine, Refusal};
 use super::gate::{self, Gate};
 use super::job::State;
 use super::openapi::{self, Operation};
+use super::page::{self, MAX_STRETCH, Pictures, STRETCH};
 use super::problem::{self, Problem};
 use super::studies::{self, Question, Studies, StudyRefusal, StudyView};
 use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, follow, metrics, store};
 use crate::advise;
+use crate::log::stretch::Stretch;
 use crate::scenario::{SHIPPED, Scenario, ScenarioError, schema};
 
 /// Jobs on a page of the list, unless the client says otherwise, and at most.
@@ -48,6 +50,7 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 struct App {
     engine: Engine,
     studies: Studies,
+    pictures: Pictures,
     public_url: Option<String>,
 }
 
@@ -221,6 +224,41 @@ fn routes() -> Vec<Route> {
         )
         .shared(),
         Route::new(
+            "/jobs/{id}/attitudes.json",
+            Read,
+            op("getAttitudes", "Attitudes one after another, and the shapes of the scene")
+                .query::<f64>("from_s", "Time of the first one in seconds; 0 while the job runs")
+                .query::<Samples>("samples", "How many at most; 300 if absent")
+                .json::<Stretch>(200, "Attitudes"),
+            get(get_attitudes),
+        ),
+        Route::new(
+            "/jobs/{id}/charts/{chart}",
+            Read,
+            op(
+                "getChart",
+                "`energy.svg`, `orthogonality.svg` or `momentum.svg`, drawn from the log",
+            )
+            .raw(200, "image/svg+xml", "The chart"),
+            get(get_chart),
+        ),
+        Route::new(
+            "/layouts/foxglove.json",
+            Read,
+            op("getFoxgloveLayout", "A layout for Foxglove").json::<Value>(200, "The layout"),
+            get(page::layout),
+        )
+        .open()
+        .shared(),
+        Route::new(
+            "/layouts/lichtblick.json",
+            Read,
+            op("getLichtblickLayout", "A layout for Lichtblick").json::<Value>(200, "The layout"),
+            get(page::layout),
+        )
+        .open()
+        .shared(),
+        Route::new(
             "/scenarios",
             Read,
             op("listScenarios", "Shipped examples").json::<ScenarioList>(200, "Names and texts"),
@@ -260,6 +298,13 @@ fn routes() -> Vec<Route> {
             Read,
             op("isReady", "Readiness").json::<Status>(200, "Takes jobs"),
             get(readyz),
+        )
+        .open(),
+        Route::new(
+            "/",
+            Read,
+            op("readPage", "The page for people").raw(200, "text/html; charset=utf-8", "A page"),
+            get(page::page),
         )
         .open(),
         Route::new(
@@ -310,7 +355,7 @@ pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> 
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .with_state(App { engine, studies, public_url })
+        .with_state(App { engine, studies, pictures: Pictures::new(), public_url })
 }
 
 /// A request in the service's own log: without its query, which may hold a token.
@@ -325,6 +370,12 @@ fn span(request: &Request) -> tracing::Span {
 #[schemars(transparent)]
 #[allow(dead_code, reason = "only its schema is used")]
 struct Limit(#[schemars(range(min = 1, max = 500))] usize);
+
+/// A number of attitudes.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+struct Samples(#[schemars(range(min = 1, max = 2000))] usize);
 
 /// The id in the path of a job.
 struct JobId(Uuid);
@@ -467,6 +518,43 @@ async fn get_events(
 ) -> Result<Response, Problem> {
     app.engine.brief(id)?;
     Ok(follow::events(app.engine, id, base))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StretchQuery {
+    from_s: Option<f64>,
+    samples: Option<usize>,
+}
+
+async fn get_attitudes(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+    query: Result<Query<StretchQuery>, QueryRejection>,
+) -> Result<Json<Stretch>, Problem> {
+    let Query(StretchQuery { from_s, samples }) = query?;
+    let samples = samples.unwrap_or(STRETCH);
+    if !(1..=MAX_STRETCH).contains(&samples) {
+        return Err(Problem::bad_query(format!("samples is 1 to {MAX_STRETCH}")));
+    }
+    let from_s = from_s.unwrap_or(0.0);
+    if !(from_s >= 0.0 && from_s.is_finite()) {
+        return Err(Problem::bad_query("from_s is a time in seconds, not below 0"));
+    }
+    let view = app.engine.brief(id)?;
+    if view.state.is_final() && !view.has_log {
+        return Err(Refusal::NoLog.into());
+    }
+    let log = app.engine.log_path(id);
+    Ok(Json(app.pictures.attitudes(log, view.state.is_final(), from_s, samples).await?))
+}
+
+async fn get_chart(
+    Shared(app): Shared<App>,
+    Path((id, chart)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let id = store::parse_id(&id).ok_or(Refusal::UnknownJob)?;
+    app.pictures.chart(&chart, app.engine.log(id)?).await
 }
 
 async fn get_metrics(Shared(app): Shared<App>) -> Response {

@@ -3,10 +3,12 @@
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::sync::Arc;
 
 use subtle::ConstantTimeEq;
 
 use super::engine::Refusal;
+use crate::live::Live;
 use crate::plan::{LOG_FIXED_BYTES, Plan};
 
 /// Shortest token that is taken, bytes: long enough not to be guessed.
@@ -33,6 +35,8 @@ pub struct ServeConfig {
     pub tokens: Tokens,
     /// Whether to serve other machines without tokens.
     pub insecure: bool,
+    /// Where viewers look on while a job runs.
+    pub live: Option<Arc<Live>>,
 }
 
 impl ServeConfig {
@@ -47,6 +51,7 @@ impl ServeConfig {
             hosts: Vec::new(),
             tokens: Tokens::default(),
             insecure: false,
+            live: None,
         }
     }
 }

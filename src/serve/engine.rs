@@ -21,6 +21,7 @@ use super::metrics::Metrics;
 use super::store::{Ending, Found, Record, Store, StoreError};
 use super::{Limits, ServeError, chain};
 use crate::advise;
+use crate::live::Live;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
@@ -103,6 +104,7 @@ struct Shared {
     store: Store,
     metrics: Metrics,
     limits: Limits,
+    live: Option<Arc<Live>>,
     index: Mutex<Index>,
     /// There is work in the queue, or no more to come.
     work: Condvar,
@@ -171,6 +173,7 @@ impl Engine {
         store: Store,
         workers: usize,
         limits: Limits,
+        live: Option<Arc<Live>>,
     ) -> Result<(Self, Drained), ServeError> {
         let unreadable = |error: StoreError| ServeError::Record { message: chain(&error) };
         let found = store.scan().await.map_err(unreadable)?;
@@ -194,6 +197,7 @@ impl Engine {
             store,
             metrics: Metrics::new(),
             limits,
+            live,
             index: Mutex::new(Index {
                 jobs,
                 queue,

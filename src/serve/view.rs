@@ -60,9 +60,23 @@ struct Links {
     /// The log as it grows.
     #[serde(skip_serializing_if = "Option::is_none")]
     live: Option<String>,
+    /// Attitudes and shapes of the scene, for drawing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attitudes: Option<String>,
+    /// Charts drawn from the finished log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    charts: Option<Charts>,
     /// Links that open the log in viewers.
     #[serde(skip_serializing_if = "Option::is_none")]
     viewers: Option<Viewers>,
+}
+
+/// Charts of a log.
+#[derive(Debug, Serialize, JsonSchema)]
+struct Charts {
+    energy: String,
+    orthogonality: String,
+    momentum: String,
 }
 
 /// Links that open a log in viewers. A desktop link does nothing where the program is not installed.
@@ -137,7 +151,8 @@ impl JobView {
         let record = view.record.clone();
         let will_have_log = has_log || !state.is_final();
         let log = format!("/jobs/{id}/log.mcap");
-        let viewers = base.filter(|_| has_log).map(|base| Viewers::of(&format!("{base}{log}")));
+        let viewers =
+            base.filter(|_| has_log).map(|base| Viewers::of(base, &format!("{base}{log}")));
         Self {
             id,
             name,
@@ -154,6 +169,8 @@ impl JobView {
                 scenario: format!("/jobs/{id}/scenario.json"),
                 events: format!("/jobs/{id}/events"),
                 log: will_have_log.then_some(log),
+                attitudes: will_have_log.then(|| format!("/jobs/{id}/attitudes.json")),
+                charts: has_log.then(|| Charts::of(id)),
                 live: will_have_log.then(|| format!("/jobs/{id}/live.mcap")),
                 viewers,
             },
@@ -192,13 +209,27 @@ impl ScenarioList {
     }
 }
 
+impl Charts {
+    fn of(id: Uuid) -> Self {
+        let chart = |name: &str| format!("/jobs/{id}/charts/{name}.svg");
+        Self {
+            energy: chart("energy"),
+            orthogonality: chart("orthogonality"),
+            momentum: chart("momentum"),
+        }
+    }
+}
+
 impl Viewers {
-    fn of(log: &str) -> Self {
+    fn of(base: &str, log: &str) -> Self {
         let log = percent_encoded(log);
+        let layout = percent_encoded(&format!("{base}/layouts/lichtblick.json"));
         Self {
             foxglove: format!("https://app.foxglove.dev/~/view?ds=remote-file&ds.url={log}"),
             foxglove_desktop: format!("foxglove://open?ds=remote-file&ds.url={log}"),
-            lichtblick_desktop: format!("lichtblick://open?ds=remote-file&ds.url={log}"),
+            lichtblick_desktop: format!(
+                "lichtblick://open?ds=remote-file&ds.url={log}&layoutUrl={layout}"
+            ),
             rerun: format!("https://rerun.io/viewer?url={log}"),
         }
     }

@@ -155,3 +155,22 @@ fn plan_says_what_is_modelled() {
     let schema = vpd(directory.path(), &["schema"]);
     assert!(text(&schema.stdout).contains("\"$schema\""));
 }
+
+#[test]
+fn verify_says_yes_or_no_and_layouts_lie_beside_the_log() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let run = vpd(at, &["run", &scenario("heavy-top"), "--layouts"]);
+    assert_eq!(run.status.code(), Some(0), "{}", text(&run.stderr));
+    for layout in ["vpd-foxglove.json", "vpd-lichtblick.json"] {
+        let layout = std::fs::read(at.join(layout)).expect("a layout");
+        let layout: Value = serde_json::from_slice(&layout).expect("JSON");
+        assert!(layout["configById"]["3D!body"].is_object());
+    }
+    let verified = vpd(at, &["verify", "heavy-top.mcap"]);
+    assert_eq!(verified.status.code(), Some(0), "{}", text(&verified.stderr));
+    assert!(text(&verified.stdout).starts_with("the same "), "{}", text(&verified.stdout));
+    let verified = vpd(at, &["verify", "vpd-foxglove.json"]);
+    assert_eq!(verified.status.code(), Some(1));
+    assert!(text(&verified.stderr).contains("not finished"), "{}", text(&verified.stderr));
+}

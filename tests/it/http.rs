@@ -5,6 +5,7 @@ mod guard;
 mod jobs;
 mod life;
 mod log;
+mod page;
 mod studies;
 
 use std::io::{Read, Write};

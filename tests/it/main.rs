@@ -20,5 +20,6 @@ mod scenarios;
 mod stability;
 mod study;
 mod verification;
+mod verify;
 mod architecture;
 mod vrkmk;

@@ -60,7 +60,8 @@ impl Shared {
                 job.attempts += 1;
                 let attempt = job.attempts;
                 let trace = self.store.trace(id, attempt);
-                let control = Arc::new(Control { trace, ..Control::default() });
+                let live = self.live.clone();
+                let control = Arc::new(Control { trace, live, ..Control::default() });
                 control.cancelled.store(job.cancelled, Ordering::Relaxed);
                 job.phase = Phase::Running { control: control.clone(), since: Instant::now() };
                 return Some(Task { id, attempt, control });

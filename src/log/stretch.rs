@@ -1,0 +1,217 @@
+//! A stretch of a log for drawing: attitudes one after another, and what stands in the scene.
+//!
+//! Invariant: what is read and kept is bounded by what is asked for, however long a finished log is; of an
+//! unfinished one only the beginning is read.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use foxglove::messages::{Color, Pose, SceneUpdate, Vector3};
+use mcap::sans_io::indexed_reader::{
+    IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
+};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::{McapError, Summary};
+use prost::Message as _;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::messages::State;
+use super::reader::{self, Item};
+use super::schema::Channel;
+use super::{LogError, MAX_CHUNK_BYTES};
+
+/// Bytes asked of the file at once.
+const READ_AT_ONCE: usize = 64 << 10;
+
+/// Attitudes one after another, and the drawings of the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct Stretch {
+    /// Time of each sample in seconds.
+    pub time_s: Vec<f64>,
+    /// The n x n matrix from body to space coordinates of each sample, row by row.
+    pub attitude: Vec<Vec<f64>>,
+    /// Time of the last sample of the log in seconds; absent while it is being written.
+    pub end_s: Option<f64>,
+    /// What viewers draw; empty unless n = 3.
+    pub scene: Vec<Drawing>,
+}
+
+/// Shapes that stand still in a frame.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+pub struct Drawing {
+    /// `body` or `space`.
+    pub frame: String,
+    /// Boxes; the size is that of the edges.
+    pub boxes: Vec<Shape>,
+    /// Balls; the size is that of the diameters.
+    pub balls: Vec<Shape>,
+    /// Arrows along their own x axis; the size is length, diameter, diameter.
+    pub arrows: Vec<Shape>,
+}
+
+/// A shape where it stands.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct Shape {
+    /// Its middle, or the foot of an arrow.
+    pub position: [f64; 3],
+    /// Unit quaternion (w, x, y, z).
+    pub orientation: [f64; 4],
+    /// Its extent along its own axes.
+    pub size: [f64; 3],
+    /// Red, green, blue, opacity, from 0 to 1.
+    pub color: [f64; 4],
+}
+
+/// Reads at most `samples` attitudes from `from_s` seconds on; from the start if the log is unfinished.
+///
+/// # Errors
+/// If the file cannot be read, or its index is damaged.
+pub fn read_stretch(path: &Path, from_s: f64, samples: usize) -> Result<Stretch, LogError> {
+    let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
+    let damaged = |source| LogError::mcap(path, "read", source);
+    match summary(&mut file) {
+        Ok(Some(summary)) => finished(&mut file, &summary, from_s, samples).map_err(damaged),
+        // A log that grows ends nowhere in particular: what its end looks like means nothing.
+        Ok(None) | Err(_) => beginning(path, samples),
+    }
+}
+
+/// The index at the end of a finished log.
+fn summary(file: &mut File) -> Result<Option<Summary>, McapError> {
+    let options = SummaryReaderOptions::default()
+        .with_file_size(file.metadata()?.len())
+        .with_record_length_limit(MAX_CHUNK_BYTES as usize);
+    let mut reader = SummaryReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(wanted) => {
+                let got = file.read(reader.insert(wanted.clamp(1, READ_AT_ONCE)))?;
+                reader.notify_read(got);
+            }
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+        }
+    }
+    Ok(reader.finish())
+}
+
+fn finished(
+    file: &mut File,
+    summary: &Summary,
+    from_s: f64,
+    samples: usize,
+) -> Result<Stretch, McapError> {
+    let mut stretch = Stretch::default();
+    let times = summary.stats.as_ref();
+    let (start_ns, end_ns) = times.map_or((0, 0), |s| (s.message_start_time, s.message_end_time));
+    stretch.end_s = Some((end_ns - start_ns.min(end_ns)) as f64 * 1e-9);
+    let scene = [Channel::SceneBody.topic(), Channel::SceneSources.topic()];
+    messages(file, summary, &scene, start_ns, |data| {
+        stretch.draw(data);
+        ControlFlow::Continue(())
+    })?;
+    let from_ns = start_ns.saturating_add((from_s.max(0.0) * 1e9) as u64);
+    messages(file, summary, &[Channel::State.topic()], from_ns, |data| stretch.add(data, samples))?;
+    Ok(stretch)
+}
+
+/// Shows the messages of some topics from a time on, chunk by chunk, until `visit` has enough.
+fn messages(
+    file: &mut File,
+    summary: &Summary,
+    topics: &[&str],
+    from_ns: u64,
+    mut visit: impl FnMut(&[u8]) -> ControlFlow<()>,
+) -> Result<(), McapError> {
+    let options = IndexedReaderOptions::default()
+        .with_order(ReadOrder::File)
+        .include_topics(topics.iter().copied())
+        .starting_at(from_ns)
+        .with_record_length_limit(MAX_CHUNK_BYTES as usize);
+    let mut reader = IndexedReader::new_with_options(summary, options)?;
+    let mut chunk = Vec::new();
+    while let Some(event) = reader.next_event() {
+        match event? {
+            IndexedReadEvent::ReadChunkRequest { offset, length } => {
+                file.seek(SeekFrom::Start(offset))?;
+                chunk.resize(length, 0);
+                file.read_exact(&mut chunk)?;
+                reader.insert_chunk_record_data(offset, &chunk)?;
+            }
+            IndexedReadEvent::Message { data, .. } => {
+                if visit(data).is_break() {
+                    break;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The first samples of a log that is being written.
+fn beginning(path: &Path, samples: usize) -> Result<Stretch, LogError> {
+    let mut stretch = Stretch::default();
+    reader::read(path, |item| {
+        let Item::Message { topic, data, .. } = item else { return ControlFlow::Continue(()) };
+        match Channel::from_topic(topic) {
+            Some(Channel::State) => return stretch.add(data, samples),
+            Some(Channel::SceneBody | Channel::SceneSources) => stretch.draw(data),
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    })?;
+    Ok(stretch)
+}
+
+impl Stretch {
+    /// Takes a message of `/state`, until there are enough; a state without attitude ends the stretch.
+    fn add(&mut self, data: &[u8], samples: usize) -> ControlFlow<()> {
+        match State::decode(data) {
+            Ok(state) if !state.attitude.is_empty() && self.time_s.len() < samples => {
+                self.time_s.push(state.time_s);
+                self.attitude.push(state.attitude);
+                ControlFlow::Continue(())
+            }
+            _ => ControlFlow::Break(()),
+        }
+    }
+
+    /// Takes a message of `/scene/…`.
+    fn draw(&mut self, data: &[u8]) {
+        let Ok(update) = SceneUpdate::decode(data) else { return };
+        self.scene.extend(update.entities.into_iter().map(|entity| Drawing {
+            frame: entity.frame_id,
+            boxes: shapes(entity.cubes, |cube| (cube.pose, edges(cube.size), cube.color)),
+            balls: shapes(entity.spheres, |ball| (ball.pose, edges(ball.size), ball.color)),
+            arrows: shapes(entity.arrows, |arrow| {
+                let length = arrow.shaft_length + arrow.head_length;
+                (arrow.pose, [length, arrow.shaft_diameter, arrow.shaft_diameter], arrow.color)
+            }),
+        }));
+    }
+}
+
+fn edges(size: Option<Vector3>) -> [f64; 3] {
+    size.map_or([0.0; 3], |size| [size.x, size.y, size.z])
+}
+
+/// Shapes of their messages; what has no place is not drawn.
+fn shapes<T>(
+    primitives: Vec<T>,
+    parts: impl Fn(T) -> (Option<Pose>, [f64; 3], Option<Color>),
+) -> Vec<Shape> {
+    let shape = |primitive| {
+        let (pose, size, color) = parts(primitive);
+        let pose = pose?;
+        let (position, turn, color) = (pose.position?, pose.orientation?, color?);
+        Some(Shape {
+            position: [position.x, position.y, position.z],
+            orientation: [turn.w, turn.x, turn.y, turn.z],
+            size,
+            color: [color.r, color.g, color.b, color.a],
+        })
+    };
+    primitives.into_iter().filter_map(shape).collect()
+}

@@ -1,0 +1,113 @@
+// The service as the page knows it, and what it says in words. It speaks to the public API and to nothing else.
+const $ = id => document.getElementById(id);
+
+// Makes an element; children that are null are left out.
+function h(tag, props = {}, ...children) {
+  const node = Object.assign(document.createElement(tag), props);
+  node.append(...children.flat().filter(child => child != null));
+  return node;
+}
+
+const base = new URL(".", location.href);
+const ENDED = ["succeeded", "failed", "cancelled"];
+let token = sessionStorage.getItem("vpd-token") ?? "";
+
+class Problem extends Error {
+  constructor(body, status) { super(body.detail ?? body.title ?? `status ${status}`); Object.assign(this, { body, status }); }
+}
+
+async function call(path, options = {}) {
+  const headers = { ...options.headers };
+  if (token) headers.authorization = `Bearer ${token}`;
+  const answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, cache: "no-store" });
+  if (answer.ok) return answer;
+  if (answer.status === 401 && !options.quiet) askToken();
+  throw new Problem(await answer.json().catch(() => ({})), answer.status);
+}
+
+const json = async (path, options) => (await call(path, options)).json();
+
+const send = (path, text, headers = {}) =>
+  json(path, { method: "POST", body: text, headers: { "content-type": "application/json", ...headers } });
+
+function askToken() {
+  if ($("token-dialog").open) return;
+  $("token").value = token;
+  $("token-dialog").showModal();
+}
+
+function say(text) { $("news").textContent = text; }
+
+// Follows a job by its events until it has ended; where proxies cut the stream, by asking.
+async function follow(id, seen, signal) {
+  const tell = job => { seen(job); return ENDED.includes(job.state); };
+  for (let cuts = 0; cuts < 2 && !signal.aborted; cuts += 1) {
+    try {
+      const answer = await call(`jobs/${id}/events`, { signal, quiet: true });
+      if (!answer.headers.get("content-type")?.startsWith("text/event-stream")) break;
+      const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+      let job = null;
+      for (let rest = ""; ;) {
+        const { value, done } = await reader.read();
+        if (done) break;
+        const events = (rest + value).split("\n\n");
+        rest = events.pop();
+        for (const event of events) {
+          const field = name => event.split("\n").filter(line => line.startsWith(`${name}:`))
+            .map(line => line.slice(name.length + 1).trim()).join("\n");
+          const data = field("data") && JSON.parse(field("data"));
+          if (field("event") === "state") job = data;
+          else if (field("event") === "progress" && job) job = { ...job, progress: data };
+          else continue;
+          cuts = 0;
+          if (tell(job)) return;
+        }
+      }
+    } catch (error) {
+      if (signal.aborted || error.status === 404 && error.body.code === "unknown_job") return;
+    }
+  }
+  while (!signal.aborted) {
+    try { if (tell(await json(`jobs/${id}`, { signal, quiet: true }))) return; } catch (error) {
+      if (error.status === 404) return;
+    }
+    await new Promise(later => setTimeout(later, 1000));
+  }
+}
+
+// ---- words and figures
+
+const count = number => number.toLocaleString("en");
+const figure = x => x === 0 ? "0" : Math.abs(x) >= 1e-3 && Math.abs(x) < 1e6 ? String(Number(x.toPrecision(4))) : x.toExponential(1);
+
+function span(seconds) {
+  if (seconds < 1) return `${Math.max(1, Math.round(seconds * 1000))} ms`;
+  if (seconds < 90) return `${Number(seconds.toPrecision(3))} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  return seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${Math.round(seconds / 86400)} days`;
+}
+
+function standing({ state, progress }) {
+  const { percent, steps, steps_done, eta_s } = progress;
+  if (state === "queued") return "waits for a free worker";
+  if (state !== "running") return `${count(steps_done)} of ${count(steps)} steps`;
+  return `${percent.toFixed(1)} %, ${eta_s == null ? "beginning" : `${span(eta_s)} left`}`;
+}
+
+// What happened, in plain words.
+function outcome(job) {
+  const { summary, state } = job;
+  if (state === "queued") return "The job is kept and waits for a free worker.";
+  if (state === "running") return "The job is running. You may leave: it goes on without this page.";
+  if (!summary) return state === "cancelled" ? "Stopped before it began." : "";
+  if (summary.steps === 0) return state === "failed" ? "It failed at its first step: the log holds the start alone." : "Stopped before its first step.";
+  const made = `${count(summary.steps)} steps, to t = ${figure(summary.time_s)} s, in ${span(summary.wall_s)}`;
+  const parts = [state === "succeeded" ? `Done: ${made}.` : state === "failed" ? `It failed after ${made}.` : `Stopped after ${made}.`];
+  const { energy, orthogonality, momentum } = summary;
+  if (energy) parts.push(`The energy ${figure(energy.initial)} J was kept to ${figure(energy.max_abs_error)} J.`);
+  if (orthogonality) parts.push(orthogonality.max < 1e-14
+    ? `The attitude stayed a rotation to rounding (${figure(orthogonality.max)}).`
+    : `The attitude left the rotations by ${figure(orthogonality.max)}.`);
+  if (momentum) parts.push(`What is conserved of the momentum drifted by ${figure(momentum.max_drift)} kg m²/s.`);
+  return parts.join(" ");
+}

@@ -1,0 +1,357 @@
+// The page: the jobs, one job or study in full.
+let stage = null;
+let jobs = [];
+let cursor = null;
+let studies = null;
+
+// ---- lists
+
+function bar(job) {
+  const { percent } = job.progress;
+  return h("progress", { max: 100, value: job.state === "queued" ? 0 : percent, ariaLabel: `Progress of ${job.name}` });
+}
+
+async function act(path, options, word) {
+  try { await call(path, options); say(word); } catch (error) { say(error.message); }
+  await refresh();
+}
+
+const cancel = job => h("button", { type: "button", className: "small", ariaLabel: `Cancel ${job.name}`,
+  onclick: () => act(`jobs/${job.id}/cancel`, { method: "POST" }, "Job cancelled") }, "Cancel");
+
+const forget = job => h("button", { type: "button", className: "small", ariaLabel: `Delete ${job.name}`, onclick: async () => {
+  if (!confirm(`Delete the job ${job.name} and its log?`)) return;
+  await act(`jobs/${job.id}`, { method: "DELETE" }, "Job deleted");
+  if (location.hash.endsWith(job.id)) location.hash = "#/";
+} }, "Delete");
+
+function jobItem(job) {
+  const ended = ENDED.includes(job.state);
+  const here = location.hash === `#/jobs/${job.id}`;
+  const link = h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed");
+  if (here) link.setAttribute("aria-current", "page");
+  const created = job.created ? new Date(job.created).toLocaleTimeString() : "";
+  return h("li", { id: `job-${job.id}`, className: here ? "here" : "" },
+    h("div", { className: "row" }, link, h("span", { className: `state ${job.state}` }, job.state)),
+    ended ? null : bar(job),
+    h("div", { className: "row soft" }, `${standing(job)}${ended ? ` · ${created}` : ""}`, ended ? forget(job) : cancel(job)));
+}
+
+const lists = new Map();
+
+// Replaces only what changed, so that the focus stays.
+function fill(list, items, make, empty) {
+  const old = lists.get(list) ?? new Map();
+  const fresh = new Map(items.map(item => {
+    const key = JSON.stringify([item, location.hash]);
+    return [key, old.get(key) ?? make(item)];
+  }));
+  const held = document.activeElement?.closest?.(`#${list} li`)?.id;
+  const label = document.activeElement?.textContent;
+  lists.set(list, fresh);
+  $(list).replaceChildren(...(fresh.size ? fresh.values() : [h("li", { className: "soft" }, empty)]));
+  if (held) [...($(held)?.querySelectorAll("a, button") ?? [])].find(node => node.textContent === label)?.focus();
+}
+
+const showJobs = () => fill("jobs", jobs, jobItem, "None yet.");
+
+function heard(job) {
+  jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: known.plan } : known);
+  showJobs();
+}
+
+const followed = new Map();
+
+// Streams are few: a browser keeps six connections to a place.
+function followSome() {
+  for (const job of jobs.filter(job => !ENDED.includes(job.state)))
+    if (followed.size < 2 && !followed.has(job.id) && !document.hidden) {
+      const stop = new AbortController();
+      followed.set(job.id, stop);
+      follow(job.id, heard, stop.signal).finally(() => { followed.delete(job.id); });
+    }
+}
+
+async function refresh() {
+  try {
+    const page = await json("jobs?limit=20", { quiet: true });
+    const shown = new Set(page.jobs.map(job => job.id));
+    const oldest = page.jobs.at(-1)?.id ?? "";
+    jobs = [...page.jobs, ...jobs.filter(job => !shown.has(job.id) && job.id < oldest)];
+    if (jobs.length === page.jobs.length) cursor = page.next_cursor;
+    $("more").hidden = !cursor;
+    showJobs();
+    followSome();
+    if (studies) await refreshStudies();
+  } catch (error) { if (error.status === 401) askToken(); }
+}
+
+// The service keeps studies for a while and lists none: this tab remembers those it asked for.
+async function refreshStudies() {
+  const ids = JSON.parse(sessionStorage.getItem("vpd-studies") ?? "[]");
+  const found = await Promise.all(ids.map(id => json(`studies/${id}`, { quiet: true }).catch(() => null)));
+  studies = found.filter(Boolean).map(({ rows, borders, ...study }) => study);
+  sessionStorage.setItem("vpd-studies", JSON.stringify(studies.map(study => study.id)));
+  fill("studies", studies, studyItem, "None yet.");
+}
+
+$("more").onclick = async () => {
+  const page = await json(`jobs?limit=20&cursor=${cursor}`);
+  jobs = [...jobs, ...page.jobs];
+  cursor = page.next_cursor;
+  $("more").hidden = !cursor;
+  showJobs();
+};
+
+// ---- one job
+
+async function picture(path, alt) {
+  const link = URL.createObjectURL(await (await call(path, { quiet: true })).blob());
+  return h("img", { src: link, alt, onload: () => URL.revokeObjectURL(link) });
+}
+
+function shell(command) {
+  const shown = h("pre", {}, command);
+  const copy = async event => {
+    try { await navigator.clipboard.writeText(command); event.target.textContent = "Copied"; } catch {
+      getSelection().selectAllChildren(shown);
+      event.target.textContent = "Selected";
+    }
+  };
+  return h("div", { className: "shell" }, shown, h("button", { type: "button", className: "small", onclick: copy }, "Copy"));
+}
+
+function diagnosis(job) {
+  const found = job.diagnosis;
+  if (!found) return null;
+  const step = found.advised_step_s;
+  const again = step && h("button", { type: "button", className: "main", id: "again", onclick: async () => {
+    // As far in time as was asked for.
+    const steps = Math.ceil(job.plan.steps * job.plan.step_s / step);
+    await edit(job, ({ duration_s, accuracy, ...scenario }) => ({ ...scenario, step_s: step, steps }));
+    await runJob(text.value);
+  } }, `Run again with a step of ${step} s`);
+  const where = found.step == null ? "" : ` at step ${count(found.step)}, t = ${figure(found.time_s)} s`;
+  return h("div", { className: "diagnosis" },
+    h("p", {}, h("strong", {}, "Why: "), found.cause ?? found.message ?? "", ` (${found.code}${where})`),
+    h("p", {}, h("strong", {}, "What to do: "), found.advice ?? ""), again || null);
+}
+
+// The address of a log for viewers, which can send no header.
+function forViewers(link) {
+  if (!token) return link;
+  return link.replace(/(ds\.url=|url=)([^&]+)/, (_, key, log) => `${key}${log}${encodeURIComponent(`?token=${token}`)}`);
+}
+
+function links(job) {
+  const { viewers, log } = job.links;
+  const to = (name, href, props = {}) => h("a", { href, ...props }, name);
+  const out = { target: "_blank", rel: "noopener noreferrer" };
+  const own = path => new URL(path.replace(/^\//, ""), base).href + (token && path.endsWith(".mcap") ? `?token=${encodeURIComponent(token)}` : "");
+  const names = { foxglove: "Foxglove", foxglove_desktop: "Foxglove desktop", lichtblick_desktop: "Lichtblick", rerun: "Rerun" };
+  return [
+    h("h3", {}, "The log"),
+    h("div", { className: "links" },
+      to("Download", own(log), { download: `vpd-${job.id}.mcap`, id: "download" }),
+      Object.entries(names).filter(([key]) => viewers?.[key])
+        .map(([key, name]) => to(`Open in ${name}`, forViewers(viewers[key]), { ...out, id: `open-${key}` })),
+      to("Foxglove layout", own("layouts/foxglove.json"), { download: "vpd-foxglove.json" }),
+      to("Lichtblick layout", own("layouts/lichtblick.json"), { download: "vpd-lichtblick.json" })),
+    shell(`curl ${token ? '-H "authorization: Bearer $TOKEN" ' : ""}-o ${job.name || "log"}.mcap ${new URL(log.slice(1), base).href}`),
+    h("div", { className: "row" }, h("span", { className: "soft" }, "The same scenario again:"),
+      h("button", { type: "button", className: "small", id: "edit", onclick: () => edit(job) }, "Edit a copy")),
+    shell(`curl ${token ? '-H "authorization: Bearer $TOKEN" ' : ""}${new URL(job.links.scenario.slice(1), base).href} > scenario.json\nvpd run scenario.json`),
+  ];
+}
+
+// Puts the scenario of a job into the editor.
+async function edit(job, change = scenario => scenario) {
+  const scenario = change(await json(`jobs/${job.id}/scenario.json`));
+  unmark();
+  text.value = JSON.stringify(scenario, null, 2);
+  $("shipped").value = $("about").textContent = "";
+  text.focus();
+}
+
+function facts({ plan, summary, attempts }) {
+  const rows = [];
+  const add = (name, value) => value != null && rows.push(h("dt", {}, name), h("dd", {}, value));
+  if (plan) {
+    const { formulation } = plan;
+    add("body", `SO(${plan.dimension})`);
+    add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
+    add("why", formulation.why);
+    add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
+  }
+  if (summary) {
+    add("solver", `${figure(summary.solver.iterations_per_step)} sweeps a step${summary.solver.kind ? ` (${summary.solver.kind})` : ""}`);
+    add("speed", `${count(Math.round(summary.ns_per_step))} ns a step`);
+    add("samples", count(summary.samples));
+  }
+  if (attempts > 1) add("runs", `${attempts}: taken up again where it was interrupted`);
+  return h("dl", {}, rows);
+}
+
+let shown = 0;
+
+async function viewJob(id) {
+  const turn = ++shown;
+  const stop = new AbortController();
+  addEventListener("hashchange", () => stop.abort(), { once: true });
+  const current = () => turn === shown && !stop.signal.aborted;
+  const job = await json(`jobs/${id}`);
+  if (!current()) return;
+  const head = h("div");
+  const looks = h("div", { id: "looks" });
+  const rest = h("div");
+  $("view").replaceChildren(h("article", { className: "card" }, head, looks, rest));
+  let body = false, ended = false, before = "";
+
+  const update = async job => {
+    if (!current() || ended) return;
+    ended = ENDED.includes(job.state);
+    const key = job.state;
+    if (key !== before) {
+      before = key;
+      head.replaceChildren(
+        h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
+        h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
+        ended ? "" : h("div", { className: "row" }, bar(job), h("span", { className: "soft", id: "standing" }), cancel(job)));
+      if (ended) say(`Job ${job.name} ${job.state}`);
+    }
+    if (!ended) {
+      head.querySelector("progress").value = job.progress.percent;
+      $("standing").textContent = standing(job);
+    }
+    if (!body && (ended ? job.links.log : job.progress.durable_step > 0)) {
+      body = true;
+      await showBody(job, looks, current);
+      body ||= ended;
+    }
+    if (ended) {
+      rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
+        h("h3", {}, "How it was done"), facts(job), h("div", { className: "row" }, forget(job)));
+    }
+  };
+  await update(job);
+  if (!ended) follow(id, async seen => update(ENDED.includes(seen.state) ? await json(`jobs/${id}`) : seen), stop.signal);
+}
+
+async function showBody(job, looks, current) {
+  try {
+    const player = new Stage($("stage"));
+    const load = from => json(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}`, { quiet: true });
+    looks.replaceChildren(player.root);
+    if (await player.open(load) && current()) stage = player;
+    else looks.replaceChildren();
+  } catch { looks.replaceChildren(); }
+}
+
+const CHARTS = { energy: "Energy error over time", orthogonality: "Orthogonality error over time", momentum: "Drift of the conserved momentum over time" };
+
+async function charts(job) {
+  if (!job.summary || job.summary.samples < 2) return [];
+  const drawn = await Promise.all(Object.entries(CHARTS).filter(([key]) => job.links.charts?.[key])
+    .map(([key, alt]) => picture(job.links.charts[key], alt).catch(() => null)));
+  const found = drawn.filter(Boolean);
+  return found.length ? [h("h3", {}, "How well"), h("div", { className: "charts" }, found)] : [];
+}
+
+// ---- studies
+
+const KINDS = { precision: "speed against accuracy", stability: "stability map", long_term: "long-term energy" };
+
+function studyItem(study) {
+  const here = location.hash === `#/studies/${study.id}`;
+  return h("li", { id: `study-${study.id}`, className: here ? "here" : "" },
+    h("div", { className: "row" }, h("a", { href: `#/studies/${study.id}` }, `${study.name}: ${KINDS[study.kind] ?? study.kind}`),
+      h("span", { className: `state ${study.state}` }, study.state)),
+    ENDED.includes(study.state) ? null : [
+      h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: `Progress of ${study.name}` }),
+        h("div", { className: "row soft" }, `${count(study.runs_done)} of ${count(study.runs)} runs`,
+          h("button", { type: "button", className: "small", ariaLabel: `Cancel the study of ${study.name}`,
+            onclick: () => act(`studies/${study.id}/cancel`, { method: "POST" }, "Study cancelled") }, "Cancel")),
+    ]);
+}
+
+async function viewStudy(id) {
+  const turn = ++shown;
+  const card = h("article", { className: "card" });
+  $("view").replaceChildren(card);
+  while (turn === shown) {
+    const study = await json(`studies/${id}`);
+    if (turn !== shown) return;
+    const ended = ENDED.includes(study.state);
+    const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
+    const pictures = ended ? await Promise.all(files.filter(link => link.endsWith(".svg"))
+      .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
+    card.replaceChildren(
+      h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
+      h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${count(study.runs_done)} runs${ended ? "" : ` of ${count(study.runs)}`}.`),
+      ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
+      h("div", { className: "charts" }, pictures.filter(Boolean)),
+      h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
+        .map(link => h("a", { href: new URL(link.slice(1), base), download: `${study.name}.csv` }, "Table (CSV)"))));
+    if (ended) return;
+    await new Promise(later => setTimeout(later, 1000));
+  }
+}
+
+// ---- the whole
+
+async function route() {
+  stage?.run(false);
+  stage = null;
+  const [, kind, id] = location.hash.split("/");
+  document.body.classList.toggle("open", Boolean(id));
+  showJobs();
+  try {
+    if (kind === "jobs" && id) await viewJob(id);
+    else if (kind === "studies" && id) await viewStudy(id);
+    else {
+      shown += 1;
+      $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Choose a scenario and run it"),
+        h("p", { className: "soft" }, "You will see the body turn, how well energy and momentum were kept, and where to open the log.")));
+    }
+  } catch (error) {
+    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "There is no such thing here" : "That did not work"), h("p", {}, error.message)));
+  }
+  if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
+}
+
+async function start() {
+  const { scenarios } = await json("scenarios");
+  const options = scenarios.map(({ name, description }) => {
+    const option = h("option", { value: name }, name);
+    option.dataset.about = description ?? "";
+    return option;
+  });
+  $("shipped").replaceChildren(h("option", { value: "" }, "one of your own"), ...options);
+  if (!text.value) { $("shipped").value = "heavy-top"; await $("shipped").onchange(); }
+  const api = await json("openapi.json").catch(() => ({ paths: {} }));
+  if (api.paths["/studies"]) {
+    studies = [];
+    $("study-row").hidden = $("studies-card").hidden = false;
+  }
+  await refresh();
+  await route();
+}
+
+$("token-open").onclick = askToken;
+$("token-dialog").onclose = () => {
+  const answer = $("token-dialog").returnValue;
+  if (!answer) return;
+  token = answer === "save" ? $("token").value.trim() : "";
+  if (token) sessionStorage.setItem("vpd-token", token); else sessionStorage.removeItem("vpd-token");
+  start().catch(error => say(error.message));
+};
+addEventListener("hashchange", route);
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden) for (const stop of followed.values()) stop.abort();
+  else refresh();
+});
+setInterval(() => {
+  const active = jobs.some(job => !ENDED.includes(job.state)) || studies?.some(study => !ENDED.includes(study.state));
+  if (!document.hidden && (active || Date.now() % 10000 < 2000)) refresh();
+}, 2000);
+start().catch(error => say(error.message));

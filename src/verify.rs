@@ -1,0 +1,233 @@
+//! Runs the job inside a log again and compares every sample, bit for bit.
+//!
+//! Invariant: a log is called the same only if it is finished and each of its samples was met again.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
+
+use serde::Serialize;
+use thiserror::Error;
+
+use crate::log::reader::{self, Item};
+use crate::log::schema::Channel;
+use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT};
+use crate::run::{self, Control, JobContext, RunError};
+use crate::scenario::{Scenario, ScenarioError};
+
+/// Messages that travel together between the readers.
+const BATCH: usize = 256;
+
+/// What came of it.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Verification {
+    /// Whether every sample is the same.
+    pub same: bool,
+    /// Messages that were compared and found the same.
+    pub messages: u64,
+    /// How the job in the log ended.
+    pub state: String,
+    /// The first place where the logs part.
+    pub difference: Option<Difference>,
+    /// The build that wrote the log, and this one.
+    pub builds: [String; 2],
+}
+
+/// Where two logs part.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Difference {
+    /// The topic of the message in the log; of the new one if the log has no more.
+    pub topic: String,
+    /// Its time since the start of the log, in seconds.
+    pub time_s: f64,
+    /// In what it differs.
+    pub what: &'static str,
+}
+
+/// Why a log cannot be verified.
+#[derive(Debug, Error)]
+pub enum VerifyError {
+    /// The log cannot be read.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// It is not whole: nobody knows how its job ended.
+    #[error("the log is not finished: {damage}")]
+    Unfinished {
+        /// What is wrong with its end.
+        damage: String,
+    },
+    /// It lacks the scenario or the outcome.
+    #[error("the log holds no {what}")]
+    Missing {
+        /// What it lacks.
+        what: &'static str,
+    },
+    /// This build does not take the scenario.
+    #[error("this build does not take the scenario of the log: {0}")]
+    Scenario(#[from] ScenarioError),
+    /// The job was stopped on its way, and its steps were chosen by an accuracy.
+    #[error("the job was cancelled and chose its own step: run it to its end to verify it")]
+    Cancelled,
+    /// The job could not be run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// There is no place for the second log.
+    #[error("no temporary directory: {0}")]
+    Place(#[from] std::io::Error),
+}
+
+/// Runs the job of `log` again, into a temporary directory, and compares. Blocks.
+///
+/// # Errors
+/// If the log is not finished, or its job cannot be run here.
+pub fn verify(log: &Path) -> Result<Verification, VerifyError> {
+    let Kept { mut scenario, outcome, build } = kept(log)?;
+    let state = outcome.get("state").cloned().unwrap_or_default();
+    if state == "cancelled" {
+        if scenario.accuracy.is_some() {
+            return Err(VerifyError::Cancelled);
+        }
+        // As many steps as were made.
+        scenario.duration_s = None;
+        scenario.steps = outcome.get("steps").and_then(|steps| steps.parse().ok());
+    }
+    let place = tempfile::tempdir()?;
+    let again = place.path().join("again.mcap");
+    run::execute(&scenario, &JobContext { log: &again, control: &Control::default() })?;
+    let (messages, difference) = compare(log, &again)?;
+    let builds = [build, env!("VPD_BUILD").to_owned()];
+    Ok(Verification { same: difference.is_none(), messages, state, difference, builds })
+}
+
+/// What a log says of its job.
+struct Kept {
+    scenario: Scenario,
+    outcome: BTreeMap<String, String>,
+    build: String,
+}
+
+fn kept(log: &Path) -> Result<Kept, VerifyError> {
+    let (mut scenario, mut outcome, mut build) = (None, None, String::new());
+    let ending = reader::read(log, |item| {
+        match item {
+            Item::Attachment { name: SCENARIO_ATTACHMENT, data } => {
+                scenario = Some(Scenario::from_json(data));
+            }
+            Item::Metadata { name: OUTCOME_RECORD, entries } => outcome = Some(entries.clone()),
+            Item::Metadata { name: JOB_RECORD, entries } => {
+                build = entries.get("vpd_build").cloned().unwrap_or_default();
+            }
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    })?;
+    if !ending.finished {
+        let damage = ending.damage.unwrap_or_default();
+        return Err(VerifyError::Unfinished { damage });
+    }
+    Ok(Kept {
+        scenario: scenario.ok_or(VerifyError::Missing { what: "scenario" })??,
+        outcome: outcome.ok_or(VerifyError::Missing { what: "outcome" })?,
+        build,
+    })
+}
+
+/// A message of a sample or of the scene.
+#[derive(PartialEq)]
+struct Entry {
+    channel: Channel,
+    time_ns: u64,
+    data: Vec<u8>,
+}
+
+/// Compares two logs message by message: how many are the same from the start, and the first difference.
+fn compare(log: &Path, again: &Path) -> Result<(u64, Option<Difference>), LogError> {
+    thread::scope(|scope| {
+        let (send, kept) = sync_channel(4);
+        let (send_again, made) = sync_channel(4);
+        let readers = [
+            scope.spawn(move || send_all(log, &send)),
+            scope.spawn(move || send_all(again, &send_again)),
+        ];
+        let compared = meet(kept.iter().flatten(), made.iter().flatten());
+        // A reader that is not heard any more stops.
+        drop((kept, made));
+        for reader in readers {
+            reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        }
+        Ok(compared)
+    })
+}
+
+fn meet(
+    mut kept: impl Iterator<Item = Entry>,
+    mut made: impl Iterator<Item = Entry>,
+) -> (u64, Option<Difference>) {
+    let mut start_ns = None;
+    let mut same = 0;
+    loop {
+        let (old, new) = (kept.next(), made.next());
+        if let Some(entry) = &old {
+            start_ns.get_or_insert(entry.time_ns);
+        }
+        let (entry, what) = match (old, new) {
+            (None, None) => return (same, None),
+            (Some(old), None) => (old, "the new run has no such message"),
+            (None, Some(new)) => (new, "the log has no such message"),
+            (Some(old), Some(new)) if old == new => {
+                same += 1;
+                continue;
+            }
+            (Some(old), Some(new)) if old.channel != new.channel => (old, "topic"),
+            (Some(old), Some(new)) if old.time_ns != new.time_ns => (old, "time"),
+            (Some(old), Some(_)) => (old, "content"),
+        };
+        let since_ns = entry.time_ns.saturating_sub(start_ns.unwrap_or(entry.time_ns));
+        let topic = entry.channel.topic().to_owned();
+        return (same, Some(Difference { topic, time_s: since_ns as f64 * 1e-9, what }));
+    }
+}
+
+/// Sends the messages of a log, but for its words about the job.
+fn send_all(log: &Path, out: &SyncSender<Vec<Entry>>) -> Result<(), LogError> {
+    let mut batch = Vec::with_capacity(BATCH);
+    reader::read(log, |item| {
+        let Item::Message { topic, time_ns, data, .. } = item else {
+            return ControlFlow::Continue(());
+        };
+        match Channel::from_topic(topic) {
+            None | Some(Channel::Log) => return ControlFlow::Continue(()),
+            Some(channel) => batch.push(Entry { channel, time_ns, data: data.to_vec() }),
+        }
+        if batch.len() < BATCH || out.send(std::mem::take(&mut batch)).is_ok() {
+            ControlFlow::Continue(())
+        } else {
+            ControlFlow::Break(())
+        }
+    })?;
+    // Nobody listens any more once a difference was found.
+    let _ = out.send(batch);
+    Ok(())
+}
+
+impl fmt::Display for Verification {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [there, here] = &self.builds;
+        match &self.difference {
+            None => writeln!(f, "the same        {} messages, bit for bit", self.messages)?,
+            Some(Difference { topic, time_s, what }) => {
+                writeln!(f, "not the same    {topic} at t = {time_s} s: {what}")?;
+                writeln!(f, "before that     {} messages are the same", self.messages)?;
+            }
+        }
+        writeln!(f, "outcome         {}", self.state)?;
+        if there == here {
+            write!(f, "build           {here}, the one that wrote the log")
+        } else {
+            write!(f, "build           {here}; the log was written by {there}")
+        }
+    }
+}

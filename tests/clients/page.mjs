@@ -1,0 +1,250 @@
+// The page as a person uses it, in a real browser.
+//
+//     node page.mjs [DIRECTORY]     also writes screenshots
+import assert from "node:assert/strict";
+import { browser, checks, ended, service, shipped, submit } from "./service.mjs";
+
+const shots = process.argv[2];
+const { url, stop } = await service(["--workers", "2"]);
+const guarded = await service([], { VPD_TOKENS: "admin a-token-of-the-tests" });
+const chromium = await browser();
+
+// A page that notes what goes wrong on it and where it turns to.
+async function open(to = url, options = {}) {
+  const context = await chromium.newContext({ viewport: { width: 1440, height: 1000 }, ...options });
+  const page = await context.newPage();
+  page.wrong = [];
+  page.asked = [];
+  page.on("pageerror", error => page.wrong.push(String(error)));
+  page.on("console", line => line.type() === "error" && !/status of 4\d\d/.test(line.text()) && page.wrong.push(line.text()));
+  page.on("request", request => page.asked.push(request.url()));
+  await page.goto(`${to}/`);
+  return page;
+}
+
+const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: 30_000 });
+const shoot = async (page, name) => { if (shots) await page.screenshot({ path: `${shots}/${name}.png` }); };
+const turned = page => page.evaluate(() => document.querySelector(".body").style.transform);
+const long = async () => {
+  const scenario = { ...await shipped(url, "dipole"), name: "long", steps: 50_000_000, log: { every: 10_000 } };
+  delete scenario.expect;
+  return scenario;
+};
+
+// Text whose contrast with what is behind it is below 4.5, the limit of WCAG AA.
+const faint = page => page.evaluate(() => {
+  const channel = x => (x /= 255) <= 0.04045 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const parse = color => color.match(/[\d.]+/g).map(Number);
+  const behind = node => {
+    for (; node; node = node.parentElement) {
+      const color = parse(getComputedStyle(node).backgroundColor);
+      if ((color[3] ?? 1) === 1) return color;
+    }
+    return [255, 255, 255];
+  };
+  const found = [];
+  for (const node of document.querySelectorAll("body *")) {
+    const own = [...node.childNodes].some(child => child.nodeType === 3 && child.textContent.trim());
+    if (!own || !node.checkVisibility({ visibilityProperty: true }) || node.closest("#marks, .away, .skip, option, script, style")) continue;
+    const [a, b] = [light(parse(getComputedStyle(node).color)), light(behind(node))].sort((a, b) => b - a);
+    const ratio = (a + 0.05) / (b + 0.05);
+    if (ratio < 4.5) found.push(`${node.tagName} ${node.className} ${ratio.toFixed(2)}: ${node.textContent.slice(0, 30)}`);
+  }
+  return found;
+});
+
+const page = await open();
+
+await checks({
+  "a scenario is chosen, run and watched to its end": async () => {
+    await page.selectOption("#shipped", "heavy-top");
+    await page.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
+    await page.click("button[type=submit]");
+    await state(page, "succeeded");
+    const words = await page.textContent(".outcome");
+    assert.match(words, /Done: 10,000 steps.*energy.*stayed a rotation/);
+    return words;
+  },
+  "its charts are drawn": async () => {
+    await page.waitForFunction(() => document.querySelectorAll(".charts img").length === 3);
+    const widths = await page.$$eval(".charts img", images => Promise.all(images.map(async image => { await image.decode(); return image.naturalWidth; })));
+    assert.deepEqual(widths, [960, 960, 960]);
+  },
+  "the body turns as the log says": async () => {
+    await page.waitForSelector(".body .face");
+    const before = await turned(page);
+    await page.waitForFunction(before => document.querySelector(".body").style.transform !== before, before);
+    await page.click(".play");
+    const matrix = (await turned(page)).match(/-?[\d.e-]+/g).slice(1).map(Number);
+    const id = page.url().split("/").at(-1);
+    const time = Number((await page.textContent(".time")).match(/[\d.]+/)[0]);
+    const stretch = await (await fetch(`${url}/jobs/${id}/attitudes.json?from_s=${Math.max(0, time - 0.02)}&samples=5`)).json();
+    const near = g => Math.max(...[0, 1, 2].flatMap(i => [0, 1, 2].map(j => Math.abs(g[3 * i + j] - matrix[4 * j + i]))));
+    const off = Math.min(...stretch.attitude.map(near));
+    // A style keeps six digits.
+    assert.ok(off < 2e-6, `off by ${off}`);
+    return `off by ${off.toExponential(1)} at t = ${time} s`;
+  },
+  "the links are those of the viewers": async () => {
+    const log = encodeURIComponent(`${url}/jobs/${page.url().split("/").at(-1)}/log.mcap`);
+    const link = id => page.getAttribute(id, "href");
+    assert.equal(await link("#open-foxglove"), `https://app.foxglove.dev/~/view?ds=remote-file&ds.url=${log}`);
+    assert.equal(await link("#open-rerun"), `https://rerun.io/viewer?url=${log}`);
+    assert.ok((await link("#open-lichtblick_desktop")).startsWith(`lichtblick://open?ds=remote-file&ds.url=${log}`));
+    const [download] = await Promise.all([page.waitForEvent("download"), page.click("#download")]);
+    assert.match(download.suggestedFilename(), /^vpd-.*\.mcap$/);
+  },
+  "bad input is shown at its field": async () => {
+    const text = await page.inputValue("#text");
+    await page.fill("#text", text.replace("[0.02, 0.02, 0.01]", "[0.02, 0.02, -0.01]"));
+    await page.click("button[type=submit]");
+    await page.waitForSelector("#marks mark");
+    assert.equal(await page.textContent("#marks mark"), "-0.01");
+    const words = await page.textContent("#problem");
+    assert.match(words, /^Line 5 \/scene\/inertia\/principal\/2: .*moment of inertia/);
+    assert.equal(await page.getAttribute("#text", "aria-invalid"), "true");
+    await shoot(page, "page-error");
+    await page.fill("#text", "{");
+    await page.click("button[type=submit]");
+    await page.waitForFunction(() => /Not taken/.test(document.querySelector("#problem").textContent));
+    return words;
+  },
+  "a long job is followed by its events, and cancelled": async () => {
+    const { id } = await submit(url, await long());
+    await page.goto(`${url}/#/jobs/${id}`);
+    await state(page, "running");
+    const value = () => page.evaluate(() => document.querySelector("#view progress").value);
+    await page.waitForFunction(() => /left$/.test(document.querySelector("#standing").textContent));
+    const before = await value();
+    await page.waitForFunction(before => document.querySelector("#view progress").value > before, before);
+    assert.ok(page.asked.includes(`${url}/jobs/${id}/events`));
+    const words = await page.textContent("#standing");
+    await page.click("#view button:text('Cancel')");
+    await state(page, "cancelled");
+    assert.equal((await ended(url, id)).state, "cancelled");
+    return words;
+  },
+  "where the events are cut, the page asks": async () => {
+    const cut = await open();
+    await cut.route("**/events", route => route.abort());
+    const { id } = await submit(url, await long());
+    await cut.goto(`${url}/#/jobs/${id}`);
+    await state(cut, "running");
+    await cut.waitForFunction(() => document.querySelector("#view progress")?.value > 0);
+    await cut.click("#view button:text('Cancel')");
+    await state(cut, "cancelled");
+    await cut.context().close();
+  },
+  "a failure is explained, and its advice works": async () => {
+    const scenario = { ...await shipped(url, "dipole"), name: "too-large-a-step", step_s: 1.5, steps: 100, log: { every: 1 } };
+    delete scenario.expect;
+    const { id } = await submit(url, scenario);
+    await page.goto(`${url}/#/jobs/${id}`);
+    await state(page, "failed");
+    const advised = (await ended(url, id)).diagnosis.advised_step_s;
+    const words = await page.textContent(".diagnosis");
+    assert.match(words, /Why: .*What to do: /);
+    await page.click("#again");
+    await page.waitForFunction(id => !location.hash.endsWith(id), id);
+    await state(page, "succeeded");
+    const again = await (await fetch(`${url}/jobs/${page.url().split("/").at(-1)}/scenario.json`)).json();
+    assert.equal(again.step_s, advised);
+    assert.ok(again.steps * advised >= scenario.steps * scenario.step_s * (1 - 1e-9), `${again.steps} steps`);
+    await page.fill("#text", "");
+    await page.click("#edit");
+    await page.waitForFunction(() => document.querySelector("#text").value.includes("too-large-a-step"));
+    return words.slice(0, 120);
+  },
+  "a body in four dimensions is shown by its first axes": async () => {
+    const { id } = await submit(url, await shipped(url, "so4-free"));
+    await page.goto(`${url}/#/jobs/${id}`);
+    await page.waitForSelector(".body .face");
+    assert.match(await page.textContent(".caption"), /SO\(4\)/);
+  },
+  "everything can be reached with the keyboard": async () => {
+    const keyed = await open();
+    await keyed.waitForFunction(() => document.querySelector("#text").value.length > 0);
+    const reached = [];
+    for (let i = 0; i < 12; i += 1) {
+      await keyed.keyboard.press("Tab");
+      reached.push(await keyed.evaluate(() => document.activeElement.id || document.activeElement.className || document.activeElement.textContent));
+      if (reached.at(-1) === "main") break;
+    }
+    for (const stop of ["skip", "token-open", "shipped", "text", "main"]) assert.ok(reached.includes(stop), `${stop} of ${reached}`);
+    await keyed.keyboard.press("Enter");
+    await state(keyed, "succeeded");
+    await keyed.focus(".stage");
+    const before = await keyed.evaluate(() => document.querySelector(".space").style.transform);
+    await keyed.keyboard.press("ArrowLeft");
+    assert.notEqual(await keyed.evaluate(() => document.querySelector(".space").style.transform), before);
+    await keyed.context().close();
+    return reached.join(" → ");
+  },
+  "it can be read in light and dark, on a desk and on a phone": async () => {
+    const { id } = await submit(url, await shipped(url, "dipole"));
+    await ended(url, id);
+    const bad = [];
+    for (const [name, options] of Object.entries({
+      "page-light": { colorScheme: "light" },
+      "page-dark": { colorScheme: "dark" },
+      "page-phone": { colorScheme: "light", viewport: { width: 390, height: 844 } },
+    })) {
+      const look = await open(url, options);
+      await look.goto(`${url}/#/jobs/${id}`);
+      await look.waitForFunction(() => document.querySelectorAll(".charts img").length === 3);
+      await look.waitForTimeout(700);
+      bad.push(...(await faint(look)).map(text => `${name}: ${text}`));
+      const over = await look.evaluate(() => document.scrollingElement.scrollWidth - innerWidth);
+      assert.ok(over <= 0, `${name} is ${over} pixels too wide`);
+      await shoot(look, name);
+      assert.deepEqual(look.wrong, []);
+      await look.context().close();
+    }
+    assert.deepEqual(bad, []);
+  },
+  "a token is asked for, kept in the tab, and sent": async () => {
+    const shut = await open(guarded.url);
+    await shut.waitForSelector("#token-dialog[open]");
+    await shut.fill("#token", "a-token-of-the-tests");
+    await shut.click("#token-form .main");
+    await shut.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
+    await shut.click("button[type=submit]");
+    await state(shut, "succeeded");
+    await shut.waitForFunction(() => document.querySelectorAll(".charts img").length === 3);
+    assert.match(await shut.getAttribute("#open-rerun", "href"), /log\.mcap%3Ftoken%3Da-token-of-the-tests$/);
+    assert.equal(await shut.evaluate(() => sessionStorage.getItem("vpd-token")), "a-token-of-the-tests");
+    assert.deepEqual(shut.wrong, []);
+    await shut.context().close();
+  },
+  "studies are drawn where the service makes them": async () => {
+    const api = await (await fetch(`${url}/openapi.json`)).json();
+    const study = await open();
+    await study.waitForFunction(() => document.querySelector("#text").value.length > 0 && document.querySelector("#jobs li"));
+    const offered = await study.isVisible("#study");
+    assert.equal(offered, Boolean(api.paths["/studies"]));
+    if (offered) {
+      // A short one: what matters here is that it is drawn.
+      await study.fill("#text", (await study.inputValue("#text")).replace('"duration_s": 20', '"duration_s": 0.4'));
+      await study.selectOption("#kind", "long_term");
+      await study.click("#study");
+      await study.waitForFunction(() => document.querySelector("#state")?.textContent === "succeeded", null, { timeout: 120_000 });
+      await study.waitForSelector(".charts img");
+      await shoot(study, "page-study");
+    }
+    await study.context().close();
+    return offered ? "offered" : "not offered, and not shown";
+  },
+  "it asks nobody but the service, and its policy is strict": async () => {
+    const answer = await fetch(`${url}/`);
+    const policy = answer.headers.get("content-security-policy");
+    assert.match(policy, /^default-src 'none'; script-src 'sha256-[^']+'; style-src 'sha256-[^']+'; /);
+    const elsewhere = page.asked.filter(to => !to.startsWith(url) && !/^(data|blob):/.test(to));
+    assert.deepEqual(elsewhere, []);
+    assert.deepEqual(page.wrong, []);
+    return `${page.asked.length} requests`;
+  },
+});
+await chromium.close();
+await stop();
+await guarded.stop();

@@ -1,0 +1,45 @@
+"""A service of the tests' own, for the clients in Python."""
+
+import contextlib
+import json
+import os
+import re
+import subprocess
+import tempfile
+import urllib.request
+
+VPD = os.path.abspath(os.environ.get("VPD", "target/release/vpd"))
+
+
+@contextlib.contextmanager
+def serving(*args, live=False):
+    """Runs `vpd serve` on a free port; gives its address, and that for viewers if it is `live`."""
+    with tempfile.TemporaryDirectory() as data:
+        command = [VPD, "serve", "--listen", "127.0.0.1:0", "--data", data, *args]
+        command += ["--foxglove-listen", "127.0.0.1:0"] if live else []
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        try:
+            url = awaited(process, r"listening on (http://[\d.:]+)")
+            yield (url, awaited(process, r"viewers may connect to (ws://[\d.:]+)")) if live else url
+        finally:
+            process.terminate()
+            process.communicate(timeout=30)
+
+
+def awaited(process, pattern):
+    """What stands in the first line of a service's own log that has it."""
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if found := re.search(pattern, line):
+            return found[1]
+    raise RuntimeError("vpd serve ended: " + "".join(lines))
+
+
+def call(url, body=None, method=None):
+    """One request; JSON in, JSON out."""
+    data = None if body is None else json.dumps(body).encode()
+    headers = {"content-type": "application/json"}
+    request = urllib.request.Request(url, data=data, headers=headers, method=method)
+    with urllib.request.urlopen(request, timeout=30) as answer:
+        return json.loads(answer.read() or b"null")

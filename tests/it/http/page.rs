@@ -1,0 +1,153 @@
+//! What people look at: the page, the layouts, the charts and the attitudes of a job.
+
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+use super::{directory, long, service, short, until};
+
+#[test]
+fn the_page_is_one_file_that_may_load_nothing_else() {
+    let data = directory();
+    let server = service(&data).tokens("admin a-token-of-the-tests").start();
+    let page = server.get("/");
+    assert_eq!((page.status, page.header("content-type")), (200, "text/html; charset=utf-8"));
+    let text = String::from_utf8(page.body.clone()).expect("text");
+    let policy = page.header("content-security-policy");
+    for (open, close, directive) in
+        [("<style>", "</style>", "style-src"), ("<script>", "</script>", "script-src")]
+    {
+        let (_, rest) = text.split_once(open).expect("an element");
+        let (inside, _) = rest.split_once(close).expect("its end");
+        assert!(inside.len() > 1000);
+        let hash = base64(&Sha256::digest(inside));
+        assert!(policy.contains(&format!("{directive} 'sha256-{hash}'")), "{policy}");
+    }
+    assert!(policy.starts_with("default-src 'none';"), "{policy}");
+    assert!(!text.contains("src=\"http") && !text.contains("href=\"http"));
+}
+
+/// RFC 4648, written once more.
+fn base64(bytes: &[u8]) -> String {
+    const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let group = |three: &[u8]| {
+        let bits = three.iter().fold(0, |bits, byte| bits << 8 | u32::from(*byte));
+        let bits = bits << (8 * (3 - three.len()));
+        (0..4).map(move |k| bits >> (18 - 6 * k) & 63).enumerate().map({
+            let length = three.len();
+            move |(k, six)| if k > length { '=' } else { char::from(LETTERS[six as usize]) }
+        })
+    };
+    bytes.chunks(3).flat_map(group).collect()
+}
+
+#[test]
+fn layouts_name_topics_and_fields_that_logs_have() {
+    let data = directory();
+    let server = service(&data).start();
+    for name in ["foxglove.json", "lichtblick.json"] {
+        let layout =
+            server.get_with(&format!("/layouts/{name}"), &[("origin", "https://a.example")]);
+        assert_eq!(layout.header("access-control-allow-origin"), "*");
+        let layout = layout.json();
+        let panels = layout["configById"].as_object().expect("panels");
+        let paths = panels.values().filter_map(|panel| panel["paths"].as_array()).flatten();
+        let paths: Vec<_> = paths.filter_map(|path| path["value"].as_str()).collect();
+        for path in [
+            "/energy.log10_abs_error",
+            "/orthogonality.log10_error",
+            "/momentum.log10_drift",
+            "/solver.iterations",
+        ] {
+            assert!(paths.contains(&path), "{path}");
+        }
+        let proto = include_str!("../../../src/log/vpd.proto");
+        for path in paths {
+            let (_, field) = path.split_once('.').expect("a field");
+            let field = field.split('[').next().expect("a name");
+            assert!(proto.contains(&format!(" {field} = ")), "{path}");
+        }
+        let energy = &layout["configById"]["Plot!energy"];
+        assert_eq!((&energy["minYValue"], &energy["maxYValue"]), (&json!(-20), &json!(0)));
+    }
+    server.get("/layouts/other.json").problem(404, "not_found");
+}
+
+#[test]
+fn charts_are_drawn_from_the_finished_log() {
+    let data = directory();
+    let server = service(&data).start();
+    let id = server.finished();
+    let links = &server.job(&id)["links"];
+    for chart in ["energy", "orthogonality", "momentum"] {
+        let link = links["charts"][chart].as_str().expect("a link");
+        let svg = server.get(link);
+        assert_eq!((svg.status, svg.header("content-type")), (200, "image/svg+xml"));
+        let text = String::from_utf8(svg.body).expect("text");
+        assert!(text.starts_with("<svg") && text.contains("<polyline"), "{chart}");
+    }
+    server.get(&format!("/jobs/{id}/charts/other.svg")).problem(404, "not_found");
+    server.get("/jobs/no-id/charts/energy.svg").problem(404, "unknown_job");
+
+    let mut scenario = short();
+    scenario["log"]["channels"] = json!(["/state"]);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    server.get(&format!("/jobs/{id}/charts/energy.svg")).problem(404, "not_found");
+    let id = server.running();
+    server.get(&format!("/jobs/{id}/charts/energy.svg")).problem(409, "log_unfinished");
+}
+
+#[test]
+fn attitudes_are_those_of_the_log_from_any_time_on() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = short();
+    scenario["steps"] = json!(20_000);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let path = format!("/jobs/{id}/attitudes.json");
+    let ask = |query: &str| server.get(&format!("{path}{query}")).json();
+    let times = |answer: &Value| -> Vec<f64> {
+        let times = answer["time_s"].as_array().expect("times").iter();
+        times.map(|time| time.as_f64().expect("a number")).collect()
+    };
+
+    let first = ask("?samples=3");
+    assert_eq!(times(&first), [0.0, 0.1, 0.2]);
+    // The log keeps what the scheme carries: the start, projected to the group, rounding and all.
+    let start = first["attitude"][0].as_array().expect("an attitude").iter();
+    let given = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0];
+    assert!(start.zip(given).all(|(x, y)| (x.as_f64().expect("a number") - y).abs() < 1e-15));
+    assert_eq!(first["end_s"], 200.0);
+    assert_eq!(times(&ask("")).len(), 300);
+    let late = ask("?from_s=150&samples=2");
+    assert_eq!(times(&late), [150.0, 150.1]);
+    assert_eq!(times(&ask("?from_s=199.95&samples=9")), [200.0]);
+    assert_eq!(times(&ask("?from_s=1e300")), Vec::<f64>::new());
+
+    let frames: Vec<_> = first["scene"].as_array().expect("drawings").iter().collect();
+    assert_eq!((&frames[0]["frame"], &frames[1]["frame"]), (&json!("body"), &json!("space")));
+    assert_eq!(frames[0]["balls"].as_array().map(Vec::len), Some(3));
+    for query in ["?samples=0", "?samples=2001", "?from_s=-1", "?from_s=inf", "?other=1"] {
+        server.get(&format!("{path}{query}")).problem(400, "bad_query");
+    }
+}
+
+#[test]
+fn a_running_job_shows_its_beginning() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = long();
+    scenario["steps"] = json!(100_000_000);
+    scenario["log"] = json!({ "every": 10, "channels": ["/state"] });
+    let id = server.submit(&scenario);
+    let stretch = until("a chunk on the disk", || {
+        let stretch = server.get(&format!("/jobs/{id}/attitudes.json?samples=5"));
+        assert_eq!(stretch.status, 200);
+        Some(stretch.json()).filter(|stretch| stretch["time_s"][0].is_number())
+    });
+    assert_eq!(stretch["time_s"], json!([0.0, 0.1, 0.2, 0.3, 0.4]));
+    assert_eq!(stretch["end_s"], Value::Null);
+    server.send("POST", &format!("/jobs/{id}/cancel"), &[], Some(b""));
+    server.wait(&id, "cancelled");
+}

@@ -1,0 +1,113 @@
+//! A log is verified by running its job again.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+use mcap::records::Record;
+use vpd::run::{Control, JobContext, execute};
+use vpd::scenario::Scenario;
+use vpd::verify::{VerifyError, verify};
+
+/// The dipole with some of its text replaced, and without what it expects.
+fn dipole(steps: u64) -> Scenario {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/dipole.json");
+    let mut scenario = Scenario::from_json(&fs::read(path).expect("a scenario")).expect("accepted");
+    scenario.steps = Some(steps);
+    scenario.expect = None;
+    scenario
+}
+
+fn log(scenario: &Scenario, at: &Path, control: &Control) -> PathBuf {
+    let log = at.join("log.mcap");
+    execute(scenario, &JobContext { log: &log, control }).expect("a log");
+    log
+}
+
+#[test]
+fn a_log_is_what_its_job_gives_again() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = log(&dipole(2000), place.path(), &Control::default());
+    let verification = verify(&log).expect("verified");
+    assert!(verification.same, "{verification}");
+    // 201 samples on five channels, all but one of /solver, and two drawings.
+    assert_eq!(verification.messages, 201 * 6 - 1 + 2);
+}
+
+#[test]
+fn so_is_the_log_of_a_cancelled_job() {
+    let place = tempfile::tempdir().expect("a directory");
+    let control = Control::default();
+    let scenario = dipole(1_000_000_000);
+    let log = std::thread::scope(|scope| {
+        let worker = scope.spawn(|| log(&scenario, place.path(), &control));
+        while control.steps_done.load(Ordering::Relaxed) < 100 {
+            std::thread::yield_now();
+        }
+        control.cancelled.store(true, Ordering::Relaxed);
+        worker.join().expect("no panic")
+    });
+    let verification = verify(&log).expect("verified");
+    assert!(verification.same && verification.state == "cancelled", "{verification}");
+}
+
+/// Copies a log with one bit of the `number`th message of `/state` turned over, every checksum right.
+fn forge(log: &Path, forged: &Path, number: u32) {
+    let bytes = fs::read(log).expect("bytes");
+    let mut out = mcap::Writer::new(fs::File::create(forged).expect("a file")).expect("a writer");
+    let mut outcome = None;
+    for record in mcap::read::LinearReader::new(&bytes).expect("a log") {
+        match record.expect("a record") {
+            Record::Metadata(metadata) if metadata.name == "vpd.outcome" => {
+                outcome = Some(metadata)
+            }
+            Record::Metadata(metadata) => out.write_metadata(&metadata).expect("written"),
+            Record::Attachment { header, data, .. } => {
+                let attachment = mcap::Attachment {
+                    log_time: header.log_time,
+                    create_time: header.create_time,
+                    name: header.name,
+                    media_type: header.media_type,
+                    data,
+                };
+                out.attach(&attachment).expect("written");
+            }
+            Record::DataEnd(_) => break,
+            _ => {}
+        }
+    }
+    for message in mcap::MessageStream::new(&bytes).expect("a log") {
+        let mut message = message.expect("a message");
+        if message.channel.topic == "/state" && message.sequence == number {
+            let data = message.data.to_mut();
+            let last = data.len() - 1;
+            data[last] ^= 1;
+        }
+        out.write(&message).expect("written");
+    }
+    out.write_metadata(&outcome.expect("an outcome")).expect("written");
+    out.finish().expect("finished");
+}
+
+#[test]
+fn one_bit_is_found() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = log(&dipole(200), place.path(), &Control::default());
+    let forged = place.path().join("forged.mcap");
+    forge(&log, &forged, 12);
+    let verification = verify(&forged).expect("verified");
+    let difference = verification.difference.expect("a difference");
+    assert_eq!((difference.topic.as_str(), difference.what), ("/state", "content"));
+    // Samples are counted from 0, one every 0.1 s.
+    assert!((difference.time_s - 1.2).abs() < 0.11, "{difference:?}");
+    assert!(!verification.same);
+}
+
+#[test]
+fn an_unfinished_log_is_not_verified() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = log(&dipole(200), place.path(), &Control::default());
+    let bytes = fs::read(&log).expect("bytes");
+    fs::write(&log, &bytes[..bytes.len() / 2]).expect("written");
+    assert!(matches!(verify(&log), Err(VerifyError::Unfinished { .. })));
+}
