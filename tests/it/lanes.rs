@@ -72,6 +72,25 @@ fn the_reduced_form_in_lanes_is_that_in_matrices() {
     }
 }
 
+/// |mu| labels the coadjoint orbit of a free body in space.
+#[test]
+fn the_reduced_form_stays_on_its_orbit() {
+    let (body, mut numbers) = (free(), Numbers(10));
+    for stages in [1, 2, 4, 8] {
+        let mut stepper = in_lanes(&Tableau::gauss(stages).expect("a few stages"), false);
+        stepper.start(&State { attitude: Mat::identity(), momentum: numbers.skew() });
+        let length =
+            |stepper: &VpdSpace| so::inner(&stepper.momentum(), &stepper.momentum()).sqrt();
+        let before = length(&stepper);
+        for _ in 0..100_000 {
+            stepper.step(&body, 0.02).expect("a small step");
+        }
+        let change = (length(&stepper) / before - 1.0).abs();
+        println!("{stages} stages: |mu| kept to {change:.1e} over 1e5 steps");
+        assert!(change <= 1e-12, "{change:e}");
+    }
+}
+
 #[test]
 fn every_instruction_set_makes_the_same_bits() {
     let detected = Level::new();

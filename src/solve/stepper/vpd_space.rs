@@ -323,6 +323,7 @@ impl VpdSpace {
         Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
     }
 
+    /// Takes the solved step over into the state.
     fn advance(&mut self) {
         let Unknowns { end, kick, .. } = &self.unknowns;
         match &mut self.state {
@@ -332,9 +333,11 @@ impl VpdSpace {
                 for i in 0..3 {
                     (momentum[i], momentum_carry[i]) = sum(momentum[i], impulse[i]);
                 }
-                // f - 1: 1 - w = |v|^2 / (1 + w)
+                // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
+                let sign = if end.w < 0.0 { -1.0 } else { 1.0 };
                 let square = dot(&end.v, &end.v);
-                let change = Turn { w: -square / (1.0 + end.w), v: end.v };
+                let v = vec3!(i => sign * end.v[i]);
+                let change = Turn { w: -square / (1.0 + sign * end.w), v };
                 let mut change = attitude.times(&change);
                 // What the length lacks of one.
                 let lack = 0.5 * (1.0 - (attitude.w * attitude.w + dot(&attitude.v, &attitude.v)));
