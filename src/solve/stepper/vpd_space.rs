@@ -20,7 +20,7 @@ use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, dot, mat3, plus, product, transposed_product, vec3,
+    Mat3, Sym3, Turn, Vec3, dot, mat3, plus, product, scaled, transposed_product, vec3,
 };
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
@@ -53,7 +53,8 @@ enum Carried {
         momentum_carry: Vec3<f64>,
     },
     /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
-    Reduced { momentum: Vec3<f64> },
+    /// Its square labels the coadjoint orbit.
+    Reduced { momentum: Vec3<f64>, square: f64 },
 }
 
 const NO_TURN: Turn<f64> = Turn { w: 0.0, v: [0.0; 3] };
@@ -70,7 +71,7 @@ impl VpdSpace {
                 momentum_carry: [0.0; 3],
             }
         } else {
-            Carried::Reduced { momentum: [0.0; 3] }
+            Carried::Reduced { momentum: [0.0; 3], square: 0.0 }
         };
         (tableau.stages() <= WIDTH).then(|| Self {
             lanes: LaneTableau::new(&tableau),
@@ -264,7 +265,9 @@ impl Stepper<3> for VpdSpace {
                 momentum: product(&rows(&state.attitude), &momentum.into()),
                 momentum_carry: [0.0; 3],
             },
-            Carried::Reduced { .. } => Carried::Reduced { momentum: momentum.into() },
+            Carried::Reduced { .. } => {
+                Carried::Reduced { momentum: momentum.into(), square: momentum.norm_squared() }
+            }
         };
     }
 
@@ -348,8 +351,12 @@ impl VpdSpace {
                     (attitude.v[i], attitude_carry.v[i]) = sum(attitude.v[i], change);
                 }
             }
-            Carried::Reduced { momentum } => {
-                *momentum = transposed_product(&end.matrix(), momentum);
+            Carried::Reduced { momentum, square } => {
+                let turned = transposed_product(&end.matrix(), momentum);
+                // Back onto the orbit, off which only rounding takes it.
+                let defect = dot(&turned, &turned) / *square - 1.0;
+                let scale = if *square > 0.0 { 1.0 - 0.5 * defect } else { 1.0 };
+                *momentum = scaled(&turned, scale);
             }
         }
     }
@@ -359,7 +366,7 @@ impl VpdSpace {
             Carried::Full { attitude, momentum, .. } => {
                 transposed_product(&attitude.matrix(), momentum)
             }
-            Carried::Reduced { momentum } => *momentum,
+            Carried::Reduced { momentum, .. } => *momentum,
         }
     }
 }
