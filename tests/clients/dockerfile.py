@@ -20,10 +20,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 OVERLAY = """
 set -e
-place=$(mktemp -d); mount -t tmpfs none "$place"; mkdir "$place"/up "$place"/work "$place"/root
-mount -t overlay overlay -o lowerdir=/,upperdir="$place"/up,workdir="$place"/work "$place"/root
-mount -t proc proc "$place"/root/proc; mount --bind /dev "$place"/root/dev
-exec chroot "$place"/root bash -e
+place=$(mktemp -d); mount -t tmpfs none "$place"; mkdir "$place"/up "$place"/work "$place"/whole
+mount -t overlay overlay -o lowerdir=/,upperdir="$place"/up,workdir="$place"/work "$place"/whole
+mount -t proc proc "$place"/whole/proc; mount --bind /dev "$place"/whole/dev
+exec chroot "$place"/whole bash -e
 """
 
 

@@ -7,7 +7,8 @@ use serde_json::Value;
 
 use crate::bad_scenarios::{self, Bad};
 
-fn vpd(directory: &Path, arguments: &[&str]) -> Output {
+/// Runs the program in a directory.
+pub(crate) fn vpd(directory: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_vpd"))
         .current_dir(directory)
         .args(arguments)

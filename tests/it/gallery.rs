@@ -202,7 +202,7 @@ fn every_case_of_the_gallery_ends_as_it_says() {
 /// Writes down how every case ends, after a change of a solver; look at the difference before it is kept.
 /// `cargo test --release rewrite_the_gallery -- --ignored`
 #[test]
-#[ignore = "writes files that tests read"]
+#[ignore = "writes files that tests read: cargo test --release rewrite_the_gallery -- --ignored"]
 fn rewrite_the_gallery() {
     let mut rooms = rooms();
     let observed = everywhere(&rooms, observe);

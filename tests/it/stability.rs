@@ -45,7 +45,7 @@ fn the_borders_of_the_dipole_are_where_they_were() {
 
 /// Records the borders anew, after a change of a solver: `cargo test --release rewrite_the_borders -- --ignored`
 #[test]
-#[ignore = "writes a file that tests read"]
+#[ignore = "writes a file that tests read: cargo test --release rewrite_the_borders -- --ignored"]
 fn rewrite_the_borders() {
     let scene = shipped("dipole");
     let map = stability(&scene, &all_methods(&scene), &Watch::default()).expect("a map");

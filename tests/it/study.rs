@@ -1,8 +1,5 @@
 //! Studies: the program's own references against digits, orders from the table, and what a cancel does.
 
-use std::path::Path;
-use std::process::{Command, Output};
-
 use serde_json::Value;
 use vpd::plan::Plan;
 use vpd::scenario::{SHIPPED, Scenario};
@@ -11,6 +8,7 @@ use vpd::study::reference::{Reference, ReferenceError};
 use vpd::study::table::Table;
 use vpd::study::{Scales, StudyError, Watch, usual_methods};
 
+use crate::cli::vpd;
 use crate::verification::reference;
 
 pub(crate) fn shipped(name: &str) -> Scenario {
@@ -104,14 +102,6 @@ fn a_cancelled_study_ends() {
     let watch = Watch { cancelled: true.into(), ..Watch::default() };
     let ended = precision(&scene, &usual_methods(&scene), Some(0.5), &watch);
     assert_eq!(ended, Err(StudyError::Cancelled));
-}
-
-fn vpd(directory: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_vpd"))
-        .current_dir(directory)
-        .args(arguments)
-        .output()
-        .expect("the binary starts")
 }
 
 fn file(name: &str) -> String {

@@ -1,0 +1,197 @@
+//! Handlers of `/jobs`: unpack, one call, pack.
+
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, Request, State as Shared};
+use axum::http::header::LOCATION;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use schemars::JsonSchema;
+use serde::Deserialize;
+use uuid::Uuid;
+
+use super::App;
+use super::request::{Base, JobId, is_plain_json, json_text, off_thread};
+use crate::advise;
+use crate::log::stretch::Stretch;
+use crate::scenario::{Scenario, ScenarioError};
+use crate::serve::engine::Refusal;
+use crate::serve::job::State;
+use crate::serve::page::{MAX_STRETCH, STRETCH};
+use crate::serve::problem::Problem;
+use crate::serve::view::{JobList, JobView};
+use crate::serve::{download, follow, store};
+
+/// Jobs on a page of the list, unless the client says otherwise, and at most.
+const PAGE: usize = 50;
+const MAX_PAGE: usize = 500;
+
+/// Longest idempotency key, bytes.
+const MAX_KEY: usize = 255;
+
+/// A size of a page.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Limit(#[schemars(range(min = 1, max = 500))] usize);
+
+/// A number of attitudes.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Samples(#[schemars(range(min = 1, max = 2000))] usize);
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ListQuery {
+    state: Option<State>,
+    limit: Option<usize>,
+    cursor: Option<String>,
+}
+
+pub(super) async fn submit_job(
+    Shared(app): Shared<App>,
+    Base(base): Base,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Problem> {
+    if !is_plain_json(&headers) {
+        return Err(Problem::not_json());
+    }
+    let key = idempotency_key(&headers)?;
+    // A mebibyte of JSON takes a while to check: not on a thread that others wait for.
+    let checked = move || {
+        let scenario = Scenario::from_json(&body)?;
+        let plan = advise::plan(&scenario)?;
+        Ok::<_, ScenarioError>((scenario, plan))
+    };
+    let (scenario, plan) = off_thread(checked).await?;
+    let view = app.engine.submit(scenario, plan, key).await?;
+    let location = [(LOCATION, format!("/jobs/{}", view.id))];
+    let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
+    Ok((status, location, Json(JobView::new(&view, base.as_deref()))).into_response())
+}
+
+/// The key of a request as an id of ours: no text of a client becomes a name of a file.
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<Uuid>, Problem> {
+    let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
+    let key = key.as_bytes();
+    if key.is_empty() || key.len() > MAX_KEY {
+        return Err(Problem::bad_header("an Idempotency-Key has 1 to 255 characters"));
+    }
+    Ok(Some(Uuid::new_v5(&Uuid::NAMESPACE_OID, key)))
+}
+
+pub(super) async fn list_jobs(
+    Shared(app): Shared<App>,
+    Base(base): Base,
+    query: Result<Query<ListQuery>, QueryRejection>,
+) -> Result<Json<JobList>, Problem> {
+    let Query(ListQuery { state, limit, cursor }) = query?;
+    let limit = limit.unwrap_or(PAGE);
+    if !(1..=MAX_PAGE).contains(&limit) {
+        return Err(Problem::bad_query(format!("limit is 1 to {MAX_PAGE}")));
+    }
+    let unusable = || Problem::bad_query("cursor is not one that this list gave");
+    let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
+    let (page, next) = app.engine.list(state, limit, cursor);
+    let jobs = page.iter().map(|view| JobView::new(view, base.as_deref())).collect();
+    let filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
+    let link = next.map(|next| format!("/jobs?{filter}limit={limit}&cursor={next}"));
+    Ok(Json(JobList::new(jobs, next, link)))
+}
+
+pub(super) async fn get_job(
+    Shared(app): Shared<App>,
+    Base(base): Base,
+    JobId(id): JobId,
+) -> Result<Json<JobView>, Problem> {
+    Ok(Json(JobView::new(&app.engine.get(id).await?, base.as_deref())))
+}
+
+pub(super) async fn cancel_job(
+    Shared(app): Shared<App>,
+    Base(base): Base,
+    JobId(id): JobId,
+) -> Result<Response, Problem> {
+    let view = app.engine.cancel(id).await?;
+    let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
+    Ok((status, Json(JobView::new(&view, base.as_deref()))).into_response())
+}
+
+pub(super) async fn forget_job(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+) -> Result<StatusCode, Problem> {
+    app.engine.forget(id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+pub(super) async fn get_log(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+    request: Request,
+) -> Result<Response, Problem> {
+    download::log(id, app.engine.log(id)?, request).await
+}
+
+pub(super) async fn get_live(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+) -> Result<Response, Problem> {
+    Ok(follow::log(app.engine, id)?)
+}
+
+pub(super) async fn get_events(
+    Shared(app): Shared<App>,
+    Base(base): Base,
+    JobId(id): JobId,
+) -> Result<Response, Problem> {
+    app.engine.brief(id)?;
+    Ok(follow::events(app.engine, id, base))
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct StretchQuery {
+    from_s: Option<f64>,
+    samples: Option<usize>,
+}
+
+pub(super) async fn get_attitudes(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+    query: Result<Query<StretchQuery>, QueryRejection>,
+) -> Result<Json<Stretch>, Problem> {
+    let Query(StretchQuery { from_s, samples }) = query?;
+    let samples = samples.unwrap_or(STRETCH);
+    if !(1..=MAX_STRETCH).contains(&samples) {
+        return Err(Problem::bad_query(format!("samples is 1 to {MAX_STRETCH}")));
+    }
+    let from_s = from_s.unwrap_or(0.0);
+    if !(from_s >= 0.0 && from_s.is_finite()) {
+        return Err(Problem::bad_query("from_s is a time in seconds, not below 0"));
+    }
+    let view = app.engine.brief(id)?;
+    if view.state.is_final() && !view.has_log {
+        return Err(Refusal::NoLog.into());
+    }
+    let log = app.engine.log_path(id);
+    Ok(Json(app.pictures.attitudes(log, view.state.is_final(), from_s, samples).await?))
+}
+
+pub(super) async fn get_chart(
+    Shared(app): Shared<App>,
+    Path((id, chart)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let id = store::parse_id(&id).ok_or(Refusal::UnknownJob)?;
+    app.pictures.chart(&chart, app.engine.log(id)?).await
+}
+
+pub(super) async fn get_job_scenario(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+) -> Result<Response, Problem> {
+    Ok(json_text(app.engine.scenario(id).await?))
+}

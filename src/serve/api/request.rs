@@ -1,0 +1,82 @@
+//! What handlers take from a request and give back, as checked types.
+//!
+//! Invariant: no text of a client goes further than this.
+
+use axum::extract::{FromRequestParts, Path};
+use axum::http::HeaderMap;
+use axum::http::header::{CONTENT_ENCODING, CONTENT_TYPE, HOST};
+use axum::http::request::Parts;
+use axum::http::uri::Authority;
+use axum::response::{IntoResponse, Response};
+use uuid::Uuid;
+
+use super::App;
+use crate::serve::engine::Refusal;
+use crate::serve::problem::Problem;
+use crate::serve::store;
+use crate::serve::studies::StudyRefusal;
+
+/// The id in the path of a job.
+pub(super) struct JobId(pub(super) Uuid);
+
+impl<S: Send + Sync> FromRequestParts<S> for JobId {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let text = Path::<String>::from_request_parts(parts, state).await;
+        let id = text.ok().and_then(|Path(text)| store::parse_id(&text));
+        id.map(Self).ok_or_else(|| Refusal::UnknownJob.into())
+    }
+}
+
+/// The id in the path of a study.
+pub(super) struct StudyId(pub(super) Uuid);
+
+impl<S: Send + Sync> FromRequestParts<S> for StudyId {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let text = Path::<String>::from_request_parts(parts, state).await;
+        let id = text.ok().and_then(|Path(text)| store::parse_id(&text));
+        id.map(Self).ok_or_else(|| StudyRefusal::Unknown.into())
+    }
+}
+
+/// How the client reached us, for links that viewers follow; none if it did not say.
+pub(super) struct Base(pub(super) Option<String>);
+
+impl FromRequestParts<App> for Base {
+    type Rejection = std::convert::Infallible;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Self::Rejection> {
+        let host =
+            parts.headers.get(HOST).and_then(|host| host.to_str().ok()?.parse::<Authority>().ok());
+        Ok(Self(app.public_url.clone().or_else(|| host.map(|host| format!("http://{host}")))))
+    }
+}
+
+/// True for an uncompressed body of type `application/json` or `application/…+json`. A form on a web page cannot
+/// send that, so no page can submit jobs behind the user's back.
+pub(super) fn is_plain_json(headers: &HeaderMap) -> bool {
+    let kind = headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    let json = kind
+        .strip_prefix("application/")
+        .is_some_and(|kind| kind == "json" || kind.ends_with("+json"));
+    json && headers.get(CONTENT_ENCODING).is_none_or(|coding| coding == "identity")
+}
+
+pub(super) fn json_text(text: impl Into<axum::body::Body>) -> Response {
+    ([(CONTENT_TYPE, "application/json")], text.into()).into_response()
+}
+
+/// Runs blocking work away from the threads that answer.
+pub(super) async fn off_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(value) => value,
+        Err(error) => match error.try_into_panic() {
+            Ok(panic) => std::panic::resume_unwind(panic),
+            Err(_) => std::future::pending().await,
+        },
+    }
+}

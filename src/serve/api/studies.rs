@@ -1,0 +1,70 @@
+//! Handlers of `/studies`: unpack, one call, pack.
+
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::{Path, State as Shared};
+use axum::http::header::{CONTENT_TYPE, LOCATION};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+
+use super::App;
+use super::request::{StudyId, is_plain_json, off_thread};
+use crate::serve::problem::Problem;
+use crate::serve::store;
+use crate::serve::studies::{Question, StudyRefusal, StudyView};
+
+pub(super) async fn submit_study(
+    Shared(app): Shared<App>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Result<Response, Problem> {
+    if !is_plain_json(&headers) {
+        return Err(Problem::not_json());
+    }
+    let question = off_thread(move || Question::from_json(&body)).await?;
+    let view = app.studies.submit(question)?;
+    let location = [(LOCATION, format!("/studies/{}", view.id))];
+    Ok((StatusCode::ACCEPTED, location, Json(view)).into_response())
+}
+
+pub(super) async fn get_study(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<Json<StudyView>, Problem> {
+    Ok(Json(app.studies.get(id)?))
+}
+
+pub(super) async fn cancel_study(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<(StatusCode, Json<StudyView>), Problem> {
+    Ok((StatusCode::ACCEPTED, Json(app.studies.cancel(id)?)))
+}
+
+pub(super) async fn forget_study(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<StatusCode, Problem> {
+    app.studies.forget(id)?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+pub(super) async fn get_study_table(
+    Shared(app): Shared<App>,
+    StudyId(id): StudyId,
+) -> Result<Response, Problem> {
+    let text = app.studies.file(id, "table.csv")?;
+    Ok(([(CONTENT_TYPE, "text/csv")], text).into_response())
+}
+
+pub(super) async fn get_study_chart(
+    Shared(app): Shared<App>,
+    Path((id, name)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let id = store::parse_id(&id).ok_or(StudyRefusal::Unknown)?;
+    if !name.ends_with(".svg") {
+        return Err(StudyRefusal::NoFile.into());
+    }
+    let text = app.studies.file(id, &name)?;
+    Ok(([(CONTENT_TYPE, "image/svg+xml")], text).into_response())
+}
