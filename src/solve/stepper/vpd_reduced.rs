@@ -22,6 +22,8 @@ use crate::solve::trajectory::State;
 pub struct VpdReduced<const N: usize> {
     step: GalerkinStep<N>,
     momentum: Mat<N>,
+    /// What rounding took off the sum of the momentum.
+    carry: Mat<N>,
     attitude: Option<Mat<N>>,
 }
 
@@ -32,6 +34,7 @@ impl<const N: usize> VpdReduced<N> {
         Self {
             step: GalerkinStep::new(tableau, stop),
             momentum: Mat::zeros(),
+            carry: Mat::zeros(),
             attitude: with_attitude.then(Mat::identity),
         }
     }
@@ -50,6 +53,19 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     }
 }
 
+/// `f^T p f - p` for skew p, by which (lp) moves the momentum, exact for a rotation that is f to rounding.
+///
+/// With `f = I + F` it is `asym(p F) + F^T p F`. What f lacks of a rotation is a drift of the Casimirs, so it is
+/// taken off F first: all that is rounded then is small beside p.
+fn coadjoint_change<const N: usize>(f: &Mat<N>, p: &Mat<N>) -> Mat<N> {
+    let small = f - Mat::<N>::identity();
+    // f^T f - I
+    let defect = small + small.transpose() + so::transposed_product(&small, &small);
+    let small = small - (defect + so::product(&small, &defect)) * 0.5;
+    let turned = so::product(p, &small);
+    so::asym(&turned) + so::asym(&so::transposed_product(&small, &turned)) * 0.5
+}
+
 impl<const N: usize> Stepper<N> for VpdReduced<N> {
     fn order(&self) -> u32 {
         self.step.order()
@@ -57,6 +73,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.momentum = state.momentum;
+        self.carry = Mat::zeros();
         self.attitude = self.attitude.map(|_| state.attitude);
     }
 
@@ -66,7 +83,13 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
         debug_assert!(body.is_free(), "the reduced integrator is for free bodies");
         let omega = body.velocity(&self.momentum);
         let convergence = self.step.solve(&mut Free(body), h, &self.momentum, &omega)?;
-        self.momentum = self.step.momentum();
+        let change = coadjoint_change(self.step.rotation(), &self.momentum) + self.carry;
+        for i in 0..N {
+            for j in 0..N {
+                let (sum, left) = so::sum(self.momentum[(i, j)], change[(i, j)]);
+                (self.momentum[(i, j)], self.carry[(i, j)]) = (sum, left);
+            }
+        }
         self.attitude =
             self.attitude.map(|g| so::orthonormalised(&so::product(&g, self.step.rotation())));
         Ok(convergence)

@@ -334,7 +334,7 @@ impl VpdSpace {
                 let g0 = attitude.matrix();
                 let impulse = plus(&product(&g0, kick), momentum_carry);
                 for i in 0..3 {
-                    (momentum[i], momentum_carry[i]) = sum(momentum[i], impulse[i]);
+                    (momentum[i], momentum_carry[i]) = so::sum(momentum[i], impulse[i]);
                 }
                 // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
                 let sign = if end.w < 0.0 { -1.0 } else { 1.0 };
@@ -345,10 +345,10 @@ impl VpdSpace {
                 // What the length lacks of one.
                 let lack = 0.5 * (1.0 - (attitude.w * attitude.w + dot(&attitude.v, &attitude.v)));
                 change.w += lack * attitude.w + attitude_carry.w;
-                (attitude.w, attitude_carry.w) = sum(attitude.w, change.w);
+                (attitude.w, attitude_carry.w) = so::sum(attitude.w, change.w);
                 for i in 0..3 {
                     let change = change.v[i] + (lack * attitude.v[i] + attitude_carry.v[i]);
-                    (attitude.v[i], attitude_carry.v[i]) = sum(attitude.v[i], change);
+                    (attitude.v[i], attitude_carry.v[i]) = so::sum(attitude.v[i], change);
                 }
             }
             Carried::Reduced { momentum, square } => {
@@ -382,11 +382,4 @@ fn symmetric(m: &Matrix3<f64>) -> Sym3<f64> {
 
 fn rows(m: &Mat<3>) -> Mat3<f64> {
     mat3!(i, j => m[(i, j)])
-}
-
-/// `a + b`, and what rounding left over (Knuth's two-sum).
-fn sum(a: f64, b: f64) -> (f64, f64) {
-    let sum = a + b;
-    let part = sum - a;
-    (sum, (a - (sum - part)) + (b - part))
 }
