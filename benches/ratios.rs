@@ -5,6 +5,7 @@
 
 use std::time::Instant;
 
+use vpd::solve::ensemble::Members;
 use vpd::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd::solve::nonlinear::{Rungs, StopRule};
 use vpd::solve::so::{self, Mat, Vector};
@@ -245,11 +246,14 @@ fn ensembles() {
         let steps = (20.0 / h) as usize;
         let mut ensemble = VpdEnsemble::new(&gauss(stages), StopRule::default()).expect("8 stages");
         let mut stepper = in_lanes(stages, Rungs::Both);
+        let everybody: Vec<usize> = (0..states.len()).collect();
+        let mut results = Vec::new();
         for _ in 0..7 {
-            ensemble.start(states.clone());
+            ensemble.start(&states);
             let begun = Instant::now();
             for _ in 0..steps {
-                ensemble.step(body, h);
+                results.clear();
+                ensemble.step(body, h, &everybody, &mut results);
             }
             together = together.min(begun.elapsed().as_secs_f64());
             let begun = Instant::now();

@@ -4,6 +4,7 @@
 
 use crate::plan::{Formulation, Plan};
 use crate::scenario::MethodName;
+use crate::solve::ensemble::{Apart, Members};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::WIDTH;
 use crate::solve::stepper::Stepper;
@@ -16,6 +17,7 @@ use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
 use crate::solve::stepper::vpd_space::VpdSpace;
+use crate::solve::stepper::vpd_space::ensemble::VpdEnsemble;
 use crate::solve::stepper::vrkmk::Vrkmk;
 use crate::solve::trajectory::State;
 
@@ -26,6 +28,8 @@ pub(crate) struct Assembly<const N: usize> {
     pub(crate) body: RigidBody<N>,
     pub(crate) stepper: Box<dyn Stepper<N>>,
     pub(crate) initial: State<N>,
+    /// Of an ensemble.
+    pub(crate) members: Option<Box<dyn Members<N>>>,
 }
 
 /// Something to be done with a planned body, whatever its n: a run that writes a log, a run of a study.
@@ -42,8 +46,8 @@ pub(crate) fn assembled<T: Task>(plan: &Plan, task: T) -> T::Output {
     macro_rules! for_dimension {
         ($($n:literal)*) => {
             match plan.dimension {
-                3 => perform(plan, in_space(plan), task),
-                $($n => perform::<$n, T>(plan, in_any_dimension(plan), task),)*
+                3 => perform(plan, in_space, together, task),
+                $($n => perform::<$n, T>(plan, in_any_dimension, |_| None, task),)*
                 n => unreachable!("the plan refuses n = {n}"),
             }
         };
@@ -53,12 +57,29 @@ pub(crate) fn assembled<T: Task>(plan: &Plan, task: T) -> T::Output {
 
 fn perform<const N: usize, T: Task>(
     plan: &Plan,
-    stepper: Option<Box<dyn Stepper<N>>>,
+    stepper: impl Fn(&Plan) -> Option<Box<dyn Stepper<N>>>,
+    together: impl Fn(&Plan) -> Option<Box<dyn Members<N>>>,
     task: T,
 ) -> T::Output {
-    let stepper = stepper.expect("the plan refuses a method that cannot run the scene");
+    let stepper = || stepper(plan).expect("the plan refuses a method that cannot run the scene");
+    let members = plan.ensemble.is_some().then(|| {
+        together(plan).unwrap_or_else(|| Box::new(Apart(std::array::from_fn(|_| stepper()))))
+    });
     let (body, initial) = problem::problem::<N>(&plan.model);
-    task.perform(Assembly { body, stepper, initial })
+    task.perform(Assembly { body, stepper: stepper(), initial, members })
+}
+
+/// Members side by side, where that is quicker than one after the other; `None` elsewhere.
+fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
+    match plan.formulation.method {
+        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced
+            if plan.formulation.stages <= VpdEnsemble::MOST_STAGES =>
+        {
+            let members = VpdEnsemble::new(&plan.model.tableau, plan.model.stop)?;
+            Some(Box::new(members))
+        }
+        _ => None,
+    }
 }
 
 /// The stepper that the plan chose, of those for any n; `None` for the others.

@@ -342,8 +342,9 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
     )
     .expect("the template is fixed and valid");
-    let bar =
-        ProgressBar::new(plan.steps).with_style(style).with_message(scenario.name().to_owned());
+    let bar = ProgressBar::new(plan.total_steps())
+        .with_style(style)
+        .with_message(scenario.name().to_owned());
     thread::scope(|scope| {
         let worker = scope.spawn(|| run::execute(scenario, &context));
         while !worker.is_finished() {

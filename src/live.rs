@@ -16,8 +16,8 @@ use foxglove::{
 use prost::Message;
 
 use crate::log::log_time;
-use crate::log::messages::{self, Energy, Momentum, Orthogonality, Solver, State};
-use crate::log::scene::SceneGeometry;
+use crate::log::messages;
+use crate::log::scene::{BODY_FRAME, SceneGeometry};
 use crate::log::schema::{Channel, ENCODING};
 use crate::solve::trajectory::Sample;
 
@@ -134,7 +134,7 @@ impl Show {
             self.draw(N, time_ns);
         }
         for (channel, _) in &live.channels {
-            if let Some(bytes) = encoded(*channel, sample, time_ns) {
+            if let Some(bytes) = messages::of_sample(*channel, sample, time_ns, BODY_FRAME) {
                 live.send(*channel, time_ns, &bytes);
             }
         }
@@ -159,18 +159,5 @@ impl Drop for Show {
         if floor.holder == Some(self.id) {
             floor.holder = None;
         }
-    }
-}
-
-/// What a sample says on a channel.
-fn encoded<const N: usize>(channel: Channel, sample: &Sample<N>, time_ns: u64) -> Option<Vec<u8>> {
-    match channel {
-        Channel::State => Some(State::of(sample).encode_to_vec()),
-        Channel::Energy => Energy::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Orthogonality => Orthogonality::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Momentum => Momentum::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Solver => Solver::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Tf => messages::frames(sample, time_ns).map(|message| message.encode_to_vec()),
-        Channel::SceneBody | Channel::SceneSources | Channel::Log => None,
     }
 }

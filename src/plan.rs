@@ -8,9 +8,11 @@
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-use crate::log::schema::Channel;
+use crate::log::schema::{Channel, bytes_per_member};
 use crate::log::writer::Compression;
-use crate::scenario::{MethodName, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice};
+use crate::scenario::{
+    Ensemble, MethodName, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
+};
 use crate::solve::composition::Composition;
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::StopRule;
@@ -56,11 +58,25 @@ pub struct Plan {
     pub step_ns: f64,
     /// Estimated time of the run in seconds.
     pub run_s: f64,
+    /// The members of an ensemble.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ensemble: Option<EnsemblePlan>,
     /// How method and step were chosen for an accuracy; see [`crate::advise`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<Advice>,
     #[serde(skip)]
     pub(crate) model: Model,
+}
+
+/// The members of an ensemble.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EnsemblePlan {
+    /// How many there are.
+    pub members: u64,
+    /// Those whose samples are logged, in their order; member 0 is the first.
+    pub in_full: Vec<u64>,
+    /// Ends in a chunk of the log: what takes about five seconds. An interrupted run goes on from there.
+    pub members_per_chunk: u64,
 }
 
 /// The choice of method and step for an accuracy.
@@ -132,6 +148,16 @@ pub struct ChannelPlan {
     pub computes: &'static str,
 }
 
+impl EnsemblePlan {
+    fn new(ensemble: &Ensemble) -> Self {
+        let mut in_full = ensemble.in_full.clone();
+        in_full.push(0);
+        in_full.sort_unstable();
+        in_full.dedup();
+        Self { members: ensemble.members, in_full, members_per_chunk: 0 }
+    }
+}
+
 impl Plan {
     /// Plans a scenario.
     ///
@@ -163,6 +189,7 @@ impl Plan {
             log_bytes: 0,
             step_ns: 0.0,
             run_s: 0.0,
+            ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
             advice: None,
             model: Model {
                 kinetic,
@@ -188,6 +215,11 @@ impl Plan {
         plan.free_directions = free_directions(n, &plan.model.terms);
         plan.estimate(scenario.log.compression);
         Ok(plan)
+    }
+
+    /// Steps of all members, or of the one run.
+    pub fn total_steps(&self) -> u64 {
+        self.steps * self.ensemble.as_ref().map_or(1, |ensemble| ensemble.members)
     }
 
     /// Is the channel logged?
@@ -248,8 +280,10 @@ impl Plan {
             method => (method, "asked for"),
         };
         let shown = [Channel::State, Channel::Orthogonality, Channel::Tf];
-        let carries_attitude =
-            method != MethodName::VpdReduced || shown.into_iter().any(|channel| self.logs(channel));
+        // Members are compared by where they end, attitude included.
+        let carries_attitude = method != MethodName::VpdReduced
+            || shown.into_iter().any(|channel| self.logs(channel))
+            || self.ensemble.is_some();
         let tableau = &self.model.tableau;
         let (name, stages, order) = match (scenario.method.order.unwrap_or(4), method) {
             (order, method) if method.is_composition() => (
@@ -275,14 +309,22 @@ impl Plan {
             Compression::Lz4 => 0.7,
             Compression::None => 1.0,
         };
-        self.log_bytes = LOG_FIXED_BYTES + (self.samples as f64 * raw as f64 * ratio) as u64;
+        let in_full = self.ensemble.as_ref().map_or(1, |ensemble| ensemble.in_full.len() as u64);
+        let samples = (self.samples * in_full) as f64;
+        self.log_bytes = LOG_FIXED_BYTES + (samples * raw as f64 * ratio) as u64;
         self.step_ns = self.step_cost_ns();
-        self.run_s = self.steps as f64 * self.step_ns * 1e-9;
+        self.run_s = self.total_steps() as f64 * self.step_ns * 1e-9;
         // What a viewer fetches at once, and what a kill may cost.
         const CHUNK_BYTES: u64 = 1 << 19;
         const CHUNK_S: f64 = 5.0;
         let in_time = CHUNK_S / (self.every as f64 * self.step_ns * 1e-9);
         self.samples_per_chunk = (CHUNK_BYTES / raw.max(1)).min(in_time as u64).max(1);
+        if let Some(ensemble) = &mut self.ensemble {
+            let end_bytes = bytes_per_member(n);
+            self.log_bytes += (ensemble.members as f64 * end_bytes as f64 * ratio) as u64;
+            let in_time = CHUNK_S / (self.steps as f64 * self.step_ns * 1e-9);
+            ensemble.members_per_chunk = (CHUNK_BYTES / end_bytes).min(in_time as u64).max(1);
+        }
     }
 
     /// About what a step costs on one core of a common machine, in nanoseconds, at the dipole's h = 0.01.
@@ -348,12 +390,15 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
         (C::Tf, "the attitude as a quaternion"),
         (C::SceneBody, "the body's box and points, once"),
         (C::SceneSources, "sources, anchors and directions, once"),
+        (C::EnsembleMembers, "start and end of each member"),
+        (C::EnsembleStatistics, "mean and spread of the members, at the start and at the end"),
         (C::Log, "start, warnings, diagnosis"),
     ];
     let three = scenario.dimension() == 3;
     let potential = !scenario.scene.potential.is_empty();
     let has = |channel: C| match channel {
         C::SceneSources => three && potential,
+        C::EnsembleMembers | C::EnsembleStatistics => scenario.ensemble.is_some(),
         channel => three || !channel.needs_three(),
     };
     let asked =

@@ -28,12 +28,14 @@ use crate::solve::trajectory::{
 };
 
 mod advice;
+mod ensemble;
 mod geometry;
 mod summary;
 
+use ensemble::Ensemble;
 pub use summary::{
-    Diagnosis, EnergySummary, FinalState, MomentumSummary, OrthogonalitySummary, Outcome,
-    SolverSummary, Summary,
+    Diagnosis, EnergySummary, EnsembleSummary, FinalState, MomentumSummary, OrthogonalitySummary,
+    Outcome, SolverSummary, Summary,
 };
 
 /// What a run shares with those who wait for it.
@@ -74,14 +76,24 @@ impl Control {
     /// Takes note of a step; whether there is to be another one.
     fn go_on(&self, steps: u64) -> bool {
         self.steps_done.store(steps, Ordering::Relaxed);
+        if steps.is_multiple_of(TRACED_STEPS) {
+            self.note(steps);
+        }
+        !self.stopped()
+    }
+
+    /// Leaves a note of how far the run came.
+    fn note(&self, steps: u64) {
         #[cfg(unix)]
-        if steps.is_multiple_of(TRACED_STEPS)
-            && let Some(trace) = &self.trace
-        {
+        if let Some(trace) = &self.trace {
             // A trace that cannot be written is none.
             let _ = std::os::unix::fs::FileExt::write_all_at(trace, &steps.to_le_bytes(), 0);
         }
-        !self.cancelled.load(Ordering::Relaxed) && !self.interrupted.load(Ordering::Relaxed)
+    }
+
+    /// Whether somebody wants the run to end.
+    fn stopped(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed) || self.interrupted.load(Ordering::Relaxed)
     }
 }
 
@@ -132,7 +144,13 @@ impl Task for Run<'_> {
     type Output = Result<Summary, RunError>;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
-        run(self.scenario, self.plan, assembly, self.context)
+        let Self { scenario, plan, context } = self;
+        match (&scenario.ensemble, &plan.ensemble) {
+            (Some(asked), Some(planned)) => {
+                Ensemble { scenario, plan, asked, planned, context }.run(assembly)
+            }
+            _ => run(scenario, plan, assembly, context),
+        }
     }
 }
 
@@ -142,7 +160,7 @@ fn run<const N: usize>(
     mut assembly: Assembly<N>,
     context: &JobContext<'_>,
 ) -> Result<Summary, RunError> {
-    let Assembly { body, stepper, initial } = &mut assembly;
+    let Assembly { body, stepper, initial, .. } = &mut assembly;
     let begun = Instant::now();
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let control = context.control;
@@ -202,7 +220,7 @@ fn run<const N: usize>(
         time_s,
         samples: end.samples,
         resumed_step,
-        last: summary::final_state(&end),
+        last: summary::final_state(end.attitude.as_ref(), &end.momentum),
         error: None,
         energy: summary::energy(&figures),
         orthogonality: summary::orthogonality(&figures, end.samples),
@@ -215,6 +233,7 @@ fn run<const N: usize>(
         ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
         log: context.log.display().to_string(),
         diagnosis,
+        ensemble: None,
         unmet: Vec::new(),
     };
     if let Some(expect) = &scenario.expect {
@@ -252,31 +271,14 @@ impl<'a, const N: usize> Recorder<'a, N> {
     ) -> Result<(Self, Option<Checkpoint<N>>), LogError> {
         let JobContext { log, control } = *context;
         let (writer, figures, checkpoint) = match LogWriter::resume(log, header)? {
-            Some((writer, Resumed { checkpoint, figures })) => (writer, figures, Some(checkpoint)),
+            Some((writer, Resumed { checkpoint, figures, .. })) => {
+                (writer, figures, Some(checkpoint))
+            }
             None => (LogWriter::create(log, header)?, Figures::default(), None),
         };
         let announce = |live: &Arc<Live>| live.announce(header.epoch_ns, header.scene.clone());
         let show = control.live.as_ref().map(announce);
         Ok((Self { writer, figures, elsewhere: Duration::ZERO, control, show }, checkpoint))
-    }
-
-    fn keep(&mut self, sample: &Sample<N>) {
-        let figures = &mut self.figures;
-        if let Some((energy, error)) = sample.energy.zip(sample.energy_error) {
-            figures.energy_initial.get_or_insert(energy.total());
-            let before = figures.energy_max_abs_error.unwrap_or_default();
-            figures.energy_max_abs_error = Some(error.abs().max(before));
-            figures.energy_final_error = Some(error);
-        }
-        if let Some(error) = sample.orthogonality_error {
-            let before = figures.orthogonality_max.unwrap_or_default();
-            figures.orthogonality_max = Some(error.max(before));
-            figures.orthogonality_sum = Some(figures.orthogonality_sum.unwrap_or_default() + error);
-        }
-        if let Some(drift) = sample.momentum_drift {
-            let before = figures.momentum_max_drift.unwrap_or_default();
-            figures.momentum_max_drift = Some(drift.max(before));
-        }
     }
 }
 
@@ -289,7 +291,7 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
             return Err(RunError::Interrupted);
         }
         let begun = Instant::now();
-        self.keep(sample);
+        self.figures.keep(sample);
         if let Some(show) = &self.show {
             show.sample(sample);
         }
@@ -323,6 +325,7 @@ fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
     LogHeader {
         epoch_ns: scenario.epoch_ns(),
         channels: plan.channels.iter().map(|channel| channel.topic).collect(),
+        members: plan.ensemble.as_ref().map_or(vec![0], |ensemble| ensemble.in_full.clone()),
         compression: scenario.log.compression,
         samples_per_chunk: plan.samples_per_chunk,
         scenario_json: scenario.to_json(),
@@ -348,6 +351,9 @@ fn log_outcome(summary: &Summary) -> LogOutcome {
     figure("energy_max_abs_error", summary.energy.map(|energy| energy.max_abs_error));
     figure("orthogonality_max", summary.orthogonality.map(|orthogonality| orthogonality.max));
     figure("momentum_max_drift", summary.momentum.map(|momentum| momentum.max_drift));
+    if let Some(ensemble) = &summary.ensemble {
+        entries.insert("ensemble".to_owned(), json(ensemble));
+    }
     if let Some(diagnosis) = &summary.diagnosis {
         entries.insert("code".to_owned(), diagnosis.code.clone());
         entries.insert("diagnosis".to_owned(), json(diagnosis));

@@ -8,9 +8,11 @@
 //! pointer of the field at fault.
 
 mod check;
+mod ensemble;
 mod parse;
 
 pub(crate) use check::SMALLEST_STEP_S;
+pub use ensemble::Ensemble;
 pub(crate) use parse::{from_tree, tree as read_tree};
 
 use schemars::JsonSchema;
@@ -48,6 +50,9 @@ pub struct Scenario {
     /// Duration in seconds, a whole number of steps; either this or `steps`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub duration_s: Option<f64>,
+    /// Many runs of the scene, from starts that are spread about the given one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ensemble: Option<Ensemble>,
     /// What is logged.
     #[serde(default)]
     pub log: LogOptions,
@@ -554,6 +559,7 @@ pub const SHIPPED: &[(&str, &str)] = &[
     ("heavy-top", include_str!("../scenarios/heavy-top.json")),
     ("pendulum", include_str!("../scenarios/pendulum.json")),
     ("satellite", include_str!("../scenarios/satellite.json")),
+    ("satellite-ensemble", include_str!("../scenarios/satellite-ensemble.json")),
     ("so4-free", include_str!("../scenarios/so4-free.json")),
     ("so5-spring", include_str!("../scenarios/so5-spring.json")),
 ];

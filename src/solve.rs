@@ -6,6 +6,7 @@
 //! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).
 
 pub mod composition;
+pub mod ensemble;
 pub mod failure;
 pub mod free_top;
 pub mod hamiltonian;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::plan::Plan;
+use crate::plan::{EnsemblePlan, Plan};
 use crate::run::Summary;
 
 /// A run in a few lines.
@@ -61,6 +61,18 @@ pub(super) fn summary(summary: &Summary) -> String {
         "time",
         format!("{:.3} s, {:.0} ns a step in the integrator", summary.wall_s, summary.ns_per_step),
     );
+    if let Some(ensemble) = &summary.ensemble {
+        let failed: String =
+            ensemble.failed.iter().map(|(code, count)| format!(", {count} {code}")).collect();
+        let members = format!("{} of {} succeeded{failed}", ensemble.succeeded, ensemble.members);
+        line("members", members);
+        if let Some(spread) = ensemble.attitude_spread_rad {
+            line("spread", format!("{spread:.3e} rad of attitude at the end"));
+        }
+        if let Some(error) = ensemble.energy_max_abs_error {
+            line("worst energy", format!("error at most {error:.2e} in any of them"));
+        }
+    }
     line("log", format!("{}, {} samples", summary.log, summary.samples));
     for unmet in &summary.unmet {
         line("not as expected", unmet.clone());
@@ -118,6 +130,11 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             plan.steps, plan.step_s, plan.every, plan.samples
         ),
     );
+    if let Some(EnsemblePlan { members, in_full, .. }) = &plan.ensemble {
+        let in_full: Vec<String> = in_full.iter().map(u64::to_string).collect();
+        let text = format!("{members}, the whole motion of member {}", in_full.join(", "));
+        line("members", text);
+    }
     if plan.potential.is_empty() {
         line("potential", "none: a free body".to_owned());
     }

@@ -3,8 +3,11 @@
 //! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up
 //! in the middle, writes the same bytes.
 
+use prost::Message as _;
+
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
 
+use super::schema::Channel;
 use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::Sample;
 
@@ -18,6 +21,29 @@ pub const LOG10_FLOOR: f64 = -20.0;
 /// By the `libm` crate, so that the bits do not depend on the machine.
 pub fn log10_size(x: f64) -> f64 {
     libm::log10(x.abs()).max(LOG10_FLOOR)
+}
+
+/// What a sample says on a channel, encoded; `None` if it says nothing there. `body_frame` is the name of the frame
+/// that turns with the body.
+pub fn of_sample<const N: usize>(
+    channel: Channel,
+    sample: &Sample<N>,
+    time_ns: u64,
+    body_frame: &str,
+) -> Option<Vec<u8>> {
+    match channel {
+        Channel::State => Some(State::of(sample).encode_to_vec()),
+        Channel::Energy => Energy::of(sample).map(|message| message.encode_to_vec()),
+        Channel::Orthogonality => Orthogonality::of(sample).map(|message| message.encode_to_vec()),
+        Channel::Momentum => Momentum::of(sample).map(|message| message.encode_to_vec()),
+        Channel::Solver => Solver::of(sample).map(|message| message.encode_to_vec()),
+        Channel::Tf => frames(sample, time_ns, body_frame).map(|message| message.encode_to_vec()),
+        Channel::SceneBody
+        | Channel::SceneSources
+        | Channel::EnsembleMembers
+        | Channel::EnsembleStatistics
+        | Channel::Log => None,
+    }
 }
 
 impl State {
@@ -85,14 +111,39 @@ impl Solver {
     }
 }
 
+impl Figures {
+    /// Takes a sample into account.
+    pub fn keep<const N: usize>(&mut self, sample: &Sample<N>) {
+        if let Some((energy, error)) = sample.energy.zip(sample.energy_error) {
+            self.energy_initial.get_or_insert(energy.total());
+            let before = self.energy_max_abs_error.unwrap_or_default();
+            self.energy_max_abs_error = Some(error.abs().max(before));
+            self.energy_final_error = Some(error);
+        }
+        if let Some(error) = sample.orthogonality_error {
+            let before = self.orthogonality_max.unwrap_or_default();
+            self.orthogonality_max = Some(error.max(before));
+            self.orthogonality_sum = Some(self.orthogonality_sum.unwrap_or_default() + error);
+        }
+        if let Some(drift) = sample.momentum_drift {
+            let before = self.momentum_max_drift.unwrap_or_default();
+            self.momentum_max_drift = Some(drift.max(before));
+        }
+    }
+}
+
 /// The body's frame as seen from space, for viewers; `None` unless n = 3.
-pub fn frames<const N: usize>(sample: &Sample<N>, time_ns: u64) -> Option<FrameTransforms> {
+pub fn frames<const N: usize>(
+    sample: &Sample<N>,
+    time_ns: u64,
+    body_frame: &str,
+) -> Option<FrameTransforms> {
     let [w, x, y, z] = quaternion(&sample.attitude?)?;
     Some(FrameTransforms {
         transforms: vec![FrameTransform {
             timestamp: timestamp(time_ns),
             parent_frame_id: super::scene::SPACE_FRAME.to_owned(),
-            child_frame_id: super::scene::BODY_FRAME.to_owned(),
+            child_frame_id: body_frame.to_owned(),
             translation: Some(Vector3::default()),
             rotation: Some(Quaternion { x, y, z, w }),
         }],

@@ -93,7 +93,12 @@ impl Message {
             Channel::Orthogonality => Orthogonality::decode(data).ok().map(Self::Orthogonality),
             Channel::Momentum => Momentum::decode(data).ok().map(Self::Momentum),
             Channel::Solver => Solver::decode(data).ok().map(Self::Solver),
-            Channel::Tf | Channel::SceneBody | Channel::SceneSources | Channel::Log => None,
+            Channel::Tf
+            | Channel::SceneBody
+            | Channel::SceneSources
+            | Channel::EnsembleMembers
+            | Channel::EnsembleStatistics
+            | Channel::Log => None,
         }
     }
 }

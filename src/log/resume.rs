@@ -13,10 +13,10 @@ use std::path::Path;
 use mcap::records::MessageHeader;
 use prost::Message as _;
 
-use super::messages::{self, Figures};
+use super::messages::{self, Figures, Member};
 use super::part::Part;
 use super::reader::{self, Item};
-use super::schema::Channel;
+use super::schema::{Channel, Topic};
 use super::writer::{LogHeader, LogWriter};
 use super::{LogError, part_path};
 use crate::solve::nonlinear::{Convergence, Rung};
@@ -30,11 +30,13 @@ pub struct Resumed<const N: usize> {
     pub checkpoint: Checkpoint<N>,
     /// Figures of the samples so far.
     pub figures: Figures,
+    /// Of an ensemble, the members that ended.
+    pub members: Vec<Member>,
 }
 
 /// A message between two checkpoints.
 struct Pending {
-    channel: Channel,
+    topic: Topic,
     time_ns: u64,
     sequence: u32,
     data: Vec<u8>,
@@ -59,18 +61,22 @@ impl<const N: usize> LogWriter<N> {
             Err(_) if file.differs() => return Ok(None),
             Err(error) => return Err(error),
         };
-        let mut pending = Vec::new();
+        let (mut pending, mut members) = (Vec::new(), Vec::new());
         let mut fed = Ok(());
         reader::read(&part, |item| {
             match item {
                 Item::Message { topic, time_ns, sequence, data, .. } => {
-                    let Some(channel) = Channel::from_topic(topic) else {
+                    let Some(topic) = Topic::parse(topic) else {
                         return ControlFlow::Break(());
                     };
-                    pending.push(Pending { channel, time_ns, sequence, data: data.to_vec() });
+                    pending.push(Pending { topic, time_ns, sequence, data: data.to_vec() });
                 }
                 Item::Checkpoint { data } => {
                     let Some(resumed) = decode(data) else { return ControlFlow::Break(()) };
+                    let ends = pending.iter().filter(|pending: &&Pending| {
+                        pending.topic == Channel::EnsembleMembers.into()
+                    });
+                    members.extend(ends.filter_map(|end| Member::decode(end.data.as_slice()).ok()));
                     fed = log.feed(std::mem::take(&mut pending), data, &resumed.checkpoint);
                     if fed.is_err() {
                         return ControlFlow::Break(());
@@ -84,6 +90,7 @@ impl<const N: usize> LogWriter<N> {
         match (fed, found) {
             (Err(error), _) if !file.differs() => Err(error),
             (Ok(()), Some(resumed)) => {
+                let resumed = Resumed { members, ..resumed };
                 file.go_on().map_err(failed)?;
                 log.part = part;
                 log.syncer.settled(resumed.checkpoint.step);
@@ -100,8 +107,8 @@ impl<const N: usize> LogWriter<N> {
         record: &[u8],
         checkpoint: &Checkpoint<N>,
     ) -> Result<(), LogError> {
-        for Pending { channel, time_ns, sequence, data } in messages {
-            let channel_id = self.id(channel)?;
+        for Pending { topic, time_ns, sequence, data } in messages {
+            let channel_id = self.id(topic)?;
             let header =
                 MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
             self.write(&header, &data)?;
@@ -176,5 +183,6 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
         iterations: message.iterations,
         convergence,
     };
-    Some(Resumed { checkpoint, figures: message.figures.unwrap_or_default() })
+    let figures = message.figures.unwrap_or_default();
+    Some(Resumed { checkpoint, figures, members: Vec::new() })
 }

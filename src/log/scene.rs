@@ -2,6 +2,8 @@
 //!
 //! Invariant: the body moves by its frame alone, so each drawing is sent once, at the start.
 
+use std::borrow::Cow;
+
 use foxglove::messages::{
     ArrowPrimitive, Color, CubePrimitive, Duration, Pose, Quaternion, SceneEntity, SceneUpdate,
     SpherePrimitive, Vector3,
@@ -13,6 +15,11 @@ use super::messages::timestamp;
 pub const SPACE_FRAME: &str = "space";
 /// Name of the frame that turns with the body.
 pub const BODY_FRAME: &str = "body";
+
+/// Name of the frame that turns with a member of an ensemble; that of member 0 is the body's.
+pub fn body_frame(member: u64) -> Cow<'static, str> {
+    if member == 0 { BODY_FRAME.into() } else { format!("{BODY_FRAME}/{member}").into() }
+}
 
 /// What to draw; empty unless n = 3.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -46,6 +46,12 @@ pub enum Channel {
     /// Charges, anchors and directions in space, once; n = 3.
     #[serde(rename = "/scene/sources")]
     SceneSources,
+    /// How each member of an ensemble began and ended.
+    #[serde(rename = "/ensemble/members")]
+    EnsembleMembers,
+    /// Mean and spread of the members of an ensemble.
+    #[serde(rename = "/ensemble/statistics")]
+    EnsembleStatistics,
     /// Start, warnings, the diagnosis.
     #[serde(rename = "/log")]
     Log,
@@ -61,9 +67,21 @@ pub struct Schema {
 
 impl Channel {
     /// Every channel, in the order in which logs list them.
-    pub const fn all() -> [Self; 9] {
+    pub const fn all() -> [Self; 11] {
         use Channel::*;
-        [State, Energy, Orthogonality, Momentum, Solver, Tf, SceneBody, SceneSources, Log]
+        [
+            State,
+            Energy,
+            Orthogonality,
+            Momentum,
+            Solver,
+            Tf,
+            SceneBody,
+            SceneSources,
+            EnsembleMembers,
+            EnsembleStatistics,
+            Log,
+        ]
     }
 
     /// The topic.
@@ -77,6 +95,8 @@ impl Channel {
             Self::Tf => "/tf",
             Self::SceneBody => "/scene/body",
             Self::SceneSources => "/scene/sources",
+            Self::EnsembleMembers => "/ensemble/members",
+            Self::EnsembleStatistics => "/ensemble/statistics",
             Self::Log => "/log",
         }
     }
@@ -91,6 +111,16 @@ impl Channel {
         matches!(self, Self::Tf | Self::SceneBody | Self::SceneSources)
     }
 
+    /// Whether the channel is for ensembles only.
+    pub const fn needs_ensemble(self) -> bool {
+        matches!(self, Self::EnsembleMembers | Self::EnsembleStatistics)
+    }
+
+    /// Whether a message of the channel belongs to a sample.
+    pub const fn is_sampled(self) -> bool {
+        self.bytes_per_sample(3) > 0
+    }
+
     /// Name of the channel's message type.
     pub const fn schema_name(self) -> &'static str {
         match self {
@@ -101,6 +131,8 @@ impl Channel {
             Self::Solver => "vpd.Solver",
             Self::Tf => "foxglove.FrameTransforms",
             Self::SceneBody | Self::SceneSources => "foxglove.SceneUpdate",
+            Self::EnsembleMembers => "vpd.Member",
+            Self::EnsembleStatistics => "vpd.EnsembleStatistics",
             Self::Log => "foxglove.Log",
         }
     }
@@ -108,9 +140,13 @@ impl Channel {
     /// The channel's message type with its descriptors.
     pub fn schema(self) -> Schema {
         let descriptors = match self {
-            Self::State | Self::Energy | Self::Orthogonality | Self::Momentum | Self::Solver => {
-                Cow::Borrowed(DESCRIPTORS)
-            }
+            Self::State
+            | Self::Energy
+            | Self::Orthogonality
+            | Self::Momentum
+            | Self::Solver
+            | Self::EnsembleMembers
+            | Self::EnsembleStatistics => Cow::Borrowed(DESCRIPTORS),
             Self::Tf => well_known::<FrameTransforms>(),
             Self::SceneBody | Self::SceneSources => well_known::<SceneUpdate>(),
             Self::Log => well_known::<Log>(),
@@ -138,9 +174,57 @@ impl Channel {
             Self::Solver => 2 + 2 * DOUBLE + 13,
             // Time stamp, two names, translation and four doubles, each part with tag and length.
             Self::Tf => 75,
-            Self::SceneBody | Self::SceneSources | Self::Log => return 0,
+            Self::SceneBody
+            | Self::SceneSources
+            | Self::EnsembleMembers
+            | Self::EnsembleStatistics
+            | Self::Log => return 0,
         };
         (HEADER + INDEX + payload) as u64
+    }
+}
+
+/// About how many bytes the end of a member of an ensemble takes before compression.
+pub const fn bytes_per_member(n: usize) -> u64 {
+    // Two states and some figures.
+    (2 * 8 * (n * n + so::dimension(n)) + 250) as u64
+}
+
+/// Where a message stands: its channel, and of an ensemble the member. Member 0, and a run that is no ensemble,
+/// have the channel's own topic; the others stand below `/members`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Topic {
+    /// Number of the member.
+    pub member: u64,
+    /// The channel.
+    pub channel: Channel,
+}
+
+impl Topic {
+    /// The name in the log.
+    pub fn name(self) -> String {
+        match self {
+            Self { member: 0, channel } => channel.topic().to_owned(),
+            Self { member, channel } => format!("/members/{member}{}", channel.topic()),
+        }
+    }
+
+    /// The topic of a name.
+    pub fn parse(name: &str) -> Option<Self> {
+        let (member, channel) = match name.strip_prefix("/members/") {
+            None => (0, name),
+            Some(rest) => {
+                let (digits, _) = rest.split_once('/')?;
+                (digits.parse().ok().filter(|&member| member > 0)?, &rest[digits.len()..])
+            }
+        };
+        Channel::from_topic(channel).map(|channel| Self { member, channel })
+    }
+}
+
+impl From<Channel> for Topic {
+    fn from(channel: Channel) -> Self {
+        Self { member: 0, channel }
     }
 }
 

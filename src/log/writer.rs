@@ -20,10 +20,10 @@ use prost::Message;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::messages::{self, Energy, Figures, Momentum, Orthogonality, Solver, State, timestamp};
+use super::messages::{self, EnsembleStatistics, Figures, Member, timestamp};
 use super::part::{Part, Syncer, folder, sync_folder};
-use super::scene::SceneGeometry;
-use super::schema::{Channel, ENCODING};
+use super::scene::{SceneGeometry, body_frame};
+use super::schema::{Channel, ENCODING, Topic};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
     resume,
@@ -53,6 +53,8 @@ pub struct LogHeader {
     pub epoch_ns: u64,
     /// What to write. Channels that need n = 3 are passed over for other n.
     pub channels: Vec<Channel>,
+    /// The members of an ensemble whose samples are written; of a single run, 0.
+    pub members: Vec<u64>,
     /// How chunks are compressed.
     pub compression: Compression,
     /// A chunk is closed, and so is safe from a kill, every so many samples; fewer where the chunk
@@ -101,9 +103,9 @@ pub struct LogWriter<const N: usize> {
     epoch_ns: u64,
     samples_per_chunk: u64,
     /// What is to be written, in the order of the channel ids.
-    channels: Vec<Channel>,
-    /// Ids by channel, once registered.
-    ids: Option<BTreeMap<Channel, u16>>,
+    topics: Vec<Topic>,
+    /// Ids by topic, once registered.
+    ids: Option<BTreeMap<Topic, u16>>,
     pub(super) samples: u64,
     /// Samples when the last chunk was closed.
     closed_at: u64,
@@ -163,6 +165,12 @@ impl<const N: usize> LogWriter<N> {
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
         let sample_bytes: u64 = channels.iter().map(|channel| channel.bytes_per_sample(N)).sum();
+        let of_members = header.members.iter().flat_map(|&member| {
+            let sampled =
+                channels.iter().filter(move |channel| member == 0 || channel.is_sampled());
+            sampled.map(move |&channel| Topic { member, channel })
+        });
+        let topics = of_members.collect();
         let mut log = Self {
             path: path.to_owned(),
             part: PathBuf::new(),
@@ -175,7 +183,7 @@ impl<const N: usize> LogWriter<N> {
                 .samples_per_chunk
                 .min(MAX_CHUNK_BYTES / 2 / sample_bytes.max(1))
                 .max(1),
-            channels,
+            topics,
             ids: None,
             samples: 0,
             closed_at: 0,
@@ -290,50 +298,44 @@ impl<const N: usize> LogWriter<N> {
         time_ns: u64,
         message: &impl Message,
     ) -> Result<(), LogError> {
-        if !self.channels.contains(&channel) {
-            return Ok(());
+        let topic = channel.into();
+        if self.topics.contains(&topic) {
+            self.put_encoded(topic, time_ns, &message.encode_to_vec())?;
         }
-        let channel_id = self.id(channel)?;
-        let payload = message.encode_to_vec();
+        Ok(())
+    }
+
+    fn put_encoded(&mut self, topic: Topic, time_ns: u64, payload: &[u8]) -> Result<(), LogError> {
         let header = MessageHeader {
-            channel_id,
+            channel_id: self.id(topic)?,
             // The sample's number; it wraps, as the format's counter does.
             sequence: self.samples as u32,
             log_time: time_ns,
             publish_time: time_ns,
         };
-        self.write(&header, &payload)
+        self.write(&header, payload)
     }
 
-    fn put_some(
-        &mut self,
-        channel: Channel,
-        time_ns: u64,
-        message: Option<impl Message>,
-    ) -> Result<(), LogError> {
-        message.map_or(Ok(()), |message| self.put(channel, time_ns, &message))
-    }
-
-    /// The id of a channel that is to be written.
-    pub(super) fn id(&mut self, channel: Channel) -> Result<u16, LogError> {
+    /// The id of a topic that is to be written.
+    pub(super) fn id(&mut self, topic: Topic) -> Result<u16, LogError> {
         // Only now, with a message at hand: channels without one leave an empty chunk that starts
         // in 1970, and viewers with it.
         if self.ids.is_none() {
             self.register()?;
         }
-        let id = self.ids.as_ref().and_then(|ids| ids.get(&channel)).copied();
+        let id = self.ids.as_ref().and_then(|ids| ids.get(&topic)).copied();
         id.ok_or_else(|| LogError::GivenUp { path: self.path.clone() })
     }
 
     fn register(&mut self) -> Result<(), LogError> {
         let mut ids = BTreeMap::new();
-        for channel in self.channels.clone() {
-            let schema = channel.schema();
+        for topic in self.topics.clone() {
+            let schema = topic.channel.schema();
             let id = self.attempt(|file| {
                 let schema = file.add_schema(schema.name, ENCODING, &schema.descriptors)?;
-                file.add_channel(schema, channel.topic(), ENCODING, &BTreeMap::new())
+                file.add_channel(schema, &topic.name(), ENCODING, &BTreeMap::new())
             })?;
-            ids.insert(channel, id);
+            ids.insert(topic, id);
         }
         self.ids = Some(ids);
         Ok(())
@@ -371,10 +373,12 @@ impl<const N: usize> LogWriter<N> {
     }
 }
 
-impl<const N: usize> Sink<N> for LogWriter<N> {
-    type Error = LogError;
-
-    fn record(&mut self, sample: &Sample<N>) -> Result<(), LogError> {
+impl<const N: usize> LogWriter<N> {
+    /// Takes a sample of a member of an ensemble.
+    ///
+    /// # Errors
+    /// If it holds what a log cannot, or the file cannot be written.
+    pub fn record_member(&mut self, member: u64, sample: &Sample<N>) -> Result<(), LogError> {
         let time_ns = self.time(sample.time_s)?;
         if time_ns < self.last_ns {
             return Err(LogError::Time { time_s: sample.time_s, epoch_ns: self.epoch_ns });
@@ -386,23 +390,43 @@ impl<const N: usize> Sink<N> for LogWriter<N> {
             // Nobody offered one.
             self.close_chunk(None)?;
         }
-        for channel in self.channels.clone() {
-            match channel {
-                Channel::State => self.put(channel, time_ns, &State::of(sample))?,
-                Channel::Energy => self.put_some(channel, time_ns, Energy::of(sample))?,
-                Channel::Orthogonality => {
-                    self.put_some(channel, time_ns, Orthogonality::of(sample))?;
-                }
-                Channel::Momentum => self.put_some(channel, time_ns, Momentum::of(sample))?,
-                Channel::Solver => self.put_some(channel, time_ns, Solver::of(sample))?,
-                Channel::Tf => {
-                    self.put_some(channel, time_ns, messages::frames(sample, time_ns))?;
-                }
-                Channel::SceneBody | Channel::SceneSources | Channel::Log => {}
+        for i in 0..self.topics.len() {
+            let topic = self.topics[i];
+            if topic.member == member
+                && let Some(payload) =
+                    messages::of_sample(topic.channel, sample, time_ns, &body_frame(member))
+            {
+                self.put_encoded(topic, time_ns, &payload)?;
             }
         }
         self.samples += 1;
         Ok(())
+    }
+
+    /// Adds how a member of an ensemble began and ended; its time is that of the whole run.
+    ///
+    /// # Errors
+    /// If the file cannot be written, or the log cannot hold the time.
+    pub fn member(&mut self, time_s: f64, member: &Member) -> Result<(), LogError> {
+        let time_ns = self.time(time_s)?.max(self.last_ns);
+        self.put(Channel::EnsembleMembers, time_ns, member)
+    }
+
+    /// Adds mean and spread of the members of an ensemble.
+    ///
+    /// # Errors
+    /// If the file cannot be written, or the log cannot hold the time.
+    pub fn statistics(&mut self, statistics: &EnsembleStatistics) -> Result<(), LogError> {
+        let time_ns = self.time(statistics.time_s)?.max(self.last_ns);
+        self.put(Channel::EnsembleStatistics, time_ns, statistics)
+    }
+}
+
+impl<const N: usize> Sink<N> for LogWriter<N> {
+    type Error = LogError;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), LogError> {
+        self.record_member(0, sample)
     }
 
     fn wants_checkpoint(&self) -> bool {

@@ -21,7 +21,7 @@ pub(super) fn advised_step<const N: usize>(
     schedule: Schedule,
     failure: &Failure,
 ) -> Option<f64> {
-    let Assembly { body, stepper, initial } = assembly;
+    let Assembly { body, stepper, initial, .. } = assembly;
     let Schedule { step_s: h, steps: asked, .. } = schedule;
     let energy = body.energy(&initial.attitude, &initial.momentum);
     let start = energy.total();

@@ -1,5 +1,6 @@
 //! What a run leaves behind beside its log: figures, the last state, and why it failed if it did.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -8,7 +9,6 @@ use crate::log::messages::Figures;
 use crate::scenario::Expect;
 use crate::solve::failure::Failure;
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::Trajectory;
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,9 +70,36 @@ pub struct Summary {
     /// Why the run failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
+    /// Of an ensemble, what became of its members; all else here is of member 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ensemble: Option<EnsembleSummary>,
     /// What the scenario expected and the run did not keep to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unmet: Vec<String>,
+}
+
+/// What became of the members of an ensemble.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EnsembleSummary {
+    /// Members whose end is in the log.
+    pub members: u64,
+    /// Those that made all their steps.
+    pub succeeded: u64,
+    /// How many failed, by their code.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub failed: BTreeMap<String, u64>,
+    /// Root mean square of the angles between the attitudes at the end and their mean, in radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attitude_spread_rad: Option<f64>,
+    /// Standard deviation of each component of the body momentum at the end.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub body_momentum_deviation: Vec<f64>,
+    /// Largest |H - H0| of any member that made all its steps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy_max_abs_error: Option<f64>,
+    /// Largest distance of any of them from the group.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orthogonality_max: Option<f64>,
 }
 
 /// The state a run ended at.
@@ -162,16 +189,19 @@ pub(super) fn orthogonality(figures: &Figures, samples: u64) -> Option<Orthogona
     Some(OrthogonalitySummary { max: figures.orthogonality_max?, mean })
 }
 
-pub(super) fn final_state<const N: usize>(end: &Trajectory<N>) -> FinalState {
+pub(super) fn final_state<const N: usize>(
+    attitude: Option<&Mat<N>>,
+    momentum: &Mat<N>,
+) -> FinalState {
     let rows = |m: &Mat<N>| -> Vec<Vec<f64>> {
         (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
     };
     let body_momentum = if N == 3 {
-        serde_json::json!(so::vee(&end.momentum))
+        serde_json::json!(so::vee(momentum))
     } else {
-        serde_json::json!(rows(&end.momentum))
+        serde_json::json!(rows(momentum))
     };
-    FinalState { attitude: end.attitude.as_ref().map(rows), body_momentum }
+    FinalState { attitude: attitude.map(rows), body_momentum }
 }
 
 pub(super) fn diagnosis(

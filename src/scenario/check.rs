@@ -10,11 +10,11 @@ use super::{
 /// Largest n of SO(n) that the program is built for.
 pub(crate) const MAX_DIMENSION: usize = 16;
 /// Largest size of any number of a scene.
-const MAX_SIZE: f64 = 1e15;
+pub(super) const MAX_SIZE: f64 = 1e15;
 /// Most terms of a potential.
 const MAX_TERMS: usize = 1000;
 /// Most steps of a run.
-const MAX_STEPS: u64 = 1_000_000_000_000;
+pub(super) const MAX_STEPS: u64 = 1_000_000_000_000;
 /// Most samples of a log.
 const MAX_SAMPLES: u64 = 1_000_000_000;
 /// Smallest step in seconds.
@@ -30,9 +30,13 @@ const TOLERANCE_RANGE: (f64, f64) = (1e-16, 1e-3);
 /// Most sweeps a step may ask for.
 const MAX_ITERATIONS: u32 = 10_000;
 
-type Check = Result<(), ScenarioError>;
+pub(super) type Check = Result<(), ScenarioError>;
 
-fn ensure(condition: bool, pointer: impl Into<String>, message: impl FnOnce() -> String) -> Check {
+pub(super) fn ensure(
+    condition: bool,
+    pointer: impl Into<String>,
+    message: impl FnOnce() -> String,
+) -> Check {
     if condition { Ok(()) } else { Err(ScenarioError::invalid(pointer, message())) }
 }
 
@@ -52,6 +56,9 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     initial(scenario, n)?;
     method(scenario, n)?;
     duration(scenario)?;
+    if let Some(given) = &scenario.ensemble {
+        given.check(scenario.step_count())?;
+    }
     log(scenario, n)?;
     expect(scenario, n)
 }
@@ -418,8 +425,11 @@ fn log(scenario: &Scenario, n: usize) -> Check {
             ensure(seen.insert(channel), pointer.clone(), || {
                 "names a channel that was named before".into()
             })?;
-            ensure(!channel.needs_three() || n == 3, pointer, || {
+            ensure(!channel.needs_three() || n == 3, pointer.clone(), || {
                 format!("is for n = 3, this body has n = {n}")
+            })?;
+            ensure(!channel.needs_ensemble() || scenario.ensemble.is_some(), pointer, || {
+                "is for ensembles, this scenario has none".into()
             })?;
         }
     }

@@ -112,7 +112,7 @@ impl Job {
             suspect: false,
             cancelled: false,
             key: None,
-            steps: plan.steps,
+            steps: plan.total_steps(),
             plan: serde_json::to_string(plan).ok().map(String::into_boxed_str),
             log_bytes: plan.log_bytes,
             phase: Phase::Queued,

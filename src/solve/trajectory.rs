@@ -1,4 +1,5 @@
-//! The one time loop: a stepper carries a state forward, samples go to a sink.
+//! The time loop: a stepper carries a state forward, samples go to a sink. ([`super::ensemble`] carries several, by the
+//! same books.)
 //!
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of
 //! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
@@ -184,66 +185,147 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
 ) -> Result<Trajectory<N>, S::Error> {
     let Schedule { step_s, steps, every } = schedule;
     let Origin { initial, checkpoint } = origin.into();
-    let observer = Observer::new(body, initial, observables);
-    let mut ending = Ending::Completed;
-    let (mut step, mut iterations) = (0, 0);
-    let (mut sampled, mut samples) = (None, 0);
-    let mut convergence = None;
-    let mut last = (Some(initial.attitude), initial.momentum);
+    let mut course = Course::new(body, initial, step_s, observables);
     match checkpoint {
         None => stepper.start(initial),
         Some(found) => {
             stepper.start(&found.state());
-            last = (found.attitude, found.momentum);
-            (step, iterations) = (found.step, found.iterations);
-            (sampled, samples) = (Some(step), found.samples);
-            convergence = found.convergence;
+            course.take_up(found);
         }
     }
     loop {
-        let over = step == steps || ending != Ending::Completed;
-        if (over || step % every == 0) && sampled != Some(step) {
-            let time_s = step as f64 * step_s;
-            let sample = match observer.sample(body, stepper, step, time_s, convergence) {
-                Ok(sample) => sample,
-                Err(failure) => {
-                    // The run is good up to the sample before: all that is reported ends there.
-                    ending = Ending::Failed(failure);
-                    step = sampled.unwrap_or(0);
-                    break;
-                }
-            };
-            last = (sample.attitude, sample.momentum);
-            sink.record(&sample)?;
-            (sampled, samples) = (Some(step), samples + 1);
+        let over = course.step == steps || !course.goes_on();
+        if over || course.step % every == 0 {
+            course.sample(body, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
-            if !over && sink.wants_checkpoint() {
-                let Sample { attitude, momentum, .. } = sample;
-                let checkpoint =
-                    Checkpoint { step, samples, attitude, momentum, iterations, convergence };
+            if !over && course.goes_on() && sink.wants_checkpoint() {
+                let checkpoint = course.checkpoint();
                 sink.checkpoint(&checkpoint)?;
                 stepper.start(&checkpoint.state());
             }
         }
-        if over {
+        if over || !course.goes_on() {
             break;
         }
-        if !go_on(step) {
-            ending = Ending::Cancelled;
-            continue;
-        }
-        match stepper.step(body, step_s) {
-            Ok(solved) => {
-                convergence = Some(solved);
-                iterations += u64::from(solved.iterations);
-                step += 1;
-            }
-            Err(failure) => ending = Ending::Failed(failure),
+        if go_on(course.step) {
+            course.stepped(stepper.step(body, step_s));
+        } else {
+            course.cancelled();
         }
     }
-    // Every way out of the loop led past a sample of the last state.
-    let (attitude, momentum) = last;
-    Ok(Trajectory { ending, steps: step, samples, attitude, momentum, iterations, convergence })
+    Ok(course.end())
+}
+
+/// The way of one trajectory: how far it came, and its samples.
+pub(super) struct Course<const N: usize> {
+    observer: Observer<N>,
+    step_s: f64,
+    ending: Ending,
+    /// Steps made.
+    step: u64,
+    iterations: u64,
+    convergence: Option<Convergence>,
+    samples: u64,
+    /// The step of the last sample.
+    sampled: Option<u64>,
+    /// Attitude and momentum there.
+    last: (Option<Mat<N>>, Mat<N>),
+}
+
+impl<const N: usize> Course<N> {
+    pub(super) fn new(
+        body: &RigidBody<N>,
+        initial: &State<N>,
+        step_s: f64,
+        observables: Observables,
+    ) -> Self {
+        Self {
+            observer: Observer::new(body, initial, observables),
+            step_s,
+            ending: Ending::Completed,
+            step: 0,
+            iterations: 0,
+            convergence: None,
+            samples: 0,
+            sampled: None,
+            last: (Some(initial.attitude), initial.momentum),
+        }
+    }
+
+    fn take_up(&mut self, found: &Checkpoint<N>) {
+        self.step = found.step;
+        self.iterations = found.iterations;
+        self.convergence = found.convergence;
+        self.samples = found.samples;
+        self.sampled = Some(found.step);
+        self.last = (found.attitude, found.momentum);
+    }
+
+    /// All that it takes to go on from the last sample.
+    fn checkpoint(&self) -> Checkpoint<N> {
+        Checkpoint {
+            step: self.step,
+            samples: self.samples,
+            attitude: self.last.0,
+            momentum: self.last.1,
+            iterations: self.iterations,
+            convergence: self.convergence,
+        }
+    }
+
+    pub(super) fn goes_on(&self) -> bool {
+        self.ending == Ending::Completed
+    }
+
+    pub(super) fn cancelled(&mut self) {
+        self.ending = Ending::Cancelled;
+    }
+
+    /// Takes note of a step that was tried.
+    pub(super) fn stepped(&mut self, result: Result<Convergence, Failure>) {
+        match result {
+            Ok(solved) => {
+                self.convergence = Some(solved);
+                self.iterations += u64::from(solved.iterations);
+                self.step += 1;
+            }
+            Err(failure) => self.ending = Ending::Failed(failure),
+        }
+    }
+
+    /// Gives the sample of the state that was reached to `record`, unless that has it. A sample that cannot be
+    /// taken ends the trajectory: it is good up to the sample before, and all that is reported ends there.
+    pub(super) fn sample<E>(
+        &mut self,
+        body: &RigidBody<N>,
+        stepper: &dyn Stepper<N>,
+        record: impl FnOnce(&Sample<N>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let step = self.step;
+        if self.sampled == Some(step) {
+            return Ok(());
+        }
+        let time_s = step as f64 * self.step_s;
+        match self.observer.sample(body, stepper, step, time_s, self.convergence) {
+            Ok(sample) => {
+                self.last = (sample.attitude, sample.momentum);
+                (self.sampled, self.samples) = (Some(step), self.samples + 1);
+                record(&sample)
+            }
+            Err(failure) => {
+                self.ending = Ending::Failed(failure);
+                self.step = self.sampled.unwrap_or(0);
+                Ok(())
+            }
+        }
+    }
+
+    /// Every way to an end leads past a sample of the last state.
+    pub(super) fn end(self) -> Trajectory<N> {
+        let Self { ending, step: steps, samples, iterations, convergence, .. } = self;
+        let (attitude, momentum) = self.last;
+        Trajectory { ending, steps, samples, attitude, momentum, iterations, convergence }
+    }
 }
 
 /// Computes what a sample holds beside the state, measured against the start.

@@ -145,7 +145,7 @@ impl Task for Measurement<'_> {
     type Output = Measured;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
-        let Assembly { body, mut stepper, initial } = assembly;
+        let Assembly { body, mut stepper, initial, .. } = assembly;
         let Probe { step_s, steps, every, energy_limit, keep, .. } = self.probe;
         let blown = Cell::new(false);
         let mut gauge = Gauge {
@@ -281,7 +281,7 @@ impl Task for Timing {
     type Output = f64;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
-        let Assembly { body, mut stepper, initial } = assembly;
+        let Assembly { body, mut stepper, initial, .. } = assembly;
         // Long enough for the clock.
         const LEAST_NS: u128 = 100_000;
         let begun = Instant::now();

@@ -10,11 +10,11 @@ pub(crate) struct Bad {
     pub(crate) pointer: String,
 }
 
-fn dipole() -> Value {
+pub(crate) fn dipole() -> Value {
     serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped")
 }
 
-fn so4() -> Value {
+pub(crate) fn so4() -> Value {
     serde_json::from_str(include_str!("../../scenarios/so4-free.json")).expect("shipped")
 }
 
@@ -438,6 +438,31 @@ pub(crate) fn table() -> Vec<Bad> {
     ))
     .expect("JSON");
     add(with(endless, "/log/every", "1"), "/log/every");
+    let spread = json!({"members": 10, "seed": 1, "attitude_spread_rad": 0.1, "momentum_spread": 0.1, "in_full": [1]});
+    let ensemble = || {
+        let mut scenario = full();
+        scenario["ensemble"] = spread.clone();
+        scenario
+    };
+    for (field, values) in [
+        ("members", &["0", "1", "100001", "-1", "2.5", "\"many\"", "null"][..]),
+        ("seed", &["-1", "0.5", "9007199254740992", "\"x\""]),
+        ("attitude_spread_rad", &["-0.1", "3.2", "1e400", "[]"]),
+        ("momentum_spread", &["-1", "1e16", "NaN"]),
+    ] {
+        for value in values {
+            let pointer = format!("/ensemble/{field}");
+            add(with(ensemble(), &pointer, value), &pointer);
+        }
+    }
+    add(without(ensemble(), "/ensemble/members"), "/ensemble");
+    add(with(ensemble(), "/ensemble/spread", "1"), "/ensemble/spread");
+    add(with(full(), "/ensemble", r#"{"members": 10}"#), "/ensemble");
+    add(with(ensemble(), "/ensemble/in_full", "[1, 2, 3, 4, 5, 6, 7, 8]"), "/ensemble/in_full");
+    for bad in ["[2, 2]", "[3, 0]", "[4, 10]"] {
+        add(with(ensemble(), "/ensemble/in_full", bad), "/ensemble/in_full/1");
+    }
+    add(with(full(), "/log/channels", r#"["/state","/ensemble/members"]"#), "/log/channels/1");
     add(with(full(), "/log/channels", "[]"), "/log/channels");
     add(with(full(), "/log/channels", r#"["/state","/state"]"#), "/log/channels/1");
     add(with(full(), "/log/channels", r#"["/state","/imu"]"#), "/log/channels/1");

@@ -7,6 +7,7 @@
 mod advise;
 mod bad_scenarios;
 mod cli;
+mod ensemble;
 mod faults;
 mod http;
 mod forms;

@@ -57,7 +57,8 @@ pub(super) fn header() -> LogHeader {
     let point = |position, sign| Marker { position, sign };
     LogHeader {
         epoch_ns: EPOCH_NS,
-        channels: Channel::all().to_vec(),
+        channels: Channel::all().into_iter().filter(|channel| !channel.needs_ensemble()).collect(),
+        members: vec![0],
         compression: Compression::Zstd,
         samples_per_chunk: 10,
         scenario_json: b"{\"name\":\"dipole\"}".to_vec(),

@@ -3,19 +3,20 @@
 //! A lane goes through the sweeps of [`VpdSpace`] with the same bits; its solution is taken when its own iteration has
 //! converged, whatever the others still do. A member whose sweeps do not get on makes that step by itself, with
 //! Newton's method where that helps. Without AVX2, and with more than four stages, which fill the lanes of one
-//! member, this would gain nothing: then every member goes by itself.
+//! member, this would gain nothing: then every member goes by itself. (Nor is anything gained by working stage by
+//! stage, so that what is at work fits the registers: the arithmetic itself is the limit.)
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
 
 use fearless_simd::{Level, f64x8, prelude::*};
 
 use super::sweep::{self, Start, Unknowns};
-use super::{Carried, VpdSpace, symmetric};
+use super::{VpdSpace, symmetric};
+use crate::solve::ensemble::Members;
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Row, Rows, WIDTH};
 use crate::solve::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
-use crate::solve::so::Mat;
 use crate::solve::space::Vec3;
 use crate::solve::stepper::Stepper;
 use crate::solve::tableau::Tableau;
@@ -41,17 +42,15 @@ macro_rules! in_member_lanes {
     };
 }
 
-/// The members, and one stepper that knows the way.
+/// The members, and their lanes.
 #[derive(Clone, Debug)]
 pub struct VpdEnsemble {
-    stepper: VpdSpace,
+    members: Vec<VpdSpace>,
+    /// What each member starts from.
+    blank: VpdSpace,
     stop: StopRule,
-    members: Vec<Carried>,
     lanes: Lanes,
     seen: Vec<Vec3<Row>>,
-    /// The solution of each member, as it would hold it by itself.
-    solutions: Vec<Unknowns<Row, f64>>,
-    results: Vec<Result<Convergence, Failure>>,
 }
 
 /// The unknowns of all members, for as many stages as there are rows.
@@ -59,117 +58,76 @@ pub struct VpdEnsemble {
 enum Lanes {
     Two(Box<Unknowns<[Row; 2], Row>>),
     Four(Box<Unknowns<[Row; 4], Row>>),
-    /// The stages of one member fill the lanes: members go by themselves.
-    Stages,
+    /// Members go by themselves.
+    None,
 }
 
 impl VpdEnsemble {
+    /// With more stages than this, members gain nothing side by side.
+    pub const MOST_STAGES: usize = 4;
+
     /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
-        let stepper = VpdSpace::new(tableau.clone(), stop, true)?;
+        let blank = VpdSpace::new(tableau.clone(), stop, true)?;
         let zero = Row::splat(0.0);
         let lanes = match tableau.stages() {
+            _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
             1 | 2 => Lanes::Two(Box::new(Unknowns::blank([zero; 2], zero))),
             3 | 4 => Lanes::Four(Box::new(Unknowns::blank([zero; 4], zero))),
-            _ => Lanes::Stages,
+            _ => Lanes::None,
         };
-        Some(Self {
-            solutions: vec![stepper.unknowns; WIDTH],
-            stepper,
-            stop,
-            members: Vec::new(),
-            lanes,
-            seen: Vec::new(),
-            results: Vec::new(),
-        })
+        Some(Self { members: Vec::new(), blank, stop, lanes, seen: Vec::new() })
     }
 
-    /// Takes up the members, at most [`WIDTH`] of them.
-    pub fn start(&mut self, states: impl IntoIterator<Item = State<3>>) {
-        self.members.clear();
-        for state in states.into_iter().take(WIDTH) {
-            self.stepper.start(&state);
-            self.members.push(self.stepper.state);
-        }
-    }
-
-    /// Carries the members forward by `h`; one that fails stays where it was.
-    pub fn step(&mut self, body: &RigidBody<3>, h: f64) -> &[Result<Convergence, Failure>] {
-        let solved = self.swept(body, h);
-        let Self { stepper, members, solutions, results, .. } = self;
-        results.clear();
-        for ((member, solution), solved) in members.iter_mut().zip(solutions).zip(solved) {
-            stepper.state = *member;
-            results.push(match solved {
-                Some(convergence) => {
-                    stepper.unknowns = *solution;
-                    stepper.look(body);
-                    stepper.accepted(body, h, convergence)
-                }
-                None => stepper.step(body, h),
-            });
-            *member = stepper.state;
-        }
-        results
-    }
-
-    /// Member `m` as it is.
-    pub fn state(&mut self, m: usize) -> State<3> {
-        self.stepper.state = self.members[m];
-        let attitude = self.stepper.attitude().unwrap_or_else(Mat::identity);
-        State { attitude, momentum: self.stepper.momentum() }
-    }
-
-    /// Which members' sweeps converge; their solutions are in `self.solutions`.
-    fn swept(&mut self, body: &RigidBody<3>, h: f64) -> [Option<Convergence>; WIDTH] {
+    /// Solves the step of those whose sweeps converge, together: their solutions are with them then.
+    fn swept(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        going: &[usize],
+    ) -> [Option<Convergence>; WIDTH] {
         let mut solved = [None; WIDTH];
-        let level = self.stepper.level;
-        if self.stop.rungs == Rungs::Newton
-            || self.members.is_empty()
-            || !has_lanes(level)
-            || matches!(self.lanes, Lanes::Stages)
-        {
+        let Self { members, blank: VpdSpace { level, lanes: tableau, .. }, stop, lanes, seen } =
+            self;
+        let level = *level;
+        if going.is_empty() || matches!(lanes, Lanes::None) {
             return solved;
         }
-        // Lanes without a member repeat the last.
         let mut momentum = [Row::splat(0.0); 3];
-        self.seen.clear();
-        self.seen.resize(body.space_vectors().count(), [Row::splat(0.0); 3]);
+        seen.clear();
+        seen.resize(body.space_vectors().count(), [Row::splat(0.0); 3]);
         for lane in 0..WIDTH {
-            self.stepper.state = self.members[lane.min(self.members.len() - 1)];
-            self.stepper.look(body);
-            let p0 = self.stepper.body_momentum();
+            // Lanes of nobody repeat the last that goes.
+            let stepper = &mut members[going[lane.min(going.len() - 1)]];
+            stepper.look(body);
+            let p0 = stepper.body_momentum();
             for i in 0..3 {
                 momentum[i].0[lane] = p0[i];
-                for (all, one) in self.seen.iter_mut().zip(&self.stepper.seen) {
+                for (all, one) in seen.iter_mut().zip(&stepper.seen) {
                     all[i].0[lane] = one[i];
                 }
             }
         }
-        let start = Start {
-            tableau: &self.stepper.lanes,
-            body,
-            inverse_inertia: symmetric(&body.inverse_inertia()),
-            seen: &self.seen,
-            step: h,
-            momentum,
-        };
-        let leave = self.stop.rungs == Rungs::Both;
-        let mut iterations = [Some(Progress::new(self.stop, leave)); WIDTH];
-        let solutions = &mut self.solutions;
+        let inverse_inertia = symmetric(&body.inverse_inertia());
+        let start = Start { tableau, body, inverse_inertia, seen, step: h, momentum };
+        let leave = stop.rungs == Rungs::Both;
+        let mut iterations = [None; WIDTH];
+        iterations[..going.len()].fill(Some(Progress::new(*stop, leave)));
+        let mut evaluations = 0;
         macro_rules! iterate {
             ($unknowns:ident, $stages:literal) => {{
                 in_member_lanes!(level, $stages, guess, &start, $unknowns);
                 while iterations.iter().any(Option::is_some) {
                     let increments =
                         in_member_lanes!(level, $stages, sweep_to_row, &start, $unknowns);
-                    for lane in 0..WIDTH {
+                    for lane in 0..going.len() {
                         let Some(progress) = &mut iterations[lane] else { continue };
                         match progress.judged(increments.0[lane]) {
                             Ok(Verdict::GoOn) => {}
                             Ok(Verdict::Converged(convergence)) => {
+                                evaluations += u64::from(convergence.iterations) + 1;
                                 solved[lane] = Some(convergence);
-                                solutions[lane] = $unknowns.lane(lane);
+                                members[going[lane]].unknowns = $unknowns.lane(lane);
                                 iterations[lane] = None;
                             }
                             Ok(Verdict::Leave) | Err(_) => iterations[lane] = None,
@@ -178,15 +136,46 @@ impl VpdEnsemble {
                 }
             }};
         }
-        match &mut self.lanes {
+        match lanes {
             Lanes::Two(unknowns) => iterate!(unknowns, 2),
             Lanes::Four(unknowns) => iterate!(unknowns, 4),
-            Lanes::Stages => return solved,
+            Lanes::None => {}
         }
-        let own = solved.iter().take(self.members.len()).flatten();
-        let evaluations: u64 = own.map(|solved| u64::from(solved.iterations) + 1).sum();
-        body.count(evaluations * self.stepper.tableau.stages() as u64);
+        body.count(evaluations * self.blank.tableau.stages() as u64);
         solved
+    }
+}
+
+impl Members<3> for VpdEnsemble {
+    fn start(&mut self, states: &[State<3>]) {
+        self.members.clear();
+        for state in states.iter().take(WIDTH) {
+            let mut stepper = self.blank.clone();
+            stepper.start(state);
+            self.members.push(stepper);
+        }
+    }
+
+    fn step(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        going: &[usize],
+        results: &mut Vec<(usize, Result<Convergence, Failure>)>,
+    ) {
+        let solved = self.swept(body, h, going);
+        for (&m, solved) in going.iter().zip(solved) {
+            let stepper = &mut self.members[m];
+            let result = match solved {
+                Some(convergence) => stepper.accepted(body, h, convergence),
+                None => stepper.step(body, h),
+            };
+            results.push((m, result));
+        }
+    }
+
+    fn member(&self, m: usize) -> &dyn Stepper<3> {
+        &self.members[m]
     }
 }
 

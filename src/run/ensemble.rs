@@ -1,0 +1,398 @@
+//! An ensemble: the members whose samples are logged, side by side, then all others on as many threads as there are
+//! cores, then what they are together.
+//!
+//! Invariant: the log depends neither on the threads nor on who goes beside whom. The end of each member stands in it
+//! once, and one whose end is in a whole chunk is not run again.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::convert::Infallible;
+use std::num::NonZeroUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc;
+use std::thread;
+use std::time::Instant;
+
+use super::summary::{self, Diagnosis, MomentumSummary, Outcome, SolverSummary, Summary};
+use super::{Control, JobContext, RunError, advice, header, json, log_outcome, observables};
+use crate::assemble::{Assembly, Task, assembled};
+use crate::log::LogError;
+use crate::log::messages::{self, Figures, Member};
+use crate::log::writer::{Level, LogHeader, LogWriter};
+use crate::plan::{EnsemblePlan, Plan};
+use crate::scenario::{self, Scenario};
+use crate::solve::ensemble;
+use crate::solve::lanes::WIDTH;
+use crate::solve::so::{self, Mat};
+use crate::solve::trajectory::{
+    Checkpoint, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
+};
+
+mod spread;
+mod statistics;
+
+/// A member that made all its steps.
+const SUCCEEDED: &str = "succeeded";
+
+/// A run of an ensemble that writes its log.
+#[derive(Clone, Copy)]
+pub(super) struct Ensemble<'a> {
+    pub(super) scenario: &'a Scenario,
+    pub(super) plan: &'a Plan,
+    pub(super) asked: &'a scenario::Ensemble,
+    pub(super) planned: &'a EnsemblePlan,
+    pub(super) context: &'a JobContext<'a>,
+}
+
+impl Ensemble<'_> {
+    pub(super) fn run<const N: usize>(
+        self,
+        mut assembly: Assembly<N>,
+    ) -> Result<Summary, RunError> {
+        let begun = Instant::now();
+        let Self { scenario, plan, asked, planned, context } = self;
+        let JobContext { log: path, control } = *context;
+        let (mut log, mut ends) = open::<N>(context, &header(scenario, plan))?;
+        let resumed_step = ends.len() as u64 * plan.steps;
+        control.resumed_step.store(resumed_step, Ordering::Relaxed);
+        control.steps_done.store(resumed_step, Ordering::Relaxed);
+        if ends.is_empty() {
+            log.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
+            let starts = (0..planned.members).map(|m| spread::start(&assembly.initial, asked, m));
+            log.statistics(&statistics::at_start(starts))?;
+            if let Some(members) = self.in_full(&mut assembly, &mut log)? {
+                self.ended(&mut log, &mut ends, members)?;
+                self.checkpoint(&mut log, ends.len())?;
+            }
+        }
+        if !control.stopped() {
+            self.others(&mut log, &mut ends)?;
+        }
+        if control.interrupted.load(Ordering::Relaxed) {
+            log.leave();
+            return Err(RunError::Interrupted);
+        }
+        let integrated = begun.elapsed();
+
+        let complete = ends.len() as u64 == planned.members;
+        let time_s = plan.steps as f64 * plan.step_s;
+        let statistics = statistics::at_end::<N>(time_s, &ends);
+        if complete {
+            log.statistics(&statistics)?;
+        }
+        let summary = statistics::summary(&statistics, &ends);
+        let outcome = match (complete, summary.succeeded) {
+            (false, _) => Outcome::Cancelled,
+            (true, 0) => Outcome::Failed,
+            (true, _) => Outcome::Succeeded,
+        };
+        let level = if summary.failed.is_empty() { Level::Info } else { Level::Warning };
+        let of = planned.members;
+        let text = format!("{}: {} of {of} members succeeded", outcome.as_str(), summary.succeeded);
+        log.message(level, time_s, &text)?;
+        let nominal = ends.iter().find(|end| end.member == 0);
+        let figures = nominal.and_then(|end| end.figures).unwrap_or_default();
+        let steps = nominal.map_or(0, |end| end.steps);
+        let samples = nominal.map_or(0, |end| end.samples);
+        let last = nominal.and_then(state::<N>).unwrap_or(assembly.initial);
+        let diagnosis = nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok());
+        let mut summary = Summary {
+            outcome,
+            steps,
+            time_s: steps as f64 * plan.step_s,
+            samples,
+            resumed_step,
+            last: summary::final_state(Some(&last.attitude), &last.momentum),
+            error: None,
+            energy: summary::energy(&figures),
+            orthogonality: summary::orthogonality(&figures, samples),
+            momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
+            solver: SolverSummary {
+                iterations_per_step: nominal.map_or(0, |end| end.iterations) as f64
+                    / steps.max(1) as f64,
+                kind: nominal.map(|end| end.rung.clone()).filter(|rung| !rung.is_empty()),
+            },
+            wall_s: 0.0,
+            ns_per_step: 0.0,
+            log: path.display().to_string(),
+            diagnosis,
+            ensemble: Some(summary),
+            unmet: Vec::new(),
+        };
+        if let Some(expect) = &scenario.expect {
+            summary.unmet = summary::unmet(expect, &summary);
+        }
+        log.finish(log_outcome(&summary))?;
+        let steps: u64 = ends.iter().map(|end| end.steps).sum();
+        control.steps_done.store(steps, Ordering::Relaxed);
+        let made = steps.saturating_sub(resumed_step);
+        summary.ns_per_step = integrated.as_nanos() as f64 / made.max(1) as f64;
+        summary.wall_s = begun.elapsed().as_secs_f64();
+        Ok(summary)
+    }
+
+    fn schedule(&self) -> Schedule {
+        let Plan { step_s, steps, every, .. } = *self.plan;
+        Schedule { step_s, steps, every }
+    }
+
+    /// Runs the members whose samples are logged; `None` if that was stopped.
+    fn in_full<const N: usize>(
+        &self,
+        assembly: &mut Assembly<N>,
+        log: &mut LogWriter<N>,
+    ) -> Result<Option<Vec<Member>>, RunError> {
+        let JobContext { control, .. } = *self.context;
+        let numbers = &self.planned.in_full;
+        let show = control.live.as_ref().map(|live| {
+            let LogHeader { epoch_ns, scene, .. } = header(self.scenario, self.plan);
+            live.announce(epoch_ns, scene)
+        });
+        let record = |m: usize, sample: &Sample<N>| {
+            if let Some(show) = show.as_ref().filter(|_| m == 0) {
+                show.sample(sample);
+            }
+            log.record_member(numbers[m], sample)?;
+            if log.wants_checkpoint() {
+                // Nobody goes on from here: these members are few, and begin again.
+                self.checkpoint(log, 0)?;
+            }
+            Ok::<(), RunError>(())
+        };
+        let go_on = |steps| control.go_on(steps * numbers.len() as u64);
+        self.travel(assembly, numbers, observables(self.plan), record, go_on)
+    }
+
+    /// Runs the members that have not ended yet.
+    fn others<const N: usize>(
+        &self,
+        log: &mut LogWriter<N>,
+        ends: &mut Vec<Member>,
+    ) -> Result<(), RunError> {
+        let known: BTreeSet<u64> = ends.iter().map(|end| end.member).collect();
+        let left: Vec<u64> = (0..self.planned.members).filter(|m| !known.contains(m)).collect();
+        let queue =
+            Queue { members: &left, next: AtomicUsize::new(0), closed: AtomicBool::new(false) };
+        let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
+        thread::scope(|scope| {
+            let (send, receive) = mpsc::channel();
+            for _ in 0..cores.min(left.len()) {
+                let (send, queue) = (send.clone(), &queue);
+                scope.spawn(move || assembled(self.plan, Worker { ensemble: self, queue, send }));
+            }
+            drop(send);
+            let written = self.in_order(log, ends, receive.iter());
+            queue.closed.store(true, Ordering::Relaxed);
+            written
+        })
+    }
+
+    /// Writes the ends as they come from the threads, in the order of the members.
+    fn in_order<const N: usize>(
+        &self,
+        log: &mut LogWriter<N>,
+        ends: &mut Vec<Member>,
+        groups: impl Iterator<Item = (usize, Vec<Member>)>,
+    ) -> Result<(), RunError> {
+        let (mut waiting, mut next) = (BTreeMap::new(), 0);
+        let mut open = 0;
+        for (place, group) in groups {
+            waiting.insert(place, group);
+            while let Some(group) = waiting.remove(&next) {
+                next += group.len();
+                for end in group {
+                    self.ended(log, ends, vec![end])?;
+                    open += 1;
+                    if open == self.planned.members_per_chunk {
+                        self.checkpoint(log, ends.len())?;
+                        open = 0;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn ended<const N: usize>(
+        &self,
+        log: &mut LogWriter<N>,
+        ends: &mut Vec<Member>,
+        members: Vec<Member>,
+    ) -> Result<(), RunError> {
+        for end in members {
+            log.member(self.plan.steps as f64 * self.plan.step_s, &end)?;
+            ends.push(end);
+            self.context.control.note(ends.len() as u64 * self.plan.steps);
+        }
+        Ok(())
+    }
+
+    /// Closes the chunk behind so many ends: an interrupted run goes on from there.
+    fn checkpoint<const N: usize>(
+        &self,
+        log: &mut LogWriter<N>,
+        ends: usize,
+    ) -> Result<(), LogError> {
+        let checkpoint = Checkpoint {
+            step: ends as u64 * self.plan.steps,
+            samples: log.samples(),
+            attitude: None,
+            momentum: Mat::<N>::zeros(),
+            iterations: 0,
+            convergence: None,
+        };
+        log.checkpoint(&checkpoint, Figures::default())?;
+        self.context.control.durable_step.store(log.durable_step(), Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Carries members from start to end, side by side; `None` if that was stopped.
+    fn travel<const N: usize, E>(
+        &self,
+        assembly: &mut Assembly<N>,
+        numbers: &[u64],
+        observables: Observables,
+        mut record: impl FnMut(usize, &Sample<N>) -> Result<(), E>,
+        go_on: impl FnMut(u64) -> bool,
+    ) -> Result<Option<Vec<Member>>, E> {
+        let nominal = assembly.initial.clone();
+        let starts: Vec<State<N>> =
+            numbers.iter().map(|&m| spread::start(&nominal, self.asked, m)).collect();
+        let mut figures = vec![Figures::default(); numbers.len()];
+        let members = assembly.members.as_mut().expect("the plan of an ensemble has members");
+        let trajectories = ensemble::integrate(
+            &assembly.body,
+            members.as_mut(),
+            &starts,
+            self.schedule(),
+            observables,
+            |m, sample| {
+                figures[m].keep(sample);
+                record(m, sample)
+            },
+            go_on,
+        )?;
+        let mut ends = Vec::new();
+        for (m, (start, (end, figures))) in
+            starts.into_iter().zip(trajectories.into_iter().zip(figures)).enumerate()
+        {
+            if end.ending == Ending::Cancelled {
+                return Ok(None);
+            }
+            assembly.initial = start;
+            ends.push(self.end(assembly, numbers[m], end, figures));
+        }
+        assembly.initial = nominal;
+        Ok(Some(ends))
+    }
+
+    /// How a member ended that began where `assembly` does.
+    fn end<const N: usize>(
+        &self,
+        assembly: &mut Assembly<N>,
+        member: u64,
+        end: Trajectory<N>,
+        figures: Figures,
+    ) -> Member {
+        let initial = assembly.initial.clone();
+        let attitude = end.attitude.unwrap_or(initial.attitude);
+        let (outcome, diagnosis) = match &end.ending {
+            Ending::Failed(failure) => {
+                let last = State { attitude, momentum: end.momentum };
+                let schedule = self.schedule();
+                let advised = advice::advised_step(assembly, &last, end.steps, schedule, failure);
+                let diagnosis: Diagnosis =
+                    summary::diagnosis(failure, end.steps, self.plan.step_s, advised);
+                (diagnosis.code.clone(), json(&diagnosis))
+            }
+            Ending::Completed | Ending::Cancelled => (SUCCEEDED.to_owned(), String::new()),
+        };
+        // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
+        let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
+        Member {
+            member,
+            outcome,
+            steps: end.steps,
+            time_s: end.steps as f64 * self.plan.step_s,
+            initial_attitude: rows(&initial.attitude),
+            initial_body_momentum: so::vee(&initial.momentum),
+            attitude: rows(&attitude),
+            body_momentum: so::vee(&end.momentum),
+            quaternion: messages::quaternion(&attitude).map_or_else(Vec::new, |q| q.to_vec()),
+            figures: Some(figures),
+            samples: end.samples,
+            iterations: end.iterations,
+            rung: end
+                .convergence
+                .map_or_else(String::new, |solved| solved.rung.as_str().to_owned()),
+            diagnosis,
+        }
+    }
+}
+
+/// The members that wait for a thread.
+struct Queue<'a> {
+    members: &'a [u64],
+    next: AtomicUsize,
+    /// Nobody takes what the threads make any more.
+    closed: AtomicBool,
+}
+
+/// A thread that runs members, a few at a time.
+struct Worker<'a> {
+    ensemble: &'a Ensemble<'a>,
+    queue: &'a Queue<'a>,
+    send: mpsc::Sender<(usize, Vec<Member>)>,
+}
+
+impl Task for Worker<'_> {
+    type Output = ();
+
+    fn perform<const N: usize>(self, mut assembly: Assembly<N>) {
+        let Self { ensemble, queue, send } = self;
+        let control: &Control = ensemble.context.control;
+        // Nobody sees the singular values of a member that is not logged in full.
+        let observables = Observables { sigma_min: false, ..observables(ensemble.plan) };
+        loop {
+            let place = queue.next.fetch_add(WIDTH, Ordering::Relaxed);
+            let Some(left) = queue.members.get(place..).filter(|left| !left.is_empty()) else {
+                return;
+            };
+            let group = &left[..WIDTH.min(left.len())];
+            let travelled = ensemble.travel(
+                &mut assembly,
+                group,
+                observables,
+                |_, _| Ok::<(), Infallible>(()),
+                |_| {
+                    control.steps_done.fetch_add(group.len() as u64, Ordering::Relaxed);
+                    !control.stopped() && !queue.closed.load(Ordering::Relaxed)
+                },
+            );
+            let Ok(Some(ends)) = travelled else { return };
+            if send.send((place, ends)).is_err() {
+                return;
+            }
+        }
+    }
+}
+
+/// Takes up the log of an interrupted run with the ends that it holds, or begins one.
+fn open<const N: usize>(
+    context: &JobContext<'_>,
+    header: &LogHeader,
+) -> Result<(LogWriter<N>, Vec<Member>), LogError> {
+    if let Some((log, resumed)) = LogWriter::resume(context.log, header)?
+        && !resumed.members.is_empty()
+    {
+        return Ok((log, resumed.members));
+    }
+    Ok((LogWriter::create(context.log, header)?, Vec::new()))
+}
+
+/// Where a member ended.
+fn state<const N: usize>(end: &Member) -> Option<State<N>> {
+    (end.attitude.len() == N * N && end.body_momentum.len() == so::dimension(N)).then(|| State {
+        attitude: Mat::from_row_slice(&end.attitude),
+        momentum: so::hat(&end.body_momentum),
+    })
+}

@@ -1,0 +1,104 @@
+//! Members of an ensemble, carried forward together.
+//!
+//! Invariant: a member makes the steps of its own run, to the bit, whoever goes beside it; one that fails stays where
+//! it was, and the others go on.
+
+use super::failure::Failure;
+use super::hamiltonian::RigidBody;
+use super::lanes::WIDTH;
+use super::nonlinear::Convergence;
+use super::stepper::Stepper;
+use super::trajectory::{Course, Observables, Sample, Schedule, State, Trajectory};
+
+/// A few members of an ensemble that take each step together.
+pub trait Members<const N: usize> {
+    /// Takes up the states, at most [`WIDTH`] of them.
+    fn start(&mut self, states: &[State<N>]);
+
+    /// Carries the members of `going` forward by `h`; what became of each is added to `results`.
+    fn step(
+        &mut self,
+        body: &RigidBody<N>,
+        h: f64,
+        going: &[usize],
+        results: &mut Vec<(usize, Result<Convergence, Failure>)>,
+    );
+
+    /// Member `m` as it is.
+    fn member(&self, m: usize) -> &dyn Stepper<N>;
+}
+
+/// Members one after the other: any scheme.
+pub struct Apart<const N: usize>(pub [Box<dyn Stepper<N>>; WIDTH]);
+
+impl<const N: usize> Members<N> for Apart<N> {
+    fn start(&mut self, states: &[State<N>]) {
+        self.0.iter_mut().zip(states).for_each(|(stepper, state)| stepper.start(state));
+    }
+
+    fn step(
+        &mut self,
+        body: &RigidBody<N>,
+        h: f64,
+        going: &[usize],
+        results: &mut Vec<(usize, Result<Convergence, Failure>)>,
+    ) {
+        results.extend(going.iter().map(|&m| (m, self.0[m].step(body, h))));
+    }
+
+    fn member(&self, m: usize) -> &dyn Stepper<N> {
+        self.0[m].as_ref()
+    }
+}
+
+/// Carries the states, at most [`WIDTH`], forward along `schedule`, side by side, and gives the samples to `record` with the number of
+/// their member; those of a time in the order of the members. `go_on(steps_done)` is asked before each step.
+///
+/// # Errors
+/// Those of `record`. A step that fails is not an error but an [`super::trajectory::Ending`] of its member.
+pub fn integrate<const N: usize, E>(
+    body: &RigidBody<N>,
+    members: &mut dyn Members<N>,
+    initial: &[State<N>],
+    schedule: Schedule,
+    observables: Observables,
+    mut record: impl FnMut(usize, &Sample<N>) -> Result<(), E>,
+    mut go_on: impl FnMut(u64) -> bool,
+) -> Result<Vec<Trajectory<N>>, E> {
+    let Schedule { step_s, steps, every } = schedule;
+    members.start(initial);
+    let mut courses: Vec<Course<N>> =
+        initial.iter().map(|state| Course::new(body, state, step_s, observables)).collect();
+    let mut going: Vec<usize> = (0..initial.len()).collect();
+    let mut results = Vec::new();
+    let mut step = 0;
+    loop {
+        let over = step == steps;
+        if over || step % every == 0 {
+            for &m in &going {
+                courses[m].sample(body, members.member(m), |sample| record(m, sample))?;
+            }
+            going.retain(|&m| courses[m].goes_on());
+        }
+        if over || going.is_empty() {
+            break;
+        }
+        if !go_on(step) {
+            for &m in &going {
+                courses[m].cancelled();
+                courses[m].sample(body, members.member(m), |sample| record(m, sample))?;
+            }
+            break;
+        }
+        members.step(body, step_s, &going, &mut results);
+        step += 1;
+        for (m, result) in results.drain(..) {
+            courses[m].stepped(result);
+            if !courses[m].goes_on() {
+                courses[m].sample(body, members.member(m), |sample| record(m, sample))?;
+            }
+        }
+        going.retain(|&m| courses[m].goes_on());
+    }
+    Ok(courses.into_iter().map(Course::end).collect())
+}

@@ -1,0 +1,284 @@
+//! An ensemble: its members, what they are together, and that nobody can tell how its log came about.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+use std::thread;
+
+use prost::Message as _;
+use serde_json::{Value, json};
+use vpd::log::messages::{EnsembleStatistics, Member, State};
+use vpd::log::part_path;
+use vpd::log::reader::{self, Item};
+use vpd::log::resume::last_checkpoint;
+use vpd::log::schema::{Channel, Topic};
+use vpd::plan::Plan;
+use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
+use vpd::scenario::Scenario;
+
+use crate::bad_scenarios::{dipole, so4};
+
+fn ensemble(mut scene: Value, members: u64, steps: u64, method: &Value) -> Value {
+    let fields = scene.as_object_mut().expect("an object");
+    fields.remove("duration_s");
+    fields.remove("expect");
+    fields.insert("steps".into(), json!(steps));
+    fields.insert("method".into(), method.clone());
+    fields.insert("log".into(), json!({ "every": 10 }));
+    let spread = json!({
+        "members": members, "seed": 7, "attitude_spread_rad": 0.05, "momentum_spread": 0.02, "in_full": [3, 1]
+    });
+    fields.insert("ensemble".into(), spread);
+    scene
+}
+
+fn checked(scenario: &Value) -> Scenario {
+    Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario")
+}
+
+fn run(scenario: &Scenario, log: &Path) -> Summary {
+    execute(scenario, &JobContext { log, control: &Control::default() }).expect("a log")
+}
+
+/// What stands in the log of an ensemble.
+#[derive(Default)]
+struct Contents {
+    members: Vec<Member>,
+    statistics: Vec<EnsembleStatistics>,
+    /// The last state on each topic of states.
+    states: BTreeMap<u64, State>,
+    /// Samples of each member.
+    samples: BTreeMap<u64, u64>,
+    /// Log times, as they come.
+    times: Vec<u64>,
+}
+
+fn contents(log: &Path) -> Contents {
+    let mut found = Contents::default();
+    let ending = reader::read(log, |item| {
+        if let Item::Message { topic, data, time_ns, .. } = item {
+            let Topic { member, channel } = Topic::parse(topic).expect("a topic of ours");
+            found.times.push(time_ns);
+            match channel {
+                Channel::EnsembleMembers => found.members.push(Member::decode(data).expect("ours")),
+                Channel::EnsembleStatistics => {
+                    found.statistics.push(EnsembleStatistics::decode(data).expect("ours"));
+                }
+                Channel::State => {
+                    found.states.insert(member, State::decode(data).expect("ours"));
+                    *found.samples.entry(member).or_default() += 1;
+                }
+                _ => {}
+            }
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(ending.expect("readable").finished);
+    found
+}
+
+#[test]
+fn every_member_ends_once_and_those_in_full_end_where_their_samples_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    for method in [
+        json!({ "name": "vpd", "tableau": "gauss2" }),
+        json!({ "name": "vpd", "tableau": "gauss4" }),
+        json!({ "name": "vpd", "tableau": "gauss6" }),
+        json!({ "name": "splitting", "order": 4 }),
+    ] {
+        let scenario = checked(&ensemble(dipole(), 21, 100, &method));
+        let summary = run(&scenario, &log);
+        assert_eq!(summary.outcome, Outcome::Succeeded);
+        let Contents { mut members, statistics, states, samples, times } = contents(&log);
+        assert!(times.is_sorted(), "log time goes forward");
+        assert_eq!(samples, BTreeMap::from([(0, 11), (1, 11), (3, 11)]));
+        for (member, state) in &states {
+            let end = members.iter().find(|end| end.member == *member).expect("its end");
+            assert_eq!(
+                (&end.attitude, &end.body_momentum),
+                (&state.attitude, &state.body_momentum)
+            );
+            assert_eq!(end.quaternion, state.quaternion);
+        }
+        members.sort_by_key(|end| end.member);
+        let numbers: Vec<u64> = members.iter().map(|end| end.member).collect();
+        assert_eq!(numbers, (0..21).collect::<Vec<_>>());
+        assert!(members.iter().all(|end| end.outcome == "succeeded" && end.steps == 100));
+        let distinct: Vec<_> =
+            members.windows(2).filter(|pair| pair[0].attitude != pair[1].attitude).collect();
+        assert_eq!(distinct.len(), 20);
+        let [start, end] = statistics.as_slice() else { panic!("two of them: {statistics:?}") };
+        assert_eq!((start.members, end.members, end.failed), (21, 21, 0));
+        let told = summary.ensemble.expect("of an ensemble");
+        assert_eq!((told.members, told.succeeded), (21, 21));
+        assert_eq!(told.attitude_spread_rad, end.attitude_spread_rad);
+    }
+}
+
+/// A member does not depend on the company: not on how many there are, nor on who is logged in full.
+#[test]
+fn a_member_is_the_same_in_any_ensemble() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    let method = json!({ "name": "vpd", "tableau": "gauss2" });
+    let mut ends = Vec::new();
+    for (members, in_full) in
+        [(5, json!([])), (19, json!([2, 4])), (40, json!([1, 7, 8, 9, 10, 11, 12]))]
+    {
+        let mut scenario = ensemble(dipole(), members, 60, &method);
+        scenario["ensemble"]["in_full"] = in_full;
+        run(&checked(&scenario), &log);
+        let mut first: Vec<Member> =
+            contents(&log).members.into_iter().filter(|end| end.member < 5).collect();
+        first.sort_by_key(|end| end.member);
+        ends.push(first);
+    }
+    assert_eq!(ends[0].len(), 5);
+    assert!(ends.iter().all(|first| *first == ends[0]));
+}
+
+/// The members are spread as was asked, about the scene as it stands.
+#[test]
+fn starts_are_spread_as_asked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    for (scene, dimension) in [(dipole(), 3.0_f64), (so4(), 6.0)] {
+        let nominal = Plan::new(&checked(&scene)).expect("a plan").steps;
+        assert!(nominal > 0);
+        run(
+            &checked(&ensemble(scene, 2000, 1, &json!({ "name": "vpd", "tableau": "gauss1" }))),
+            &log,
+        );
+        let Contents { members, statistics, .. } = contents(&log);
+        let spread = statistics[0].attitude_spread_rad.expect("a mean");
+        // 2000 members show a deviation to 1 or 2 %; the mean of turns is a little off the middle one.
+        let expected = 0.05 * dimension.sqrt();
+        assert!((spread / expected - 1.0).abs() < 0.05, "{spread} for {expected}");
+        for deviation in &statistics[0].body_momentum_deviation {
+            assert!((deviation / 0.02 - 1.0).abs() < 0.08, "{deviation}");
+        }
+        let nominal = &members.iter().find(|end| end.member == 0).expect("member 0");
+        let middle = nominal.initial_attitude.iter().zip(&statistics[0].mean_attitude);
+        let off = middle.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off < 5.0 * 0.05 / 2000_f64.sqrt(), "{off}");
+    }
+}
+
+#[test]
+fn a_member_that_fails_is_told_and_the_others_go_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    let mut scenario = ensemble(dipole(), 40, 50, &json!({ "name": "vpd", "tableau": "gauss2" }));
+    scenario["step_s"] = json!(0.2);
+    scenario["ensemble"]["momentum_spread"] = json!(0.15);
+    let summary = run(&checked(&scenario), &log);
+    let members = contents(&log).members;
+    let told = summary.ensemble.expect("of an ensemble");
+    println!("{told:?}");
+    let (arrived, failed): (Vec<&Member>, Vec<&Member>) =
+        members.iter().partition(|end| end.outcome == "succeeded");
+    assert!(!failed.is_empty() && !arrived.is_empty(), "{} failed", failed.len());
+    assert_eq!(summary.outcome, Outcome::Succeeded);
+    assert_eq!(told.failed.values().sum::<u64>(), failed.len() as u64);
+    for end in failed {
+        let diagnosis: Value = serde_json::from_str(&end.diagnosis).expect("a diagnosis");
+        assert_eq!(diagnosis["code"], json!(end.outcome));
+        assert_eq!(diagnosis["step"], json!(end.steps + 1));
+        assert!(end.steps < 50 && end.attitude.len() == 9);
+    }
+    // None of them gets through a step so large.
+    scenario["step_s"] = json!(1000.0);
+    scenario["method"]["tableau"] = json!("gauss1");
+    let summary = run(&checked(&scenario), &log);
+    assert_eq!(summary.outcome, Outcome::Failed);
+    assert!(summary.diagnosis.is_some());
+}
+
+/// What a kill leaves is a beginning of the whole log; the run that takes it up ends with the whole, and does not
+/// run again whose end it holds.
+#[test]
+fn an_interrupted_ensemble_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
+    let mut scenario = ensemble(dipole(), 1500, 60, &json!({ "name": "vpd", "tableau": "gauss3" }));
+    scenario["log"]["every"] = json!(1);
+    let scenario = checked(&scenario);
+    let reference = run(&scenario, &whole);
+    let bytes = fs::read(&whole).expect("a log");
+    let mut steps = Vec::new();
+    for part in [0.05, 0.3, 0.7, 0.999] {
+        fs::write(part_path(&cut), &bytes[..(part * bytes.len() as f64) as usize])
+            .expect("written");
+        let found = last_checkpoint(&cut).expect("readable").unwrap_or(0);
+        let summary = run(&scenario, &cut);
+        assert_eq!(summary.resumed_step, found);
+        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, taken up at {found}");
+        assert_eq!(summary.ensemble, reference.ensemble);
+        steps.push(found);
+    }
+    println!("taken up at the steps {steps:?}");
+    assert!(steps[3] > steps[0] && steps[3] > 0);
+}
+
+#[test]
+fn an_ensemble_is_interrupted_and_cancelled_as_any_run() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
+    let scenario =
+        checked(&ensemble(dipole(), 300, 200, &json!({ "name": "vpd", "tableau": "gauss2" })));
+    run(&scenario, &whole);
+    let stop = |cancel: bool, after: u64| {
+        let control = Control::default();
+        thread::scope(|scope| {
+            let worker =
+                scope.spawn(|| execute(&scenario, &JobContext { log: &cut, control: &control }));
+            while control.steps_done.load(Ordering::Relaxed) < after && !worker.is_finished() {
+                thread::yield_now();
+            }
+            if cancel {
+                control.cancelled.store(true, Ordering::Relaxed);
+            } else {
+                control.interrupted.store(true, Ordering::Relaxed);
+            }
+            worker.join().expect("no panic")
+        })
+    };
+    for after in [100, 20_000] {
+        match stop(false, after) {
+            Err(RunError::Interrupted) => assert!(part_path(&cut).exists()),
+            other => println!("it was quicker: {other:?}"),
+        }
+        run(&scenario, &cut);
+        assert!(fs::read(&cut).expect("a log") == fs::read(&whole).expect("a log"));
+        fs::remove_file(&cut).expect("removed");
+    }
+    let summary = stop(true, 20_000).expect("a finished log");
+    let Contents { members, statistics, .. } = contents(&cut);
+    if summary.outcome == Outcome::Cancelled {
+        assert!(members.len() < 300 && statistics.len() == 1);
+    }
+}
+
+#[test]
+fn topics_of_members_are_read_as_they_are_written() {
+    for member in [0, 1, 99_999] {
+        for channel in Channel::all() {
+            let topic = Topic { member, channel };
+            assert_eq!(Topic::parse(&topic.name()), Some(topic));
+        }
+    }
+    for name in [
+        "/members",
+        "/members/",
+        "/members/0/state",
+        "/members/x/state",
+        "/members/3",
+        "/members/3/",
+        "/imu",
+    ] {
+        assert_eq!(Topic::parse(name), None, "{name}");
+    }
+}
