@@ -59,6 +59,8 @@ pub struct Control {
     pub cancelled: AtomicBool,
     /// Set it to end the run after its current step, with a log that a later run goes on from.
     pub interrupted: AtomicBool,
+    /// The run is cancelled at this step, as if somebody had set `cancelled` there.
+    pub cancelled_at: Option<u64>,
     /// Where the run writes its step, eight bytes, every [`TRACED_STEPS`]: for whoever finds its process
     /// dead and asks whether it always dies at the same place.
     pub trace: Option<File>,
@@ -80,6 +82,9 @@ impl Control {
         {
             // A trace that cannot be written is none.
             let _ = std::os::unix::fs::FileExt::write_all_at(trace, &steps.to_le_bytes(), 0);
+        }
+        if self.cancelled_at == Some(steps) {
+            self.cancelled.store(true, Ordering::Relaxed);
         }
         !self.cancelled.load(Ordering::Relaxed) && !self.interrupted.load(Ordering::Relaxed)
     }
