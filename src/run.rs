@@ -195,6 +195,10 @@ fn run<const N: usize>(
         }
     };
     let Recorder { mut writer, figures, course, .. } = recorder;
+    let warning = summary::warning(&figures);
+    if let Some(warning) = &warning {
+        writer.message(Level::Warning, time_s, warning)?;
+    }
     match &diagnosis {
         Some(diagnosis) => writer.message(Level::Error, time_s, &diagnosis.to_string())?,
         None => writer.message(
@@ -222,6 +226,7 @@ fn run<const N: usize>(
         ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
         log: context.log.display().to_string(),
         diagnosis,
+        warning,
         unmet: Vec::new(),
     };
     if let Some(expect) = &scenario.expect {
@@ -294,6 +299,7 @@ impl<'a, const N: usize> Recorder<'a, N> {
             let before = figures.energy_max_abs_error.unwrap_or_default();
             figures.energy_max_abs_error = Some(error.abs().max(before));
             figures.energy_final_error = Some(error);
+            figures.kinetic_max = Some(energy.kinetic.max(figures.kinetic_max.unwrap_or_default()));
         }
         if let Some(error) = sample.orthogonality_error {
             let before = figures.orthogonality_max.unwrap_or_default();
@@ -378,6 +384,9 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     if let Some(diagnosis) = &summary.diagnosis {
         entries.insert("code".to_owned(), diagnosis.code.clone());
         entries.insert("diagnosis".to_owned(), json(diagnosis));
+    }
+    if let Some(warning) = &summary.warning {
+        entries.insert("warning".to_owned(), warning.clone());
     }
     let charts = [LogChart::Energy, LogChart::Orthogonality].into_iter();
     let charts = charts.filter(|which| course.has_line(*which));
