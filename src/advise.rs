@@ -74,6 +74,7 @@ pub fn error_at_end(scenario: &Scenario) -> Result<f64, StudyError> {
         every: steps,
         energy_limit: f64::INFINITY,
         keep: false,
+        from: None,
     };
     let run = measure(&scenario, probe, &watch)?;
     if run.completed() { Ok(reference.distance(&run.last)) } else { Err(StudyError::Failed) }
@@ -208,6 +209,7 @@ impl Trial<'_> {
                 every: steps / EIGHTHS,
                 energy_limit: f64::INFINITY,
                 keep: true,
+                from: None,
             };
             let run = measure(self.scenario, probe, watch)?;
             let cost_ns = self.cost_ns(entry, &run)?;

@@ -1,6 +1,6 @@
 //! 7 · Pictures, as SVG: of logs, and of studies.
 //!
-//! One chart code for the command line, the service and the documentation. Colours are those of Okabe and
+//! One chart code for the command line, the service, the logs themselves and the documentation. Colours are those of Okabe and
 //! Ito (2008), which colour-blind people tell apart; what a colour tells, a dash, a mark or a hatch tells too.
 //!
 //! Invariant: a chart shows every extreme of its data; where many samples fall on one pixel, the largest.
@@ -77,7 +77,8 @@ pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, Cha
     for (color, log) in logs.iter().enumerate() {
         let label = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let style = Style { color, member: color, marked: false };
-        for ((_, chart), points) in charts.iter_mut().zip(series(log)?) {
+        for ((_, chart), series) in charts.iter_mut().zip(Course::of(log)?.series) {
+            let points = series.points;
             if !points.is_empty() {
                 chart.lines.push(Line { label: label.clone(), points, style });
             }
@@ -130,15 +131,71 @@ impl LogChart {
 /// # Errors
 /// If the log cannot be read, or does not hold what the chart shows.
 pub fn draw_log(log: &Path, which: LogChart) -> Result<String, ChartError> {
-    let mut series = series(log)?;
-    let points = std::mem::take(&mut series[which as usize]);
-    if points.is_empty() {
-        return Err(ChartError::Empty);
+    Course::of(log)?.draw(which)
+}
+
+/// What the charts of a log are drawn from, gathered in bounded memory: from the log, or while it is written. Both
+/// give the same charts to the byte.
+#[derive(Clone, Debug, Default)]
+pub struct Course {
+    start_ns: Option<u64>,
+    /// In the order of [`LogChart::ALL`].
+    series: [Series; 3],
+}
+
+impl Course {
+    /// Reads it from a log.
+    ///
+    /// # Errors
+    /// If the log cannot be read.
+    pub fn of(log: &Path) -> Result<Self, LogError> {
+        let mut course = Self::default();
+        read_samples(log, |time_ns, message| course.note_message(time_ns, &message))?;
+        Ok(course)
     }
-    let style = Style { color: 0, member: 0, marked: false };
-    let mut chart = which.empty();
-    chart.lines.push(Line { label: String::new(), points, style });
-    chart.draw()
+
+    /// Takes note of a message of the log.
+    pub fn note_message(&mut self, time_ns: u64, message: &Message) {
+        match message {
+            Message::Energy(message) => self.note(time_ns, LogChart::Energy, message.error),
+            Message::Orthogonality(message) => {
+                self.note(time_ns, LogChart::Orthogonality, message.error);
+            }
+            Message::Momentum(message) => {
+                if let Some(drift) = message.drift {
+                    self.note(time_ns, LogChart::Momentum, drift);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes note of what a chart shows at a log time; the first time is its zero.
+    pub fn note(&mut self, time_ns: u64, which: LogChart, value: f64) {
+        let since_ns = time_ns.saturating_sub(*self.start_ns.get_or_insert(time_ns));
+        self.series[which as usize].push((since_ns as f64 * 1e-9, value));
+    }
+
+    /// Whether a chart would show a line.
+    pub fn has_line(&self, which: LogChart) -> bool {
+        let points = &self.series[which as usize].points;
+        points.first().zip(points.last()).is_some_and(|(first, last)| first.0 < last.0)
+    }
+
+    /// Draws a chart.
+    ///
+    /// # Errors
+    /// If there is nothing that it shows.
+    pub fn draw(&self, which: LogChart) -> Result<String, ChartError> {
+        let points = self.series[which as usize].points.clone();
+        if points.is_empty() {
+            return Err(ChartError::Empty);
+        }
+        let style = Style { color: 0, member: 0, marked: false };
+        let mut chart = which.empty();
+        chart.lines.push(Line { label: String::new(), points, style });
+        chart.draw()
+    }
 }
 
 /// Writes files into a directory that is made if it is not there; returns their paths.
@@ -175,27 +232,8 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
     }
 }
 
-/// Energy error, orthogonality error and momentum drift of a log, each over time in seconds.
-fn series(log: &Path) -> Result<[Vec<(f64, f64)>; 3], ChartError> {
-    let [mut energy, mut orthogonality, mut momentum] = [const { Series::new() }; 3];
-    let mut start_ns = None;
-    read_samples(log, |time_ns, message| {
-        let time_s = (time_ns - *start_ns.get_or_insert(time_ns)) as f64 * 1e-9;
-        match message {
-            Message::Energy(message) => energy.push((time_s, message.error)),
-            Message::Orthogonality(message) => orthogonality.push((time_s, message.error)),
-            Message::Momentum(message) => {
-                if let Some(drift) = message.drift {
-                    momentum.push((time_s, drift));
-                }
-            }
-            _ => {}
-        }
-    })?;
-    Ok([energy, orthogonality, momentum].map(|series| series.points))
-}
-
 /// Points over time in bounded memory: once there are too many, the larger of two neighbours stays.
+#[derive(Clone, Debug)]
 struct Series {
     points: Vec<(f64, f64)>,
     /// Samples behind a point.
@@ -204,12 +242,14 @@ struct Series {
     held: usize,
 }
 
-impl Series {
-    const LIMIT: usize = 1 << 16;
-
-    const fn new() -> Self {
+impl Default for Series {
+    fn default() -> Self {
         Self { points: Vec::new(), each: 1, held: 1 }
     }
+}
+
+impl Series {
+    const LIMIT: usize = 1 << 16;
 
     fn push(&mut self, point: (f64, f64)) {
         if self.held < self.each {
@@ -239,7 +279,7 @@ mod tests {
 
     #[test]
     fn a_long_series_keeps_its_extremes_in_bounded_memory() {
-        let mut series = Series::new();
+        let mut series = Series::default();
         let value = |k: usize| if k == 777_777 { -5.0 } else { (k % 7) as f64 * 1e-3 };
         for k in 0..1_000_000 {
             series.push((k as f64, value(k)));

@@ -438,7 +438,7 @@ async fn live(args: &ServeArgs) -> Result<Option<Arc<Live>>, CliError> {
         return Err(ServeError::Unguarded { address }.into());
     }
     let live = Live::listen(address).await.map_err(|source| CliError::Live { address, source })?;
-    tracing::info!("viewers may connect to ws://{}:{}", address.ip(), live.port());
+    tracing::info!("viewers may connect to ws://{}", live.address());
     Ok(Some(Arc::new(live)))
 }
 

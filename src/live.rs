@@ -30,6 +30,7 @@ const SCENE: Duration = Duration::from_secs(1);
 /// A server of viewers. It ends when it is dropped.
 pub struct Live {
     server: WebSocketServerHandle,
+    address: SocketAddr,
     /// Holds the channels; the server does not.
     _context: Arc<Context>,
     channels: Vec<(Channel, Arc<RawChannel>)>,
@@ -47,7 +48,7 @@ struct Floor {
 
 impl fmt::Debug for Live {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Live").field("port", &self.server.port()).finish_non_exhaustive()
+        f.debug_struct("Live").field("address", &self.address).finish_non_exhaustive()
     }
 }
 
@@ -74,12 +75,13 @@ impl Live {
             .await?;
         let now = Instant::now();
         let floor = Floor { holder: None, next_id: 0, next: now, next_scene: now };
-        Ok(Self { server, _context: context, channels, floor: Mutex::new(floor) })
+        let address = SocketAddr::new(address.ip(), server.port());
+        Ok(Self { server, address, _context: context, channels, floor: Mutex::new(floor) })
     }
 
-    /// The port it listens on.
-    pub fn port(&self) -> u16 {
-        self.server.port()
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
     }
 
     /// Announces a run: it is on show as soon as no other is.

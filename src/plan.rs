@@ -26,7 +26,7 @@ use model::{
 };
 
 /// About what a log takes beside its samples: schemas, scenario, plan, index.
-pub(crate) const LOG_FIXED_BYTES: u64 = 40_000;
+pub(crate) const LOG_FIXED_BYTES: u64 = 50_000;
 
 /// What a job will do, for people and for [`crate::run`].
 #[derive(Clone, Debug, Serialize)]

@@ -15,12 +15,14 @@ use thiserror::Error;
 
 use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
+use crate::chart::{Course, LogChart};
 use crate::live::{Live, Show};
-use crate::log::LogError;
 use crate::log::messages::Figures;
+use crate::log::reader::Message;
 use crate::log::resume::Resumed;
 use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
+use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
@@ -61,6 +63,8 @@ pub struct Control {
     pub cancelled: AtomicBool,
     /// Set it to end the run after its current step, with a log that a later run goes on from.
     pub interrupted: AtomicBool,
+    /// The run is cancelled at this step, as if somebody had set `cancelled` there.
+    pub cancelled_at: Option<u64>,
     /// Where the run writes its step, eight bytes, every [`TRACED_STEPS`]: for whoever finds its process
     /// dead and asks whether it always dies at the same place.
     pub trace: Option<File>,
@@ -78,6 +82,9 @@ impl Control {
         self.steps_done.store(steps, Ordering::Relaxed);
         if steps.is_multiple_of(TRACED_STEPS) {
             self.note(steps);
+        }
+        if self.cancelled_at == Some(steps) {
+            self.cancelled.store(true, Ordering::Relaxed);
         }
         !self.stopped()
     }
@@ -205,7 +212,11 @@ fn run<const N: usize>(
             (Outcome::Failed, Some(diagnosis))
         }
     };
-    let Recorder { mut writer, figures, .. } = recorder;
+    let Recorder { mut writer, figures, course, .. } = recorder;
+    let warning = summary::warning(&figures);
+    if let Some(warning) = &warning {
+        writer.message(Level::Warning, time_s, warning)?;
+    }
     match &diagnosis {
         Some(diagnosis) => writer.message(Level::Error, time_s, &diagnosis.to_string())?,
         None => writer.message(
@@ -234,12 +245,13 @@ fn run<const N: usize>(
         log: context.log.display().to_string(),
         diagnosis,
         ensemble: None,
+        warning,
         unmet: Vec::new(),
     };
     if let Some(expect) = &scenario.expect {
         summary.unmet = summary::unmet(expect, &summary);
     }
-    writer.finish(log_outcome(&summary))?;
+    writer.finish(log_outcome(&summary, &course))?;
     summary.wall_s = begun.elapsed().as_secs_f64();
     Ok(summary)
 }
@@ -258,6 +270,9 @@ fn observables(plan: &Plan) -> Observables {
 struct Recorder<'a, const N: usize> {
     writer: LogWriter<N>,
     figures: Figures,
+    /// What the charts in the log are drawn from.
+    course: Course,
+    epoch_ns: u64,
     elsewhere: Duration,
     control: &'a Control,
     show: Option<Show>,
@@ -270,15 +285,23 @@ impl<'a, const N: usize> Recorder<'a, N> {
         header: &LogHeader,
     ) -> Result<(Self, Option<Checkpoint<N>>), LogError> {
         let JobContext { log, control } = *context;
-        let (writer, figures, checkpoint) = match LogWriter::resume(log, header)? {
+        let mut course = Course::default();
+        let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
+        let (writer, figures, checkpoint) = match LogWriter::resume(log, header, seen)? {
             Some((writer, Resumed { checkpoint, figures, .. })) => {
                 (writer, figures, Some(checkpoint))
             }
-            None => (LogWriter::create(log, header)?, Figures::default(), None),
+            None => {
+                course = Course::default();
+                (LogWriter::create(log, header)?, Figures::default(), None)
+            }
         };
         let announce = |live: &Arc<Live>| live.announce(header.epoch_ns, header.scene.clone());
         let show = control.live.as_ref().map(announce);
-        Ok((Self { writer, figures, elsewhere: Duration::ZERO, control, show }, checkpoint))
+        let epoch_ns = header.epoch_ns;
+        let elsewhere = Duration::ZERO;
+        let recorder = Self { writer, figures, course, epoch_ns, elsewhere, control, show };
+        Ok((recorder, checkpoint))
     }
 }
 
@@ -292,6 +315,7 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
         }
         let begun = Instant::now();
         self.figures.keep(sample);
+        note(&mut self.course, self.epoch_ns, sample);
         if let Some(show) = &self.show {
             show.sample(sample);
         }
@@ -310,6 +334,18 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
         let result = self.writer.checkpoint(checkpoint, self.figures);
         self.elsewhere += begun.elapsed();
         Ok(result?)
+    }
+}
+
+/// Takes note of a sample for the charts.
+fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) {
+    // The writer refuses a time that a log cannot hold.
+    let Some(time_ns) = log_time(epoch_ns, sample.time_s) else { return };
+    if let Some(error) = sample.energy_error {
+        course.note(time_ns, LogChart::Energy, error);
+    }
+    if let Some(error) = sample.orthogonality_error {
+        course.note(time_ns, LogChart::Orthogonality, error);
     }
 }
 
@@ -334,8 +370,8 @@ fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
     }
 }
 
-/// What the log says of the job after its last sample: figures of the run, none of the clock.
-fn log_outcome(summary: &Summary) -> LogOutcome {
+/// What the log says of the job after its last sample: figures and charts of the run, none of the clock.
+fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     let mut entries = BTreeMap::from([
         ("steps".to_owned(), summary.steps.to_string()),
         ("samples".to_owned(), summary.samples.to_string()),
@@ -358,7 +394,15 @@ fn log_outcome(summary: &Summary) -> LogOutcome {
         entries.insert("code".to_owned(), diagnosis.code.clone());
         entries.insert("diagnosis".to_owned(), json(diagnosis));
     }
-    LogOutcome { state: summary.outcome.as_str().to_owned(), entries }
+    if let Some(warning) = &summary.warning {
+        entries.insert("warning".to_owned(), warning.clone());
+    }
+    let charts = [LogChart::Energy, LogChart::Orthogonality].into_iter();
+    let charts = charts.filter(|which| course.has_line(*which));
+    // One that could not be drawn would be missing; the log is good without.
+    let charts = charts.filter_map(|which| Some((which.file(), course.draw(which).ok()?)));
+    let charts = charts.collect();
+    LogOutcome { state: summary.outcome.as_str().to_owned(), entries, charts }
 }
 
 fn json(value: &impl Serialize) -> String {

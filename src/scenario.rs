@@ -405,8 +405,8 @@ pub enum SolverKind {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LogOptions {
-    /// A sample every so many steps. By default at most 60 samples per second of simulated time, which
-    /// is what viewers like, unless that leaves fewer than a thousand.
+    /// A sample every so many steps, beside the start and the end. By default at most 60 samples per
+    /// second of simulated time, which is what viewers like.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub every: Option<u64>,
     /// The topics to log; all that the scene has if absent. What is not logged is not computed.
@@ -533,11 +533,11 @@ impl Scenario {
     /// A sample is taken every so many steps.
     pub fn sample_every(&self) -> u64 {
         const VIEWER_RATE_HZ: f64 = 60.0;
-        const FEW_SAMPLES: u64 = 1000;
         self.log.every.unwrap_or_else(|| {
             let step_s = self.step_s.unwrap_or(f64::INFINITY);
-            let for_viewers = (1.0 / (VIEWER_RATE_HZ * step_s)).ceil() as u64;
-            for_viewers.clamp(1, (self.step_count() / FEW_SAMPLES).max(1))
+            // A rate of 60 that only rounding lifts above 60 stays.
+            let for_viewers = 1.0 / (VIEWER_RATE_HZ * step_s) - 1e-9;
+            (for_viewers.ceil() as u64).max(1)
         })
     }
 

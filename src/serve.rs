@@ -44,7 +44,7 @@ pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
 pub(crate) use page::LAYOUT;
 
 use engine::Engine;
-use store::{DataLock, Store};
+use store::{DataLock, Store, StudyStore};
 use studies::Studies;
 
 /// How long a stop waits for runs to end; together with what comes before and after, less than ten seconds.
@@ -90,7 +90,7 @@ pub enum ServeError {
     #[error("the system refuses a thread or a socket")]
     System(#[from] std::io::Error),
     /// A run did not stop in time; it is run again at the next start.
-    #[error("a run did not stop within {} s; its job is run again at the next start", DRAIN.as_secs())]
+    #[error("a run did not stop within {} s; its job or study is run again at the next start", DRAIN.as_secs())]
     Unfinished,
 }
 
@@ -110,17 +110,21 @@ pub async fn serve(
     let store = Store::open(&config.data)?;
     let (engine, drained) =
         Engine::start(store, config.workers, config.limits, config.live.clone()).await?;
-    let app = api::router(engine.clone(), Studies::start()?, &config);
+    let (studies, studying) = Studies::start(StudyStore::open(&config.data)?).await?;
+    let app = api::router(engine.clone(), studies.clone(), &config);
 
     let (stop, stopped) = watch::channel(false);
     let server = tokio::spawn(listen::listen(listener, app, config.limits, stopped));
     shutdown.await;
     tracing::info!("stopping");
     engine.stop();
+    studies.stop();
     let _ = stop.send(true);
     // Both at once: the answers in flight end while the runs stop.
     let answered = tokio::time::timeout(LAST_ANSWERS, server);
-    let (_, workers) = tokio::join!(answered, tokio::time::timeout(DRAIN, drained.wait()));
+    let studied = tokio::task::spawn_blocking(move || studying.join());
+    let drained = async { tokio::join!(drained.wait(), studied) };
+    let (_, workers) = tokio::join!(answered, tokio::time::timeout(DRAIN, drained));
     if workers.is_err() {
         // A run that goes on still writes to the directory: nobody else may have it while we live.
         std::mem::forget(lock);

@@ -222,6 +222,7 @@ impl Scales {
                 every: 1,
                 energy_limit: f64::INFINITY,
                 keep: false,
+                from: None,
             };
             let run = measure::measure(scene, probe, watch)?;
             watch.advance(0)?;

@@ -68,8 +68,8 @@ pub enum VerifyError {
     /// This build does not take the scenario.
     #[error("this build does not take the scenario of the log: {0}")]
     Scenario(#[from] ScenarioError),
-    /// The job was stopped on its way, and its steps were chosen by an accuracy.
-    #[error("the job was cancelled and chose its own step: run it to its end to verify it")]
+    /// It is of an ensemble that was stopped: how far each of its threads came is not known.
+    #[error("an ensemble that was cancelled cannot be repeated up to the same place")]
     Cancelled,
     /// The job could not be run.
     #[error(transparent)]
@@ -84,19 +84,20 @@ pub enum VerifyError {
 /// # Errors
 /// If the log is not finished, or its job cannot be run here.
 pub fn verify(log: &Path) -> Result<Verification, VerifyError> {
-    let Kept { mut scenario, outcome, build } = kept(log)?;
+    let Kept { scenario, outcome, build } = kept(log)?;
     let state = outcome.get("state").cloned().unwrap_or_default();
+    let mut control = Control::default();
     if state == "cancelled" {
-        if scenario.accuracy.is_some() {
+        if scenario.ensemble.is_some() {
             return Err(VerifyError::Cancelled);
         }
-        // As many steps as were made.
-        scenario.duration_s = None;
-        scenario.steps = outcome.get("steps").and_then(|steps| steps.parse().ok());
+        // The whole job again, for an accuracy chooses its step by how far the job was to go.
+        let steps = outcome.get("steps").and_then(|steps| steps.parse().ok());
+        control.cancelled_at = Some(steps.ok_or(VerifyError::Missing { what: "number of steps" })?);
     }
     let place = tempfile::tempdir()?;
     let again = place.path().join("again.mcap");
-    run::execute(&scenario, &JobContext { log: &again, control: &Control::default() })?;
+    run::execute(&scenario, &JobContext { log: &again, control: &control })?;
     let (messages, difference) = compare(log, &again)?;
     let builds = [build, env!("VPD_BUILD").to_owned()];
     Ok(Verification { same: difference.is_none(), messages, state, difference, builds })

@@ -24,6 +24,9 @@ pub(super) fn summary(summary: &Summary) -> String {
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }
+    if let Some(warning) = &summary.warning {
+        line("warning", warning.clone());
+    }
     if let Some(error) = summary.error {
         line("error", format!("{error:.2e} at the end, against a reference"));
     }

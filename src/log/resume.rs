@@ -15,7 +15,7 @@ use prost::Message as _;
 
 use super::messages::{self, Figures, Member};
 use super::part::Part;
-use super::reader::{self, Item};
+use super::reader::{self, Item, Message};
 use super::schema::{Channel, Topic};
 use super::writer::{LogHeader, LogWriter};
 use super::{LogError, part_path};
@@ -46,9 +46,16 @@ impl<const N: usize> LogWriter<N> {
     /// Takes up the unfinished log of `path` behind its last checkpoint. `None` if there is none that
     /// this build would write for this job, or none with a checkpoint; nothing is changed then.
     ///
+    /// `seen` is shown each message of ours that stands before the checkpoint, with its log time; also if the
+    /// log is not taken up in the end.
+    ///
     /// # Errors
     /// If the file cannot be read, or not be cut off behind the checkpoint.
-    pub fn resume(path: &Path, header: &LogHeader) -> Result<Option<(Self, Resumed<N>)>, LogError> {
+    pub fn resume(
+        path: &Path,
+        header: &LogHeader,
+        mut seen: impl FnMut(u64, &Message),
+    ) -> Result<Option<(Self, Resumed<N>)>, LogError> {
         let part = part_path(path);
         let failed = |source| LogError::io(path, "resume", source);
         let file = match Part::compare(&part) {
@@ -73,10 +80,17 @@ impl<const N: usize> LogWriter<N> {
                 }
                 Item::Checkpoint { data } => {
                     let Some(resumed) = decode(data) else { return ControlFlow::Break(()) };
-                    let ends = pending.iter().filter(|pending: &&Pending| {
-                        pending.topic == Channel::EnsembleMembers.into()
-                    });
-                    members.extend(ends.filter_map(|end| Member::decode(end.data.as_slice()).ok()));
+                    for Pending { topic, time_ns, data, .. } in &pending {
+                        let Topic { member, channel } = *topic;
+                        if channel == Channel::EnsembleMembers {
+                            members.extend(Member::decode(data.as_slice()));
+                        } else if member == 0
+                            && let Some(message) =
+                                Message::decode(channel.topic(), channel.schema_name(), data)
+                        {
+                            seen(*time_ns, &message);
+                        }
+                    }
                     fed = log.feed(std::mem::take(&mut pending), data, &resumed.checkpoint);
                     if fed.is_err() {
                         return ControlFlow::Break(());

@@ -75,6 +75,8 @@ pub struct Outcome {
     pub state: String,
     /// Further entries of the record [`OUTCOME_RECORD`]. The writer adds `samples`.
     pub entries: BTreeMap<String, String>,
+    /// Charts to attach, SVG by file name.
+    pub charts: Vec<(&'static str, String)>,
 }
 
 /// How grave a line of the log is.
@@ -193,16 +195,27 @@ impl<const N: usize> LogWriter<N> {
         let start = log.time(0.0)?;
         let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job.clone() };
         log.attempt(|file| file.write_metadata(&job))?;
-        log.attempt(|file| {
-            file.attach(&Attachment {
-                log_time: start,
-                create_time: start,
-                name: SCENARIO_ATTACHMENT.to_owned(),
-                media_type: "application/json".to_owned(),
-                data: Cow::Borrowed(&header.scenario_json),
-            })
-        })?;
+        log.attach(start, SCENARIO_ATTACHMENT, "application/json", &header.scenario_json)?;
         Ok(log)
+    }
+
+    fn attach(
+        &mut self,
+        time_ns: u64,
+        name: &str,
+        media_type: &str,
+        data: &[u8],
+    ) -> Result<(), LogError> {
+        self.attempt(|file| {
+            file.attach(&Attachment {
+                log_time: time_ns,
+                // No clock: the same job gives the same bytes.
+                create_time: time_ns,
+                name: name.to_owned(),
+                media_type: media_type.to_owned(),
+                data: Cow::Borrowed(data),
+            })
+        })
     }
 
     /// Adds a line to `/log`, if that is written; its time is never before that of the last
@@ -267,6 +280,9 @@ impl<const N: usize> LogWriter<N> {
     /// # Errors
     /// If the file cannot be written, synced or renamed, or an earlier write failed.
     pub fn finish(mut self, outcome: Outcome) -> Result<(), LogError> {
+        for (name, svg) in &outcome.charts {
+            self.attach(self.last_ns, name, "image/svg+xml", svg.as_bytes())?;
+        }
         let mut metadata = outcome.entries;
         metadata.insert("state".to_owned(), outcome.state);
         metadata.insert("samples".to_owned(), self.samples.to_string());

@@ -13,10 +13,12 @@ use std::thread;
 use std::time::Instant;
 
 use super::summary::{self, Diagnosis, MomentumSummary, Outcome, SolverSummary, Summary};
-use super::{Control, JobContext, RunError, advice, header, json, log_outcome, observables};
+use super::{Control, JobContext, RunError, advice, header, json, log_outcome, note, observables};
 use crate::assemble::{Assembly, Task, assembled};
+use crate::chart::Course;
 use crate::log::LogError;
 use crate::log::messages::{self, Figures, Member};
+use crate::log::reader::Message;
 use crate::log::writer::{Level, LogHeader, LogWriter};
 use crate::plan::{EnsemblePlan, Plan};
 use crate::scenario::{self, Scenario};
@@ -51,7 +53,7 @@ impl Ensemble<'_> {
         let begun = Instant::now();
         let Self { scenario, plan, asked, planned, context } = self;
         let JobContext { log: path, control } = *context;
-        let (mut log, mut ends) = open::<N>(context, &header(scenario, plan))?;
+        let (mut log, mut ends, mut course) = open::<N>(context, &header(scenario, plan))?;
         let resumed_step = ends.len() as u64 * plan.steps;
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
         control.steps_done.store(resumed_step, Ordering::Relaxed);
@@ -59,7 +61,7 @@ impl Ensemble<'_> {
             log.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
             let starts = (0..planned.members).map(|m| spread::start(&assembly.initial, asked, m));
             log.statistics(&statistics::at_start(starts))?;
-            if let Some(members) = self.in_full(&mut assembly, &mut log)? {
+            if let Some(members) = self.in_full(&mut assembly, &mut log, &mut course)? {
                 self.ended(&mut log, &mut ends, members)?;
                 self.checkpoint(&mut log, ends.len())?;
             }
@@ -95,6 +97,10 @@ impl Ensemble<'_> {
         let samples = nominal.map_or(0, |end| end.samples);
         let last = nominal.and_then(state::<N>).unwrap_or(assembly.initial);
         let diagnosis = nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok());
+        let warning = summary::warning(&figures);
+        if let Some(warning) = &warning {
+            log.message(Level::Warning, time_s, warning)?;
+        }
         let mut summary = Summary {
             outcome,
             steps,
@@ -116,12 +122,13 @@ impl Ensemble<'_> {
             log: path.display().to_string(),
             diagnosis,
             ensemble: Some(summary),
+            warning,
             unmet: Vec::new(),
         };
         if let Some(expect) = &scenario.expect {
             summary.unmet = summary::unmet(expect, &summary);
         }
-        log.finish(log_outcome(&summary))?;
+        log.finish(log_outcome(&summary, &course))?;
         let steps: u64 = ends.iter().map(|end| end.steps).sum();
         control.steps_done.store(steps, Ordering::Relaxed);
         let made = steps.saturating_sub(resumed_step);
@@ -140,16 +147,18 @@ impl Ensemble<'_> {
         &self,
         assembly: &mut Assembly<N>,
         log: &mut LogWriter<N>,
+        course: &mut Course,
     ) -> Result<Option<Vec<Member>>, RunError> {
         let JobContext { control, .. } = *self.context;
         let numbers = &self.planned.in_full;
-        let show = control.live.as_ref().map(|live| {
-            let LogHeader { epoch_ns, scene, .. } = header(self.scenario, self.plan);
-            live.announce(epoch_ns, scene)
-        });
+        let LogHeader { epoch_ns, scene, .. } = header(self.scenario, self.plan);
+        let show = control.live.as_ref().map(|live| live.announce(epoch_ns, scene));
         let record = |m: usize, sample: &Sample<N>| {
-            if let Some(show) = show.as_ref().filter(|_| m == 0) {
-                show.sample(sample);
+            if m == 0 {
+                note(course, epoch_ns, sample);
+                if let Some(show) = &show {
+                    show.sample(sample);
+                }
             }
             log.record_member(numbers[m], sample)?;
             if log.wants_checkpoint() {
@@ -376,17 +385,19 @@ impl Task for Worker<'_> {
     }
 }
 
-/// Takes up the log of an interrupted run with the ends that it holds, or begins one.
+/// Takes up the log of an interrupted run with the ends that it holds and what its charts show, or begins one.
 fn open<const N: usize>(
     context: &JobContext<'_>,
     header: &LogHeader,
-) -> Result<(LogWriter<N>, Vec<Member>), LogError> {
-    if let Some((log, resumed)) = LogWriter::resume(context.log, header)?
+) -> Result<(LogWriter<N>, Vec<Member>, Course), LogError> {
+    let mut course = Course::default();
+    let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
+    if let Some((log, resumed)) = LogWriter::resume(context.log, header, seen)?
         && !resumed.members.is_empty()
     {
-        return Ok((log, resumed.members));
+        return Ok((log, resumed.members, course));
     }
-    Ok((LogWriter::create(context.log, header)?, Vec::new()))
+    Ok((LogWriter::create(context.log, header)?, Vec::new(), Course::default()))
 }
 
 /// Where a member ended.

@@ -73,6 +73,9 @@ pub struct Summary {
     /// Of an ensemble, what became of its members; all else here is of member 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<EnsembleSummary>,
+    /// Why the run may mean little, though no step of it failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warning: Option<String>,
     /// What the scenario expected and the run did not keep to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unmet: Vec<String>,
@@ -181,6 +184,22 @@ pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
         initial: figures.energy_initial?,
         max_abs_error: figures.energy_max_abs_error?,
         final_error: figures.energy_final_error?,
+    })
+}
+
+/// A run may lose its energy without a step that fails: steps over a near charge, each of them finite. As in a
+/// stability map, an error beyond a tenth of the energy that moves is no integration any more.
+pub(super) fn warning(figures: &Figures) -> Option<String> {
+    const MEANINGLESS: f64 = 0.1;
+    /// At rest nothing moves, and the round-off of the potential is no loss.
+    const ROUND_OFF: f64 = 1e-9;
+    let (error, kinetic) = (figures.energy_max_abs_error?, figures.kinetic_max?);
+    let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * figures.energy_initial?.abs();
+    lost.then(|| {
+        format!(
+            "the energy was off by {error:.1e} J, where at most {kinetic:.1e} J moved: no step failed, but the run \
+             means little; take a smaller step"
+        )
     })
 }
 

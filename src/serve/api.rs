@@ -3,11 +3,13 @@
 //! Invariant: what a client sends reaches the inside as a checked type (`JobId`, `Scenario`, `ListQuery`) or
 //! not at all; and every route is in the list that also makes the API's description.
 
+use std::net::SocketAddr;
+
 use axum::extract::{Path, Request, State as Shared};
 use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
 use axum::http::{HeaderName, HeaderValue, Method};
 use axum::middleware::{from_fn, from_fn_with_state, map_response};
-use axum::response::{Html, IntoResponse, Response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Json, Router};
 use serde_json::Value;
@@ -24,7 +26,7 @@ use super::job::State;
 use super::openapi::{self, Operation};
 use super::page::{self, Pictures};
 use super::problem::{self, Problem};
-use super::studies::{Request as StudyRequest, Studies, StudyView};
+use super::studies::{Request as StudyRequest, Studies, StudyList, StudyView};
 use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, metrics};
 use crate::log::stretch::Stretch;
@@ -44,6 +46,8 @@ struct App {
     studies: Studies,
     pictures: Pictures,
     public_url: Option<String>,
+    /// Where viewers look on while a job runs.
+    live: Option<SocketAddr>,
 }
 
 /// A route: where it is, what it says of itself, who may use it, what it does.
@@ -177,10 +181,20 @@ fn routes() -> Vec<Route> {
             Submit,
             op("submitStudy", "Take a study: many runs of one scene, one table")
                 .body::<StudyRequest>(None)
-                .json::<StudyView>(202, "Taken; kept in memory"),
+                .json::<StudyView>(202, "Taken; it is on the disk"),
             post(studies::submit_study),
         )
         .method(Method::POST),
+        Route::new(
+            "/studies",
+            Read,
+            op(
+                "listStudies",
+                "Studies, newest first; the oldest ended ones beyond 64 are forgotten",
+            )
+            .json::<StudyList>(200, "All of them, without their tables"),
+            get(studies::list_studies),
+        ),
         Route::new(
             "/studies/{id}",
             Read,
@@ -307,7 +321,7 @@ fn routes() -> Vec<Route> {
                 "text/html; charset=utf-8",
                 "A page",
             ),
-            get(async || Html(include_str!("docs.html"))),
+            get(page::docs),
         )
         .open(),
     ]
@@ -317,6 +331,7 @@ fn routes() -> Vec<Route> {
 pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> Router {
     let gate = Gate::new(config);
     let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
+    let live = config.live.as_ref().map(|live| live.address());
     let routes = routes();
     let described = routes.iter().map(|route| {
         let Route { method, path, scope, operation, .. } = route;
@@ -347,7 +362,7 @@ pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> 
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .with_state(App { engine, studies, pictures: Pictures::new(), public_url })
+        .with_state(App { engine, studies, pictures: Pictures::new(), public_url, live })
 }
 
 /// A request in the service's own log: without its query, which may hold a token.

@@ -18,7 +18,7 @@ use uuid::Uuid;
 use super::download;
 use super::engine::{Engine, Refusal};
 use super::job::View;
-use super::view::{JobView, Progress};
+use super::view::{JobView, Progress, Reach};
 
 /// How often a job is looked at.
 const LOOK: Duration = Duration::from_millis(100);
@@ -35,9 +35,9 @@ struct Sent {
 }
 
 /// Events `state`, with the whole job, and `progress` until the job has ended.
-pub(super) fn events(engine: Engine, id: Uuid, base: Option<String>) -> Response {
+pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
     let events = stream::unfold(Sent::default(), move |mut sent| {
-        let (engine, base) = (engine.clone(), base.clone());
+        let (engine, reach) = (engine.clone(), reach.clone());
         async move {
             while !sent.over {
                 // Forgotten, or the service stops: nothing more will come.
@@ -47,7 +47,7 @@ pub(super) fn events(engine: Engine, id: Uuid, base: Option<String>) -> Response
                     sent.state = Some(view.state);
                     sent.over = view.state.is_final();
                     let event = Event::default().event("state");
-                    let job = JobView::new(&view, base.as_deref());
+                    let job = JobView::new(&view, &reach);
                     return Some((Ok::<_, Infallible>(event.json_data(job).ok()?), sent));
                 }
                 let progress = Progress::of(&view);

@@ -221,7 +221,8 @@ impl Job {
     }
 }
 
-fn created(id: Uuid) -> Option<DateTime<Utc>> {
+/// When a job or a study was taken: its id says it.
+pub(super) fn created(id: Uuid) -> Option<DateTime<Utc>> {
     let (seconds, nanos) = id.get_timestamp()?.to_unix();
     DateTime::from_timestamp(i64::try_from(seconds).ok()?, nanos)
 }

@@ -1,6 +1,7 @@
-//! What people look at: the page at `/`, the layouts of viewers, the charts and the attitudes of a job.
+//! What people look at: the page at `/`, the description at `/docs`, the layouts of viewers, the charts and the
+//! attitudes of a job.
 //!
-//! Invariant: the page uses the public routes alone and asks nobody else for anything; its policy allows it
+//! Invariant: a page uses the public routes alone and asks nobody else for anything; its policy allows it
 //! no script and no style but the two that were built in.
 
 use std::path::{Path, PathBuf};
@@ -36,29 +37,51 @@ const SCRIPT: &str = concat!(
 /// The layout of panels for Foxglove and Lichtblick: both read the same.
 pub(crate) const LAYOUT: &str = include_str!("page/layout.json");
 
-/// The page as one file.
-static PAGE: LazyLock<String> = LazyLock::new(|| {
-    include_str!("page/page.html").replace("/*style*/", STYLE).replace("/*script*/", SCRIPT)
+/// A page as one file.
+struct OneFile {
+    text: String,
+    /// What a browser may load for it: what is in it, by its hash, and answers of this service.
+    policy: String,
+}
+
+static PAGE: LazyLock<OneFile> =
+    LazyLock::new(|| OneFile::new(include_str!("page/page.html"), STYLE, SCRIPT));
+
+static DOCS: LazyLock<OneFile> = LazyLock::new(|| {
+    let (style, script) = (include_str!("page/docs.css"), include_str!("page/docs.js"));
+    OneFile::new(include_str!("page/docs.html"), style, script)
 });
 
-/// What a browser may load for the page: what is in it, by its hash, and answers of this service.
-static POLICY: LazyLock<String> = LazyLock::new(|| {
-    let hash = |text: &str| BASE64_STANDARD.encode(Sha256::digest(text));
-    format!(
-        "default-src 'none'; script-src 'sha256-{}'; style-src 'sha256-{}'; img-src blob: data:; \
-         connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-        hash(SCRIPT),
-        hash(STYLE)
-    )
-});
+impl OneFile {
+    fn new(frame: &str, style: &str, script: &str) -> Self {
+        let hash = |text: &str| BASE64_STANDARD.encode(Sha256::digest(text));
+        Self {
+            text: frame.replace("/*style*/", style).replace("/*script*/", script),
+            policy: format!(
+                "default-src 'none'; script-src 'sha256-{}'; style-src 'sha256-{}'; img-src blob: data:; \
+                 connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+                hash(script),
+                hash(style)
+            ),
+        }
+    }
+
+    fn answer(&'static self) -> Response {
+        let headers = [
+            (CONTENT_SECURITY_POLICY, self.policy.as_str()),
+            (REFERRER_POLICY, "no-referrer"),
+            (CACHE_CONTROL, "no-cache"),
+        ];
+        (headers, Html(self.text.as_str())).into_response()
+    }
+}
 
 pub(super) async fn page() -> Response {
-    let headers = [
-        (CONTENT_SECURITY_POLICY, POLICY.as_str()),
-        (REFERRER_POLICY, "no-referrer"),
-        (CACHE_CONTROL, "no-cache"),
-    ];
-    (headers, Html(PAGE.as_str())).into_response()
+    PAGE.answer()
+}
+
+pub(super) async fn docs() -> Response {
+    DOCS.answer()
 }
 
 pub(super) async fn layout() -> Response {

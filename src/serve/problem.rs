@@ -230,8 +230,10 @@ impl From<ScenarioError> for Problem {
 
 impl From<StudyRefusal> for Problem {
     fn from(refusal: StudyRefusal) -> Self {
-        let with = |status, code| Self::new(status, code, refusal.to_string());
+        let detail = refusal.to_string();
+        let with = |status, code| Self::new(status, code, detail);
         match refusal {
+            StudyRefusal::Store(error) => Refusal::Store(error).into(),
             StudyRefusal::QueueFull => {
                 with(StatusCode::TOO_MANY_REQUESTS, "queue_full").retry(RETRY_S)
             }

@@ -11,6 +11,10 @@
 //! `index.jsonl` repeats of each result what lists show, so that a start need not read them all. It is no
 //! record: what it lacks, or holds damaged, is read from the result.
 
+mod studies;
+
+pub(super) use studies::{FoundStudy, StudyStore};
+
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs::{DirBuilder, File, TryLockError};
 use std::io::{self, Write};
@@ -214,9 +218,7 @@ impl Store {
         make_directory(&jobs).map_err(failed)?;
         let index = File::options().create(true).append(true).open(data.join(INDEX));
         let index = Mutex::new(index.map_err(failed)?);
-        let objects = LocalFileSystem::new_with_prefix(&data)
-            .map_err(|error| failed(io::Error::other(error)))?;
-        Ok(Self { objects: objects.with_fsync(true), data, jobs, index })
+        Ok(Self { objects: objects(&data)?, data, jobs, index })
     }
 
     /// Bytes that may still be written to the disk. Blocking.
@@ -368,17 +370,9 @@ impl Store {
     /// next scan removes, not a job to be run again.
     pub(super) async fn forget(&self, id: Uuid) -> Result<(), StoreError> {
         let directory = self.directory(id);
-        let removed = tokio::task::spawn_blocking(move || {
-            remove_if_there(&directory.join(SCENARIO))?;
-            sync_directory(&directory)?;
-            std::fs::remove_dir_all(&directory)
-        });
-        match removed.await.map_err(io::Error::other).flatten() {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                Err(StoreError::new("forget the job")(error))
-            }
-            _ => Ok(()),
-        }
+        let removed = tokio::task::spawn_blocking(move || forget_prefix(&directory, SCENARIO));
+        let removed = removed.await.map_err(io::Error::other).flatten();
+        removed.map_err(StoreError::new("forget the job"))
     }
 
     /// All jobs, oldest first. Prefixes without a scenario are removed.
@@ -458,8 +452,30 @@ impl Store {
     }
 
     async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
-        let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
-        self.objects.put_opts(&key(id, name), content.into(), options).await.map(drop)
+        create(&self.objects, &key(id, name), content).await
+    }
+}
+
+/// The files of a directory, each on the disk when it is said to be written.
+fn objects(data: &Path) -> Result<LocalFileSystem, ServeError> {
+    let failed = |source| ServeError::Data { path: data.into(), source: io::Error::other(source) };
+    Ok(LocalFileSystem::new_with_prefix(data).map_err(failed)?.with_fsync(true))
+}
+
+/// Writes a file that is not there yet.
+async fn create(objects: &LocalFileSystem, place: &Key, content: Vec<u8>) -> Result<(), Error> {
+    let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
+    objects.put_opts(place, content.into(), options).await.map(drop)
+}
+
+/// Removes a directory, first of all the file without which the rest is nothing. Blocking.
+fn forget_prefix(directory: &Path, first: &str) -> io::Result<()> {
+    let removed = remove_if_there(&directory.join(first))
+        .and_then(|()| sync_directory(directory))
+        .and_then(|()| std::fs::remove_dir_all(directory));
+    match removed {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
     }
 }
 

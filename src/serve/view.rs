@@ -47,6 +47,15 @@ pub(super) struct Progress {
     eta_s: Option<f64>,
 }
 
+/// How the client, and so its viewers, reach the service.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reach {
+    /// The address of the service.
+    pub(super) base: Option<String>,
+    /// The address of the live view, if there is one that they reach.
+    pub(super) live: Option<String>,
+}
+
 /// Where the rest is.
 #[derive(Debug, Serialize, JsonSchema)]
 struct Links {
@@ -69,6 +78,10 @@ struct Links {
     /// Links that open the log in viewers.
     #[serde(skip_serializing_if = "Option::is_none")]
     viewers: Option<Viewers>,
+    /// While the job runs, where the service has a live view: links that open it in viewers. It shows one
+    /// job at a time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    live_viewers: Option<LiveViewers>,
 }
 
 /// Charts of a log.
@@ -86,6 +99,16 @@ struct Viewers {
     foxglove_desktop: String,
     lichtblick_desktop: String,
     rerun: String,
+}
+
+/// The live view, and links that open it in viewers.
+#[derive(Debug, Serialize, JsonSchema)]
+struct LiveViewers {
+    /// Its address, of Foxglove's WebSocket protocol.
+    address: String,
+    foxglove: String,
+    foxglove_desktop: String,
+    lichtblick_desktop: String,
 }
 
 /// A server-sent event; only its schema is used.
@@ -145,14 +168,16 @@ pub(super) struct Status {
 }
 
 impl JobView {
-    /// `base` is the address under which viewers reach the service.
-    pub(super) fn new(view: &View, base: Option<&str>) -> Self {
+    /// A job as a client that reaches us so sees it.
+    pub(super) fn new(view: &View, reach: &Reach) -> Self {
         let View { id, name, state, created, attempts, has_log, plan, .. } = view.clone();
         let record = view.record.clone();
         let will_have_log = has_log || !state.is_final();
         let log = format!("/jobs/{id}/log.mcap");
+        let base = reach.base.as_deref();
         let viewers =
             base.filter(|_| has_log).map(|base| Viewers::of(base, &format!("{base}{log}")));
+        let live = reach.live.as_deref().filter(|_| state == State::Running);
         Self {
             id,
             name,
@@ -173,6 +198,7 @@ impl JobView {
                 charts: has_log.then(|| Charts::of(id)),
                 live: will_have_log.then(|| format!("/jobs/{id}/live.mcap")),
                 viewers,
+                live_viewers: live.map(|address| LiveViewers::of(base, address)),
             },
         }
     }
@@ -231,6 +257,21 @@ impl Viewers {
                 "lichtblick://open?ds=remote-file&ds.url={log}&layoutUrl={layout}"
             ),
             rerun: format!("https://rerun.io/viewer?url={log}"),
+        }
+    }
+}
+
+impl LiveViewers {
+    fn of(base: Option<&str>, address: &str) -> Self {
+        let source = format!("ds=foxglove-websocket&ds.url={}", percent_encoded(address));
+        let layout = base.map_or(String::new(), |base| {
+            format!("&layoutUrl={}", percent_encoded(&format!("{base}/layouts/lichtblick.json")))
+        });
+        Self {
+            address: address.to_owned(),
+            foxglove: format!("https://app.foxglove.dev/~/view?{source}"),
+            foxglove_desktop: format!("foxglove://open?{source}"),
+            lichtblick_desktop: format!("lichtblick://open?{source}{layout}"),
         }
     }
 }

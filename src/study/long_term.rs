@@ -38,6 +38,7 @@ pub fn long_term(
             every: steps.div_ceil(SAMPLES),
             energy_limit: f64::INFINITY,
             keep: false,
+            from: None,
         };
         let run = measure(scene, probe, watch)?;
         watch.advance(1)?;

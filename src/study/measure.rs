@@ -18,7 +18,7 @@ use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
+use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
 
 /// A state of any size: attitude and body momentum, n x n.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +33,11 @@ impl Point {
     fn of<const N: usize>(attitude: &Mat<N>, momentum: &Mat<N>) -> Self {
         let sized = |m: &Mat<N>| DMatrix::from_fn(N, N, |i, j| m[(i, j)]);
         Self { attitude: sized(attitude), momentum: sized(momentum) }
+    }
+
+    fn state<const N: usize>(&self) -> State<N> {
+        let sized = |m: &DMatrix<f64>| Mat::<N>::from_fn(|i, j| m[(i, j)]);
+        State { attitude: sized(&self.attitude), momentum: sized(&self.momentum) }
     }
 
     /// `|g - h|_F / sqrt(2)`: for n = 3 the spectral norm of the difference of two rotations.
@@ -62,6 +67,8 @@ pub(crate) struct Probe<'a> {
     pub(crate) energy_limit: f64,
     /// Are the states at the samples kept?
     pub(crate) keep: bool,
+    /// Where the run starts, if not where the scene does.
+    pub(crate) from: Option<&'a Point>,
 }
 
 /// How a run of a study ended.
@@ -89,6 +96,8 @@ pub(crate) struct Measured {
     pub(crate) force_evaluations: u64,
     /// Largest size of the body angular velocity at a sample, rad/s.
     pub(crate) fastest_rad_s: f64,
+    /// The number of that sample.
+    pub(crate) fastest_sample: usize,
     pub(crate) largest_kinetic: f64,
     pub(crate) largest_momentum: f64,
 }
@@ -146,7 +155,8 @@ impl Task for Measurement<'_> {
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
         let Assembly { body, mut stepper, initial, .. } = assembly;
-        let Probe { step_s, steps, every, energy_limit, keep, .. } = self.probe;
+        let Probe { step_s, steps, every, energy_limit, keep, from, .. } = self.probe;
+        let initial = from.map_or(initial, Point::state);
         let blown = Cell::new(false);
         let mut gauge = Gauge {
             body: &body,
@@ -155,7 +165,7 @@ impl Task for Measurement<'_> {
             keep,
             points: Vec::new(),
             series: Vec::new(),
-            fastest: 0.0,
+            fastest: (0.0, 0),
             kinetic: 0.0,
             momentum: 0.0,
         };
@@ -188,7 +198,8 @@ impl Task for Measurement<'_> {
             iterations: trajectory.iterations,
             rung: trajectory.convergence.map(|solved| solved.rung),
             force_evaluations: body.force_evaluations(),
-            fastest_rad_s: fastest,
+            fastest_rad_s: fastest.0,
+            fastest_sample: fastest.1,
             largest_kinetic: kinetic,
             largest_momentum: momentum,
         }
@@ -203,7 +214,8 @@ struct Gauge<'a, const N: usize> {
     keep: bool,
     points: Vec<Point>,
     series: Vec<(f64, f64, f64)>,
-    fastest: f64,
+    /// Largest velocity, and the number of the sample.
+    fastest: (f64, usize),
     kinetic: f64,
     momentum: f64,
 }
@@ -216,7 +228,10 @@ impl<const N: usize> Sink<N> for Gauge<'_, N> {
         let orthogonality = sample.orthogonality_error.unwrap_or_default();
         self.series.push((sample.time_s, energy_error, orthogonality));
         self.blown.set(self.blown.get() || energy_error.abs() > self.energy_limit);
-        self.fastest = self.fastest.max(size(&self.body.velocity(&sample.momentum)));
+        let rate = size(&self.body.velocity(&sample.momentum));
+        if rate > self.fastest.0 {
+            self.fastest = (rate, self.series.len() - 1);
+        }
         self.momentum = self.momentum.max(size(&sample.momentum));
         self.kinetic = self.kinetic.max(sample.energy.map_or(0.0, |energy| energy.kinetic));
         if self.keep {

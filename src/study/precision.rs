@@ -55,6 +55,7 @@ pub fn precision(
                 every: steps.div_ceil(10_000),
                 energy_limit: f64::INFINITY,
                 keep: false,
+                from: None,
             };
             watch.expect(1);
             let run = measure::measure(scene, probe, watch)?;

@@ -200,6 +200,7 @@ fn solution(
         every: steps / EIGHTHS,
         energy_limit: f64::INFINITY,
         keep: true,
+        from: None,
     };
     watch.expect(1);
     let run = measure(scene, probe, watch)?;

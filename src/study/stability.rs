@@ -92,6 +92,12 @@ const SWEEP: usize = 24;
 const TURNS_RAD: (f64, f64) = (0.03, 6.0);
 /// Steps of each run: long enough for an instability to show, and a drift.
 const RUN_STEPS: u64 = 4000;
+/// A drift is one that goes on in a run so many times as long. What only swings slower than a run comes back.
+const LONGER: u64 = 4;
+/// By at least so much: by [`LONGER`] if it is steady; on the dipole by 1.9 to 5, and by 1.2 at most where it swings.
+const GOES_ON: f64 = 1.5;
+/// Steps of each run that are held against where they should have ended, beside the one that begins fastest.
+const CHECKED_STEPS: usize = 8;
 /// The step beyond the border is at most so many times the largest usable one.
 const BORDER_RATIO: f64 = 1.05;
 /// An energy error beyond this part of the kinetic energy is no integration.
@@ -185,21 +191,16 @@ impl<'a> Judge<'a> {
             steps: RUN_STEPS,
             every: 1,
             energy_limit: MEANINGLESS * self.scales.kinetic,
-            keep: false,
+            keep: true,
+            from: None,
         };
         let run = measure(self.scene, probe, watch)?;
         watch.advance(0)?;
-        let class = self.class(entry, step_s, &run, watch)?;
+        let class = self.class(probe, &run, watch)?;
         Ok(Cell { class, row: Row::new(entry, step_s, &run, None) })
     }
 
-    fn class(
-        &self,
-        entry: &Entry,
-        step_s: f64,
-        run: &Measured,
-        watch: &Watch,
-    ) -> Result<Class, StudyError> {
+    fn class(&self, probe: Probe<'_>, run: &Measured, watch: &Watch) -> Result<Class, StudyError> {
         if let End::Failed(failure) = &run.end {
             return Ok(Class::Failed(failure.code));
         }
@@ -209,9 +210,15 @@ impl<'a> Judge<'a> {
         if run.orthogonality_error() > OFF_GROUP {
             return Ok(Class::LeftGroup);
         }
-        if self.leaves_branch(entry, step_s, watch)? {
+        if self.leaves_branch(probe.step_s, run, watch)? {
             return Ok(Class::WrongBranch);
         }
+        let drifts = self.drifts(run) && self.drifts_on(probe, run, watch)?;
+        Ok(if drifts { Class::EnergyDrifts } else { Class::Stable })
+    }
+
+    /// Has the energy error a trend beyond chance over a run?
+    fn drifts(&self, run: &Measured) -> bool {
         let errors: Vec<f64> = run.series.iter().map(|&(_, energy, _)| energy).collect();
         let (change, chance) = trend(&errors);
         // The same way from quarter to quarter: a swing slower than the run has a trend too, but turns.
@@ -222,27 +229,60 @@ impl<'a> Judge<'a> {
         let onwards = (0..3).all(|k| (mean(k + 1) - mean(k)) / change > 0.08);
         // Beyond chance, beyond the amplitude of what only swings, and beyond round-off.
         let largest = run.energy_error();
-        let drifts = onwards
+        onwards
             && change.abs() > 5.0 * chance
             && change.abs() > 0.6 * largest
-            && largest > 1e-12 * self.scales.kinetic;
-        Ok(if drifts { Class::EnergyDrifts } else { Class::Stable })
+            && largest > 1e-12 * self.scales.kinetic
     }
 
-    /// Does the first step end where it should? Told by a solution of order 16 in steps that are known to work.
-    fn leaves_branch(&self, entry: &Entry, step_s: f64, watch: &Watch) -> Result<bool, StudyError> {
+    /// Does the trend of a run go on in a longer one?
+    fn drifts_on(
+        &self,
+        probe: Probe<'_>,
+        run: &Measured,
+        watch: &Watch,
+    ) -> Result<bool, StudyError> {
+        let probe = Probe { steps: LONGER * probe.steps, every: LONGER, keep: false, ..probe };
+        let longer = measure(self.scene, probe, watch)?;
+        watch.advance(0)?;
+        let late = |run: &Measured| {
+            let late = &run.series[run.series.len() * 3 / 4..];
+            late.iter().map(|&(_, energy, _)| energy).sum::<f64>() / late.len() as f64
+        };
+        Ok(!longer.completed() || self.drifts(&longer) && late(&longer) / late(run) > GOES_ON)
+    }
+
+    /// Does a step end where it should not? Told by a solution of order 16 in steps that are known to work.
+    ///
+    /// Each step is followed from its own start: by how much the run has strayed before, in phase or because errors
+    /// grow on the scene, does not count.
+    fn leaves_branch(
+        &self,
+        step_s: f64,
+        run: &Measured,
+        watch: &Watch,
+    ) -> Result<bool, StudyError> {
         let exact = with_tableau(MethodName::Vpd, TableauName::Gauss8);
         let parts = (step_s / self.scales.easy_step_s).ceil().max(1.0) as u64;
-        let end = |method, step_s, steps| {
-            let energy_limit = f64::INFINITY;
-            let probe = Probe { method, step_s, steps, every: steps, energy_limit, keep: false };
-            measure(self.scene, probe, watch)
-        };
-        let ours = end(&entry.method, step_s, 1)?;
-        let exact = end(&exact, step_s / parts as f64, parts)?;
-        Ok(ours.completed()
-            && exact.completed()
-            && ours.last.attitude_distance(&exact.last) > WRONG_BRANCH)
+        let made = run.points.len().saturating_sub(1);
+        let spread = (0..CHECKED_STEPS).map(|k| k * made / CHECKED_STEPS);
+        for at in spread.chain([run.fastest_sample]) {
+            let [start, end] = run.points.get(at..at + 2).unwrap_or_default() else { continue };
+            let probe = Probe {
+                method: &exact,
+                step_s: step_s / parts as f64,
+                steps: parts,
+                every: parts,
+                energy_limit: f64::INFINITY,
+                keep: false,
+                from: Some(start),
+            };
+            let exact = measure(self.scene, probe, watch)?;
+            if exact.completed() && end.attitude_distance(&exact.last) > WRONG_BRANCH {
+                return Ok(true);
+            }
+        }
+        Ok(false)
     }
 
     fn border(
@@ -270,5 +310,32 @@ impl<'a> Judge<'a> {
             broken_step_s: broken.map(|(step_s, _)| step_s),
             broken: broken.map(|(_, class)| class.as_str()),
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{CHECKED_STEPS, Judge, Probe, measure};
+    use crate::scenario::{MethodName, SHIPPED, Scenario, TableauName};
+    use crate::study::{Watch, with_tableau};
+
+    #[test]
+    fn a_late_step_that_ends_elsewhere_is_told() {
+        let (_, text) = SHIPPED[0];
+        let scene = Scenario::from_json(text.as_bytes()).expect("the dipole");
+        let watch = Watch::default();
+        let judge = Judge::of(&scene, &watch).expect("scales");
+        let method = with_tableau(MethodName::Vpd, TableauName::Gauss2);
+        let (step_s, steps, energy_limit) = (0.05, 400, f64::INFINITY);
+        let (every, keep, from) = (1, true, None);
+        let probe = Probe { method: &method, step_s, steps, every, energy_limit, keep, from };
+        let mut run = measure(&scene, probe, &watch).expect("a run");
+        assert!(!judge.leaves_branch(step_s, &run, &watch).expect("judged"));
+        // Half a turn about the body's third axis: a rotation still, of the same energy where it is a symmetry.
+        let made = run.points.len() - 1;
+        let end = &mut run.points[3 * made / CHECKED_STEPS + 1].attitude;
+        end.column_mut(0).neg_mut();
+        end.column_mut(1).neg_mut();
+        assert!(judge.leaves_branch(step_s, &run, &watch).expect("judged"));
     }
 }

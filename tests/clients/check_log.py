@@ -9,6 +9,7 @@ failed.
 
 import json
 import sys
+from xml.etree import ElementTree
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -78,6 +79,10 @@ def check_frame(reader, summary, topics, samples, epoch):
     except (KeyError, ValueError):
         good = False
     check("the attachment scenario.json parses", good)
+    charts = [attachments.get(name, b"") for name in ("energy.svg", "orthogonality.svg")]
+    roots = [ElementTree.fromstring(chart).tag if chart else "none" for chart in charts]
+    check("the charts are attached", all(root.endswith("svg") for root in roots),
+          ", ".join(f"{len(chart)} bytes" for chart in charts))
 
 
 def check_numbers(topics):

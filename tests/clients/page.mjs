@@ -7,6 +7,7 @@ import { browser, checks, ended, service, shipped, submit } from "./service.mjs"
 const shots = process.argv[2];
 const { url, stop } = await service(["--workers", "2"]);
 const guarded = await service([], { VPD_TOKENS: "admin a-token-of-the-tests" });
+const shown = await service(["--foxglove-listen", "127.0.0.1:0"]);
 const chromium = await browser();
 
 // A page that notes what goes wrong on it and where it turns to.
@@ -125,6 +126,30 @@ await checks({
     assert.equal((await ended(url, id)).state, "cancelled");
     return words;
   },
+  "a running job is linked to the live view": async () => {
+    const live = await open(shown.url);
+    const { id } = await submit(shown.url, await long());
+    await live.goto(`${shown.url}/#/jobs/${id}`);
+    await live.waitForSelector("#live-foxglove");
+    const { address } = (await (await fetch(`${shown.url}/jobs/${id}`)).json()).links.live_viewers;
+    assert.match(address, /^ws:\/\/127\.0\.0\.1:[1-9]\d*$/);
+    assert.equal(await live.getAttribute("#live-foxglove", "href"), `https://app.foxglove.dev/~/view?ds=foxglove-websocket&ds.url=${encodeURIComponent(address)}`);
+    assert.equal(await live.getAttribute("#follow", "href"), `${shown.url}/jobs/${id}/live.mcap`);
+    // What is linked answers as Foxglove's server does.
+    const viewer = await live.context().newPage();
+    const spoken = await viewer.evaluate(address => new Promise((resolve, reject) => {
+      const socket = new WebSocket(address, ["foxglove.sdk.v1"]);
+      socket.onmessage = event => { resolve(JSON.parse(event.data).op); socket.close(); };
+      socket.onerror = () => reject(new Error("no answer"));
+    }), address);
+    assert.equal(spoken, "serverInfo");
+    await live.click("#view button:text('Cancel')");
+    await state(live, "cancelled");
+    assert.equal(await live.$("#live-foxglove"), null);
+    assert.deepEqual(live.wrong, []);
+    await live.context().close();
+    return address;
+  },
   "where the events are cut, the page asks": async () => {
     const cut = await open();
     await cut.route("**/events", route => route.abort());
@@ -235,6 +260,42 @@ await checks({
     await study.context().close();
     return offered ? "offered" : "not offered, and not shown";
   },
+  "a stability map is asked for and drawn, and found again": async () => {
+    const study = await open();
+    await study.waitForFunction(() => document.querySelector("#text").value.length > 0 && document.querySelector("#jobs li"));
+    // A free body, of few methods: a small study, but a whole one.
+    const scenario = await shipped(url, "free-body");
+    await study.fill("#text", JSON.stringify({ ...scenario, name: "map" }));
+    await study.route("**/studies", route => route.request().method() === "POST"
+      ? route.continue({ postData: JSON.stringify({ ...route.request().postDataJSON(), methods: [{ name: "splitting", order: 2 }, { name: "rkmk", tableau: "rk4" }] }) })
+      : route.continue());
+    await study.selectOption("#kind", "stability");
+    await study.click("#study");
+    await study.waitForFunction(() => document.querySelector("#state")?.textContent === "succeeded", null, { timeout: 120_000 });
+    await study.waitForSelector(".charts img");
+    const size = await study.$eval(".charts img", async image => { await image.decode(); return [image.naturalWidth, image.naturalHeight, image.alt]; });
+    assert.ok(size[0] > 500 && size[1] > 100 && /stability\.svg$/.test(size[2]), `${size}`);
+    const id = study.url().split("/").at(-1);
+    const map = await (await fetch(`${url}/studies/${id}/charts/stability.svg`)).text();
+    assert.ok(map.includes("rkmk rk4") && (map.match(/<rect/g) ?? []).length > 40, map.slice(0, 200));
+    assert.equal((await fetch(`${url}/studies/${id}/table.csv`)).status, 200);
+    const again = await open();
+    await again.waitForSelector(`#study-${id} .succeeded`);
+    await again.click(`#study-${id} a`);
+    await again.waitForSelector(".charts img");
+    assert.deepEqual([...study.wrong, ...again.wrong], []);
+    await study.context().close();
+    await again.context().close();
+    return size.join(" ");
+  },
+  "the description of the API is readable under its policy": async () => {
+    const docs = await open();
+    const answer = await docs.goto(`${url}/docs`);
+    assert.match(answer.headers()["content-security-policy"], /^default-src 'none'; script-src 'sha256-[^']+'; style-src 'sha256-/);
+    await docs.waitForFunction(() => document.querySelectorAll("#routes details").length > 20);
+    assert.deepEqual(docs.wrong, []);
+    await docs.context().close();
+  },
   "it asks nobody but the service, and its policy is strict": async () => {
     const answer = await fetch(`${url}/`);
     const policy = answer.headers.get("content-security-policy");
@@ -248,3 +309,4 @@ await checks({
 await chromium.close();
 await stop();
 await guarded.stop();
+await shown.stop();

@@ -112,6 +112,7 @@ fn observe(room: &Room, case: &Case) -> Ends {
         assert_eq!(states(&log).len() as u64, summary.samples);
         let outcome =
             if keeps_its_energy(&summary) { "succeeded" } else { "succeeded, energy lost" };
+        assert!(keeps_its_energy(&summary) || summary.warning.is_some(), "nobody says so: {text}");
         return Ends { outcome: outcome.to_owned(), ..Ends::default() };
     };
     // All samples before the step, and the same as of a run that was to end there.

@@ -11,6 +11,7 @@ mod studies;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -18,6 +19,7 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 use ureq::http::{HeaderMap, Request};
+use vpd::live::Live;
 use vpd::serve::{Cors, Limits, ServeConfig, ServeError, serve};
 
 /// Longest wait for anything that should happen soon: long, for machines under load.
@@ -64,6 +66,7 @@ struct Server {
 /// What a test wants of its service.
 struct Setup {
     config: ServeConfig,
+    live: bool,
 }
 
 fn service(data: &TempDir) -> Setup {
@@ -71,7 +74,7 @@ fn service(data: &TempDir) -> Setup {
     config.limits.queue = 100;
     // The tests are one client, and a busy one.
     config.limits.requests_per_s = 100_000;
-    Setup { config }
+    Setup { config, live: false }
 }
 
 impl Setup {
@@ -110,7 +113,12 @@ impl Setup {
         self
     }
 
-    fn start(self) -> Server {
+    fn live(mut self) -> Self {
+        self.live = true;
+        self
+    }
+
+    fn start(mut self) -> Server {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
         listener.set_nonblocking(true).expect("a socket");
         let address = listener.local_addr().expect("an address");
@@ -124,6 +132,10 @@ impl Setup {
                 let stopped = async {
                     let _ = stopped.await;
                 };
+                if self.live {
+                    let live = Live::listen(SocketAddr::from(([127, 0, 0, 1], 0))).await;
+                    self.config.live = Some(Arc::new(live.expect("a live view")));
+                }
                 serve(listener, self.config, stopped).await
             });
             runtime.shutdown_background();

@@ -1,7 +1,10 @@
 //! Every shipped scenario is a test: it runs through the front door and keeps to its own `expect` block.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
+use vpd::chart::{LogChart, draw_log};
+use vpd::log::reader::Item;
 use vpd::run::{Control, JobContext, Outcome, Summary, execute};
 use vpd::scenario::{SHIPPED, Scenario};
 
@@ -88,13 +91,35 @@ fn constant_terms_are_dropped_and_their_energy_kept() {
 fn what_nobody_asked_for_is_not_computed() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let text = include_str!("../../scenarios/heavy-top.json")
-        .replace(r#""log": { "every": 5 }"#, r#""log": { "every": 5, "channels": ["/state"] }"#);
+        .replace(r#""log": { "every": 10 }"#, r#""log": { "every": 10, "channels": ["/state"] }"#);
     let path = directory.path().join("top.mcap");
     let summary = run(&text, &path);
     assert_eq!((summary.energy, summary.orthogonality, summary.momentum), (None, None, None));
     let inspection = vpd::log::inspect::inspect(&path).expect("a good log");
     let topics: Vec<&str> = inspection.topics.iter().map(|topic| topic.topic.as_str()).collect();
     assert_eq!(topics, ["/state"]);
+}
+
+#[test]
+fn a_log_carries_its_charts_as_they_are_drawn_from_it() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("top.mcap");
+    run(include_str!("../../scenarios/heavy-top.json"), &path);
+    let mut attached = Vec::new();
+    vpd::log::reader::read(&path, |item| {
+        if let Item::Attachment { name, data } = item {
+            attached.push((name.to_owned(), data.to_vec()));
+        }
+        ControlFlow::Continue(())
+    })
+    .expect("a good log");
+    let drawn = [LogChart::Energy, LogChart::Orthogonality].map(|which| {
+        (which.file().to_owned(), draw_log(&path, which).expect("a chart").into_bytes())
+    });
+    assert_eq!(attached[0].0, "scenario.json");
+    assert!(attached[1..] == drawn, "the charts in the log are not those drawn from it");
+    // Less than the schemas of the channels.
+    assert!(drawn.iter().all(|(_, svg)| svg.len() < 40_000));
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 
 use mcap::records::Record;
 use vpd::run::{Control, JobContext, execute};
-use vpd::scenario::Scenario;
+use vpd::scenario::{Accuracy, Method, Scenario};
 use vpd::verify::{VerifyError, verify};
 
 /// The dipole with some of its text replaced, and without what it expects.
@@ -49,6 +49,21 @@ fn so_is_the_log_of_a_cancelled_job() {
     });
     let verification = verify(&log).expect("verified");
     assert!(verification.same && verification.state == "cancelled", "{verification}");
+}
+
+#[test]
+fn and_of_one_that_chose_its_own_step() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = dipole(0);
+    (scenario.steps, scenario.duration_s) = (None, Some(5.0));
+    (scenario.step_s, scenario.accuracy) = (None, Some(Accuracy { error: 1e-6 }));
+    (scenario.method, scenario.log.every) = (Method::default(), Some(1));
+    let control = Control { cancelled_at: Some(7), ..Control::default() };
+    let log = log(&scenario, place.path(), &control);
+    let verification = verify(&log).expect("verified");
+    assert!(verification.same && verification.state == "cancelled", "{verification}");
+    // Eight samples as above.
+    assert_eq!(verification.messages, 8 * 6 - 1 + 2);
 }
 
 /// Copies a log with one bit of the `number`th message of `/state` turned over, every checksum right.

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use uuid::Uuid;
 
 use super::App;
-use super::request::{Base, JobId, is_plain_json, json_text, off_thread};
+use super::request::{JobId, is_plain_json, json_text, off_thread};
 use crate::advise;
 use crate::log::stretch::Stretch;
 use crate::scenario::{Scenario, ScenarioError};
@@ -20,7 +20,7 @@ use crate::serve::engine::Refusal;
 use crate::serve::job::State;
 use crate::serve::page::{MAX_STRETCH, STRETCH};
 use crate::serve::problem::Problem;
-use crate::serve::view::{JobList, JobView};
+use crate::serve::view::{JobList, JobView, Reach};
 use crate::serve::{download, follow, store};
 
 /// Jobs on a page of the list, unless the client says otherwise, and at most.
@@ -52,7 +52,7 @@ pub(super) struct ListQuery {
 
 pub(super) async fn submit_job(
     Shared(app): Shared<App>,
-    Base(base): Base,
+    reach: Reach,
     headers: HeaderMap,
     body: Bytes,
 ) -> Result<Response, Problem> {
@@ -70,7 +70,7 @@ pub(super) async fn submit_job(
     let view = app.engine.submit(scenario, plan, key).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
-    Ok((status, location, Json(JobView::new(&view, base.as_deref()))).into_response())
+    Ok((status, location, Json(JobView::new(&view, &reach))).into_response())
 }
 
 /// The key of a request as an id of ours: no text of a client becomes a name of a file.
@@ -85,7 +85,7 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<Uuid>, Problem> {
 
 pub(super) async fn list_jobs(
     Shared(app): Shared<App>,
-    Base(base): Base,
+    reach: Reach,
     query: Result<Query<ListQuery>, QueryRejection>,
 ) -> Result<Json<JobList>, Problem> {
     let Query(ListQuery { state, limit, cursor }) = query?;
@@ -96,7 +96,7 @@ pub(super) async fn list_jobs(
     let unusable = || Problem::bad_query("cursor is not one that this list gave");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
     let (page, next) = app.engine.list(state, limit, cursor);
-    let jobs = page.iter().map(|view| JobView::new(view, base.as_deref())).collect();
+    let jobs = page.iter().map(|view| JobView::new(view, &reach)).collect();
     let filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
     let link = next.map(|next| format!("/jobs?{filter}limit={limit}&cursor={next}"));
     Ok(Json(JobList::new(jobs, next, link)))
@@ -104,20 +104,20 @@ pub(super) async fn list_jobs(
 
 pub(super) async fn get_job(
     Shared(app): Shared<App>,
-    Base(base): Base,
+    reach: Reach,
     JobId(id): JobId,
 ) -> Result<Json<JobView>, Problem> {
-    Ok(Json(JobView::new(&app.engine.get(id).await?, base.as_deref())))
+    Ok(Json(JobView::new(&app.engine.get(id).await?, &reach)))
 }
 
 pub(super) async fn cancel_job(
     Shared(app): Shared<App>,
-    Base(base): Base,
+    reach: Reach,
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
     let view = app.engine.cancel(id).await?;
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
-    Ok((status, Json(JobView::new(&view, base.as_deref()))).into_response())
+    Ok((status, Json(JobView::new(&view, &reach))).into_response())
 }
 
 pub(super) async fn forget_job(
@@ -145,11 +145,11 @@ pub(super) async fn get_live(
 
 pub(super) async fn get_events(
     Shared(app): Shared<App>,
-    Base(base): Base,
+    reach: Reach,
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
     app.engine.brief(id)?;
-    Ok(follow::events(app.engine, id, base))
+    Ok(follow::events(app.engine, id, reach))
 }
 
 #[derive(Deserialize)]

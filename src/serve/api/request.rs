@@ -2,6 +2,8 @@
 //!
 //! Invariant: no text of a client goes further than this.
 
+use std::net::{IpAddr, SocketAddr};
+
 use axum::extract::{FromRequestParts, Path};
 use axum::http::HeaderMap;
 use axum::http::header::{CONTENT_ENCODING, CONTENT_TYPE, HOST};
@@ -15,6 +17,7 @@ use crate::serve::engine::Refusal;
 use crate::serve::problem::Problem;
 use crate::serve::store;
 use crate::serve::studies::StudyRefusal;
+use crate::serve::view::Reach;
 
 /// The id in the path of a job.
 pub(super) struct JobId(pub(super) Uuid);
@@ -42,16 +45,28 @@ impl<S: Send + Sync> FromRequestParts<S> for StudyId {
     }
 }
 
-/// How the client reached us, for links that viewers follow; none if it did not say.
-pub(super) struct Base(pub(super) Option<String>);
-
-impl FromRequestParts<App> for Base {
+impl FromRequestParts<App> for Reach {
     type Rejection = std::convert::Infallible;
 
     async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Self::Rejection> {
         let host =
             parts.headers.get(HOST).and_then(|host| host.to_str().ok()?.parse::<Authority>().ok());
-        Ok(Self(app.public_url.clone().or_else(|| host.map(|host| format!("http://{host}")))))
+        let name = host.as_ref().map(Authority::host).filter(|_| app.public_url.is_none());
+        let live = app.live.and_then(|live| live_address(live, name?));
+        let base = app.public_url.clone().or_else(|| host.map(|host| format!("http://{host}")));
+        Ok(Self { base, live })
+    }
+}
+
+/// The live view for a client that calls the service by `name`. Nothing leads from elsewhere to the loopback of
+/// this machine, and nothing through a proxy to the view.
+fn live_address(live: SocketAddr, name: &str) -> Option<String> {
+    let near = name == "localhost"
+        || name.trim_matches(['[', ']']).parse().is_ok_and(|ip: IpAddr| ip.is_loopback());
+    match live.ip() {
+        ip if ip.is_loopback() => near.then(|| format!("ws://{live}")),
+        ip if ip.is_unspecified() => Some(format!("ws://{name}:{}", live.port())),
+        _ => Some(format!("ws://{live}")),
     }
 }
 

@@ -11,7 +11,7 @@ use super::App;
 use super::request::{StudyId, is_plain_json, off_thread};
 use crate::serve::problem::Problem;
 use crate::serve::store;
-use crate::serve::studies::{Question, StudyRefusal, StudyView};
+use crate::serve::studies::{Question, StudyList, StudyRefusal, StudyView};
 
 pub(super) async fn submit_study(
     Shared(app): Shared<App>,
@@ -21,10 +21,17 @@ pub(super) async fn submit_study(
     if !is_plain_json(&headers) {
         return Err(Problem::not_json());
     }
-    let question = off_thread(move || Question::from_json(&body)).await?;
-    let view = app.studies.submit(question)?;
+    let submit = move || {
+        let question = Question::from_json(&body)?;
+        Ok::<_, Problem>(app.studies.submit(question, &body)?)
+    };
+    let view = off_thread(submit).await?;
     let location = [(LOCATION, format!("/studies/{}", view.id))];
     Ok((StatusCode::ACCEPTED, location, Json(view)).into_response())
+}
+
+pub(super) async fn list_studies(Shared(app): Shared<App>) -> Json<StudyList> {
+    Json(app.studies.list())
 }
 
 pub(super) async fn get_study(
@@ -38,14 +45,15 @@ pub(super) async fn cancel_study(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<(StatusCode, Json<StudyView>), Problem> {
-    Ok((StatusCode::ACCEPTED, Json(app.studies.cancel(id)?)))
+    let view = off_thread(move || app.studies.cancel(id)).await?;
+    Ok((StatusCode::ACCEPTED, Json(view)))
 }
 
 pub(super) async fn forget_study(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<StatusCode, Problem> {
-    app.studies.forget(id)?;
+    off_thread(move || app.studies.forget(id)).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 

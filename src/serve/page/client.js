@@ -109,5 +109,6 @@ function outcome(job) {
     ? `The attitude stayed a rotation to rounding (${figure(orthogonality.max)}).`
     : `The attitude left the rotations by ${figure(orthogonality.max)}.`);
   if (momentum) parts.push(`What is conserved of the momentum drifted by ${figure(momentum.max_drift)} kg m²/s.`);
+  if (summary.warning) parts.push(`But ${summary.warning}.`);
   return parts.join(" ");
 }

@@ -71,7 +71,6 @@ $("study").onclick = async () => {
   try { scenario = JSON.parse(text.value); } catch (error) { complain(error); return; }
   const study = await submit("studies", JSON.stringify({ kind: $("kind").value, scenario }));
   if (!study) return;
-  sessionStorage.setItem("vpd-studies", JSON.stringify([study.id, ...(studies ?? []).map(known => known.id)]));
   location.hash = `#/studies/${study.id}`;
   await refresh();
 };

@@ -19,7 +19,7 @@ async function act(path, options, word) {
 const cancel = job => h("button", { type: "button", className: "small", ariaLabel: `Cancel ${job.name}`,
   onclick: () => act(`jobs/${job.id}/cancel`, { method: "POST" }, "Job cancelled") }, "Cancel");
 
-const forget = job => h("button", { type: "button", className: "small", ariaLabel: `Delete ${job.name}`, onclick: async () => {
+const forgetJob = job => h("button", { type: "button", className: "small", ariaLabel: `Delete ${job.name}`, onclick: async () => {
   if (!confirm(`Delete the job ${job.name} and its log?`)) return;
   await act(`jobs/${job.id}`, { method: "DELETE" }, "Job deleted");
   if (location.hash.endsWith(job.id)) location.hash = "#/";
@@ -34,7 +34,7 @@ function jobItem(job) {
   return h("li", { id: `job-${job.id}`, className: here ? "here" : "" },
     h("div", { className: "row" }, link, h("span", { className: `state ${job.state}` }, job.state)),
     ended ? null : bar(job),
-    h("div", { className: "row soft" }, `${standing(job)}${ended ? ` · ${created}` : ""}`, ended ? forget(job) : cancel(job)));
+    h("div", { className: "row soft" }, `${standing(job)}${ended ? ` · ${created}` : ""}`, ended ? forgetJob(job) : cancel(job)));
 }
 
 const lists = new Map();
@@ -86,12 +86,8 @@ async function refresh() {
   } catch (error) { if (error.status === 401) askToken(); }
 }
 
-// The service keeps studies for a while and lists none: this tab remembers those it asked for.
 async function refreshStudies() {
-  const ids = JSON.parse(sessionStorage.getItem("vpd-studies") ?? "[]");
-  const found = await Promise.all(ids.map(id => json(`studies/${id}`, { quiet: true }).catch(() => null)));
-  studies = found.filter(Boolean).map(({ rows, borders, ...study }) => study);
-  sessionStorage.setItem("vpd-studies", JSON.stringify(studies.map(study => study.id)));
+  ({ studies } = await json("studies", { quiet: true }));
   fill("studies", studies, studyItem, "None yet.");
 }
 
@@ -164,6 +160,23 @@ function links(job) {
   ];
 }
 
+// What can be looked at before the job has ended.
+function liveLinks(job) {
+  const { live, live_viewers: viewers } = job.links;
+  const names = { foxglove: "Foxglove", foxglove_desktop: "Foxglove desktop", lichtblick_desktop: "Lichtblick" };
+  const out = { target: "_blank", rel: "noopener noreferrer" };
+  const follow = new URL(live.slice(1), base).href;
+  return [
+    h("h3", {}, "While it runs"),
+    h("div", { className: "links" },
+      Object.entries(names).filter(([key]) => viewers?.[key])
+        .map(([key, name]) => h("a", { href: viewers[key], ...out, id: `live-${key}` }, `Watch in ${name}`)),
+      h("a", { href: follow + (token ? `?token=${encodeURIComponent(token)}` : ""), download: `vpd-${job.id}.mcap`, id: "follow" }, "Follow the log")),
+    viewers ? h("p", { className: "soft" }, `The live view at ${viewers.address} shows one job at a time.`) : null,
+    shell(`curl ${token ? '-H "authorization: Bearer $TOKEN" ' : ""}-o ${job.name || "log"}.mcap ${follow}`),
+  ];
+}
+
 // Puts the scenario of a job into the editor.
 async function edit(job, change = scenario => scenario) {
   const scenario = change(await json(`jobs/${job.id}/scenario.json`));
@@ -207,6 +220,15 @@ async function viewJob(id) {
   $("view").replaceChildren(h("article", { className: "card" }, head, looks, rest));
   let body = false, ended = false, before = "";
 
+  // Once; what came to nothing while the job ran is tried again when it has ended.
+  const show = async job => {
+    if (body) return;
+    body = true;
+    const last = ended;
+    body = await showBody(job, looks, current) || last;
+    if (!body && ended) await show(job);
+  };
+
   const update = async job => {
     if (!current() || ended) return;
     ended = ENDED.includes(job.state);
@@ -217,20 +239,17 @@ async function viewJob(id) {
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
         h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
         ended ? "" : h("div", { className: "row" }, bar(job), h("span", { className: "soft", id: "standing" }), cancel(job)));
+      if (job.state === "running") rest.replaceChildren(...liveLinks(job).filter(Boolean));
       if (ended) say(`Job ${job.name} ${job.state}`);
     }
     if (!ended) {
       head.querySelector("progress").value = job.progress.percent;
       $("standing").textContent = standing(job);
     }
-    if (!body && (ended ? job.links.log : job.progress.durable_step > 0)) {
-      body = true;
-      await showBody(job, looks, current);
-      body ||= ended;
-    }
+    if (ended ? job.links.log : job.progress.durable_step > 0) await show(job);
     if (ended) {
       rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
-        h("h3", {}, "How it was done"), facts(job), h("div", { className: "row" }, forget(job)));
+        h("h3", {}, "How it was done"), facts(job), h("div", { className: "row" }, forgetJob(job)));
     }
   };
   await update(job);
@@ -242,9 +261,10 @@ async function showBody(job, looks, current) {
     const player = new Stage($("stage"));
     const load = from => json(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}`, { quiet: true });
     looks.replaceChildren(player.root);
-    if (await player.open(load) && current()) stage = player;
-    else looks.replaceChildren();
-  } catch { looks.replaceChildren(); }
+    if (await player.open(load) && current()) { stage = player; return true; }
+  } catch { /* Nothing to show. */ }
+  looks.replaceChildren();
+  return false;
 }
 
 const CHARTS = { energy: "Energy error over time", orthogonality: "Orthogonality error over time", momentum: "Drift of the conserved momentum over time" };
@@ -261,12 +281,18 @@ async function charts(job) {
 
 const KINDS = { precision: "speed against accuracy", stability: "stability map", long_term: "long-term energy" };
 
+const forgetStudy = study => h("button", { type: "button", className: "small", ariaLabel: `Delete the study of ${study.name}`, onclick: async () => {
+  if (!confirm(`Delete the study of ${study.name}?`)) return;
+  await act(`studies/${study.id}`, { method: "DELETE" }, "Study deleted");
+  if (location.hash.endsWith(study.id)) location.hash = "#/";
+} }, "Delete");
+
 function studyItem(study) {
   const here = location.hash === `#/studies/${study.id}`;
   return h("li", { id: `study-${study.id}`, className: here ? "here" : "" },
     h("div", { className: "row" }, h("a", { href: `#/studies/${study.id}` }, `${study.name}: ${KINDS[study.kind] ?? study.kind}`),
       h("span", { className: `state ${study.state}` }, study.state)),
-    ENDED.includes(study.state) ? null : [
+    ENDED.includes(study.state) ? h("div", { className: "row soft" }, `${count(study.runs_done)} runs`, forgetStudy(study)) : [
       h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: `Progress of ${study.name}` }),
         h("div", { className: "row soft" }, `${count(study.runs_done)} of ${count(study.runs)} runs`,
           h("button", { type: "button", className: "small", ariaLabel: `Cancel the study of ${study.name}`,
@@ -329,7 +355,7 @@ async function start() {
   $("shipped").replaceChildren(h("option", { value: "" }, "one of your own"), ...options);
   if (!text.value) { $("shipped").value = "heavy-top"; await $("shipped").onchange(); }
   const api = await json("openapi.json").catch(() => ({ paths: {} }));
-  if (api.paths["/studies"]) {
+  if (api.paths["/studies"]?.get) {
     studies = [];
     $("study-row").hidden = $("studies-card").hidden = false;
   }

@@ -9,7 +9,10 @@
 //! (Hairer, Lubich, Wanner, Geometric Numerical Integration, IV.4), which mends the attitude but not the
 //! energy.
 //!
-//! Invariant: the momentum is skew; with projection the attitude is on the group to round-off.
+//! Invariant: the momentum is skew; with projection the attitude is on the group to round-off, and no step begins
+//! with a turn of more than a quarter.
+
+use std::f64::consts::FRAC_PI_2;
 
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
@@ -60,6 +63,22 @@ impl<const N: usize> Rk<N> {
     }
 }
 
+/// A projection cannot tell turns that are a whole one apart, and what four stages make of a turn past 3 rad looks
+/// like one of less than a quarter: the guard behind the projection is blind there. So the turn is judged by the
+/// velocity as well, by the same limit.
+fn check_turn<const N: usize>(omega: &Mat<N>, h: f64) -> Result<(), Failure> {
+    // No plane turns faster than all of them together.
+    let turn = if h * so::inner(omega, omega).sqrt() > FRAC_PI_2 {
+        h * so::frequencies(omega).last().copied().unwrap_or_default()
+    } else {
+        0.0
+    };
+    if turn > FRAC_PI_2 {
+        return Err(Failure::new(FailureCode::BranchJump, Some(0), turn, FRAC_PI_2));
+    }
+    Ok(())
+}
+
 impl<const N: usize> Stepper<N> for Rk<N> {
     fn order(&self) -> u32 {
         self.order
@@ -77,6 +96,9 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             body.check_distances(&g, &self.seen)
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
+            if self.projected && i == 0 {
+                check_turn(&omega, h)?;
+            }
             self.rates[i] = (g * omega, body.momentum_rate(&g, &mu, &omega, &self.seen));
         }
         let mut end = self.at(None, |j| h * self.tableau.b(j))?;

@@ -3,13 +3,18 @@
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use super::{directory, long, service, short, until};
+use super::{Answer, directory, long, service, short, until};
 
 #[test]
-fn the_page_is_one_file_that_may_load_nothing_else() {
+fn the_pages_are_one_file_each_that_may_load_nothing_else() {
     let data = directory();
     let server = service(&data).tokens("admin a-token-of-the-tests").start();
-    let page = server.get("/");
+    for path in ["/", "/docs"] {
+        may_load_nothing_else(&server.get(path));
+    }
+}
+
+fn may_load_nothing_else(page: &Answer) {
     assert_eq!((page.status, page.header("content-type")), (200, "text/html; charset=utf-8"));
     let text = String::from_utf8(page.body.clone()).expect("text");
     let policy = page.header("content-security-policy");
@@ -18,7 +23,7 @@ fn the_page_is_one_file_that_may_load_nothing_else() {
     {
         let (_, rest) = text.split_once(open).expect("an element");
         let (inside, _) = rest.split_once(close).expect("its end");
-        assert!(inside.len() > 1000);
+        assert!(inside.len() > 300);
         let hash = base64(&Sha256::digest(inside));
         assert!(policy.contains(&format!("{directive} 'sha256-{hash}'")), "{policy}");
     }
@@ -70,6 +75,28 @@ fn layouts_name_topics_and_fields_that_logs_have() {
         assert_eq!((&energy["minYValue"], &energy["maxYValue"]), (&json!(-20), &json!(0)));
     }
     server.get("/layouts/other.json").problem(404, "not_found");
+}
+
+#[test]
+fn a_running_job_leads_to_the_live_view() {
+    let data = directory();
+    let server = service(&data).live().start();
+    let id = server.running();
+    let links = &server.job(&id)["links"];
+    let viewers = &links["live_viewers"];
+    let address = viewers["address"].as_str().expect("an address");
+    let port = address.strip_prefix("ws://127.0.0.1:").expect("of this machine");
+    let encoded = format!("ds=foxglove-websocket&ds.url=ws%3A%2F%2F127.0.0.1%3A{port}");
+    for viewer in ["foxglove", "foxglove_desktop", "lichtblick_desktop"] {
+        let link = viewers[viewer].as_str().expect("a link");
+        assert!(link.contains(&encoded), "{link}");
+    }
+    // Who calls from elsewhere does not reach the loopback of this machine.
+    let far = server.get_with(&format!("/jobs/{id}"), &[("host", "192.0.2.1")]).json();
+    assert_eq!((far["id"].as_str(), far["links"].get("live_viewers")), (Some(id.as_str()), None));
+    server.post(&format!("/jobs/{id}/cancel"), b"");
+    let done = server.wait(&id, "cancelled");
+    assert!(done["links"].get("live_viewers").is_none());
 }
 
 #[test]

@@ -59,6 +59,52 @@ fn a_study_has_a_table_and_charts() {
 }
 
 #[test]
+fn studies_are_listed_and_outlive_the_service() {
+    let data = directory();
+    let methods = json!([{ "name": "vpd", "tableau": "gauss2" }]);
+    let study = |kind: &str, steps: u64| {
+        let mut scenario = short();
+        scenario["steps"] = json!(steps);
+        json!({ "kind": kind, "scenario": scenario, "methods": methods })
+    };
+    let server = service(&data).start();
+    let done = ask(&server, &study("long_term", 100));
+    let before = ended(&server, &done);
+    let table = server.get(&format!("{done}/table.csv")).body;
+    let stopped = ask(&server, &study("long_term", 100));
+    server.post(&format!("{stopped}/cancel"), b"");
+    let stopped_state = ended(&server, &stopped)["state"].clone();
+    // It takes seconds: the stop comes while it runs or waits.
+    let cut = ask(&server, &study("long_term", 1_000_000));
+    drop(server);
+
+    let server = service(&data).start();
+    assert_eq!(server.get(&done).json(), before);
+    assert_eq!(server.get(&format!("{done}/table.csv")).body, table);
+    assert_eq!(server.get(&stopped).json()["state"], stopped_state);
+    let list = server.get("/studies").json();
+    let list = list["studies"].as_array().expect("studies");
+    let id = |location: &str| json!(location.rsplit('/').next());
+    let ids: Vec<_> = list.iter().map(|study| study["id"].clone()).collect();
+    assert_eq!(ids, [id(&cut), id(&stopped), id(&done)]);
+    assert!(list.iter().all(|study| study.get("rows").is_none() && study["created"].is_string()));
+    // Made again, and to its end.
+    assert_eq!(ended(&server, &cut)["state"], "succeeded");
+    assert_eq!(server.send("DELETE", &done, &[], None).status, 204);
+    server.get(&done).problem(404, "unknown_study");
+    drop(server);
+
+    let result = data.path().join("data").join(&cut[1..]).join("result.json");
+    let damaged =
+        std::fs::read_to_string(&result).expect("a result").replace("succeeded", "cancelled");
+    std::fs::write(&result, damaged).expect("written");
+    let server = service(&data).start();
+    server.get(&done).problem(404, "unknown_study");
+    let cut = server.get(&cut).json();
+    assert_eq!((&cut["state"], &cut["name"]), (&json!("failed"), &json!("dipole")), "{cut}");
+}
+
+#[test]
 fn a_study_that_cannot_be_made_is_refused_at_its_field() {
     let data = directory();
     let server = service(&data).start();

@@ -77,7 +77,7 @@ pub(super) fn header() -> LogHeader {
 }
 
 pub(super) fn succeeded() -> Outcome {
-    Outcome { state: "succeeded".to_owned(), entries: BTreeMap::new() }
+    Outcome { state: "succeeded".to_owned(), entries: BTreeMap::new(), charts: Vec::new() }
 }
 
 pub(super) fn run_dipole<S: Sink<3, Error = LogError>>(sink: &mut S, steps: u64) {

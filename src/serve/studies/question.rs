@@ -1,0 +1,182 @@
+//! What a study is asked, and the making of its answer.
+//!
+//! Invariant: a [`Question`] can be carried out: what a client sent is checked as a scenario is, with the pointer
+//! of the field at fault.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use crate::chart::{self, ChartError};
+use crate::scenario::{Method, Scenario, ScenarioError};
+use crate::study::long_term::long_term;
+use crate::study::precision::precision;
+use crate::study::stability::stability;
+use crate::study::table::Table;
+use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
+
+/// Most methods of a study.
+const MAX_METHODS: usize = 40;
+/// Most steps of a run of a long-term study: all methods make them.
+const MAX_STEPS: u64 = 1_000_000;
+
+/// What is studied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(in crate::serve) enum Kind {
+    /// Error against step and work.
+    Precision,
+    /// Energy and orthogonality over the scenario's run.
+    LongTerm,
+    /// Where each method fails.
+    Stability,
+}
+
+/// What a client asks for.
+#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+#[schemars(rename = "StudyRequest")]
+pub(in crate::serve) struct Request {
+    /// What is studied.
+    kind: Kind,
+    /// The scenario, as of a job.
+    #[schemars(with = "Scenario")]
+    scenario: Value,
+    /// The methods, as in a scenario; the usual ones if absent.
+    #[serde(default)]
+    methods: Vec<Method>,
+    /// Precision: compare the errors at this time, in seconds; after about one turn if absent.
+    #[serde(default)]
+    until_s: Option<f64>,
+}
+
+/// A request that can be carried out.
+#[derive(Clone, Debug)]
+pub(in crate::serve) struct Question {
+    pub(super) kind: Kind,
+    scene: Scenario,
+    entries: Vec<Entry>,
+    until_s: Option<f64>,
+}
+
+impl Question {
+    /// Reads and checks a request.
+    pub(in crate::serve) fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
+        let tree = crate::scenario::read_tree(text)?;
+        let Request { kind, scenario, methods, until_s } = crate::scenario::from_tree(tree)?;
+        let within = |place: String| {
+            move |error: ScenarioError| ScenarioError {
+                pointer: format!("{place}{}", error.pointer),
+                ..error
+            }
+        };
+        let text = scenario.to_string();
+        let scene = Scenario::from_json(text.as_bytes()).map_err(within("/scenario".to_owned()))?;
+        let refuse = |wrong: bool, pointer: &str, message: String| {
+            if wrong { Err(ScenarioError::invalid(pointer, message)) } else { Ok(()) }
+        };
+        let steps = scene.step_count();
+        refuse(
+            kind == Kind::LongTerm && !(1..=MAX_STEPS).contains(&steps),
+            "/scenario/steps",
+            format!("{steps} steps, a long-term study makes 1 to {MAX_STEPS} with each method"),
+        )?;
+        refuse(
+            scene.accuracy.is_some(),
+            "/scenario/accuracy",
+            "a study is made to choose; give method and step".to_owned(),
+        )?;
+        refuse(
+            methods.len() > MAX_METHODS,
+            "/methods",
+            format!("{} given, at most {MAX_METHODS} are allowed", methods.len()),
+        )?;
+        refuse(
+            until_s.is_some_and(|until_s| !(until_s > 0.0 && until_s <= 1e9)),
+            "/until_s",
+            "is not a time above 0 and up to 1e9 s".to_owned(),
+        )?;
+        let entries = match (methods.is_empty(), kind) {
+            (true, Kind::Stability) => all_methods(&scene),
+            (true, _) => usual_methods(&scene),
+            (false, _) => methods
+                .into_iter()
+                .enumerate()
+                .map(|(at, method)| {
+                    Entry::new(&scene, method).map_err(|error| {
+                        let pointer =
+                            error.pointer.replacen("/method", &format!("/methods/{at}"), 1);
+                        ScenarioError { pointer, ..error }
+                    })
+                })
+                .collect::<Result<_, _>>()?,
+        };
+        Ok(Self { kind, scene, entries, until_s })
+    }
+
+    /// The name of its scenario.
+    pub(super) fn name(&self) -> &str {
+        self.scene.name()
+    }
+
+    /// Makes the study.
+    ///
+    /// # Errors
+    /// If the scene cannot be studied, or the study is cancelled.
+    pub(super) fn answer(&self, watch: &Watch) -> Result<Answer, Unanswered> {
+        let Question { kind, scene, entries, until_s } = self;
+        let name = scene.name();
+        let mut answer = Answer::default();
+        let table: Table = match kind {
+            Kind::Precision => {
+                let study = precision(scene, entries, *until_s, watch)?;
+                let known = &study.reference;
+                answer.reference = Some([known.time_s, known.error, known.cross_check]);
+                answer.files = named(chart::precision(name, entries, &study)?);
+                study.table
+            }
+            Kind::LongTerm => {
+                let study = long_term(scene, entries, watch)?;
+                answer.files = named(chart::long_term(name, entries, &study)?);
+                study.table
+            }
+            Kind::Stability => {
+                let map = stability(scene, entries, watch)?;
+                answer.files = named(vec![("stability.svg", chart::stability_map(name, &map)?)]);
+                answer.borders = json(&map.borders);
+                map.table()
+            }
+        };
+        answer.files.push(("table.csv".to_owned(), table.to_csv()));
+        answer.rows = json(&table.rows);
+        Ok(answer)
+    }
+}
+
+/// What a study found, as it is kept and shown: rows and borders are plain JSON, so that a newer build can show
+/// what an older one found.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(super) struct Answer {
+    /// File name and content.
+    pub(super) files: Vec<(String, String)>,
+    pub(super) rows: Vec<Value>,
+    pub(super) borders: Vec<Value>,
+    /// Time, stated error and cross-check of the reference.
+    pub(super) reference: Option<[f64; 3]>,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Unanswered {
+    #[error(transparent)]
+    Study(#[from] StudyError),
+    #[error(transparent)]
+    Chart(#[from] ChartError),
+}
+
+fn named(files: Vec<(&str, String)>) -> Vec<(String, String)> {
+    files.into_iter().map(|(name, text)| (name.to_owned(), text)).collect()
+}
+
+fn json(rows: &[impl Serialize]) -> Vec<Value> {
+    rows.iter().filter_map(|row| serde_json::to_value(row).ok()).collect()
+}
