@@ -19,7 +19,7 @@ use uuid::Uuid;
 use super::job::{Fault, Job, Phase, State, View};
 use super::metrics::Metrics;
 use super::store::{Ending, Found, Record, Store, StoreError};
-use super::{Limits, ServeError, chain};
+use super::{Limits, ServeError, chain, give_way};
 use crate::advise;
 use crate::live::Live;
 use crate::plan::Plan;
@@ -213,6 +213,7 @@ impl Engine {
         for number in 1..=workers.max(1) {
             let (shared, alive) = (shared.clone(), alive.clone());
             std::thread::Builder::new().name(format!("worker-{number}")).spawn(move || {
+                give_way();
                 shared.work();
                 drop(alive);
             })?;
@@ -300,7 +301,8 @@ impl Engine {
                 let record = job.record(view.state, Some(&Fault::damaged()));
                 Ok::<_, Refusal>(Record { finished: None, ..record })
             })?;
-            view.plan = record.plan.clone();
+            let Record { plan, .. } = &record;
+            view.plan.clone_from(plan);
             view.record = Some(record);
         }
         Ok(view)

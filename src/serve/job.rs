@@ -11,7 +11,7 @@ use std::time::Instant;
 use chrono::{DateTime, SubsecRound, Utc};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::value::RawValue;
 use uuid::Uuid;
 
 use super::store::{Ending, Record, StoreError};
@@ -65,7 +65,7 @@ pub(super) struct View {
     pub(super) durable_step: u64,
     pub(super) eta_s: Option<f64>,
     pub(super) has_log: bool,
-    pub(super) plan: Option<Value>,
+    pub(super) plan: Option<Box<RawValue>>,
     /// How it ended; only where a single job is asked for.
     pub(super) record: Option<Record>,
 }
@@ -97,8 +97,8 @@ pub(super) struct Job {
     /// The key under which the client sent it.
     pub(super) key: Option<Uuid>,
     pub(super) steps: u64,
-    /// The plan as JSON, until the record holds it; as text, for there may be many jobs.
-    pub(super) plan: Option<Box<str>>,
+    /// The plan as JSON, until the record holds it; as text, for there may be many jobs, and many who ask.
+    pub(super) plan: Option<Box<RawValue>>,
     /// What its log is expected to take.
     pub(super) log_bytes: u64,
     pub(super) phase: Phase,
@@ -113,7 +113,7 @@ impl Job {
             cancelled: false,
             key: None,
             steps: plan.steps,
-            plan: serde_json::to_string(plan).ok().map(String::into_boxed_str),
+            plan: serde_json::value::to_raw_value(plan).ok(),
             log_bytes: plan.log_bytes,
             phase: Phase::Queued,
         }
@@ -195,13 +195,9 @@ impl Job {
             durable_step,
             eta_s,
             has_log,
-            plan: self.plan(),
+            plan: self.plan.clone(),
             record: None,
         }
-    }
-
-    fn plan(&self) -> Option<Value> {
-        serde_json::from_str(self.plan.as_ref()?).ok()
     }
 
     /// The record of an end without a summary.
@@ -214,7 +210,7 @@ impl Job {
             steps: self.steps,
             steps_done: 0,
             has_log: false,
-            plan: self.plan(),
+            plan: self.plan.clone(),
             summary: None,
             diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
         }

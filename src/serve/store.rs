@@ -25,6 +25,8 @@ use object_store::path::Path as Key;
 use object_store::{Error, ObjectStore, ObjectStoreExt, PutMode, PutOptions};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use serde_json::value::RawValue;
+use tokio::sync::Semaphore;
 use uuid::Uuid;
 
 use super::ServeError;
@@ -42,6 +44,9 @@ const LOG: &str = "log.mcap";
 const PART: &str = "log.mcap.part";
 const KEY: &str = "key-";
 const INDEX: &str = "index.jsonl";
+
+/// Files written at once. A disk is no faster for more, and their threads crowd out those that answer.
+const WRITERS: usize = 8;
 
 /// A job that ends its process at the same step so many times in a row is given up.
 pub(super) const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
@@ -63,7 +68,7 @@ pub(super) struct Record {
     pub(super) steps: u64,
     pub(super) steps_done: u64,
     pub(super) has_log: bool,
-    pub(super) plan: Option<Value>,
+    pub(super) plan: Option<Box<RawValue>>,
     pub(super) summary: Option<Value>,
     pub(super) diagnosis: Option<Value>,
 }
@@ -203,6 +208,7 @@ pub(super) struct Store {
     jobs: PathBuf,
     /// Open for appending.
     index: Mutex<File>,
+    writers: Semaphore,
 }
 
 impl Store {
@@ -214,9 +220,10 @@ impl Store {
         make_directory(&jobs).map_err(failed)?;
         let index = File::options().create(true).append(true).open(data.join(INDEX));
         let index = Mutex::new(index.map_err(failed)?);
+        let writers = Semaphore::new(WRITERS);
         let objects = LocalFileSystem::new_with_prefix(&data)
             .map_err(|error| failed(io::Error::other(error)))?;
-        Ok(Self { objects: objects.with_fsync(true), data, jobs, index })
+        Ok(Self { objects: objects.with_fsync(true), data, jobs, index, writers })
     }
 
     /// Bytes that may still be written to the disk. Blocking.
@@ -458,6 +465,8 @@ impl Store {
     }
 
     async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
+        // Never closed.
+        let _turn = self.writers.acquire().await;
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
         self.objects.put_opts(&key(id, name), content.into(), options).await.map(drop)
     }

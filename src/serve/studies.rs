@@ -244,7 +244,10 @@ impl Studies {
     pub(super) fn start() -> std::io::Result<Self> {
         let shared = Arc::new(Shared::default());
         let worker = shared.clone();
-        thread::Builder::new().name("studies".to_owned()).spawn(move || worker.work())?;
+        thread::Builder::new().name("studies".to_owned()).spawn(move || {
+            super::give_way();
+            worker.work();
+        })?;
         Ok(Self(shared))
     }
 
