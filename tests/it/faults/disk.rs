@@ -237,6 +237,36 @@ fn a_disk_that_fills_up_fails_the_job_and_no_more() {
     assert!(full > 0 && fitted > 0);
 }
 
+#[test]
+fn what_a_running_job_has_written_is_not_counted_twice() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().join("disk");
+    let Some(_disk) = Disk::mount(&place, 24 << 20) else {
+        println!("SKIPPED: cannot mount a tmpfs here");
+        return;
+    };
+    let service = Service::start(&place, &["--workers", "1", "--reserve-bytes", "0"]);
+    let sized = |samples: u64| {
+        let mut scenario = dipole(samples * 100);
+        scenario["log"] = serde_json::json!({ "every": 100, "compression": "none" });
+        scenario
+    };
+    // About 10 MiB, and 12 MiB for which there is room beside it from first to last.
+    let first = service.submit(&sized(15_000));
+    let mut job = service.job(&first);
+    while job["progress"]["percent"].as_f64() < Some(40.0) {
+        std::thread::sleep(Duration::from_millis(5));
+        job = service.job(&first);
+    }
+    let answer = service.send("POST", "/jobs", Some(&sized(18_000).to_string()));
+    let state = service.job(&first)["state"].clone();
+    println!("at {} % of a job that is now {state}: {}", job["progress"]["percent"], answer.status);
+    assert_eq!(answer.status, 202, "{}", answer.code());
+    // And not forgotten: a third of that size has no room.
+    let answer = service.send("POST", "/jobs", Some(&sized(18_000).to_string()));
+    assert_eq!((answer.status, answer.code().as_str()), (507, "storage_full"));
+}
+
 /// Leaves `room` bytes.
 fn fill(ballast: &Path, room: u64) {
     let mut file = File::create(ballast).expect("a file");

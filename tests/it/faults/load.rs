@@ -108,7 +108,10 @@ fn queued(jobs: usize, submitters: usize, downloads: usize, pollers: usize) {
             downloads.into_iter().map(|client| client.join().expect("no panic")).count();
         over.store(true, Ordering::Relaxed);
         let times = |clients: Vec<std::thread::ScopedJoinHandle<'_, Vec<Duration>>>| {
-            clients.into_iter().flat_map(|client| client.join().expect("no panic")).collect()
+            clients
+                .into_iter()
+                .flat_map(|client| client.join().expect("no panic"))
+                .collect::<Vec<_>>()
         };
         (submitted, times(pollers), times(bare), downloaded)
     });
