@@ -48,7 +48,7 @@ pub(super) enum Kind {
 }
 
 /// What a client asks for.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "StudyRequest")]
 pub(super) struct Request {

@@ -36,6 +36,18 @@ const MAX_KEY: usize = 255;
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Limit(#[schemars(range(min = 1, max = 500))] usize);
 
+/// A time in seconds.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Time(#[schemars(range(min = 0.0))] f64);
+
+/// An idempotency key.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Key(#[schemars(length(min = 1, max = 255))] String);
+
 /// A number of attitudes.
 #[derive(JsonSchema)]
 #[schemars(transparent)]
