@@ -47,8 +47,8 @@ pub struct Plan {
     pub free_directions: usize,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
-    /// Samples in a chunk of the log: half a mebibyte where that takes some seconds, 64 KiB where that takes up
-    /// to a minute, and what takes a minute beyond. An interrupted run goes on from the last whole chunk.
+    /// Samples in a chunk of the log: half a mebibyte where that takes up to 5 s, then less, but 64 KiB where those
+    /// take up to 15 s, and what takes 15 s beyond. An interrupted run goes on from the last whole chunk.
     pub samples_per_chunk: u64,
     /// Estimated size of the log in bytes.
     pub log_bytes: u64,
@@ -330,7 +330,7 @@ fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
     // At least 64 KiB in the file: the estimate counts the index as well, and fields that are often empty.
     const LEAST_BYTES: u64 = 96 << 10;
     const USUAL_S: f64 = 5.0;
-    const MOST_S: f64 = 60.0;
+    const MOST_S: f64 = 15.0;
     let in_bytes = |bytes: u64| bytes / sample_bytes.max(1);
     let in_time = |time_s: f64| (time_s / sample_s) as u64;
     let in_seconds = in_time(USUAL_S).max(in_bytes(LEAST_BYTES));
