@@ -208,10 +208,9 @@ fn a_disk_that_fills_up_fails_the_job_and_no_more() {
         let first = service.submit(&blocker);
         let id = service.submit(&scenario);
         fill(&ballast, room);
-        assert_eq!(
-            service.send("POST", &format!("/jobs/{first}/cancel"), Some("")).status / 100,
-            2
-        );
+        let cancelled = service.send("POST", &format!("/jobs/{first}/cancel"), Some("")).status;
+        // On a slow machine its own chunk has met the full disk by now.
+        assert!(cancelled / 100 == 2 || cancelled == 409, "{cancelled}");
         // A result that finds no room waits for it.
         let begun = Instant::now();
         while service.job(&id)["state"]
