@@ -49,8 +49,8 @@ pub struct Plan {
     pub free_directions: usize,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
-    /// Samples in a chunk of the log: half a mebibyte, or what takes about five seconds if that is less.
-    /// An interrupted run goes on from the last whole chunk.
+    /// Samples in a chunk of the log: half a mebibyte where that takes up to 5 s, then less, but 64 KiB where those
+    /// take up to 15 s, and what takes 15 s beyond. An interrupted run goes on from the last whole chunk.
     pub samples_per_chunk: u64,
     /// Estimated size of the log in bytes.
     pub log_bytes: u64,
@@ -314,16 +314,12 @@ impl Plan {
         self.log_bytes = LOG_FIXED_BYTES + (samples * raw as f64 * ratio) as u64;
         self.step_ns = self.step_cost_ns();
         self.run_s = self.total_steps() as f64 * self.step_ns * 1e-9;
-        // What a viewer fetches at once, and what a kill may cost.
-        const CHUNK_BYTES: u64 = 1 << 19;
-        const CHUNK_S: f64 = 5.0;
-        let in_time = CHUNK_S / (self.every as f64 * self.step_ns * 1e-9);
-        self.samples_per_chunk = (CHUNK_BYTES / raw.max(1)).min(in_time as u64).max(1);
+        self.samples_per_chunk = samples_per_chunk(raw, self.every as f64 * self.step_ns * 1e-9);
         if let Some(ensemble) = &mut self.ensemble {
             let end_bytes = bytes_per_member(n);
             self.log_bytes += (ensemble.members as f64 * end_bytes as f64 * ratio) as u64;
-            let in_time = CHUNK_S / (self.steps as f64 * self.step_ns * 1e-9);
-            ensemble.members_per_chunk = (CHUNK_BYTES / end_bytes).min(in_time as u64).max(1);
+            let member_s = self.steps as f64 * self.step_ns * 1e-9;
+            ensemble.members_per_chunk = samples_per_chunk(end_bytes, member_s);
         }
     }
 
@@ -367,6 +363,20 @@ impl Plan {
             MethodName::QuaternionGauss => 89.0 * stages,
         }
     }
+}
+
+/// Samples of so many bytes, each of which takes so long to compute, in a chunk of the log. A chunk is what a
+/// viewer fetches at once, and what a kill costs: `docs/decisions/0004-the-log-is-the-checkpoint.md`.
+fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
+    const USUAL_BYTES: u64 = 512 << 10;
+    // At least 64 KiB in the file: the estimate counts the index as well, and fields that are often empty.
+    const LEAST_BYTES: u64 = 96 << 10;
+    const USUAL_S: f64 = 5.0;
+    const MOST_S: f64 = 15.0;
+    let in_bytes = |bytes: u64| bytes / sample_bytes.max(1);
+    let in_time = |time_s: f64| (time_s / sample_s) as u64;
+    let in_seconds = in_time(USUAL_S).max(in_bytes(LEAST_BYTES));
+    in_bytes(USUAL_BYTES).min(in_seconds).min(in_time(MOST_S)).max(1)
 }
 
 /// The tableau's name in a scenario, or `custom`.

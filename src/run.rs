@@ -26,15 +26,17 @@ use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State,
+    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State, Trajectory,
 };
 
 mod advice;
 mod ensemble;
 mod geometry;
+mod give_up;
 mod summary;
 
 use ensemble::Ensemble;
+pub use give_up::{Reason, give_up};
 pub use summary::{
     Diagnosis, EnergySummary, EnsembleSummary, FinalState, MomentumSummary, OrthogonalitySummary,
     Outcome, SolverSummary, Summary,
@@ -198,22 +200,45 @@ fn run<const N: usize>(
     let end = end?;
     let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
     control.steps_done.store(end.steps, Ordering::Relaxed);
-    let time_s = end.steps as f64 * plan.step_s;
-    let (outcome, diagnosis) = match &end.ending {
-        Ending::Completed => (Outcome::Succeeded, None),
-        Ending::Cancelled => (Outcome::Cancelled, None),
+    let diagnosis = match &end.ending {
+        Ending::Completed | Ending::Cancelled => None,
         Ending::Failed(failure) => {
             let last = State {
                 attitude: end.attitude.unwrap_or(initial.attitude),
                 momentum: end.momentum,
             };
             let advised = advice::advised_step(&mut assembly, &last, end.steps, schedule, failure);
-            let diagnosis = summary::diagnosis(failure, end.steps, plan.step_s, advised);
-            (Outcome::Failed, Some(diagnosis))
+            Some(summary::diagnosis(failure, end.steps, plan.step_s, advised))
         }
     };
-    let Recorder { mut writer, figures, course, .. } = recorder;
-    let warning = summary::warning(&figures);
+    let Recorder { writer, figures, course, .. } = recorder;
+    let summary =
+        finish(scenario, plan, context.log, writer, (&figures, &course), &end, diagnosis)?;
+    Ok(Summary {
+        resumed_step,
+        ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
+        wall_s: begun.elapsed().as_secs_f64(),
+        ..summary
+    })
+}
+
+/// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
+fn finish<const N: usize>(
+    scenario: &Scenario,
+    plan: &Plan,
+    log: &Path,
+    mut writer: LogWriter<N>,
+    (figures, course): (&Figures, &Course),
+    end: &Trajectory<N>,
+    diagnosis: Option<Diagnosis>,
+) -> Result<Summary, RunError> {
+    let time_s = end.steps as f64 * plan.step_s;
+    let outcome = match (&diagnosis, &end.ending) {
+        (Some(_), _) | (None, Ending::Failed(_)) => Outcome::Failed,
+        (None, Ending::Completed) => Outcome::Succeeded,
+        (None, Ending::Cancelled) => Outcome::Cancelled,
+    };
+    let warning = summary::warning(figures);
     if let Some(warning) = &warning {
         writer.message(Level::Warning, time_s, warning)?;
     }
@@ -230,19 +255,19 @@ fn run<const N: usize>(
         steps: end.steps,
         time_s,
         samples: end.samples,
-        resumed_step,
+        resumed_step: 0,
         last: summary::final_state(end.attitude.as_ref(), &end.momentum),
         error: None,
-        energy: summary::energy(&figures),
-        orthogonality: summary::orthogonality(&figures, end.samples),
+        energy: summary::energy(figures),
+        orthogonality: summary::orthogonality(figures, end.samples),
         momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
         solver: SolverSummary {
             iterations_per_step: end.iterations as f64 / end.steps.max(1) as f64,
             kind: end.convergence.map(|solved| solved.rung.as_str().to_owned()),
         },
         wall_s: 0.0,
-        ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
-        log: context.log.display().to_string(),
+        ns_per_step: 0.0,
+        log: log.display().to_string(),
         diagnosis,
         ensemble: None,
         warning,
@@ -251,8 +276,7 @@ fn run<const N: usize>(
     if let Some(expect) = &scenario.expect {
         summary.unmet = summary::unmet(expect, &summary);
     }
-    writer.finish(log_outcome(&summary, &course))?;
-    summary.wall_s = begun.elapsed().as_secs_f64();
+    writer.finish(log_outcome(&summary, course))?;
     Ok(summary)
 }
 

@@ -53,6 +53,11 @@ const DRAIN: Duration = Duration::from_secs(9);
 /// How long a stop waits for answers in flight; a download that is cut off goes on with a range.
 const LAST_ANSWERS: Duration = Duration::from_secs(3);
 
+/// How far threads that compute stand behind those that answer: a tenth of the weight, where both want the
+/// processor, and all of it where nobody asks.
+#[cfg(target_os = "linux")]
+const NICENESS: i32 = 10;
+
 /// Why the service could not start, or not end in order.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
@@ -132,6 +137,15 @@ pub async fn serve(
     }
     tracing::info!("stopped");
     Ok(())
+}
+
+/// Lets this thread, which computes for long, give way to those that answer. Where a thread has no
+/// priority of its own they share alike.
+fn give_way() {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = rustix::process::setpriority_process(None, NICENESS) {
+        tracing::warn!(%error, "computing has the priority of answering");
+    }
 }
 
 /// An error and its causes in one line.

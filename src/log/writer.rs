@@ -9,6 +9,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use foxglove::messages::Log;
@@ -128,6 +129,8 @@ impl<const N: usize> LogWriter<N> {
             let _ = fs::remove_file(&part);
         })?;
         log.part = part;
+        // For those who look on: the first chunk may take a while.
+        log.part_file.flush().map_err(|source| LogError::io(path, "write", source))?;
         let start = log.time(0.0)?;
         log.put(Channel::SceneBody, start, &header.scene.body(start))?;
         if let Some(sources) = header.scene.sources(start) {

@@ -6,9 +6,10 @@
 
 use std::fmt;
 
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{self, DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use serde_path_to_error::{Path, Segment};
 
@@ -23,12 +24,43 @@ pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
 }
 
 /// The second pass: a tree → types.
-pub(crate) fn from_tree<'de, T: Deserialize<'de>>(tree: Value) -> Result<T, ScenarioError> {
-    serde_path_to_error::deserialize(tree).map_err(|error| ScenarioError {
+pub(crate) fn from_tree<T: DeserializeOwned + Serialize>(tree: Value) -> Result<T, ScenarioError> {
+    let typed = serde_path_to_error::deserialize(&tree).map_err(|error| ScenarioError {
         kind: ScenarioErrorKind::Invalid,
         pointer: pointer(error.path()),
         message: plain(&error.inner().to_string()),
-    })
+    })?;
+    match serde_json::to_value(&typed) {
+        Ok(printed) => no_list_for_an_object(&tree, &printed, "").map(|()| typed),
+        Err(error) => Err(ScenarioError::invalid("", plain(&error.to_string()))),
+    }
+}
+
+/// serde also takes a list of its fields for an object: that is not what the description of the API says, and
+/// a field that is added would change what it means. Whoever prints an object must have been given one.
+fn no_list_for_an_object(given: &Value, printed: &Value, at: &str) -> Result<(), ScenarioError> {
+    match (given, printed) {
+        (Value::Array(_), Value::Object(_)) => {
+            Err(ScenarioError::invalid(at, "is a list where an object belongs"))
+        }
+        (Value::Array(given), Value::Array(printed)) => {
+            let pairs = given.iter().zip(printed).enumerate();
+            pairs.into_iter().try_for_each(|(index, (given, printed))| {
+                // Rows of numbers need no pointer of their own.
+                if given.is_number() {
+                    return Ok(());
+                }
+                no_list_for_an_object(given, printed, &format!("{at}/{index}"))
+            })
+        }
+        (Value::Object(given), Value::Object(printed)) => {
+            given.iter().try_for_each(|(key, given)| match printed.get(key) {
+                Some(printed) => no_list_for_an_object(given, printed, &format!("{at}/{key}")),
+                None => Ok(()),
+            })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The first pass: text → a tree without duplicate keys.

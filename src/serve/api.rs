@@ -95,7 +95,7 @@ fn routes() -> Vec<Route> {
             "/jobs",
             Submit,
             op("submitJob", "Take a job; it is on the disk before the answer")
-                .header::<String>(
+                .header::<jobs::Key>(
                     "Idempotency-Key",
                     "The same key with the same scenario gives the same job, also after a restart",
                 )
@@ -233,7 +233,10 @@ fn routes() -> Vec<Route> {
             "/jobs/{id}/attitudes.json",
             Read,
             op("getAttitudes", "Attitudes one after another, and the shapes of the scene")
-                .query::<f64>("from_s", "Time of the first one in seconds; 0 while the job runs")
+                .query::<jobs::Time>(
+                    "from_s",
+                    "Time of the first one in seconds; 0 while the job runs",
+                )
                 .query::<jobs::Samples>("samples", "How many at most; 300 if absent")
                 .json::<Stretch>(200, "Attitudes"),
             get(jobs::get_attitudes),

@@ -6,7 +6,7 @@
 
 mod worker;
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::ops::Bound;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -18,8 +18,8 @@ use uuid::Uuid;
 
 use super::job::{Fault, Job, Phase, State, View};
 use super::metrics::Metrics;
-use super::store::{Ending, Found, Record, Store, StoreError};
-use super::{Limits, ServeError, chain};
+use super::store::{Ending, Found, MAX_GIVING_UP, Record, Store, StoreError};
+use super::{Limits, ServeError, chain, give_way};
 use crate::advise;
 use crate::live::Live;
 use crate::plan::Plan;
@@ -67,6 +67,8 @@ pub(super) enum Refusal {
 struct Index {
     jobs: BTreeMap<Uuid, Job>,
     queue: VecDeque<Uuid>,
+    /// Those in the hands of workers.
+    running: BTreeSet<Uuid>,
     /// The job that came under each idempotency key.
     keys: HashMap<Uuid, Uuid>,
     /// Bytes that the logs of jobs which have not ended are expected to take.
@@ -91,11 +93,22 @@ impl Index {
     /// Forgets a job, and the key under which it came.
     fn remove(&mut self, id: Uuid) -> Option<Job> {
         let job = self.jobs.remove(&id)?;
+        self.running.remove(&id);
         self.promised_bytes -= job.log_bytes;
         if let Some(key) = job.key {
             self.keys.remove(&key);
         }
         Some(job)
+    }
+
+    fn running(&self) -> impl Iterator<Item = &Job> {
+        self.running.iter().filter_map(|id| self.jobs.get(id))
+    }
+
+    /// Bytes that logs will still take of the disk.
+    fn bytes_to_come(&self) -> u64 {
+        let written = self.running().map(Job::bytes_written).sum();
+        self.promised_bytes.saturating_sub(written)
     }
 }
 
@@ -201,6 +214,7 @@ impl Engine {
             index: Mutex::new(Index {
                 jobs,
                 queue,
+                running: BTreeSet::new(),
                 keys,
                 promised_bytes,
                 reserved: 0,
@@ -213,6 +227,7 @@ impl Engine {
         for number in 1..=workers.max(1) {
             let (shared, alive) = (shared.clone(), alive.clone());
             std::thread::Builder::new().name(format!("worker-{number}")).spawn(move || {
+                give_way();
                 shared.work();
                 drop(alive);
             })?;
@@ -268,7 +283,8 @@ impl Engine {
         if index.queue.len() + index.reserved >= queue {
             return Err(Refusal::QueueFull { limit: queue });
         }
-        if index.promised_bytes.saturating_add(log_bytes).saturating_add(reserve_bytes) > free_bytes
+        if index.bytes_to_come().saturating_add(log_bytes).saturating_add(reserve_bytes)
+            > free_bytes
         {
             return Err(Refusal::DiskFull);
         }
@@ -300,7 +316,8 @@ impl Engine {
                 let record = job.record(view.state, Some(&Fault::damaged()));
                 Ok::<_, Refusal>(Record { finished: None, ..record })
             })?;
-            view.plan = record.plan.clone();
+            let Record { plan, .. } = &record;
+            view.plan.clone_from(plan);
             view.record = Some(record);
         }
         Ok(view)
@@ -433,7 +450,7 @@ impl Engine {
     pub(super) fn stop(&self) {
         let mut index = self.0.index();
         index.alive = None;
-        for job in index.jobs.values() {
+        for job in index.running() {
             if let Phase::Running { control, .. } = &job.phase {
                 control.interrupted.store(true, Ordering::Relaxed);
             }
@@ -493,13 +510,17 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
         };
         return Ok((id, Job { key: found.key, ..Job::ended(ending) }));
     }
-    let deaths = store.deaths(id, found.attempts).await?;
+    let came_to = store.progress(id)?;
+    let deaths = store.deaths(id, found.attempts, came_to).await;
+    let given_up = (found.given_up > 0 || deaths.convict()).then_some(found.given_up);
     let planned = store.scenario(id).await.map_err(|error| Fault::storage(&error));
     let planned = planned.and_then(|text| {
         let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
         let plan = advise::plan(&scenario).map_err(|error| Fault::rejected(&error))?;
         let job = Job::new(&scenario, &plan, found.attempts);
-        Ok(Job { suspect: deaths.fruitless > 0, cancelled: found.cancelled, ..job })
+        // Nothing of a job that is given up is computed: it harms no other.
+        let suspect = deaths.fruitless > 0 && given_up.is_none();
+        Ok(Job { suspect, given_up, cancelled: found.cancelled, ..job.come_to(came_to) })
     });
     let (job, fault) = match planned {
         Ok(job) => (job, None),
@@ -510,7 +531,9 @@ async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError>
         // What ran before goes to its worker, who gives its log an end.
         _ if found.cancelled && found.attempts == 0 => job.record(State::Cancelled, None),
         Some(fault) => job.record(State::Failed, Some(&fault)),
-        None if deaths.convict() => job.record(State::Failed, Some(&Fault::worker_crashed())),
+        None if found.given_up >= MAX_GIVING_UP => {
+            job.record(State::Failed, Some(&Fault::worker_crashed()))
+        }
         None => return Ok((id, job)),
     };
     tracing::warn!(job = %id, attempts = found.attempts, state = ?record.state, "job ended at the start");

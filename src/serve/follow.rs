@@ -47,7 +47,7 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
                     sent.state = Some(view.state);
                     sent.over = view.state.is_final();
                     let event = Event::default().event("state");
-                    let job = JobView::new(&view, &reach);
+                    let job = JobView::new(view, &reach);
                     return Some((Ok::<_, Infallible>(event.json_data(job).ok()?), sent));
                 }
                 let progress = Progress::of(&view);

@@ -11,12 +11,12 @@ use std::time::Instant;
 use chrono::{DateTime, SubsecRound, Utc};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::value::RawValue;
 use uuid::Uuid;
 
 use super::store::{Ending, Record, StoreError};
 use crate::plan::Plan;
-use crate::run::{Control, RunError};
+use crate::run::{Control, Reason, RunError};
 use crate::scenario::{Scenario, ScenarioError};
 
 /// Where a job stands.
@@ -65,7 +65,7 @@ pub(super) struct View {
     pub(super) durable_step: u64,
     pub(super) eta_s: Option<f64>,
     pub(super) has_log: bool,
-    pub(super) plan: Option<Value>,
+    pub(super) plan: Option<Box<RawValue>>,
     /// How it ended; only where a single job is asked for.
     pub(super) record: Option<Record>,
 }
@@ -92,14 +92,18 @@ pub(super) struct Job {
     pub(super) attempts: u32,
     /// Whether the last run ended with its process and without having come further.
     pub(super) suspect: bool,
+    /// It ends its process, time and again: it is not run, its log is given an end; so often that was tried.
+    pub(super) given_up: Option<u32>,
     /// Whether a client stopped it before the process ended.
     pub(super) cancelled: bool,
     /// The key under which the client sent it.
     pub(super) key: Option<Uuid>,
     pub(super) steps: u64,
-    /// The plan as JSON, until the record holds it; as text, for there may be many jobs.
-    pub(super) plan: Option<Box<str>>,
-    /// What its log is expected to take.
+    /// The step up to which earlier runs have written its log.
+    pub(super) came_to: u64,
+    /// The plan as JSON, until the record holds it; as text, for there may be many jobs, and many who ask.
+    pub(super) plan: Option<Box<RawValue>>,
+    /// What its log is expected to take of the disk beyond what earlier runs have written.
     pub(super) log_bytes: u64,
     pub(super) phase: Phase,
 }
@@ -110,13 +114,21 @@ impl Job {
             name: scenario.name().to_owned(),
             attempts,
             suspect: false,
+            given_up: None,
             cancelled: false,
             key: None,
             steps: plan.total_steps(),
-            plan: serde_json::to_string(plan).ok().map(String::into_boxed_str),
+            came_to: 0,
+            plan: serde_json::value::to_raw_value(plan).ok(),
             log_bytes: plan.log_bytes,
             phase: Phase::Queued,
         }
+    }
+
+    /// The same job, of whose log the beginning is on the disk.
+    pub(super) fn come_to(self, step: u64) -> Self {
+        let left = self.steps.saturating_sub(step) as f64 / self.steps.max(1) as f64;
+        Self { came_to: step, log_bytes: (self.log_bytes as f64 * left) as u64, ..self }
     }
 
     /// A job whose scenario cannot be read.
@@ -125,9 +137,11 @@ impl Job {
             name: String::new(),
             attempts,
             suspect: false,
+            given_up: None,
             cancelled: false,
             key: None,
             steps: 0,
+            came_to: 0,
             plan: None,
             log_bytes: 0,
             phase: Phase::Leaving,
@@ -140,9 +154,11 @@ impl Job {
             name,
             attempts,
             suspect: false,
+            given_up: None,
             cancelled: false,
             key: None,
             steps,
+            came_to: 0,
             plan: None,
             log_bytes: 0,
             phase: Phase::Ended { state, steps_done, has_log },
@@ -155,6 +171,14 @@ impl Job {
             Phase::Running { .. } => State::Running,
             Phase::Ended { state, .. } => state,
         }
+    }
+
+    /// How much of `log_bytes` is on the disk by now, about.
+    pub(super) fn bytes_written(&self) -> u64 {
+        let Phase::Running { control, .. } = &self.phase else { return 0 };
+        let made = control.durable_step.load(Ordering::Relaxed).saturating_sub(self.came_to);
+        let to_make = self.steps.saturating_sub(self.came_to).max(1);
+        (self.log_bytes as f64 * (made as f64 / to_make as f64).min(1.0)) as u64
     }
 
     /// Whether the job runs and may yet be what ended the process.
@@ -195,13 +219,9 @@ impl Job {
             durable_step,
             eta_s,
             has_log,
-            plan: self.plan(),
+            plan: self.plan.clone(),
             record: None,
         }
-    }
-
-    fn plan(&self) -> Option<Value> {
-        serde_json::from_str(self.plan.as_ref()?).ok()
     }
 
     /// The record of an end without a summary.
@@ -214,7 +234,7 @@ impl Job {
             steps: self.steps,
             steps_done: 0,
             has_log: false,
-            plan: self.plan(),
+            plan: self.plan.clone(),
             summary: None,
             diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
         }
@@ -275,6 +295,11 @@ impl Fault {
             "worker_crashed",
             "the process ended in several runs of this job, without any progress",
         )
+    }
+
+    /// For the log.
+    pub(super) fn reason(&self) -> Reason<'_> {
+        Reason { code: self.code, cause: &self.message, advice: self.advice }
     }
 
     pub(super) fn panicked() -> Self {

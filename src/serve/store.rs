@@ -1,7 +1,7 @@
 //! The record of the jobs, on disk.
 //!
 //! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, cancel, attempt-1, trace-1,
-//! …, log.mcap, result.json}`.
+//! …, giving-up-1, log.mcap, result.json}`.
 //!
 //! Invariants: a job exists while its `scenario.json` does. `attempt-N` and `result.json` are written
 //! put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
@@ -29,11 +29,12 @@ use object_store::path::Path as Key;
 use object_store::{Error, ObjectStore, ObjectStoreExt, PutMode, PutOptions};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
+use serde_json::value::RawValue;
+use tokio::sync::Semaphore;
 use uuid::Uuid;
 
 use super::ServeError;
 use super::job::State;
-use crate::log::LogError;
 use crate::log::resume::last_checkpoint;
 
 const JOBS: &str = "jobs";
@@ -42,16 +43,23 @@ const RESULT: &str = "result.json";
 const CANCEL: &str = "cancel";
 const ATTEMPT: &str = "attempt-";
 const TRACE: &str = "trace-";
+const GIVING_UP: &str = "giving-up-";
 const LOG: &str = "log.mcap";
 const PART: &str = "log.mcap.part";
 const KEY: &str = "key-";
 const INDEX: &str = "index.jsonl";
+
+/// Files written at once. A disk is no faster for more, and their threads crowd out those that answer.
+const WRITERS: usize = 8;
 
 /// A job that ends its process at the same step so many times in a row is given up.
 pub(super) const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
 
 /// A job of which so many runs in a row came to nothing is given up, wherever they ended.
 const MAX_FRUITLESS: u32 = 20;
+
+/// So often it is tried to give the log of a given-up job an end: that may end the process as well.
+pub(super) const MAX_GIVING_UP: u32 = 2;
 
 /// What begins the last line of a text that has a checksum.
 const SEAL: &str = "crc32 ";
@@ -67,7 +75,7 @@ pub(super) struct Record {
     pub(super) steps: u64,
     pub(super) steps_done: u64,
     pub(super) has_log: bool,
-    pub(super) plan: Option<Value>,
+    pub(super) plan: Option<Box<RawValue>>,
     pub(super) summary: Option<Value>,
     pub(super) diagnosis: Option<Value>,
 }
@@ -78,6 +86,8 @@ pub(super) struct Found {
     pub(super) id: Uuid,
     pub(super) key: Option<Uuid>,
     pub(super) attempts: u32,
+    /// How often somebody began to give its log an end, because its runs end their process.
+    pub(super) given_up: u32,
     pub(super) cancelled: bool,
     pub(super) ended: bool,
     pub(super) has_log: bool,
@@ -207,6 +217,7 @@ pub(super) struct Store {
     jobs: PathBuf,
     /// Open for appending.
     index: Mutex<File>,
+    writers: Semaphore,
 }
 
 impl Store {
@@ -218,7 +229,8 @@ impl Store {
         make_directory(&jobs).map_err(failed)?;
         let index = File::options().create(true).append(true).open(data.join(INDEX));
         let index = Mutex::new(index.map_err(failed)?);
-        Ok(Self { objects: objects(&data)?, data, jobs, index })
+        let writers = Semaphore::new(WRITERS);
+        Ok(Self { objects: objects(&data)?, data, jobs, index, writers })
     }
 
     /// Bytes that may still be written to the disk. Blocking.
@@ -261,9 +273,21 @@ impl Store {
     /// Notes that attempt `n` begins, and at which step.
     pub(super) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
         let failed = "note the attempt";
-        let step = self.progress(id).map_err(StoreError::new(failed))?;
+        let step = self.progress(id)?;
         let note = sealed(step.to_string().into_bytes());
         self.create(id, &format!("{ATTEMPT}{n}"), note).await.map_err(StoreError::new(failed))
+    }
+
+    /// Notes that the `n`th attempt begins to give the log of a given-up job an end.
+    pub(super) async fn begin_giving_up(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
+        let noted = self.create(id, &format!("{GIVING_UP}{n}"), Vec::new()).await;
+        noted.map_err(StoreError::new("note that the job is given up"))
+    }
+
+    /// Takes that note back: it was interrupted in order.
+    pub(super) async fn take_back_giving_up(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
+        let failed = StoreError::new("take back the note that the job is given up");
+        self.objects.delete(&key(id, &format!("{GIVING_UP}{n}"))).await.map_err(failed)
     }
 
     /// A file in which attempt `n` leaves how far it came, should its process die. Blocking.
@@ -271,10 +295,8 @@ impl Store {
         File::create(self.directory(id).join(format!("{TRACE}{n}"))).ok()
     }
 
-    /// What the last of `n` attempts came to. Blocking but for the store.
-    pub(super) async fn deaths(&self, id: Uuid, n: u32) -> Result<Deaths, StoreError> {
-        let failed = "read the notes of the attempts";
-        let mut reached = self.progress(id).map_err(StoreError::new(failed))?;
+    /// What the last of `n` attempts came to, which left the log at step `reached`. Blocking but for the store.
+    pub(super) async fn deaths(&self, id: Uuid, n: u32, mut reached: u64) -> Deaths {
         let trace = |n: u32| {
             let trace = std::fs::read(self.directory(id).join(format!("{TRACE}{n}"))).ok()?;
             // Before it makes steps a run is where every other one is: that says nothing.
@@ -297,12 +319,13 @@ impl Store {
             }
             (reached, deaths.fruitless) = (began, deaths.fruitless + 1);
         }
-        Ok(deaths)
+        deaths
     }
 
     /// The step from which a run of the job would go on. Blocking.
-    fn progress(&self, id: Uuid) -> Result<u64, LogError> {
-        last_checkpoint(&self.log_path(id)).map(Option::unwrap_or_default)
+    pub(super) fn progress(&self, id: Uuid) -> Result<u64, StoreError> {
+        let found = last_checkpoint(&self.log_path(id)).map_err(StoreError::new("read the log"));
+        found.map(Option::unwrap_or_default)
     }
 
     /// Takes back the note of an attempt that was interrupted in order: it must not count as a crash.
@@ -395,16 +418,17 @@ impl Store {
             tracing::warn!(%error, "rubbish stays in the data directory");
         }
         let mut index = self.read_index(&whole);
+        let last = |names: &[String], kind: &str| {
+            let numbers = names.iter().filter_map(|name| name.strip_prefix(kind)?.parse().ok());
+            numbers.max().unwrap_or(0)
+        };
         let found = whole.into_iter().map(|(id, names)| Found {
             id,
             key: names.iter().find_map(|name| parse_id(name.strip_prefix(KEY)?)),
             has_log: names.iter().any(|name| name == LOG),
             ending: index.remove(&id),
-            attempts: names
-                .iter()
-                .filter_map(|name| name.strip_prefix(ATTEMPT)?.parse().ok())
-                .max()
-                .unwrap_or(0),
+            attempts: last(&names, ATTEMPT),
+            given_up: last(&names, GIVING_UP),
             cancelled: names.iter().any(|name| name == CANCEL),
             ended: names.iter().any(|name| name == RESULT),
         });
@@ -452,6 +476,8 @@ impl Store {
     }
 
     async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
+        // Never closed.
+        let _turn = self.writers.acquire().await;
         create(&self.objects, &key(id, name), content).await
     }
 }

@@ -155,8 +155,10 @@ impl Studies {
         let (index, work) = (Mutex::new(index), Condvar::new());
         let shared = Arc::new(Shared { index, work, store, runtime: Handle::current() });
         let worker = shared.clone();
-        let thread =
-            thread::Builder::new().name("studies".to_owned()).spawn(move || worker.work())?;
+        let thread = thread::Builder::new().name("studies".to_owned()).spawn(move || {
+            super::give_way();
+            worker.work();
+        })?;
         Ok((Self(shared), thread))
     }
 

@@ -4,6 +4,7 @@ use chrono::{DateTime, Utc};
 use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
+use serde_json::value::RawValue;
 use uuid::Uuid;
 
 use super::job::{State, View};
@@ -22,7 +23,8 @@ pub(super) struct JobView {
     attempts: u32,
     progress: Progress,
     /// What will be modelled and why; absent in lists once the job has ended.
-    plan: Option<Value>,
+    #[schemars(with = "Option<Value>")]
+    plan: Option<Box<RawValue>>,
     /// When it ended.
     #[serde(skip_serializing_if = "Option::is_none")]
     finished: Option<DateTime<Utc>>,
@@ -169,9 +171,12 @@ pub(super) struct Status {
 
 impl JobView {
     /// A job as a client that reaches us so sees it.
-    pub(super) fn new(view: &View, reach: &Reach) -> Self {
-        let View { id, name, state, created, attempts, has_log, plan, .. } = view.clone();
-        let record = view.record.clone();
+    pub(super) fn new(view: View, reach: &Reach) -> Self {
+        let progress = Progress::of(&view);
+        let View { id, name, state, created, attempts, has_log, plan, record, .. } = view;
+        let (finished, summary, diagnosis) = record
+            .map(|record| (record.finished, record.summary, record.diagnosis))
+            .unwrap_or_default();
         let will_have_log = has_log || !state.is_final();
         let log = format!("/jobs/{id}/log.mcap");
         let base = reach.base.as_deref();
@@ -184,11 +189,11 @@ impl JobView {
             state,
             created,
             attempts,
-            progress: Progress::of(view),
+            progress,
             plan,
-            finished: record.as_ref().and_then(|record| record.finished),
-            summary: record.as_ref().and_then(|record| record.summary.clone()),
-            diagnosis: record.and_then(|record| record.diagnosis),
+            finished,
+            summary,
+            diagnosis,
             links: Links {
                 this: format!("/jobs/{id}"),
                 scenario: format!("/jobs/{id}/scenario.json"),

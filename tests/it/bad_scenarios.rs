@@ -513,6 +513,14 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(full(), "/description", &format!("\"{}\"", "x".repeat(4001))), "/description");
     add(with(full(), "/expect/energy_error_max", "-1"), "/expect/energy_error_max");
     add(with(full(), "/expect/final_attitude", "[[1,0,0],[0,1,0],[0,0,1]]"), "/expect");
+    // Fields in a list are no object.
+    add(with(full(), "/expect", "[null,null]"), "/expect");
+    add(with(full(), "/log", "[5]"), "/log");
+    add(with(full(), "/method/solver", "[\"auto\",1e-15,100]"), "/method/solver");
+    add(
+        with(full(), "/scene/potential/0", "[\"uniform\",1,[0,0,1],[0,0,1]]"),
+        "/scene/potential/0",
+    );
     for raw in ["[]", "1", "\"scenario\"", "null"] {
         add(raw.to_owned(), "");
     }

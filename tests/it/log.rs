@@ -7,11 +7,15 @@ mod viewing;
 use std::fs;
 
 use mcap::records::Record;
+use serde_json::{Value, json};
 use vpd::log::LogError;
 use vpd::log::inspect::inspect;
 use vpd::log::reader::{self, Message};
 use vpd::log::schema::Channel;
 use vpd::log::writer::{Compression, Level, LogHeader, LogWriter};
+use vpd::plan::Plan;
+use vpd::run::{Control, JobContext};
+use vpd::scenario::Scenario;
 use vpd::solve::hamiltonian::{Kinetic, RigidBody};
 use vpd::solve::so::{Mat, hat};
 use vpd::solve::trajectory::{self, Sample, Sink};
@@ -291,4 +295,67 @@ fn the_estimate_of_the_size_is_close() {
         (real / estimate as f64 - 1.0).abs() < 0.1,
         "{real} bytes per sample, {estimate} estimated"
     );
+}
+
+/// What a plan fixes: 64 KiB to 1 MiB a chunk, or what a quarter of a minute gives.
+#[test]
+fn chunks_are_as_large_as_the_plan_says() {
+    let shipped: Value =
+        serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
+    let plan = |n: u64, every: u64, channels: Option<&[&str]>| {
+        let mut scenario = shipped.clone();
+        if n != 3 {
+            scenario = serde_json::from_str(include_str!("../../scenarios/so4-free.json"))
+                .expect("shipped");
+            scenario.as_object_mut().expect("an object").remove("duration_s");
+        }
+        scenario["steps"] = json!(1_000_000_000);
+        scenario["log"] = json!({ "every": every });
+        if let Some(channels) = channels {
+            scenario["log"]["channels"] = json!(channels);
+        }
+        let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        Plan::new(&scenario).expect("a plan")
+    };
+    let (mut usual, mut slow) = (0, 0);
+    for n in [3, 4] {
+        for every in [1, 10, 100, 1000, 10_000, 100_000, 1_000_000, 10_000_000] {
+            for channels in [None, Some(&["/energy"][..])] {
+                let plan = plan(n, every, channels);
+                let topics =
+                    plan.channels.iter().map(|plan| plan.topic.bytes_per_sample(n as usize));
+                // Entries of the index stand behind the chunk.
+                let sample_bytes: u64 = topics.map(|bytes| bytes.saturating_sub(16)).sum();
+                let bytes = plan.samples_per_chunk * sample_bytes;
+                let time_s = plan.samples_per_chunk as f64 * every as f64 * plan.step_ns * 1e-9;
+                assert!(bytes <= 1 << 20, "{n} {every}: {bytes}");
+                assert!(time_s <= 15.0 || plan.samples_per_chunk == 1, "{n} {every}: {time_s} s");
+                let next = time_s * (1.0 + 1.0 / plan.samples_per_chunk as f64);
+                assert!(bytes >= 64 << 10 || next > 15.0, "{n} {every}: {bytes} in {time_s} s");
+                *if bytes >= 64 << 10 { &mut usual } else { &mut slow } += 1;
+            }
+        }
+    }
+    println!("{usual} plans with usual chunks, {slow} with those of 15 s");
+    assert!(usual > 0 && slow > 0);
+}
+
+#[test]
+fn chunks_of_a_file_have_between_64_kib_and_a_mebibyte() {
+    let (_folder, path) = place();
+    let mut scenario: Value =
+        serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
+    scenario["steps"] = json!(8000);
+    scenario["log"] = json!({ "every": 1 });
+    let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+    let context = JobContext { log: &path, control: &Control::default() };
+    vpd::run::execute(&scenario, &context).expect("a log");
+    let bytes = fs::read(&path).expect("a log");
+    let summary = mcap::Summary::read(&bytes).expect("an index").expect("a summary");
+    let sizes: Vec<u64> =
+        summary.chunk_indexes.iter().map(|chunk| chunk.uncompressed_size).collect();
+    println!("{sizes:?}");
+    let (_, whole) = sizes.split_last().expect("chunks");
+    assert!(!whole.is_empty());
+    assert!(whole.iter().all(|size| (64 << 10..=1 << 20).contains(size)), "{sizes:?}");
 }

@@ -36,6 +36,18 @@ const MAX_KEY: usize = 255;
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Limit(#[schemars(range(min = 1, max = 500))] usize);
 
+/// A time in seconds.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Time(#[schemars(range(min = 0.0))] f64);
+
+/// An idempotency key.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Key(#[schemars(length(min = 1, max = 255))] String);
+
 /// A number of attitudes.
 #[derive(JsonSchema)]
 #[schemars(transparent)]
@@ -70,7 +82,7 @@ pub(super) async fn submit_job(
     let view = app.engine.submit(scenario, plan, key).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
-    Ok((status, location, Json(JobView::new(&view, &reach))).into_response())
+    Ok((status, location, Json(JobView::new(view, &reach))).into_response())
 }
 
 /// The key of a request as an id of ours: no text of a client becomes a name of a file.
@@ -96,7 +108,7 @@ pub(super) async fn list_jobs(
     let unusable = || Problem::bad_query("cursor is not one that this list gave");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
     let (page, next) = app.engine.list(state, limit, cursor);
-    let jobs = page.iter().map(|view| JobView::new(view, &reach)).collect();
+    let jobs = page.into_iter().map(|view| JobView::new(view, &reach)).collect();
     let filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
     let link = next.map(|next| format!("/jobs?{filter}limit={limit}&cursor={next}"));
     Ok(Json(JobList::new(jobs, next, link)))
@@ -107,7 +119,7 @@ pub(super) async fn get_job(
     reach: Reach,
     JobId(id): JobId,
 ) -> Result<Json<JobView>, Problem> {
-    Ok(Json(JobView::new(&app.engine.get(id).await?, &reach)))
+    Ok(Json(JobView::new(app.engine.get(id).await?, &reach)))
 }
 
 pub(super) async fn cancel_job(
@@ -117,7 +129,7 @@ pub(super) async fn cancel_job(
 ) -> Result<Response, Problem> {
     let view = app.engine.cancel(id).await?;
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
-    Ok((status, Json(JobView::new(&view, &reach))).into_response())
+    Ok((status, Json(JobView::new(view, &reach))).into_response())
 }
 
 pub(super) async fn forget_job(

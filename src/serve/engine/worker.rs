@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use uuid::Uuid;
 
 use super::{Index, Shared};
-use crate::run::{Control, JobContext, Outcome, RunError, Summary, execute};
+use crate::run::{Control, JobContext, Outcome, RunError, Summary, execute, give_up};
 use crate::scenario::Scenario;
 use crate::serve::chain;
 use crate::serve::job::{Fault, Job, Phase, State};
@@ -29,6 +29,8 @@ const SUSPECT_PAUSE: Duration = Duration::from_millis(100);
 struct Task {
     id: Uuid,
     attempt: u32,
+    /// Not to be run: for the so manyeth time, its log is to be given an end.
+    given_up: Option<u32>,
     control: Arc<Control>,
 }
 
@@ -57,30 +59,50 @@ impl Shared {
             } else if let Some(id) = index.queue.pop_front()
                 && let Some(job) = index.jobs.get_mut(&id)
             {
-                job.attempts += 1;
+                let given_up = job.given_up.map(|tries| tries + 1);
+                job.attempts += u32::from(given_up.is_none());
                 let attempt = job.attempts;
-                let trace = self.store.trace(id, attempt);
+                let trace = if given_up.is_some() { None } else { self.store.trace(id, attempt) };
                 let live = self.live.clone();
                 let control = Arc::new(Control { trace, live, ..Control::default() });
                 control.cancelled.store(job.cancelled, Ordering::Relaxed);
                 job.phase = Phase::Running { control: control.clone(), since: Instant::now() };
-                return Some(Task { id, attempt, control });
+                index.running.insert(id);
+                return Some(Task { id, attempt, given_up, control });
             }
         }
     }
 
     fn run(&self, task: &Task) -> Result<Summary, Broken> {
-        let Task { id, attempt, control } = task;
+        let Task { id, attempt, control, .. } = task;
         let storage = |error: StoreError| {
             tracing::error!(job = %id, error = chain(&error), "store failed");
             Fault::storage(&error)
         };
-        tracing::info!(job = %id, attempt, "job runs");
         self.store.reopen_log(*id).map_err(storage)?;
-        self.runtime.block_on(self.store.begin_attempt(*id, *attempt)).map_err(storage)?;
+        match task.given_up {
+            Some(n) => self.runtime.block_on(self.store.begin_giving_up(*id, n)),
+            None => self.runtime.block_on(self.store.begin_attempt(*id, *attempt)),
+        }
+        .map_err(storage)?;
         let text = self.runtime.block_on(self.store.scenario(*id)).map_err(storage)?;
         let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
         let log = self.store.log_path(*id);
+        if task.given_up.is_some() {
+            tracing::warn!(job = %id, attempt, "job given up: its runs end the process");
+            let fault = Fault::worker_crashed();
+            return match give_up(&scenario, &log, fault.reason()) {
+                Ok(summary) => {
+                    control.steps_done.store(summary.steps, Ordering::Relaxed);
+                    Ok(summary)
+                }
+                Err(error) => {
+                    tracing::error!(job = %id, error = chain(&error), "its log is lost");
+                    Err(Broken::Fault(fault))
+                }
+            };
+        }
+        tracing::info!(job = %id, attempt, "job runs");
         execute(&scenario, &JobContext { log: &log, control }).map_err(|error| match error {
             RunError::Interrupted => Broken::Interrupted,
             error => {
@@ -91,11 +113,11 @@ impl Shared {
     }
 
     fn conclude(&self, task: &Task, result: Result<Summary, Broken>) {
-        let Task { id, attempt, control } = task;
+        let Task { id, attempt, control, .. } = task;
         let result = match result {
             Ok(summary) => Ok(summary),
             Err(Broken::Fault(fault)) => Err(fault),
-            Err(Broken::Interrupted) => return self.hand_back(*id, *attempt),
+            Err(Broken::Interrupted) => return self.hand_back(task),
         };
         let Some(record) = self.record(task, &result) else { return };
         if !record.has_log
@@ -112,7 +134,7 @@ impl Shared {
                 self.metrics.end(&record, log.map_or(0, |log| log.len()));
                 self.index().end(Ending::of(*id, &record));
             }
-            None => self.hand_back(*id, *attempt),
+            None => self.hand_back(task),
         }
     }
 
@@ -162,14 +184,22 @@ impl Shared {
     }
 
     /// Leaves a job for the next start; its attempt does not count as a crash.
-    fn hand_back(&self, id: Uuid, attempt: u32) {
-        if let Err(error) = self.runtime.block_on(self.store.take_back_attempt(id, attempt)) {
+    fn hand_back(&self, task: &Task) {
+        let Task { id, attempt, given_up, .. } = *task;
+        let taken_back = match given_up {
+            Some(n) => self.runtime.block_on(self.store.take_back_giving_up(id, n)),
+            None => self.runtime.block_on(self.store.take_back_attempt(id, attempt)),
+        };
+        if let Err(error) = taken_back {
             tracing::warn!(job = %id, error = chain(&error), "attempt counted");
         }
-        if let Some(job) = self.index().jobs.get_mut(&id) {
-            job.attempts -= 1;
+        let mut index = self.index();
+        index.running.remove(&id);
+        if let Some(job) = index.jobs.get_mut(&id) {
+            job.attempts -= u32::from(given_up.is_none());
             job.phase = Phase::Queued;
         }
+        drop(index);
         tracing::info!(job = %id, "job interrupted; it goes on at the next start");
     }
 }
@@ -177,8 +207,7 @@ impl Shared {
 impl Index {
     /// Whether the next job has to wait: it, or one that runs, may be what ended the process.
     fn must_wait(&self) -> bool {
-        let mut running =
-            self.jobs.values().filter(|job| matches!(job.phase, Phase::Running { .. }));
+        let mut running = self.running();
         let next = self.queue.front().and_then(|id| self.jobs.get(id));
         if next.is_some_and(|job| job.suspect) {
             running.next().is_some()

@@ -33,7 +33,7 @@ pub(in crate::serve) enum Kind {
 }
 
 /// What a client asks for.
-#[derive(Clone, Debug, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "StudyRequest")]
 pub(in crate::serve) struct Request {

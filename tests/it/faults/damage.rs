@@ -74,17 +74,55 @@ fn every_damaged_file_is_reported() {
     println!("{} damaged files, all reported", 3 * count);
 }
 
+/// Files of a corpus.
+fn corpus(name: &str) -> Vec<Vec<u8>> {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(name);
+    let entries = fs::read_dir(corpus).expect("a corpus");
+    entries.map(|entry| fs::read(entry.expect("an entry").path()).expect("a file")).collect()
+}
+
 #[test]
-fn the_corpus_of_the_fuzzers_and_its_neighbours_are_read_without_a_panic() {
-    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus");
+fn ranges_of_the_corpus_and_their_neighbours_give_the_whole_the_right_part_or_416() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut random = Random::new();
-    let files = |name: &str| -> Vec<Vec<u8>> {
-        let entries = fs::read_dir(corpus.join(name)).expect("a corpus");
-        entries.map(|entry| fs::read(entry.expect("an entry").path()).expect("a file")).collect()
-    };
+    let service = Service::start(folder.path(), &[]);
+    let id = service.submit(&dipole(2_000));
+    assert_eq!(service.ended(&id)["state"], "succeeded");
+    let path = format!("/jobs/{id}/log.mcap");
+    let whole = service.get(&path).body;
+    let mut answers = [0; 3];
+    for seed in corpus("range") {
+        for k in 0..20 * scale() {
+            let range = if k == 0 { seed.clone() } else { damage(&mut random, &seed) };
+            // What no client sends; the fuzzer does.
+            if !range.iter().all(|byte| (b' '..=b'~').contains(byte)) {
+                continue;
+            }
+            let range = std::str::from_utf8(&range).expect("ASCII");
+            let answer = service.try_send("GET", &path, &[("range", range)], None);
+            let answer = answer.expect("an answer");
+            match answer.status {
+                200 => assert_eq!(answer.body, whole, "{range}"),
+                206 => assert!(
+                    whole.windows(answer.body.len().max(1)).any(|part| part == answer.body),
+                    "{range}"
+                ),
+                416 => {}
+                status => panic!("{range:?}: {status}"),
+            }
+            answers[usize::from(answer.status == 206) + 2 * usize::from(answer.status == 416)] += 1;
+        }
+    }
+    println!("{} whole, {} parts, {} refused", answers[0], answers[1], answers[2]);
+    assert!(answers[1] > 0 && answers[2] > 0);
+}
+
+#[test]
+fn the_corpus_of_the_fuzzers_and_its_neighbours_are_read_without_a_panic() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut random = Random::new();
     let (mut taken, mut refused) = (0, 0);
-    for text in files("scenario") {
+    for text in corpus("scenario") {
         Scenario::from_json(&text).expect("the corpus begins with good ones");
         for _ in 0..200 * scale() {
             match Scenario::from_json(&damage(&mut random, &text)) {
@@ -102,7 +140,7 @@ fn the_corpus_of_the_fuzzers_and_its_neighbours_are_read_without_a_panic() {
         }
     }
     let part = folder.path().join("log.mcap.part");
-    for bytes in files("log") {
+    for bytes in corpus("log") {
         fs::write(&part, &bytes).expect("written");
         assert!(inspect(&part).expect("readable").finished);
         for _ in 0..100 * scale() {

@@ -208,10 +208,9 @@ fn a_disk_that_fills_up_fails_the_job_and_no_more() {
         let first = service.submit(&blocker);
         let id = service.submit(&scenario);
         fill(&ballast, room);
-        assert_eq!(
-            service.send("POST", &format!("/jobs/{first}/cancel"), Some("")).status / 100,
-            2
-        );
+        let cancelled = service.send("POST", &format!("/jobs/{first}/cancel"), Some("")).status;
+        // On a slow machine its own chunk has met the full disk by now.
+        assert!(cancelled / 100 == 2 || cancelled == 409, "{cancelled}");
         // A result that finds no room waits for it.
         let begun = Instant::now();
         while service.job(&id)["state"]
@@ -235,6 +234,36 @@ fn a_disk_that_fills_up_fails_the_job_and_no_more() {
     }
     println!("{sizes} sizes: {full} times full, {fitted} times enough");
     assert!(full > 0 && fitted > 0);
+}
+
+#[test]
+fn what_a_running_job_has_written_is_not_counted_twice() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let place = folder.path().join("disk");
+    let Some(_disk) = Disk::mount(&place, 24 << 20) else {
+        println!("SKIPPED: cannot mount a tmpfs here");
+        return;
+    };
+    let service = Service::start(&place, &["--workers", "1", "--reserve-bytes", "0"]);
+    let sized = |samples: u64| {
+        let mut scenario = dipole(samples * 100);
+        scenario["log"] = serde_json::json!({ "every": 100, "compression": "none" });
+        scenario
+    };
+    // About 10 MiB, and 12 MiB for which there is room beside it from first to last.
+    let first = service.submit(&sized(15_000));
+    let mut job = service.job(&first);
+    while job["progress"]["percent"].as_f64() < Some(40.0) {
+        std::thread::sleep(Duration::from_millis(5));
+        job = service.job(&first);
+    }
+    let answer = service.send("POST", "/jobs", Some(&sized(18_000).to_string()));
+    let state = service.job(&first)["state"].clone();
+    println!("at {} % of a job that is now {state}: {}", job["progress"]["percent"], answer.status);
+    assert_eq!(answer.status, 202, "{}", answer.code());
+    // And not forgotten: a third of that size has no room.
+    let answer = service.send("POST", "/jobs", Some(&sized(18_000).to_string()));
+    assert_eq!((answer.status, answer.code().as_str()), (507, "storage_full"));
 }
 
 /// Leaves `room` bytes.

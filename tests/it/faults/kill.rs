@@ -1,8 +1,11 @@
 //! `kill -9` and `kill -TERM` at random moments.
 
+use std::path::Path;
 use std::time::Duration;
 
 use serde_json::Value;
+use vpd::log::inspect::inspect;
+use vpd::log::reader::{Message, read_samples};
 use vpd::log::resume::last_checkpoint;
 
 use super::disk::Faults;
@@ -138,10 +141,11 @@ fn any_number_of_workers_gives_the_same_bytes() {
     }
 }
 
-#[test]
-fn a_job_that_aborts_its_process_is_given_up_and_the_others_go_on() {
+/// A job that ends its process within its first chunk, beside others, until it is given up; how often it did.
+/// Giving its log an end does so too, unless that `can_end`.
+fn poison(can_end: bool) -> Option<usize> {
     let folder = tempfile::tempdir().expect("a folder");
-    let Some(mut faults) = Faults::new(folder.path()) else { return };
+    let mut faults = Faults::new(folder.path())?;
     // Queued behind two long runs, so that its id is known before it begins.
     let mut blocker = dipole(300_000);
     blocker["name"] = "blocker".into();
@@ -155,26 +159,107 @@ fn a_job_that_aborts_its_process_is_given_up_and_the_others_go_on() {
             .expect("written");
     }
     let part = folder.path().join("data/jobs").join(&poison).join("log.mcap.part");
-    let mut deaths = 0;
-    loop {
-        // The first two changes of a new file are its birth and its head; the fourth is within its first chunk.
+    let deaths = if can_end { 3 } else { 5 };
+    for _ in 0..deaths {
+        // The look for a finished one, its birth, its head: the fourth change is within its first chunk.
         let _ = std::fs::remove_file(&part);
         faults.arm(4, -1, false);
         let before = faults.given();
-        let service = faults.start_on(folder.path(), &part);
-        if deaths == 3 {
-            let job = service.ended(&poison);
-            assert_eq!(job["diagnosis"]["code"], "worker_crashed", "{job}");
-            for id in &innocents {
-                assert_eq!(service.ended(id)["state"], "succeeded");
-            }
-            assert_eq!(faults.given(), before);
-            break;
-        }
-        let status = service.dies();
+        let status = faults.start_on(folder.path(), &part).dies();
         assert!(!status.success());
         assert_eq!(faults.given(), before + 1, "it died of something else: {status}");
-        deaths += 1;
     }
-    println!("given up after {deaths} deaths; {} others done", innocents.len());
+    faults.arm(i64::from(!can_end) * 4, -1, false);
+    let before = faults.given();
+    let service = faults.start_on(folder.path(), &part);
+    let job = service.ended(&poison);
+    assert_eq!(job["diagnosis"]["code"], "worker_crashed", "{job}");
+    for id in &innocents {
+        assert_eq!(service.ended(id)["state"], "succeeded");
+    }
+    assert_eq!(faults.given(), before);
+    let log = service.get(&format!("/jobs/{poison}/log.mcap"));
+    assert_eq!(log.status, if can_end { 200 } else { 404 });
+    if can_end {
+        let (samples, step) = given_up(&folder.path().join("log.mcap"), &log.body);
+        assert_eq!((samples.len(), step), (0, None));
+    }
+    for path in ["attitudes.json", "charts/energy.svg"] {
+        assert!(service.get(&format!("/jobs/{poison}/{path}")).status < 500, "{path}");
+    }
+    Some(deaths)
+}
+
+/// The samples of the log of a job that was given up, and the step of its last checkpoint.
+fn given_up(path: &Path, log: &[u8]) -> (Vec<(u64, Message)>, Option<u64>) {
+    std::fs::write(path, log).expect("written");
+    let mut samples = Vec::new();
+    let ending = read_samples(path, |time_ns, sample| samples.push((time_ns, sample)));
+    assert!(ending.expect("readable").finished);
+    let found = inspect(path).expect("readable");
+    let outcome = found.outcome.as_ref().expect("an outcome");
+    assert_eq!((outcome["state"].as_str(), outcome["code"].as_str()), ("failed", "worker_crashed"));
+    assert!(outcome["diagnosis"].contains("the process ended"), "{found}");
+    assert!(found.job.as_ref().is_some_and(|job| job.contains_key("scenario")), "{found}");
+    assert_eq!(outcome["steps"], found.resumes_at_step.unwrap_or(0).to_string());
+    (samples, found.resumes_at_step)
+}
+
+#[test]
+fn a_job_that_aborts_its_process_is_given_up_and_the_others_go_on() {
+    if let Some(deaths) = poison(true) {
+        println!("given up after {deaths} deaths, with a log; 8 others done");
+    }
+}
+
+#[test]
+fn a_job_whose_log_can_have_no_end_is_given_up_without() {
+    if let Some(deaths) = poison(false) {
+        println!("given up after {deaths} deaths, without a log; 8 others done");
+    }
+}
+
+#[test]
+fn a_job_that_is_given_up_keeps_the_chunks_it_had() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(mut faults) = Faults::new(folder.path()) else { return };
+    let scenario = dipole(200_000);
+    let service = Service::start(folder.path(), &["--workers", "1"]);
+    let whole = service.submit(&scenario);
+    assert_eq!(service.ended(&whole)["state"], "succeeded");
+    let whole = service.get(&format!("/jobs/{whole}/log.mcap")).body;
+    let poison = service.submit(&scenario);
+    while service.job(&poison)["progress"]["durable_step"] == 0 {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    service.kill();
+    let part = folder.path().join("data/jobs").join(&poison).join("log.mcap.part");
+    for _ in 0..3 {
+        // Looked for under its other name, cut behind the last whole chunk, synced: the fourth change is within
+        // the next chunk.
+        faults.arm(4, -1, false);
+        let before = faults.given();
+        let status = faults.start_on(folder.path(), &part).dies();
+        assert_eq!(faults.given(), before + 1, "it died of something else: {status}");
+    }
+    faults.arm(0, -1, false);
+    let service = faults.start_on(folder.path(), &part);
+    let job = service.ended(&poison);
+    assert_eq!(
+        (&job["state"], &job["diagnosis"]["code"]),
+        (&"failed".into(), &"worker_crashed".into())
+    );
+    let log = service.get(&format!("/jobs/{poison}/log.mcap"));
+    assert_eq!(log.status, 200);
+    let (kept, step) = given_up(&folder.path().join("log.mcap"), &log.body);
+    assert_eq!(job["summary"]["steps"].as_u64(), step);
+    assert_eq!(job["progress"]["steps_done"].as_u64(), step);
+    std::fs::write(folder.path().join("whole.mcap"), whole).expect("written");
+    let mut all = Vec::new();
+    let read = read_samples(&folder.path().join("whole.mcap"), |time_ns, sample| {
+        all.push((time_ns, sample))
+    });
+    assert!(read.expect("readable").finished);
+    println!("{} of {} messages kept, up to step {step:?}", kept.len(), all.len());
+    assert!(!kept.is_empty() && kept.len() < all.len() && kept[..] == all[..kept.len()]);
 }

@@ -1,0 +1,101 @@
+//! Ends the log of a job that is run no more, for a reason outside its steps.
+//!
+//! Invariant: nothing is computed of the run that brought its process down: no step is made and no sample taken.
+
+use std::path::Path;
+
+use super::{Diagnosis, RunError, Summary, finish, header};
+use crate::advise;
+use crate::assemble::{Assembly, Task, assembled};
+use crate::chart::Course;
+use crate::log::messages::Figures;
+use crate::log::reader::Message;
+use crate::log::resume::Resumed;
+use crate::log::writer::LogWriter;
+use crate::plan::Plan;
+use crate::scenario::Scenario;
+use crate::solve::trajectory::{Checkpoint, Ending, Trajectory};
+
+/// Why a job is run no more.
+#[derive(Clone, Copy, Debug)]
+pub struct Reason<'a> {
+    /// The failure code.
+    pub code: &'a str,
+    /// What happened, for a person.
+    pub cause: &'a str,
+    /// What to do about it, for a person.
+    pub advice: &'a str,
+}
+
+/// Ends the log of `log` as failed: what interrupted runs left in whole chunks, or no sample at all, and why.
+///
+/// # Errors
+/// If the scenario cannot be planned or the log cannot be written.
+pub fn give_up(scenario: &Scenario, log: &Path, reason: Reason<'_>) -> Result<Summary, RunError> {
+    let plan = advise::plan(scenario)?;
+    assembled(&plan, GiveUp { scenario, plan: &plan, log, reason })
+}
+
+struct GiveUp<'a> {
+    scenario: &'a Scenario,
+    plan: &'a Plan,
+    log: &'a Path,
+    reason: Reason<'a>,
+}
+
+impl Task for GiveUp<'_> {
+    type Output = Result<Summary, RunError>;
+
+    fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
+        let Self { scenario, plan, log, reason } = self;
+        let header = header(scenario, plan);
+        let mut course = Course::default();
+        let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
+        let (writer, figures, end) = match LogWriter::<N>::resume(log, &header, seen)? {
+            Some((writer, Resumed { mut checkpoint, figures, .. })) => {
+                // Of an ensemble all members are counted; the log says where member 0 came to.
+                checkpoint.step = checkpoint.step.min(plan.steps);
+                (writer, figures, reached(checkpoint))
+            }
+            None => {
+                course = Course::default();
+                let start = Checkpoint {
+                    step: 0,
+                    samples: 0,
+                    attitude: plan
+                        .formulation
+                        .carries_attitude
+                        .then_some(assembly.initial.attitude),
+                    momentum: assembly.initial.momentum,
+                    iterations: 0,
+                    convergence: None,
+                };
+                (LogWriter::create(log, &header)?, Figures::default(), reached(start))
+            }
+        };
+        let diagnosis = Diagnosis {
+            code: reason.code.to_owned(),
+            step: end.steps + 1,
+            time_s: end.steps as f64 * plan.step_s,
+            step_s: plan.step_s,
+            stage: None,
+            measured: None,
+            limit: None,
+            iterations: 0,
+            increments: Vec::new(),
+            cause: reason.cause.to_owned(),
+            advice: reason.advice.to_owned(),
+            advised_step_s: None,
+        };
+        let summary =
+            finish(scenario, plan, log, writer, (&figures, &course), &end, Some(diagnosis))?;
+        Ok(Summary { resumed_step: end.steps, ..summary })
+    }
+}
+
+/// A trajectory that ends at a checkpoint.
+fn reached<const N: usize>(checkpoint: Checkpoint<N>) -> Trajectory<N> {
+    let Checkpoint { step, samples, attitude, momentum, iterations, convergence } = checkpoint;
+    let ending = Ending::Cancelled;
+    Trajectory { ending, steps: step, samples, attitude, momentum, iterations, convergence }
+}
