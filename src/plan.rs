@@ -327,7 +327,7 @@ impl Plan {
     fn step_cost_ns(&self) -> f64 {
         let sweeps = match self.formulation.method {
             MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if self.dimension == 3 => {
-                4.0
+                3.1
             }
             MethodName::QuaternionGauss => 7.5,
             MethodName::Auto
@@ -348,9 +348,9 @@ impl Plan {
         let stages = self.formulation.stages as f64;
         let size = (self.dimension as f64 / 3.0).powi(3).max(1.0);
         match self.formulation.method {
-            // Four stages at a time.
+            // Four stages at a time; the first guess is counted with the sweeps.
             MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if self.dimension == 3 => {
-                170.0 + 190.0 * (stages / 4.0).ceil()
+                400.0 * (stages / 4.0).ceil()
             }
             MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced => {
                 140.0 * (stages + 1.0) * size

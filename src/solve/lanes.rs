@@ -45,6 +45,8 @@ pub trait Real:
     fn size(self) -> Self;
     /// The larger of two numbers that are.
     fn larger(self, other: Self) -> Self;
+    /// `self` where `measure` is a number up to `limit`, elsewhere `other`.
+    fn within(self, measure: Self, limit: f64, other: Self) -> Self;
 }
 
 /// What belongs to a step as a whole: one number, or one for each member of an ensemble.
@@ -101,6 +103,11 @@ impl Real for f64 {
     fn larger(self, other: Self) -> Self {
         if other <= self { self } else { other }
     }
+
+    #[inline(always)]
+    fn within(self, measure: Self, limit: f64, other: Self) -> Self {
+        if measure <= limit { self } else { other }
+    }
 }
 
 impl Whole for f64 {
@@ -153,6 +160,11 @@ macro_rules! stage_lanes {
             #[inline(always)]
             fn larger(self, other: Self) -> Self {
                 other.simd_le(self).select(self, other)
+            }
+
+            #[inline(always)]
+            fn within(self, measure: Self, limit: f64, other: Self) -> Self {
+                measure.simd_le(self.constant(limit)).select(self, other)
             }
         }
 
@@ -300,6 +312,11 @@ impl<S: Simd, const K: usize> Real for Rows<S, K> {
     #[inline(always)]
     fn larger(self, other: Self) -> Self {
         elementwise!(self, k => self.0[k].larger(other.0[k]))
+    }
+
+    #[inline(always)]
+    fn within(self, measure: Self, limit: f64, other: Self) -> Self {
+        elementwise!(self, k => self.0[k].within(measure.0[k], limit, other.0[k]))
     }
 }
 

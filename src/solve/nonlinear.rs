@@ -105,6 +105,15 @@ pub trait Equations {
     /// If there is none.
     fn guess(&mut self) -> Result<(), Failure>;
 
+    /// Moves unknowns that a sweep finds at once from where the guess has left them: in Newton's method they would
+    /// drown the others.
+    ///
+    /// # Errors
+    /// Where the unknowns make no sense.
+    fn settle(&mut self) -> Result<(), Failure> {
+        Ok(())
+    }
+
     /// Improves the unknowns in place; returns the size of its change, relative to theirs. What it makes of the
     /// unknowns depends on nothing but the unknowns.
     ///

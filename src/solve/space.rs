@@ -159,6 +159,47 @@ impl<T: Real> Turn<T> {
         Self { w: w * scale, v: scaled(&v, scale) }
     }
 
+    /// `q v` for a vector v: the rate of change of q under the angular velocity 2 v of the body.
+    #[inline(always)]
+    pub fn rate(&self, v: &Vec3<T>) -> Self {
+        let c = cross(&self.v, v);
+        Self { w: -dot(&self.v, v), v: vec3!(i => self.w * v[i] + c[i]) }
+    }
+
+    /// |q|^2
+    #[inline(always)]
+    pub fn square(&self) -> T {
+        self.w * self.w + dot(&self.v, &self.v)
+    }
+
+    /// Of length one, to second order of what the square lacks of it.
+    #[inline(always)]
+    pub fn lengthened(&self) -> Self {
+        // 1 / sqrt(1 + e) = 1 - e / 2
+        self.scaled(self.square() * -0.5 + 1.5)
+    }
+
+    /// Of length one.
+    #[inline(always)]
+    pub fn normalised(&self) -> Self {
+        let length = self.square().root();
+        self.scaled(length.constant(1.0) / length)
+    }
+
+    /// `self` where `measure` is a number up to `limit`, elsewhere `other`.
+    #[inline(always)]
+    pub fn within(&self, measure: T, limit: f64, other: &Self) -> Self {
+        Self {
+            w: self.w.within(measure, limit, other.w),
+            v: vec3!(i => self.v[i].within(measure, limit, other.v[i])),
+        }
+    }
+
+    #[inline(always)]
+    fn scaled(&self, scale: T) -> Self {
+        Self { w: self.w * scale, v: scaled(&self.v, scale) }
+    }
+
     /// `q p`
     #[inline(always)]
     pub fn times(&self, p: &Self) -> Self {

@@ -100,10 +100,14 @@ function outcome(job) {
   if (state === "queued") return "The job is kept and waits for a free worker.";
   if (state === "running") return "The job is running. You may leave: it goes on without this page.";
   if (!summary) return state === "cancelled" ? "Stopped before it began." : "";
-  if (summary.steps === 0) return state === "failed" ? "It failed at its first step: the log holds the start alone." : "Stopped before its first step.";
+  if (summary.steps === 0 && !summary.ensemble) return state === "failed" ? "It failed at its first step: the log holds the start alone." : "Stopped before its first step.";
   const made = `${count(summary.steps)} steps, to t = ${figure(summary.time_s)} s, in ${span(summary.wall_s)}`;
   const parts = [state === "succeeded" ? `Done: ${made}.` : state === "failed" ? `It failed after ${made}.` : `Stopped after ${made}.`];
-  const { energy, orthogonality, momentum } = summary;
+  const { energy, orthogonality, momentum, ensemble } = summary;
+  if (ensemble) {
+    const failed = Object.entries(ensemble.failed ?? {}).map(([code, number]) => `, ${count(number)} ${code}`).join("");
+    parts[0] = `${count(ensemble.succeeded)} of ${count(ensemble.members)} members came to the end${failed}, in ${span(summary.wall_s)}. Member 0:`;
+  }
   if (energy) parts.push(`The energy ${figure(energy.initial)} J was kept to ${figure(energy.max_abs_error)} J.`);
   if (orthogonality) parts.push(orthogonality.max < 1e-14
     ? `The attitude stayed a rotation to rounding (${figure(orthogonality.max)}).`

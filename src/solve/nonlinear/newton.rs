@@ -47,6 +47,7 @@ impl Newton {
         equations: &mut impl Equations,
     ) -> Result<Convergence, Failure> {
         let mut history = History::new();
+        equations.settle()?;
         self.take(equations);
         let mut increment = equations.sweep()?;
         // A solution that the sweep before the first correction finds counts as one iteration.

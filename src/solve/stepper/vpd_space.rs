@@ -228,11 +228,18 @@ impl InLanes<'_> {
 
 impl Equations for InLanes<'_> {
     fn guess(&mut self) -> Result<(), Failure> {
+        // The torque is computed once before its rounds, of which there are as many as stages less one.
+        self.torques += (self.stages * (self.stages - 1)) as u64;
         in_lanes!(guess, self);
         let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
         let size = self.unknowns.momentum.iter().fold(0.0, largest);
         self.momentum_scale = if size > 0.0 { size } else { 1.0 };
         Ok(())
+    }
+
+    /// The guess leaves x and K^-1 far from where a sweep puts them.
+    fn settle(&mut self) -> Result<(), Failure> {
+        if self.sweep()?.is_finite() { Ok(()) } else { self.guess() }
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {

@@ -42,6 +42,26 @@ fn a_job_is_taken_runs_and_says_how_it_ended() {
 }
 
 #[test]
+fn an_ensemble_is_a_job_like_any_other() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = short();
+    scenario["ensemble"] = json!({ "members": 20, "seed": 3, "attitude_spread_rad": 0.1 });
+    let id = server.submit(&scenario);
+    let job = server.wait(&id, "succeeded");
+    assert_eq!(job["progress"]["steps"], 2000);
+    assert_eq!(job["progress"]["steps_done"], 2000);
+    assert_eq!(job["summary"]["steps"], 100, "of member 0");
+    assert_eq!(job["summary"]["ensemble"]["members"], 20);
+    assert_eq!(job["summary"]["ensemble"]["succeeded"], 20);
+    assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
+    // What looks at one body looks at member 0.
+    let attitudes = server.get(&format!("/jobs/{id}/attitudes.json"));
+    assert_eq!(attitudes.status, 200);
+    assert_eq!(server.get(&format!("/jobs/{id}/charts/energy.svg")).status, 200);
+}
+
+#[test]
 fn a_numerical_failure_is_a_result_with_a_finished_log() {
     let data = directory();
     let server = service(&data).start();

@@ -113,7 +113,7 @@ impl VpdEnsemble {
         let leave = stop.rungs == Rungs::Both;
         let mut iterations = [None; WIDTH];
         iterations[..going.len()].fill(Some(Progress::new(*stop, leave)));
-        let mut evaluations = 0;
+        let (mut sweeps, mut guesses) = (0, 0);
         macro_rules! iterate {
             ($unknowns:ident, $stages:literal) => {{
                 in_member_lanes!(level, $stages, guess, &start, $unknowns);
@@ -125,7 +125,8 @@ impl VpdEnsemble {
                         match progress.judged(increments.0[lane]) {
                             Ok(Verdict::GoOn) => {}
                             Ok(Verdict::Converged(convergence)) => {
-                                evaluations += u64::from(convergence.iterations) + 1;
+                                sweeps += u64::from(convergence.iterations);
+                                guesses += 1;
                                 solved[lane] = Some(convergence);
                                 members[going[lane]].unknowns = $unknowns.lane(lane);
                                 iterations[lane] = None;
@@ -141,7 +142,8 @@ impl VpdEnsemble {
             Lanes::Four(unknowns) => iterate!(unknowns, 4),
             Lanes::None => {}
         }
-        body.count(evaluations * self.blank.tableau.stages() as u64);
+        let stages = self.blank.tableau.stages() as u64;
+        body.count((sweeps + guesses * stages) * stages);
         solved
     }
 }

@@ -28,10 +28,13 @@ use crate::solve::space::{
     times_hat, transposed_matrix_product, transposed_product, vec3, vee_asym,
 };
 
-/// Passes over the kinematics within a sweep. Fewer take more sweeps, and fail at half the step.
-const KINEMATIC_PASSES: u32 = 4;
-/// Passes over the linear system of x within a sweep.
-const MOMENTUM_PASSES: u32 = 3;
+/// Passes over the kinematics, and over the linear system of x, within a sweep. Fewer take more sweeps, and fail at
+/// half the step; many stages are for large steps, and those need more.
+const FEW_PASSES: [u32; 2] = [4, 3];
+const MANY_PASSES: [u32; 2] = [6, 6];
+
+/// What the square of a quaternion may lack of one in the last round of the first guess.
+const MOST_LACK: f64 = 0.1;
 
 /// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
 #[derive(Clone, Debug)]
@@ -45,6 +48,8 @@ pub(super) struct LaneTableau {
     /// Passes over the kinematics and over the linear system within a sweep: numbers that the compiler does not
     /// know, or it would unroll their loops into more code than a cache holds.
     passes: [u32; 2],
+    /// Stages, and rounds of the first guess.
+    stages: u32,
 }
 
 impl LaneTableau {
@@ -55,7 +60,8 @@ impl LaneTableau {
             rows: [zero; WIDTH],
             weights: zero,
             nodes: zero,
-            passes: [KINEMATIC_PASSES, MOMENTUM_PASSES],
+            passes: if tableau.stages() <= 4 { FEW_PASSES } else { MANY_PASSES },
+            stages: tableau.stages() as u32,
         };
         for i in 0..tableau.stages() {
             lanes.weights.0[i] = tableau.b(i);
@@ -185,9 +191,17 @@ impl Unknowns<Row, f64> {
     }
 }
 
-/// The first guess: the velocity at the beginning, kept constant, and the torque along it. A function of the
-/// state alone, so that a resumed run repeats it to the bit. (Extrapolating the stages of the step before
-/// saves nothing: docs/decisions/0006.)
+/// The first guess: from the velocity at the beginning, kept constant, and the torque along it, a few rounds of plain
+/// collocation,
+///
+/// ```text
+/// q_k = 1 + h sum_j a_kj q_j Omega_j / 2,    pi_k = p0 - h sum_j a_kj U_j tau_j
+/// ```
+///
+/// each a sixth of the time of a sweep. A round gains an order of h; the stages of the step differ from those of the
+/// collocation by the order that is the number of stages, so that more rounds than that gain nothing. A function
+/// of the state alone: a resumed run repeats it to the bit. (Extrapolating the stages of the step before saves
+/// nothing: docs/decisions/0006.)
 #[inline(always)]
 pub(super) fn guess<R: Stages>(
     like: R,
@@ -195,23 +209,49 @@ pub(super) fn guess<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
     let whole = like.stage(0);
-    let p0 = vec3!(i => whole.load(&start.momentum[i]));
-    let inertia = start.inverse_inertia;
-    let velocity = symmetric_product(&symmetric(whole, &inertia), &p0);
-    let elapsed = like.row(&start.tableau.nodes) * start.step;
+    let LaneTableau { columns, weights, nodes, stages, .. } = start.tableau;
+    let at_start = vec3!(i => whole.load(&start.momentum[i]));
+    let velocity = symmetric_product(&symmetric(whole, &start.inverse_inertia), &at_start);
+    let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
+    let p0 = vec3!(i => like.spread(at_start[i]));
+    let weight = like.row(weights) * start.step;
+    let elapsed = like.row(nodes) * start.step;
     let half = elapsed * 0.5;
-    let attitude = Turn::cayley(&vec3!(i => half * like.spread(velocity[i])));
+    let turned = Turn::cayley(&vec3!(i => half * like.spread(velocity[i])));
+    let u = turned.matrix();
+    let (torque, _) = start.body.torque(&u, start.seen);
+    let pushed = minus(&p0, &scaled(&product(&u, &torque), elapsed));
+    let (mut attitude, mut momentum) = (turned, pushed);
+    let mut lack = like.constant(0.0);
+    for _ in 1..*stages {
+        let u = attitude.matrix();
+        let (torque, _) = start.body.torque(&u, start.seen);
+        let kick = scaled(&product(&u, &torque), weight);
+        let mu = transposed_product(&u, &momentum);
+        let rate = attitude.rate(&scaled(&symmetric_product(&inverse_inertia, &mu), weight * 0.5));
+        let next =
+            Turn { w: rate.w.combined(columns) + 1.0, v: vec3!(i => rate.v[i].combined(columns)) };
+        lack = (next.square() + -1.0).size();
+        attitude = next.lengthened();
+        momentum = vec3!(i => p0[i] - kick[i].combined(columns));
+    }
+    // Rounds that went astray are worse than none.
+    let last_lack = lack.largest();
+    let lack = like.spread(last_lack);
+    let attitude = attitude.within(lack, MOST_LACK, &turned);
+    let momentum = vec3!(i => momentum[i].within(lack, MOST_LACK, pushed[i]));
     let u = attitude.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
-    let p0 = vec3!(i => like.spread(p0[i]));
-    let momentum = minus(&p0, &scaled(&product(&u, &torque), elapsed));
-    // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
     let mu = transposed_product(&u, &momentum);
-    let omega = symmetric_product(&symmetric(like, &inertia), &mu);
+    let omega = symmetric_product(&inverse_inertia, &mu);
+    let rate = attitude.rate(&scaled(&omega, weight * 0.5));
+    let end = Turn { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
+    let kept_on = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
+    let end = end.normalised().within(last_lack, MOST_LACK, &kept_on);
+    // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
     let c = cross(&mu, &omega);
-    let weight = like.row(&start.tableau.weights) * (0.5 * start.step);
+    let weight = weight * 0.5;
     let x: Vec3<R> = vec3!(i => weight * (c[i] * 0.5 - torque[i]));
-    let end = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
     store_turn(&attitude, &mut unknowns.attitude);
     store(&momentum, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
