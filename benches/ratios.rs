@@ -189,20 +189,24 @@ fn one_trajectory() {
         difference(&long, &checked)
     ));
     say(
-        "| tableau | h | iterations | ns a step | us a unit | error t = 0.5 | error t = 50 |\n|---|---|---|---|---|---|---|",
+        "| tableau | h | tolerance | iterations | ns a step | us a unit | error t = 0.5 | error t = 50 |\n|---|---|---|---|---|---|---|---|",
     );
-    for (stages, h) in [
-        (2, 0.01),
-        (3, 0.01),
-        (2, 0.125),
-        (3, 0.125),
-        (4, 0.1),
-        (8, 0.1),
-        (8, 0.2),
-        (8, 0.25),
-        (8, 0.5),
+    for (stages, h, tolerance) in [
+        (2, 0.01, 1e-15),
+        (3, 0.01, 1e-15),
+        (2, 0.125, 1e-15),
+        (3, 0.125, 1e-15),
+        (4, 0.1, 1e-15),
+        (8, 0.1, 1e-15),
+        (8, 0.2, 1e-15),
+        (8, 0.2, 1e-14),
+        (8, 0.2, 1e-13),
+        (8, 0.2, 1e-12),
+        (8, 0.25, 1e-15),
+        (8, 0.5, 1e-15),
     ] {
-        let mut stepper = in_lanes(stages, Rungs::Both);
+        let stop = StopRule { tolerance, ..StopRule::default() };
+        let mut stepper = VpdSpace::new(gauss(stages), stop, true).expect("at most 8 stages");
         let at = |stepper: &mut VpdSpace, t: f64| {
             let steps = (t / h).round() as usize;
             // A step that does not divide the time has no error there.
@@ -221,7 +225,7 @@ fn one_trajectory() {
         let least =
             (0..15).map(|_| seconds(&mut stepper, &scene, h, steps)).fold(f64::INFINITY, f64::min);
         say(&format!(
-            "| gauss{stages} | {h} | {iterations:.2} | {:.0} | {:.1} | {early} | {late} |",
+            "| gauss{stages} | {h} | {tolerance:.0e} | {iterations:.2} | {:.0} | {:.1} | {early} | {late} |",
             least * 1e9 / steps as f64,
             least * 1e6 / (steps as f64 * h)
         ));

@@ -66,7 +66,15 @@ fn accuracies_are_kept_on_forty_scenes() {
                 continue;
             }
         };
-        let reached = error_at_end(&scenario).expect("a reference");
+        let reached = match error_at_end(&scenario) {
+            Ok(reached) => reached,
+            Err(untold) => {
+                // Errors grow so that nobody can tell: not kept, then.
+                println!("{number}: {untold}");
+                missed.push(format!("{number}: {untold}"));
+                continue;
+            }
+        };
         let chosen = &plan.formulation;
         let advice = plan.advice.expect("the choice is told");
         println!(

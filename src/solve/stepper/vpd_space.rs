@@ -28,7 +28,20 @@ use crate::solve::trajectory::State;
 pub mod ensemble;
 mod sweep;
 
-use sweep::{LaneTableau, Start, Unknowns};
+use sweep::{FEW_STAGES, LaneTableau, Start, Unknowns};
+
+/// Does the work in as many lanes as the stages need, compiled for the widest instruction set.
+macro_rules! in_lanes {
+    ($work:ident, $equations:expr) => {{
+        let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
+        *torques += *stages as u64;
+        match stages {
+            1 | 2 => dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns)),
+            3 | 4 => dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns)),
+            _ => dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns)),
+        }
+    }};
+}
 
 /// The stepper: the tableau in lanes, the state, and the unknowns of the last step.
 #[derive(Clone, Debug)]
@@ -56,6 +69,10 @@ enum Carried {
     /// Its square labels the coadjoint orbit.
     Reduced { momentum: Vec3<f64>, square: f64 },
 }
+
+/// Many stages are there for the last digits, and what a solution lacks leans to one side: their increments count so
+/// many times. With eight stages at h = 0.1 this keeps the energy of the dipole ten times better over 1e5 steps.
+const MANY_STAGES_CARE: f64 = 8.0;
 
 const NO_TURN: Turn<f64> = Turn { w: 0.0, v: [0.0; 3] };
 
@@ -178,6 +195,9 @@ impl VpdSpace {
         let mut equations =
             InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };
         let solved = solver.solve(&mut equations);
+        if stages > FEW_STAGES && solved.is_ok() {
+            in_lanes!(finish, &mut equations);
+        }
         body.count(equations.torques);
         solved.map_err(|mut failure| {
             // The state is finite: an iterate that is not has grown out of all bounds.
@@ -208,18 +228,6 @@ struct InLanes<'a> {
     torques: u64,
 }
 
-macro_rules! in_lanes {
-    ($work:ident, $equations:ident) => {{
-        let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
-        *torques += *stages as u64;
-        match stages {
-            1 | 2 => dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns)),
-            3 | 4 => dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns)),
-            _ => dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns)),
-        }
-    }};
-}
-
 impl InLanes<'_> {
     fn lanes(&self) -> usize {
         self.stages.next_power_of_two().max(2)
@@ -243,7 +251,9 @@ impl Equations for InLanes<'_> {
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
-        Ok(in_lanes!(sweep, self))
+        let scale = if self.stages > FEW_STAGES { MANY_STAGES_CARE } else { 1.0 };
+        let increment: f64 = in_lanes!(sweep, self);
+        Ok(scale * increment)
     }
 
     fn unknowns(&self, values: &mut Vec<f64>) {

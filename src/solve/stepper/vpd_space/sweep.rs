@@ -32,6 +32,8 @@ use crate::solve::space::{
 /// half the step; many stages are for large steps, and those need more.
 const FEW_PASSES: [u32; 2] = [4, 3];
 const MANY_PASSES: [u32; 2] = [6, 6];
+/// Up to here stages are few.
+pub(super) const FEW_STAGES: usize = 4;
 
 /// What the square of a quaternion may lack of one in the last round of the first guess.
 const MOST_LACK: f64 = 0.1;
@@ -60,7 +62,7 @@ impl LaneTableau {
             rows: [zero; WIDTH],
             weights: zero,
             nodes: zero,
-            passes: if tableau.stages() <= 4 { FEW_PASSES } else { MANY_PASSES },
+            passes: if tableau.stages() <= FEW_STAGES { FEW_PASSES } else { MANY_PASSES },
             stages: tableau.stages() as u32,
         };
         for i in 0..tableau.stages() {
@@ -274,50 +276,12 @@ pub(super) fn sweep<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> R::Whole {
     let whole = like.stage(0);
-    let LaneTableau { columns, rows, weights, passes: [kinematic, linear], .. } = start.tableau;
-    let weight = like.row(weights) * start.step;
-    let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
-    let mut attitude = load_turn(like, &unknowns.attitude);
+    let LaneTableau { rows, passes: [_, linear], .. } = start.tableau;
     let momentum: Vec3<R> = load(like, &unknowns.momentum);
-    let mut inverse_k: Sym3<R> = [like; 6];
-    for i in 0..6 {
-        inverse_k[i] = like.load(&unknowns.inverse[i]);
-    }
-
-    // Kinematics: U_k and Omega_k for the momenta pi_k.
-    let mut u = attitude.matrix();
-    let mut omega = symmetric_product(&inverse_inertia, &transposed_product(&u, &momentum));
-    let mut w = times_hat(&u, &scaled(&omega, weight));
-    let mut turned = like.constant(0.0);
-    let mut excess = inverse_k;
-    for _ in 0..*kinematic {
-        let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
-        let b = transposed_matrix_product(&u, &d);
-        let half =
-            scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
-        excess = stretch_excess(&attitude, &b);
-        inverse_k = inverse_of_k(&excess);
-        attitude = attitude.turned(&half);
-        turned = half[0].size().larger(half[1].size()).larger(half[2].size());
-        u = attitude.matrix();
-        omega = symmetric_product(&inverse_inertia, &transposed_product(&u, &momentum));
-        w = times_hat(&u, &scaled(&omega, weight));
-    }
-
-    // The end point, and the momentum there.
-    let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
-    let end =
-        Turn { w: whole.load(&unknowns.end.w), v: vec3!(i => whole.load(&unknowns.end.v[i])) };
-    let b = transposed_matrix_product(&end.matrix(), &d);
-    let end_excess = stretch_excess(&end, &b);
-    let end_inverse = inverse_of_k(&end_excess);
-    let half = scaled(&symmetric_product(&end_inverse, &residual(&end, &b)), whole.constant(0.5));
-    let end = end.turned(&half);
-    let f = end.matrix();
-    let (torque, nearness) = start.body.torque(&u, start.seen);
-    let kicks = scaled(&product(&u, &torque), -weight);
-    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
-    let pi1: Vec3<R::Whole> = vec3!(i => whole.load(&start.momentum[i]) + kick[i]);
+    let Kinematics { u, omega, weight, inverse_k, turned, w } =
+        kinematics(like, start, &momentum, unknowns);
+    let EndPoint { f, inverse: end_inverse, torque, pi1 } =
+        end_point(like, start, &u, weight, &w, unknowns);
     let p1 = transposed_product(&f, &pi1);
     let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&f, &lambda);
@@ -347,14 +311,115 @@ pub(super) fn sweep<R: Stages>(
     // Zero where all is finite.
     let total = ((next[0] + next[1]) + next[2]).sum();
     let poison = total * 0.0;
-
-    store_turn(&attitude, &mut unknowns.attitude);
     store(&next, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
+    // At rest nothing moves, and nothing changes.
+    let relative = change / size.larger(whole.constant(f64::MIN_POSITIVE));
+    relative.larger(turned.largest()) + poison
+}
+
+/// Brings what the state is made of, the end point and the impulse, up to the newest stage momenta: after a sweep they
+/// are one behind, and what they lack leans to one side.
+#[inline(always)]
+pub(super) fn finish<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) {
+    let momentum: Vec3<R> = load(like, &unknowns.momentum);
+    let Kinematics { u, weight, w, .. } = kinematics(like, start, &momentum, unknowns);
+    end_point(like, start, &u, weight, &w, unknowns);
+}
+
+/// The stages for given momenta.
+struct Kinematics<R> {
+    u: Mat3<R>,
+    omega: Vec3<R>,
+    /// h b
+    weight: R,
+    inverse_k: Sym3<R>,
+    /// The largest change of an attitude in the last pass.
+    turned: R,
+    /// h b U hat(Omega)
+    w: Mat3<R>,
+}
+
+/// U_k and Omega_k for the momenta pi_k.
+#[inline(always)]
+fn kinematics<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    momentum: &Vec3<R>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) -> Kinematics<R> {
+    let LaneTableau { columns, weights, passes: [kinematic, _], .. } = start.tableau;
+    let weight = like.row(weights) * start.step;
+    let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
+    let mut attitude = load_turn(like, &unknowns.attitude);
+    let mut inverse_k: Sym3<R> = [like; 6];
+    for i in 0..6 {
+        inverse_k[i] = like.load(&unknowns.inverse[i]);
+    }
+    let mut u = attitude.matrix();
+    let mut omega = symmetric_product(&inverse_inertia, &transposed_product(&u, momentum));
+    let mut w = times_hat(&u, &scaled(&omega, weight));
+    let mut turned = like.constant(0.0);
+    let mut excess = inverse_k;
+    for _ in 0..*kinematic {
+        let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
+        let b = transposed_matrix_product(&u, &d);
+        let half =
+            scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
+        excess = stretch_excess(&attitude, &b);
+        inverse_k = inverse_of_k(&excess);
+        attitude = attitude.turned(&half);
+        turned = half[0].size().larger(half[1].size()).larger(half[2].size());
+        u = attitude.matrix();
+        omega = symmetric_product(&inverse_inertia, &transposed_product(&u, momentum));
+        w = times_hat(&u, &scaled(&omega, weight));
+    }
+    store_turn(&attitude, &mut unknowns.attitude);
     for i in 0..6 {
         inverse_k[i].store(&mut unknowns.inverse[i]);
         excess[i].store(&mut unknowns.excess[i]);
-        end_excess[i].store(&mut unknowns.end_excess[i]);
+    }
+    Kinematics { u, omega, weight, inverse_k, turned, w }
+}
+
+/// Where the stages lead to.
+struct EndPoint<R: Stages> {
+    f: Mat3<R::Whole>,
+    /// K(P_e)^-1.
+    inverse: Sym3<R::Whole>,
+    /// At the stages.
+    torque: Vec3<R>,
+    pi1: Vec3<R::Whole>,
+}
+
+/// The end point, and the momentum there.
+#[inline(always)]
+fn end_point<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    u: &Mat3<R>,
+    weight: R,
+    w: &Mat3<R>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) -> EndPoint<R> {
+    let whole = like.stage(0);
+    let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
+    let end =
+        Turn { w: whole.load(&unknowns.end.w), v: vec3!(i => whole.load(&unknowns.end.v[i])) };
+    let b = transposed_matrix_product(&end.matrix(), &d);
+    let excess = stretch_excess(&end, &b);
+    let inverse = inverse_of_k(&excess);
+    let half = scaled(&symmetric_product(&inverse, &residual(&end, &b)), whole.constant(0.5));
+    let end = end.turned(&half);
+    let (torque, nearness) = start.body.torque(u, start.seen);
+    let kicks = scaled(&product(u, &torque), -weight);
+    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
+    for i in 0..6 {
+        excess[i].store(&mut unknowns.end_excess[i]);
     }
     end.w.store(&mut unknowns.end.w);
     for i in 0..3 {
@@ -362,9 +427,8 @@ pub(super) fn sweep<R: Stages>(
         kick[i].store(&mut unknowns.kick[i]);
     }
     nearness.largest().store(&mut unknowns.nearness);
-    // At rest nothing moves, and nothing changes.
-    let relative = change / size.larger(whole.constant(f64::MIN_POSITIVE));
-    relative.larger(turned.largest()) + poison
+    let pi1 = vec3!(i => whole.load(&start.momentum[i]) + kick[i]);
+    EndPoint { f: end.matrix(), inverse, torque, pi1 }
 }
 
 /// `W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)`
