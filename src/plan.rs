@@ -198,7 +198,12 @@ impl Plan {
                 attitude,
                 momentum,
                 tableau,
-                stop: StopRule { tolerance, max_iterations, rungs: model::rungs(kind) },
+                stop: StopRule {
+                    tolerance,
+                    max_iterations,
+                    rungs: model::rungs(kind),
+                    ..StopRule::default()
+                },
             },
         };
         plan.samples = 1 + plan.steps.div_ceil(plan.every);

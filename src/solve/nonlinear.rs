@@ -19,6 +19,8 @@ pub struct StopRule {
     pub max_iterations: u32,
     /// What may be tried.
     pub rungs: Rungs,
+    /// Whether a sweep is spared that would change next to nothing. What is left out leans to one side.
+    pub foresee: bool,
 }
 
 /// The rungs of the solver that may be tried.
@@ -35,7 +37,7 @@ pub enum Rungs {
 impl Default for StopRule {
     /// To round-off.
     fn default() -> Self {
-        Self { tolerance: 1e-15, max_iterations: 100, rungs: Rungs::Both }
+        Self { tolerance: 1e-15, max_iterations: 100, rungs: Rungs::Both, foresee: true }
     }
 }
 
@@ -259,7 +261,8 @@ impl Progress {
         // What is left after this sweep is about the increment times the contraction. Of the last two the
         // worse: one may be luck.
         let contraction = (increment / previous).max(previous / before);
-        let foreseen = *iteration > 2
+        let foreseen = rule.foresee
+            && *iteration > 2
             && contraction <= FAST
             && increment * contraction <= FORESEEN * rule.tolerance;
         // One increment that does not fall may be the wobble of a complex contraction factor; near the

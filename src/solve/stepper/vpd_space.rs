@@ -70,10 +70,6 @@ enum Carried {
     Reduced { momentum: Vec3<f64>, square: f64 },
 }
 
-/// Many stages are there for the last digits, and what a solution lacks leans to one side: their increments count so
-/// many times. With eight stages at h = 0.1 this keeps the energy of the dipole ten times better over 1e5 steps.
-const MANY_STAGES_CARE: f64 = 8.0;
-
 const NO_TURN: Turn<f64> = Turn { w: 0.0, v: [0.0; 3] };
 
 impl VpdSpace {
@@ -90,6 +86,8 @@ impl VpdSpace {
         } else {
             Carried::Reduced { momentum: [0.0; 3], square: 0.0 }
         };
+        // Many stages are there for the last digits.
+        let stop = StopRule { foresee: tableau.stages() <= FEW_STAGES, ..stop };
         (tableau.stages() <= WIDTH).then(|| Self {
             lanes: LaneTableau::new(&tableau),
             tableau,
@@ -251,9 +249,7 @@ impl Equations for InLanes<'_> {
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
-        let scale = if self.stages > FEW_STAGES { MANY_STAGES_CARE } else { 1.0 };
-        let increment: f64 = in_lanes!(sweep, self);
-        Ok(scale * increment)
+        Ok(in_lanes!(sweep, self))
     }
 
     fn unknowns(&self, values: &mut Vec<f64>) {
