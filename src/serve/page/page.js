@@ -239,7 +239,7 @@ async function viewJob(id) {
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
         h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
         ended ? "" : h("div", { className: "row" }, bar(job), h("span", { className: "soft", id: "standing" }), cancel(job)));
-      if (job.state === "running") rest.replaceChildren(...liveLinks(job).filter(Boolean));
+      rest.replaceChildren(...(job.state === "running" ? liveLinks(job).filter(Boolean) : []));
       if (ended) say(`Job ${job.name} ${job.state}`);
     }
     if (!ended) {
