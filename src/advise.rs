@@ -67,16 +67,7 @@ pub fn error_at_end(scenario: &Scenario) -> Result<f64, StudyError> {
     let watch = Watch::default();
     let scales = Scales::of(&scenario, time_s, &watch)?;
     let reference = Reference::at(&scenario, time_s, &scales, &watch)?;
-    let probe = Probe {
-        method: &scenario.method,
-        step_s,
-        steps,
-        every: steps,
-        energy_limit: f64::INFINITY,
-        keep: false,
-        from: None,
-    };
-    let run = measure(&scenario, probe, &watch)?;
+    let run = measure(&scenario, Probe::of(&scenario.method, step_s, steps), &watch)?;
     if run.completed() { Ok(reference.distance(&run.last)) } else { Err(StudyError::Failed) }
 }
 
@@ -202,15 +193,9 @@ impl Trial<'_> {
         let (mut reached, mut least) = (None::<Pilot>, None::<f64>);
         let mut too_few = 0;
         for _ in 0..TRIES {
-            let probe = Probe {
-                method: &entry.method,
-                step_s: time_s / steps as f64,
-                steps,
-                every: steps / EIGHTHS,
-                energy_limit: f64::INFINITY,
-                keep: true,
-                from: None,
-            };
+            let every = steps / EIGHTHS;
+            let whole = Probe::of(&entry.method, time_s / steps as f64, steps);
+            let probe = Probe { every, keep: true, ..whole };
             let run = measure(self.scenario, probe, watch)?;
             let cost_ns = self.cost_ns(entry, &run)?;
             let expected = run.completed().then(|| self.expected(&run)).flatten();

@@ -72,11 +72,8 @@ fn perform<const N: usize, T: Task>(
 /// Members side by side, where that is quicker than one after the other; `None` elsewhere.
 fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
     match plan.formulation.method {
-        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced
-            if plan.formulation.stages <= VpdEnsemble::MOST_STAGES =>
-        {
-            let members = VpdEnsemble::new(&plan.model.tableau, plan.model.stop)?;
-            Some(Box::new(members))
+        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced => {
+            Some(Box::new(VpdEnsemble::new(&plan.model.tableau, plan.model.stop)?))
         }
         _ => None,
     }

@@ -2,10 +2,12 @@
 //!
 //! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
 //! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
-//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing. [`resume`] takes up a log that was interrupted.
+//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing. [`resume`] takes up a
+//! log that was interrupted.
 //!
-//! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named
-//! `.mcap.part`, and each of its whole chunks ends with a checkpoint to go on from. Same inputs give the same bytes: no clock, thread or machine shows in a log.
+//! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named `.mcap.part`, and each of
+//! its whole chunks ends with a checkpoint to go on from. Same inputs give the same bytes: no clock, thread or machine
+//! shows in a log.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -21,20 +21,23 @@ use crate::log::messages::Figures;
 use crate::log::reader::Message;
 use crate::log::resume::Resumed;
 use crate::log::schema::Channel;
-use crate::log::writer::{Level, LogHeader, LogWriter, Outcome as LogOutcome};
+use crate::log::writer::{Level, LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State, Trajectory,
+    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State,
 };
 
 mod advice;
+mod end;
 mod ensemble;
 mod geometry;
 mod give_up;
 mod summary;
 
+use advice::Broken;
+use end::{End, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
 pub use summary::{
@@ -200,84 +203,26 @@ fn run<const N: usize>(
     let end = end?;
     let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
     control.steps_done.store(end.steps, Ordering::Relaxed);
-    let diagnosis = match &end.ending {
-        Ending::Completed | Ending::Cancelled => None,
+    let (outcome, diagnosis) = match &end.ending {
+        Ending::Completed => (Outcome::Succeeded, None),
+        Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
-            let last = State {
-                attitude: end.attitude.unwrap_or(initial.attitude),
-                momentum: end.momentum,
-            };
-            let advised = advice::advised_step(&mut assembly, &last, end.steps, schedule, failure);
-            Some(summary::diagnosis(failure, end.steps, plan.step_s, advised))
+            let attitude = end.attitude.unwrap_or(initial.attitude);
+            let last = &State { attitude, momentum: end.momentum };
+            let broken = Broken { initial, last, done: end.steps, schedule, failure };
+            let advised = advice::advised_step(body, stepper.as_mut(), &broken);
+            (Outcome::Failed, Some(summary::diagnosis(failure, end.steps, plan.step_s, advised)))
         }
     };
     let Recorder { writer, figures, course, .. } = recorder;
-    let summary =
-        finish(scenario, plan, context.log, writer, (&figures, &course), &end, diagnosis)?;
+    let ending = End { outcome, reached: end.reached(), diagnosis, ensemble: None };
+    let summary = finish(scenario, plan, context.log, writer, (&figures, &course), ending)?;
     Ok(Summary {
         resumed_step,
         ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
         wall_s: begun.elapsed().as_secs_f64(),
         ..summary
     })
-}
-
-/// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
-fn finish<const N: usize>(
-    scenario: &Scenario,
-    plan: &Plan,
-    log: &Path,
-    mut writer: LogWriter<N>,
-    (figures, course): (&Figures, &Course),
-    end: &Trajectory<N>,
-    diagnosis: Option<Diagnosis>,
-) -> Result<Summary, RunError> {
-    let time_s = end.steps as f64 * plan.step_s;
-    let outcome = match (&diagnosis, &end.ending) {
-        (Some(_), _) | (None, Ending::Failed(_)) => Outcome::Failed,
-        (None, Ending::Completed) => Outcome::Succeeded,
-        (None, Ending::Cancelled) => Outcome::Cancelled,
-    };
-    let warning = summary::warning(figures);
-    if let Some(warning) = &warning {
-        writer.message(Level::Warning, time_s, warning)?;
-    }
-    match &diagnosis {
-        Some(diagnosis) => writer.message(Level::Error, time_s, &diagnosis.to_string())?,
-        None => writer.message(
-            Level::Info,
-            time_s,
-            &format!("{}: step {}", outcome.as_str(), end.steps),
-        )?,
-    }
-    let mut summary = Summary {
-        outcome,
-        steps: end.steps,
-        time_s,
-        samples: end.samples,
-        resumed_step: 0,
-        last: summary::final_state(end.attitude.as_ref(), &end.momentum),
-        error: None,
-        energy: summary::energy(figures),
-        orthogonality: summary::orthogonality(figures, end.samples),
-        momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
-        solver: SolverSummary {
-            iterations_per_step: end.iterations as f64 / end.steps.max(1) as f64,
-            kind: end.convergence.map(|solved| solved.rung.as_str().to_owned()),
-        },
-        wall_s: 0.0,
-        ns_per_step: 0.0,
-        log: log.display().to_string(),
-        diagnosis,
-        ensemble: None,
-        warning,
-        unmet: Vec::new(),
-    };
-    if let Some(expect) = &scenario.expect {
-        summary.unmet = summary::unmet(expect, &summary);
-    }
-    writer.finish(log_outcome(&summary, course))?;
-    Ok(summary)
 }
 
 /// What the asked channels need at a sample.
@@ -392,41 +337,6 @@ fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
         job,
         scene: geometry::scene(plan),
     }
-}
-
-/// What the log says of the job after its last sample: figures and charts of the run, none of the clock.
-fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
-    let mut entries = BTreeMap::from([
-        ("steps".to_owned(), summary.steps.to_string()),
-        ("samples".to_owned(), summary.samples.to_string()),
-        ("time_s".to_owned(), json(&summary.time_s)),
-        ("final".to_owned(), json(&summary.last)),
-        ("iterations_per_step".to_owned(), json(&summary.solver.iterations_per_step)),
-    ]);
-    let mut figure = |name: &str, value: Option<f64>| {
-        if let Some(value) = value {
-            entries.insert(name.to_owned(), json(&value));
-        }
-    };
-    figure("energy_max_abs_error", summary.energy.map(|energy| energy.max_abs_error));
-    figure("orthogonality_max", summary.orthogonality.map(|orthogonality| orthogonality.max));
-    figure("momentum_max_drift", summary.momentum.map(|momentum| momentum.max_drift));
-    if let Some(ensemble) = &summary.ensemble {
-        entries.insert("ensemble".to_owned(), json(ensemble));
-    }
-    if let Some(diagnosis) = &summary.diagnosis {
-        entries.insert("code".to_owned(), diagnosis.code.clone());
-        entries.insert("diagnosis".to_owned(), json(diagnosis));
-    }
-    if let Some(warning) = &summary.warning {
-        entries.insert("warning".to_owned(), warning.clone());
-    }
-    let charts = [LogChart::Energy, LogChart::Orthogonality].into_iter();
-    let charts = charts.filter(|which| course.has_line(*which));
-    // One that could not be drawn would be missing; the log is good without.
-    let charts = charts.filter_map(|which| Some((which.file(), course.draw(which).ok()?)));
-    let charts = charts.collect();
-    LogOutcome { state: summary.outcome.as_str().to_owned(), entries, charts }
 }
 
 fn json(value: &impl Serialize) -> String {

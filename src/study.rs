@@ -22,6 +22,7 @@ pub mod reference;
 pub mod stability;
 pub mod table;
 
+use measure::Probe;
 use reference::ReferenceError;
 
 /// Why a study has no result.
@@ -215,15 +216,7 @@ impl Scales {
         let mut step_s = (EASY_TURN_RAD / rate).min(time_s);
         for _ in 0..40 {
             let steps = (time_s / step_s).ceil().clamp(1.0, MOST_STEPS) as u64;
-            let probe = measure::Probe {
-                method: &method,
-                step_s,
-                steps,
-                every: 1,
-                energy_limit: f64::INFINITY,
-                keep: false,
-                from: None,
-            };
+            let probe = Probe { every: 1, ..Probe::of(&method, step_s, steps) };
             let run = measure::measure(scene, probe, watch)?;
             watch.advance(0)?;
             let gentle = run.fastest_rad_s * step_s <= 2.0 * EASY_TURN_RAD;

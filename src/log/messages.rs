@@ -8,8 +8,9 @@ use prost::Message as _;
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
 
 use super::schema::Channel;
+use crate::solve::nonlinear::{Convergence, Rung};
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::Sample;
+use crate::solve::trajectory::{self, Sample};
 
 include!(concat!(env!("OUT_DIR"), "/vpd.rs"));
 
@@ -49,16 +50,28 @@ pub fn of_sample<const N: usize>(
 impl State {
     /// Attitude and momentum of a sample.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Self {
+        Self::at(sample.time_s, sample.attitude.as_ref(), &sample.momentum)
+    }
+
+    /// An attitude, where there is one, and a momentum at a time.
+    pub fn at<const N: usize>(time_s: f64, attitude: Option<&Mat<N>>, momentum: &Mat<N>) -> Self {
         Self {
-            time_s: sample.time_s,
+            time_s,
             // nalgebra stores columns; the rows of g are the columns of its transpose.
-            attitude: sample.attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
-            body_momentum: so::vee(&sample.momentum),
-            quaternion: sample
-                .attitude
-                .and_then(|g| quaternion(&g))
-                .map_or_else(Vec::new, |q| q.to_vec()),
+            attitude: attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
+            body_momentum: so::vee(momentum),
+            quaternion: attitude.and_then(quaternion).map_or_else(Vec::new, |q| q.to_vec()),
         }
+    }
+
+    /// Attitude and momentum; `None` if one is missing or of another size.
+    pub fn point<const N: usize>(&self) -> Option<trajectory::State<N>> {
+        (self.attitude.len() == N * N && self.body_momentum.len() == so::dimension(N)).then(|| {
+            trajectory::State {
+                attitude: Mat::from_row_slice(&self.attitude),
+                momentum: so::hat(&self.body_momentum),
+            }
+        })
     }
 }
 
@@ -101,13 +114,20 @@ impl Momentum {
 impl Solver {
     /// How a sample's step was solved; `None` at the start.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
-        let convergence = sample.convergence?;
-        Some(Self {
-            iterations: convergence.iterations,
-            increment: convergence.increment,
-            rung: convergence.rung.as_str().to_owned(),
-            sigma_min: sample.sigma_min,
-        })
+        Some(Self { sigma_min: sample.sigma_min, ..sample.convergence?.into() })
+    }
+
+    /// What it was made from; `None` if its rung is none of ours.
+    pub fn convergence(&self) -> Option<Convergence> {
+        let &Self { iterations, increment, .. } = self;
+        let rung = Rung::ALL.into_iter().find(|rung| rung.as_str() == self.rung)?;
+        Some(Convergence { iterations, increment, rung })
+    }
+}
+
+impl From<Convergence> for Solver {
+    fn from(Convergence { iterations, increment, rung }: Convergence) -> Self {
+        Self { iterations, increment, rung: rung.as_str().to_owned(), sigma_min: None }
     }
 }
 

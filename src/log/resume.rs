@@ -19,7 +19,6 @@ use super::reader::{self, Item, Message};
 use super::schema::{Channel, Topic};
 use super::writer::{LogHeader, LogWriter};
 use super::{LogError, part_path};
-use crate::solve::nonlinear::{Convergence, Rung};
 use crate::solve::so::Mat;
 use crate::solve::trajectory::Checkpoint;
 
@@ -155,19 +154,13 @@ pub fn last_checkpoint(path: &Path) -> Result<Option<u64>, LogError> {
 pub(super) fn encode<const N: usize>(checkpoint: &Checkpoint<N>, figures: Figures) -> Vec<u8> {
     // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
     let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
-    let solver = checkpoint.convergence.map(|solved| messages::Solver {
-        iterations: solved.iterations,
-        increment: solved.increment,
-        rung: solved.rung.as_str().to_owned(),
-        sigma_min: None,
-    });
     let message = messages::Checkpoint {
         step: checkpoint.step,
         samples: checkpoint.samples,
         attitude: checkpoint.attitude.as_ref().map_or_else(Vec::new, rows),
         body_momentum: rows(&checkpoint.momentum),
         iterations: checkpoint.iterations,
-        solver,
+        solver: checkpoint.convergence.map(Into::into),
         figures: Some(figures),
     };
     message.encode_to_vec()
@@ -182,12 +175,7 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
     };
     let convergence = match message.solver {
         None => None,
-        Some(solver) => {
-            let rungs = [Rung::FixedPoint, Rung::Newton, Rung::Explicit];
-            let rung = rungs.into_iter().find(|rung| rung.as_str() == solver.rung)?;
-            let messages::Solver { iterations, increment, .. } = solver;
-            Some(Convergence { iterations, increment, rung })
-        }
+        Some(solver) => Some(solver.convergence()?),
     };
     let checkpoint = Checkpoint {
         step: message.step,

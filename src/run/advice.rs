@@ -2,9 +2,10 @@
 //!
 //! Invariant: an advised step was tried and got past the place where the run failed.
 
-use crate::assemble::Assembly;
 use crate::scenario::SMALLEST_STEP_S;
 use crate::solve::failure::Failure;
+use crate::solve::hamiltonian::RigidBody;
+use crate::solve::stepper::Stepper;
 use crate::solve::trajectory::{Schedule, State};
 
 /// Steps of a try at most.
@@ -12,16 +13,25 @@ const TRY_STEPS: f64 = 5000.0;
 /// Smaller and smaller steps to try.
 const TRIES: usize = 20;
 
-/// A smaller step for a run of which step `done + 1` failed; `None` if none was found in reasonable time.
-/// `last` is the state before it.
+/// A run of which a step failed.
+pub(super) struct Broken<'a, const N: usize> {
+    /// Where it began.
+    pub(super) initial: &'a State<N>,
+    /// The state before the step that failed.
+    pub(super) last: &'a State<N>,
+    /// Steps made before it.
+    pub(super) done: u64,
+    pub(super) schedule: Schedule,
+    pub(super) failure: &'a Failure,
+}
+
+/// A smaller step for such a run; `None` if none was found in reasonable time.
 pub(super) fn advised_step<const N: usize>(
-    assembly: &mut Assembly<N>,
-    last: &State<N>,
-    done: u64,
-    schedule: Schedule,
-    failure: &Failure,
+    body: &RigidBody<N>,
+    stepper: &mut dyn Stepper<N>,
+    broken: &Broken<'_, N>,
 ) -> Option<f64> {
-    let Assembly { body, stepper, initial, .. } = assembly;
+    let &Broken { initial, last, done, schedule, failure } = broken;
     let Schedule { step_s: h, steps: asked, .. } = schedule;
     let energy = body.energy(&initial.attitude, &initial.momentum);
     let start = energy.total();
@@ -38,7 +48,7 @@ pub(super) fn advised_step<const N: usize>(
         let count = |steps: u64| (steps as f64 * h / step_s).ceil();
         // From the beginning if the place is soon passed: the run may have gone astray before it failed.
         let (from, past, left) = if count(done + 2) <= TRY_STEPS {
-            (&*initial, count(done + 2), count(asked))
+            (initial, count(done + 2), count(asked))
         } else {
             (last, count(2), count(asked - done))
         };

@@ -8,23 +8,26 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::convert::Infallible;
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::Instant;
 
-use super::summary::{self, Diagnosis, MomentumSummary, Outcome, SolverSummary, Summary};
-use super::{Control, JobContext, RunError, advice, header, json, log_outcome, note, observables};
+use super::advice::{self, Broken};
+use super::summary::{self, Outcome, Summary};
+use super::{Control, End, JobContext, RunError, finish, header, json, note, observables};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
+use crate::live::Live;
 use crate::log::LogError;
 use crate::log::messages::{self, Figures, Member};
 use crate::log::reader::Message;
+use crate::log::schema::Channel;
 use crate::log::writer::{Level, LogHeader, LogWriter};
 use crate::plan::{EnsemblePlan, Plan};
 use crate::scenario::{self, Scenario};
 use crate::solve::ensemble;
 use crate::solve::lanes::WIDTH;
-use crate::solve::so::{self, Mat};
+use crate::solve::so::Mat;
 use crate::solve::trajectory::{
     Checkpoint, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
 };
@@ -53,16 +56,22 @@ impl Ensemble<'_> {
         let begun = Instant::now();
         let Self { scenario, plan, asked, planned, context } = self;
         let JobContext { log: path, control } = *context;
-        let (mut log, mut ends, mut course) = open::<N>(context, &header(scenario, plan))?;
+        let header = header(scenario, plan);
+        let (mut log, mut ends, mut course) = open::<N>(context, &header)?;
         let resumed_step = ends.len() as u64 * plan.steps;
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
         control.steps_done.store(resumed_step, Ordering::Relaxed);
         if ends.is_empty() {
             log.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
-            let starts = (0..planned.members).map(|m| spread::start(&assembly.initial, asked, m));
-            log.statistics(&statistics::at_start(starts))?;
-            if let Some(members) = self.in_full(&mut assembly, &mut log, &mut course)? {
-                self.ended(&mut log, &mut ends, members)?;
+            if plan.logs(Channel::EnsembleStatistics) {
+                let members = 0..planned.members;
+                let starts = members.map(|m| spread::start(&assembly.initial, asked, m));
+                log.statistics(&statistics::at_start(starts))?;
+            }
+            if let Some(members) = self.in_full(&mut assembly, &mut log, &header, &mut course)? {
+                for end in members {
+                    self.ended(&mut log, &mut ends, end)?;
+                }
                 self.checkpoint(&mut log, ends.len())?;
             }
         }
@@ -76,65 +85,34 @@ impl Ensemble<'_> {
         let integrated = begun.elapsed();
 
         let complete = ends.len() as u64 == planned.members;
-        let time_s = plan.steps as f64 * plan.step_s;
-        let statistics = statistics::at_end::<N>(time_s, &ends);
+        let statistics = statistics::at_end::<N>(plan.steps as f64 * plan.step_s, &ends);
         if complete {
             log.statistics(&statistics)?;
         }
-        let summary = statistics::summary(&statistics, &ends);
-        let outcome = match (complete, summary.succeeded) {
+        let ensemble = statistics::summary(&statistics, &ends);
+        let outcome = match (complete, ensemble.succeeded) {
             (false, _) => Outcome::Cancelled,
             (true, 0) => Outcome::Failed,
             (true, _) => Outcome::Succeeded,
         };
-        let level = if summary.failed.is_empty() { Level::Info } else { Level::Warning };
-        let of = planned.members;
-        let text = format!("{}: {} of {of} members succeeded", outcome.as_str(), summary.succeeded);
-        log.message(level, time_s, &text)?;
         let nominal = ends.iter().find(|end| end.member == 0);
         let figures = nominal.and_then(|end| end.figures).unwrap_or_default();
-        let steps = nominal.map_or(0, |end| end.steps);
-        let samples = nominal.map_or(0, |end| end.samples);
-        let last = nominal.and_then(state::<N>).unwrap_or(assembly.initial);
-        let diagnosis = nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok());
-        let warning = summary::warning(&figures);
-        if let Some(warning) = &warning {
-            log.message(Level::Warning, time_s, warning)?;
-        }
-        let mut summary = Summary {
+        let end = End {
             outcome,
-            steps,
-            time_s: steps as f64 * plan.step_s,
-            samples,
-            resumed_step,
-            last: summary::final_state(Some(&last.attitude), &last.momentum),
-            error: None,
-            energy: summary::energy(&figures),
-            orthogonality: summary::orthogonality(&figures, samples),
-            momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
-            solver: SolverSummary {
-                iterations_per_step: nominal.map_or(0, |end| end.iterations) as f64
-                    / steps.max(1) as f64,
-                kind: nominal.map(|end| end.rung.clone()).filter(|rung| !rung.is_empty()),
-            },
-            wall_s: 0.0,
-            ns_per_step: 0.0,
-            log: path.display().to_string(),
-            diagnosis,
-            ensemble: Some(summary),
-            warning,
-            unmet: Vec::new(),
+            reached: reached(&assembly.initial, nominal),
+            diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
+            ensemble: Some(ensemble),
         };
-        if let Some(expect) = &scenario.expect {
-            summary.unmet = summary::unmet(expect, &summary);
-        }
-        log.finish(log_outcome(&summary, &course))?;
+        let summary = finish(scenario, plan, path, log, (&figures, &course), end)?;
         let steps: u64 = ends.iter().map(|end| end.steps).sum();
         control.steps_done.store(steps, Ordering::Relaxed);
         let made = steps.saturating_sub(resumed_step);
-        summary.ns_per_step = integrated.as_nanos() as f64 / made.max(1) as f64;
-        summary.wall_s = begun.elapsed().as_secs_f64();
-        Ok(summary)
+        Ok(Summary {
+            resumed_step,
+            ns_per_step: integrated.as_nanos() as f64 / made.max(1) as f64,
+            wall_s: begun.elapsed().as_secs_f64(),
+            ..summary
+        })
     }
 
     fn schedule(&self) -> Schedule {
@@ -147,12 +125,14 @@ impl Ensemble<'_> {
         &self,
         assembly: &mut Assembly<N>,
         log: &mut LogWriter<N>,
+        header: &LogHeader,
         course: &mut Course,
     ) -> Result<Option<Vec<Member>>, RunError> {
         let JobContext { control, .. } = *self.context;
         let numbers = &self.planned.in_full;
-        let LogHeader { epoch_ns, scene, .. } = header(self.scenario, self.plan);
-        let show = control.live.as_ref().map(|live| live.announce(epoch_ns, scene));
+        let epoch_ns = header.epoch_ns;
+        let announce = |live: &Arc<Live>| live.announce(epoch_ns, header.scene.clone());
+        let show = control.live.as_ref().map(announce);
         let record = |m: usize, sample: &Sample<N>| {
             if m == 0 {
                 note(course, epoch_ns, sample);
@@ -209,7 +189,7 @@ impl Ensemble<'_> {
             while let Some(group) = waiting.remove(&next) {
                 next += group.len();
                 for end in group {
-                    self.ended(log, ends, vec![end])?;
+                    self.ended(log, ends, end)?;
                     open += 1;
                     if open == self.planned.members_per_chunk {
                         self.checkpoint(log, ends.len())?;
@@ -225,13 +205,11 @@ impl Ensemble<'_> {
         &self,
         log: &mut LogWriter<N>,
         ends: &mut Vec<Member>,
-        members: Vec<Member>,
+        end: Member,
     ) -> Result<(), RunError> {
-        for end in members {
-            log.member(self.plan.steps as f64 * self.plan.step_s, &end)?;
-            ends.push(end);
-            self.context.control.note(ends.len() as u64 * self.plan.steps);
-        }
+        log.member(self.plan.steps as f64 * self.plan.step_s, &end)?;
+        ends.push(end);
+        self.context.control.note(ends.len() as u64 * self.plan.steps);
         Ok(())
     }
 
@@ -263,9 +241,9 @@ impl Ensemble<'_> {
         mut record: impl FnMut(usize, &Sample<N>) -> Result<(), E>,
         go_on: impl FnMut(u64) -> bool,
     ) -> Result<Option<Vec<Member>>, E> {
-        let nominal = assembly.initial.clone();
+        let nominal = &assembly.initial;
         let starts: Vec<State<N>> =
-            numbers.iter().map(|&m| spread::start(&nominal, self.asked, m)).collect();
+            numbers.iter().map(|&m| spread::start(nominal, self.asked, m)).collect();
         let mut figures = vec![Figures::default(); numbers.len()];
         let members = assembly.members.as_mut().expect("the plan of an ensemble has members");
         let trajectories = ensemble::integrate(
@@ -280,61 +258,49 @@ impl Ensemble<'_> {
             },
             go_on,
         )?;
-        let mut ends = Vec::new();
-        for (m, (start, (end, figures))) in
-            starts.into_iter().zip(trajectories.into_iter().zip(figures)).enumerate()
-        {
-            if end.ending == Ending::Cancelled {
-                return Ok(None);
-            }
-            assembly.initial = start;
-            ends.push(self.end(assembly, numbers[m], end, figures));
+        if trajectories.iter().any(|end| end.ending == Ending::Cancelled) {
+            return Ok(None);
         }
-        assembly.initial = nominal;
-        Ok(Some(ends))
+        let ends = trajectories.iter().zip(figures).enumerate();
+        let ends = ends.map(|(m, (end, figures))| {
+            let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
+            let time_s = end.steps as f64 * self.plan.step_s;
+            Member {
+                member: numbers[m],
+                outcome,
+                steps: end.steps,
+                initial: Some(messages::State::at(
+                    0.0,
+                    Some(&starts[m].attitude),
+                    &starts[m].momentum,
+                )),
+                last: Some(messages::State::at(time_s, end.attitude.as_ref(), &end.momentum)),
+                figures: Some(figures),
+                samples: end.samples,
+                iterations: end.iterations,
+                solver: end.convergence.map(Into::into),
+                diagnosis,
+            }
+        });
+        Ok(Some(ends.collect()))
     }
 
-    /// How a member ended that began where `assembly` does.
-    fn end<const N: usize>(
+    /// How a member ended, and its diagnosis if it failed.
+    fn outcome<const N: usize>(
         &self,
         assembly: &mut Assembly<N>,
-        member: u64,
-        end: Trajectory<N>,
-        figures: Figures,
-    ) -> Member {
-        let initial = assembly.initial.clone();
-        let attitude = end.attitude.unwrap_or(initial.attitude);
-        let (outcome, diagnosis) = match &end.ending {
-            Ending::Failed(failure) => {
-                let last = State { attitude, momentum: end.momentum };
-                let schedule = self.schedule();
-                let advised = advice::advised_step(assembly, &last, end.steps, schedule, failure);
-                let diagnosis: Diagnosis =
-                    summary::diagnosis(failure, end.steps, self.plan.step_s, advised);
-                (diagnosis.code.clone(), json(&diagnosis))
-            }
-            Ending::Completed | Ending::Cancelled => (SUCCEEDED.to_owned(), String::new()),
+        initial: &State<N>,
+        end: &Trajectory<N>,
+    ) -> (String, String) {
+        let Ending::Failed(failure) = &end.ending else {
+            return (SUCCEEDED.to_owned(), String::new());
         };
-        // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
-        let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
-        Member {
-            member,
-            outcome,
-            steps: end.steps,
-            time_s: end.steps as f64 * self.plan.step_s,
-            initial_attitude: rows(&initial.attitude),
-            initial_body_momentum: so::vee(&initial.momentum),
-            attitude: rows(&attitude),
-            body_momentum: so::vee(&end.momentum),
-            quaternion: messages::quaternion(&attitude).map_or_else(Vec::new, |q| q.to_vec()),
-            figures: Some(figures),
-            samples: end.samples,
-            iterations: end.iterations,
-            rung: end
-                .convergence
-                .map_or_else(String::new, |solved| solved.rung.as_str().to_owned()),
-            diagnosis,
-        }
+        let attitude = end.attitude.unwrap_or(initial.attitude);
+        let last = &State { attitude, momentum: end.momentum };
+        let broken = Broken { initial, last, done: end.steps, schedule: self.schedule(), failure };
+        let advised = advice::advised_step(&assembly.body, assembly.stepper.as_mut(), &broken);
+        let diagnosis = summary::diagnosis(failure, end.steps, self.plan.step_s, advised);
+        (diagnosis.code.clone(), json(&diagnosis))
     }
 }
 
@@ -400,10 +366,16 @@ fn open<const N: usize>(
     Ok((LogWriter::create(context.log, header)?, Vec::new(), Course::default()))
 }
 
-/// Where a member ended.
-fn state<const N: usize>(end: &Member) -> Option<State<N>> {
-    (end.attitude.len() == N * N && end.body_momentum.len() == so::dimension(N)).then(|| State {
-        attitude: Mat::from_row_slice(&end.attitude),
-        momentum: so::hat(&end.body_momentum),
-    })
+/// Where member 0 came to, from `initial`.
+fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Checkpoint<N> {
+    let last = nominal.and_then(|end| end.last.as_ref()?.point());
+    let State { attitude, momentum } = last.unwrap_or_else(|| initial.clone());
+    Checkpoint {
+        step: nominal.map_or(0, |end| end.steps),
+        samples: nominal.map_or(0, |end| end.samples),
+        attitude: Some(attitude),
+        momentum,
+        iterations: nominal.map_or(0, |end| end.iterations),
+        convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
+    }
 }

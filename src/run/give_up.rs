@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use super::{Diagnosis, RunError, Summary, finish, header};
+use super::{Diagnosis, End, Outcome, RunError, Summary, finish, header};
 use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
@@ -14,7 +14,7 @@ use crate::log::resume::Resumed;
 use crate::log::writer::LogWriter;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
-use crate::solve::trajectory::{Checkpoint, Ending, Trajectory};
+use crate::solve::trajectory::Checkpoint;
 
 /// Why a job is run no more.
 #[derive(Clone, Copy, Debug)]
@@ -51,11 +51,11 @@ impl Task for GiveUp<'_> {
         let header = header(scenario, plan);
         let mut course = Course::default();
         let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
-        let (writer, figures, end) = match LogWriter::<N>::resume(log, &header, seen)? {
+        let (writer, figures, reached) = match LogWriter::<N>::resume(log, &header, seen)? {
             Some((writer, Resumed { mut checkpoint, figures, .. })) => {
                 // Of an ensemble all members are counted; the log says where member 0 came to.
                 checkpoint.step = checkpoint.step.min(plan.steps);
-                (writer, figures, reached(checkpoint))
+                (writer, figures, checkpoint)
             }
             None => {
                 course = Course::default();
@@ -70,13 +70,13 @@ impl Task for GiveUp<'_> {
                     iterations: 0,
                     convergence: None,
                 };
-                (LogWriter::create(log, &header)?, Figures::default(), reached(start))
+                (LogWriter::create(log, &header)?, Figures::default(), start)
             }
         };
         let diagnosis = Diagnosis {
             code: reason.code.to_owned(),
-            step: end.steps + 1,
-            time_s: end.steps as f64 * plan.step_s,
+            step: reached.step + 1,
+            time_s: reached.step as f64 * plan.step_s,
             step_s: plan.step_s,
             stage: None,
             measured: None,
@@ -87,15 +87,10 @@ impl Task for GiveUp<'_> {
             advice: reason.advice.to_owned(),
             advised_step_s: None,
         };
-        let summary =
-            finish(scenario, plan, log, writer, (&figures, &course), &end, Some(diagnosis))?;
-        Ok(Summary { resumed_step: end.steps, ..summary })
+        let resumed_step = reached.step;
+        let diagnosis = Some(diagnosis);
+        let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None };
+        let summary = finish(scenario, plan, log, writer, (&figures, &course), end)?;
+        Ok(Summary { resumed_step, ..summary })
     }
-}
-
-/// A trajectory that ends at a checkpoint.
-fn reached<const N: usize>(checkpoint: Checkpoint<N>) -> Trajectory<N> {
-    let Checkpoint { step, samples, attitude, momentum, iterations, convergence } = checkpoint;
-    let ending = Ending::Cancelled;
-    Trajectory { ending, steps: step, samples, attitude, momentum, iterations, convergence }
 }

@@ -152,16 +152,9 @@ impl Job {
         let Ending { name, state, attempts, steps, steps_done, has_log, .. } = ending;
         Self {
             name,
-            attempts,
-            suspect: false,
-            given_up: None,
-            cancelled: false,
-            key: None,
             steps,
-            came_to: 0,
-            plan: None,
-            log_bytes: 0,
             phase: Phase::Ended { state, steps_done, has_log },
+            ..Self::unnamed(attempts)
         }
     }
 

@@ -217,11 +217,7 @@ impl Studies {
     /// All of them, newest first, without their tables.
     pub(super) fn list(&self) -> StudyList {
         let index = self.0.index();
-        let brief = |(id, study): (&Uuid, &Study)| StudyView {
-            rows: Vec::new(),
-            borders: Vec::new(),
-            ..study.view(*id)
-        };
+        let brief = |(id, study): (&Uuid, &Study)| study.brief(*id);
         StudyList { studies: index.studies.iter().rev().map(brief).collect() }
     }
 
@@ -354,10 +350,23 @@ impl Study {
     }
 
     fn view(&self, id: Uuid) -> StudyView {
-        let (error, answer) = match &self.phase {
-            Phase::Ended(record) => (record.error.clone(), record.answer.clone()),
-            _ => (None, Answer::default()),
+        let view = self.brief(id);
+        match &self.phase {
+            Phase::Ended(record) => {
+                let Answer { rows, borders, .. } = &record.answer;
+                StudyView { rows: rows.clone(), borders: borders.clone(), ..view }
+            }
+            _ => view,
+        }
+    }
+
+    /// Without its rows and borders.
+    fn brief(&self, id: Uuid) -> StudyView {
+        let record = match &self.phase {
+            Phase::Ended(record) => Some(record),
+            _ => None,
         };
+        let answer = record.map(|record| &record.answer);
         let link = |name: &str| match name.strip_suffix(".svg") {
             Some(_) => format!("/studies/{id}/charts/{name}"),
             None => format!("/studies/{id}/{name}"),
@@ -370,11 +379,13 @@ impl Study {
             created: created(id),
             runs_done: self.watch.done.load(Ordering::Relaxed),
             runs: self.watch.total.load(Ordering::Relaxed),
-            error,
-            reference: answer.reference,
-            rows: answer.rows,
-            borders: answer.borders,
-            links: answer.files.iter().map(|(name, _)| link(name)).collect(),
+            error: record.and_then(|record| record.error.clone()),
+            reference: answer.and_then(|answer| answer.reference),
+            rows: Vec::new(),
+            borders: Vec::new(),
+            links: answer.map_or_else(Vec::new, |answer| {
+                answer.files.iter().map(|(name, _)| link(name)).collect()
+            }),
         }
     }
 }

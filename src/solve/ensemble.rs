@@ -8,7 +8,7 @@ use super::hamiltonian::RigidBody;
 use super::lanes::WIDTH;
 use super::nonlinear::Convergence;
 use super::stepper::Stepper;
-use super::trajectory::{Course, Observables, Sample, Schedule, State, Trajectory};
+use super::trajectory::{Books, Observables, Sample, Schedule, State, Trajectory};
 
 /// A few members of an ensemble that take each step together.
 pub trait Members<const N: usize> {
@@ -51,8 +51,9 @@ impl<const N: usize> Members<N> for Apart<N> {
     }
 }
 
-/// Carries the states, at most [`WIDTH`], forward along `schedule`, side by side, and gives the samples to `record` with the number of
-/// their member; those of a time in the order of the members. `go_on(steps_done)` is asked before each step.
+/// Carries the states, at most [`WIDTH`], forward along `schedule`, side by side, and gives the samples to `record`
+/// with the number of their member; those of a time in the order of the members. `go_on(steps_done)` is asked before
+/// each step.
 ///
 /// # Errors
 /// Those of `record`. A step that fails is not an error but an [`super::trajectory::Ending`] of its member.
@@ -67,8 +68,8 @@ pub fn integrate<const N: usize, E>(
 ) -> Result<Vec<Trajectory<N>>, E> {
     let Schedule { step_s, steps, every } = schedule;
     members.start(initial);
-    let mut courses: Vec<Course<N>> =
-        initial.iter().map(|state| Course::new(body, state, step_s, observables)).collect();
+    let mut books: Vec<Books<N>> =
+        initial.iter().map(|state| Books::new(body, state, step_s, observables)).collect();
     let mut going: Vec<usize> = (0..initial.len()).collect();
     let mut results = Vec::new();
     let mut step = 0;
@@ -76,29 +77,29 @@ pub fn integrate<const N: usize, E>(
         let over = step == steps;
         if over || step % every == 0 {
             for &m in &going {
-                courses[m].sample(body, members.member(m), |sample| record(m, sample))?;
+                books[m].sample(body, members.member(m), |sample| record(m, sample))?;
             }
-            going.retain(|&m| courses[m].goes_on());
+            going.retain(|&m| books[m].goes_on());
         }
         if over || going.is_empty() {
             break;
         }
         if !go_on(step) {
             for &m in &going {
-                courses[m].cancelled();
-                courses[m].sample(body, members.member(m), |sample| record(m, sample))?;
+                books[m].cancelled();
+                books[m].sample(body, members.member(m), |sample| record(m, sample))?;
             }
             break;
         }
         members.step(body, step_s, &going, &mut results);
         step += 1;
         for (m, result) in results.drain(..) {
-            courses[m].stepped(result);
-            if !courses[m].goes_on() {
-                courses[m].sample(body, members.member(m), |sample| record(m, sample))?;
+            books[m].stepped(result);
+            if !books[m].goes_on() {
+                books[m].sample(body, members.member(m), |sample| record(m, sample))?;
             }
         }
-        going.retain(|&m| courses[m].goes_on());
+        going.retain(|&m| books[m].goes_on());
     }
-    Ok(courses.into_iter().map(Course::end).collect())
+    Ok(books.into_iter().map(Books::end).collect())
 }

@@ -73,6 +73,9 @@ pub enum Rung {
 }
 
 impl Rung {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::FixedPoint, Self::Newton, Self::Explicit];
+
     /// The rung's name in logs and answers.
     pub fn as_str(self) -> &'static str {
         match self {

@@ -142,9 +142,7 @@ impl<T: Real> Turn<T> {
     /// The rotation of Cayley's with the vector `half`: `(1 + half) / |1 + half|`, about it by 2 atan |half|.
     #[inline(always)]
     pub fn cayley(half: &Vec3<T>) -> Self {
-        let one = half[0].constant(1.0);
-        let w = one / (dot(half, half) + 1.0).root();
-        Self { w, v: scaled(half, w) }
+        Self { w: half[0].constant(1.0), v: *half }.normalised()
     }
 
     /// `self (1 + half)`, of length one to the fourth order of `half` and of what `self` lacks of it.
@@ -156,7 +154,7 @@ impl<T: Real> Turn<T> {
         let c = cross(&self.v, half);
         let w = self.w - dot(&self.v, half);
         let v: Vec3<T> = vec3!(i => self.v[i] + (self.w * half[i] + c[i]));
-        Self { w: w * scale, v: scaled(&v, scale) }
+        Self { w, v }.scaled(scale)
     }
 
     /// `q v` for a vector v: the rate of change of q under the angular velocity 2 v of the body.

@@ -167,6 +167,20 @@ pub struct Trajectory<const N: usize> {
     pub convergence: Option<Convergence>,
 }
 
+impl<const N: usize> Trajectory<N> {
+    /// Where it ended.
+    pub fn reached(&self) -> Checkpoint<N> {
+        Checkpoint {
+            step: self.steps,
+            samples: self.samples,
+            attitude: self.attitude,
+            momentum: self.momentum,
+            iterations: self.iterations,
+            convergence: self.convergence,
+        }
+    }
+}
+
 /// Carries a state forward along `schedule` and gives the samples to `sink`: the first at the start,
 /// then one every `schedule.every` steps, and the last accepted state whatever happens. A trajectory
 /// that is taken up at a checkpoint gives the samples after it.
@@ -185,39 +199,39 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
 ) -> Result<Trajectory<N>, S::Error> {
     let Schedule { step_s, steps, every } = schedule;
     let Origin { initial, checkpoint } = origin.into();
-    let mut course = Course::new(body, initial, step_s, observables);
+    let mut books = Books::new(body, initial, step_s, observables);
     match checkpoint {
         None => stepper.start(initial),
         Some(found) => {
             stepper.start(&found.state());
-            course.take_up(found);
+            books.take_up(found);
         }
     }
     loop {
-        let over = course.step == steps || !course.goes_on();
-        if over || course.step % every == 0 {
-            course.sample(body, stepper, |sample| sink.record(sample))?;
+        let over = books.step == steps || !books.goes_on();
+        if over || books.step % every == 0 {
+            books.sample(body, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
-            if !over && course.goes_on() && sink.wants_checkpoint() {
-                let checkpoint = course.checkpoint();
+            if !over && books.goes_on() && sink.wants_checkpoint() {
+                let checkpoint = books.checkpoint();
                 sink.checkpoint(&checkpoint)?;
                 stepper.start(&checkpoint.state());
             }
         }
-        if over || !course.goes_on() {
+        if over || !books.goes_on() {
             break;
         }
-        if go_on(course.step) {
-            course.stepped(stepper.step(body, step_s));
+        if go_on(books.step) {
+            books.stepped(stepper.step(body, step_s));
         } else {
-            course.cancelled();
+            books.cancelled();
         }
     }
-    Ok(course.end())
+    Ok(books.end())
 }
 
-/// The way of one trajectory: how far it came, and its samples.
-pub(super) struct Course<const N: usize> {
+/// The books of one trajectory: how far it came, and its samples.
+pub(super) struct Books<const N: usize> {
     observer: Observer<N>,
     step_s: f64,
     ending: Ending,
@@ -232,7 +246,7 @@ pub(super) struct Course<const N: usize> {
     last: (Option<Mat<N>>, Mat<N>),
 }
 
-impl<const N: usize> Course<N> {
+impl<const N: usize> Books<N> {
     pub(super) fn new(
         body: &RigidBody<N>,
         initial: &State<N>,

@@ -31,15 +31,8 @@ pub fn long_term(
     watch.expect(entries.len() as u64);
     let mut result = LongTerm { table: Table::default(), series: Vec::new() };
     for entry in entries {
-        let probe = Probe {
-            method: &entry.method,
-            step_s,
-            steps,
-            every: steps.div_ceil(SAMPLES),
-            energy_limit: f64::INFINITY,
-            keep: false,
-            from: None,
-        };
+        let every = steps.div_ceil(SAMPLES);
+        let probe = Probe { every, ..Probe::of(&entry.method, step_s, steps) };
         let run = measure(scene, probe, watch)?;
         watch.advance(1)?;
         result.table.rows.push(Row::new(entry, step_s, &run, None));

@@ -71,6 +71,21 @@ pub(crate) struct Probe<'a> {
     pub(crate) from: Option<&'a Point>,
 }
 
+impl<'a> Probe<'a> {
+    /// From the start of the scene to the end, whatever the energy does, with a sample at either.
+    pub(crate) fn of(method: &'a Method, step_s: f64, steps: u64) -> Self {
+        Self {
+            method,
+            step_s,
+            steps,
+            every: steps,
+            energy_limit: f64::INFINITY,
+            keep: false,
+            from: None,
+        }
+    }
+}
+
 /// How a run of a study ended.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum End {
@@ -126,7 +141,7 @@ pub(crate) fn variant(
     let mut scenario = scene.clone();
     scenario.method = method.clone();
     (scenario.step_s, scenario.steps, scenario.duration_s) = (Some(step_s), Some(steps), None);
-    scenario.accuracy = None;
+    (scenario.accuracy, scenario.ensemble) = (None, None);
     let channels = vec![Channel::State, Channel::Energy, Channel::Orthogonality];
     scenario.log = LogOptions { channels: Some(channels), ..LogOptions::default() };
     Plan::new(&scenario)

@@ -48,15 +48,8 @@ pub fn precision(
         for halving in 0..HALVINGS {
             let steps = start << halving;
             let step_s = time_s / steps as f64;
-            let probe = Probe {
-                method: &entry.method,
-                step_s,
-                steps,
-                every: steps.div_ceil(10_000),
-                energy_limit: f64::INFINITY,
-                keep: false,
-                from: None,
-            };
+            let every = steps.div_ceil(10_000);
+            let probe = Probe { every, ..Probe::of(&entry.method, step_s, steps) };
             watch.expect(1);
             let run = measure::measure(scene, probe, watch)?;
             watch.advance(1)?;

@@ -193,15 +193,8 @@ fn solution(
     steps: u64,
     watch: &Watch,
 ) -> Result<Option<Measured>, StudyError> {
-    let probe = Probe {
-        method,
-        step_s: time_s / steps as f64,
-        steps,
-        every: steps / EIGHTHS,
-        energy_limit: f64::INFINITY,
-        keep: true,
-        from: None,
-    };
+    let every = steps / EIGHTHS;
+    let probe = Probe { every, keep: true, ..Probe::of(method, time_s / steps as f64, steps) };
     watch.expect(1);
     let run = measure(scene, probe, watch)?;
     watch.advance(1)?;

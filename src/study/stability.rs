@@ -185,15 +185,9 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// If the scene cannot be planned with the method, or the study is cancelled.
     pub fn cell(&self, entry: &Entry, step_s: f64, watch: &Watch) -> Result<Cell, StudyError> {
-        let probe = Probe {
-            method: &entry.method,
-            step_s,
-            steps: RUN_STEPS,
-            every: 1,
-            energy_limit: MEANINGLESS * self.scales.kinetic,
-            keep: true,
-            from: None,
-        };
+        let energy_limit = MEANINGLESS * self.scales.kinetic;
+        let whole = Probe::of(&entry.method, step_s, RUN_STEPS);
+        let probe = Probe { every: 1, energy_limit, keep: true, ..whole };
         let run = measure(self.scene, probe, watch)?;
         watch.advance(0)?;
         let class = self.class(probe, &run, watch)?;
@@ -268,15 +262,8 @@ impl<'a> Judge<'a> {
         let spread = (0..CHECKED_STEPS).map(|k| k * made / CHECKED_STEPS);
         for at in spread.chain([run.fastest_sample]) {
             let [start, end] = run.points.get(at..at + 2).unwrap_or_default() else { continue };
-            let probe = Probe {
-                method: &exact,
-                step_s: step_s / parts as f64,
-                steps: parts,
-                every: parts,
-                energy_limit: f64::INFINITY,
-                keep: false,
-                from: Some(start),
-            };
+            let whole = Probe::of(&exact, step_s / parts as f64, parts);
+            let probe = Probe { from: Some(start), ..whole };
             let exact = measure(self.scene, probe, watch)?;
             if exact.completed() && end.attitude_distance(&exact.last) > WRONG_BRANCH {
                 return Ok(true);
@@ -326,9 +313,8 @@ mod tests {
         let watch = Watch::default();
         let judge = Judge::of(&scene, &watch).expect("scales");
         let method = with_tableau(MethodName::Vpd, TableauName::Gauss2);
-        let (step_s, steps, energy_limit) = (0.05, 400, f64::INFINITY);
-        let (every, keep, from) = (1, true, None);
-        let probe = Probe { method: &method, step_s, steps, every, energy_limit, keep, from };
+        let step_s = 0.05;
+        let probe = Probe { every: 1, keep: true, ..Probe::of(&method, step_s, 400) };
         let mut run = measure(&scene, probe, &watch).expect("a run");
         assert!(!judge.leaves_branch(step_s, &run, &watch).expect("judged"));
         // Half a turn about the body's third axis: a rotation still, of the same energy where it is a symmetry.

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use super::{SUCCEEDED, state};
+use super::SUCCEEDED;
 use crate::log::messages::{EnsembleStatistics, Figures, Member, Quantiles};
 use crate::run::summary::EnsembleSummary;
 use crate::solve::so::{self, Mat};
@@ -20,7 +20,8 @@ pub(super) fn at_start<const N: usize>(
 pub(super) fn at_end<const N: usize>(time_s: f64, ends: &[Member]) -> EnsembleStatistics {
     let (arrived, failed): (Vec<&Member>, Vec<&Member>) =
         ends.iter().partition(|end| end.outcome == SUCCEEDED);
-    let states: Vec<State<N>> = arrived.iter().filter_map(|end| state(end)).collect();
+    let states: Vec<State<N>> =
+        arrived.iter().filter_map(|end| end.last.as_ref()?.point()).collect();
     let quantiles = |figure: fn(&Figures) -> Option<f64>| {
         quantiles(arrived.iter().filter_map(|end| figure(end.figures.as_ref()?)).collect())
     };

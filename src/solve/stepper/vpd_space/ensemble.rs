@@ -63,9 +63,6 @@ enum Lanes {
 }
 
 impl VpdEnsemble {
-    /// With more stages than this, members gain nothing side by side.
-    pub const MOST_STAGES: usize = 4;
-
     /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
         let blank = VpdSpace::new(tableau.clone(), stop, true)?;

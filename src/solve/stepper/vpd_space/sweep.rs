@@ -18,8 +18,8 @@
 //! The stiff coupling, J^-1 times the momentum, sits in the kinematics (first line and last): they are repeated
 //! within a sweep. So is the linear system of x, which must be consistent with them. The torque is computed once.
 //!
-//! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and `U <- U (1 + theta / 2)`
-//! normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar factor.
+//! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
+//! `U <- U (1 + theta / 2)` normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar factor.
 
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};

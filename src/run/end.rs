@@ -1,0 +1,118 @@
+//! The end of a log, and what is said of the whole run: there, and to who asked for it.
+//!
+//! Invariant: every log that is finished is finished here, with what its summary says and nothing of the clock.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::summary::{
+    self, Diagnosis, EnsembleSummary, MomentumSummary, Outcome, SolverSummary, Summary,
+};
+use super::{RunError, json};
+use crate::chart::{Course, LogChart};
+use crate::log::messages::Figures;
+use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
+use crate::plan::Plan;
+use crate::scenario::Scenario;
+use crate::solve::trajectory::Checkpoint;
+
+/// How a run ended.
+pub(super) struct End<const N: usize> {
+    pub(super) outcome: Outcome,
+    /// Where it came to; of an ensemble, where member 0 did.
+    pub(super) reached: Checkpoint<N>,
+    pub(super) diagnosis: Option<Diagnosis>,
+    pub(super) ensemble: Option<EnsembleSummary>,
+}
+
+/// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
+pub(super) fn finish<const N: usize>(
+    scenario: &Scenario,
+    plan: &Plan,
+    log: &Path,
+    mut writer: LogWriter<N>,
+    (figures, course): (&Figures, &Course),
+    end: End<N>,
+) -> Result<Summary, RunError> {
+    let End { outcome, reached, diagnosis, ensemble } = end;
+    let time_s = reached.step as f64 * plan.step_s;
+    // Member 0 may have failed long before the others came to the end.
+    let last_s = if ensemble.is_some() { plan.steps as f64 * plan.step_s } else { time_s };
+    let warning = summary::warning(figures);
+    if let Some(warning) = &warning {
+        writer.message(Level::Warning, last_s, warning)?;
+    }
+    let word = outcome.as_str();
+    let (level, text) = match (plan.ensemble.as_ref().zip(ensemble.as_ref()), &diagnosis) {
+        (Some((planned, ends)), _) => (
+            if ends.failed.is_empty() { Level::Info } else { Level::Warning },
+            format!("{word}: {} of {} members succeeded", ends.succeeded, planned.members),
+        ),
+        (None, Some(diagnosis)) => (Level::Error, diagnosis.to_string()),
+        (None, None) => (Level::Info, format!("{word}: step {}", reached.step)),
+    };
+    writer.message(level, last_s, &text)?;
+    let mut summary = Summary {
+        outcome,
+        steps: reached.step,
+        time_s,
+        samples: reached.samples,
+        resumed_step: 0,
+        last: summary::final_state(reached.attitude.as_ref(), &reached.momentum),
+        error: None,
+        energy: summary::energy(figures),
+        orthogonality: summary::orthogonality(figures, reached.samples),
+        momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
+        solver: SolverSummary {
+            iterations_per_step: reached.iterations as f64 / reached.step.max(1) as f64,
+            kind: reached.convergence.map(|solved| solved.rung.as_str().to_owned()),
+        },
+        wall_s: 0.0,
+        ns_per_step: 0.0,
+        log: log.display().to_string(),
+        diagnosis,
+        ensemble,
+        warning,
+        unmet: Vec::new(),
+    };
+    if let Some(expect) = &scenario.expect {
+        summary.unmet = summary::unmet(expect, &summary);
+    }
+    writer.finish(log_outcome(&summary, course))?;
+    Ok(summary)
+}
+
+/// What the log says of the job after its last sample: figures and charts of the run, none of the clock.
+fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
+    let mut entries = BTreeMap::from([
+        ("steps".to_owned(), summary.steps.to_string()),
+        ("samples".to_owned(), summary.samples.to_string()),
+        ("time_s".to_owned(), json(&summary.time_s)),
+        ("final".to_owned(), json(&summary.last)),
+        ("iterations_per_step".to_owned(), json(&summary.solver.iterations_per_step)),
+    ]);
+    let mut figure = |name: &str, value: Option<f64>| {
+        if let Some(value) = value {
+            entries.insert(name.to_owned(), json(&value));
+        }
+    };
+    figure("energy_max_abs_error", summary.energy.map(|energy| energy.max_abs_error));
+    figure("orthogonality_max", summary.orthogonality.map(|orthogonality| orthogonality.max));
+    figure("momentum_max_drift", summary.momentum.map(|momentum| momentum.max_drift));
+    if let Some(ensemble) = &summary.ensemble {
+        entries.insert("ensemble".to_owned(), json(ensemble));
+    }
+    if let Some(diagnosis) = &summary.diagnosis {
+        entries.insert("code".to_owned(), diagnosis.code.clone());
+        entries.insert("diagnosis".to_owned(), json(diagnosis));
+    }
+    if let Some(warning) = &summary.warning {
+        entries.insert("warning".to_owned(), warning.clone());
+    }
+    let charts = [LogChart::Energy, LogChart::Orthogonality].into_iter();
+    let charts = charts.filter(|which| course.has_line(*which));
+    // One that could not be drawn would be missing; the log is good without.
+    let charts = charts.filter_map(|which| Some((which.file(), course.draw(which).ok()?)));
+    let charts = charts.collect();
+    LogOutcome { state: summary.outcome.as_str().to_owned(), entries, charts }
+}
