@@ -381,6 +381,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let tokens = tokens(args.tokens.as_deref())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let served = runtime.block_on(async {
+        let stop = stop_signal().map_err(ServeError::System)?;
         let listener = listener(args.listen)
             .map_err(|source| CliError::Listen { address: args.listen, source })?;
         tracing::info!("listening on http://{}", listener.local_addr()?);
@@ -404,7 +405,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             insecure: args.insecure,
             live: live(args).await?,
         };
-        serve::serve(listener, config, stop_signal()).await?;
+        serve::serve(listener, config, stop).await?;
         Ok(ExitCode::SUCCESS)
     });
     // A blocking task of a client that is gone must not hold up the exit.
@@ -442,23 +443,27 @@ async fn live(args: &ServeArgs) -> Result<Option<Arc<Live>>, CliError> {
     Ok(Some(Arc::new(live)))
 }
 
-/// Ends when the process is asked to stop: SIGTERM or ctrl-c.
-async fn stop_signal() {
-    let interrupt = tokio::signal::ctrl_c();
-    let terminate = async {
-        #[cfg(unix)]
-        if let Ok(mut signal) =
-            tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())
-        {
-            signal.recv().await;
-            return;
+/// Ends when the process is asked to stop: SIGTERM or ctrl-c. From this call on neither ends the process by itself.
+#[cfg(unix)]
+fn stop_signal() -> io::Result<impl Future<Output = ()>> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let (mut interrupt, mut terminate) =
+        (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+    Ok(async move {
+        tokio::select! {
+            _ = interrupt.recv() => {}
+            _ = terminate.recv() => {}
         }
-        std::future::pending::<()>().await;
-    };
-    tokio::select! {
-        _ = interrupt => {}
-        () = terminate => {}
-    }
+    })
+}
+
+/// Ends when the process is asked to stop by ctrl-c. From this call on that does not end the process by itself.
+#[cfg(not(unix))]
+fn stop_signal() -> io::Result<impl Future<Output = ()>> {
+    let mut interrupt = tokio::signal::windows::ctrl_c()?;
+    Ok(async move {
+        interrupt.recv().await;
+    })
 }
 
 fn sum_up(args: &InspectArgs) -> Result<ExitCode, CliError> {

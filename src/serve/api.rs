@@ -4,6 +4,7 @@
 //! not at all; and every route is in the list that also makes the API's description.
 
 use std::net::SocketAddr;
+use std::sync::Arc;
 
 use axum::extract::{Path, Request, State as Shared};
 use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
@@ -13,6 +14,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Json, Router};
 use serde_json::Value;
+use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -48,7 +50,13 @@ struct App {
     public_url: Option<String>,
     /// Where viewers look on while a job runs.
     live: Option<SocketAddr>,
+    /// Where those who submit wait for their turn.
+    desk: Arc<Semaphore>,
 }
+
+/// Jobs that are checked and kept at once. More of them would be kept a little sooner, and everybody who asks for a
+/// state would wait behind them all.
+const DESKS: usize = 4;
 
 /// A route: where it is, what it says of itself, who may use it, what it does.
 struct Route {
@@ -365,7 +373,14 @@ pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> 
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .with_state(App { engine, studies, pictures: Pictures::new(), public_url, live })
+        .with_state(App {
+            engine,
+            studies,
+            pictures: Pictures::new(),
+            public_url,
+            live,
+            desk: Arc::new(Semaphore::new(DESKS)),
+        })
 }
 
 /// A request in the service's own log: without its query, which may hold a token.

@@ -72,6 +72,8 @@ pub(super) async fn submit_job(
         return Err(Problem::not_json());
     }
     let key = idempotency_key(&headers)?;
+    // Never closed.
+    let _turn = app.desk.acquire().await;
     // A mebibyte of JSON takes a while to check: not on a thread that others wait for.
     let checked = move || {
         let scenario = Scenario::from_json(&body)?;
