@@ -238,7 +238,8 @@ impl Equations for InLanes<'_> {
         self.torques += (self.stages * (self.stages - 1)) as u64;
         in_lanes!(guess, self);
         let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
-        let size = self.unknowns.momentum.iter().fold(0.0, largest);
+        let size = self.start.momentum.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
+        let size = self.unknowns.momentum.iter().fold(size, largest);
         self.momentum_scale = if size > 0.0 { size } else { 1.0 };
         Ok(())
     }

@@ -18,14 +18,23 @@
 //! The stiff coupling, J^-1 times the momentum, sits in the kinematics (first line and last): they are repeated
 //! within a sweep. So is the linear system of x, which must be consistent with them. The torque is computed once.
 //!
+//! What is small is computed as such, or a thin body, which turns fast about its axis by little momentum, would gain
+//! rounding errors of the large components: momenta are kept less p0, rotations used less one. With `D_k = U_k - I`,
+//! `D_f = f - I` and `Y_k = W_k - f hat(lambda)`,
+//!
+//! ```text
+//! pi_k - p0 = (pi1 - p0) + D_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(D_f hat(lambda) + W_k D_k^T + Y_k)
+//! ```
+//!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar factor.
 
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, product, scaled, symmetric_product,
-    times_hat, transposed_matrix_product, transposed_product, vec3, vee_asym,
+    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
+    symmetric_product, times_hat, transposed_matrix_product, transposed_product, vec3, vee_asym,
+    with_one,
 };
 
 /// Passes over the kinematics, and over the linear system of x, within a sweep. Fewer take more sweeps, and fail at
@@ -97,7 +106,7 @@ pub(super) struct Start<'a, P> {
 pub(super) struct Unknowns<S, P> {
     /// U_k.
     pub(super) attitude: Turn<S>,
-    /// pi_k.
+    /// pi_k - p0.
     pub(super) momentum: Vec3<S>,
     /// x_k.
     pub(super) x: Vec3<S>,
@@ -222,20 +231,20 @@ pub(super) fn guess<R: Stages>(
     let turned = Turn::cayley(&vec3!(i => half * like.spread(velocity[i])));
     let u = turned.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
-    let pushed = minus(&p0, &scaled(&product(&u, &torque), elapsed));
+    let pushed = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, pushed);
     let mut lack = like.constant(0.0);
     for _ in 1..*stages {
         let u = attitude.matrix();
         let (torque, _) = start.body.torque(&u, start.seen);
         let kick = scaled(&product(&u, &torque), weight);
-        let mu = transposed_product(&u, &momentum);
+        let mu = transposed_product(&u, &plus(&p0, &momentum));
         let rate = attitude.rate(&scaled(&symmetric_product(&inverse_inertia, &mu), weight * 0.5));
         let next =
             Turn { w: rate.w.combined(columns) + 1.0, v: vec3!(i => rate.v[i].combined(columns)) };
         lack = (next.square() + -1.0).size();
         attitude = next.lengthened();
-        momentum = vec3!(i => p0[i] - kick[i].combined(columns));
+        momentum = vec3!(i => -kick[i].combined(columns));
     }
     // Rounds that went astray are worse than none.
     let last_lack = lack.largest();
@@ -244,7 +253,7 @@ pub(super) fn guess<R: Stages>(
     let momentum = vec3!(i => momentum[i].within(lack, MOST_LACK, pushed[i]));
     let u = attitude.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
-    let mu = transposed_product(&u, &momentum);
+    let mu = transposed_product(&u, &plus(&p0, &momentum));
     let omega = symmetric_product(&inverse_inertia, &mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Turn { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
@@ -278,32 +287,43 @@ pub(super) fn sweep<R: Stages>(
     let whole = like.stage(0);
     let LaneTableau { rows, passes: [_, linear], .. } = start.tableau;
     let momentum: Vec3<R> = load(like, &unknowns.momentum);
-    let Kinematics { u, omega, weight, inverse_k, turned, w } =
+    let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
         kinematics(like, start, &momentum, unknowns);
-    let EndPoint { f, inverse: end_inverse, torque, pi1 } =
+    let u = with_one(&turn);
+    let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick } =
         end_point(like, start, &u, weight, &w, unknowns);
-    let p1 = transposed_product(&f, &pi1);
+    let pi1 = vec3!(i => whole.load(&start.momentum[i]) + kick[i]);
+    let gain = plus(&kick, &transposed_product(&end_turn, &pi1));
+    let p1 = vec3!(i => whole.load(&start.momentum[i]) + gain[i]);
     let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
-    let f_lambda = times_hat(&f, &lambda);
+    let f_lambda = times_hat(&with_one(&end_turn), &lambda);
     let f_lambda: Mat3<R> = mat3!(i, j => like.spread(f_lambda[i][j]));
+    // -vee asym(f hat(lambda)) - p0
+    let stretched = symmetric_product(&end_inverse, &k_less_two(&stretch, &p1));
+    let beyond = vee_asym(&times_hat(&end_turn, &lambda));
+    let common: Vec3<R> = vec3!(i => like.spread(gain[i] - (stretched[i] + beyond[i])));
 
     // The embedded momenta W_k.
     let mut x: Vec3<R> = load(like, &unknowns.x);
-    let mut m = embedded(&f_lambda, &u, &x, rows);
+    let mut y = embedded(&u, &x, rows);
+    let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     for _ in 0..*linear {
         let n = transposed_matrix_product(&u, &m);
         let trace = n[0][0] + n[1][1] + n[2][2];
         let turned = transposed_product(&n, &omega);
         let load: Vec3<R> = vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
         x = symmetric_product(&inverse_k, &load);
-        m = embedded(&f_lambda, &u, &x, rows);
+        y = embedded(&u, &x, rows);
+        m = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     }
-    // -vee asym(W U^T)
-    let next = [
-        dot(&m[1], &u[2]) - dot(&m[2], &u[1]),
-        dot(&m[2], &u[0]) - dot(&m[0], &u[2]),
-        dot(&m[0], &u[1]) - dot(&m[1], &u[0]),
+    // -vee asym(W U^T) - p0
+    let turned_off = [
+        dot(&m[1], &turn[2]) - dot(&m[2], &turn[1]),
+        dot(&m[2], &turn[0]) - dot(&m[0], &turn[2]),
+        dot(&m[0], &turn[1]) - dot(&m[1], &turn[0]),
     ];
+    let own = vee_asym(&y);
+    let next: Vec3<R> = vec3!(i => common[i] + (turned_off[i] - own[i]));
     let change = minus(&next, &momentum);
     let change = change[0].size().larger(change[1].size()).larger(change[2].size()).largest();
     let size = next[0].size().larger(next[1].size()).larger(next[2].size()).largest();
@@ -327,13 +347,14 @@ pub(super) fn finish<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
     let momentum: Vec3<R> = load(like, &unknowns.momentum);
-    let Kinematics { u, weight, w, .. } = kinematics(like, start, &momentum, unknowns);
-    end_point(like, start, &u, weight, &w, unknowns);
+    let Kinematics { change, weight, w, .. } = kinematics(like, start, &momentum, unknowns);
+    end_point(like, start, &with_one(&change), weight, &w, unknowns);
 }
 
 /// The stages for given momenta.
 struct Kinematics<R> {
-    u: Mat3<R>,
+    /// U - I
+    change: Mat3<R>,
     omega: Vec3<R>,
     /// h b
     weight: R,
@@ -344,7 +365,7 @@ struct Kinematics<R> {
     w: Mat3<R>,
 }
 
-/// U_k and Omega_k for the momenta pi_k.
+/// U_k and Omega_k for the momenta p0 + `momentum`.
 #[inline(always)]
 fn kinematics<R: Stages>(
     like: R,
@@ -360,8 +381,16 @@ fn kinematics<R: Stages>(
     for i in 0..6 {
         inverse_k[i] = like.load(&unknowns.inverse[i]);
     }
-    let mut u = attitude.matrix();
-    let mut omega = symmetric_product(&inverse_inertia, &transposed_product(&u, momentum));
+    let p0 = vec3!(i => like.spread(like.stage(0).load(&start.momentum[i])));
+    let in_space = plus(&p0, momentum);
+    // Added up from small parts: a thin body turns by little momentum about its axis.
+    let mu = |change: &Mat3<R>| -> Vec3<R> {
+        let turned = transposed_product(change, &in_space);
+        vec3!(i => p0[i] + (momentum[i] + turned[i]))
+    };
+    let mut change = attitude.change();
+    let mut u = with_one(&change);
+    let mut omega = symmetric_product(&inverse_inertia, &mu(&change));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = like.constant(0.0);
     let mut excess = inverse_k;
@@ -374,8 +403,9 @@ fn kinematics<R: Stages>(
         inverse_k = inverse_of_k(&excess);
         attitude = attitude.turned(&half);
         turned = half[0].size().larger(half[1].size()).larger(half[2].size());
-        u = attitude.matrix();
-        omega = symmetric_product(&inverse_inertia, &transposed_product(&u, momentum));
+        change = attitude.change();
+        u = with_one(&change);
+        omega = symmetric_product(&inverse_inertia, &mu(&change));
         w = times_hat(&u, &scaled(&omega, weight));
     }
     store_turn(&attitude, &mut unknowns.attitude);
@@ -383,17 +413,21 @@ fn kinematics<R: Stages>(
         inverse_k[i].store(&mut unknowns.inverse[i]);
         excess[i].store(&mut unknowns.excess[i]);
     }
-    Kinematics { u, omega, weight, inverse_k, turned, w }
+    Kinematics { change, omega, weight, inverse_k, turned, w }
 }
 
 /// Where the stages lead to.
 struct EndPoint<R: Stages> {
-    f: Mat3<R::Whole>,
+    /// f - I
+    change: Mat3<R::Whole>,
+    /// P_e - I.
+    stretch: Sym3<R::Whole>,
     /// K(P_e)^-1.
     inverse: Sym3<R::Whole>,
     /// At the stages.
     torque: Vec3<R>,
-    pi1: Vec3<R::Whole>,
+    /// pi1 - p0
+    kick: Vec3<R::Whole>,
 }
 
 /// The end point, and the momentum there.
@@ -427,20 +461,22 @@ fn end_point<R: Stages>(
         kick[i].store(&mut unknowns.kick[i]);
     }
     nearness.largest().store(&mut unknowns.nearness);
-    let pi1 = vec3!(i => whole.load(&start.momentum[i]) + kick[i]);
-    EndPoint { f: end.matrix(), inverse, torque, pi1 }
+    EndPoint { change: end.change(), stretch: excess, inverse, torque, kick }
 }
 
-/// `W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)`
+/// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
 #[inline(always)]
-fn embedded<R: Stages>(
-    f_lambda: &Mat3<R>,
-    u: &Mat3<R>,
-    x: &Vec3<R>,
-    rows: &[Row; WIDTH],
-) -> Mat3<R> {
+fn embedded<R: Stages>(u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> Mat3<R> {
     let y = times_hat(u, x);
-    mat3!(i, j => f_lambda[i][j] + y[i][j].combined(rows))
+    mat3!(i, j => y[i][j].combined(rows))
+}
+
+/// `(K(P) - 2) v` for `P = I + E`.
+#[inline(always)]
+fn k_less_two<T: Real>(excess: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+    let trace = excess[0] + excess[1] + excess[2];
+    let stretched = symmetric_product(excess, v);
+    vec3!(i => trace * v[i] - stretched[i])
 }
 
 /// `vee asym(U^T A)` for `A = I + D`, given `B = U^T D`: vee asym(U^T) = -4 w v without cancellation.
