@@ -21,7 +21,7 @@ use crate::log::messages::Figures;
 use crate::log::reader::Message;
 use crate::log::resume::Resumed;
 use crate::log::schema::Channel;
-use crate::log::writer::{Level, LogHeader, LogWriter};
+use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
@@ -179,9 +179,6 @@ fn run<const N: usize>(
     let (mut recorder, checkpoint) = Recorder::<N>::open(context, &header(scenario, plan))?;
     let resumed_step = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.step);
     control.resumed_step.store(resumed_step, Ordering::Relaxed);
-    if checkpoint.is_none() {
-        recorder.writer.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
-    }
     let integrating = Instant::now();
     let end = trajectory::integrate(
         body,

@@ -1,6 +1,9 @@
 //! What a viewer draws: the body's box of inertia with its points, and what stands around it.
 //!
 //! Invariant: the body moves by its frame alone, so each drawing is sent once, at the start.
+//!
+//! Drawings are in units of the scene's own length, not in metres, so that one camera sees a gyroscope of
+//! centimetres as well as a satellite.
 
 use std::borrow::Cow;
 
@@ -59,22 +62,22 @@ pub enum Sign {
 impl SceneGeometry {
     /// The body with its points and axes, in its own frame.
     pub fn body(&self, time_ns: u64) -> SceneUpdate {
-        let size = self.size();
+        let unit = self.unit();
         let mut entity = entity("body", BODY_FRAME, time_ns);
         if self.box_size.iter().any(|&edge| edge > 0.0) {
             // A flat or thin body keeps a visible thickness.
-            let [x, y, z] = self.box_size.map(|edge| edge.max(0.01 * size));
+            let [x, y, z] = self.box_size.map(|edge| (edge / unit).max(0.01));
             entity.cubes.push(CubePrimitive {
                 pose: pose([0.0; 3], self.box_axes),
                 size: Some(Vector3 { x, y, z }),
                 color: color([0.62, 0.66, 0.72], 0.7),
             });
         }
-        entity.spheres.extend(self.body_points.iter().map(|point| sphere(point, 0.08 * size)));
-        // The usual colours: x red, y green, z blue.
+        entity.spheres.extend(self.body_points.iter().map(|point| sphere(point, unit, 0.08)));
+        // The usual colours: x red, y green, z blue. Their tips come out of the box.
         for k in 0..3 {
             let axis = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
-            entity.arrows.push(arrow(axis, 0.8 * size, 0.02 * size, axis));
+            entity.arrows.push(arrow(axis, 1.3, 0.02, axis));
         }
         update(entity)
     }
@@ -89,18 +92,16 @@ impl SceneGeometry {
         if !self.has_sources() {
             return None;
         }
-        let size = self.size();
+        let unit = self.unit();
         let mut entity = entity("sources", SPACE_FRAME, time_ns);
-        entity.spheres.extend(self.space_points.iter().map(|point| sphere(point, 0.12 * size)));
+        entity.spheres.extend(self.space_points.iter().map(|point| sphere(point, unit, 0.12)));
         let yellow = [0.93, 0.75, 0.15];
-        entity.arrows.extend(
-            self.directions.iter().map(|&along| arrow(along, 1.2 * size, 0.03 * size, yellow)),
-        );
+        entity.arrows.extend(self.directions.iter().map(|&along| arrow(along, 1.5, 0.03, yellow)));
         Some(update(entity))
     }
 
-    /// The length by which drawings are scaled: half the longest edge, or the farthest body point.
-    fn size(&self) -> f64 {
+    /// The length that is drawn as 1: half the longest edge, or how far the farthest body point is.
+    fn unit(&self) -> f64 {
         let points = self.body_points.iter().map(|point| norm(point.position));
         let edges = self.box_size.into_iter().map(|edge| 0.5 * edge);
         let size = points.chain(edges).fold(0.0, f64::max);
@@ -124,14 +125,14 @@ fn update(entity: SceneEntity) -> SceneUpdate {
     SceneUpdate { deletions: Vec::new(), entities: vec![entity] }
 }
 
-fn sphere(point: &Marker, diameter: f64) -> SpherePrimitive {
+fn sphere(point: &Marker, unit: f64, diameter: f64) -> SpherePrimitive {
     let rgb = match point.sign {
         Sign::Positive => [0.86, 0.20, 0.18],
         Sign::Negative => [0.16, 0.38, 0.85],
         Sign::Neutral => [0.45, 0.45, 0.45],
     };
     SpherePrimitive {
-        pose: pose(point.position, [1.0, 0.0, 0.0, 0.0]),
+        pose: pose(point.position.map(|x| x / unit), [1.0, 0.0, 0.0, 0.0]),
         size: Some(Vector3 { x: diameter, y: diameter, z: diameter }),
         color: color(rgb, 1.0),
     }

@@ -136,7 +136,8 @@ impl<const N: usize> LogWriter<N> {
         if let Some(sources) = header.scene.sources(start) {
             log.put(Channel::SceneSources, start, &sources)?;
         }
-        log.message(Level::Info, 0.0, "started")?;
+        let name = header.job.get("name").map_or("", String::as_str);
+        log.message(Level::Info, 0.0, &format!("started: {name}"))?;
         Ok(log)
     }
 

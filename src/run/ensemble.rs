@@ -22,7 +22,7 @@ use crate::log::LogError;
 use crate::log::messages::{self, Figures, Member};
 use crate::log::reader::Message;
 use crate::log::schema::Channel;
-use crate::log::writer::{Level, LogHeader, LogWriter};
+use crate::log::writer::{LogHeader, LogWriter};
 use crate::plan::{EnsemblePlan, Plan};
 use crate::scenario::{self, Scenario};
 use crate::solve::ensemble;
@@ -62,7 +62,6 @@ impl Ensemble<'_> {
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
         control.steps_done.store(resumed_step, Ordering::Relaxed);
         if ends.is_empty() {
-            log.message(Level::Info, 0.0, &format!("started: {}", scenario.name()))?;
             if plan.logs(Channel::EnsembleStatistics) {
                 let members = 0..planned.members;
                 let starts = members.map(|m| spread::start(&assembly.initial, asked, m));
