@@ -159,9 +159,15 @@ impl Solver {
             Rungs::Newton => self.newton.solve(self.rule, equations),
             Rungs::Both => match swept(self.rule, true, || equations.sweep()) {
                 Ok(Some(convergence)) => Ok(convergence),
-                // From the beginning: where sweeps went is no better a place. If neither gets there, the sweeps
-                // tell why more plainly.
+                // If nothing gets there, the sweeps tell why more plainly.
                 stuck => {
+                    // Sweeps that got on, but ran out, stand near a solution.
+                    if let Err(Failure { code: FailureCode::MaxIterations, .. }) = stuck
+                        && let Ok(convergence) = self.newton.solve(self.rule, equations)
+                    {
+                        return Ok(convergence);
+                    }
+                    // From the beginning: where other sweeps went is no better a place.
                     equations.guess()?;
                     let newton = self.newton.solve(self.rule, equations);
                     newton.map_err(|failure| stuck.err().unwrap_or(failure))

@@ -158,17 +158,20 @@ impl<T: Real> Turn<T> {
     /// `self (1 + half)`, of length one to the fourth order of `half` and of what `self` lacks of it.
     #[inline(always)]
     pub fn turned(&self, half: &Vec3<T>) -> Self {
-        // |q (1 + a)|^2 = |q|^2 + |a|^2 to fourth order, and 1 / sqrt(1 + e) = 1 - e / 2 to second. What the length
-        // lacks by rounding goes to w rather than to v, which holds the angle: (1 + v^2) w^2 + v^2 v^2 = 1. A common
-        // factor near one lies on one side of it more often than on the other, and the energy of a run with it.
+        // What the length lacks by rounding goes to w rather than to v, which holds the angle: (1 + v^2) w^2 + v^2 v^2
+        // = 1. A common factor near one lies on one side of it more often than on the other, and the energy of a run
+        // with it.
         let square = dot(&self.v, &self.v);
         let lack = ((-self.w + 1.0) * (self.w + 1.0) - square) * 0.5;
-        let longer = dot(half, half) * -0.5;
-        let (gain_w, gain_v) = (longer + lack * (square + 1.0), longer + lack * square);
-        let c = cross(&self.v, half);
-        let w = self.w - dot(&self.v, half);
-        let v: Vec3<T> = vec3!(i => self.v[i] + (self.w * half[i] + c[i]));
-        Self { w: w + w * gain_w, v: vec3!(i => v[i] + v[i] * gain_v) }
+        let (for_w, for_v) = (lack * (square + 1.0), lack * square);
+        let w = self.w + self.w * for_w;
+        let v: Vec3<T> = vec3!(i => self.v[i] + self.v[i] * for_v);
+        // |q (1 + a)|^2 = |q|^2 + |a|^2, and 1 / sqrt(1 + e) = 1 - e / 2 to second order.
+        let shrink = dot(half, half) * -0.5;
+        let c = cross(&v, half);
+        let turned_w = w - dot(&v, half);
+        let turned_v: Vec3<T> = vec3!(i => v[i] + (w * half[i] + c[i]));
+        Self { w: turned_w + turned_w * shrink, v: vec3!(i => turned_v[i] + turned_v[i] * shrink) }
     }
 
     /// `q v` for a vector v: the rate of change of q under the angular velocity 2 v of the body.

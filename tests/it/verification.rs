@@ -5,6 +5,7 @@ use vpd::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::stepper::vpd_space::VpdSpace;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
 
@@ -94,9 +95,13 @@ pub(crate) fn distance(a: &State<3>, b: &State<3>) -> f64 {
 
 /// The dipole at t = 0.5, from two independent methods of 45 digits.
 pub(crate) fn reference() -> State<3> {
+    known("/points/0.5")
+}
+
+fn known(point: &str) -> State<3> {
     let data: Value =
         serde_json::from_str(include_str!("../data/dipole-reference.json")).expect("JSON");
-    let point = &data["points"]["0.5"];
+    let point = data.pointer(point).expect("a point");
     let number =
         |v: &Value| v.as_str().and_then(|text| text.parse::<f64>().ok()).expect("a number as text");
     let momentum: Vec<f64> = (0..3).map(|i| number(&point["ptilde"][i])).collect();
@@ -136,6 +141,29 @@ fn the_dipole_meets_its_reference() {
                 None => {}
             }
         }
+    }
+}
+
+/// Errors of this orbit grow a million times until t = 50: what is left there is mostly rounding, and another number for
+/// each step size. So many of them are looked at.
+#[test]
+fn a_long_trajectory_keeps_ten_digits() {
+    let (body, start) = dipole();
+    let reference = known("/as_doubles/points/50");
+    for (middle, allowed) in [(250_usize, 4e-10), (500, 2e-10)] {
+        let mut errors: Vec<f64> = (middle - 10..=middle + 10)
+            .map(|steps| {
+                let tableau = Tableau::gauss(8).expect("1 to 8 stages");
+                let stepper = VpdSpace::new(tableau, StopRule::default(), true);
+                let mut stepper = stepper.expect("at most 8 stages");
+                let steps = vec![50.0 / steps as f64; steps];
+                distance(&laws::advance(&mut stepper, &body, &start, &steps), &reference)
+            })
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        let [least, median, largest] = [errors[0], errors[10], errors[20]];
+        println!("about {middle} steps: {least:.1e}, {median:.1e}, {largest:.1e}");
+        assert!(median <= allowed && largest <= 10.0 * allowed, "{errors:?}");
     }
 }
 

@@ -382,15 +382,13 @@ fn kinematics<R: Stages>(
         inverse_k[i] = like.load(&unknowns.inverse[i]);
     }
     let p0 = vec3!(i => like.spread(like.stage(0).load(&start.momentum[i])));
-    let in_space = plus(&p0, momentum);
-    // Added up from small parts: a thin body turns by little momentum about its axis.
-    let mu = |change: &Mat3<R>| -> Vec3<R> {
-        let turned = transposed_product(change, &in_space);
-        vec3!(i => p0[i] + (momentum[i] + turned[i]))
-    };
+    let momentum = plus(&p0, momentum);
+    // J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi
+    let unturned = symmetric_product(&inverse_inertia, &momentum);
     let mut change = attitude.change();
     let mut u = with_one(&change);
-    let mut omega = symmetric_product(&inverse_inertia, &mu(&change));
+    let turned_by = transposed_product(&change, &momentum);
+    let mut omega = plus(&unturned, &symmetric_product(&inverse_inertia, &turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = like.constant(0.0);
     let mut excess = inverse_k;
@@ -405,7 +403,8 @@ fn kinematics<R: Stages>(
         turned = half[0].size().larger(half[1].size()).larger(half[2].size());
         change = attitude.change();
         u = with_one(&change);
-        omega = symmetric_product(&inverse_inertia, &mu(&change));
+        let turned_by = transposed_product(&change, &momentum);
+        omega = plus(&unturned, &symmetric_product(&inverse_inertia, &turned_by));
         w = times_hat(&u, &scaled(&omega, weight));
     }
     store_turn(&attitude, &mut unknowns.attitude);
