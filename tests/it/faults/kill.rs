@@ -118,6 +118,16 @@ fn a_stop_is_clean() {
     }
 }
 
+/// Whoever can reach the service can stop it: nobody is left to the system's way of ending a process.
+#[test]
+fn a_stop_is_clean_from_the_first_connection() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for _ in 0..20 {
+        let (status, _) = Service::start(folder.path(), &[]).terminate();
+        assert!(status.success(), "{status}");
+    }
+}
+
 #[test]
 fn any_number_of_workers_gives_the_same_bytes() {
     let scenarios: Vec<Value> = [5_000, 10_000, 20_000].into_iter().map(dipole).collect();
