@@ -43,7 +43,13 @@ async def watch(address, url):
         del scenario["expect"]
         job = call(f"{url}/jobs", scenario | {"steps": 100_000_000, "log": {"every": 1000}})
         seen, clock = {topic: [] for topic in TOPICS}, []
-        while len(seen["/tf"]) < 20 or not seen["/scene/body"]:
+
+        def enough():
+            # The clock goes another way than the samples, and may come behind them.
+            last = max((time_ns for time_ns, _ in seen["/state"]), default=0)
+            return len(seen["/tf"]) >= 20 and seen["/scene/body"] and last in clock
+
+        while not enough():
             message = await asyncio.wait_for(socket.recv(), 30)
             if isinstance(message, str):
                 continue
