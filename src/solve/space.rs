@@ -155,7 +155,7 @@ impl<T: Real> Turn<T> {
         Self { w: half[0].constant(1.0), v: *half }.normalised()
     }
 
-    /// `self (1 + half)`, of length one to the fourth order of `half` and of what `self` lacks of it.
+    /// `self (1 + half)`, of length one to the fourth order of `half` and the second of what `self` lacks of it.
     #[inline(always)]
     pub fn turned(&self, half: &Vec3<T>) -> Self {
         // What the length lacks by rounding goes to w rather than to v, which holds the angle: (1 + v^2) w^2 + v^2 v^2

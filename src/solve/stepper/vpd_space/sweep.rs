@@ -27,7 +27,8 @@
 //! ```
 //!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
-//! `U <- U (1 + theta / 2)` normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar factor.
+//! `U <- U (1 + theta / 2)` normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar
+//! factor.
 
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
@@ -292,9 +293,10 @@ pub(super) fn sweep<R: Stages>(
     let u = with_one(&turn);
     let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick } =
         end_point(like, start, &u, weight, &w, unknowns);
-    let pi1 = vec3!(i => whole.load(&start.momentum[i]) + kick[i]);
+    let p0 = vec3!(i => whole.load(&start.momentum[i]));
+    let pi1 = plus(&p0, &kick);
     let gain = plus(&kick, &transposed_product(&end_turn, &pi1));
-    let p1 = vec3!(i => whole.load(&start.momentum[i]) + gain[i]);
+    let p1 = plus(&p0, &gain);
     let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(&end_turn), &lambda);
     let f_lambda: Mat3<R> = mat3!(i, j => like.spread(f_lambda[i][j]));
