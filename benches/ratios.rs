@@ -1,4 +1,5 @@
-//! Speed beside accuracy, as ratios in one run: `cargo bench --bench ratios`.
+//! Speed beside accuracy, as ratios in one run: `cargo bench --bench ratios`; a part alone by its name, as in
+//! `cargo bench --bench ratios -- largest_steps`.
 //!
 //! All on the dipole of the scenarios unless said otherwise; errors are |g - g_ref| + |p - p_ref|. Times are the least of
 //! several repeats, in which all candidates take turns: the machine may be shared.
@@ -20,13 +21,22 @@ use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::State;
 
 fn main() {
-    against_vrkmk();
-    one_trajectory();
-    long_run();
-    ensembles();
-    ensemble_on_all_cores();
-    largest_steps();
-    growth();
+    let parts: [(&str, fn()); 7] = [
+        ("against_vrkmk", against_vrkmk),
+        ("one_trajectory", one_trajectory),
+        ("long_run", long_run),
+        ("ensembles", ensembles),
+        ("ensemble_on_all_cores", ensemble_on_all_cores),
+        ("largest_steps", largest_steps),
+        ("growth", growth),
+    ];
+    // What cargo passes itself begins with dashes.
+    let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
+    for (name, part) in parts {
+        if asked.is_empty() || asked.iter().any(|asked| asked == name) {
+            part();
+        }
+    }
 }
 
 fn say(line: &str) {

@@ -209,9 +209,14 @@ macro_rules! stage_lanes {
 
             #[inline(always)]
             fn combined(self, columns: &[Row; WIDTH]) -> Self {
+                // By way of memory, from where spreading a number costs nothing. The compiler would take each out of
+                // its register, through the port that half the arithmetic needs.
+                let mut values = [0.0; $lanes];
+                self.store_slice(&mut values);
+                let values = std::hint::black_box(&values);
                 macro_rules! term {
                     ($j:literal) => {
-                        self.row(&columns[$j]) * Self::splat(self.simd, self[$j])
+                        self.row(&columns[$j]) * Self::splat(self.simd, values[$j])
                     };
                 }
                 by_halves!($lanes, term)

@@ -1,10 +1,12 @@
 //! VPD in Hamiltonian form for n = 3 with up to eight stages: the map of [`super::vpd`] and
 //! [`super::vpd_reduced`], computed in vectors and quaternions with the stages side by side in SIMD lanes.
 //!
-//! The state is the attitude as a unit quaternion and the momentum in space. A step adds to both what is small
-//! beside them: `q1 = q0 + q0 (f - 1)`, and the impulse of the torques to the momentum. What rounding takes off
-//! a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
-//! McLachlan, Razakarivony 2008, BIT 48).
+//! The state is the attitude as a unit quaternion and the momentum, in space and in the body. A step adds to each what is
+//! small beside it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
+//! takes off a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
+//! McLachlan, Razakarivony 2008, BIT 48). In space the momentum is what torques make of it and nothing else. In the body
+//! it is `g^T pi`; but many stages are there for the last digits, and there the small momentum about a thin axis, of which
+//! that product knows too little, has a sum of its own.
 //!
 //! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
 
@@ -20,7 +22,7 @@ use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, dot, mat3, plus, product, scaled, transposed_product, vec3,
+    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, product, scaled, transposed_product, vec3,
 };
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
@@ -58,19 +60,35 @@ pub struct VpdSpace {
 /// What is carried from step to step.
 #[derive(Clone, Copy, Debug)]
 enum Carried {
-    /// Attitude and momentum in space.
-    Full {
-        attitude: Turn<f64>,
-        attitude_carry: Turn<f64>,
-        momentum: Vec3<f64>,
-        momentum_carry: Vec3<f64>,
-    },
+    /// The attitude, a quaternion (w, v), and the momentum in space and in the body.
+    Full { attitude: Sum<4>, momentum: Sum<3>, body_momentum: Sum<3> },
     /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
     /// Its square labels the coadjoint orbit.
     Reduced { momentum: Vec3<f64>, square: f64 },
 }
 
-const NO_TURN: Turn<f64> = Turn { w: 0.0, v: [0.0; 3] };
+/// A sum, and what rounding has taken off it.
+#[derive(Clone, Copy, Debug)]
+struct Sum<const K: usize> {
+    value: [f64; K],
+    carry: [f64; K],
+}
+
+impl<const K: usize> Sum<K> {
+    fn new(value: [f64; K]) -> Self {
+        Self { value, carry: [0.0; K] }
+    }
+
+    fn add(&mut self, change: &[f64; K]) {
+        for i in 0..K {
+            (self.value[i], self.carry[i]) = so::sum(self.value[i], change[i] + self.carry[i]);
+        }
+    }
+}
+
+fn turn([w, x, y, z]: &[f64; 4]) -> Turn<f64> {
+    Turn { w: *w, v: [*x, *y, *z] }
+}
 
 impl VpdSpace {
     /// A stepper for `tableau` that solves each step until `stop`, and carries an attitude if `with_attitude`;
@@ -78,10 +96,9 @@ impl VpdSpace {
     pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Option<Self> {
         let state = if with_attitude {
             Carried::Full {
-                attitude: Turn { w: 1.0, v: [0.0; 3] },
-                attitude_carry: NO_TURN,
-                momentum: [0.0; 3],
-                momentum_carry: [0.0; 3],
+                attitude: Sum::new([1.0, 0.0, 0.0, 0.0]),
+                momentum: Sum::new([0.0; 3]),
+                body_momentum: Sum::new([0.0; 3]),
             }
         } else {
             Carried::Reduced { momentum: [0.0; 3], square: 0.0 }
@@ -274,10 +291,9 @@ impl Stepper<3> for VpdSpace {
         let Top { attitude, momentum } = Top::from_state(state);
         self.state = match self.state {
             Carried::Full { .. } => Carried::Full {
-                attitude: Turn { w: attitude.w, v: [attitude.i, attitude.j, attitude.k] },
-                attitude_carry: NO_TURN,
-                momentum: product(&rows(&state.attitude), &momentum.into()),
-                momentum_carry: [0.0; 3],
+                attitude: Sum::new([attitude.w, attitude.i, attitude.j, attitude.k]),
+                momentum: Sum::new(product(&rows(&state.attitude), &momentum.into())),
+                body_momentum: Sum::new(momentum.into()),
             },
             Carried::Reduced { .. } => {
                 Carried::Reduced { momentum: momentum.into(), square: momentum.norm_squared() }
@@ -295,7 +311,7 @@ impl Stepper<3> for VpdSpace {
     fn attitude(&self) -> Option<Mat<3>> {
         match &self.state {
             Carried::Full { attitude, .. } => {
-                let g = attitude.matrix();
+                let g = turn(&attitude.value).matrix();
                 Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
             }
             Carried::Reduced { .. } => None,
@@ -317,7 +333,7 @@ impl VpdSpace {
     fn look(&mut self, body: &RigidBody<3>) {
         self.seen.clear();
         if let Carried::Full { attitude, .. } = &self.state {
-            let g0 = attitude.matrix();
+            let g0 = turn(&attitude.value).matrix();
             self.seen.extend(body.space_vectors().map(|v| transposed_product(&g0, &(*v).into())));
         }
     }
@@ -342,27 +358,32 @@ impl VpdSpace {
 
     /// Takes the solved step over into the state.
     fn advance(&mut self) {
-        let Unknowns { end, kick, .. } = &self.unknowns;
+        let Unknowns { end, kick, gain, .. } = &self.unknowns;
         match &mut self.state {
-            Carried::Full { attitude, attitude_carry, momentum, momentum_carry } => {
-                let g0 = attitude.matrix();
-                let impulse = plus(&product(&g0, kick), momentum_carry);
-                for i in 0..3 {
-                    (momentum[i], momentum_carry[i]) = so::sum(momentum[i], impulse[i]);
-                }
+            Carried::Full { attitude, momentum, body_momentum } => {
+                let start = turn(&attitude.value);
+                momentum.add(&product(&start.matrix(), kick));
                 // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
                 let sign = if end.w < 0.0 { -1.0 } else { 1.0 };
-                let square = dot(&end.v, &end.v);
-                let v = vec3!(i => sign * end.v[i]);
-                let change = Turn { w: -square / (1.0 + sign * end.w), v };
-                let mut change = attitude.times(&change);
+                let v = scaled(&end.v, sign);
+                let change = Turn { w: -dot(&v, &v) / (1.0 + sign * end.w), v };
+                // What is carried turns along.
+                let carried = turn(&attitude.carry).times(&change);
+                let change = start.times(&change);
                 // What the length lacks of one.
-                let lack = 0.5 * (1.0 - (attitude.w * attitude.w + dot(&attitude.v, &attitude.v)));
-                change.w += lack * attitude.w + attitude_carry.w;
-                (attitude.w, attitude_carry.w) = so::sum(attitude.w, change.w);
-                for i in 0..3 {
-                    let change = change.v[i] + (lack * attitude.v[i] + attitude_carry.v[i]);
-                    (attitude.v[i], attitude_carry.v[i]) = so::sum(attitude.v[i], change);
+                let lack = 0.5 * (1.0 - start.square());
+                attitude.add(&[
+                    change.w + (carried.w + lack * start.w),
+                    change.v[0] + (carried.v[0] + lack * start.v[0]),
+                    change.v[1] + (carried.v[1] + lack * start.v[1]),
+                    change.v[2] + (carried.v[2] + lack * start.v[2]),
+                ]);
+                if self.tableau.stages() > FEW_STAGES {
+                    body_momentum.add(gain);
+                    agree(attitude, &momentum.value, &body_momentum.value, gain);
+                } else {
+                    let g = turn(&attitude.value).matrix();
+                    body_momentum.value = transposed_product(&g, &momentum.value);
                 }
             }
             Carried::Reduced { momentum, square } => {
@@ -377,11 +398,24 @@ impl VpdSpace {
 
     fn body_momentum(&self) -> Vec3<f64> {
         match &self.state {
-            Carried::Full { attitude, momentum, .. } => {
-                transposed_product(&attitude.matrix(), momentum)
-            }
+            Carried::Full { body_momentum, .. } => body_momentum.value,
             Carried::Reduced { momentum, .. } => *momentum,
         }
+    }
+}
+
+/// Turns the attitude so that rounding does not part the momentum in space, which nothing but torques changes, from that
+/// in the body, the direction of which is the more precise: `g <- g (I + hat(theta))` with `theta = (p - g^T pi) x p /
+/// |p|^2`, and less where the step has added more than there is.
+fn agree(attitude: &mut Sum<4>, momentum: &Vec3<f64>, body: &Vec3<f64>, gain: &Vec3<f64>) {
+    let now = turn(&attitude.value);
+    let seen = transposed_product(&now.matrix(), momentum);
+    let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
+    let half = scaled(&cross(&minus(body, &seen), &seen), scale);
+    // Next to nothing: it is added at the next step.
+    let Turn { w, v: [x, y, z] } = now.rate(&half);
+    for (carry, change) in attitude.carry.iter_mut().zip([w, x, y, z]) {
+        *carry += change;
     }
 }
 

@@ -28,7 +28,13 @@
 //!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar
-//! factor.
+//! factor. What a correction brings about itself at the other stages is added to first order, with all turns and stretches
+//! taken as one, in vectors where a pass works in matrices:
+//!
+//! ```text
+//! theta_k <- theta_k + h sum_j a_kj (J^-1 (mu_j x theta_j) + theta_j x Omega_j / 2)
+//! x_k <- x_k + h b_k Omega_k x (sum_i e_ik dx_i) / 2                  dx the change of x in the pass
+//! ```
 
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
@@ -38,12 +44,15 @@ use crate::solve::space::{
     with_one,
 };
 
-/// Passes over the kinematics, and over the linear system of x, within a sweep. Fewer take more sweeps, and fail at
-/// half the step; many stages are for large steps, and those need more.
-const FEW_PASSES: [u32; 2] = [4, 3];
-const MANY_PASSES: [u32; 2] = [6, 6];
+/// Passes over the kinematics, and over the linear system of x, within a sweep. One fails at half the step; many stages
+/// are for large steps, and those need more.
+const FEW_PASSES: [u32; 2] = [2, 2];
+const MANY_PASSES: [u32; 2] = [4, 4];
 /// Up to here stages are few.
 pub(super) const FEW_STAGES: usize = 4;
+
+/// What rounding may make of a coefficient.
+const ROUNDED: f64 = 1e-14;
 
 /// What the square of a quaternion may lack of one in the last round of the first guess.
 const MOST_LACK: f64 = 0.1;
@@ -57,11 +66,15 @@ pub(super) struct LaneTableau {
     rows: [Row; WIDTH],
     weights: Row,
     nodes: Row,
+    /// One for each stage.
+    present: Row,
     /// Passes over the kinematics and over the linear system within a sweep: numbers that the compiler does not
     /// know, or it would unroll their loops into more code than a cache holds.
     passes: [u32; 2],
     /// Stages, and rounds of the first guess.
     stages: u32,
+    /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
+    own_partner: bool,
 }
 
 impl LaneTableau {
@@ -72,15 +85,24 @@ impl LaneTableau {
             rows: [zero; WIDTH],
             weights: zero,
             nodes: zero,
+            present: zero,
             passes: if tableau.stages() <= FEW_STAGES { FEW_PASSES } else { MANY_PASSES },
             stages: tableau.stages() as u32,
+            own_partner: false,
         };
-        for i in 0..tableau.stages() {
+        let stages = tableau.stages();
+        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
+        lanes.own_partner = (0..stages)
+            .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
+        for i in 0..stages {
             lanes.weights.0[i] = tableau.b(i);
             lanes.nodes.0[i] = tableau.c(i);
-            for j in 0..tableau.stages() {
+            lanes.present.0[i] = 1.0;
+            for j in 0..stages {
+                // Of two that make one to the last bit the smaller is what the larger leaves.
+                let from_other = lanes.own_partner && part(i, j) < part(j, i);
+                let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
                 // The same bits enter both halves: the pair is symplectic whatever their rounding.
-                let e = tableau.a(i, j) / tableau.b(j);
                 lanes.columns[j].0[i] = e;
                 lanes.rows[i].0[j] = e;
             }
@@ -121,6 +143,8 @@ pub(super) struct Unknowns<S, P> {
     pub(super) end_excess: Sym3<P>,
     /// pi1 - p0.
     pub(super) kick: Vec3<P>,
+    /// p1 - p0, where it is needed to the last digit.
+    pub(super) gain: Vec3<P>,
     /// The largest over the stages, as [`RigidBody::torque`] gives it.
     pub(super) nearness: P,
 }
@@ -137,6 +161,7 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
             excess: [stages; 6],
             end_excess: [whole; 6],
             kick: [whole; 3],
+            gain: [whole; 3],
             nearness: whole,
         }
     }
@@ -149,7 +174,7 @@ impl<S, P> Unknowns<S, P> {
         stages: impl Fn(&S) -> T,
         whole: impl Fn(&P) -> Q,
     ) -> Unknowns<T, Q> {
-        let Self { attitude, momentum, x, end, inverse, excess, end_excess, kick, nearness } = self;
+        let Self { attitude, momentum, x, end, inverse, excess, end_excess, .. } = self;
         Unknowns {
             attitude: Turn { w: stages(&attitude.w), v: vec3!(i => stages(&attitude.v[i])) },
             momentum: vec3!(i => stages(&momentum[i])),
@@ -158,8 +183,9 @@ impl<S, P> Unknowns<S, P> {
             inverse: inverse.each_ref().map(&stages),
             excess: excess.each_ref().map(&stages),
             end_excess: end_excess.each_ref().map(&whole),
-            kick: vec3!(i => whole(&kick[i])),
-            nearness: whole(nearness),
+            kick: self.kick.each_ref().map(&whole),
+            gain: self.gain.each_ref().map(&whole),
+            nearness: whole(&self.nearness),
         }
     }
 }
@@ -286,16 +312,15 @@ pub(super) fn sweep<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> R::Whole {
     let whole = like.stage(0);
-    let LaneTableau { rows, passes: [_, linear], .. } = start.tableau;
+    let LaneTableau { rows, present, passes: [kinematic, linear], .. } = start.tableau;
     let momentum: Vec3<R> = load(like, &unknowns.momentum);
     let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
-        kinematics(like, start, &momentum, unknowns);
+        kinematics(like, start, &momentum, unknowns, *kinematic);
     let u = with_one(&turn);
-    let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick } =
+    let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick, gain } =
         end_point(like, start, &u, weight, &w, unknowns);
     let p0 = vec3!(i => whole.load(&start.momentum[i]));
     let pi1 = plus(&p0, &kick);
-    let gain = plus(&kick, &transposed_product(&end_turn, &pi1));
     let p1 = plus(&p0, &gain);
     let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(&end_turn), &lambda);
@@ -306,6 +331,7 @@ pub(super) fn sweep<R: Stages>(
     let common: Vec3<R> = vec3!(i => like.spread(gain[i] - (stretched[i] + beyond[i])));
 
     // The embedded momenta W_k.
+    let half_weight = weight * 0.5;
     let mut x: Vec3<R> = load(like, &unknowns.x);
     let mut y = embedded(&u, &x, rows);
     let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
@@ -314,7 +340,11 @@ pub(super) fn sweep<R: Stages>(
         let trace = n[0][0] + n[1][1] + n[2][2];
         let turned = transposed_product(&n, &omega);
         let load: Vec3<R> = vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
-        x = symmetric_product(&inverse_k, &load);
+        let next = symmetric_product(&inverse_k, &load);
+        // What it brings about itself.
+        let change: Vec3<R> = vec3!(i => (next[i] - x[i]).combined(rows));
+        let follows = cross(&omega, &change);
+        x = vec3!(i => next[i] + follows[i] * half_weight);
         y = embedded(&u, &x, rows);
         m = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     }
@@ -325,7 +355,9 @@ pub(super) fn sweep<R: Stages>(
         dot(&m[0], &turn[1]) - dot(&m[1], &turn[0]),
     ];
     let own = vee_asym(&y);
-    let next: Vec3<R> = vec3!(i => common[i] + (turned_off[i] - own[i]));
+    // A lane of no stage must not be what the sweeps seem to change.
+    let present = like.row(present);
+    let next: Vec3<R> = vec3!(i => present * (common[i] + (turned_off[i] - own[i])));
     let change = minus(&next, &momentum);
     let change = change[0].size().larger(change[1].size()).larger(change[2].size()).largest();
     let size = next[0].size().larger(next[1].size()).larger(next[2].size()).largest();
@@ -340,8 +372,17 @@ pub(super) fn sweep<R: Stages>(
     relative.larger(turned.largest()) + poison
 }
 
-/// Brings what the state is made of, the end point and the impulse, up to the newest stage momenta: after a sweep they
-/// are one behind, and what they lack leans to one side.
+/// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
+/// after a sweep they are one behind, and what they lack leans to one side.
+///
+/// `p1 - p0 = (pi1 - p0) + D_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers. If
+/// the tableau is its own partner, `e_ij + e_ji = 1`, then `D_f = sum_k w_k - f E_f` and
+/// `2 E_f + E_f^2 = sum_k h b_k [E_k, hat(Omega_k)]`, and every term of a sum over the stages is small by itself:
+///
+/// ```text
+/// p1 - p0 = sum_k h b_k (mu_k x Omega_k - U_k tau_k + (U_k^T (pi1 - pi_k)) x Omega_k) - E_f p1
+/// E_f p1 = (sum_k h b_k [E_k, hat(Omega_k)] p1 - E_f^2 p1) / 2
+/// ```
 #[inline(always)]
 pub(super) fn finish<R: Stages>(
     like: R,
@@ -349,8 +390,38 @@ pub(super) fn finish<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
     let momentum: Vec3<R> = load(like, &unknowns.momentum);
-    let Kinematics { change, weight, w, .. } = kinematics(like, start, &momentum, unknowns);
-    end_point(like, start, &with_one(&change), weight, &w, unknowns);
+    let Kinematics { change, omega, weight, w, .. } =
+        kinematics(like, start, &momentum, unknowns, 1);
+    let u = with_one(&change);
+    let EndPoint { stretch, torque, kick, gain, .. } =
+        end_point(like, start, &u, weight, &w, unknowns);
+    let gain = if start.tableau.own_partner {
+        let p0 = vec3!(i => like.stage(0).load(&start.momentum[i]));
+        let p1 = plus(&p0, &gain);
+        let square = symmetric_product(&stretch, &symmetric_product(&stretch, &p1));
+        let p1: Vec3<R> = vec3!(i => like.spread(p1[i]));
+        let pi: Vec3<R> = vec3!(i => like.spread(p0[i]) + momentum[i]);
+        let mu = plus(&pi, &transposed_product(&change, &pi));
+        let turned = cross(&mu, &omega);
+        let to_come: Vec3<R> = vec3!(i => like.spread(kick[i]) - momentum[i]);
+        let to_come = cross(&transposed_product(&u, &to_come), &omega);
+        let pushed = product(&u, &torque);
+        let mut excess: Sym3<R> = [like; 6];
+        for i in 0..6 {
+            excess[i] = like.load(&unknowns.excess[i]);
+        }
+        let stretched = minus(
+            &symmetric_product(&excess, &cross(&omega, &p1)),
+            &cross(&omega, &symmetric_product(&excess, &p1)),
+        );
+        let rate: Vec3<R> = vec3!(i => turned[i] + (to_come[i] - pushed[i]));
+        vec3!(i => (weight * rate[i]).sum() - ((weight * stretched[i]).sum() - square[i]) * 0.5)
+    } else {
+        gain
+    };
+    for i in 0..3 {
+        gain[i].store(&mut unknowns.gain[i]);
+    }
 }
 
 /// The stages for given momenta.
@@ -374,8 +445,9 @@ fn kinematics<R: Stages>(
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     momentum: &Vec3<R>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    passes: u32,
 ) -> Kinematics<R> {
-    let LaneTableau { columns, weights, passes: [kinematic, _], .. } = start.tableau;
+    let LaneTableau { columns, weights, .. } = start.tableau;
     let weight = like.row(weights) * start.step;
     let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
     let mut attitude = load_turn(like, &unknowns.attitude);
@@ -389,23 +461,29 @@ fn kinematics<R: Stages>(
     let unturned = symmetric_product(&inverse_inertia, &momentum);
     let mut change = attitude.change();
     let mut u = with_one(&change);
-    let turned_by = transposed_product(&change, &momentum);
+    let mut turned_by = transposed_product(&change, &momentum);
     let mut omega = plus(&unturned, &symmetric_product(&inverse_inertia, &turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = like.constant(0.0);
     let mut excess = inverse_k;
-    for _ in 0..*kinematic {
+    for _ in 0..passes {
         let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
         let b = transposed_matrix_product(&u, &d);
         let half =
             scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
+        // What it brings about itself, through the velocities.
+        let faster =
+            symmetric_product(&inverse_inertia, &cross(&plus(&momentum, &turned_by), &half));
+        let bent = cross(&half, &scaled(&omega, like.constant(0.5)));
+        let follows: Vec3<R> = vec3!(i => (weight * (faster[i] + bent[i])).combined(columns));
+        let half = plus(&half, &follows);
         excess = stretch_excess(&attitude, &b);
         inverse_k = inverse_of_k(&excess);
         attitude = attitude.turned(&half);
         turned = half[0].size().larger(half[1].size()).larger(half[2].size());
         change = attitude.change();
         u = with_one(&change);
-        let turned_by = transposed_product(&change, &momentum);
+        turned_by = transposed_product(&change, &momentum);
         omega = plus(&unturned, &symmetric_product(&inverse_inertia, &turned_by));
         w = times_hat(&u, &scaled(&omega, weight));
     }
@@ -429,6 +507,8 @@ struct EndPoint<R: Stages> {
     torque: Vec3<R>,
     /// pi1 - p0
     kick: Vec3<R::Whole>,
+    /// p1 - p0
+    gain: Vec3<R::Whole>,
 }
 
 /// The end point, and the momentum there.
@@ -462,7 +542,10 @@ fn end_point<R: Stages>(
         kick[i].store(&mut unknowns.kick[i]);
     }
     nearness.largest().store(&mut unknowns.nearness);
-    EndPoint { change: end.change(), stretch: excess, inverse, torque, kick }
+    let change = end.change();
+    let p0 = vec3!(i => whole.load(&start.momentum[i]));
+    let gain = plus(&kick, &transposed_product(&change, &plus(&p0, &kick)));
+    EndPoint { change, stretch: excess, inverse, torque, kick, gain }
 }
 
 /// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
