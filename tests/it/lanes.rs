@@ -120,21 +120,25 @@ fn every_instruction_set_makes_the_same_bits() {
 }
 
 #[test]
-fn a_free_body_keeps_its_spatial_momentum_to_the_bit() {
+fn a_free_body_keeps_its_spatial_momentum() {
     let mut numbers = Numbers(9);
     let body = free();
     let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
-    let mut stepper = in_lanes(&Tableau::gauss(3).expect("3 stages"), true);
-    stepper.start(&start);
-    let momentum = |stepper: &VpdSpace| {
-        so::conjugate(&stepper.attitude().expect("carried"), &stepper.momentum())
-    };
-    let before = momentum(&stepper);
-    for _ in 0..10_000 {
-        stepper.step(&body, 0.02).expect("a small step");
+    for (stages, step_s) in [(3, 0.02), (8, 0.02), (8, 0.1)] {
+        let mut stepper = in_lanes(&Tableau::gauss(stages).expect("up to 8 stages"), true);
+        stepper.start(&start);
+        let momentum = |stepper: &VpdSpace| {
+            so::conjugate(&stepper.attitude().expect("carried"), &stepper.momentum())
+        };
+        let before = momentum(&stepper);
+        for _ in 0..10_000 {
+            stepper.step(&body, step_s).expect("a solvable step");
+        }
+        let lost = (momentum(&stepper) - before).amax();
+        println!("{stages} stages, {step_s} s: {lost:e}");
+        // Only what the reading of it rounds is left.
+        assert!(lost < 2e-15, "{stages} stages, {step_s} s: {lost:e}");
     }
-    // Only what the reading of it rounds is left.
-    assert!((momentum(&stepper) - before).amax() < 2e-15);
 }
 
 /// Newton's method makes the step that the sweeps make.
@@ -218,7 +222,7 @@ fn energy_error(stepper: &mut dyn Stepper<3>, steps: u32) -> f64 {
 fn carried_sums_leave_no_drift() {
     let eight = || Tableau::gauss(8).expect("8 stages");
     let long = energy_error(&mut in_lanes(&eight(), true), 100_000);
-    assert!(long <= 1e-13, "{long:e}");
+    assert!(long <= 3e-14, "{long:e}");
     // The matrices store the state as it is rounded.
     let carried = energy_error(&mut in_lanes(&eight(), true), 10_000);
     let rounded = energy_error(&mut Vpd::new(eight(), StopRule::default()), 10_000);

@@ -5,8 +5,8 @@
 //! small beside it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
 //! takes off a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
 //! McLachlan, Razakarivony 2008, BIT 48). In space the momentum is what torques make of it and nothing else. In the body
-//! it is `g^T pi`; but many stages are there for the last digits, and there the small momentum about a thin axis, of which
-//! that product knows too little, has a sum of its own.
+//! it is `g^T pi`; but many stages are there for the last digits, and with torques the small momentum about a thin axis, of
+//! which that product knows too little, has a sum of its own there.
 //!
 //! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
 
@@ -378,7 +378,8 @@ impl VpdSpace {
                     change.v[1] + (carried.v[1] + lack * start.v[1]),
                     change.v[2] + (carried.v[2] + lack * start.v[2]),
                 ]);
-                if self.tableau.stages() > FEW_STAGES {
+                // A free body has the one in space to the bit, and the sum would lean by 1e-18 a step.
+                if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
                     body_momentum.add(gain);
                     agree(attitude, &momentum.value, &body_momentum.value, gain);
                 } else {
