@@ -16,7 +16,7 @@ use super::{Random, dipole, scale};
 fn nothing_that_was_accepted_is_lost_to_kills() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut random = Random::new();
-    let scenarios: Vec<Value> = [20_000, 40_000, 60_000].into_iter().map(dipole).collect();
+    let scenarios: Vec<Value> = [40_000, 80_000, 120_000].into_iter().map(dipole).collect();
     let mut service = Service::start(folder.path(), &["--workers", "2"]);
     let references: Vec<_> = scenarios.iter().map(|scenario| service.reference(scenario)).collect();
     let mut open: Vec<(String, usize)> = Vec::new();
