@@ -29,8 +29,9 @@ use crate::solve::trajectory::State;
 
 pub mod ensemble;
 mod sweep;
+mod unknowns;
 
-use sweep::{FEW_STAGES, LaneTableau, Start, Unknowns};
+use unknowns::{FEW_STAGES, LaneTableau, Start, Unknowns};
 
 /// Does the work in as many lanes as the stages need, compiled for the widest instruction set.
 macro_rules! in_lanes {

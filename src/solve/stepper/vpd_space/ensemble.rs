@@ -10,7 +10,8 @@
 
 use fearless_simd::{Level, f64x8, prelude::*};
 
-use super::sweep::{self, Start, Unknowns};
+use super::sweep;
+use super::unknowns::{Start, Unknowns};
 use super::{VpdSpace, symmetric};
 use crate::solve::ensemble::Members;
 use crate::solve::failure::Failure;

@@ -36,7 +36,7 @@
 //! x_k <- x_k + h b_k Omega_k x (sum_i e_ik dx_i) / 2                  dx the change of x in the pass
 //! ```
 
-use crate::solve::hamiltonian::RigidBody;
+use super::unknowns::{LaneTableau, Start, Unknowns};
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::solve::space::{
     Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
@@ -44,151 +44,8 @@ use crate::solve::space::{
     with_one,
 };
 
-/// Passes over the kinematics, and over the linear system of x, within a sweep. One fails at half the step; many stages
-/// are for large steps, and those need more.
-const FEW_PASSES: [u32; 2] = [2, 2];
-const MANY_PASSES: [u32; 2] = [4, 4];
-/// Up to here stages are few.
-pub(super) const FEW_STAGES: usize = 4;
-
-/// What rounding may make of a coefficient.
-const ROUNDED: f64 = 1e-14;
-
 /// What the square of a quaternion may lack of one in the last round of the first guess.
 const MOST_LACK: f64 = 0.1;
-
-/// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
-#[derive(Clone, Debug)]
-pub(super) struct LaneTableau {
-    /// `e_ij`, column by column.
-    columns: [Row; WIDTH],
-    /// `e_ij`, row by row: the columns of its transpose.
-    rows: [Row; WIDTH],
-    weights: Row,
-    nodes: Row,
-    /// One for each stage.
-    present: Row,
-    /// Passes over the kinematics and over the linear system within a sweep: numbers that the compiler does not
-    /// know, or it would unroll their loops into more code than a cache holds.
-    passes: [u32; 2],
-    /// Stages, and rounds of the first guess.
-    stages: u32,
-    /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
-    own_partner: bool,
-}
-
-impl LaneTableau {
-    pub(super) fn new(tableau: &crate::solve::tableau::Tableau) -> Self {
-        let zero = Row::splat(0.0);
-        let mut lanes = Self {
-            columns: [zero; WIDTH],
-            rows: [zero; WIDTH],
-            weights: zero,
-            nodes: zero,
-            present: zero,
-            passes: if tableau.stages() <= FEW_STAGES { FEW_PASSES } else { MANY_PASSES },
-            stages: tableau.stages() as u32,
-            own_partner: false,
-        };
-        let stages = tableau.stages();
-        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        lanes.own_partner = (0..stages)
-            .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
-        for i in 0..stages {
-            lanes.weights.0[i] = tableau.b(i);
-            lanes.nodes.0[i] = tableau.c(i);
-            lanes.present.0[i] = 1.0;
-            for j in 0..stages {
-                // Of two that make one to the last bit the smaller is what the larger leaves.
-                let from_other = lanes.own_partner && part(i, j) < part(j, i);
-                let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
-                // The same bits enter both halves: the pair is symplectic whatever their rounding.
-                lanes.columns[j].0[i] = e;
-                lanes.rows[i].0[j] = e;
-            }
-        }
-        lanes
-    }
-}
-
-/// What a step is made from. `P` holds a number in memory, or one for each member.
-pub(super) struct Start<'a, P> {
-    pub(super) tableau: &'a LaneTableau,
-    pub(super) body: &'a RigidBody<3>,
-    /// J^-1.
-    pub(super) inverse_inertia: Sym3<f64>,
-    /// The space vectors of the potential, as seen from g0.
-    pub(super) seen: &'a [Vec3<P>],
-    pub(super) step: f64,
-    /// p0.
-    pub(super) momentum: Vec3<P>,
-}
-
-/// The unknowns of a step in the frame of g0, as they lie in memory; `S` holds a number for each stage.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Unknowns<S, P> {
-    /// U_k.
-    pub(super) attitude: Turn<S>,
-    /// pi_k - p0.
-    pub(super) momentum: Vec3<S>,
-    /// x_k.
-    pub(super) x: Vec3<S>,
-    /// f.
-    pub(super) end: Turn<P>,
-    /// K(P_k)^-1.
-    inverse: Sym3<S>,
-    /// E_k = P_k - I.
-    pub(super) excess: Sym3<S>,
-    /// The same of the end point.
-    pub(super) end_excess: Sym3<P>,
-    /// pi1 - p0.
-    pub(super) kick: Vec3<P>,
-    /// p1 - p0, where it is needed to the last digit.
-    pub(super) gain: Vec3<P>,
-    /// The largest over the stages, as [`RigidBody::torque`] gives it.
-    pub(super) nearness: P,
-}
-
-impl<S: Copy, P: Copy> Unknowns<S, P> {
-    /// Nothing yet, in the size of `stages` and `whole`.
-    pub(super) fn blank(stages: S, whole: P) -> Self {
-        Self {
-            attitude: Turn { w: stages, v: [stages; 3] },
-            momentum: [stages; 3],
-            x: [stages; 3],
-            end: Turn { w: whole, v: [whole; 3] },
-            inverse: [stages; 6],
-            excess: [stages; 6],
-            end_excess: [whole; 6],
-            kick: [whole; 3],
-            gain: [whole; 3],
-            nearness: whole,
-        }
-    }
-}
-
-impl<S, P> Unknowns<S, P> {
-    /// Each number taken over by `stages` or `whole`.
-    pub(super) fn mapped<T, Q>(
-        &self,
-        stages: impl Fn(&S) -> T,
-        whole: impl Fn(&P) -> Q,
-    ) -> Unknowns<T, Q> {
-        let Self { attitude, momentum, x, end, inverse, excess, end_excess, .. } = self;
-        Unknowns {
-            attitude: Turn { w: stages(&attitude.w), v: vec3!(i => stages(&attitude.v[i])) },
-            momentum: vec3!(i => stages(&momentum[i])),
-            x: vec3!(i => stages(&x[i])),
-            end: Turn { w: whole(&end.w), v: vec3!(i => whole(&end.v[i])) },
-            inverse: inverse.each_ref().map(&stages),
-            excess: excess.each_ref().map(&stages),
-            end_excess: end_excess.each_ref().map(&whole),
-            kick: self.kick.each_ref().map(&whole),
-            gain: self.gain.each_ref().map(&whole),
-            nearness: whole(&self.nearness),
-        }
-    }
-}
 
 /// [`sweep`] for members, with the increment of each in memory.
 #[inline(always)]
@@ -200,33 +57,6 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
     let mut increments = Row::splat(0.0);
     sweep(like, start, unknowns).store(&mut increments);
     increments
-}
-
-impl Unknowns<Row, f64> {
-    /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
-    /// numbers, too: what is zero times a NaN is none.
-    pub(super) fn visit_mut(
-        &mut self,
-        lanes: usize,
-        momentum: f64,
-        mut visit: impl FnMut(&mut f64, f64),
-    ) {
-        let Self { attitude, momentum: momenta, x, end, inverse, .. } = self;
-        let turns = [&mut attitude.w].into_iter().chain(&mut attitude.v).chain(inverse);
-        let rows = turns
-            .map(|row| (row, 1.0))
-            .chain(momenta.iter_mut().chain(x).map(|row| (row, momentum)));
-        for (row, unit) in rows {
-            row.0[..lanes].iter_mut().for_each(|number| visit(number, unit));
-        }
-        [&mut end.w].into_iter().chain(&mut end.v).for_each(|number| visit(number, 1.0));
-    }
-
-    /// The same without a change.
-    pub(super) fn visit(&self, lanes: usize, momentum: f64, mut visit: impl FnMut(f64, f64)) {
-        let mut copy = *self;
-        copy.visit_mut(lanes, momentum, |number, unit| visit(*number, unit));
-    }
 }
 
 /// The first guess: from the velocity at the beginning, kept constant, and the torque along it, a few rounds of plain
