@@ -206,12 +206,12 @@ pub(super) fn sweep<R: Stages>(
 /// after a sweep they are one behind, and what they lack leans to one side.
 ///
 /// `p1 - p0 = (pi1 - p0) + D_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers. If
-/// the tableau is its own partner, `e_ij + e_ji = 1`, then `D_f = sum_k w_k - f E_f` and
-/// `2 E_f + E_f^2 = sum_k h b_k [E_k, hat(Omega_k)]`, and every term of a sum over the stages is small by itself:
+/// the tableau is its own partner, `e_ij + e_ji = 1`, then `D_f = sum_k w_k - f E_e` and
+/// `2 E_e + E_e^2 = sum_k h b_k [E_k, hat(Omega_k)]`, and every term of a sum over the stages is small by itself:
 ///
 /// ```text
-/// p1 - p0 = sum_k h b_k (mu_k x Omega_k - U_k tau_k + (U_k^T (pi1 - pi_k)) x Omega_k) - E_f p1
-/// E_f p1 = (sum_k h b_k [E_k, hat(Omega_k)] p1 - E_f^2 p1) / 2
+/// p1 - p0 = sum_k h b_k (mu_k x Omega_k - U_k tau_k + (U_k^T (pi1 - pi_k)) x Omega_k) - E_e p1
+/// E_e p1 = (sum_k h b_k [E_k, hat(Omega_k)] p1 - E_e^2 p1) / 2
 /// ```
 #[inline(always)]
 pub(super) fn finish<R: Stages>(
