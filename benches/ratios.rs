@@ -14,6 +14,7 @@ use vpd::solve::nonlinear::{Rungs, StopRule};
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::stepper::Stepper;
 use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::stepper::vpd_reduced::VpdReduced;
 use vpd::solve::stepper::vpd_space::VpdSpace;
 use vpd::solve::stepper::vpd_space::ensemble::VpdEnsemble;
 use vpd::solve::stepper::vrkmk::Vrkmk;
@@ -21,9 +22,10 @@ use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::State;
 
 fn main() {
-    let parts: [(&str, fn()); 7] = [
+    let parts: [(&str, fn()); 8] = [
         ("against_vrkmk", against_vrkmk),
         ("one_trajectory", one_trajectory),
+        ("free_bodies", free_bodies),
         ("long_run", long_run),
         ("ensembles", ensembles),
         ("ensemble_on_all_cores", ensemble_on_all_cores),
@@ -67,7 +69,7 @@ fn gauss(stages: usize) -> Tableau {
 
 fn in_lanes(stages: usize, rungs: Rungs) -> VpdSpace {
     let stop = StopRule { rungs, ..StopRule::default() };
-    VpdSpace::new(gauss(stages), stop, true).expect("at most 8 stages")
+    VpdSpace::new(gauss(stages), stop).expect("at most 8 stages")
 }
 
 /// The end after `steps` of `h`, and the iterations of a step; `None` if one fails.
@@ -225,7 +227,7 @@ fn one_trajectory() {
         (8, 0.25, 1e-15),
     ] {
         let stop = StopRule { tolerance, ..StopRule::default() };
-        let mut stepper = VpdSpace::new(gauss(stages), stop, true).expect("at most 8 stages");
+        let mut stepper = VpdSpace::new(gauss(stages), stop).expect("at most 8 stages");
         let at = |stepper: &mut VpdSpace, t: f64| {
             let steps = (t / h).round() as usize;
             // A step that does not divide the time has no error there.
@@ -254,6 +256,68 @@ fn one_trajectory() {
             late.unwrap_or("-".to_owned()),
         ));
     }
+}
+
+/// The integrator for free bodies, without an attitude, against the full one with it.
+fn free_bodies() {
+    say("\n## The reduced form without an attitude against the full one with it, on a free body\n");
+    say(
+        "| n | tableau | h | full: ns a step | sweeps | reduced: ns a step | sweeps | full / reduced | momenta differ at t = 100 by | energy error, full | reduced |\n|---|---|---|---|---|---|---|---|---|---|---|",
+    );
+    for (stages, h) in
+        [(1, 0.01), (2, 0.01), (2, 0.05), (2, 0.1), (3, 0.1), (4, 0.1), (4, 0.2), (8, 0.2)]
+    {
+        let mut full = in_lanes(stages, Rungs::Both);
+        let mut reduced = full.clone().reduced(false);
+        free_body::<3>(stages, h, [&mut full, &mut reduced]);
+    }
+    in_matrices::<4>(2, 0.01);
+    in_matrices::<4>(2, 0.05);
+    in_matrices::<4>(4, 0.1);
+    in_matrices::<5>(2, 0.01);
+}
+
+fn in_matrices<const N: usize>(stages: usize, h: f64) {
+    let mut full = Vpd::<N>::new(gauss(stages), StopRule::default());
+    let mut reduced = VpdReduced::new(gauss(stages), StopRule::default(), false);
+    free_body(stages, h, [&mut full, &mut reduced]);
+}
+
+fn free_body<const N: usize>(stages: usize, h: f64, mut steppers: [&mut dyn Stepper<N>; 2]) {
+    let weights =
+        Mat::<N>::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (1.0 + 0.5 * (i + j) as f64) });
+    let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+    let above = Mat::<N>::from_fn(|i, j| if i < j { 1.0 / (1 + i + j) as f64 } else { 0.0 });
+    let start = State { attitude: Mat::identity(), momentum: above - above.transpose() };
+    let energy = |momentum: &Mat<N>| body.energy(&start.attitude, momentum).total();
+    let steps = (100.0 / h).round() as usize;
+    let mut least = [f64::INFINITY; 2];
+    let mut ends = [(Mat::zeros(), 0.0); 2];
+    for _ in 0..7 {
+        for (k, stepper) in steppers.iter_mut().enumerate() {
+            stepper.start(&start);
+            let begun = Instant::now();
+            let mut sweeps = 0;
+            for _ in 0..steps {
+                sweeps += stepper.step(&body, h).expect("solvable").iterations;
+            }
+            least[k] = least[k].min(begun.elapsed().as_secs_f64());
+            ends[k] = (stepper.momentum(), f64::from(sweeps) / steps as f64);
+        }
+    }
+    let [a, b] = &ends;
+    let error = |momentum| (energy(momentum) - energy(&start.momentum)).abs();
+    say(&format!(
+        "| {N} | gauss{stages} | {h} | {:.0} | {:.2} | {:.0} | {:.2} | {:.2} | {:.1e} | {:.1e} | {:.1e} |",
+        least[0] * 1e9 / steps as f64,
+        a.1,
+        least[1] * 1e9 / steps as f64,
+        b.1,
+        least[0] / least[1],
+        (a.0 - b.0).amax(),
+        error(&a.0),
+        error(&b.0),
+    ));
 }
 
 /// The energy of the most accurate runs.

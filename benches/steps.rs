@@ -46,7 +46,7 @@ fn bench_steps<const N: usize>(bencher: Bencher, mut stepper: impl Stepper<N>) {
 #[divan::bench(args = 1..=8)]
 fn step_in_space(bencher: Bencher, stages: usize) {
     let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
-    let stepper = VpdSpace::new(tableau, StopRule::default(), true).expect("at most 8 stages");
+    let stepper = VpdSpace::new(tableau, StopRule::default()).expect("at most 8 stages");
     bench_steps(bencher, stepper);
 }
 

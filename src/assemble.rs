@@ -102,8 +102,11 @@ fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
     Some(match method {
         // As many stages as there are lanes; more of them go the way of general n.
-        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if stages <= WIDTH => {
-            Box::new(VpdSpace::new(tableau.clone(), stop, carries_attitude)?)
+        MethodName::Auto | MethodName::Vpd if stages <= WIDTH => {
+            Box::new(VpdSpace::new(tableau.clone(), stop)?)
+        }
+        MethodName::VpdReduced if stages <= WIDTH => {
+            Box::new(VpdSpace::new(tableau.clone(), stop)?.reduced(carries_attitude))
         }
         MethodName::Splitting => Box::new(Splitting::new(order)?),
         MethodName::Lgvi => Box::new(Lgvi::new(order, stop)?),

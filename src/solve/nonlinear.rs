@@ -7,8 +7,10 @@
 use super::failure::{Failure, FailureCode};
 
 mod newton;
+mod past;
 
 use newton::Newton;
+pub use past::{Continued, Past};
 
 /// When an iteration has converged and when it is given up.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -153,11 +155,21 @@ impl Solver {
     /// Those of the equations, and [`FailureCode::MaxIterations`], [`FailureCode::Diverged`],
     /// [`FailureCode::Stalled`], [`FailureCode::NonFinite`]; each with the last increments.
     pub fn solve(&mut self, equations: &mut impl Equations) -> Result<Convergence, Failure> {
+        self.watched(equations, |_| {})
+    }
+
+    /// The same; `watch` sees the increments of the sweeps.
+    fn watched(
+        &mut self,
+        equations: &mut impl Equations,
+        mut watch: impl FnMut(f64),
+    ) -> Result<Convergence, Failure> {
         equations.guess()?;
+        let sweep = || equations.sweep().inspect(|increment| watch(*increment));
         match self.rule.rungs {
-            Rungs::FixedPoint => fixed_point(self.rule, || equations.sweep()),
+            Rungs::FixedPoint => fixed_point(self.rule, sweep),
             Rungs::Newton => self.newton.solve(self.rule, equations),
-            Rungs::Both => match swept(self.rule, true, || equations.sweep()) {
+            Rungs::Both => match swept(Progress::new(self.rule, true), sweep) {
                 Ok(Some(convergence)) => Ok(convergence),
                 // If nothing gets there, the sweeps tell why more plainly.
                 stuck => {
@@ -186,16 +198,15 @@ pub fn fixed_point(
     rule: StopRule,
     sweep: impl FnMut() -> Result<f64, Failure>,
 ) -> Result<Convergence, Failure> {
-    swept(rule, false, sweep).map(|solved| solved.expect("a fixed point is not left half-way"))
+    swept(Progress::new(rule, false), sweep)
+        .map(|solved| solved.expect("a fixed point is not left half-way"))
 }
 
-/// [`fixed_point`]; `None` if `leave` and it gets on too slowly.
+/// [`fixed_point`] from its beginning; `None` if it is to be left where it gets on too slowly.
 fn swept(
-    rule: StopRule,
-    leave: bool,
+    mut progress: Progress,
     mut sweep: impl FnMut() -> Result<f64, Failure>,
 ) -> Result<Option<Convergence>, Failure> {
-    let mut progress = Progress::new(rule, leave);
     loop {
         let increment = sweep().map_err(|failure| progress.failure_of(failure))?;
         match progress.judged(increment)? {
@@ -216,6 +227,8 @@ pub(super) struct Progress {
     grown: u32,
     smallest: f64,
     since_smallest: u32,
+    /// The contraction that steps before have shown, if there were any.
+    expected: f64,
 }
 
 /// What to do after a sweep.
@@ -241,6 +254,7 @@ impl Progress {
             grown: 0,
             smallest,
             since_smallest,
+            expected: f64::INFINITY,
         }
     }
 
@@ -254,7 +268,8 @@ impl Progress {
     /// # Errors
     /// If it does not converge.
     pub(super) fn judged(&mut self, increment: f64) -> Result<Verdict, Failure> {
-        let Self { rule, leave, history, iteration, grown, smallest, since_smallest } = self;
+        let Self { rule, leave, history, iteration, grown, smallest, since_smallest, expected } =
+            self;
         let [previous, before] = history.last_two();
         *iteration += 1;
         history.note(increment);
@@ -269,9 +284,9 @@ impl Progress {
         }
         // What is left after this sweep is about the increment times the contraction. Of the last two the
         // worse: one may be luck.
-        let contraction = (increment / previous).max(previous / before);
+        let contraction =
+            if *iteration > 2 { (increment / previous).max(previous / before) } else { *expected };
         let foreseen = rule.foresee
-            && *iteration > 2
             && contraction <= FAST
             && increment * contraction <= FORESEEN * rule.tolerance;
         // One increment that does not fall may be the wobble of a complex contraction factor; near the

@@ -8,6 +8,7 @@ use vpd::solve::stepper::Stepper;
 use vpd::solve::stepper::vpd::Vpd;
 use vpd::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd::solve::stepper::vpd_reduced::VpdReduced;
+use vpd::solve::stepper::vpd_space::VpdSpace;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::{self, Observables, Sample, Schedule, Sink, State};
 
@@ -126,6 +127,39 @@ fn the_reduced_form_keeps_the_casimirs() {
     law::<3>(100_000);
     law::<4>(100_000);
     law::<5>(100_000);
+}
+
+/// Steps that follow one another begin nearly where they end: fewer sweeps lead to the same place.
+#[test]
+fn the_reduced_form_begins_where_the_steps_before_lead() {
+    fn law<const N: usize>(full: &mut dyn Stepper<N>, reduced: &mut dyn Stepper<N>, most: f64) {
+        const STEPS: u32 = 2000;
+        let (body, start) = (free::<N>(), start(&mut Numbers(35)));
+        let end = |stepper: &mut dyn Stepper<N>| {
+            stepper.start(&start);
+            let sweeps = |_| stepper.step(&body, 0.05).expect("a small step").iterations;
+            let sweeps: u32 = (0..STEPS).map(sweeps).sum();
+            (f64::from(sweeps) / f64::from(STEPS), stepper.momentum())
+        };
+        let ((many, a), (few, b)) = (end(full), end(reduced));
+        println!("n = {N}: {few:.2} sweeps a step instead of {many:.2}");
+        assert!(few <= most * many, "n = {N}: {few} sweeps instead of {many}");
+        let difference = (a - b).amax();
+        assert!(difference <= 1e-11, "n = {N}: {difference:e}");
+    }
+    let stop = StopRule::default;
+    let gauss = |stages| Tableau::gauss(stages).expect("1 to 8 stages");
+    for stages in 1..=4 {
+        let full = || VpdSpace::new(gauss(stages), stop()).expect("few stages");
+        for with_attitude in [true, false] {
+            law::<3>(&mut full(), &mut full().reduced(with_attitude), 0.4);
+        }
+    }
+    for tableau in [gauss(1), gauss(2), Tableau::rk3()] {
+        let mut full = Vpd::new(tableau.clone(), stop());
+        law::<4>(&mut full, &mut VpdReduced::new(tableau, stop(), true), 0.4);
+    }
+    law::<5>(&mut Vpd::new(gauss(2), stop()), &mut VpdReduced::new(gauss(2), stop(), true), 0.5);
 }
 
 /// Counts the samples that carry an attitude.

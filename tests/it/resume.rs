@@ -114,6 +114,10 @@ fn every_dimension_and_compression_goes_on_to_the_same_bytes() {
         scenario["log"]["compression"] = json!(compression);
         take_up(&scenario, &[0.01, 0.3, 0.6, 0.9, 0.995, 1.0]);
     }
+    // The steps before are no part of a checkpoint.
+    let mut free = shipped(include_str!("../../scenarios/free-body.json"), 60_000);
+    free["method"] = json!({ "name": "vpd_reduced" });
+    take_up(&free, &[0.4, 0.9]);
     // No attitude is carried, no state logged.
     let mut free = shipped(include_str!("../../scenarios/so4-free.json"), 60_000);
     free["log"]["channels"] = json!(["/energy", "/momentum"]);

@@ -154,7 +154,7 @@ fn a_long_trajectory_keeps_ten_digits() {
         let mut errors: Vec<f64> = (middle - 10..=middle + 10)
             .map(|steps| {
                 let tableau = Tableau::gauss(8).expect("1 to 8 stages");
-                let stepper = VpdSpace::new(tableau, StopRule::default(), true);
+                let stepper = VpdSpace::new(tableau, StopRule::default());
                 let mut stepper = stepper.expect("at most 8 stages");
                 let steps = vec![50.0 / steps as f64; steps];
                 distance(&laws::advance(&mut stepper, &body, &start, &steps), &reference)

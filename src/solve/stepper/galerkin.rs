@@ -25,7 +25,7 @@
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
 
 use crate::solve::failure::{Failure, FailureCode};
-use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
+use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, StopRule};
 use crate::solve::so::{self, Mat};
 use crate::solve::tableau::Tableau;
 
@@ -51,6 +51,8 @@ pub(super) trait Dynamics<const N: usize> {
 pub(super) struct GalerkinStep<const N: usize> {
     tableau: Tableau,
     solver: Solver,
+    /// The steps before, if they tell where the next one leads.
+    past: Option<Past>,
     stages: Vec<Stage<N>>,
     end: End<N>,
 }
@@ -95,7 +97,21 @@ impl<const N: usize> GalerkinStep<N> {
         let stage =
             Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         let end = End { f: u, e: zero, lambda: zero };
-        Self { stages: vec![stage; tableau.stages()], end, tableau, solver: Solver::new(stop) }
+        let (stages, solver) = (vec![stage; tableau.stages()], Solver::new(stop));
+        Self { stages, end, tableau, solver, past: None }
+    }
+
+    /// The same for steps that follow one another smoothly: each begins where those before lead to, until
+    /// [`GalerkinStep::forget`].
+    pub(super) fn continued(self) -> Self {
+        Self { past: Some(Past::default()), ..self }
+    }
+
+    /// The next step follows none.
+    pub(super) fn forget(&mut self) {
+        if let Some(past) = &mut self.past {
+            past.forget();
+        }
     }
 
     /// Order of the scheme.
@@ -128,9 +144,12 @@ impl<const N: usize> GalerkinStep<N> {
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
-        let Self { tableau, solver, stages, end } = self;
+        let Self { tableau, solver, past, stages, end } = self;
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
-        let solved = solver.solve(&mut equations);
+        let solved = match past {
+            Some(past) => past.solve(solver, &mut equations),
+            None => solver.solve(&mut equations),
+        };
         match solved {
             Ok(convergence) => self.check(dynamics).map(|()| convergence),
             // A charge that was met explains a failed iteration better than the iteration does.
@@ -264,6 +283,25 @@ impl<const N: usize, D: Dynamics<N>> Equations for Sweeps<'_, N, D> {
             stage.omega = matrix(&values[N * N..2 * N * N], turn);
             stage.v = matrix(&values[2 * N * N..], momentum);
         }
+    }
+}
+
+impl<const N: usize, D: Dynamics<N>> Continued for Sweeps<'_, N, D> {
+    fn keep(&self, numbers: &mut Vec<f64>) {
+        for Stage { u_omega, omega, v, .. } in self.stages.iter() {
+            numbers.extend(u_omega.iter().chain(omega).chain(v));
+        }
+    }
+
+    fn continue_from(&mut self, numbers: &[f64]) -> Result<u32, Failure> {
+        let matrix =
+            |k: usize, numbers: &[f64]| Mat::from_column_slice(&numbers[k * N * N..][..N * N]);
+        for (stage, numbers) in self.stages.iter_mut().zip(numbers.chunks_exact(3 * N * N)) {
+            (stage.u_omega, stage.omega, stage.v) =
+                (matrix(0, numbers), matrix(1, numbers), matrix(2, numbers));
+        }
+        // A sweep finds f from the velocities before it, and finds anew the momenta that the next is measured by.
+        self.sweep().map(|_| 1)
     }
 }
 

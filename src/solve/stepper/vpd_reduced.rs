@@ -32,7 +32,7 @@ impl<const N: usize> VpdReduced<N> {
     /// `with_attitude`.
     pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Self {
         Self {
-            step: GalerkinStep::new(tableau, stop),
+            step: GalerkinStep::new(tableau, stop).continued(),
             momentum: Mat::zeros(),
             carry: Mat::zeros(),
             attitude: with_attitude.then(Mat::identity),
@@ -72,6 +72,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
     }
 
     fn start(&mut self, state: &State<N>) {
+        self.step.forget();
         self.momentum = state.momentum;
         self.carry = Mat::zeros();
         self.attitude = self.attitude.map(|_| state.attitude);

@@ -18,7 +18,7 @@ use super::galerkin::SMALLEST_SINGULAR_VALUE;
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::solve::lanes::{Row, WIDTH};
-use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
+use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
@@ -52,6 +52,8 @@ pub struct VpdSpace {
     tableau: Tableau,
     lanes: LaneTableau,
     solver: Solver,
+    /// The steps before, if they tell where the next one leads.
+    past: Option<Past>,
     level: Level,
     state: Carried,
     unknowns: Unknowns<Row, f64>,
@@ -65,7 +67,7 @@ enum Carried {
     Full { attitude: Sum<4>, momentum: Sum<3>, body_momentum: Sum<3> },
     /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
     /// Its square labels the coadjoint orbit.
-    Reduced { momentum: Vec3<f64>, square: f64 },
+    Reduced { momentum: Sum<3>, square: f64 },
 }
 
 /// A sum, and what rounding has taken off it.
@@ -92,17 +94,13 @@ fn turn([w, x, y, z]: &[f64; 4]) -> Turn<f64> {
 }
 
 impl VpdSpace {
-    /// A stepper for `tableau` that solves each step until `stop`, and carries an attitude if `with_attitude`;
-    /// without, it is for free bodies. `None` if the tableau has more stages than there are lanes.
-    pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Option<Self> {
-        let state = if with_attitude {
-            Carried::Full {
-                attitude: Sum::new([1.0, 0.0, 0.0, 0.0]),
-                momentum: Sum::new([0.0; 3]),
-                body_momentum: Sum::new([0.0; 3]),
-            }
-        } else {
-            Carried::Reduced { momentum: [0.0; 3], square: 0.0 }
+    /// A stepper for `tableau` that solves each step until `stop`. `None` if the tableau has more stages than there are
+    /// lanes.
+    pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
+        let state = Carried::Full {
+            attitude: Sum::new([1.0, 0.0, 0.0, 0.0]),
+            momentum: Sum::new([0.0; 3]),
+            body_momentum: Sum::new([0.0; 3]),
         };
         // Many stages are there for the last digits.
         let stop = StopRule { foresee: tableau.stages() <= FEW_STAGES, ..stop };
@@ -110,11 +108,24 @@ impl VpdSpace {
             lanes: LaneTableau::new(&tableau),
             tableau,
             solver: Solver::new(stop),
+            past: None,
             level: Level::new(),
             state,
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
             seen: Vec::new(),
         })
+    }
+
+    /// The same for free bodies, whose momentum moves by itself: it carries an attitude only if `with_attitude`, and a
+    /// step begins where those before lead.
+    pub fn reduced(self, with_attitude: bool) -> Self {
+        let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
+        let state = if with_attitude {
+            self.state
+        } else {
+            Carried::Reduced { momentum: Sum::new([0.0; 3]), square: 0.0 }
+        };
+        Self { past, state, ..self }
     }
 
     /// The same stepper on an older instruction set: a test compares the bits.
@@ -205,12 +216,15 @@ impl VpdSpace {
         momentum: Vec3<f64>,
     ) -> Result<Convergence, Failure> {
         let inverse_inertia = symmetric(&body.inverse_inertia());
-        let Self { tableau, lanes, solver, level, unknowns, seen, .. } = self;
+        let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
         let start = Start { tableau: lanes, body, inverse_inertia, seen, step: h, momentum };
         let (level, stages) = (*level, tableau.stages());
         let mut equations =
             InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };
-        let solved = solver.solve(&mut equations);
+        let solved = match past {
+            Some(past) => past.solve(solver, &mut equations),
+            None => solver.solve(&mut equations),
+        };
         if stages > FEW_STAGES && solved.is_ok() {
             in_lanes!(finish, &mut equations);
         }
@@ -283,6 +297,23 @@ impl Equations for InLanes<'_> {
     }
 }
 
+impl Continued for InLanes<'_> {
+    fn keep(&self, numbers: &mut Vec<f64>) {
+        match self.lanes() {
+            2 => self.unknowns.keep::<2>(numbers),
+            _ => self.unknowns.keep::<FEW_STAGES>(numbers),
+        }
+    }
+
+    fn continue_from(&mut self, numbers: &[f64]) -> Result<u32, Failure> {
+        match self.lanes() {
+            2 => self.unknowns.continue_from::<2>(numbers),
+            _ => self.unknowns.continue_from::<FEW_STAGES>(numbers),
+        }
+        Ok(0)
+    }
+}
+
 impl Stepper<3> for VpdSpace {
     fn order(&self) -> u32 {
         self.tableau.order()
@@ -290,6 +321,9 @@ impl Stepper<3> for VpdSpace {
 
     fn start(&mut self, state: &State<3>) {
         let Top { attitude, momentum } = Top::from_state(state);
+        if let Some(past) = &mut self.past {
+            past.forget();
+        }
         self.state = match self.state {
             Carried::Full { .. } => Carried::Full {
                 attitude: Sum::new([attitude.w, attitude.i, attitude.j, attitude.k]),
@@ -297,7 +331,8 @@ impl Stepper<3> for VpdSpace {
                 body_momentum: Sum::new(momentum.into()),
             },
             Carried::Reduced { .. } => {
-                Carried::Reduced { momentum: momentum.into(), square: momentum.norm_squared() }
+                let square = momentum.norm_squared();
+                Carried::Reduced { momentum: Sum::new(momentum.into()), square }
             }
         };
     }
@@ -389,11 +424,15 @@ impl VpdSpace {
                 }
             }
             Carried::Reduced { momentum, square } => {
-                let turned = transposed_product(&end.matrix(), momentum);
+                let Sum { value, carry } = &*momentum;
+                let small = end.change();
+                let change = transposed_product(&small, value);
+                let carried = transposed_product(&small, carry);
                 // Back onto the orbit, off which only rounding takes it.
-                let defect = dot(&turned, &turned) / *square - 1.0;
-                let scale = if *square > 0.0 { 1.0 - 0.5 * defect } else { 1.0 };
-                *momentum = scaled(&turned, scale);
+                let defect = dot(value, value) / *square - 1.0;
+                let lack = if *square > 0.0 { -0.5 * defect } else { 0.0 };
+                let change = vec3!(i => change[i] + (carried[i] + lack * value[i]));
+                momentum.add(&change);
             }
         }
     }
@@ -401,7 +440,7 @@ impl VpdSpace {
     fn body_momentum(&self) -> Vec3<f64> {
         match &self.state {
             Carried::Full { body_momentum, .. } => body_momentum.value,
-            Carried::Reduced { momentum, .. } => *momentum,
+            Carried::Reduced { momentum, .. } => momentum.value,
         }
     }
 }

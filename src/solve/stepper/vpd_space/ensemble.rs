@@ -66,7 +66,7 @@ enum Lanes {
 impl VpdEnsemble {
     /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
-        let blank = VpdSpace::new(tableau.clone(), stop, true)?;
+        let blank = VpdSpace::new(tableau.clone(), stop)?;
         let zero = Row::splat(0.0);
         let lanes = match tableau.stages() {
             _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,

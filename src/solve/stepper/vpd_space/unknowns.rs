@@ -4,7 +4,7 @@
 
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Row, WIDTH};
-use crate::solve::space::{Sym3, Turn, Vec3, vec3};
+use crate::solve::space::{Sym3, Turn, Vec3, dot, vec3};
 use crate::solve::tableau::Tableau;
 
 /// Passes over the kinematics, and over the linear system of x, within a sweep. Fewer take more sweeps; many stages are
@@ -151,6 +151,35 @@ impl<S, P> Unknowns<S, P> {
 }
 
 impl Unknowns<Row, f64> {
+    /// Appends what changes smoothly from step to step in the first `L` lanes: of turns the vector parts.
+    pub(super) fn keep<const L: usize>(&self, numbers: &mut Vec<f64>) {
+        let Self { attitude, momentum, x, end, .. } = self;
+        for row in attitude.v.iter().chain(momentum).chain(x) {
+            if let Some(row) = row.0.first_chunk::<L>() {
+                numbers.extend_from_slice(row);
+            }
+        }
+        numbers.extend_from_slice(&end.v);
+    }
+
+    /// Takes up what [`Unknowns::keep`] gave, or what it will give.
+    pub(super) fn continue_from<const L: usize>(&mut self, numbers: &[f64]) {
+        let Self { attitude, momentum, x, end, .. } = self;
+        let Some((numbers, v)) = numbers.split_last_chunk::<3>() else { return };
+        let scalar = |square: f64| (1.0 - square).max(0.0).sqrt();
+        *end = Turn { w: scalar(dot(v, v)).copysign(end.w), v: *v };
+        let rows = attitude.v.iter_mut().chain(momentum).chain(x);
+        for (row, numbers) in rows.zip(numbers.as_chunks::<L>().0) {
+            if let Some(row) = row.0.first_chunk_mut::<L>() {
+                *row = *numbers;
+            }
+        }
+        for k in 0..L {
+            let v = vec3!(i => attitude.v[i].0[k]);
+            attitude.w.0[k] = scalar(dot(&v, &v));
+        }
+    }
+
     /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
     /// numbers, too: what is zero times a NaN is none.
     pub(super) fn visit_mut(
