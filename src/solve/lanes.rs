@@ -7,7 +7,7 @@
 //!
 //! Everything is inlined into its caller, so that it is compiled for the instruction set of the caller.
 
-use std::ops::{Add, Div, Mul, Neg, Sub};
+use std::ops::{Add, Div, Index, IndexMut, Mul, Neg, Sub};
 
 use fearless_simd::{Simd, f64x2, f64x4, f64x8, prelude::*};
 
@@ -23,6 +23,22 @@ impl Row {
     /// The same number in all lanes.
     pub const fn splat(value: f64) -> Self {
         Self([value; WIDTH])
+    }
+}
+
+impl Index<usize> for Row {
+    type Output = f64;
+
+    #[inline(always)]
+    fn index(&self, k: usize) -> &f64 {
+        &self.0[k]
+    }
+}
+
+impl IndexMut<usize> for Row {
+    #[inline(always)]
+    fn index_mut(&mut self, k: usize) -> &mut f64 {
+        &mut self.0[k]
     }
 }
 
@@ -238,15 +254,18 @@ stage_lanes!(f64x2, 2);
 stage_lanes!(f64x4, 4);
 stage_lanes!(f64x8, 8);
 
-/// The stages of a step, and in each the members of an ensemble side by side.
+/// The stages of a step one after the other, each of which is a number, or members of an ensemble side by side.
 #[derive(Clone, Copy, Debug)]
-pub struct Rows<S: Simd, const K: usize>(pub [f64x8<S>; K]);
+pub struct Rows<T, const K: usize>(pub [T; K]);
 
 /// Elementwise, in place: no closure, which would not be compiled for the instruction set of its caller.
 macro_rules! elementwise {
-    ($self:ident, $k:ident => $element:expr) => {{
+    ($self:ident, $k:ident => $element:expr) => {
+        elementwise!($self, K = K, $k => $element)
+    };
+    ($self:ident, K = $stages:expr, $k:ident => $element:expr) => {{
         let mut result = $self.0;
-        for $k in 0..K {
+        for $k in 0..$stages {
             result[$k] = $element;
         }
         Self(result)
@@ -255,7 +274,7 @@ macro_rules! elementwise {
 
 macro_rules! rows_operator {
     ($operator:ident, $function:ident, $symbol:tt) => {
-        impl<S: Simd, const K: usize> $operator for Rows<S, K> {
+        impl<T: Whole, const K: usize> $operator for Rows<T, K> {
             type Output = Self;
 
             #[inline(always)]
@@ -271,7 +290,7 @@ rows_operator!(Sub, sub, -);
 rows_operator!(Mul, mul, *);
 rows_operator!(Div, div, /);
 
-impl<S: Simd, const K: usize> Add<f64> for Rows<S, K> {
+impl<T: Whole, const K: usize> Add<f64> for Rows<T, K> {
     type Output = Self;
 
     #[inline(always)]
@@ -280,7 +299,7 @@ impl<S: Simd, const K: usize> Add<f64> for Rows<S, K> {
     }
 }
 
-impl<S: Simd, const K: usize> Mul<f64> for Rows<S, K> {
+impl<T: Whole, const K: usize> Mul<f64> for Rows<T, K> {
     type Output = Self;
 
     #[inline(always)]
@@ -289,7 +308,7 @@ impl<S: Simd, const K: usize> Mul<f64> for Rows<S, K> {
     }
 }
 
-impl<S: Simd, const K: usize> Neg for Rows<S, K> {
+impl<T: Whole, const K: usize> Neg for Rows<T, K> {
     type Output = Self;
 
     #[inline(always)]
@@ -298,7 +317,7 @@ impl<S: Simd, const K: usize> Neg for Rows<S, K> {
     }
 }
 
-impl<S: Simd, const K: usize> Real for Rows<S, K> {
+impl<T: Whole, const K: usize> Real for Rows<T, K> {
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
         elementwise!(self, k => self.0[k].constant(value))
@@ -339,19 +358,15 @@ impl<S: Simd> Whole for f64x8<S> {
     }
 }
 
-macro_rules! member_lanes {
-    ($stages:tt) => {
-        impl<S: Simd> Stages for Rows<S, $stages> {
-            type Whole = f64x8<S>;
-            type Plain = [Row; $stages];
+macro_rules! stages_in_turn {
+    ($stages:tt, $whole:ty, $plain:ty $(, $simd:ident)?) => {
+        impl$(<$simd: Simd>)? Stages for Rows<$whole, $stages> {
+            type Whole = $whole;
+            type Plain = $plain;
 
             #[inline(always)]
             fn load(self, plain: &Self::Plain) -> Self {
-                let mut rows = self.0;
-                for k in 0..$stages {
-                    rows[k] = Whole::load(self.0[0], &plain[k]);
-                }
-                Self(rows)
+                elementwise!(self, K = $stages, k => Whole::load(self.0[0], &plain[k]))
             }
 
             #[inline(always)]
@@ -363,25 +378,21 @@ macro_rules! member_lanes {
 
             #[inline(always)]
             fn row(self, row: &Row) -> Self {
-                let mut rows = self.0;
-                for k in 0..$stages {
-                    rows[k] = self.0[0].constant(row.0[k]);
-                }
-                Self(rows)
+                elementwise!(self, K = $stages, k => self.0[0].constant(row[k]))
             }
 
             #[inline(always)]
-            fn spread(self, whole: f64x8<S>) -> Self {
+            fn spread(self, whole: $whole) -> Self {
                 Self([whole; $stages])
             }
 
             #[inline(always)]
-            fn stage(self, k: usize) -> f64x8<S> {
+            fn stage(self, k: usize) -> $whole {
                 self.0[k]
             }
 
             #[inline(always)]
-            fn sum(self) -> f64x8<S> {
+            fn sum(self) -> $whole {
                 macro_rules! term {
                     ($j:literal) => {
                         self.0[$j]
@@ -396,7 +407,7 @@ macro_rules! member_lanes {
                 for k in 0..$stages {
                     macro_rules! term {
                         ($j:literal) => {
-                            self.0[$j] * columns[$j].0[k]
+                            self.0[$j] * columns[$j][k]
                         };
                     }
                     rows[k] = by_halves!($stages, term);
@@ -405,10 +416,10 @@ macro_rules! member_lanes {
             }
 
             #[inline(always)]
-            fn largest(self) -> f64x8<S> {
+            fn largest(self) -> $whole {
                 let mut largest = self.0[0];
                 for k in 1..$stages {
-                    largest = largest.larger(self.0[k]);
+                    largest = Real::larger(largest, self.0[k]);
                 }
                 largest
             }
@@ -416,5 +427,8 @@ macro_rules! member_lanes {
     };
 }
 
-member_lanes!(2);
-member_lanes!(4);
+stages_in_turn!(2, f64x8<S>, [Row; 2], S);
+stages_in_turn!(4, f64x8<S>, [Row; 4], S);
+stages_in_turn!(2, f64, Row);
+stages_in_turn!(4, f64, Row);
+stages_in_turn!(8, f64, Row);

@@ -17,7 +17,7 @@ use super::Stepper;
 use super::galerkin::SMALLEST_SINGULAR_VALUE;
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::solve::lanes::{Row, WIDTH};
+use crate::solve::lanes::{Row, Rows, WIDTH};
 use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
@@ -33,15 +33,24 @@ mod unknowns;
 
 use unknowns::{FEW_STAGES, LaneTableau, Start, Unknowns};
 
-/// Does the work in as many lanes as the stages need, compiled for the widest instruction set.
+/// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
 macro_rules! in_lanes {
     ($work:ident, $equations:expr) => {{
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
-        match stages {
-            1 | 2 => dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns)),
-            3 | 4 => dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns)),
-            _ => dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns)),
+        match (level, stages) {
+            (Some(level), 1 | 2) => {
+                dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns))
+            }
+            (Some(level), 3 | 4) => {
+                dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns))
+            }
+            (Some(level), _) => {
+                dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns))
+            }
+            (None, 1 | 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),
+            (None, 3 | 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
+            (None, _) => sweep::$work(Rows([0.0; 8]), start, unknowns),
         }
     }};
 }
@@ -54,7 +63,8 @@ pub struct VpdSpace {
     solver: Solver,
     /// The steps before, if they tell where the next one leads.
     past: Option<Past>,
-    level: Level,
+    /// The instruction set; without one, one number at a time.
+    level: Option<Level>,
     state: Carried,
     unknowns: Unknowns<Row, f64>,
     seen: Vec<Vec3<f64>>,
@@ -109,7 +119,7 @@ impl VpdSpace {
             tableau,
             solver: Solver::new(stop),
             past: None,
-            level: Level::new(),
+            level: Some(Level::new()),
             state,
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
             seen: Vec::new(),
@@ -128,10 +138,9 @@ impl VpdSpace {
         Self { past, state, ..self }
     }
 
-    /// The same stepper on an older instruction set: a test compares the bits.
-    pub fn on_level(mut self, level: Level) -> Self {
-        self.level = level;
-        self
+    /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
+    pub fn on_level(self, level: Option<Level>) -> Self {
+        Self { level, ..self }
     }
 
     /// E of stage `k`, or of the end point after the last.
@@ -248,7 +257,7 @@ impl VpdSpace {
 
 /// The equations of a step, in as many lanes as the stages need.
 struct InLanes<'a> {
-    level: Level,
+    level: Option<Level>,
     stages: usize,
     start: Start<'a, f64>,
     unknowns: &'a mut Unknowns<Row, f64>,

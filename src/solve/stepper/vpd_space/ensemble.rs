@@ -87,7 +87,7 @@ impl VpdEnsemble {
         let mut solved = [None; WIDTH];
         let Self { members, blank: VpdSpace { level, lanes: tableau, .. }, stop, lanes, seen } =
             self;
-        let level = *level;
+        let Some(level) = *level else { return solved };
         if going.is_empty() || matches!(lanes, Lanes::None) {
             return solved;
         }
@@ -179,10 +179,10 @@ impl Members<3> for VpdEnsemble {
     }
 }
 
-/// Has the machine an instruction set on which members side by side gain?
-fn has_lanes(level: Level) -> bool {
+/// Is this an instruction set on which members side by side gain?
+fn has_lanes(level: Option<Level>) -> bool {
     #[cfg(target_arch = "x86_64")]
-    return level.as_avx2().is_some();
+    return level.is_some_and(|level| level.as_avx2().is_some());
     #[cfg(not(target_arch = "x86_64"))]
     return false;
 }
