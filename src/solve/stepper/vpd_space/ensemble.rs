@@ -126,7 +126,7 @@ impl VpdEnsemble {
                                 sweeps += u64::from(convergence.iterations);
                                 guesses += 1;
                                 solved[lane] = Some(convergence);
-                                members[going[lane]].unknowns = $unknowns.lane(lane);
+                                $unknowns.hand_over(lane, &mut members[going[lane]].unknowns);
                                 iterations[lane] = None;
                             }
                             Ok(Verdict::Leave) | Err(_) => iterations[lane] = None,
@@ -188,16 +188,25 @@ fn has_lanes(level: Option<Level>) -> bool {
 }
 
 impl<const K: usize> Unknowns<[Row; K], Row> {
-    /// The unknowns of one member, as it would hold them by itself.
-    fn lane(&self, lane: usize) -> Unknowns<Row, f64> {
-        let stages = |rows: &[Row; K]| {
-            let mut row = Row::splat(0.0);
+    /// Hands over to a member what its step is judged by and advanced with.
+    fn hand_over(&self, lane: usize, own: &mut Unknowns<Row, f64>) {
+        let stages = |rows: &[Row; K], row: &mut Row| {
             for k in 0..K {
-                row.0[k] = rows[k].0[lane];
+                row[k] = rows[k][lane];
             }
-            row
         };
-        let whole = |row: &Row| row.0[lane];
-        self.mapped(stages, whole)
+        let Self { attitude, excess, end, end_excess, kick, nearness, .. } = self;
+        stages(&attitude.w, &mut own.attitude.w);
+        for i in 0..3 {
+            stages(&attitude.v[i], &mut own.attitude.v[i]);
+            own.end.v[i] = end.v[i][lane];
+            own.kick[i] = kick[i][lane];
+        }
+        for i in 0..6 {
+            stages(&excess[i], &mut own.excess[i]);
+            own.end_excess[i] = end_excess[i][lane];
+        }
+        own.end.w = end.w[lane];
+        own.nearness = nearness[lane];
     }
 }

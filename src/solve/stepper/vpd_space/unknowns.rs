@@ -127,29 +127,6 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
     }
 }
 
-impl<S, P> Unknowns<S, P> {
-    /// Each number taken over by `stages` or `whole`.
-    pub(super) fn mapped<T, Q>(
-        &self,
-        stages: impl Fn(&S) -> T,
-        whole: impl Fn(&P) -> Q,
-    ) -> Unknowns<T, Q> {
-        let Self { attitude, momentum, x, end, inverse, excess, end_excess, .. } = self;
-        Unknowns {
-            attitude: Turn { w: stages(&attitude.w), v: vec3!(i => stages(&attitude.v[i])) },
-            momentum: vec3!(i => stages(&momentum[i])),
-            x: vec3!(i => stages(&x[i])),
-            end: Turn { w: whole(&end.w), v: vec3!(i => whole(&end.v[i])) },
-            inverse: inverse.each_ref().map(&stages),
-            excess: excess.each_ref().map(&stages),
-            end_excess: end_excess.each_ref().map(&whole),
-            kick: self.kick.each_ref().map(&whole),
-            gain: self.gain.each_ref().map(&whole),
-            nearness: whole(&self.nearness),
-        }
-    }
-}
-
 impl Unknowns<Row, f64> {
     /// Appends what changes smoothly from step to step in the first `L` lanes: of turns the vector parts.
     pub(super) fn keep<const L: usize>(&self, numbers: &mut Vec<f64>) {
