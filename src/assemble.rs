@@ -69,10 +69,11 @@ fn perform<const N: usize, T: Task>(
     task.perform(Assembly { body, stepper: stepper(), initial, members })
 }
 
-/// Members side by side, where that is quicker than one after the other; `None` elsewhere.
+/// Members side by side, where that is quicker than one after the other; `None` elsewhere. (Free bodies go one after the
+/// other: each step begins where that member's steps before lead.)
 fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
     match plan.formulation.method {
-        MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced => {
+        MethodName::Auto | MethodName::Vpd => {
             Some(Box::new(VpdEnsemble::new(&plan.model.tableau, plan.model.stop)?))
         }
         _ => None,

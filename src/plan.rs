@@ -331,11 +331,9 @@ impl Plan {
     /// About what a step costs on one core of a common machine, in nanoseconds, at the dipole's h = 0.01.
     fn step_cost_ns(&self) -> f64 {
         let sweeps = match self.formulation.method {
-            // Each step begins where those before lead; members go side by side, without that.
+            // Each step begins where those before lead.
             MethodName::VpdReduced if self.dimension != 3 => 3.0,
-            MethodName::VpdReduced if self.ensemble.is_none() && self.formulation.stages <= 4 => {
-                1.2
-            }
+            MethodName::VpdReduced if self.formulation.stages <= 4 => 1.2,
             MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if self.dimension == 3 => {
                 3.1
             }

@@ -119,21 +119,27 @@ fn every_member_ends_once_and_those_in_full_end_where_their_samples_do() {
 fn a_member_is_the_same_in_any_ensemble() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = folder.path().join("ensemble.mcap");
-    let method = json!({ "name": "vpd", "tableau": "gauss2" });
-    let mut ends = Vec::new();
-    for (members, in_full) in
-        [(5, json!([])), (19, json!([2, 4])), (40, json!([1, 7, 8, 9, 10, 11, 12]))]
-    {
-        let mut scenario = ensemble(dipole(), members, 60, &method);
-        scenario["ensemble"]["in_full"] = in_full;
-        run(&checked(&scenario), &log);
-        let mut first: Vec<Member> =
-            contents(&log).members.into_iter().filter(|end| end.member < 5).collect();
-        first.sort_by_key(|end| end.member);
-        ends.push(first);
+    let mut free = dipole();
+    free["scene"]["potential"] = json!([]);
+    for (scene, method) in [
+        (dipole(), json!({ "name": "vpd", "tableau": "gauss2" })),
+        (free, json!({ "name": "auto", "tableau": "gauss2" })),
+    ] {
+        let mut ends = Vec::new();
+        for (members, in_full) in
+            [(5, json!([])), (19, json!([2, 4])), (40, json!([1, 7, 8, 9, 10, 11, 12]))]
+        {
+            let mut scenario = ensemble(scene.clone(), members, 60, &method);
+            scenario["ensemble"]["in_full"] = in_full;
+            run(&checked(&scenario), &log);
+            let mut first: Vec<Member> =
+                contents(&log).members.into_iter().filter(|end| end.member < 5).collect();
+            first.sort_by_key(|end| end.member);
+            ends.push(first);
+        }
+        assert_eq!(ends[0].len(), 5);
+        assert!(ends.iter().all(|first| *first == ends[0]));
     }
-    assert_eq!(ends[0].len(), 5);
-    assert!(ends.iter().all(|first| *first == ends[0]));
 }
 
 /// The members are spread as was asked, about the scene as it stands.

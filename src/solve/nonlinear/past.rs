@@ -1,8 +1,7 @@
 //! A first guess from the steps before: the polynomial in time through their solutions, continued by a step.
 //!
 //! On the smooth orbit of a free body such a guess is as near as a sweep or two would come, and how well sweeps contract
-//! is known from the steps before, too: one sweep solves the step. (Where torques push it saves a fifth at best, and with
-//! many stages it costs: docs/decisions/0006.)
+//! is known from the steps before, too: one sweep solves the step. (Why not where torques push: docs/decisions/0008.)
 //!
 //! Invariant: a guess is a function of the steps since [`Past::forget`]; one that leads astray costs time and no more.
 

@@ -68,8 +68,7 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
 ///
 /// each a sixth of the time of a sweep. A round gains an order of h; the stages of the step differ from those of the
 /// collocation by the order that is the number of stages, so that more rounds than that gain nothing. A function
-/// of the state alone: a resumed run repeats it to the bit. (Extrapolating the stages of the step before saves
-/// nothing: docs/decisions/0006.)
+/// of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Stages>(
     like: R,
