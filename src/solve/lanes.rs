@@ -358,6 +358,7 @@ impl<S: Simd> Whole for f64x8<S> {
     }
 }
 
+/// So many stages, what belongs to the step as a whole, and the stages as they lie in memory.
 macro_rules! stages_in_turn {
     ($stages:tt, $whole:ty, $plain:ty $(, $simd:ident)?) => {
         impl$(<$simd: Simd>)? Stages for Rows<$whole, $stages> {
@@ -429,6 +430,7 @@ macro_rules! stages_in_turn {
 
 stages_in_turn!(2, f64x8<S>, [Row; 2], S);
 stages_in_turn!(4, f64x8<S>, [Row; 4], S);
+// One number at a time.
 stages_in_turn!(2, f64, Row);
 stages_in_turn!(4, f64, Row);
 stages_in_turn!(8, f64, Row);

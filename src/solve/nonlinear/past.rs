@@ -31,7 +31,7 @@ pub struct Past {
     /// The largest first increment from the guess of the equations themselves.
     first: f64,
     /// The worst contraction that was seen.
-    contraction: f64,
+    contraction: Option<f64>,
 }
 
 /// Equations whose solutions change smoothly from step to step.
@@ -49,7 +49,7 @@ pub trait Continued: Equations {
 impl Past {
     /// Nothing is remembered.
     pub fn forget(&mut self) {
-        (self.known, self.first, self.contraction) = (0, 0.0, 0.0);
+        (self.known, self.first, self.contraction) = (0, 0.0, None);
     }
 
     /// Solves `equations` by sweeps from where the steps before lead, or as `solver` does if that is no better.
@@ -81,7 +81,8 @@ impl Past {
     ) -> Option<Convergence> {
         self.extrapolate();
         let sweeps = equations.continue_from(&self.next).ok()?;
-        let progress = Progress { expected: self.contraction, ..Progress::new(solver.rule, true) };
+        let expected = self.contraction.unwrap_or(f64::INFINITY);
+        let progress = Progress { expected, ..Progress::new(solver.rule, true) };
         let mut seen = Seen::NOTHING;
         let sweep = || equations.sweep().inspect(|increment| seen.note(*increment));
         let mut solved = swept(progress, sweep).ok()??;
@@ -96,7 +97,10 @@ impl Past {
     }
 
     fn note(&mut self, equations: &impl Continued, seen: &Seen) {
-        self.contraction = self.contraction.max(seen.contraction);
+        if let Some(contraction) = seen.contraction {
+            let worst = self.contraction.map_or(contraction, |worst| worst.max(contraction));
+            self.contraction = Some(worst);
+        }
         self.newest = (self.newest + 1) % DEPTH;
         let newest = &mut self.solutions[self.newest];
         newest.clear();
@@ -136,18 +140,18 @@ struct Seen {
     first: f64,
     last: f64,
     /// The last contraction that rounding does not hide.
-    contraction: f64,
+    contraction: Option<f64>,
 }
 
 impl Seen {
-    const NOTHING: Self = Self { first: f64::NAN, last: 0.0, contraction: 0.0 };
+    const NOTHING: Self = Self { first: f64::NAN, last: 0.0, contraction: None };
 
     fn note(&mut self, increment: f64) {
         if self.first.is_nan() {
             self.first = increment;
         }
         if self.last > CLEAR {
-            self.contraction = increment / self.last;
+            self.contraction = Some(increment / self.last);
         }
         self.last = increment;
     }
@@ -217,5 +221,17 @@ mod tests {
         assert!(made[DEPTH..30].iter().all(|&sweeps| sweeps == 1), "{made:?}");
         assert!(made[30] > 1, "{made:?}");
         assert!(made[50..].iter().all(|&sweeps| sweeps == 1), "{made:?}");
+    }
+
+    #[test]
+    fn what_was_never_seen_to_contract_is_not_foreseen() {
+        let (mut past, mut solver) = (Past::default(), Solver::new(StopRule::default()));
+        let mut equations = Moving { target: 0.0, z: 0.0, sweeps: 0 };
+        for step in 0..30 {
+            // The guess is the solution, and then it is not.
+            equations.target = if step < 20 { 0.0 } else { 2.0 };
+            past.solve(&mut solver, &mut equations).expect("contracts");
+            assert!((equations.z - equations.target).abs() < 1e-15, "step {step}");
+        }
     }
 }
