@@ -22,7 +22,8 @@ use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, S
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, product, scaled, transposed_product, vec3,
+    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, product, scaled, symmetric_product,
+    transposed_product, vec3,
 };
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
@@ -32,6 +33,9 @@ mod sweep;
 mod unknowns;
 
 use unknowns::{FEW_STAGES, LaneTableau, Start, Unknowns};
+
+/// A free body that turns by less in a step takes half the passes of others.
+const CALM_RAD: f64 = 0.05;
 
 /// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
 macro_rules! in_lanes {
@@ -129,12 +133,13 @@ impl VpdSpace {
     /// The same for free bodies, whose momentum moves by itself: it carries an attitude only if `with_attitude`, and a
     /// step begins where those before lead.
     pub fn reduced(self, with_attitude: bool) -> Self {
-        let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
         let state = if with_attitude {
             self.state
         } else {
             Carried::Reduced { momentum: Sum::new([0.0; 3]), square: 0.0 }
         };
+        // Many stages are better guessed by themselves.
+        let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
         Self { past, state, ..self }
     }
 
@@ -146,7 +151,7 @@ impl VpdSpace {
     /// E of stage `k`, or of the end point after the last.
     fn excess(&self, k: usize) -> Sym3<f64> {
         if k < self.tableau.stages() {
-            self.unknowns.excess.map(|row| row.0[k])
+            self.unknowns.excess.each_ref().map(|row| row[k])
         } else {
             self.unknowns.end_excess
         }
@@ -226,7 +231,12 @@ impl VpdSpace {
     ) -> Result<Convergence, Failure> {
         let inverse_inertia = symmetric(&body.inverse_inertia());
         let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
-        let start = Start { tableau: lanes, body, inverse_inertia, seen, step: h, momentum };
+        // Where a step follows the steps before and turns little, half the passes bring it home.
+        let velocity = symmetric_product(&inverse_inertia, &momentum);
+        let calm = past.is_some() && h * h * dot(&velocity, &velocity) <= CALM_RAD * CALM_RAD;
+        let passes = if calm { lanes.passes.map(|passes| passes / 2) } else { lanes.passes };
+        let start =
+            Start { tableau: lanes, body, inverse_inertia, seen, step: h, passes, momentum };
         let (level, stages) = (*level, tableau.stages());
         let mut equations =
             InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };

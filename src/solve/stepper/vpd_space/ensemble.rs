@@ -107,7 +107,15 @@ impl VpdEnsemble {
             }
         }
         let inverse_inertia = symmetric(&body.inverse_inertia());
-        let start = Start { tableau, body, inverse_inertia, seen, step: h, momentum };
+        let start = Start {
+            tableau,
+            body,
+            inverse_inertia,
+            seen,
+            step: h,
+            passes: tableau.passes,
+            momentum,
+        };
         let leave = stop.rungs == Rungs::Both;
         let mut iterations = [None; WIDTH];
         iterations[..going.len()].fill(Some(Progress::new(*stop, leave)));

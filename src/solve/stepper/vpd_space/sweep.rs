@@ -141,7 +141,8 @@ pub(super) fn sweep<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> R::Whole {
     let whole = like.stage(0);
-    let LaneTableau { rows, present, passes: [kinematic, linear], .. } = start.tableau;
+    let LaneTableau { rows, present, .. } = start.tableau;
+    let [kinematic, linear] = &start.passes;
     let momentum: Vec3<R> = load(like, &unknowns.momentum);
     let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
         kinematics(like, start, &momentum, unknowns, *kinematic);

@@ -28,8 +28,7 @@ pub(super) struct LaneTableau {
     pub(super) nodes: Row,
     /// One for each stage.
     pub(super) present: Row,
-    /// Passes over the kinematics and over the linear system within a sweep: numbers that the compiler does not
-    /// know, or it would unroll their loops into more code than a cache holds.
+    /// Passes over the kinematics and over the linear system within a sweep.
     pub(super) passes: [u32; 2],
     /// Stages, and rounds of the first guess.
     pub(super) stages: u32,
@@ -80,6 +79,9 @@ pub(super) struct Start<'a, P> {
     /// The space vectors of the potential, as seen from g0.
     pub(super) seen: &'a [Vec3<P>],
     pub(super) step: f64,
+    /// Passes over the kinematics and over the linear system within a sweep: numbers that the compiler does not
+    /// know, or it would unroll their loops into more code than a cache holds.
+    pub(super) passes: [u32; 2],
     /// p0.
     pub(super) momentum: Vec3<P>,
 }
