@@ -232,8 +232,10 @@ impl VpdSpace {
         let inverse_inertia = symmetric(&body.inverse_inertia());
         let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
         // Where a step follows the steps before and turns little, half the passes bring it home.
-        let velocity = symmetric_product(&inverse_inertia, &momentum);
-        let calm = past.is_some() && h * h * dot(&velocity, &velocity) <= CALM_RAD * CALM_RAD;
+        let calm = past.is_some() && {
+            let turn = scaled(&symmetric_product(&inverse_inertia, &momentum), h);
+            dot(&turn, &turn) <= CALM_RAD * CALM_RAD
+        };
         let passes = if calm { lanes.passes.map(|passes| passes / 2) } else { lanes.passes };
         let start =
             Start { tableau: lanes, body, inverse_inertia, seen, step: h, passes, momentum };
