@@ -364,43 +364,42 @@ fn ensemble_on_all_cores() {
     let (scene, h) = (dipole(), 0.5);
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get);
     let states = spread();
-    let error = end(&mut in_lanes(8, Rungs::Both), &scene, h, 1).expect("solvable").0;
-    let error = difference(&error, &known("/points/0.5"));
-    let group = |ensemble: &mut VpdEnsemble| {
-        // A body of its own: it counts its torques.
-        let (body, _) = dipole();
-        let everybody: Vec<usize> = (0..states.len()).collect();
-        let mut results = Vec::new();
-        for _ in 0..GROUPS {
-            results.clear();
-            ensemble.start(&states);
-            ensemble.step(&body, h, &everybody, &mut results);
-        }
-        assert!(results.iter().all(|(_, result)| result.is_ok()));
-    };
-    let times: Vec<f64> = [1, cores]
-        .into_iter()
-        .map(|threads| {
+    say(&format!(
+        "\n## Ensembles to t = 0.5, one step of gauss8 (us a unit and member)\n\n| tolerance | error | one core | {cores} |\n|---|---|---|---|"
+    ));
+    for tolerance in [1e-15, 1e-13, 1e-12] {
+        let stop = StopRule { tolerance, ..StopRule::default() };
+        let mut alone = VpdSpace::new(gauss(8), stop).expect("8 stages");
+        let error = end(&mut alone, &scene, h, 1).expect("solvable").0;
+        let error = difference(&error, &known("/points/0.5"));
+        let group = || {
+            // A body of its own: it counts its torques.
+            let (body, _) = dipole();
+            let mut ensemble = VpdEnsemble::new(&gauss(8), stop).expect("8 stages");
+            let everybody: Vec<usize> = (0..states.len()).collect();
+            let mut results = Vec::new();
+            for _ in 0..GROUPS {
+                results.clear();
+                ensemble.start(&states);
+                ensemble.step(&body, h, &everybody, &mut results);
+            }
+            assert!(results.iter().all(|(_, result)| result.is_ok()));
+        };
+        let times = [1, cores].map(|threads| {
             let once = |_| {
                 let begun = Instant::now();
                 std::thread::scope(|scope| {
                     for _ in 0..threads {
-                        scope.spawn(|| {
-                            let stop = StopRule::default();
-                            group(&mut VpdEnsemble::new(&gauss(8), stop).expect("8 stages"));
-                        });
+                        scope.spawn(group);
                     }
                 });
                 begun.elapsed().as_secs_f64()
             };
             let least = (0..7).map(once).fold(f64::INFINITY, f64::min);
             least * 1e6 / ((threads * GROUPS * states.len()) as f64 * h)
-        })
-        .collect();
-    say(&format!(
-        "\nTo t = 0.5 in one step of gauss8, error {error:.1e}: {:.2} us a unit and member on one core, {:.2} on {cores}.",
-        times[0], times[1]
-    ));
+        });
+        say(&format!("| {tolerance:.0e} | {error:.1e} | {:.2} | {:.2} |", times[0], times[1]));
+    }
 }
 
 fn ensembles() {

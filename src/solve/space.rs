@@ -77,6 +77,12 @@ pub fn product<T: Real>(m: &Mat3<T>, v: &Vec3<T>) -> Vec3<T> {
     vec3!(i => dot(&m[i], v))
 }
 
+/// `M^T`
+#[inline(always)]
+pub fn transposed<T: Real>(m: &Mat3<T>) -> Mat3<T> {
+    mat3!(i, j => m[j][i])
+}
+
 /// `M^T v`
 #[inline(always)]
 pub fn transposed_product<T: Real>(m: &Mat3<T>, v: &Vec3<T>) -> Vec3<T> {

@@ -11,7 +11,6 @@
 //! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
 
 use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
-use nalgebra::Matrix3;
 
 use super::Stepper;
 use super::galerkin::SMALLEST_SINGULAR_VALUE;
@@ -22,8 +21,7 @@ use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, S
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, product, scaled, symmetric_product,
-    transposed_product, vec3,
+    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, product, scaled, transposed_product, vec3,
 };
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
@@ -32,7 +30,7 @@ pub mod ensemble;
 mod sweep;
 mod unknowns;
 
-use unknowns::{FEW_STAGES, LaneTableau, Start, Unknowns};
+use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
 
 /// A free body that turns by less in a step takes half the passes of others.
 const CALM_RAD: f64 = 0.05;
@@ -229,19 +227,34 @@ impl VpdSpace {
         h: f64,
         momentum: Vec3<f64>,
     ) -> Result<Convergence, Failure> {
-        let inverse_inertia = symmetric(&body.inverse_inertia());
+        let inertia = Inertia::of(body);
         let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
         // Where a step follows the steps before and turns little, half the passes bring it home.
         let calm = past.is_some() && {
-            let turn = scaled(&symmetric_product(&inverse_inertia, &momentum), h);
+            let turn = scaled(&inertia.divides(&momentum), h);
             dot(&turn, &turn) <= CALM_RAD * CALM_RAD
         };
-        let passes = if calm { lanes.passes.map(|passes| passes / 2) } else { lanes.passes };
-        let start =
-            Start { tableau: lanes, body, inverse_inertia, seen, step: h, passes, momentum };
+        let passes = if calm { lanes.passes.halved() } else { lanes.passes };
+        let start = Start {
+            tableau: lanes,
+            body,
+            inertia,
+            seen,
+            step: h,
+            passes: passes.of_sweep(false),
+            momentum,
+        };
         let (level, stages) = (*level, tableau.stages());
-        let mut equations =
-            InLanes { level, stages, start, unknowns, momentum_scale: 1.0, torques: 0 };
+        let mut equations = InLanes {
+            level,
+            stages,
+            start,
+            passes,
+            at_first: false,
+            unknowns,
+            momentum_scale: 1.0,
+            torques: 0,
+        };
         let solved = match past {
             Some(past) => past.solve(solver, &mut equations),
             None => solver.solve(&mut equations),
@@ -272,6 +285,9 @@ struct InLanes<'a> {
     level: Option<Level>,
     stages: usize,
     start: Start<'a, f64>,
+    passes: Passes,
+    /// Is the next sweep the first after a guess?
+    at_first: bool,
     unknowns: &'a mut Unknowns<Row, f64>,
     /// The unit of momenta.
     momentum_scale: f64,
@@ -287,9 +303,11 @@ impl InLanes<'_> {
 
 impl Equations for InLanes<'_> {
     fn guess(&mut self) -> Result<(), Failure> {
-        // The torque is computed once before its rounds, of which there are as many as stages less one.
-        self.torques += (self.stages * (self.stages - 1)) as u64;
         in_lanes!(guess, self);
+        // One at each stage is counted with every piece of work.
+        let more = self.start.tableau.torques_of_guess() - 1;
+        self.torques += u64::from(more) * self.stages as u64;
+        self.at_first = true;
         let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
         let size = self.start.momentum.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
         let size = self.unknowns.momentum.iter().fold(size, largest);
@@ -299,10 +317,17 @@ impl Equations for InLanes<'_> {
 
     /// The guess leaves x and K^-1 far from where a sweep puts them.
     fn settle(&mut self) -> Result<(), Failure> {
-        if self.sweep()?.is_finite() { Ok(()) } else { self.guess() }
+        if !self.sweep()?.is_finite() {
+            self.guess()?;
+            // Newton's method needs sweeps that are all alike.
+            self.at_first = false;
+        }
+        Ok(())
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
+        self.start.passes = self.passes.of_sweep(self.at_first);
+        self.at_first = false;
         Ok(in_lanes!(sweep, self))
     }
 
@@ -484,10 +509,6 @@ fn agree(attitude: &mut Sum<4>, momentum: &Vec3<f64>, body: &Vec3<f64>, gain: &V
 /// The smallest eigenvalue of `P = I + E`.
 fn smallest_singular_value([xx, yy, zz, yz, xz, xy]: &Sym3<f64>) -> f64 {
     1.0 + so::smallest_eigenvalue(&Mat::<3>::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz))
-}
-
-fn symmetric(m: &Matrix3<f64>) -> Sym3<f64> {
-    [m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(1, 2)], m[(0, 2)], m[(0, 1)]]
 }
 
 fn rows(m: &Mat<3>) -> Mat3<f64> {

@@ -10,9 +10,9 @@
 
 use fearless_simd::{Level, f64x8, prelude::*};
 
+use super::VpdSpace;
 use super::sweep;
-use super::unknowns::{Start, Unknowns};
-use super::{VpdSpace, symmetric};
+use super::unknowns::{Inertia, Start, Unknowns};
 use crate::solve::ensemble::Members;
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
@@ -106,14 +106,13 @@ impl VpdEnsemble {
                 }
             }
         }
-        let inverse_inertia = symmetric(&body.inverse_inertia());
         let start = Start {
             tableau,
             body,
-            inverse_inertia,
+            inertia: Inertia::of(body),
             seen,
             step: h,
-            passes: tableau.passes,
+            passes: tableau.passes.of_sweep(false),
             momentum,
         };
         let leave = stop.rungs == Rungs::Both;
@@ -148,19 +147,18 @@ impl VpdEnsemble {
             Lanes::Four(unknowns) => iterate!(unknowns, 4),
             Lanes::None => {}
         }
-        let stages = self.blank.tableau.stages() as u64;
-        body.count((sweeps + guesses * stages) * stages);
+        let torques = sweeps + guesses * u64::from(tableau.torques_of_guess());
+        body.count(torques * self.blank.tableau.stages() as u64);
         solved
     }
 }
 
 impl Members<3> for VpdEnsemble {
     fn start(&mut self, states: &[State<3>]) {
-        self.members.clear();
-        for state in states.iter().take(WIDTH) {
-            let mut stepper = self.blank.clone();
+        let Self { members, blank, .. } = self;
+        members.resize_with(states.len().min(WIDTH), || blank.clone());
+        for (stepper, state) in members.iter_mut().zip(states) {
             stepper.start(state);
-            self.members.push(stepper);
         }
     }
 

@@ -36,12 +36,12 @@
 //! x_k <- x_k + h b_k Omega_k x (sum_i e_ik dx_i) / 2                  dx the change of x in the pass
 //! ```
 
-use super::unknowns::{LaneTableau, Start, Unknowns};
+use super::unknowns::{LaneTableau, Start, TORQUE_EVERY, Unknowns};
 use crate::solve::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::solve::space::{
     Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
-    symmetric_product, times_hat, transposed_matrix_product, transposed_product, vec3, vee_asym,
-    with_one,
+    symmetric_product, times_hat, transposed, transposed_matrix_product, transposed_product, vec3,
+    vee_asym, with_one,
 };
 
 /// What the square of a quaternion may lack of one in the last round of the first guess.
@@ -76,10 +76,10 @@ pub(super) fn guess<R: Stages>(
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
     let whole = like.stage(0);
-    let LaneTableau { columns, weights, nodes, stages, .. } = start.tableau;
+    let LaneTableau { columns, weights, nodes, rounds, .. } = start.tableau;
     let at_start = vec3!(i => whole.load(&start.momentum[i]));
-    let velocity = symmetric_product(&symmetric(whole, &start.inverse_inertia), &at_start);
-    let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
+    let velocity = start.inertia.in_lanes(whole).divides(&at_start);
+    let inertia = start.inertia.in_lanes(like);
     let p0 = vec3!(i => like.spread(at_start[i]));
     let weight = like.row(weights) * start.step;
     let elapsed = like.row(nodes) * start.step;
@@ -90,27 +90,30 @@ pub(super) fn guess<R: Stages>(
     let pushed = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, pushed);
     let mut lack = like.constant(0.0);
-    for _ in 1..*stages {
+    for round in 0..*rounds {
         let u = attitude.matrix();
-        let (torque, _) = start.body.torque(&u, start.seen);
-        let kick = scaled(&product(&u, &torque), weight);
+        if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
+            let (torque, _) = start.body.torque(&u, start.seen);
+            let kick = scaled(&product(&u, &torque), weight);
+            momentum = vec3!(i => -kick[i].combined(columns));
+        }
         let mu = transposed_product(&u, &plus(&p0, &momentum));
-        let rate = attitude.rate(&scaled(&symmetric_product(&inverse_inertia, &mu), weight * 0.5));
+        let rate = attitude.rate(&scaled(&inertia.divides(&mu), weight * 0.5));
         let next =
             Turn { w: rate.w.combined(columns) + 1.0, v: vec3!(i => rate.v[i].combined(columns)) };
         lack = (next.square() + -1.0).size();
         attitude = next.lengthened();
-        momentum = vec3!(i => -kick[i].combined(columns));
     }
     // Rounds that went astray are worse than none.
     let last_lack = lack.largest();
     let lack = like.spread(last_lack);
     let attitude = attitude.within(lack, MOST_LACK, &turned);
-    let momentum = vec3!(i => momentum[i].within(lack, MOST_LACK, pushed[i]));
     let u = attitude.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
+    let kick = scaled(&product(&u, &torque), weight);
+    let momentum = vec3!(i => (-kick[i].combined(columns)).within(lack, MOST_LACK, pushed[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
-    let omega = symmetric_product(&inverse_inertia, &mu);
+    let omega = inertia.divides(&mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Turn { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
     let kept_on = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
@@ -165,10 +168,12 @@ pub(super) fn sweep<R: Stages>(
     let mut x: Vec3<R> = load(like, &unknowns.x);
     let mut y = embedded(&u, &x, rows);
     let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
+    // N^T Omega = W^T U Omega
+    let in_space = product(&u, &omega);
     for _ in 0..*linear {
-        let n = transposed_matrix_product(&u, &m);
-        let trace = n[0][0] + n[1][1] + n[2][2];
-        let turned = transposed_product(&n, &omega);
+        // tr(U^T W)
+        let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
+        let turned = transposed_product(&m, &in_space);
         let load: Vec3<R> = vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
         let next = symmetric_product(&inverse_k, &load);
         // What it brings about itself.
@@ -279,7 +284,7 @@ fn kinematics<R: Stages>(
 ) -> Kinematics<R> {
     let LaneTableau { columns, weights, .. } = start.tableau;
     let weight = like.row(weights) * start.step;
-    let inverse_inertia: Sym3<R> = symmetric(like, &start.inverse_inertia);
+    let inertia = start.inertia.in_lanes(like);
     let mut attitude = load_turn(like, &unknowns.attitude);
     let mut inverse_k: Sym3<R> = [like; 6];
     for i in 0..6 {
@@ -288,33 +293,34 @@ fn kinematics<R: Stages>(
     let p0 = vec3!(i => like.spread(like.stage(0).load(&start.momentum[i])));
     let momentum = plus(&p0, momentum);
     // J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi
-    let unturned = symmetric_product(&inverse_inertia, &momentum);
+    let unturned = inertia.divides(&momentum);
     let mut change = attitude.change();
     let mut u = with_one(&change);
     let mut turned_by = transposed_product(&change, &momentum);
-    let mut omega = plus(&unturned, &symmetric_product(&inverse_inertia, &turned_by));
+    let mut omega = plus(&unturned, &inertia.divides(&turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = like.constant(0.0);
     let mut excess = inverse_k;
-    for _ in 0..passes {
+    for pass in 1..=passes {
         let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
-        let b = transposed_matrix_product(&u, &d);
-        let half =
-            scaled(&symmetric_product(&inverse_k, &residual(&attitude, &b)), like.constant(0.5));
+        let half = symmetric_product(&inverse_k, &residual(&attitude, &u, &d));
+        let half = scaled(&half, like.constant(0.5));
         // What it brings about itself, through the velocities.
-        let faster =
-            symmetric_product(&inverse_inertia, &cross(&plus(&momentum, &turned_by), &half));
+        let faster = inertia.divides(&cross(&plus(&momentum, &turned_by), &half));
         let bent = cross(&half, &scaled(&omega, like.constant(0.5)));
         let follows: Vec3<R> = vec3!(i => (weight * (faster[i] + bent[i])).combined(columns));
         let half = plus(&half, &follows);
-        excess = stretch_excess(&attitude, &b);
-        inverse_k = inverse_of_k(&excess);
+        // The last pass looks at the stretch for what is to come; the others take it from the sweep before.
+        if pass == passes {
+            excess = stretch_excess(&attitude, &u, &d);
+            inverse_k = inverse_of_k(&excess);
+        }
         attitude = attitude.turned(&half);
         turned = half[0].size().larger(half[1].size()).larger(half[2].size());
         change = attitude.change();
         u = with_one(&change);
         turned_by = transposed_product(&change, &momentum);
-        omega = plus(&unturned, &symmetric_product(&inverse_inertia, &turned_by));
+        omega = plus(&unturned, &inertia.divides(&turned_by));
         w = times_hat(&u, &scaled(&omega, weight));
     }
     store_turn(&attitude, &mut unknowns.attitude);
@@ -355,10 +361,11 @@ fn end_point<R: Stages>(
     let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
     let end =
         Turn { w: whole.load(&unknowns.end.w), v: vec3!(i => whole.load(&unknowns.end.v[i])) };
-    let b = transposed_matrix_product(&end.matrix(), &d);
-    let excess = stretch_excess(&end, &b);
+    let f = end.matrix();
+    let excess = stretch_excess(&end, &f, &d);
     let inverse = inverse_of_k(&excess);
-    let half = scaled(&symmetric_product(&inverse, &residual(&end, &b)), whole.constant(0.5));
+    let half = symmetric_product(&inverse, &residual(&end, &f, &d));
+    let half = scaled(&half, whole.constant(0.5));
     let end = end.turned(&half);
     let (torque, nearness) = start.body.torque(u, start.seen);
     let kicks = scaled(&product(u, &torque), -weight);
@@ -393,19 +400,24 @@ fn k_less_two<T: Real>(excess: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
     vec3!(i => trace * v[i] - stretched[i])
 }
 
-/// `vee asym(U^T A)` for `A = I + D`, given `B = U^T D`: vee asym(U^T) = -4 w v without cancellation.
+/// `vee asym(U^T A)` for `A = I + D`: vee asym(U^T) = -4 w v without cancellation.
 #[inline(always)]
-fn residual<T: Real>(attitude: &Turn<T>, b: &Mat3<T>) -> Vec3<T> {
+fn residual<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3<T> {
+    let [u, d] = [transposed(u), transposed(d)];
     let factor = attitude.w * -4.0;
-    let asym = vee_asym(b);
-    vec3!(i => factor * attitude.v[i] + asym[i])
+    [
+        factor * attitude.v[0] + (dot(&u[2], &d[1]) - dot(&u[1], &d[2])),
+        factor * attitude.v[1] + (dot(&u[0], &d[2]) - dot(&u[2], &d[0])),
+        factor * attitude.v[2] + (dot(&u[1], &d[0]) - dot(&u[0], &d[1])),
+    ]
 }
 
-/// `E = P - I = sym(U^T A) - I`, given `B = U^T D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
+/// `E = P - I = sym(U^T A) - I` for `A = I + D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
 #[inline(always)]
-fn stretch_excess<T: Real>(attitude: &Turn<T>, b: &Mat3<T>) -> Sym3<T> {
+fn stretch_excess<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Sym3<T> {
     let [x, y, z] = attitude.v;
     let (xx, yy, zz) = (x * x, y * y, z * z);
+    let b = transposed_matrix_product(u, d);
     [
         (yy + zz) * -2.0 + b[0][0],
         (xx + zz) * -2.0 + b[1][1],
@@ -420,15 +432,6 @@ fn stretch_excess<T: Real>(attitude: &Turn<T>, b: &Mat3<T>) -> Sym3<T> {
 #[inline(always)]
 fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
     inverse(&[*yy + *zz + 2.0, *xx + *zz + 2.0, *xx + *yy + 2.0, -*yz, -*xz, -*xy])
-}
-
-#[inline(always)]
-fn symmetric<T: Real>(like: T, s: &Sym3<f64>) -> Sym3<T> {
-    let mut lanes = [like; 6];
-    for i in 0..6 {
-        lanes[i] = like.constant(s[i]);
-    }
-    lanes
 }
 
 #[inline(always)]

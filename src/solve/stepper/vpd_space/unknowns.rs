@@ -3,19 +3,45 @@
 //! Invariant: lanes beyond the stages hold numbers, and weigh nothing.
 
 use crate::solve::hamiltonian::RigidBody;
-use crate::solve::lanes::{Row, WIDTH};
-use crate::solve::space::{Sym3, Turn, Vec3, dot, vec3};
+use crate::solve::lanes::{Real, Row, WIDTH};
+use crate::solve::space::{Sym3, Turn, Vec3, dot, symmetric_product, vec3};
 use crate::solve::tableau::Tableau;
 
-/// Passes over the kinematics, and over the linear system of x, within a sweep. Fewer take more sweeps; many stages are
-/// for large steps, and those need more.
-const FEW_PASSES: [u32; 2] = [2, 2];
-const MANY_PASSES: [u32; 2] = [4, 4];
+/// Fewer passes take more sweeps; many stages are for large steps, and those need more.
+const FEW_PASSES: Passes = Passes { kinematic: 2, linear: 2, linear_at_first: 2 };
+const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 4, linear_at_first: 6 };
 /// Up to here stages are few.
 pub(super) const FEW_STAGES: usize = 4;
 
+/// So many rounds of the first guess take the same torque.
+pub(super) const TORQUE_EVERY: u32 = 3;
+
 /// What rounding may make of a coefficient.
 const ROUNDED: f64 = 1e-14;
+
+/// Passes within a sweep.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Passes {
+    /// Over the kinematics.
+    pub(super) kinematic: u32,
+    /// Over the linear system of x.
+    pub(super) linear: u32,
+    /// The same in the first sweep, which has but a guess of x.
+    pub(super) linear_at_first: u32,
+}
+
+impl Passes {
+    /// Half of them.
+    pub(super) fn halved(self) -> Self {
+        let Self { kinematic, linear, linear_at_first } = self;
+        Self { kinematic: kinematic / 2, linear: linear / 2, linear_at_first: linear_at_first / 2 }
+    }
+
+    /// Those over the kinematics and over the linear system in the first sweep, or in a later one.
+    pub(super) fn of_sweep(&self, at_first: bool) -> [u32; 2] {
+        [self.kinematic, if at_first { self.linear_at_first } else { self.linear }]
+    }
+}
 
 /// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
 #[derive(Clone, Debug)]
@@ -28,10 +54,9 @@ pub(super) struct LaneTableau {
     pub(super) nodes: Row,
     /// One for each stage.
     pub(super) present: Row,
-    /// Passes over the kinematics and over the linear system within a sweep.
-    pub(super) passes: [u32; 2],
-    /// Stages, and rounds of the first guess.
-    pub(super) stages: u32,
+    pub(super) passes: Passes,
+    /// Rounds of the first guess.
+    pub(super) rounds: u32,
     /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
     pub(super) own_partner: bool,
 }
@@ -39,17 +64,18 @@ pub(super) struct LaneTableau {
 impl LaneTableau {
     pub(super) fn new(tableau: &Tableau) -> Self {
         let zero = Row::splat(0.0);
+        let stages = tableau.stages();
+        let few = stages <= FEW_STAGES;
         let mut lanes = Self {
             columns: [zero; WIDTH],
             rows: [zero; WIDTH],
             weights: zero,
             nodes: zero,
             present: zero,
-            passes: if tableau.stages() <= FEW_STAGES { FEW_PASSES } else { MANY_PASSES },
-            stages: tableau.stages() as u32,
+            passes: if few { FEW_PASSES } else { MANY_PASSES },
+            rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
             own_partner: false,
         };
-        let stages = tableau.stages();
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
         lanes.own_partner = (0..stages)
             .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
@@ -68,22 +94,65 @@ impl LaneTableau {
         }
         lanes
     }
+
+    /// How often the first guess takes the torque at the stages: before its rounds, in them, and after.
+    pub(super) fn torques_of_guess(&self) -> u32 {
+        2 + self.rounds / TORQUE_EVERY
+    }
 }
 
 /// What a step is made from. `P` holds a number in memory, or one for each member.
 pub(super) struct Start<'a, P> {
     pub(super) tableau: &'a LaneTableau,
     pub(super) body: &'a RigidBody<3>,
-    /// J^-1.
-    pub(super) inverse_inertia: Sym3<f64>,
+    pub(super) inertia: Inertia<f64>,
     /// The space vectors of the potential, as seen from g0.
     pub(super) seen: &'a [Vec3<P>],
     pub(super) step: f64,
-    /// Those of the tableau, or fewer: numbers that the compiler does not know, or it would unroll their loops into more
+    /// Over the kinematics and over the linear system: numbers that the compiler does not know, or it would unroll their loops into more
     /// code than a cache holds.
     pub(super) passes: [u32; 2],
     /// p0.
     pub(super) momentum: Vec3<P>,
+}
+
+/// The inertia J of the body, as what divides a momentum.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Inertia<T> {
+    /// J^-1.
+    inverse: Sym3<T>,
+    /// Is it diagonal, as in principal axes?
+    principal: bool,
+}
+
+impl Inertia<f64> {
+    pub(super) fn of(body: &RigidBody<3>) -> Self {
+        let m = body.inverse_inertia();
+        let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
+        Self { inverse, principal: inverse[3..] == [0.0; 3] }
+    }
+
+    /// The same for all lanes.
+    #[inline(always)]
+    pub(super) fn in_lanes<R: Real>(&self, like: R) -> Inertia<R> {
+        let mut inverse = [like; 6];
+        for i in 0..6 {
+            inverse[i] = like.constant(self.inverse[i]);
+        }
+        Inertia { inverse, principal: self.principal }
+    }
+}
+
+impl<R: Real> Inertia<R> {
+    /// `J^-1 v`
+    #[inline(always)]
+    pub(super) fn divides(&self, v: &Vec3<R>) -> Vec3<R> {
+        if self.principal {
+            vec3!(i => self.inverse[i] * v[i])
+        } else {
+            symmetric_product(&self.inverse, v)
+        }
+    }
 }
 
 /// The unknowns of a step in the frame of g0, as they lie in memory; `S` holds a number for each stage.
