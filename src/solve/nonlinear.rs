@@ -258,6 +258,13 @@ impl Progress {
         }
     }
 
+    /// Begins again, as if new.
+    pub(super) fn restart(&mut self) {
+        self.history.count = 0;
+        (self.iteration, self.grown) = (0, 0);
+        (self.smallest, self.since_smallest) = (f64::INFINITY, 0);
+    }
+
     /// A failure of the next sweep, with the figures of the iteration.
     fn failure_of(&self, failure: Failure) -> Failure {
         self.history.of(failure, self.iteration + 1)

@@ -272,6 +272,7 @@ fn members_are_their_own_runs_bit_for_bit() {
                 let member = ensemble.member(m);
                 assert_eq!(stepper.attitude(), member.attitude());
                 assert_eq!(stepper.momentum(), member.momentum());
+                assert_eq!(stepper.sigma_min(), member.sigma_min());
             }
         }
         println!("{stages} stages: {failed} failures of the fast member");

@@ -21,15 +21,17 @@ use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, S
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, product, scaled, transposed_product, vec3,
+    Mat3, Sym3, Turn, Vec3, dot, mat3, product, scaled, transposed_product, vec3,
 };
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
 pub mod ensemble;
+mod motion;
 mod sweep;
 mod unknowns;
 
+use motion::{Motion, Sum};
 use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
 
 /// A free body that turns by less in a step takes half the passes of others.
@@ -75,45 +77,17 @@ pub struct VpdSpace {
 /// What is carried from step to step.
 #[derive(Clone, Copy, Debug)]
 enum Carried {
-    /// The attitude, a quaternion (w, v), and the momentum in space and in the body.
-    Full { attitude: Sum<4>, momentum: Sum<3>, body_momentum: Sum<3> },
+    /// Attitude and momentum.
+    Full(Motion<f64>),
     /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
     /// Its square labels the coadjoint orbit.
-    Reduced { momentum: Sum<3>, square: f64 },
-}
-
-/// A sum, and what rounding has taken off it.
-#[derive(Clone, Copy, Debug)]
-struct Sum<const K: usize> {
-    value: [f64; K],
-    carry: [f64; K],
-}
-
-impl<const K: usize> Sum<K> {
-    fn new(value: [f64; K]) -> Self {
-        Self { value, carry: [0.0; K] }
-    }
-
-    fn add(&mut self, change: &[f64; K]) {
-        for i in 0..K {
-            (self.value[i], self.carry[i]) = so::sum(self.value[i], change[i] + self.carry[i]);
-        }
-    }
-}
-
-fn turn([w, x, y, z]: &[f64; 4]) -> Turn<f64> {
-    Turn { w: *w, v: [*x, *y, *z] }
+    Reduced { momentum: Sum<f64, 3>, square: f64 },
 }
 
 impl VpdSpace {
     /// A stepper for `tableau` that solves each step until `stop`. `None` if the tableau has more stages than there are
     /// lanes.
     pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
-        let state = Carried::Full {
-            attitude: Sum::new([1.0, 0.0, 0.0, 0.0]),
-            momentum: Sum::new([0.0; 3]),
-            body_momentum: Sum::new([0.0; 3]),
-        };
         // Many stages are there for the last digits.
         let stop = StopRule { foresee: tableau.stages() <= FEW_STAGES, ..stop };
         (tableau.stages() <= WIDTH).then(|| Self {
@@ -122,7 +96,7 @@ impl VpdSpace {
             solver: Solver::new(stop),
             past: None,
             level: Some(Level::new()),
-            state,
+            state: Carried::Full(Motion::blank(0.0, 1.0)),
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
             seen: Vec::new(),
         })
@@ -134,7 +108,7 @@ impl VpdSpace {
         let state = if with_attitude {
             self.state
         } else {
-            Carried::Reduced { momentum: Sum::new([0.0; 3]), square: 0.0 }
+            Carried::Reduced { momentum: Sum::new([0.0; 3], 0.0), square: 0.0 }
         };
         // Many stages are better guessed by themselves.
         let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
@@ -371,14 +345,14 @@ impl Stepper<3> for VpdSpace {
             past.forget();
         }
         self.state = match self.state {
-            Carried::Full { .. } => Carried::Full {
-                attitude: Sum::new([attitude.w, attitude.i, attitude.j, attitude.k]),
-                momentum: Sum::new(product(&rows(&state.attitude), &momentum.into())),
-                body_momentum: Sum::new(momentum.into()),
-            },
+            Carried::Full(_) => Carried::Full(Motion {
+                attitude: Sum::new([attitude.w, attitude.i, attitude.j, attitude.k], 0.0),
+                momentum: Sum::new(product(&rows(&state.attitude), &momentum.into()), 0.0),
+                body_momentum: Sum::new(momentum.into(), 0.0),
+            }),
             Carried::Reduced { .. } => {
                 let square = momentum.norm_squared();
-                Carried::Reduced { momentum: Sum::new(momentum.into()), square }
+                Carried::Reduced { momentum: Sum::new(momentum.into(), 0.0), square }
             }
         };
     }
@@ -392,8 +366,8 @@ impl Stepper<3> for VpdSpace {
 
     fn attitude(&self) -> Option<Mat<3>> {
         match &self.state {
-            Carried::Full { attitude, .. } => {
-                let g = turn(&attitude.value).matrix();
+            Carried::Full(motion) => {
+                let g = motion.turn().matrix();
                 Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
             }
             Carried::Reduced { .. } => None,
@@ -413,10 +387,9 @@ impl Stepper<3> for VpdSpace {
 impl VpdSpace {
     /// The space vectors of the potential from where the step begins.
     fn look(&mut self, body: &RigidBody<3>) {
-        self.seen.clear();
-        if let Carried::Full { attitude, .. } = &self.state {
-            let g0 = turn(&attitude.value).matrix();
-            self.seen.extend(body.space_vectors().map(|v| transposed_product(&g0, &(*v).into())));
+        match &self.state {
+            Carried::Full(motion) => motion.look(0.0, body, &mut self.seen),
+            Carried::Reduced { .. } => self.seen.clear(),
         }
     }
 
@@ -442,31 +415,13 @@ impl VpdSpace {
     fn advance(&mut self) {
         let Unknowns { end, kick, gain, .. } = &self.unknowns;
         match &mut self.state {
-            Carried::Full { attitude, momentum, body_momentum } => {
-                let start = turn(&attitude.value);
-                momentum.add(&product(&start.matrix(), kick));
-                // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
-                let sign = if end.w < 0.0 { -1.0 } else { 1.0 };
-                let v = scaled(&end.v, sign);
-                let change = Turn { w: -dot(&v, &v) / (1.0 + sign * end.w), v };
-                // What is carried turns along.
-                let carried = turn(&attitude.carry).times(&change);
-                let change = start.times(&change);
-                // What the length lacks of one.
-                let lack = 0.5 * (1.0 - start.square());
-                attitude.add(&[
-                    change.w + (carried.w + lack * start.w),
-                    change.v[0] + (carried.v[0] + lack * start.v[0]),
-                    change.v[1] + (carried.v[1] + lack * start.v[1]),
-                    change.v[2] + (carried.v[2] + lack * start.v[2]),
-                ]);
+            Carried::Full(motion) => {
+                motion.advance(0.0, end, kick);
                 // A free body has the one in space to the bit, and the sum would lean by 1e-18 a step.
                 if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
-                    body_momentum.add(gain);
-                    agree(attitude, &momentum.value, &body_momentum.value, gain);
+                    motion.gain(gain);
                 } else {
-                    let g = turn(&attitude.value).matrix();
-                    body_momentum.value = transposed_product(&g, &momentum.value);
+                    motion.turn_momentum(0.0);
                 }
             }
             Carried::Reduced { momentum, square } => {
@@ -485,24 +440,9 @@ impl VpdSpace {
 
     fn body_momentum(&self) -> Vec3<f64> {
         match &self.state {
-            Carried::Full { body_momentum, .. } => body_momentum.value,
+            Carried::Full(motion) => motion.body_momentum.value,
             Carried::Reduced { momentum, .. } => momentum.value,
         }
-    }
-}
-
-/// Turns the attitude so that rounding does not part the momentum in space, which nothing but torques changes, from that
-/// in the body, the direction of which is the more precise: `g <- g (I + hat(theta))` with `theta = (p - g^T pi) x p /
-/// |p|^2`, and less where the step has added more than there is.
-fn agree(attitude: &mut Sum<4>, momentum: &Vec3<f64>, body: &Vec3<f64>, gain: &Vec3<f64>) {
-    let now = turn(&attitude.value);
-    let seen = transposed_product(&now.matrix(), momentum);
-    let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
-    let half = scaled(&cross(&minus(body, &seen), &seen), scale);
-    // Next to nothing: it is added at the next step.
-    let Turn { w, v: [x, y, z] } = now.rate(&half);
-    for (carry, change) in attitude.carry.iter_mut().zip([w, x, y, z]) {
-        *carry += change;
     }
 }
 

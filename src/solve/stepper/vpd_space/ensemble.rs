@@ -10,35 +10,40 @@
 
 use fearless_simd::{Level, f64x8, prelude::*};
 
-use super::VpdSpace;
+use super::motion::Motion;
 use super::sweep;
 use super::unknowns::{Inertia, Start, Unknowns};
+use super::{Carried, VpdSpace};
 use crate::solve::ensemble::Members;
 use crate::solve::failure::Failure;
-use crate::solve::hamiltonian::RigidBody;
-use crate::solve::lanes::{Row, Rows, WIDTH};
+use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::solve::lanes::{Real, Row, Rows, Stages, WIDTH, Whole};
 use crate::solve::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
-use crate::solve::space::Vec3;
+use crate::solve::space::{Turn, Vec3, dot};
 use crate::solve::stepper::Stepper;
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
-/// Compiles the work for the instruction sets on which lanes gain, and does it on the widest.
+/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `like` is so many
+/// stages in lanes.
 macro_rules! in_member_lanes {
-    ($level:ident, $stages:literal, $work:ident, $start:expr, $unknowns:ident) => {{
+    ($level:ident, $stages:literal, $like:ident => $work:expr) => {{
         #[cfg(target_arch = "x86_64")]
         match ($level.as_avx512(), $level.as_avx2()) {
-            (Some(simd), _) => in_member_lanes!(@on simd, $stages, $work, $start, $unknowns),
-            (None, Some(simd)) => in_member_lanes!(@on simd, $stages, $work, $start, $unknowns),
+            (Some(simd), _) => in_member_lanes!(@on simd, $stages, $like => $work),
+            (None, Some(simd)) => in_member_lanes!(@on simd, $stages, $like => $work),
             (None, None) => unreachable!("members go by themselves here"),
         }
         #[cfg(not(target_arch = "x86_64"))]
         unreachable!("members go by themselves here")
     }};
-    (@on $simd:ident, $stages:literal, $work:ident, $start:expr, $unknowns:ident) => {
+    (@on $simd:ident, $stages:literal, $like:ident => $work:expr) => {
         $simd.vectorize(
             #[inline(always)]
-            || sweep::$work(Rows([f64x8::splat($simd, 0.0); $stages]), $start, $unknowns),
+            || {
+                let $like = Rows([f64x8::splat($simd, 0.0); $stages]);
+                $work
+            },
         )
     };
 }
@@ -49,108 +54,191 @@ pub struct VpdEnsemble {
     members: Vec<VpdSpace>,
     /// What each member starts from.
     blank: VpdSpace,
-    stop: StopRule,
+    iterations: [Progress; WIDTH],
     lanes: Lanes,
+    motion: Motion<Row>,
     seen: Vec<Vec3<Row>>,
 }
 
-/// The unknowns of all members, for as many stages as there are rows.
+/// The members side by side, for as many stages as there are rows.
 #[derive(Clone, Debug)]
 enum Lanes {
-    Two(Box<Unknowns<[Row; 2], Row>>),
-    Four(Box<Unknowns<[Row; 4], Row>>),
+    Two(Box<Side<2>>),
+    Four(Box<Side<4>>),
     /// Members go by themselves.
     None,
+}
+
+/// What sweeps work on, and the solutions that have been taken from it.
+#[derive(Clone, Debug)]
+struct Side<const K: usize> {
+    unknowns: Unknowns<[Row; K], Row>,
+    taken: Unknowns<[Row; K], Row>,
+}
+
+impl<const K: usize> Side<K> {
+    fn blank() -> Box<Self> {
+        let zero = Row::splat(0.0);
+        let blank = Unknowns::blank([zero; K], zero);
+        Box::new(Self { unknowns: blank, taken: blank })
+    }
+}
+
+/// What came of a member's sweeps.
+#[derive(Clone, Copy, Debug)]
+enum Swept {
+    /// The step is made.
+    Made(Convergence),
+    /// The step is solved, and to be looked at more closely.
+    Doubtful(Convergence),
+    /// The sweeps do not get on.
+    Stuck,
 }
 
 impl VpdEnsemble {
     /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
         let blank = VpdSpace::new(tableau.clone(), stop)?;
-        let zero = Row::splat(0.0);
         let lanes = match tableau.stages() {
             _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
-            1 | 2 => Lanes::Two(Box::new(Unknowns::blank([zero; 2], zero))),
-            3 | 4 => Lanes::Four(Box::new(Unknowns::blank([zero; 4], zero))),
+            1 | 2 => Lanes::Two(Side::blank()),
+            3 | 4 => Lanes::Four(Side::blank()),
             _ => Lanes::None,
         };
-        Some(Self { members: Vec::new(), blank, stop, lanes, seen: Vec::new() })
+        let motion = Motion::blank(Row::splat(0.0), Row::splat(1.0));
+        let iterations = [Progress::new(stop, stop.rungs == Rungs::Both); WIDTH];
+        Some(Self { members: Vec::new(), blank, iterations, lanes, motion, seen: Vec::new() })
     }
 
-    /// Solves the step of those whose sweeps converge, together: their solutions are with them then.
-    fn swept(
-        &mut self,
-        body: &RigidBody<3>,
-        h: f64,
-        going: &[usize],
-    ) -> [Option<Convergence>; WIDTH] {
-        let mut solved = [None; WIDTH];
-        let Self { members, blank: VpdSpace { level, lanes: tableau, .. }, stop, lanes, seen } =
-            self;
-        let Some(level) = *level else { return solved };
+    /// Makes the step of those whose sweeps converge, together.
+    fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
+        let mut swept = [Swept::Stuck; WIDTH];
+        let Self { members, blank, iterations, lanes, motion, seen } = self;
+        let VpdSpace { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
+            return swept;
+        };
         if going.is_empty() || matches!(lanes, Lanes::None) {
-            return solved;
+            return swept;
         }
-        let mut momentum = [Row::splat(0.0); 3];
-        seen.clear();
-        seen.resize(body.space_vectors().count(), [Row::splat(0.0); 3]);
         for lane in 0..WIDTH {
             // Lanes of nobody repeat the last that goes.
-            let stepper = &mut members[going[lane.min(going.len() - 1)]];
-            stepper.look(body);
-            let p0 = stepper.body_momentum();
-            for i in 0..3 {
-                momentum[i].0[lane] = p0[i];
-                for (all, one) in seen.iter_mut().zip(&stepper.seen) {
-                    all[i].0[lane] = one[i];
-                }
+            if let Carried::Full(member) = &members[going[lane.min(going.len() - 1)]].state {
+                motion.take(lane, member);
             }
         }
-        let start = Start {
-            tableau,
-            body,
-            inertia: Inertia::of(body),
-            seen,
-            step: h,
-            passes: tableau.passes.of_sweep(false),
-            momentum,
-        };
-        let leave = stop.rungs == Rungs::Both;
-        let mut iterations = [None; WIDTH];
-        iterations[..going.len()].fill(Some(Progress::new(*stop, leave)));
+        let inertia = Inertia::of(body);
+        let passes = tableau.passes.of_sweep(false);
         let (mut sweeps, mut guesses) = (0, 0);
-        macro_rules! iterate {
-            ($unknowns:ident, $stages:literal) => {{
-                in_member_lanes!(level, $stages, guess, &start, $unknowns);
-                while iterations.iter().any(Option::is_some) {
-                    let increments =
-                        in_member_lanes!(level, $stages, sweep_to_row, &start, $unknowns);
+        macro_rules! step {
+            ($side:ident, $stages:literal) => {{
+                let Side { unknowns, taken } = &mut **$side;
+                in_member_lanes!(level, $stages, like => motion.look(like.0[0], body, seen));
+                let momentum = motion.body_momentum.value;
+                let start =
+                    Start { tableau, body, inertia, seen, step: h, passes, momentum };
+                in_member_lanes!(level, $stages, like => sweep::guess(like, &start, unknowns));
+                let mut goes_on = [false; WIDTH];
+                for lane in 0..going.len() {
+                    iterations[lane].restart();
+                    goes_on[lane] = true;
+                }
+                while goes_on.contains(&true) {
+                    let increments = in_member_lanes!(level, $stages, like => {
+                        sweep::sweep_to_row(like, &start, unknowns)
+                    });
                     for lane in 0..going.len() {
-                        let Some(progress) = &mut iterations[lane] else { continue };
-                        match progress.judged(increments.0[lane]) {
-                            Ok(Verdict::GoOn) => {}
+                        if !goes_on[lane] {
+                            continue;
+                        }
+                        match iterations[lane].judged(increments[lane]) {
+                            Ok(Verdict::GoOn) => continue,
                             Ok(Verdict::Converged(convergence)) => {
                                 sweeps += u64::from(convergence.iterations);
                                 guesses += 1;
-                                solved[lane] = Some(convergence);
-                                $unknowns.hand_over(lane, &mut members[going[lane]].unknowns);
-                                iterations[lane] = None;
+                                swept[lane] = Swept::Made(convergence);
+                                taken.take(lane, unknowns);
                             }
-                            Ok(Verdict::Leave) | Err(_) => iterations[lane] = None,
+                            Ok(Verdict::Leave) | Err(_) => {}
                         }
+                        goes_on[lane] = false;
+                    }
+                }
+                let order = stages.ascending();
+                let doubts = in_member_lanes!(level, $stages, like => {
+                    motion.advance(like.0[0], &taken.end, &taken.kick);
+                    motion.turn_momentum(like.0[0]);
+                    doubts(like, order, taken)
+                });
+                for (lane, &m) in going.iter().enumerate() {
+                    let Swept::Made(convergence) = swept[lane] else { continue };
+                    taken.hand_over(lane, &mut members[m].unknowns);
+                    if doubts[lane] < 0.0 {
+                        members[m].state = Carried::Full(motion.member(lane));
+                    } else {
+                        swept[lane] = Swept::Doubtful(convergence);
                     }
                 }
             }};
         }
         match lanes {
-            Lanes::Two(unknowns) => iterate!(unknowns, 2),
-            Lanes::Four(unknowns) => iterate!(unknowns, 4),
+            Lanes::Two(side) => step!(side, 2),
+            Lanes::Four(side) => step!(side, 4),
             Lanes::None => {}
         }
         let torques = sweeps + guesses * u64::from(tableau.torques_of_guess());
-        body.count(torques * self.blank.tableau.stages() as u64);
-        solved
+        body.count(torques * stages.stages() as u64);
+        swept
     }
+}
+
+/// Below zero where [`VpdSpace::check`] finds nothing at first sight: by Gershgorin's discs, the turns from stage to
+/// stage in the order of their times, and the distances. Not a number where the solution is none.
+#[inline(always)]
+fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
+    like: R,
+    ascending: &[usize],
+    solution: &Unknowns<R::Plain, Row>,
+) -> Row {
+    let Unknowns { attitude, excess, end, end_excess, nearness, .. } = solution;
+    let whole = like.stage(0);
+    let nearness = whole.load(nearness);
+    let mut doubt = nearness + CLOSEST_APPROACH * CLOSEST_APPROACH;
+    let mut total = nearness;
+    let mut before = Turn { w: whole.constant(1.0), v: [whole.constant(0.0); 3] };
+    for k in 0..=ascending.len() {
+        let (mut e, mut turn) = ([whole; 6], before);
+        if k < ascending.len() {
+            let k = ascending[k];
+            for i in 0..6 {
+                e[i] = like.load(&excess[i]).stage(k);
+            }
+            turn.w = like.load(&attitude.w).stage(k);
+            for i in 0..3 {
+                turn.v[i] = like.load(&attitude.v[i]).stage(k);
+            }
+        } else {
+            for i in 0..6 {
+                e[i] = whole.load(&end_excess[i]);
+            }
+            turn.w = whole.load(&end.w);
+            for i in 0..3 {
+                turn.v[i] = whole.load(&end.v[i]);
+            }
+        }
+        let [xx, yy, zz, yz, xz, xy] = e;
+        let [yz, xz, xy] = [yz.size(), xz.size(), xy.size()];
+        for lack in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
+            doubt = doubt.larger(lack + -0.5);
+            total = total + lack;
+        }
+        let cosine = before.w * turn.w + dot(&before.v, &turn.v);
+        doubt = doubt.larger(cosine * cosine * -4.0 + 2.0);
+        total = total + cosine;
+        before = turn;
+    }
+    let mut doubts = Row::splat(0.0);
+    (doubt + total * 0.0).store(&mut doubts);
+    doubts
 }
 
 impl Members<3> for VpdEnsemble {
@@ -169,12 +257,16 @@ impl Members<3> for VpdEnsemble {
         going: &[usize],
         results: &mut Vec<(usize, Result<Convergence, Failure>)>,
     ) {
-        let solved = self.swept(body, h, going);
-        for (&m, solved) in going.iter().zip(solved) {
+        let swept = self.swept(body, h, going);
+        for (&m, swept) in going.iter().zip(swept) {
             let stepper = &mut self.members[m];
-            let result = match solved {
-                Some(convergence) => stepper.accepted(body, h, convergence),
-                None => stepper.step(body, h),
+            let result = match swept {
+                Swept::Made(convergence) => Ok(convergence),
+                Swept::Doubtful(convergence) => {
+                    stepper.look(body);
+                    stepper.accepted(body, h, convergence)
+                }
+                Swept::Stuck => stepper.step(body, h),
             };
             results.push((m, result));
         }
@@ -194,7 +286,29 @@ fn has_lanes(level: Option<Level>) -> bool {
 }
 
 impl<const K: usize> Unknowns<[Row; K], Row> {
-    /// Hands over to a member what its step is judged by and advanced with.
+    /// Takes from `solved` what the step of a member is judged by and made with.
+    fn take(&mut self, lane: usize, solved: &Self) {
+        let stages = |rows: &mut [Row; K], from: &[Row; K]| {
+            for k in 0..K {
+                rows[k][lane] = from[k][lane];
+            }
+        };
+        let Self { attitude, excess, end, end_excess, kick, nearness, .. } = self;
+        stages(&mut attitude.w, &solved.attitude.w);
+        for i in 0..3 {
+            stages(&mut attitude.v[i], &solved.attitude.v[i]);
+            end.v[i][lane] = solved.end.v[i][lane];
+            kick[i][lane] = solved.kick[i][lane];
+        }
+        for i in 0..6 {
+            stages(&mut excess[i], &solved.excess[i]);
+            end_excess[i][lane] = solved.end_excess[i][lane];
+        }
+        end.w[lane] = solved.end.w[lane];
+        nearness[lane] = solved.nearness[lane];
+    }
+
+    /// Hands the same over to the member.
     fn hand_over(&self, lane: usize, own: &mut Unknowns<Row, f64>) {
         let stages = |rows: &[Row; K], row: &mut Row| {
             for k in 0..K {
