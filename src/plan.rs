@@ -356,9 +356,13 @@ impl Plan {
         let stages = self.formulation.stages as f64;
         let size = (self.dimension as f64 / 3.0).powi(3).max(1.0);
         match self.formulation.method {
-            // Four stages at a time; the first guess is counted with the sweeps.
+            // In four lanes or in eight, with more passes; the first guess is counted with the sweeps.
             MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if self.dimension == 3 => {
-                400.0 * (stages / 4.0).ceil()
+                if self.formulation.stages <= 4 {
+                    370.0
+                } else {
+                    1200.0
+                }
             }
             MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced => {
                 140.0 * (stages + 1.0) * size
