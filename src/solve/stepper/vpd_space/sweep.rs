@@ -27,7 +27,7 @@
 //! ```
 //!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
-//! `U <- U (1 + theta / 2)` normalised, with the K of the pass before. At the end U^T A is symmetric, and P its polar
+//! `U <- U (1 + theta / 2)` normalised, with the K of the sweep before. At the end U^T A is symmetric, and P its polar
 //! factor. What a correction brings about itself at the other stages is added to first order, with all turns and stretches
 //! taken as one, in vectors where a pass works in matrices:
 //!
@@ -66,9 +66,10 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
 /// q_k = 1 + h sum_j a_kj q_j Omega_j / 2,    pi_k = p0 - h sum_j a_kj U_j tau_j
 /// ```
 ///
-/// each a sixth of the time of a sweep. A round gains an order of h; the stages of the step differ from those of the
-/// collocation by the order that is the number of stages, so that more rounds than that gain nothing. A function
-/// of the state alone: a resumed run repeats it to the bit.
+/// each a small part of the time of a sweep. A round gains an order of h, until it is as near as the stages of the step
+/// are to those of the collocation: some rounds more than stages if they are many, one less if they are few. The torque
+/// couples weakly: every third round takes it, and once more the end. A function of the state alone: a resumed run
+/// repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Stages>(
     like: R,
