@@ -396,10 +396,3 @@ pub fn orthogonality_error<const N: usize>(g: &Mat<N>) -> f64 {
 pub fn orthonormalised<const N: usize>(g: &Mat<N>) -> Mat<N> {
     g + product(g, &(Mat::<N>::identity() - transposed_product(g, g))) * 0.5
 }
-
-/// `a + b`, and what rounding left over (Knuth's two-sum).
-pub fn sum(a: f64, b: f64) -> (f64, f64) {
-    let sum = a + b;
-    let part = sum - a;
-    (sum, (a - (sum - part)) + (b - part))
-}

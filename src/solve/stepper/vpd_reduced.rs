@@ -15,6 +15,7 @@ use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::{Convergence, StopRule};
 use crate::solve::so::{self, Mat};
+use crate::solve::space;
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
@@ -88,7 +89,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
         let change = coadjoint_change(self.step.rotation(), &self.momentum) + self.carry;
         for i in 0..N {
             for j in 0..N {
-                let (sum, left) = so::sum(self.momentum[(i, j)], change[(i, j)]);
+                let (sum, left) = space::sum(self.momentum[(i, j)], change[(i, j)]);
                 (self.momentum[(i, j)], self.carry[(i, j)]) = (sum, left);
             }
         }

@@ -7,7 +7,7 @@
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::{Row, Whole};
 use crate::solve::space::{
-    Turn, Vec3, cross, dot, minus, product, scaled, transposed_product, vec3,
+    Turn, Vec3, cross, dot, minus, product, scaled, sum, transposed_product, vec3,
 };
 
 /// A sum, and what rounding has taken off it.
@@ -23,16 +23,15 @@ impl<P: Copy, const K: usize> Sum<P, K> {
         Self { value, carry: [zero; K] }
     }
 
-    /// Adds `change` and what is carried (Knuth's two-sum).
+    /// Adds `change` and what is carried.
     #[inline(always)]
     pub(super) fn add<W: Whole<Plain = P>>(&mut self, change: &[W; K]) {
         for i in 0..K {
             let value = change[i].load(&self.value[i]);
             let change = change[i] + change[i].load(&self.carry[i]);
-            let sum = value + change;
-            let part = sum - value;
-            sum.store(&mut self.value[i]);
-            ((value - (sum - part)) + (change - part)).store(&mut self.carry[i]);
+            let (value, carry) = sum(value, change);
+            value.store(&mut self.value[i]);
+            carry.store(&mut self.carry[i]);
         }
     }
 }
