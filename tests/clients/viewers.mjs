@@ -64,7 +64,7 @@ await checks({
   "the Rerun web viewer opens our address": async () => {
     const [grpc, web] = [await port(), await port()];
     const rerun = spawn(RERUN, ["--serve-web", "--bind", "127.0.0.1", "--port", String(grpc), "--web-viewer-port", String(web)],
-      { stdio: "ignore", env: { ...process.env, RERUN_ANALYTICS: "0" } });
+      { stdio: "ignore", detached: true, env: { ...process.env, RERUN_ANALYTICS: "0" } });
     try {
       const viewer = await chromium.newPage({ viewport: { width: 1100, height: 700 } });
       const loaded = viewer.waitForEvent("requestfinished", { predicate: request => request.url().startsWith(log), timeout: 60_000 });
@@ -97,7 +97,7 @@ await checks({
       assert.ok(colors > 100, `${colors} colours: nothing was drawn`);
       if (process.argv[2]) (await import("node:fs")).writeFileSync(process.argv[2], shot);
       return `${answer.request().method()} ${answer.status()}, ${colors} colours`;
-    } finally { rerun.kill(); }
+    } finally { process.kill(-rerun.pid); } // the viewer is a child of what was started
   },
 });
 await chromium.close();
