@@ -15,17 +15,17 @@ pub trait Members<const N: usize> {
     /// Takes up the states, at most [`WIDTH`] of them.
     fn start(&mut self, states: &[State<N>]);
 
-    /// Carries the members of `going` forward by `h`; what became of each is added to `results`.
+    /// Carries the members of `going` forward by `h`; what became of each is told to `stepped`.
     fn step(
         &mut self,
         body: &RigidBody<N>,
         h: f64,
         going: &[usize],
-        results: &mut Vec<(usize, Result<Convergence, Failure>)>,
+        stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     );
 
     /// Member `m` as it is.
-    fn member(&self, m: usize) -> &dyn Stepper<N>;
+    fn member(&mut self, m: usize) -> &dyn Stepper<N>;
 }
 
 /// Members one after the other: any scheme.
@@ -41,12 +41,12 @@ impl<const N: usize> Members<N> for Apart<N> {
         body: &RigidBody<N>,
         h: f64,
         going: &[usize],
-        results: &mut Vec<(usize, Result<Convergence, Failure>)>,
+        stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     ) {
-        results.extend(going.iter().map(|&m| (m, self.0[m].step(body, h))));
+        going.iter().for_each(|&m| stepped(m, self.0[m].step(body, h)));
     }
 
-    fn member(&self, m: usize) -> &dyn Stepper<N> {
+    fn member(&mut self, m: usize) -> &dyn Stepper<N> {
         self.0[m].as_ref()
     }
 }
@@ -71,7 +71,6 @@ pub fn integrate<const N: usize, E>(
     let mut books: Vec<Books<N>> =
         initial.iter().map(|state| Books::new(body, state, step_s, observables)).collect();
     let mut going: Vec<usize> = (0..initial.len()).collect();
-    let mut results = Vec::new();
     let mut step = 0;
     loop {
         let over = step == steps;
@@ -91,10 +90,9 @@ pub fn integrate<const N: usize, E>(
             }
             break;
         }
-        members.step(body, step_s, &going, &mut results);
+        members.step(body, step_s, &going, &mut |m, result| books[m].stepped(result));
         step += 1;
-        for (m, result) in results.drain(..) {
-            books[m].stepped(result);
+        for &m in &going {
             if !books[m].goes_on() {
                 books[m].sample(body, members.member(m), |sample| record(m, sample))?;
             }

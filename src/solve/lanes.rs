@@ -140,11 +140,17 @@ impl Whole for f64 {
     }
 }
 
-/// A sum of 2, 4 or 8 terms by halves: the order of the additions does not depend on the lanes, and they do not
+/// A sum of so many terms by halves: the order of the additions does not depend on the lanes, and they do not
 /// wait for one another.
 macro_rules! by_halves {
+    (1, $term:ident) => {
+        $term!(0)
+    };
     (2, $term:ident) => {
         $term!(0) + $term!(1)
+    };
+    (3, $term:ident) => {
+        ($term!(0) + $term!(1)) + $term!(2)
     };
     (4, $term:ident) => {
         ($term!(0) + $term!(1)) + ($term!(2) + $term!(3))
@@ -419,8 +425,8 @@ macro_rules! stages_in_turn {
             #[inline(always)]
             fn largest(self) -> $whole {
                 let mut largest = self.0[0];
-                for k in 1..$stages {
-                    largest = Real::larger(largest, self.0[k]);
+                for other in &self.0[1..] {
+                    largest = Real::larger(largest, *other);
                 }
                 largest
             }
@@ -428,9 +434,13 @@ macro_rules! stages_in_turn {
     };
 }
 
+stages_in_turn!(1, f64x8<S>, [Row; 1], S);
 stages_in_turn!(2, f64x8<S>, [Row; 2], S);
+stages_in_turn!(3, f64x8<S>, [Row; 3], S);
 stages_in_turn!(4, f64x8<S>, [Row; 4], S);
 // One number at a time.
+stages_in_turn!(1, f64, Row);
 stages_in_turn!(2, f64, Row);
+stages_in_turn!(3, f64, Row);
 stages_in_turn!(4, f64, Row);
 stages_in_turn!(8, f64, Row);

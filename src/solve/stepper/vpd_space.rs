@@ -43,7 +43,10 @@ macro_rules! in_lanes {
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
         match (level, stages) {
-            (Some(level), 1 | 2) => {
+            (Some(level), 1) => {
+                dispatch!(*level, _simd => sweep::$work(Rows([0.0; 1]), start, unknowns))
+            }
+            (Some(level), 2) => {
                 dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns))
             }
             (Some(level), 3 | 4) => {
@@ -52,8 +55,10 @@ macro_rules! in_lanes {
             (Some(level), _) => {
                 dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns))
             }
-            (None, 1 | 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),
-            (None, 3 | 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
+            (None, 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
+            (None, 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),
+            (None, 3) => sweep::$work(Rows([0.0; 3]), start, unknowns),
+            (None, 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
             (None, _) => sweep::$work(Rows([0.0; 8]), start, unknowns),
         }
     }};
@@ -122,11 +127,12 @@ impl VpdSpace {
 
     /// E of stage `k`, or of the end point after the last.
     fn excess(&self, k: usize) -> Sym3<f64> {
-        if k < self.tableau.stages() {
+        let excess = if k < self.tableau.stages() {
             self.unknowns.excess.each_ref().map(|row| row[k])
         } else {
             self.unknowns.end_excess
-        }
+        };
+        unsigned_zeros(excess)
     }
 
     /// U_k, or f after the last.
@@ -271,7 +277,7 @@ struct InLanes<'a> {
 
 impl InLanes<'_> {
     fn lanes(&self) -> usize {
-        self.stages.next_power_of_two().max(2)
+        self.stages.next_power_of_two()
     }
 }
 
@@ -320,6 +326,7 @@ impl Equations for InLanes<'_> {
 impl Continued for InLanes<'_> {
     fn keep(&self, numbers: &mut Vec<f64>) {
         match self.lanes() {
+            1 => self.unknowns.keep::<1>(numbers),
             2 => self.unknowns.keep::<2>(numbers),
             _ => self.unknowns.keep::<FEW_STAGES>(numbers),
         }
@@ -327,6 +334,7 @@ impl Continued for InLanes<'_> {
 
     fn continue_from(&mut self, numbers: &[f64]) -> Result<u32, Failure> {
         match self.lanes() {
+            1 => self.unknowns.continue_from::<1>(numbers),
             2 => self.unknowns.continue_from::<2>(numbers),
             _ => self.unknowns.continue_from::<FEW_STAGES>(numbers),
         }
@@ -345,11 +353,15 @@ impl Stepper<3> for VpdSpace {
             past.forget();
         }
         self.state = match self.state {
-            Carried::Full(_) => Carried::Full(Motion {
-                attitude: Sum::new([attitude.w, attitude.i, attitude.j, attitude.k], 0.0),
-                momentum: Sum::new(product(&rows(&state.attitude), &momentum.into()), 0.0),
-                body_momentum: Sum::new(momentum.into(), 0.0),
-            }),
+            Carried::Full(_) => {
+                let in_space = product(&rows(&state.attitude), &momentum.into());
+                let attitude = [attitude.w, attitude.i, attitude.j, attitude.k];
+                Carried::Full(Motion {
+                    attitude: Sum::new(unsigned_zeros(attitude), 0.0),
+                    momentum: Sum::new(unsigned_zeros(in_space), 0.0),
+                    body_momentum: Sum::new(unsigned_zeros(momentum.into()), 0.0),
+                })
+            }
             Carried::Reduced { .. } => {
                 let square = momentum.norm_squared();
                 Carried::Reduced { momentum: Sum::new(momentum.into(), 0.0), square }
@@ -365,13 +377,8 @@ impl Stepper<3> for VpdSpace {
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        match &self.state {
-            Carried::Full(motion) => {
-                let g = motion.turn().matrix();
-                Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
-            }
-            Carried::Reduced { .. } => None,
-        }
+        let g = self.motion()?.turn().matrix();
+        Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
     }
 
     fn momentum(&self) -> Mat<3> {
@@ -438,6 +445,14 @@ impl VpdSpace {
         }
     }
 
+    /// Of a stepper that carries an attitude.
+    fn motion(&self) -> Option<&Motion<f64>> {
+        match &self.state {
+            Carried::Full(motion) => Some(motion),
+            Carried::Reduced { .. } => None,
+        }
+    }
+
     fn body_momentum(&self) -> Vec3<f64> {
         match &self.state {
             Carried::Full(motion) => motion.body_momentum.value,
@@ -449,6 +464,11 @@ impl VpdSpace {
 /// The smallest eigenvalue of `P = I + E`.
 fn smallest_singular_value([xx, yy, zz, yz, xz, xy]: &Sym3<f64>) -> f64 {
     1.0 + so::smallest_eigenvalue(&Mat::<3>::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz))
+}
+
+/// Without the sign of zeros: a lane of no stage adds a zero of either sign. What is summed to these has none, either.
+fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
+    numbers.map(|x| x + 0.0)
 }
 
 fn rows(m: &Mat<3>) -> Mat3<f64> {

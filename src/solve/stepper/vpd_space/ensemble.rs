@@ -48,22 +48,26 @@ macro_rules! in_member_lanes {
     };
 }
 
-/// The members, and their lanes.
+/// The members, each with its lane.
 #[derive(Clone, Debug)]
 pub struct VpdEnsemble {
     members: Vec<VpdSpace>,
     /// What each member starts from.
     blank: VpdSpace,
-    iterations: [Progress; WIDTH],
     lanes: Lanes,
+    /// Whose lane is ahead of the member, which is written when it is asked for.
+    ahead: [bool; WIDTH],
     motion: Motion<Row>,
     seen: Vec<Vec3<Row>>,
+    iterations: [Progress; WIDTH],
 }
 
 /// The members side by side, for as many stages as there are rows.
 #[derive(Clone, Debug)]
 enum Lanes {
+    One(Box<Side<1>>),
     Two(Box<Side<2>>),
+    Three(Box<Side<3>>),
     Four(Box<Side<4>>),
     /// Members go by themselves.
     None,
@@ -101,31 +105,30 @@ impl VpdEnsemble {
         let blank = VpdSpace::new(tableau.clone(), stop)?;
         let lanes = match tableau.stages() {
             _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
-            1 | 2 => Lanes::Two(Side::blank()),
-            3 | 4 => Lanes::Four(Side::blank()),
+            1 => Lanes::One(Side::blank()),
+            2 => Lanes::Two(Side::blank()),
+            3 => Lanes::Three(Side::blank()),
+            4 => Lanes::Four(Side::blank()),
             _ => Lanes::None,
         };
-        let motion = Motion::blank(Row::splat(0.0), Row::splat(1.0));
-        let iterations = [Progress::new(stop, stop.rungs == Rungs::Both); WIDTH];
-        Some(Self { members: Vec::new(), blank, iterations, lanes, motion, seen: Vec::new() })
+        Some(Self {
+            members: Vec::new(),
+            blank,
+            lanes,
+            ahead: [false; WIDTH],
+            motion: Motion::blank(Row::splat(0.0), Row::splat(1.0)),
+            seen: Vec::new(),
+            iterations: [Progress::new(stop, stop.rungs == Rungs::Both); WIDTH],
+        })
     }
 
     /// Makes the step of those whose sweeps converge, together.
     fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
         let mut swept = [Swept::Stuck; WIDTH];
-        let Self { members, blank, iterations, lanes, motion, seen } = self;
+        let Self { blank, lanes, ahead, motion, seen, iterations, .. } = self;
         let VpdSpace { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
             return swept;
         };
-        if going.is_empty() || matches!(lanes, Lanes::None) {
-            return swept;
-        }
-        for lane in 0..WIDTH {
-            // Lanes of nobody repeat the last that goes.
-            if let Carried::Full(member) = &members[going[lane.min(going.len() - 1)]].state {
-                motion.take(lane, member);
-            }
-        }
         let inertia = Inertia::of(body);
         let passes = tableau.passes.of_sweep(false);
         let (mut sweeps, mut guesses) = (0, 0);
@@ -138,56 +141,76 @@ impl VpdEnsemble {
                     Start { tableau, body, inertia, seen, step: h, passes, momentum };
                 in_member_lanes!(level, $stages, like => sweep::guess(like, &start, unknowns));
                 let mut goes_on = [false; WIDTH];
-                for lane in 0..going.len() {
-                    iterations[lane].restart();
-                    goes_on[lane] = true;
+                for &m in going {
+                    iterations[m].restart();
+                    goes_on[m] = true;
                 }
                 while goes_on.contains(&true) {
                     let increments = in_member_lanes!(level, $stages, like => {
                         sweep::sweep_to_row(like, &start, unknowns)
                     });
-                    for lane in 0..going.len() {
-                        if !goes_on[lane] {
+                    for &m in going {
+                        if !goes_on[m] {
                             continue;
                         }
-                        match iterations[lane].judged(increments[lane]) {
+                        match iterations[m].judged(increments[m]) {
                             Ok(Verdict::GoOn) => continue,
                             Ok(Verdict::Converged(convergence)) => {
                                 sweeps += u64::from(convergence.iterations);
                                 guesses += 1;
-                                swept[lane] = Swept::Made(convergence);
-                                taken.take(lane, unknowns);
+                                swept[m] = Swept::Made(convergence);
+                                taken.take(m, unknowns);
+                                ahead[m] = true;
                             }
                             Ok(Verdict::Leave) | Err(_) => {}
                         }
-                        goes_on[lane] = false;
+                        goes_on[m] = false;
                     }
                 }
+                let before = *motion;
                 let order = stages.ascending();
                 let doubts = in_member_lanes!(level, $stages, like => {
                     motion.advance(like.0[0], &taken.end, &taken.kick);
                     motion.turn_momentum(like.0[0]);
                     doubts(like, order, taken)
                 });
-                for (lane, &m) in going.iter().enumerate() {
-                    let Swept::Made(convergence) = swept[lane] else { continue };
-                    taken.hand_over(lane, &mut members[m].unknowns);
-                    if doubts[lane] < 0.0 {
-                        members[m].state = Carried::Full(motion.member(lane));
-                    } else {
-                        swept[lane] = Swept::Doubtful(convergence);
+                for lane in 0..WIDTH {
+                    match swept[lane] {
+                        Swept::Made(_) if doubts[lane] < 0.0 => continue,
+                        Swept::Made(convergence) => swept[lane] = Swept::Doubtful(convergence),
+                        _ => {}
                     }
+                    motion.take(lane, &before.member(lane));
                 }
             }};
         }
         match lanes {
+            Lanes::One(side) => step!(side, 1),
             Lanes::Two(side) => step!(side, 2),
+            Lanes::Three(side) => step!(side, 3),
             Lanes::Four(side) => step!(side, 4),
             Lanes::None => {}
         }
         let torques = sweeps + guesses * u64::from(tableau.torques_of_guess());
         body.count(torques * stages.stages() as u64);
         swept
+    }
+
+    /// Member `m`, level with its lane.
+    fn written(&mut self, m: usize) -> &mut VpdSpace {
+        let Self { members, lanes, ahead, motion, .. } = self;
+        let stepper = &mut members[m];
+        if std::mem::take(&mut ahead[m]) {
+            stepper.state = Carried::Full(motion.member(m));
+            match lanes {
+                Lanes::One(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::Two(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::Three(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::Four(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::None => {}
+            }
+        }
+        stepper
     }
 }
 
@@ -243,10 +266,17 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
 
 impl Members<3> for VpdEnsemble {
     fn start(&mut self, states: &[State<3>]) {
-        let Self { members, blank, .. } = self;
+        let Self { members, blank, ahead, motion, .. } = self;
         members.resize_with(states.len().min(WIDTH), || blank.clone());
         for (stepper, state) in members.iter_mut().zip(states) {
             stepper.start(state);
+        }
+        *ahead = [false; WIDTH];
+        // Lanes of nobody repeat the others.
+        for (lane, own) in
+            members.iter().filter_map(VpdSpace::motion).cycle().take(WIDTH).enumerate()
+        {
+            motion.take(lane, own);
         }
     }
 
@@ -255,25 +285,34 @@ impl Members<3> for VpdEnsemble {
         body: &RigidBody<3>,
         h: f64,
         going: &[usize],
-        results: &mut Vec<(usize, Result<Convergence, Failure>)>,
+        stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     ) {
+        if matches!(self.lanes, Lanes::None) {
+            going.iter().for_each(|&m| stepped(m, self.members[m].step(body, h)));
+            return;
+        }
         let swept = self.swept(body, h, going);
-        for (&m, swept) in going.iter().zip(swept) {
-            let stepper = &mut self.members[m];
-            let result = match swept {
-                Swept::Made(convergence) => Ok(convergence),
-                Swept::Doubtful(convergence) => {
-                    stepper.look(body);
-                    stepper.accepted(body, h, convergence)
-                }
-                Swept::Stuck => stepper.step(body, h),
+        for &m in going {
+            if let Swept::Made(convergence) = swept[m] {
+                stepped(m, Ok(convergence));
+                continue;
+            }
+            let stepper = self.written(m);
+            let result = if let Swept::Doubtful(convergence) = swept[m] {
+                stepper.look(body);
+                stepper.accepted(body, h, convergence)
+            } else {
+                stepper.step(body, h)
             };
-            results.push((m, result));
+            if let Some(own) = self.members[m].motion() {
+                self.motion.take(m, own);
+            }
+            stepped(m, result);
         }
     }
 
-    fn member(&self, m: usize) -> &dyn Stepper<3> {
-        &self.members[m]
+    fn member(&mut self, m: usize) -> &dyn Stepper<3> {
+        self.written(m)
     }
 }
 
