@@ -17,7 +17,7 @@ use super::{Carried, VpdSpace};
 use crate::solve::ensemble::Members;
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::solve::lanes::{Real, Row, Rows, Stages, WIDTH, Whole};
+use crate::solve::lanes::{Real, Row, Rows, Stages, WIDTH, Whole, aligned_zero};
 use crate::solve::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
 use crate::solve::space::{Turn, Vec3, dot};
 use crate::solve::stepper::Stepper;
@@ -41,7 +41,8 @@ macro_rules! in_member_lanes {
         $simd.vectorize(
             #[inline(always)]
             || {
-                let $like = Rows([f64x8::splat($simd, 0.0); $stages]);
+                let zero = f64x8::from_slice($simd, &aligned_zero().0);
+                let $like = Rows([zero; $stages]);
                 $work
             },
         )
