@@ -53,10 +53,7 @@ impl Past {
     }
 
     /// Solves `equations` by sweeps from where the steps before lead, or as `solver` does if that is no better.
-    ///
-    /// # Errors
-    /// Those of [`Solver::solve`].
-    pub fn solve(
+    fn solve(
         &mut self,
         solver: &mut Solver,
         equations: &mut impl Continued,
@@ -129,6 +126,23 @@ impl Past {
             for (solution, coefficient) in backward.iter().zip(COEFFICIENTS) {
                 *number += coefficient * solution[first_of_rest + k];
             }
+        }
+    }
+}
+
+impl Solver {
+    /// Solves `equations` from where the steps before lead, if they are remembered.
+    ///
+    /// # Errors
+    /// Those of [`Solver::solve`].
+    pub fn solve_after(
+        &mut self,
+        past: &mut Option<Past>,
+        equations: &mut impl Continued,
+    ) -> Result<Convergence, Failure> {
+        match past {
+            Some(past) => past.solve(self, equations),
+            None => self.solve(equations),
         }
     }
 }

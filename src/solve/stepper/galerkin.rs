@@ -146,11 +146,7 @@ impl<const N: usize> GalerkinStep<N> {
     ) -> Result<Convergence, Failure> {
         let Self { tableau, solver, past, stages, end } = self;
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
-        let solved = match past {
-            Some(past) => past.solve(solver, &mut equations),
-            None => solver.solve(&mut equations),
-        };
-        match solved {
+        match solver.solve_after(past, &mut equations) {
             Ok(convergence) => self.check(dynamics).map(|()| convergence),
             // A charge that was met explains a failed iteration better than the iteration does.
             Err(failure) => Err(match self.check_dynamics(dynamics) {

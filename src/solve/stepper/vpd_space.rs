@@ -235,10 +235,7 @@ impl VpdSpace {
             momentum_scale: 1.0,
             torques: 0,
         };
-        let solved = match past {
-            Some(past) => past.solve(solver, &mut equations),
-            None => solver.solve(&mut equations),
-        };
+        let solved = solver.solve_after(past, &mut equations);
         if stages > FEW_STAGES && solved.is_ok() {
             in_lanes!(finish, &mut equations);
         }
