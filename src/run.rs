@@ -26,7 +26,7 @@ use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State,
+    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
 };
 
 mod advice;
@@ -197,26 +197,24 @@ fn run<const N: usize>(
         recorder.writer.leave();
         return Err(RunError::Interrupted);
     }
-    let end = end?;
+    let Trajectory { ending, reached } = end?;
     let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
-    control.steps_done.store(end.steps, Ordering::Relaxed);
-    let (outcome, diagnosis) = match &end.ending {
+    let steps_done = reached.step;
+    control.steps_done.store(steps_done, Ordering::Relaxed);
+    let (outcome, diagnosis) = match &ending {
         Ending::Completed => (Outcome::Succeeded, None),
         Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
-            let attitude = end.attitude.unwrap_or(initial.attitude);
-            let last = &State { attitude, momentum: end.momentum };
-            let broken = Broken { initial, last, done: end.steps, schedule, failure };
-            let advised = advice::advised_step(body, stepper.as_mut(), &broken);
-            (Outcome::Failed, Some(summary::diagnosis(failure, end.steps, plan.step_s, advised)))
+            let broken = Broken { initial, reached: &reached, schedule, failure };
+            (Outcome::Failed, Some(advice::diagnosis(body, stepper.as_mut(), &broken)))
         }
     };
     let Recorder { writer, figures, course, .. } = recorder;
-    let ending = End { outcome, reached: end.reached(), diagnosis, ensemble: None };
-    let summary = finish(scenario, plan, context.log, writer, (&figures, &course), ending)?;
+    let end = End { outcome, reached, diagnosis, ensemble: None };
+    let summary = finish(scenario, plan, context.log, writer, (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,
-        ns_per_step: inside.as_nanos() as f64 / (end.steps - resumed_step).max(1) as f64,
+        ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
         wall_s: begun.elapsed().as_secs_f64(),
         ..summary
     })

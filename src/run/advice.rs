@@ -2,11 +2,12 @@
 //!
 //! Invariant: an advised step was tried and got past the place where the run failed.
 
+use super::summary::{self, Diagnosis};
 use crate::scenario::SMALLEST_STEP_S;
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::stepper::Stepper;
-use crate::solve::trajectory::{Schedule, State};
+use crate::solve::trajectory::{Checkpoint, Schedule, State};
 
 /// Steps of a try at most.
 const TRY_STEPS: f64 = 5000.0;
@@ -17,21 +18,31 @@ const TRIES: usize = 20;
 pub(super) struct Broken<'a, const N: usize> {
     /// Where it began.
     pub(super) initial: &'a State<N>,
-    /// The state before the step that failed.
-    pub(super) last: &'a State<N>,
-    /// Steps made before it.
-    pub(super) done: u64,
+    /// Where it stood before that step.
+    pub(super) reached: &'a Checkpoint<N>,
     pub(super) schedule: Schedule,
     pub(super) failure: &'a Failure,
 }
 
+/// What failed, and with what smaller step it does not.
+pub(super) fn diagnosis<const N: usize>(
+    body: &RigidBody<N>,
+    stepper: &mut dyn Stepper<N>,
+    broken: &Broken<'_, N>,
+) -> Diagnosis {
+    let advised = advised_step(body, stepper, broken);
+    let Broken { reached, schedule, failure, .. } = broken;
+    summary::diagnosis(failure, reached.step, schedule.step_s, advised)
+}
+
 /// A smaller step for such a run; `None` if none was found in reasonable time.
-pub(super) fn advised_step<const N: usize>(
+fn advised_step<const N: usize>(
     body: &RigidBody<N>,
     stepper: &mut dyn Stepper<N>,
     broken: &Broken<'_, N>,
 ) -> Option<f64> {
-    let &Broken { initial, last, done, schedule, failure } = broken;
+    let &Broken { initial, reached, schedule, failure } = broken;
+    let (last, done) = (&reached.state(), reached.step);
     let Schedule { step_s: h, steps: asked, .. } = schedule;
     let energy = body.energy(&initial.attitude, &initial.momentum);
     let start = energy.total();

@@ -13,7 +13,7 @@ use std::thread;
 use std::time::Instant;
 
 use super::advice::{self, Broken};
-use super::summary::{self, Outcome, Summary};
+use super::summary::{Outcome, Summary};
 use super::{Control, End, JobContext, RunError, finish, header, json, note, observables};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
@@ -263,21 +263,23 @@ impl Ensemble<'_> {
         let ends = trajectories.iter().zip(figures).enumerate();
         let ends = ends.map(|(m, (end, figures))| {
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
-            let time_s = end.steps as f64 * self.plan.step_s;
+            let Checkpoint { step, samples, attitude, momentum, iterations, convergence } =
+                &end.reached;
+            let time_s = *step as f64 * self.plan.step_s;
             Member {
                 member: numbers[m],
                 outcome,
-                steps: end.steps,
+                steps: *step,
                 initial: Some(messages::State::at(
                     0.0,
                     Some(&starts[m].attitude),
                     &starts[m].momentum,
                 )),
-                last: Some(messages::State::at(time_s, end.attitude.as_ref(), &end.momentum)),
+                last: Some(messages::State::at(time_s, attitude.as_ref(), momentum)),
                 figures: Some(figures),
-                samples: end.samples,
-                iterations: end.iterations,
-                solver: end.convergence.map(Into::into),
+                samples: *samples,
+                iterations: *iterations,
+                solver: convergence.map(Into::into),
                 diagnosis,
             }
         });
@@ -294,11 +296,9 @@ impl Ensemble<'_> {
         let Ending::Failed(failure) = &end.ending else {
             return (SUCCEEDED.to_owned(), String::new());
         };
-        let attitude = end.attitude.unwrap_or(initial.attitude);
-        let last = &State { attitude, momentum: end.momentum };
-        let broken = Broken { initial, last, done: end.steps, schedule: self.schedule(), failure };
-        let advised = advice::advised_step(&assembly.body, assembly.stepper.as_mut(), &broken);
-        let diagnosis = summary::diagnosis(failure, end.steps, self.plan.step_s, advised);
+        let schedule = self.schedule();
+        let broken = Broken { initial, reached: &end.reached, schedule, failure };
+        let diagnosis = advice::diagnosis(&assembly.body, assembly.stepper.as_mut(), &broken);
         (diagnosis.code.clone(), json(&diagnosis))
     }
 }

@@ -97,7 +97,7 @@ pub trait Sink<const N: usize> {
     }
 }
 
-/// All that a trajectory needs, beside where it began, to go on from a sample.
+/// Where a trajectory is at a sample: all that it needs, beside where it began, to go on from there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint<const N: usize> {
     /// Steps made.
@@ -115,8 +115,8 @@ pub struct Checkpoint<const N: usize> {
 }
 
 impl<const N: usize> Checkpoint<N> {
-    fn state(&self) -> State<N> {
-        // A scheme without an attitude does not look at it.
+    /// Attitude and momentum; a scheme that carries no attitude does not look at the one that stands here for it.
+    pub fn state(&self) -> State<N> {
         let attitude = self.attitude.unwrap_or_else(Mat::identity);
         State { attitude, momentum: self.momentum }
     }
@@ -144,7 +144,7 @@ pub enum Ending {
     Completed,
     /// The caller asked to stop.
     Cancelled,
-    /// A step failed; `Trajectory::steps` were made before it.
+    /// The step after the last one reached failed.
     Failed(Failure),
 }
 
@@ -153,32 +153,8 @@ pub enum Ending {
 pub struct Trajectory<const N: usize> {
     /// How it ended.
     pub ending: Ending,
-    /// Steps made.
-    pub steps: u64,
-    /// Samples recorded.
-    pub samples: u64,
-    /// The attitude after the last step made; `None` from a scheme that carries none.
-    pub attitude: Option<Mat<N>>,
-    /// The body momentum after the last step made.
-    pub momentum: Mat<N>,
-    /// Sweeps of the nonlinear solver in all.
-    pub iterations: u64,
-    /// How the last step made was solved; `None` if none was made.
-    pub convergence: Option<Convergence>,
-}
-
-impl<const N: usize> Trajectory<N> {
-    /// Where it ended.
-    pub fn reached(&self) -> Checkpoint<N> {
-        Checkpoint {
-            step: self.steps,
-            samples: self.samples,
-            attitude: self.attitude,
-            momentum: self.momentum,
-            iterations: self.iterations,
-            convergence: self.convergence,
-        }
-    }
+    /// Where.
+    pub reached: Checkpoint<N>,
 }
 
 /// Carries a state forward along `schedule` and gives the samples to `sink`: the first at the start,
@@ -208,20 +184,20 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
         }
     }
     loop {
-        let over = books.step == steps || !books.goes_on();
-        if over || books.step % every == 0 {
+        let step = books.reached.step;
+        let over = step == steps || !books.goes_on();
+        if over || step % every == 0 {
             books.sample(body, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && books.goes_on() && sink.wants_checkpoint() {
-                let checkpoint = books.checkpoint();
-                sink.checkpoint(&checkpoint)?;
-                stepper.start(&checkpoint.state());
+                sink.checkpoint(&books.reached)?;
+                stepper.start(&books.reached.state());
             }
         }
         if over || !books.goes_on() {
             break;
         }
-        if go_on(books.step) {
+        if go_on(step) {
             books.stepped(stepper.step(body, step_s));
         } else {
             books.cancelled();
@@ -235,15 +211,10 @@ pub(super) struct Books<const N: usize> {
     observer: Observer<N>,
     step_s: f64,
     ending: Ending,
-    /// Steps made.
-    step: u64,
-    iterations: u64,
-    convergence: Option<Convergence>,
-    samples: u64,
+    /// Steps and sweeps are those made, attitude and momentum those of the last sample.
+    reached: Checkpoint<N>,
     /// The step of the last sample.
     sampled: Option<u64>,
-    /// Attitude and momentum there.
-    last: (Option<Mat<N>>, Mat<N>),
 }
 
 impl<const N: usize> Books<N> {
@@ -253,38 +224,21 @@ impl<const N: usize> Books<N> {
         step_s: f64,
         observables: Observables,
     ) -> Self {
-        Self {
-            observer: Observer::new(body, initial, observables),
-            step_s,
-            ending: Ending::Completed,
+        let reached = Checkpoint {
             step: 0,
+            samples: 0,
+            attitude: Some(initial.attitude),
+            momentum: initial.momentum,
             iterations: 0,
             convergence: None,
-            samples: 0,
-            sampled: None,
-            last: (Some(initial.attitude), initial.momentum),
-        }
+        };
+        let observer = Observer::new(body, initial, observables);
+        Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
     }
 
     fn take_up(&mut self, found: &Checkpoint<N>) {
-        self.step = found.step;
-        self.iterations = found.iterations;
-        self.convergence = found.convergence;
-        self.samples = found.samples;
+        self.reached = found.clone();
         self.sampled = Some(found.step);
-        self.last = (found.attitude, found.momentum);
-    }
-
-    /// All that it takes to go on from the last sample.
-    fn checkpoint(&self) -> Checkpoint<N> {
-        Checkpoint {
-            step: self.step,
-            samples: self.samples,
-            attitude: self.last.0,
-            momentum: self.last.1,
-            iterations: self.iterations,
-            convergence: self.convergence,
-        }
     }
 
     pub(super) fn goes_on(&self) -> bool {
@@ -299,9 +253,9 @@ impl<const N: usize> Books<N> {
     pub(super) fn stepped(&mut self, result: Result<Convergence, Failure>) {
         match result {
             Ok(solved) => {
-                self.convergence = Some(solved);
-                self.iterations += u64::from(solved.iterations);
-                self.step += 1;
+                self.reached.convergence = Some(solved);
+                self.reached.iterations += u64::from(solved.iterations);
+                self.reached.step += 1;
             }
             Err(failure) => self.ending = Ending::Failed(failure),
         }
@@ -315,20 +269,22 @@ impl<const N: usize> Books<N> {
         stepper: &dyn Stepper<N>,
         record: impl FnOnce(&Sample<N>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let step = self.step;
-        if self.sampled == Some(step) {
+        let Self { observer, step_s, ending, reached, sampled } = self;
+        let step = reached.step;
+        if *sampled == Some(step) {
             return Ok(());
         }
-        let time_s = step as f64 * self.step_s;
-        match self.observer.sample(body, stepper, step, time_s, self.convergence) {
+        let time_s = step as f64 * *step_s;
+        match observer.sample(body, stepper, step, time_s, reached.convergence) {
             Ok(sample) => {
-                self.last = (sample.attitude, sample.momentum);
-                (self.sampled, self.samples) = (Some(step), self.samples + 1);
+                (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
+                reached.samples += 1;
+                *sampled = Some(step);
                 record(&sample)
             }
             Err(failure) => {
-                self.ending = Ending::Failed(failure);
-                self.step = self.sampled.unwrap_or(0);
+                *ending = Ending::Failed(failure);
+                reached.step = sampled.unwrap_or(0);
                 Ok(())
             }
         }
@@ -336,9 +292,7 @@ impl<const N: usize> Books<N> {
 
     /// Every way to an end leads past a sample of the last state.
     pub(super) fn end(self) -> Trajectory<N> {
-        let Self { ending, step: steps, samples, iterations, convergence, .. } = self;
-        let (attitude, momentum) = self.last;
-        Trajectory { ending, steps, samples, attitude, momentum, iterations, convergence }
+        Trajectory { ending: self.ending, reached: self.reached }
     }
 }
 

@@ -18,7 +18,9 @@ use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
+use crate::solve::trajectory::{
+    self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
+};
 
 /// A state of any size: attitude and body momentum, n x n.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,23 +197,23 @@ impl Task for Measurement<'_> {
             &mut gauge,
             |_| !blown.get() && !self.watch.cancelled.load(Ordering::Relaxed),
         );
-        let Ok(trajectory) = trajectory;
+        let Ok(Trajectory { ending, reached }) = trajectory;
         let Gauge { points, series, fastest, kinetic, momentum, .. } = gauge;
-        let attitude = trajectory.attitude.unwrap_or_else(Mat::identity);
+        let State { attitude, momentum: last } = reached.state();
         Measured {
-            end: match trajectory.ending {
+            end: match ending {
                 Ending::Completed if blown.get() => End::BlewUp,
                 Ending::Cancelled if blown.get() => End::BlewUp,
                 Ending::Completed => End::Completed,
                 Ending::Cancelled => End::Cancelled,
                 Ending::Failed(failure) => End::Failed(failure),
             },
-            steps: trajectory.steps,
-            last: Point::of(&attitude, &trajectory.momentum),
+            steps: reached.step,
+            last: Point::of(&attitude, &last),
             points,
             series,
-            iterations: trajectory.iterations,
-            rung: trajectory.convergence.map(|solved| solved.rung),
+            iterations: reached.iterations,
+            rung: reached.convergence.map(|solved| solved.rung),
             force_evaluations: body.force_evaluations(),
             fastest_rad_s: fastest.0,
             fastest_sample: fastest.1,

@@ -286,7 +286,7 @@ fn long_runs_keep_the_invariants() {
             "{name} h {step_s:.4}: energy {energy:.2e}, orthogonality {:.2e} (mean {mean:.2e}), momentum {:.2e}, sweeps {:.2}",
             seen.orthogonality_max,
             seen.momentum_max,
-            run.iterations as f64 / run.steps as f64,
+            run.reached.iterations as f64 / run.reached.step as f64,
         );
         assert!(energy <= bound, "{name}: {energy:e}");
         assert!(seen.orthogonality_max <= 2e-15, "{name}: {:e}", seen.orthogonality_max);
@@ -337,7 +337,7 @@ fn a_run_stops_when_asked() {
             steps < 250
         })
         .expect("the sink cannot fail");
-    assert_eq!((run.ending, run.steps), (Ending::Cancelled, 250));
+    assert_eq!((run.ending, run.reached.step), (Ending::Cancelled, 250));
     // Steps 0, 100, 200 and the last one made.
-    assert_eq!((run.samples, seen.energy.len()), (4, 4));
+    assert_eq!((run.reached.samples, seen.energy.len()), (4, 4));
 }

@@ -214,7 +214,7 @@ fn long_run(stepper: &mut dyn Stepper<3>, step_s: f64, steps: u64) -> Invariants
         "h {step_s:.4}, {steps} steps: energy {energy:.3e}, orthogonality {:.2e}, momentum {:.2e}, sweeps {:.2}",
         seen.orthogonality_max,
         seen.momentum_max,
-        run.iterations as f64 / steps as f64,
+        run.reached.iterations as f64 / steps as f64,
     );
     seen
 }

@@ -103,8 +103,8 @@ pub(super) fn try_run<const N: usize, S: Sink<N, Error = LogError>>(
     let mut stepper = Vpd::new(Tableau::gauss(2).expect("tableau"), StopRule::default());
     let schedule = Schedule { step_s: 0.01, steps, every: 1 };
     let run = integrate(body, &mut stepper, &state, schedule, EVERYTHING, sink, |_| true)?;
-    assert_eq!((run.steps, run.samples), (steps, steps + 1));
-    assert!(so::orthogonality_error(&run.attitude.expect("carried")) < 1e-13);
+    assert_eq!((run.reached.step, run.reached.samples), (steps, steps + 1));
+    assert!(so::orthogonality_error(&run.reached.attitude.expect("carried")) < 1e-13);
     Ok(())
 }
 
