@@ -274,7 +274,7 @@ impl Progress {
     ///
     /// # Errors
     /// If it does not converge.
-    #[inline] // what it returns, eight members wait for
+    #[inline] // A caller would wait for what comes back by way of memory.
     pub(super) fn judged(&mut self, increment: f64) -> Result<Verdict, Failure> {
         let Self { rule, leave, history, iteration, grown, smallest, since_smallest, expected } =
             self;

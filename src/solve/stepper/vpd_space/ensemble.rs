@@ -1,10 +1,11 @@
 //! Up to eight members of an ensemble side by side, one in each lane.
 //!
 //! A lane goes through the sweeps of [`VpdSpace`] with the same bits; its solution is taken when its own iteration has
-//! converged, whatever the others still do. A member whose sweeps do not get on makes that step by itself, with
-//! Newton's method where that helps. Without AVX2, and with more than four stages, which fill the lanes of one
-//! member, this would gain nothing: then every member goes by itself. (Nor is anything gained by working stage by
-//! stage, so that what is at work fits the registers: the arithmetic itself is the limit.)
+//! converged, whatever the others still do, and it holds what the member is until somebody asks for that. A member
+//! whose sweeps do not get on makes that step by itself, with Newton's method where that helps. Without AVX2, and with
+//! more than four stages, which fill the lanes of one member, this would gain nothing: then every member goes by
+//! itself. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
+//! arithmetic itself is the limit.)
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
 
