@@ -109,8 +109,8 @@ pub(super) struct Start<'a, P> {
     /// The space vectors of the potential, as seen from g0.
     pub(super) seen: &'a [Vec3<P>],
     pub(super) step: f64,
-    /// Over the kinematics and over the linear system: numbers that the compiler does not know, or it would unroll their loops into more
-    /// code than a cache holds.
+    /// Over the kinematics and over the linear system: numbers that the compiler does not know, or it would unroll
+    /// their loops into more code than a cache holds.
     pub(super) passes: [u32; 2],
     /// p0.
     pub(super) momentum: Vec3<P>,
