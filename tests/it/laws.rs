@@ -123,6 +123,28 @@ fn frequencies_label_the_orbit() {
 }
 
 #[test]
+fn the_smallest_eigenvalue_of_a_symmetric_matrix() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(12);
+        // The second one is as near as that.
+        for gap in [0.0, 1e-15, 1e-9, 1e-5, 1e-3, 0.1, 2.0] {
+            for size in [0.0, 1e-200, 1e-30, 1e-16, 1e-5, 1.0, 1e9] {
+                let r = numbers.rotation::<N>();
+                let smallest = numbers.next() - 1.0;
+                let values = Vector::<N>::from_fn(|i, _| {
+                    size * (smallest + [0.0, gap, 1.0 + gap][i.min(2)])
+                });
+                let p = so::product(&r, &(Mat::from_diagonal(&values) * r.transpose()));
+                let found = so::smallest_eigenvalue(&((p + p.transpose()) * 0.5));
+                let error = (found - values[0]).abs();
+                assert!(error <= 1e-11 * p.amax(), "n = {N}, {gap:e}, {size:e}: {error:e}");
+            }
+        }
+    }
+    for_sizes!(law);
+}
+
+#[test]
 fn polar_factor() {
     fn law<const N: usize>() {
         let mut numbers = Numbers(2);
