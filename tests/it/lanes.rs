@@ -305,8 +305,11 @@ fn together_and_alone(
             stepper
         })
         .collect();
+    // Looked at after each step, and by another at times only: between them its lanes are ahead of its members.
+    let mut unseen = ensemble.clone();
     let mut failures = BTreeSet::new();
     for step in 0..100 {
+        unseen.step(body, h, &going, &mut |_, _| {});
         ensemble.step(body, h, &going, &mut |m, result| together.push((m, result)));
         assert_eq!(together.len(), going.len());
         for (m, result) in together.drain(..) {
@@ -318,8 +321,8 @@ fn together_and_alone(
         if step == 50 {
             going.retain(|m| failures.iter().all(|(failed, _)| failed != m));
         }
-        // Not after each step: between them the lanes are ahead of the members.
-        if step % 7 == 1 {
+        let looked_at = [Some(&mut ensemble), (step % 7 == 1).then_some(&mut unseen)];
+        for ensemble in looked_at.into_iter().flatten() {
             for (m, stepper) in alone.iter().enumerate() {
                 let member = ensemble.member(m);
                 assert_eq!(
