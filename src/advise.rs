@@ -8,11 +8,13 @@
 //!
 //! Invariant: the choice is a function of the scenario alone: the same scenario, the same bytes.
 
+use thiserror::Error;
+
 use crate::plan::{Advice, Candidate, Plan};
 use crate::scenario::{Accuracy, MethodName, Scenario, ScenarioError, TableauName};
 use crate::solve::nonlinear::Rung;
 use crate::study::measure::{Measured, Probe, measure, variant};
-use crate::study::reference::{EIGHTHS, Reference};
+use crate::study::reference::{EIGHTHS, Reference, ReferenceError};
 use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
 
 /// Easy steps of the scene that pilots are worth.
@@ -25,16 +27,92 @@ const CARRIED_MARGIN: f64 = 10.0;
 const FASTEST_GROWTH: f64 = 3.0;
 /// Errors are carried on by this much of a power of time faster than they were seen to grow.
 const DOUBT: f64 = 0.5;
+/// A smaller error than this is luck.
+const ROUND_OFF: f64 = 1e-16;
 /// Steps that are tried for a method.
 const TRIES: u32 = 7;
 
-/// The plan of any scenario: an accuracy is turned into a method and a step first.
+/// Why an accuracy was not turned into a method and a step.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Unsettled {
+    /// Somebody stopped it.
+    #[error("the choice of a method was cancelled")]
+    Cancelled,
+    /// A field is wrong.
+    #[error(transparent)]
+    Refused(ScenarioError),
+    /// No method is known to reach the accuracy.
+    #[error("{asked:e} asked for, but {why}")]
+    OutOfReach {
+        /// The error asked for.
+        asked: f64,
+        /// What stands in the way.
+        why: Obstacle,
+    },
+}
+
+/// What keeps a scene from an accuracy.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Obstacle {
+    /// There is nothing to hold a run against.
+    #[error(transparent)]
+    Reference(#[from] ReferenceError),
+    /// The reference itself is not known so well.
+    #[error(
+        "errors grow on this scene so that only {least:.1e} can be told at t = {time_s} s; ask for that, or for a shorter time"
+    )]
+    Untold {
+        /// The least error that can be told.
+        least: f64,
+        /// The time of the reference.
+        time_s: f64,
+    },
+    /// All methods were tried.
+    #[error("no method was found to reach it{}", least.map_or_else(String::new, |least| format!("; the least error expected is {least:.1e}")))]
+    NoMethod {
+        /// The least error that was expected of any.
+        least: Option<f64>,
+    },
+}
+
+impl Unsettled {
+    fn of(error: StudyError, asked: Accuracy) -> Self {
+        let out_of_reach = |why| Self::OutOfReach { asked: asked.error, why };
+        match error {
+            StudyError::Scenario(error) => Self::Refused(error),
+            StudyError::Reference(error) => out_of_reach(error.into()),
+            StudyError::Failed => out_of_reach(Obstacle::NoMethod { least: None }),
+            StudyError::Cancelled => Self::Cancelled,
+        }
+    }
+}
+
+/// What is told of a scenario that came without a method and keeps none: the accuracy is the field at fault.
+impl From<Unsettled> for ScenarioError {
+    fn from(unsettled: Unsettled) -> Self {
+        match unsettled {
+            Unsettled::Refused(error) => error,
+            other => Self::invalid("/accuracy/error", other.to_string()),
+        }
+    }
+}
+
+/// The plan of any scenario: an accuracy is turned into a method and a step first. Takes as long as that takes; who
+/// must be able to stop it calls [`settled`] and [`plan_of`].
 ///
 /// # Errors
 /// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
-    let (settled, advice) = settled(scenario)?;
-    let mut plan = Plan::new(&settled)?;
+    let (settled, advice) = settled(scenario, &Watch::default())?;
+    plan_of(&settled, advice)
+}
+
+/// The plan of a scenario with a method and a step, and with it how they were chosen.
+///
+/// # Errors
+/// Those of [`Plan::new`].
+pub fn plan_of(settled: &Scenario, advice: Option<Advice>) -> Result<Plan, ScenarioError> {
+    let mut plan = Plan::new(settled)?;
     if advice.is_some() {
         plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
     }
@@ -42,15 +120,20 @@ pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
     Ok(plan)
 }
 
-/// The scenario with a method and a step, and how they were chosen if it came with an accuracy.
+/// The scenario with a method and a step, and how they were chosen if it came with an accuracy. Another thread may stop
+/// it by `watch`.
 ///
 /// # Errors
-/// At `/accuracy/error` where no method is known to reach it.
-pub fn settled(scenario: &Scenario) -> Result<(Scenario, Option<Advice>), ScenarioError> {
+/// If it was stopped, or no method is known to reach the accuracy.
+pub fn settled(
+    scenario: &Scenario,
+    watch: &Watch,
+) -> Result<(Scenario, Option<Advice>), Unsettled> {
     match scenario.accuracy {
         None => Ok((scenario.clone(), None)),
-        Some(accuracy) => {
-            settle(scenario, accuracy).map(|(settled, advice)| (settled, Some(advice)))
+        Some(asked) => {
+            let (settled, advice) = settle(scenario, asked, watch)?;
+            Ok((settled, Some(advice)))
         }
     }
 }
@@ -61,10 +144,10 @@ pub fn settled(scenario: &Scenario) -> Result<(Scenario, Option<Advice>), Scenar
 /// # Errors
 /// If there is no such reference, or the run fails.
 pub fn error_at_end(scenario: &Scenario) -> Result<f64, StudyError> {
-    let (scenario, _) = settled(scenario)?;
+    let watch = Watch::default();
+    let (scenario, _) = settled(scenario, &watch).map_err(ScenarioError::from)?;
     let Plan { step_s, steps, .. } = Plan::new(&scenario)?;
     let time_s = step_s * steps as f64;
-    let watch = Watch::default();
     let scales = Scales::of(&scenario, time_s, &watch)?;
     let reference = Reference::at(&scenario, time_s, &scales, &watch)?;
     let run = measure(&scenario, Probe::of(&scenario.method, step_s, steps), &watch)?;
@@ -94,29 +177,26 @@ struct Pilot {
     cost_ns: f64,
 }
 
-fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), ScenarioError> {
-    let refused = |message: String| ScenarioError::invalid("/accuracy/error", message);
-    let told = |error: StudyError| match error {
-        StudyError::Scenario(error) => error,
-        other => refused(other.to_string()),
-    };
-    let watch = Watch::default();
+fn settle(
+    scenario: &Scenario,
+    asked: Accuracy,
+    watch: &Watch,
+) -> Result<(Scenario, Advice), Unsettled> {
+    let out_of_reach = |why| Err(Unsettled::OutOfReach { asked: asked.error, why });
+    let told = |error| Unsettled::of(error, asked);
     let duration_s = scenario.duration_s.unwrap_or_default();
-    let scales = Scales::of(scenario, duration_s, &watch).map_err(told)?;
+    let scales = Scales::of(scenario, duration_s, watch).map_err(told)?;
     let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
-    let reference = Reference::at(scenario, pilot_s, &scales, &watch).map_err(told)?;
+    let reference = Reference::at(scenario, pilot_s, &scales, watch).map_err(told)?;
     if reference.error > asked.error / (2.0 * MARGIN) {
-        return Err(refused(format!(
-            "{:e} asked for, but errors grow on this scene so that only {:.1e} can be told at t = {pilot_s} s",
-            asked.error,
-            2.0 * MARGIN * reference.error
-        )));
+        let least = 2.0 * MARGIN * reference.error;
+        return out_of_reach(Obstacle::Untold { least, time_s: pilot_s });
     }
     let trial = Trial { scenario, asked, duration_s, scales, reference };
     let mut found: Vec<(Entry, Option<Pilot>, Option<f64>)> = Vec::new();
     let mut cheapest = f64::INFINITY;
     for entry in methods(scenario) {
-        let (reached, least) = trial.search(&entry, cheapest, &watch)?;
+        let (reached, least) = trial.search(&entry, cheapest, watch).map_err(told)?;
         cheapest = cheapest.min(reached.map_or(f64::INFINITY, |pilot| pilot.cost_ns));
         found.push((entry, reached, least));
     }
@@ -124,11 +204,8 @@ fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), Sc
     let cost = |pilot: &Option<Pilot>| pilot.map_or(f64::INFINITY, |pilot| pilot.cost_ns);
     found.sort_by(|a, b| cost(&a.1).total_cmp(&cost(&b.1)));
     let Some((entry, Some(pilot), _)) = found.first().cloned() else {
-        let least = found.iter().filter_map(|(_, _, least)| *least).fold(f64::INFINITY, f64::min);
-        return Err(refused(format!(
-            "{:e} asked for, but no method was found to reach it; the least error expected is {least:.1e}",
-            asked.error
-        )));
+        let least = found.iter().filter_map(|(_, _, least)| *least).min_by(f64::total_cmp);
+        return out_of_reach(Obstacle::NoMethod { least });
     };
     let steps = trial.whole_steps(pilot.steps);
     let settled = Scenario {
@@ -149,7 +226,7 @@ fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), Sc
     let advice = Advice {
         error: asked.error,
         expected_error: pilot.expected,
-        margin: asked.error / pilot.expected,
+        margin: asked.error / pilot.expected.max(ROUND_OFF),
         pilot_time_s: pilot_s,
         reference_error: trial.reference.error,
         candidates: candidates.collect(),
@@ -183,7 +260,7 @@ impl Trial<'_> {
         entry: &Entry,
         cheapest: f64,
         watch: &Watch,
-    ) -> Result<(Option<Pilot>, Option<f64>), ScenarioError> {
+    ) -> Result<(Option<Pilot>, Option<f64>), StudyError> {
         let time_s = self.reference.time_s;
         let margin = if self.is_whole() { MARGIN } else { CARRIED_MARGIN };
         let goal = self.asked.error / margin;
@@ -197,6 +274,7 @@ impl Trial<'_> {
             let whole = Probe::of(&entry.method, time_s / steps as f64, steps);
             let probe = Probe { every, keep: true, ..whole };
             let run = measure(self.scenario, probe, watch)?;
+            watch.advance(0)?;
             let cost_ns = self.cost_ns(entry, &run)?;
             let expected = run.completed().then(|| self.expected(&run)).flatten();
             let ratio = match expected {
@@ -205,7 +283,7 @@ impl Trial<'_> {
                     if expected <= goal && reached.is_none_or(|reached| steps < reached.steps) {
                         reached = Some(Pilot { steps, expected, cost_ns });
                     }
-                    libm::pow(expected.max(1e-16) / goal, 1.0 / f64::from(entry.order))
+                    libm::pow(expected.max(ROUND_OFF) / goal, 1.0 / f64::from(entry.order))
                 }
                 None => 2.0,
             };

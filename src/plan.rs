@@ -6,7 +6,7 @@
 //! Invariant: a [`Plan`] can be run. What it dropped changes no number of the run but its cost.
 
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::log::schema::{Channel, bytes_per_member};
 use crate::log::writer::Compression;
@@ -27,6 +27,9 @@ use model::{
 
 /// About what a log takes beside its samples: schemas, scenario, plan, index.
 pub(crate) const LOG_FIXED_BYTES: u64 = 50_000;
+
+/// About what any run takes of the memory.
+const RUN_MEMORY_BYTES: u64 = 32 << 20;
 
 /// What a job will do, for people and for [`crate::run`].
 #[derive(Clone, Debug, Serialize)]
@@ -58,6 +61,8 @@ pub struct Plan {
     pub step_ns: f64,
     /// Estimated time of the run in seconds.
     pub run_s: f64,
+    /// Estimated peak of the run's memory in bytes.
+    pub memory_bytes: u64,
     /// The members of an ensemble.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<EnsemblePlan>,
@@ -80,7 +85,7 @@ pub struct EnsemblePlan {
 }
 
 /// The choice of method and step for an accuracy.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Advice {
     /// The error asked for.
     pub error: f64,
@@ -97,7 +102,7 @@ pub struct Advice {
 }
 
 /// A method that was tried.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Its name in a scenario.
     pub method: MethodName,
@@ -189,6 +194,7 @@ impl Plan {
             log_bytes: 0,
             step_ns: 0.0,
             run_s: 0.0,
+            memory_bytes: 0,
             ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
             advice: None,
             model: Model {
@@ -320,6 +326,10 @@ impl Plan {
         self.step_ns = self.step_cost_ns();
         self.run_s = self.total_steps() as f64 * self.step_ns * 1e-9;
         self.samples_per_chunk = samples_per_chunk(raw, self.every as f64 * self.step_ns * 1e-9);
+        // Both states of a member, as messages and as matrices, until all have ended.
+        let members = self.ensemble.as_ref().map_or(0, |ensemble| ensemble.members);
+        self.memory_bytes =
+            RUN_MEMORY_BYTES + members * (bytes_per_member(n) + 32 * (n * n) as u64);
         if let Some(ensemble) = &mut self.ensemble {
             let end_bytes = bytes_per_member(n);
             self.log_bytes += (ensemble.members as f64 * end_bytes as f64 * ratio) as u64;

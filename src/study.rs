@@ -6,6 +6,7 @@
 //!
 //! Invariant: a study repeats to the bit but for its times; it ends early only if it is cancelled.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
@@ -49,8 +50,8 @@ pub struct Watch {
     pub done: AtomicU64,
     /// Runs to be made, as far as that is known.
     pub total: AtomicU64,
-    /// Set it to stop the study within a step of its current run.
-    pub cancelled: AtomicBool,
+    /// Set it to stop the study within a sweep of its current step.
+    pub cancelled: Arc<AtomicBool>,
 }
 
 impl Watch {
@@ -62,7 +63,7 @@ impl Watch {
         self.total.fetch_add(runs, Ordering::Relaxed);
     }
 
-    fn advance(&self, runs: u64) -> Result<(), StudyError> {
+    pub(crate) fn advance(&self, runs: u64) -> Result<(), StudyError> {
         self.done.fetch_add(runs, Ordering::Relaxed);
         if self.is_cancelled() { Err(StudyError::Cancelled) } else { Ok(()) }
     }

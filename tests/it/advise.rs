@@ -1,9 +1,11 @@
 //! An accuracy in the place of a method and a step: the choice is cheap, the same each time, and kept.
 
 use serde_json::{Value, json};
-use vpd::advise::{self, error_at_end};
+use vpd::advise::{self, Obstacle, Unsettled, error_at_end};
+use vpd::plan::Advice;
 use vpd::run::Outcome;
 use vpd::scenario::Scenario;
+use vpd::study::Watch;
 
 use crate::laws::Numbers;
 use crate::scenarios::run;
@@ -142,4 +144,41 @@ fn what_cannot_be_reached_is_refused() {
         advise::plan(&scenario(&accurate_dipole(1e-13, 50.0))).expect_err("too much asked");
     assert_eq!(refused.pointer, "/accuracy/error");
     assert!(refused.message.contains("1e-13"), "{}", refused.message);
+}
+
+#[test]
+fn what_stands_in_the_way_has_its_figure() {
+    let asked = scenario(&accurate_dipole(1e-13, 50.0));
+    match advise::settled(&asked, &Watch::default()) {
+        Err(Unsettled::OutOfReach { asked, why: Obstacle::Untold { least, time_s } }) => {
+            assert_eq!(asked, 1e-13);
+            assert!(least > 1e-13 && time_s > 0.0 && time_s <= 50.0, "{least:e} {time_s}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_choice_is_kept_to_the_bit() {
+    let asked = scenario(&accurate_dipole(1e-6, 2.0));
+    let (settled, advice) = advise::settled(&asked, &Watch::default()).expect("a choice");
+    let kept = serde_json::to_vec(&advice).expect("JSON");
+    let read: Advice = serde_json::from_slice(&kept).expect("what was written");
+    assert_eq!(Some(&read), advice.as_ref());
+    let again = Scenario::from_json(&settled.to_json()).expect("what was written");
+    assert_eq!(again, settled);
+    let plan = |settled, advice| {
+        serde_json::to_string(&advise::plan_of(settled, advice).expect("a plan")).expect("JSON")
+    };
+    let direct = serde_json::to_string(&advise::plan(&asked).expect("a plan")).expect("JSON");
+    assert_eq!(plan(&settled, advice), direct);
+    assert_eq!(plan(&again, Some(read)), direct);
+}
+
+#[test]
+fn a_choice_that_was_stopped_is_none() {
+    let asked = scenario(&accurate_dipole(1e-6, 2.0));
+    let watch = Watch::default();
+    watch.cancelled.store(true, std::sync::atomic::Ordering::Relaxed);
+    assert_eq!(advise::settled(&asked, &watch), Err(Unsettled::Cancelled));
 }
