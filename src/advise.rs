@@ -17,6 +17,9 @@ use crate::study::measure::{Measured, Probe, measure, variant};
 use crate::study::reference::{EIGHTHS, Reference, ReferenceError};
 use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
 
+/// Work that the choice of a method may cost, in nanoseconds by the plan's figures: counted, so that it ends at the same
+/// place on every machine.
+const SETTLING_NS: u64 = 15_000_000_000;
 /// Easy steps of the scene that pilots are worth.
 const PILOT_STEPS: f64 = 600.0;
 /// The error asked for is aimed at with this margin where pilots saw the whole run.
@@ -67,6 +70,15 @@ pub enum Obstacle {
         /// The time of the reference.
         time_s: f64,
     },
+    /// The search has cost all that it may.
+    #[error(
+        "the search for a method was given up as too expensive, after {} s of computing as counted; give `method` and `step_s`",
+        SETTLING_NS as f64 * 1e-9
+    )]
+    TooExpensive,
+    /// The run that was chosen is longer than any may be.
+    #[error("the run that reaches it cannot be made: {0}")]
+    TooLong(ScenarioError),
     /// All methods were tried.
     #[error("no method was found to reach it{}", least.map_or_else(String::new, |least| format!("; the least error expected is {least:.1e}")))]
     NoMethod {
@@ -83,6 +95,7 @@ impl Unsettled {
             StudyError::Reference(error) => out_of_reach(error.into()),
             StudyError::Failed => out_of_reach(Obstacle::NoMethod { least: None }),
             StudyError::Cancelled => Self::Cancelled,
+            StudyError::TooExpensive => out_of_reach(Obstacle::TooExpensive),
         }
     }
 }
@@ -184,6 +197,8 @@ fn settle(
 ) -> Result<(Scenario, Advice), Unsettled> {
     let out_of_reach = |why| Err(Unsettled::OutOfReach { asked: asked.error, why });
     let told = |error| Unsettled::of(error, asked);
+    let allowance_ns = Some(SETTLING_NS.into());
+    let watch = &Watch { cancelled: watch.cancelled.clone(), allowance_ns, ..Watch::default() };
     let duration_s = scenario.duration_s.unwrap_or_default();
     let scales = Scales::of(scenario, duration_s, watch).map_err(told)?;
     let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
@@ -216,6 +231,12 @@ fn settle(
         accuracy: None,
         ..scenario.clone()
     };
+    settled.check().map_err(|error| match error.pointer.as_str() {
+        "/steps" | "/step_s" => {
+            Unsettled::OutOfReach { asked: asked.error, why: Obstacle::TooLong(error) }
+        }
+        _ => Unsettled::Refused(error),
+    })?;
     let candidates = found.iter().map(|(entry, reached, least)| Candidate {
         method: entry.method.name,
         tableau: entry.tableau.clone(),

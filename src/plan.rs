@@ -443,12 +443,21 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
 
 /// n less the rank of the terms' space vectors.
 fn free_directions(n: usize, terms: &[PotentialTerm]) -> usize {
-    let vectors: Vec<&[f64]> = terms.iter().map(space_vector).collect();
-    if vectors.is_empty() {
-        return n;
+    // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
+    let mut taken: Vec<DVector<f64>> = Vec::new();
+    for term in terms {
+        let mut rest = DVector::from_column_slice(space_vector(term)).normalize();
+        for direction in taken.iter().chain(&taken) {
+            let part = direction.dot(&rest);
+            rest.axpy(-part, direction, 1.0);
+        }
+        let size = rest.norm();
+        if size > 1e-12 {
+            taken.push(rest / size);
+        }
+        if taken.len() == n {
+            break;
+        }
     }
-    let columns = DMatrix::from_fn(n, vectors.len(), |i, j| {
-        vectors[j][i] / DVector::from_column_slice(vectors[j]).norm()
-    });
-    n - columns.rank(1e-12)
+    n - taken.len()
 }

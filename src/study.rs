@@ -41,6 +41,9 @@ pub enum StudyError {
     /// Somebody stopped it.
     #[error("the study was cancelled")]
     Cancelled,
+    /// It has cost all that it may.
+    #[error("it has cost all that it may")]
+    TooExpensive,
 }
 
 /// What a study shares with those who wait for it.
@@ -52,6 +55,8 @@ pub struct Watch {
     pub total: AtomicU64,
     /// Set it to stop the study within a sweep of its current step.
     pub cancelled: Arc<AtomicBool>,
+    /// Work that may still be done, in nanoseconds by the plan's figures: counted, not timed. No end if absent.
+    pub(crate) allowance_ns: Option<AtomicU64>,
 }
 
 impl Watch {
@@ -65,7 +70,21 @@ impl Watch {
 
     pub(crate) fn advance(&self, runs: u64) -> Result<(), StudyError> {
         self.done.fetch_add(runs, Ordering::Relaxed);
-        if self.is_cancelled() { Err(StudyError::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() {
+            return Err(StudyError::Cancelled);
+        }
+        if self.left_ns() == 0 { Err(StudyError::TooExpensive) } else { Ok(()) }
+    }
+
+    fn left_ns(&self) -> u64 {
+        self.allowance_ns.as_ref().map_or(u64::MAX, |left| left.load(Ordering::Relaxed))
+    }
+
+    /// Takes what a run has cost from what may still be done.
+    fn pay(&self, cost_ns: u64) {
+        if let Some(left) = &self.allowance_ns {
+            left.store(self.left_ns().saturating_sub(cost_ns), Ordering::Relaxed);
+        }
     }
 }
 

@@ -61,7 +61,9 @@ fn of_states<const N: usize>(states: &[State<N>]) -> EnsembleStatistics {
 
 /// The rotation that lies nearest: of `U S V^T` it is `U diag(1, .., det(U V^T)) V^T`. `None` where many do.
 fn nearest_rotation<const N: usize>(matrix: &Mat<N>) -> Option<Mat<N>> {
-    let svd = DMatrix::from_column_slice(N, N, matrix.as_slice()).svd(true, true);
+    let finite = matrix.iter().all(|x| x.is_finite());
+    let matrix = finite.then(|| DMatrix::from_column_slice(N, N, matrix.as_slice()))?;
+    let svd = matrix.try_svd(true, true, 5.0 * f64::EPSILON, 100 * N)?;
     let (mut u, v) = (svd.u?, svd.v_t?);
     let singular = svd.singular_values.as_slice();
     let mirrored = (&u * &v).determinant() < 0.0;
