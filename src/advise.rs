@@ -13,13 +13,18 @@ use thiserror::Error;
 use crate::plan::{Advice, Candidate, Plan};
 use crate::scenario::{Accuracy, MethodName, Scenario, ScenarioError, TableauName};
 use crate::solve::nonlinear::Rung;
-use crate::study::measure::{Measured, Probe, measure, variant};
+use crate::study::measure::{End, Measured, Probe, measure, variant};
 use crate::study::reference::{EIGHTHS, Reference, ReferenceError};
 use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
 
 /// Work that the choice of a method may cost, in nanoseconds by the plan's figures: counted, so that it ends at the same
 /// place on every machine.
 const SETTLING_NS: u64 = 15_000_000_000;
+/// The first steps of a run that are made to see what a step costs, and the work that they may be, in nanoseconds and at
+/// least in sweeps.
+const FIRST_STEPS: u64 = 64;
+const FIRST_NS: f64 = 3e5;
+const FIRST_SWEEPS: f64 = 24.0;
 /// Easy steps of the scene that pilots are worth.
 const PILOT_STEPS: f64 = 600.0;
 /// The error asked for is aimed at with this margin where pilots saw the whole run.
@@ -120,17 +125,29 @@ pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
     plan_of(&settled, advice)
 }
 
-/// The plan of a scenario with a method and a step, and with it how they were chosen.
+/// The plan of a scenario with a method and a step, and with it how they were chosen. Its first steps are made, a few
+/// milliseconds of them at most as counted, for what they tell of the cost of the others.
 ///
 /// # Errors
 /// Those of [`Plan::new`].
 pub fn plan_of(settled: &Scenario, advice: Option<Advice>) -> Result<Plan, ScenarioError> {
     let mut plan = Plan::new(settled)?;
+    plan.estimate(settled.log.compression, sweeps_per_step(settled, &plan)?);
     if advice.is_some() {
         plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
     }
     plan.advice = advice;
     Ok(plan)
+}
+
+/// The sweeps of a step at the start of the run; `None` if the first fails, for then there are no others.
+fn sweeps_per_step(settled: &Scenario, plan: &Plan) -> Result<Option<f64>, ScenarioError> {
+    let most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
+    let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
+    let probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    let run = measure(settled, probe, &watch)?;
+    let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
+    Ok((!failed).then(|| run.sweeps as f64 / run.steps.max(1) as f64))
 }
 
 /// The scenario with a method and a step, and how they were chosen if it came with an accuracy. Another thread may stop
