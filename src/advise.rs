@@ -77,10 +77,12 @@ pub enum Obstacle {
     },
     /// The search has cost all that it may.
     #[error(
-        "the search for a method was given up as too expensive, after {} s of computing as counted; give `method` and `step_s`",
-        SETTLING_NS as f64 * 1e-9
+        "the search for a method was given up as too expensive, after {allowed_s:.1} s of computing as counted; give `method` and `step_s`"
     )]
-    TooExpensive,
+    TooExpensive {
+        /// The computing that it may cost, by the plan's figures.
+        allowed_s: f64,
+    },
     /// The run that was chosen is longer than any may be.
     #[error("the run that reaches it cannot be made: {0}")]
     TooLong(ScenarioError),
@@ -93,14 +95,16 @@ pub enum Obstacle {
 }
 
 impl Unsettled {
-    fn of(error: StudyError, asked: Accuracy) -> Self {
+    fn of(error: StudyError, asked: Accuracy, allowed_ns: u64) -> Self {
         let out_of_reach = |why| Self::OutOfReach { asked: asked.error, why };
         match error {
             StudyError::Scenario(error) => Self::Refused(error),
             StudyError::Reference(error) => out_of_reach(error.into()),
             StudyError::Failed => out_of_reach(Obstacle::NoMethod { least: None }),
             StudyError::Cancelled => Self::Cancelled,
-            StudyError::TooExpensive => out_of_reach(Obstacle::TooExpensive),
+            StudyError::TooExpensive => {
+                out_of_reach(Obstacle::TooExpensive { allowed_s: allowed_ns as f64 * 1e-9 })
+            }
         }
     }
 }
@@ -151,7 +155,7 @@ fn sweeps_per_step(settled: &Scenario, plan: &Plan) -> Result<Option<f64>, Scena
 }
 
 /// The scenario with a method and a step, and how they were chosen if it came with an accuracy. Another thread may stop
-/// it by `watch`.
+/// it by `watch`, which may also allow it less work than it takes by itself.
 ///
 /// # Errors
 /// If it was stopped, or no method is known to reach the accuracy.
@@ -213,8 +217,9 @@ fn settle(
     watch: &Watch,
 ) -> Result<(Scenario, Advice), Unsettled> {
     let out_of_reach = |why| Err(Unsettled::OutOfReach { asked: asked.error, why });
-    let told = |error| Unsettled::of(error, asked);
-    let allowance_ns = Some(SETTLING_NS.into());
+    let allowed_ns = watch.left_ns().min(SETTLING_NS);
+    let told = |error| Unsettled::of(error, asked, allowed_ns);
+    let allowance_ns = Some(allowed_ns.into());
     let watch = &Watch { cancelled: watch.cancelled.clone(), allowance_ns, ..Watch::default() };
     let duration_s = scenario.duration_s.unwrap_or_default();
     let scales = Scales::of(scenario, duration_s, watch).map_err(told)?;

@@ -56,7 +56,7 @@ pub struct Watch {
     /// Set it to stop the study within a sweep of its current step.
     pub cancelled: Arc<AtomicBool>,
     /// Work that may still be done, in nanoseconds by the plan's figures: counted, not timed. No end if absent.
-    pub(crate) allowance_ns: Option<AtomicU64>,
+    pub allowance_ns: Option<AtomicU64>,
 }
 
 impl Watch {
@@ -76,7 +76,7 @@ impl Watch {
         if self.left_ns() == 0 { Err(StudyError::TooExpensive) } else { Ok(()) }
     }
 
-    fn left_ns(&self) -> u64 {
+    pub(crate) fn left_ns(&self) -> u64 {
         self.allowance_ns.as_ref().map_or(u64::MAX, |left| left.load(Ordering::Relaxed))
     }
 

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 use vpd::advise::{self, Obstacle, Unsettled, error_at_end};
 use vpd::plan::Advice;
 use vpd::run::Outcome;
-use vpd::scenario::Scenario;
+use vpd::scenario::{Scenario, ScenarioError};
 use vpd::study::Watch;
 
 use crate::laws::Numbers;
@@ -181,4 +181,61 @@ fn a_choice_that_was_stopped_is_none() {
     let watch = Watch::default();
     watch.cancelled.store(true, std::sync::atomic::Ordering::Relaxed);
     assert_eq!(advise::settled(&asked, &watch), Err(Unsettled::Cancelled));
+}
+
+#[test]
+fn a_search_may_cost_no_more_than_it_is_allowed() {
+    let asked = scenario(&accurate_dipole(1e-10, 2.0));
+    let allowing = |ns: u64| Watch { allowance_ns: Some(ns.into()), ..Watch::default() };
+    let short = advise::settled(&asked, &allowing(1_000_000));
+    let too_expensive = Obstacle::TooExpensive { allowed_s: 1e-3 };
+    assert_eq!(short, Err(Unsettled::OutOfReach { asked: 1e-10, why: too_expensive }));
+    let told = ScenarioError::from(short.expect_err("too expensive"));
+    assert_eq!(told.pointer, "/accuracy/error");
+    assert!(told.message.contains("give `method`"), "{told}");
+    assert!(advise::settled(&asked, &allowing(1_000_000_000)).is_ok());
+}
+
+/// The reference of this scene alone takes many seconds, its steps milliseconds.
+#[test]
+fn a_long_choice_is_stopped_in_the_middle() {
+    let mut numbers = Numbers(60);
+    let n = 16;
+    let mut list = |scale: f64| -> Vec<f64> { (0..n).map(|_| scale * numbers.next()).collect() };
+    let spring = |list: &mut dyn FnMut(f64) -> Vec<f64>| json!({"kind": "spring", "stiffness": 3.0, "rest_length": 0.5, "body_point": list(1.0), "position": list(2.0)});
+    let springs: Vec<Value> = (0..60).map(|_| spring(&mut list)).collect();
+    let asked = scenario(&json!({
+        "name": "springs",
+        "scene": {"inertia": {"second_moments": vec![1.0; n]}, "potential": springs},
+        "accuracy": {"error": 1e-6},
+        "duration_s": 1e3,
+    }));
+    let watch = Watch::default();
+    let stop = watch.cancelled.clone();
+    let choice = std::thread::scope(|scope| {
+        let settling = scope.spawn(|| advise::settled(&asked, &watch));
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        settling.join().expect("no panic")
+    });
+    assert_eq!(choice, Err(Unsettled::Cancelled));
+}
+
+/// More steps than a run may have.
+#[test]
+fn a_choice_that_cannot_be_run_is_none() {
+    let asked = scenario(&json!({
+        "name": "fast for long",
+        "scene": {
+            "inertia": {"principal": [1.0, 1.1, 1.3]},
+            "initial": {"angular_velocity": {"body": [1e5, 2e5, 3e5]}}
+        },
+        "accuracy": {"error": 1e-2},
+        "duration_s": 2e9,
+        "log": {"every": 1_000_000_000_000_u64},
+    }));
+    match advise::settled(&asked, &Watch::default()) {
+        Err(Unsettled::OutOfReach { why, .. }) => println!("{why}"),
+        other => panic!("{other:?}"),
+    }
 }
