@@ -248,12 +248,20 @@ const LARGEST_ANGLE: f64 = 1e6;
 fn exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
     // X^14 / 14! is then below 1e-17.
     const LARGEST: f64 = 0.35;
-    let size = inner(x, x).sqrt();
-    if size > LARGEST {
-        // exp(2 Z) - 1 = 2 E + E^2 with E = exp(Z) - 1
-        let half = exp_minus_one(&(x * 0.5));
-        return half * 2.0 + half * half;
+    let (mut part, mut halvings) = (*x, 0);
+    while inner(&part, &part).sqrt() > LARGEST {
+        part *= 0.5;
+        halvings += 1;
     }
+    let mut e = series_of_exp_minus_one(&part);
+    for _ in 0..halvings {
+        // exp(2 Z) - 1 = 2 E + E^2 with E = exp(Z) - 1
+        e = e * 2.0 + e * e;
+    }
+    e
+}
+
+fn series_of_exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
     let identity = Mat::<N>::identity();
     let x2 = x * x;
     let x4 = x2 * x2;

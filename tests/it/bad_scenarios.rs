@@ -420,7 +420,9 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(serde_json::from_str(&long).expect("JSON"), "/steps", "100000"), "/steps");
 
     // Past the year 2106, in which log times end.
-    add(with(timed(), "/duration_s", "3.9e9"), "/duration_s");
+    let mut sparse = timed();
+    sparse["log"]["every"] = json!(1_000_000);
+    add(with(sparse, "/duration_s", "3.9e9"), "/duration_s");
     let mut long = full();
     (long["step_s"], long["log"]["epoch"]) = (json!(1e3), json!("2099-12-31T23:59:59Z"));
     add(with(long.clone(), "/steps", "200000"), "/steps");

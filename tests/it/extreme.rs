@@ -12,6 +12,7 @@ use vpd::log::reader::read_samples;
 use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, execute};
 use vpd::scenario::Scenario;
+use vpd::solve::so::{self, Mat};
 
 /// Scenes in CI.
 const SCENES: usize = 200;
@@ -225,8 +226,24 @@ fn extreme_scenes_are_planned_or_refused() {
     assert!(accepted > 0 && refused > 0 && succeeded > 0);
 }
 
+/// A worker's thread has two mebibytes.
+#[test]
+fn a_large_turn_needs_little_stack() {
+    let turned = std::thread::Builder::new().stack_size(512 << 10).spawn(|| {
+        let mut turn = Mat::<16>::zeros();
+        (turn[(0, 1)], turn[(1, 0)]) = (9e5, -9e5);
+        so::orthogonality_error(&so::exp(&turn))
+    });
+    let error = turned.expect("a thread").join().expect("no panic");
+    assert!(error < 1e-9, "{error:e}");
+}
+
 fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     let text = scenario.to_string();
+    // For whoever looks for the scene that ended the process.
+    if std::env::var_os("VPD_TRACE").is_some() {
+        println!("#{number} {text}");
+    }
     let begun = Instant::now();
     let planned = Scenario::from_json(text.as_bytes())
         .and_then(|scenario| advise::plan(&scenario).map(|plan| (scenario, plan)));
