@@ -242,7 +242,7 @@ pub fn exp<const N: usize>(x: &Mat<N>) -> Mat<N> {
 }
 
 /// The largest angle in radians of which [`exp`] still knows the place on the circle.
-const LARGEST_ANGLE: f64 = 1e6;
+pub(super) const LARGEST_ANGLE: f64 = 1e6;
 
 /// `exp(X) - I`: kept apart from I, so that squaring does not round at the size of one.
 fn exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
