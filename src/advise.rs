@@ -8,13 +8,23 @@
 //!
 //! Invariant: the choice is a function of the scenario alone: the same scenario, the same bytes.
 
+use thiserror::Error;
+
 use crate::plan::{Advice, Candidate, Plan};
 use crate::scenario::{Accuracy, MethodName, Scenario, ScenarioError, TableauName};
 use crate::solve::nonlinear::Rung;
-use crate::study::measure::{Measured, Probe, measure, variant};
-use crate::study::reference::{EIGHTHS, Reference};
+use crate::study::measure::{End, Measured, Probe, measure, variant};
+use crate::study::reference::{EIGHTHS, Reference, ReferenceError};
 use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
 
+/// Work that the choice of a method may cost, in nanoseconds by the plan's figures: counted, so that it ends at the same
+/// place on every machine.
+const SETTLING_NS: u64 = 15_000_000_000;
+/// The first steps of a run that are made to see what a step costs, and the work that they may be, in nanoseconds and at
+/// least in sweeps.
+const FIRST_STEPS: u64 = 64;
+const FIRST_NS: f64 = 3e5;
+const FIRST_SWEEPS: f64 = 24.0;
 /// Easy steps of the scene that pilots are worth.
 const PILOT_STEPS: f64 = 600.0;
 /// The error asked for is aimed at with this margin where pilots saw the whole run.
@@ -25,16 +35,108 @@ const CARRIED_MARGIN: f64 = 10.0;
 const FASTEST_GROWTH: f64 = 3.0;
 /// Errors are carried on by this much of a power of time faster than they were seen to grow.
 const DOUBT: f64 = 0.5;
+/// A smaller error than this is luck.
+const ROUND_OFF: f64 = 1e-16;
 /// Steps that are tried for a method.
 const TRIES: u32 = 7;
 
-/// The plan of any scenario: an accuracy is turned into a method and a step first.
+/// Why an accuracy was not turned into a method and a step.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Unsettled {
+    /// Somebody stopped it.
+    #[error("the choice of a method was cancelled")]
+    Cancelled,
+    /// A field is wrong.
+    #[error(transparent)]
+    Refused(ScenarioError),
+    /// No method is known to reach the accuracy.
+    #[error("{asked:e} asked for, but {why}")]
+    OutOfReach {
+        /// The error asked for.
+        asked: f64,
+        /// What stands in the way.
+        why: Obstacle,
+    },
+}
+
+/// What keeps a scene from an accuracy.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum Obstacle {
+    /// There is nothing to hold a run against.
+    #[error(transparent)]
+    Reference(#[from] ReferenceError),
+    /// The reference itself is not known so well.
+    #[error(
+        "errors grow on this scene so that only {least:.1e} can be told at t = {time_s} s; ask for that, or for a shorter time"
+    )]
+    Untold {
+        /// The least error that can be told.
+        least: f64,
+        /// The time of the reference.
+        time_s: f64,
+    },
+    /// The search has cost all that it may.
+    #[error(
+        "the search for a method was given up as too expensive, after {allowed_s:.1} s of computing as counted; give `method` and `step_s`"
+    )]
+    TooExpensive {
+        /// The computing that it may cost, by the plan's figures.
+        allowed_s: f64,
+    },
+    /// The run that was chosen is longer than any may be.
+    #[error("the run that reaches it cannot be made: {0}")]
+    TooLong(ScenarioError),
+    /// All methods were tried.
+    #[error("no method was found to reach it{}", least.map_or_else(String::new, |least| format!("; the least error expected is {least:.1e}")))]
+    NoMethod {
+        /// The least error that was expected of any.
+        least: Option<f64>,
+    },
+}
+
+impl Unsettled {
+    fn of(error: StudyError, asked: Accuracy, allowed_ns: u64) -> Self {
+        let out_of_reach = |why| Self::OutOfReach { asked: asked.error, why };
+        match error {
+            StudyError::Scenario(error) => Self::Refused(error),
+            StudyError::Reference(error) => out_of_reach(error.into()),
+            StudyError::Failed => out_of_reach(Obstacle::NoMethod { least: None }),
+            StudyError::Cancelled => Self::Cancelled,
+            StudyError::TooExpensive => {
+                out_of_reach(Obstacle::TooExpensive { allowed_s: allowed_ns as f64 * 1e-9 })
+            }
+        }
+    }
+}
+
+/// What is told of a scenario that came without a method and keeps none: the accuracy is the field at fault.
+impl From<Unsettled> for ScenarioError {
+    fn from(unsettled: Unsettled) -> Self {
+        match unsettled {
+            Unsettled::Refused(error) => error,
+            other => Self::invalid("/accuracy/error", other.to_string()),
+        }
+    }
+}
+
+/// The plan of any scenario: an accuracy is turned into a method and a step first. Takes as long as that takes; who
+/// must be able to stop it calls [`settled`] and [`plan_of`].
 ///
 /// # Errors
 /// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
-    let (settled, advice) = settled(scenario)?;
-    let mut plan = Plan::new(&settled)?;
+    let (settled, advice) = settled(scenario, &Watch::default())?;
+    plan_of(&settled, advice)
+}
+
+/// The plan of a scenario with a method and a step, and with it how they were chosen. Its first steps are made, a few
+/// milliseconds of them at most as counted, for what they tell of the cost of the others.
+///
+/// # Errors
+/// Those of [`Plan::new`].
+pub fn plan_of(settled: &Scenario, advice: Option<Advice>) -> Result<Plan, ScenarioError> {
+    let mut plan = Plan::new(settled)?;
+    plan.estimate(settled.log.compression, sweeps_per_step(settled, &plan)?);
     if advice.is_some() {
         plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
     }
@@ -42,15 +144,30 @@ pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
     Ok(plan)
 }
 
-/// The scenario with a method and a step, and how they were chosen if it came with an accuracy.
+/// The sweeps of a step at the start of the run; `None` if the first fails, for then there are no others.
+fn sweeps_per_step(settled: &Scenario, plan: &Plan) -> Result<Option<f64>, ScenarioError> {
+    let most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
+    let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
+    let probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    let run = measure(settled, probe, &watch)?;
+    let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
+    Ok((!failed).then(|| run.sweeps as f64 / run.steps.max(1) as f64))
+}
+
+/// The scenario with a method and a step, and how they were chosen if it came with an accuracy. Another thread may stop
+/// it by `watch`, which may also allow it less work than it takes by itself.
 ///
 /// # Errors
-/// At `/accuracy/error` where no method is known to reach it.
-pub fn settled(scenario: &Scenario) -> Result<(Scenario, Option<Advice>), ScenarioError> {
+/// If it was stopped, or no method is known to reach the accuracy.
+pub fn settled(
+    scenario: &Scenario,
+    watch: &Watch,
+) -> Result<(Scenario, Option<Advice>), Unsettled> {
     match scenario.accuracy {
         None => Ok((scenario.clone(), None)),
-        Some(accuracy) => {
-            settle(scenario, accuracy).map(|(settled, advice)| (settled, Some(advice)))
+        Some(asked) => {
+            let (settled, advice) = settle(scenario, asked, watch)?;
+            Ok((settled, Some(advice)))
         }
     }
 }
@@ -61,10 +178,10 @@ pub fn settled(scenario: &Scenario) -> Result<(Scenario, Option<Advice>), Scenar
 /// # Errors
 /// If there is no such reference, or the run fails.
 pub fn error_at_end(scenario: &Scenario) -> Result<f64, StudyError> {
-    let (scenario, _) = settled(scenario)?;
+    let watch = Watch::default();
+    let (scenario, _) = settled(scenario, &watch).map_err(ScenarioError::from)?;
     let Plan { step_s, steps, .. } = Plan::new(&scenario)?;
     let time_s = step_s * steps as f64;
-    let watch = Watch::default();
     let scales = Scales::of(&scenario, time_s, &watch)?;
     let reference = Reference::at(&scenario, time_s, &scales, &watch)?;
     let run = measure(&scenario, Probe::of(&scenario.method, step_s, steps), &watch)?;
@@ -94,29 +211,29 @@ struct Pilot {
     cost_ns: f64,
 }
 
-fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), ScenarioError> {
-    let refused = |message: String| ScenarioError::invalid("/accuracy/error", message);
-    let told = |error: StudyError| match error {
-        StudyError::Scenario(error) => error,
-        other => refused(other.to_string()),
-    };
-    let watch = Watch::default();
+fn settle(
+    scenario: &Scenario,
+    asked: Accuracy,
+    watch: &Watch,
+) -> Result<(Scenario, Advice), Unsettled> {
+    let out_of_reach = |why| Err(Unsettled::OutOfReach { asked: asked.error, why });
+    let allowed_ns = watch.left_ns().min(SETTLING_NS);
+    let told = |error| Unsettled::of(error, asked, allowed_ns);
+    let allowance_ns = Some(allowed_ns.into());
+    let watch = &Watch { cancelled: watch.cancelled.clone(), allowance_ns, ..Watch::default() };
     let duration_s = scenario.duration_s.unwrap_or_default();
-    let scales = Scales::of(scenario, duration_s, &watch).map_err(told)?;
+    let scales = Scales::of(scenario, duration_s, watch).map_err(told)?;
     let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
-    let reference = Reference::at(scenario, pilot_s, &scales, &watch).map_err(told)?;
+    let reference = Reference::at(scenario, pilot_s, &scales, watch).map_err(told)?;
     if reference.error > asked.error / (2.0 * MARGIN) {
-        return Err(refused(format!(
-            "{:e} asked for, but errors grow on this scene so that only {:.1e} can be told at t = {pilot_s} s",
-            asked.error,
-            2.0 * MARGIN * reference.error
-        )));
+        let least = 2.0 * MARGIN * reference.error;
+        return out_of_reach(Obstacle::Untold { least, time_s: pilot_s });
     }
     let trial = Trial { scenario, asked, duration_s, scales, reference };
     let mut found: Vec<(Entry, Option<Pilot>, Option<f64>)> = Vec::new();
     let mut cheapest = f64::INFINITY;
     for entry in methods(scenario) {
-        let (reached, least) = trial.search(&entry, cheapest, &watch)?;
+        let (reached, least) = trial.search(&entry, cheapest, watch).map_err(told)?;
         cheapest = cheapest.min(reached.map_or(f64::INFINITY, |pilot| pilot.cost_ns));
         found.push((entry, reached, least));
     }
@@ -124,11 +241,8 @@ fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), Sc
     let cost = |pilot: &Option<Pilot>| pilot.map_or(f64::INFINITY, |pilot| pilot.cost_ns);
     found.sort_by(|a, b| cost(&a.1).total_cmp(&cost(&b.1)));
     let Some((entry, Some(pilot), _)) = found.first().cloned() else {
-        let least = found.iter().filter_map(|(_, _, least)| *least).fold(f64::INFINITY, f64::min);
-        return Err(refused(format!(
-            "{:e} asked for, but no method was found to reach it; the least error expected is {least:.1e}",
-            asked.error
-        )));
+        let least = found.iter().filter_map(|(_, _, least)| *least).min_by(f64::total_cmp);
+        return out_of_reach(Obstacle::NoMethod { least });
     };
     let steps = trial.whole_steps(pilot.steps);
     let settled = Scenario {
@@ -139,6 +253,12 @@ fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), Sc
         accuracy: None,
         ..scenario.clone()
     };
+    settled.check().map_err(|error| match error.pointer.as_str() {
+        "/steps" | "/step_s" => {
+            Unsettled::OutOfReach { asked: asked.error, why: Obstacle::TooLong(error) }
+        }
+        _ => Unsettled::Refused(error),
+    })?;
     let candidates = found.iter().map(|(entry, reached, least)| Candidate {
         method: entry.method.name,
         tableau: entry.tableau.clone(),
@@ -149,7 +269,7 @@ fn settle(scenario: &Scenario, asked: Accuracy) -> Result<(Scenario, Advice), Sc
     let advice = Advice {
         error: asked.error,
         expected_error: pilot.expected,
-        margin: asked.error / pilot.expected,
+        margin: asked.error / pilot.expected.max(ROUND_OFF),
         pilot_time_s: pilot_s,
         reference_error: trial.reference.error,
         candidates: candidates.collect(),
@@ -183,7 +303,7 @@ impl Trial<'_> {
         entry: &Entry,
         cheapest: f64,
         watch: &Watch,
-    ) -> Result<(Option<Pilot>, Option<f64>), ScenarioError> {
+    ) -> Result<(Option<Pilot>, Option<f64>), StudyError> {
         let time_s = self.reference.time_s;
         let margin = if self.is_whole() { MARGIN } else { CARRIED_MARGIN };
         let goal = self.asked.error / margin;
@@ -197,6 +317,7 @@ impl Trial<'_> {
             let whole = Probe::of(&entry.method, time_s / steps as f64, steps);
             let probe = Probe { every, keep: true, ..whole };
             let run = measure(self.scenario, probe, watch)?;
+            watch.advance(0)?;
             let cost_ns = self.cost_ns(entry, &run)?;
             let expected = run.completed().then(|| self.expected(&run)).flatten();
             let ratio = match expected {
@@ -205,7 +326,7 @@ impl Trial<'_> {
                     if expected <= goal && reached.is_none_or(|reached| steps < reached.steps) {
                         reached = Some(Pilot { steps, expected, cost_ns });
                     }
-                    libm::pow(expected.max(1e-16) / goal, 1.0 / f64::from(entry.order))
+                    libm::pow(expected.max(ROUND_OFF) / goal, 1.0 / f64::from(entry.order))
                 }
                 None => 2.0,
             };

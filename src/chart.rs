@@ -15,6 +15,7 @@ use thiserror::Error;
 
 use crate::log::LogError;
 use crate::log::reader::{Message, read_samples};
+use crate::log::resume::Seen;
 
 mod map;
 mod plot;
@@ -152,6 +153,13 @@ impl Course {
         let mut course = Self::default();
         read_samples(log, |time_ns, message| course.note_message(time_ns, &message))?;
         Ok(course)
+    }
+
+    /// Takes note of what a log that is taken up held.
+    pub fn note_seen(&mut self, seen: &Seen<'_>) {
+        if let Seen::Message(time_ns, message) = seen {
+            self.note_message(*time_ns, message);
+        }
     }
 
     /// Takes note of a message of the log.

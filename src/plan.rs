@@ -6,10 +6,9 @@
 //! Invariant: a [`Plan`] can be run. What it dropped changes no number of the run but its cost.
 
 use nalgebra::{DMatrix, DVector};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
-use crate::log::schema::{Channel, bytes_per_member};
-use crate::log::writer::Compression;
+use crate::log::schema::Channel;
 use crate::scenario::{
     Ensemble, MethodName, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
 };
@@ -17,6 +16,7 @@ use crate::solve::composition::Composition;
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::StopRule;
 
+mod cost;
 mod model;
 
 pub(crate) use model::{Model, ModelKinetic, space_vector};
@@ -49,15 +49,18 @@ pub struct Plan {
     pub free_directions: usize,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
-    /// Samples in a chunk of the log: half a mebibyte where that takes up to 5 s, then less, but 64 KiB where those
-    /// take up to 15 s, and what takes 15 s beyond. An interrupted run goes on from the last whole chunk.
+    /// Samples in a chunk of the log: half a mebibyte, or what is estimated to take 3 s if that is less. An interrupted
+    /// run goes on from the last whole chunk.
     pub samples_per_chunk: u64,
     /// Estimated size of the log in bytes.
     pub log_bytes: u64,
-    /// Estimated cost of a step in nanoseconds, on one core of a common machine.
+    /// Estimated cost of a step in nanoseconds, on one core of a common machine: by the sweeps of the first steps
+    /// where they were made, see [`crate::advise::plan_of`].
     pub step_ns: f64,
-    /// Estimated time of the run in seconds.
+    /// Estimated time of the run on one core in seconds, samples included.
     pub run_s: f64,
+    /// Estimated peak of the run's memory in bytes.
+    pub memory_bytes: u64,
     /// The members of an ensemble.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<EnsemblePlan>,
@@ -75,12 +78,12 @@ pub struct EnsemblePlan {
     pub members: u64,
     /// Those whose samples are logged, in their order; member 0 is the first.
     pub in_full: Vec<u64>,
-    /// Ends in a chunk of the log: what takes about five seconds. An interrupted run goes on from there.
+    /// Ends in a chunk of the log, by the same rule. An interrupted run goes on from there.
     pub members_per_chunk: u64,
 }
 
 /// The choice of method and step for an accuracy.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Advice {
     /// The error asked for.
     pub error: f64,
@@ -97,7 +100,7 @@ pub struct Advice {
 }
 
 /// A method that was tried.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Its name in a scenario.
     pub method: MethodName,
@@ -189,6 +192,7 @@ impl Plan {
             log_bytes: 0,
             step_ns: 0.0,
             run_s: 0.0,
+            memory_bytes: 0,
             ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
             advice: None,
             model: Model {
@@ -218,7 +222,7 @@ impl Plan {
             }
         }
         plan.free_directions = free_directions(n, &plan.model.terms);
-        plan.estimate(scenario.log.compression);
+        plan.estimate(scenario.log.compression, None);
         Ok(plan)
     }
 
@@ -303,92 +307,6 @@ impl Plan {
         };
         Ok(Formulation { method, tableau: name, stages, order, carries_attitude, why })
     }
-
-    /// Fills in the estimates of size and time.
-    fn estimate(&mut self, compression: Compression) {
-        let n = self.dimension;
-        let raw: u64 = self.channels.iter().map(|plan| plan.topic.bytes_per_sample(n)).sum();
-        // Measured on the dipole with all channels.
-        let ratio = match compression {
-            Compression::Zstd => 0.6,
-            Compression::Lz4 => 0.7,
-            Compression::None => 1.0,
-        };
-        let in_full = self.ensemble.as_ref().map_or(1, |ensemble| ensemble.in_full.len() as u64);
-        let samples = (self.samples * in_full) as f64;
-        self.log_bytes = LOG_FIXED_BYTES + (samples * raw as f64 * ratio) as u64;
-        self.step_ns = self.step_cost_ns();
-        self.run_s = self.total_steps() as f64 * self.step_ns * 1e-9;
-        self.samples_per_chunk = samples_per_chunk(raw, self.every as f64 * self.step_ns * 1e-9);
-        if let Some(ensemble) = &mut self.ensemble {
-            let end_bytes = bytes_per_member(n);
-            self.log_bytes += (ensemble.members as f64 * end_bytes as f64 * ratio) as u64;
-            let member_s = self.steps as f64 * self.step_ns * 1e-9;
-            ensemble.members_per_chunk = samples_per_chunk(end_bytes, member_s);
-        }
-    }
-
-    /// About what a step costs on one core of a common machine, in nanoseconds, at the dipole's h = 0.01.
-    fn step_cost_ns(&self) -> f64 {
-        let sweeps = match self.formulation.method {
-            // Each step begins where those before lead.
-            MethodName::VpdReduced if self.dimension != 3 => 3.0,
-            MethodName::VpdReduced if self.formulation.stages <= 4 => 1.2,
-            MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if self.dimension == 3 => {
-                3.1
-            }
-            MethodName::QuaternionGauss => 7.5,
-            MethodName::Auto
-            | MethodName::Vpd
-            | MethodName::VpdReduced
-            | MethodName::VpdLagrangian
-            | MethodName::Vrkmk
-            | MethodName::VrkmkProjected => 10.0,
-            _ => 1.0,
-        };
-        sweeps * self.sweep_cost_ns()
-    }
-
-    /// About what a sweep over all stages costs, or a whole step where there are no sweeps or each is short
-    /// (lgvi): measured on the dipole (`docs/study`: `ns_per_step` over `iterations_per_step` of its table),
-    /// and scaled to other n by the size of a product.
-    pub(crate) fn sweep_cost_ns(&self) -> f64 {
-        let stages = self.formulation.stages as f64;
-        let size = (self.dimension as f64 / 3.0).powi(3).max(1.0);
-        match self.formulation.method {
-            // In four lanes or in eight, with more passes; the first guess is counted with the sweeps.
-            MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced if self.dimension == 3 => {
-                if self.formulation.stages <= 4 {
-                    370.0
-                } else {
-                    1200.0
-                }
-            }
-            MethodName::Auto | MethodName::Vpd | MethodName::VpdReduced => {
-                140.0 * (stages + 1.0) * size
-            }
-            MethodName::VpdLagrangian => 200.0 * (stages + 1.0) * size,
-            MethodName::Vrkmk | MethodName::VrkmkProjected => 270.0 * stages * size,
-            MethodName::Rkmk => 180.0 * stages * size,
-            MethodName::Rk | MethodName::RkProjected => 75.0 * stages * size,
-            MethodName::Splitting | MethodName::Lgvi => 230.0 * stages,
-            MethodName::QuaternionGauss => 89.0 * stages,
-        }
-    }
-}
-
-/// Samples of so many bytes, each of which takes so long to compute, in a chunk of the log. A chunk is what a
-/// viewer fetches at once, and what a kill costs: `docs/decisions/0004-the-log-is-the-checkpoint.md`.
-fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
-    const USUAL_BYTES: u64 = 512 << 10;
-    // At least 64 KiB in the file: the estimate counts the index as well, and fields that are often empty.
-    const LEAST_BYTES: u64 = 96 << 10;
-    const USUAL_S: f64 = 5.0;
-    const MOST_S: f64 = 15.0;
-    let in_bytes = |bytes: u64| bytes / sample_bytes.max(1);
-    let in_time = |time_s: f64| (time_s / sample_s) as u64;
-    let in_seconds = in_time(USUAL_S).max(in_bytes(LEAST_BYTES));
-    in_bytes(USUAL_BYTES).min(in_seconds).min(in_time(MOST_S)).max(1)
 }
 
 /// The tableau's name in a scenario, or `custom`.
@@ -433,12 +351,21 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
 
 /// n less the rank of the terms' space vectors.
 fn free_directions(n: usize, terms: &[PotentialTerm]) -> usize {
-    let vectors: Vec<&[f64]> = terms.iter().map(space_vector).collect();
-    if vectors.is_empty() {
-        return n;
+    // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
+    let mut taken: Vec<DVector<f64>> = Vec::new();
+    for term in terms {
+        let mut rest = DVector::from_column_slice(space_vector(term)).normalize();
+        for direction in taken.iter().chain(&taken) {
+            let part = direction.dot(&rest);
+            rest.axpy(-part, direction, 1.0);
+        }
+        let size = rest.norm();
+        if size > 1e-12 {
+            taken.push(rest / size);
+        }
+        if taken.len() == n {
+            break;
+        }
     }
-    let columns = DMatrix::from_fn(n, vectors.len(), |i, j| {
-        vectors[j][i] / DVector::from_column_slice(vectors[j]).norm()
-    });
-    n - columns.rank(1e-12)
+    n - taken.len()
 }

@@ -18,8 +18,7 @@ use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::{Course, LogChart};
 use crate::live::{Live, Show};
 use crate::log::messages::Figures;
-use crate::log::reader::Message;
-use crate::log::resume::Resumed;
+use crate::log::resume::{Resumed, Seen};
 use crate::log::schema::Channel;
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
@@ -250,7 +249,7 @@ impl<'a, const N: usize> Recorder<'a, N> {
     ) -> Result<(Self, Option<Checkpoint<N>>), LogError> {
         let JobContext { log, control } = *context;
         let mut course = Course::default();
-        let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
+        let seen = |seen: Seen<'_>| course.note_seen(&seen);
         let (writer, figures, checkpoint) = match LogWriter::resume(log, header, seen)? {
             Some((writer, Resumed { checkpoint, figures, .. })) => {
                 (writer, figures, Some(checkpoint))

@@ -482,8 +482,27 @@ pub enum ScenarioErrorKind {
 impl ScenarioError {
     /// A field that is not as it must be.
     pub(crate) fn invalid(pointer: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { kind: ScenarioErrorKind::Invalid, pointer: pointer.into(), message: message.into() }
+        Self::new(ScenarioErrorKind::Invalid, pointer.into(), message.into())
     }
+
+    /// An error that repeats no more of what was given than a person reads.
+    fn new(kind: ScenarioErrorKind, pointer: String, message: String) -> Self {
+        // A list of all methods is longer than a line; names of ours and places in lists are short.
+        const POINTER: usize = 200;
+        const MESSAGE: usize = 600;
+        Self { kind, pointer: shortened(pointer, POINTER), message: shortened(message, MESSAGE) }
+    }
+}
+
+/// A text of at most so many characters: beginning and end of a longer one.
+fn shortened(text: String, most: usize) -> String {
+    let count = text.chars().count();
+    if count <= most {
+        return text;
+    }
+    let head: String = text.chars().take(most / 2).collect();
+    let tail: String = text.chars().skip(count + 1 - most.div_ceil(2)).collect();
+    format!("{head}…{tail}")
 }
 
 impl Scenario {
@@ -493,8 +512,13 @@ impl Scenario {
     /// The first thing wrong with it, with the pointer of its field.
     pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
         let scenario = parse::parse(text)?;
-        check::check(&scenario)?;
+        scenario.check()?;
         Ok(scenario)
+    }
+
+    /// Checks form and range of every field: of what the program has put together itself, too.
+    pub(crate) fn check(&self) -> Result<(), ScenarioError> {
+        check::check(self)
     }
 
     /// The canonical text of the scenario, with every default written out.

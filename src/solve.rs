@@ -19,3 +19,4 @@ pub mod space;
 pub mod stepper;
 pub mod tableau;
 pub mod trajectory;
+pub mod work;

@@ -6,6 +6,7 @@
 //!
 //! Invariant: a study repeats to the bit but for its times; it ends early only if it is cancelled.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
@@ -40,6 +41,9 @@ pub enum StudyError {
     /// Somebody stopped it.
     #[error("the study was cancelled")]
     Cancelled,
+    /// It has cost all that it may.
+    #[error("it has cost all that it may")]
+    TooExpensive,
 }
 
 /// What a study shares with those who wait for it.
@@ -49,8 +53,10 @@ pub struct Watch {
     pub done: AtomicU64,
     /// Runs to be made, as far as that is known.
     pub total: AtomicU64,
-    /// Set it to stop the study within a step of its current run.
-    pub cancelled: AtomicBool,
+    /// Set it to stop the study within a sweep of its current step.
+    pub cancelled: Arc<AtomicBool>,
+    /// Work that may still be done, in nanoseconds by the plan's figures: counted, not timed. No end if absent.
+    pub allowance_ns: Option<AtomicU64>,
 }
 
 impl Watch {
@@ -62,9 +68,23 @@ impl Watch {
         self.total.fetch_add(runs, Ordering::Relaxed);
     }
 
-    fn advance(&self, runs: u64) -> Result<(), StudyError> {
+    pub(crate) fn advance(&self, runs: u64) -> Result<(), StudyError> {
         self.done.fetch_add(runs, Ordering::Relaxed);
-        if self.is_cancelled() { Err(StudyError::Cancelled) } else { Ok(()) }
+        if self.is_cancelled() {
+            return Err(StudyError::Cancelled);
+        }
+        if self.left_ns() == 0 { Err(StudyError::TooExpensive) } else { Ok(()) }
+    }
+
+    pub(crate) fn left_ns(&self) -> u64 {
+        self.allowance_ns.as_ref().map_or(u64::MAX, |left| left.load(Ordering::Relaxed))
+    }
+
+    /// Takes what a run has cost from what may still be done.
+    fn pay(&self, cost_ns: u64) {
+        if let Some(left) = &self.allowance_ns {
+            left.store(self.left_ns().saturating_sub(cost_ns), Ordering::Relaxed);
+        }
     }
 }
 

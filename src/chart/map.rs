@@ -227,6 +227,8 @@ fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor)
             }
             Code::LyapunovSingular => upright(10)?,
             Code::PotentialSingularity => flat(10)?,
+            // Of a study that was stopped there is no map.
+            Code::Stopped => {}
             Code::NonFinite => {
                 let dots = [(6, 5), (13, 5), (19, 5), (6, 13), (13, 13), (19, 13)];
                 for (dx, dy) in dots {

@@ -62,8 +62,10 @@ impl StudyArgs {
     fn scenario(&self, path: &Path) -> Result<Scenario, CliError> {
         let args = ScenarioArgs { scenario: path.to_owned(), changes: self.changes.clone() };
         let (scenario, _) = planned(&args)?;
-        let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
-        advise::settled(&scenario).map(|(settled, _)| settled).map_err(wrong)
+        let settled = advise::settled(&scenario, &Watch::default());
+        settled
+            .map(|(settled, _)| settled)
+            .map_err(|source| CliError::Scenario { path: path.to_owned(), source: source.into() })
     }
 
     fn entries(

@@ -29,8 +29,15 @@ pub struct Resumed<const N: usize> {
     pub checkpoint: Checkpoint<N>,
     /// Figures of the samples so far.
     pub figures: Figures,
-    /// Of an ensemble, the members that ended.
-    pub members: Vec<Member>,
+}
+
+/// What an unfinished log held.
+#[derive(Debug)]
+pub enum Seen<'a> {
+    /// A message of ours, of a run or of member 0, with its log time.
+    Message(u64, &'a Message),
+    /// The end of a member.
+    Member(Box<Member>),
 }
 
 /// A message between two checkpoints.
@@ -45,15 +52,14 @@ impl<const N: usize> LogWriter<N> {
     /// Takes up the unfinished log of `path` behind its last checkpoint. `None` if there is none that
     /// this build would write for this job, or none with a checkpoint; nothing is changed then.
     ///
-    /// `seen` is shown each message of ours that stands before the checkpoint, with its log time; also if the
-    /// log is not taken up in the end.
+    /// `seen` is shown what stands before the checkpoint; also if the log is not taken up in the end.
     ///
     /// # Errors
     /// If the file cannot be read, or not be cut off behind the checkpoint.
     pub fn resume(
         path: &Path,
         header: &LogHeader,
-        mut seen: impl FnMut(u64, &Message),
+        mut seen: impl FnMut(Seen<'_>),
     ) -> Result<Option<(Self, Resumed<N>)>, LogError> {
         let part = part_path(path);
         let failed = |source| LogError::io(path, "resume", source);
@@ -67,7 +73,7 @@ impl<const N: usize> LogWriter<N> {
             Err(_) if file.differs() => return Ok(None),
             Err(error) => return Err(error),
         };
-        let (mut pending, mut members) = (Vec::new(), Vec::new());
+        let mut pending = Vec::new();
         let mut fed = Ok(());
         reader::read(&part, |item| {
             match item {
@@ -82,12 +88,14 @@ impl<const N: usize> LogWriter<N> {
                     for Pending { topic, time_ns, data, .. } in &pending {
                         let Topic { member, channel } = *topic;
                         if channel == Channel::EnsembleMembers {
-                            members.extend(Member::decode(data.as_slice()));
+                            if let Ok(member) = Member::decode(data.as_slice()) {
+                                seen(Seen::Member(Box::new(member)));
+                            }
                         } else if member == 0
                             && let Some(message) =
                                 Message::decode(channel.topic(), channel.schema_name(), data)
                         {
-                            seen(*time_ns, &message);
+                            seen(Seen::Message(*time_ns, &message));
                         }
                     }
                     fed = log.feed(std::mem::take(&mut pending), data, &resumed.checkpoint);
@@ -103,7 +111,6 @@ impl<const N: usize> LogWriter<N> {
         match (fed, found) {
             (Err(error), _) if !file.differs() => Err(error),
             (Ok(()), Some(resumed)) => {
-                let resumed = Resumed { members, ..resumed };
                 file.go_on().map_err(failed)?;
                 log.part = part;
                 log.syncer.settled(resumed.checkpoint.step);
@@ -186,5 +193,5 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
         convergence,
     };
     let figures = message.figures.unwrap_or_default();
-    Some(Resumed { checkpoint, figures, members: Vec::new() })
+    Some(Resumed { checkpoint, figures })
 }

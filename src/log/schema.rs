@@ -182,12 +182,31 @@ impl Channel {
         };
         (HEADER + INDEX + payload) as u64
     }
+
+    /// Of these the bytes of matrices and vectors, whose digits do not compress.
+    pub const fn dense_bytes_per_sample(self, n: usize) -> u64 {
+        match self {
+            Self::State => state_bytes(n),
+            Self::Momentum => 8 * so::dimension(n) as u64,
+            _ => 0,
+        }
+    }
+}
+
+/// The numbers of a state: attitude, momentum, and for n = 3 the quaternion.
+const fn state_bytes(n: usize) -> u64 {
+    (8 * (n * n + so::dimension(n)) + if n == 3 { 32 } else { 0 }) as u64
 }
 
 /// About how many bytes the end of a member of an ensemble takes before compression.
 pub const fn bytes_per_member(n: usize) -> u64 {
-    // Two states and some figures.
-    (2 * 8 * (n * n + so::dimension(n)) + 250) as u64
+    const FIGURES: u64 = 180;
+    dense_bytes_per_member(n) + FIGURES
+}
+
+/// Of these the bytes of its two states, whose digits do not compress.
+pub const fn dense_bytes_per_member(n: usize) -> u64 {
+    2 * state_bytes(n)
 }
 
 /// Where a message stands: its channel, and of an ensemble the member. Member 0, and a run that is no ensemble,

@@ -82,7 +82,11 @@ pub(super) fn kinetic(
         }
         Inertia::Matrix(_) => {
             let pointer = "/scene/inertia/matrix";
-            let smallest = matrix.symmetric_eigenvalues().min();
+            // Finite, so that a few iterations do.
+            const MOST_ROUNDS: usize = 1000;
+            let tensor = Matrix3::from_iterator(matrix.iter().copied());
+            let eigen = tensor.try_symmetric_eigen(f64::EPSILON, MOST_ROUNDS);
+            let smallest = eigen.map_or(f64::NAN, |eigen| eigen.eigenvalues.min());
             if !(smallest > 1e-12 * matrix.amax() && smallest >= 1e-12) {
                 let message =
                     format!("is not positive definite: its smallest eigenvalue is {smallest:e}");
@@ -92,7 +96,7 @@ pub(super) fn kinetic(
             if diagonal {
                 return Ok(principal([matrix[(0, 0)], matrix[(1, 1)], matrix[(2, 2)]]));
             }
-            Ok(ModelKinetic::Tensor { inertia: Matrix3::from_iterator(matrix.iter().copied()) })
+            Ok(ModelKinetic::Tensor { inertia: tensor })
         }
     }
 }

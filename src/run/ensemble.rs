@@ -4,11 +4,11 @@
 //! Invariant: the log depends neither on the threads nor on who goes beside whom. The end of each member stands in it
 //! once, and one whose end is in a whole chunk is not run again.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::num::NonZeroUsize;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread;
 use std::time::Instant;
 
@@ -20,7 +20,7 @@ use crate::chart::Course;
 use crate::live::Live;
 use crate::log::LogError;
 use crate::log::messages::{self, Figures, Member};
-use crate::log::reader::Message;
+use crate::log::resume::Seen;
 use crate::log::schema::Channel;
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::plan::{EnsemblePlan, Plan};
@@ -34,6 +34,8 @@ use crate::solve::trajectory::{
 
 mod spread;
 mod statistics;
+
+use statistics::{Ends, Spread};
 
 /// A member that made all its steps.
 const SUCCEEDED: &str = "succeeded";
@@ -58,20 +60,22 @@ impl Ensemble<'_> {
         let JobContext { log: path, control } = *context;
         let header = header(scenario, plan);
         let (mut log, mut ends, mut course) = open::<N>(context, &header)?;
-        let resumed_step = ends.len() as u64 * plan.steps;
+        let resumed_step = ends.count() * plan.steps;
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
         control.steps_done.store(resumed_step, Ordering::Relaxed);
-        if ends.is_empty() {
+        if ends.count() == 0 {
             if plan.logs(Channel::EnsembleStatistics) {
-                let members = 0..planned.members;
-                let starts = members.map(|m| spread::start(&assembly.initial, asked, m));
-                log.statistics(&statistics::at_start(starts))?;
+                let mut starts = Spread::default();
+                for m in 0..planned.members {
+                    starts.add(&spread::start(&assembly.initial, asked, m));
+                }
+                log.statistics(&starts.statistics())?;
             }
             if let Some(members) = self.in_full(&mut assembly, &mut log, &header, &mut course)? {
                 for end in members {
                     self.ended(&mut log, &mut ends, end)?;
                 }
-                self.checkpoint(&mut log, ends.len())?;
+                self.checkpoint(&mut log, ends.count())?;
             }
         }
         if !control.stopped() {
@@ -83,18 +87,18 @@ impl Ensemble<'_> {
         }
         let integrated = begun.elapsed();
 
-        let complete = ends.len() as u64 == planned.members;
-        let statistics = statistics::at_end::<N>(plan.steps as f64 * plan.step_s, &ends);
+        let complete = ends.count() == planned.members;
+        let statistics = ends.statistics(plan.steps as f64 * plan.step_s);
         if complete {
             log.statistics(&statistics)?;
         }
-        let ensemble = statistics::summary(&statistics, &ends);
+        let ensemble = ends.summary(&statistics);
         let outcome = match (complete, ensemble.succeeded) {
             (false, _) => Outcome::Cancelled,
             (true, 0) => Outcome::Failed,
             (true, _) => Outcome::Succeeded,
         };
-        let nominal = ends.iter().find(|end| end.member == 0);
+        let nominal = ends.nominal();
         let figures = nominal.and_then(|end| end.figures).unwrap_or_default();
         let end = End {
             outcome,
@@ -103,9 +107,8 @@ impl Ensemble<'_> {
             ensemble: Some(ensemble),
         };
         let summary = finish(scenario, plan, path, log, (&figures, &course), end)?;
-        let steps: u64 = ends.iter().map(|end| end.steps).sum();
-        control.steps_done.store(steps, Ordering::Relaxed);
-        let made = steps.saturating_sub(resumed_step);
+        control.steps_done.store(ends.steps(), Ordering::Relaxed);
+        let made = ends.steps().saturating_sub(resumed_step);
         Ok(Summary {
             resumed_step,
             ns_per_step: integrated.as_nanos() as f64 / made.max(1) as f64,
@@ -154,12 +157,10 @@ impl Ensemble<'_> {
     fn others<const N: usize>(
         &self,
         log: &mut LogWriter<N>,
-        ends: &mut Vec<Member>,
+        ends: &mut Ends<N>,
     ) -> Result<(), RunError> {
-        let known: BTreeSet<u64> = ends.iter().map(|end| end.member).collect();
-        let left: Vec<u64> = (0..self.planned.members).filter(|m| !known.contains(m)).collect();
-        let queue =
-            Queue { members: &left, next: AtomicUsize::new(0), closed: AtomicBool::new(false) };
+        let left: Vec<u64> = (0..self.planned.members).filter(|&m| !ends.contains(m)).collect();
+        let queue = Queue::new(&left);
         let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
         thread::scope(|scope| {
             let (send, receive) = mpsc::channel();
@@ -168,8 +169,8 @@ impl Ensemble<'_> {
                 scope.spawn(move || assembled(self.plan, Worker { ensemble: self, queue, send }));
             }
             drop(send);
-            let written = self.in_order(log, ends, receive.iter());
-            queue.closed.store(true, Ordering::Relaxed);
+            let written = self.in_order(log, ends, &queue, receive.iter());
+            queue.close();
             written
         })
     }
@@ -178,7 +179,8 @@ impl Ensemble<'_> {
     fn in_order<const N: usize>(
         &self,
         log: &mut LogWriter<N>,
-        ends: &mut Vec<Member>,
+        ends: &mut Ends<N>,
+        queue: &Queue<'_>,
         groups: impl Iterator<Item = (usize, Vec<Member>)>,
     ) -> Result<(), RunError> {
         let (mut waiting, mut next) = (BTreeMap::new(), 0);
@@ -191,10 +193,11 @@ impl Ensemble<'_> {
                     self.ended(log, ends, end)?;
                     open += 1;
                     if open == self.planned.members_per_chunk {
-                        self.checkpoint(log, ends.len())?;
+                        self.checkpoint(log, ends.count())?;
                         open = 0;
                     }
                 }
+                queue.written(next);
             }
         }
         Ok(())
@@ -203,12 +206,12 @@ impl Ensemble<'_> {
     fn ended<const N: usize>(
         &self,
         log: &mut LogWriter<N>,
-        ends: &mut Vec<Member>,
+        ends: &mut Ends<N>,
         end: Member,
     ) -> Result<(), RunError> {
         log.member(self.plan.steps as f64 * self.plan.step_s, &end)?;
-        ends.push(end);
-        self.context.control.note(ends.len() as u64 * self.plan.steps);
+        ends.add(end);
+        self.context.control.note(ends.count() * self.plan.steps);
         Ok(())
     }
 
@@ -216,10 +219,10 @@ impl Ensemble<'_> {
     fn checkpoint<const N: usize>(
         &self,
         log: &mut LogWriter<N>,
-        ends: usize,
+        ends: u64,
     ) -> Result<(), LogError> {
         let checkpoint = Checkpoint {
-            step: ends as u64 * self.plan.steps,
+            step: ends * self.plan.steps,
             samples: log.samples(),
             attitude: None,
             momentum: Mat::<N>::zeros(),
@@ -306,9 +309,77 @@ impl Ensemble<'_> {
 /// The members that wait for a thread.
 struct Queue<'a> {
     members: &'a [u64],
-    next: AtomicUsize,
+    places: Mutex<Places>,
+    moved: Condvar,
     /// Nobody takes what the threads make any more.
     closed: AtomicBool,
+}
+
+/// How far the members have come.
+#[derive(Default)]
+struct Places {
+    /// The first that no thread has taken.
+    next: usize,
+    /// The first that is not in the log.
+    written: usize,
+}
+
+impl<'a> Queue<'a> {
+    /// So many members may have ended before one that is slow.
+    const AHEAD: usize = 1024;
+
+    fn new(members: &'a [u64]) -> Self {
+        let (places, moved) = (Mutex::default(), Condvar::new());
+        Self { members, places, moved, closed: AtomicBool::new(false) }
+    }
+
+    fn places(&self) -> MutexGuard<'_, Places> {
+        self.places.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_closed(&self) -> bool {
+        self.closed.load(Ordering::Relaxed)
+    }
+
+    /// The next members and their place; waits while the log is too far behind. `None` if there are none left.
+    fn take(&self) -> Option<(usize, &'a [u64])> {
+        let mut places = self.places();
+        while places.next >= places.written + Self::AHEAD && !self.is_closed() {
+            places = self.moved.wait(places).unwrap_or_else(PoisonError::into_inner);
+        }
+        let place = places.next;
+        let left =
+            self.members.get(place..).filter(|left| !left.is_empty() && !self.is_closed())?;
+        places.next += WIDTH;
+        Some((place, &left[..WIDTH.min(left.len())]))
+    }
+
+    /// All members before this place are in the log.
+    fn written(&self, place: usize) {
+        self.places().written = place;
+        self.moved.notify_all();
+    }
+
+    fn close(&self) {
+        let places = self.places();
+        self.closed.store(true, Ordering::Relaxed);
+        drop(places);
+        self.moved.notify_all();
+    }
+}
+
+/// Closes the queue if a thread leaves it early, whatever the reason: the others wait for what it took.
+struct Leaving<'a> {
+    queue: &'a Queue<'a>,
+    early: bool,
+}
+
+impl Drop for Leaving<'_> {
+    fn drop(&mut self) {
+        if self.early {
+            self.queue.close();
+        }
+    }
 }
 
 /// A thread that runs members, a few at a time.
@@ -326,12 +397,8 @@ impl Task for Worker<'_> {
         let control: &Control = ensemble.context.control;
         // Nobody sees the singular values of a member that is not logged in full.
         let observables = Observables { sigma_min: false, ..observables(ensemble.plan) };
-        loop {
-            let place = queue.next.fetch_add(WIDTH, Ordering::Relaxed);
-            let Some(left) = queue.members.get(place..).filter(|left| !left.is_empty()) else {
-                return;
-            };
-            let group = &left[..WIDTH.min(left.len())];
+        let mut leaving = Leaving { queue, early: true };
+        while let Some((place, group)) = queue.take() {
             let travelled = ensemble.travel(
                 &mut assembly,
                 group,
@@ -339,7 +406,7 @@ impl Task for Worker<'_> {
                 |_, _| Ok::<(), Infallible>(()),
                 |_| {
                     control.steps_done.fetch_add(group.len() as u64, Ordering::Relaxed);
-                    !control.stopped() && !queue.closed.load(Ordering::Relaxed)
+                    !control.stopped() && !queue.is_closed()
                 },
             );
             let Ok(Some(ends)) = travelled else { return };
@@ -347,6 +414,7 @@ impl Task for Worker<'_> {
                 return;
             }
         }
+        leaving.early = false;
     }
 }
 
@@ -354,15 +422,18 @@ impl Task for Worker<'_> {
 fn open<const N: usize>(
     context: &JobContext<'_>,
     header: &LogHeader,
-) -> Result<(LogWriter<N>, Vec<Member>, Course), LogError> {
-    let mut course = Course::default();
-    let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
-    if let Some((log, resumed)) = LogWriter::resume(context.log, header, seen)?
-        && !resumed.members.is_empty()
+) -> Result<(LogWriter<N>, Ends<N>, Course), LogError> {
+    let (mut course, mut ends) = (Course::default(), Ends::default());
+    let seen = |seen: Seen<'_>| match seen {
+        Seen::Member(end) => ends.add(*end),
+        seen => course.note_seen(&seen),
+    };
+    if let Some((log, _)) = LogWriter::resume(context.log, header, seen)?
+        && ends.count() > 0
     {
-        return Ok((log, resumed.members, course));
+        return Ok((log, ends, course));
     }
-    Ok((LogWriter::create(context.log, header)?, Vec::new(), Course::default()))
+    Ok((LogWriter::create(context.log, header)?, Ends::default(), Course::default()))
 }
 
 /// Where member 0 came to, from `initial`.

@@ -9,8 +9,8 @@ use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
 use crate::log::messages::Figures;
-use crate::log::reader::Message;
 use crate::log::resume::Resumed;
+use crate::log::resume::Seen;
 use crate::log::writer::LogWriter;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
@@ -50,7 +50,7 @@ impl Task for GiveUp<'_> {
         let Self { scenario, plan, log, reason } = self;
         let header = header(scenario, plan);
         let mut course = Course::default();
-        let seen = |time_ns, message: &Message| course.note_message(time_ns, message);
+        let seen = |seen: Seen<'_>| course.note_seen(&seen);
         let (writer, figures, reached) = match LogWriter::<N>::resume(log, &header, seen)? {
             Some((writer, Resumed { mut checkpoint, figures, .. })) => {
                 // Of an ensemble all members are counted; the log says where member 0 came to.

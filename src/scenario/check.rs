@@ -11,6 +11,10 @@ use super::{
 pub(crate) const MAX_DIMENSION: usize = 16;
 /// Largest size of any number of a scene.
 pub(super) const MAX_SIZE: f64 = 1e15;
+/// Smallest size of a vector that is not zero: its square, and that of what follows from it, is a number still.
+pub(super) const SMALLEST_SIZE: f64 = 1e-15;
+/// Smallest strength of a term that is not zero.
+const SMALLEST_STRENGTH: f64 = 1e-30;
 /// Most terms of a potential.
 const MAX_TERMS: usize = 1000;
 /// Most steps of a run.
@@ -70,21 +74,26 @@ fn text(pointer: &str, given: &str, most: usize, lines: bool) -> Check {
     ensure(given.len() <= most, pointer, || {
         format!("has {} bytes, at most {most} are allowed", given.len())
     })?;
-    // Direction marks can make a name read as another.
-    let forbidden = |c: char| {
-        (c.is_control() && !(lines && c == '\n'))
-            || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
-    };
+    let forbidden = |c: char| (c.is_control() && !(lines && c == '\n')) || is_unseen(c);
     match given.chars().find(|&c| forbidden(c)) {
         Some(c) => Err(ScenarioError::invalid(
             pointer,
             format!(
-                "contains the character U+{:04X}; control characters and direction marks are not allowed",
+                "contains the character U+{:04X}; control characters, direction marks and characters without a width are not allowed",
                 c as u32
             ),
         )),
         None => Ok(()),
     }
+}
+
+/// Direction marks, and what takes no place of its own: with them two names look alike, or a name like none.
+fn is_unseen(c: char) -> bool {
+    matches!(c,
+        '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}'
+        | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}' | '\u{2800}' | '\u{3164}' | '\u{fe00}'..='\u{fe0f}'
+        | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}' | '\u{e0000}'..='\u{e0fff}')
 }
 
 fn number(pointer: &str, x: f64) -> Check {
@@ -101,10 +110,42 @@ fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
     given.iter().enumerate().try_for_each(|(i, &x)| number(&format!("{pointer}/{i}"), x))
 }
 
+/// A number that is zero, or not so small that what is made of it is lost.
+fn strength(pointer: &str, x: f64) -> Check {
+    number(pointer, x)?;
+    ensure(x == 0.0 || x.abs() >= SMALLEST_STRENGTH, pointer, || {
+        format!("{x:e} given, a size is 0 or at least {SMALLEST_STRENGTH:e}")
+    })
+}
+
+/// The largest of them.
+fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
+    numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))
+}
+
+/// Refuses numbers that are not all zero, but all next to it.
+fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check {
+    let largest = largest(numbers);
+    ensure(largest == 0.0 || largest >= SMALLEST_SIZE, pointer, || {
+        format!(
+            "has {largest:e} as its largest number; all are 0, or one is at least {SMALLEST_SIZE:e}"
+        )
+    })
+}
+
+fn point(pointer: &str, given: &[f64], n: usize) -> Check {
+    vector(pointer, given, n)?;
+    size(pointer, given)
+}
+
 fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
     vector(pointer, given, n)?;
-    let size = given.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
-    ensure(size >= 1e-15, pointer, || "is zero; a direction needs a length".into())
+    let largest = largest(given);
+    ensure(largest >= SMALLEST_SIZE, pointer, || {
+        format!(
+            "has {largest:e} as its largest number; a direction needs one of at least {SMALLEST_SIZE:e}"
+        )
+    })
 }
 
 fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
@@ -116,7 +157,7 @@ fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
 
 /// `sign` +1: symmetric, -1: skew.
 fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
-    let size = given.iter().flatten().fold(0.0_f64, |a, x| a.max(x.abs()));
+    let size = largest(given.iter().flatten());
     for (i, row) in given.iter().enumerate() {
         for (j, &x) in row.iter().enumerate().take(i + 1) {
             let partner = sign * given[j][i];
@@ -167,30 +208,32 @@ fn potential_term(pointer: &str, term: &PotentialTerm, n: usize) -> Check {
     let field = |name: &str| format!("{pointer}/{name}");
     match term {
         PotentialTerm::Uniform(term) => {
-            number(&field("weight"), term.weight)?;
-            vector(&field("body_point"), &term.body_point, n)?;
+            strength(&field("weight"), term.weight)?;
+            point(&field("body_point"), &term.body_point, n)?;
             direction(&field("direction"), &term.direction, n)
         }
         PotentialTerm::PointSource(term) => {
-            number(&field("strength"), term.strength)?;
-            vector(&field("body_point"), &term.body_point, n)?;
-            vector(&field("position"), &term.position, n)
+            strength(&field("strength"), term.strength)?;
+            point(&field("body_point"), &term.body_point, n)?;
+            point(&field("position"), &term.position, n)
         }
         PotentialTerm::Spring(term) => {
-            number(&field("stiffness"), term.stiffness)?;
+            strength(&field("stiffness"), term.stiffness)?;
             number(&field("rest_length"), term.rest_length)?;
+            size(&field("rest_length"), [&term.rest_length])?;
             ensure(term.rest_length >= 0.0, field("rest_length"), || {
                 format!("{} given, a length is at least 0", term.rest_length)
             })?;
-            vector(&field("body_point"), &term.body_point, n)?;
-            vector(&field("position"), &term.position, n)
+            point(&field("body_point"), &term.body_point, n)?;
+            point(&field("position"), &term.position, n)
         }
         PotentialTerm::GravityGradient(term) => {
-            number(&field("strength"), term.strength)?;
+            strength(&field("strength"), term.strength)?;
             direction(&field("direction"), &term.direction, n)?;
             match &term.matrix {
                 Some(rows) => {
                     matrix(&field("matrix"), rows, n)?;
+                    size(&field("matrix"), rows.iter().flatten())?;
                     symmetry(&field("matrix"), rows, 1.0, "symmetric")
                 }
                 None => Ok(()),
@@ -268,7 +311,7 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
                 Entry::Row(_) => return Err(shape(i)),
             }
         }
-        return vector(&pointer, &numbers, 3);
+        return point(&pointer, &numbers, 3);
     }
     let mut rows = Vec::new();
     for (i, entry) in entries.iter().enumerate() {
@@ -278,6 +321,7 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
         }
     }
     matrix(&pointer, &rows, n)?;
+    size(&pointer, rows.iter().flatten())?;
     symmetry(&pointer, &rows, -1.0, "skew")
 }
 
@@ -433,7 +477,17 @@ fn log(scenario: &Scenario, n: usize) -> Check {
             })?;
         }
     }
-    epoch_ns(&log.epoch.0).map(|_| ())
+    // Viewers' time stamps have 32 bits for the seconds.
+    let most_s = f64::from(u32::MAX) - epoch_ns(&log.epoch.0)? as f64 * 1e-9;
+    let (pointer, duration_s) = match (scenario.duration_s, scenario.step_s) {
+        (Some(duration_s), _) => ("/duration_s", duration_s),
+        (None, step_s) => ("/steps", steps as f64 * step_s.unwrap_or_default()),
+    };
+    ensure(duration_s < most_s, pointer, || {
+        format!(
+            "the run lasts {duration_s:e} s; log times end in the year 2106, {most_s:.0} s after the epoch"
+        )
+    })
 }
 
 /// Nanoseconds since 1970 of an RFC 3339 moment.

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, MAX_SIZE, MAX_STEPS, ensure};
+use super::check::{Check, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
 
 /// Largest seed: JSON numbers are exact up to here.
 const LARGEST_SEED: u64 = (1 << 53) - 1;
@@ -56,6 +56,15 @@ impl Ensemble {
         ensure((0.0..=MAX_SIZE).contains(momentum_spread), "/ensemble/momentum_spread", || {
             format!("{momentum_spread:e} given, a spread lies from 0 to {MAX_SIZE:e}")
         })?;
+        for (name, spread) in
+            [("attitude_spread_rad", attitude_spread_rad), ("momentum_spread", momentum_spread)]
+        {
+            ensure(
+                *spread == 0.0 || *spread >= SMALLEST_SIZE,
+                format!("/ensemble/{name}"),
+                || format!("{spread:e} given, a spread is 0 or at least {SMALLEST_SIZE:e}"),
+            )?;
+        }
         ensure(*attitude_spread_rad > 0.0 || *momentum_spread > 0.0, "/ensemble", || {
             "has no spread; give `attitude_spread_rad` or `momentum_spread`".into()
         })?;

@@ -25,10 +25,8 @@ pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
 
 /// The second pass: a tree → types.
 pub(crate) fn from_tree<T: DeserializeOwned + Serialize>(tree: Value) -> Result<T, ScenarioError> {
-    let typed = serde_path_to_error::deserialize(&tree).map_err(|error| ScenarioError {
-        kind: ScenarioErrorKind::Invalid,
-        pointer: pointer(error.path()),
-        message: plain(&error.inner().to_string()),
+    let typed = serde_path_to_error::deserialize(&tree).map_err(|error| {
+        ScenarioError::invalid(pointer(error.path()), plain(&error.inner().to_string()))
     })?;
     match serde_json::to_value(&typed) {
         Ok(printed) => no_list_for_an_object(&tree, &printed, "").map(|()| typed),
@@ -76,12 +74,11 @@ pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
         let wrong_value = inner.is_data() || (at_value && error.path().iter().next().is_some());
         let kind =
             if wrong_value { ScenarioErrorKind::Invalid } else { ScenarioErrorKind::Malformed };
-        ScenarioError { kind, pointer: pointer(error.path()), message }
+        ScenarioError::new(kind, pointer(error.path()), message)
     })?;
-    reader.end().map_err(|error| ScenarioError {
-        kind: ScenarioErrorKind::Malformed,
-        pointer: String::new(),
-        message: plain(&error.to_string()),
+    reader.end().map_err(|error| {
+        let message = plain(&error.to_string());
+        ScenarioError::new(ScenarioErrorKind::Malformed, String::new(), message)
     })?;
     Ok(value)
 }

@@ -90,6 +90,7 @@ impl Composition {
         h: f64,
         mut drift: impl FnMut(&Top, f64) -> Result<(Top, Convergence), Failure>,
     ) -> Result<(Top, Convergence), Failure> {
+        body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), seen);
         let mut total = Convergence { iterations: 0, ..Convergence::EXPLICIT };
         let mut before = 0.0;

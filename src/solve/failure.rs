@@ -26,6 +26,8 @@ pub enum FailureCode {
     PotentialSingularity,
     /// A value is infinite or not a number.
     NonFinite,
+    /// Whoever wanted the step wants it no more: see [`super::work`]. No log shows it.
+    Stopped,
 }
 
 impl FailureCode {
@@ -41,6 +43,7 @@ impl FailureCode {
             Self::LyapunovSingular => "lyapunov_singular",
             Self::PotentialSingularity => "potential_singularity",
             Self::NonFinite => "non_finite",
+            Self::Stopped => "stopped",
         }
     }
 
@@ -72,6 +75,7 @@ impl FailureCode {
                 "a body point came too close to a point of the potential for the force to mean anything"
             }
             Self::NonFinite => "a value of the step is infinite or not a number",
+            Self::Stopped => "the step was stopped before its end",
         }
     }
 }

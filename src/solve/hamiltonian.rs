@@ -6,12 +6,11 @@
 //!
 //! Invariant: [`RigidBody::gradient`] is the derivative of [`RigidBody::energy`].
 
-use std::cell::Cell;
-
 use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
 use super::so::{Mat, Vector};
+use super::work::Work;
 
 mod torque;
 
@@ -104,8 +103,7 @@ pub struct RigidBody<const N: usize> {
     /// For each term `1 / (|y| + |v|)^2` where its law is singular at zero distance, else zero.
     reaches: Vec<f64>,
     constant: f64,
-    /// Gradients taken so far: the work of a method, counted where it is done.
-    evaluations: Cell<u64>,
+    work: Work,
 }
 
 impl<const N: usize> RigidBody<N> {
@@ -120,7 +118,7 @@ impl<const N: usize> RigidBody<N> {
             "an inertia tensor is for n = 3"
         );
         let reaches = terms.iter().map(Term::reach).collect();
-        Self { kinetic, terms, reaches, constant, evaluations: Cell::new(0) }
+        Self { kinetic, terms, reaches, constant, work: Work::default() }
     }
 
     /// dH/dmu: the body angular velocity `Omega`, skew.
@@ -157,15 +155,19 @@ impl<const N: usize> RigidBody<N> {
         super::so::asym(&(mu * omega)) - self.gradient(u, seen)
     }
 
-    /// How often the gradient of the potential was taken since the body was made; 0 for a free body.
-    pub fn force_evaluations(&self) -> u64 {
-        self.evaluations.get()
+    /// The same body, with work to be counted, and ended, by `work`.
+    pub fn with_work(self, work: Work) -> Self {
+        Self { work, ..self }
     }
 
-    /// Adds to [`RigidBody::force_evaluations`].
+    /// What was done for the body since it was made. Of a free body no gradients are counted.
+    pub fn work(&self) -> &Work {
+        &self.work
+    }
+
     pub(super) fn count(&self, gradients: u64) {
         if !self.is_free() {
-            self.evaluations.set(self.evaluations.get() + gradients);
+            self.work.add_gradients(gradients);
         }
     }
 

@@ -23,6 +23,14 @@ pub trait Lagrangian<const N: usize> {
     fn check(&self, _g: &Mat<N>) -> Result<(), super::failure::Failure> {
         Ok(())
     }
+
+    /// Takes note of a sweep that begins.
+    ///
+    /// # Errors
+    /// If it is not to begin: see [`super::work`].
+    fn begin_sweep(&self) -> Result<(), super::failure::Failure> {
+        Ok(())
+    }
 }
 
 impl<const N: usize> Lagrangian<N> for RigidBody<N> {
@@ -37,6 +45,10 @@ impl<const N: usize> Lagrangian<N> for RigidBody<N> {
 
     fn check(&self, g: &Mat<N>) -> Result<(), super::failure::Failure> {
         self.check_distances_at(g)
+    }
+
+    fn begin_sweep(&self) -> Result<(), super::failure::Failure> {
+        self.work().begin_sweep()
     }
 }
 

@@ -171,6 +171,7 @@ impl Solver {
             Rungs::Newton => self.newton.solve(self.rule, equations),
             Rungs::Both => match swept(Progress::new(self.rule, true), sweep) {
                 Ok(Some(convergence)) => Ok(convergence),
+                Err(stopped) if stopped.code == FailureCode::Stopped => Err(stopped),
                 // If nothing gets there, the sweeps tell why more plainly.
                 stuck => {
                     // Sweeps that got on, but ran out, stand near a solution.

@@ -5,7 +5,7 @@
 //!
 //! Invariant: [`polar`] returns an orthogonal matrix to round-off or nothing.
 
-use nalgebra::{DMatrix, Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, SVD, SVector, SymmetricEigen, Vector3};
 
 /// An n x n matrix.
 pub type Mat<const N: usize> = SMatrix<f64, N, N>;
@@ -242,18 +242,26 @@ pub fn exp<const N: usize>(x: &Mat<N>) -> Mat<N> {
 }
 
 /// The largest angle in radians of which [`exp`] still knows the place on the circle.
-const LARGEST_ANGLE: f64 = 1e6;
+pub(super) const LARGEST_ANGLE: f64 = 1e6;
 
 /// `exp(X) - I`: kept apart from I, so that squaring does not round at the size of one.
 fn exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
     // X^14 / 14! is then below 1e-17.
     const LARGEST: f64 = 0.35;
-    let size = inner(x, x).sqrt();
-    if size > LARGEST {
-        // exp(2 Z) - 1 = 2 E + E^2 with E = exp(Z) - 1
-        let half = exp_minus_one(&(x * 0.5));
-        return half * 2.0 + half * half;
+    let (mut part, mut halvings) = (*x, 0);
+    while inner(&part, &part).sqrt() > LARGEST {
+        part *= 0.5;
+        halvings += 1;
     }
+    let mut e = series_of_exp_minus_one(&part);
+    for _ in 0..halvings {
+        // exp(2 Z) - 1 = 2 E + E^2 with E = exp(Z) - 1
+        e = e * 2.0 + e * e;
+    }
+    e
+}
+
+fn series_of_exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
     let identity = Mat::<N>::identity();
     let x2 = x * x;
     let x4 = x2 * x2;
@@ -356,12 +364,10 @@ fn lyapunov_gradient<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> 
     (best.0 <= 1e-12 * c.amax()).then_some(best.1)
 }
 
-/// The smallest eigenvalue of a symmetric matrix, to 1e-11 of its largest entry. May allocate: for guards and samples,
+/// The smallest eigenvalue of a symmetric matrix, to 1e-11 of its largest entry; NaN where it has none. May allocate: for guards and samples,
 /// not for sweeps.
 pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
-    smallest_of_three(p).unwrap_or_else(|| {
-        DMatrix::from_column_slice(N, N, p.as_slice()).symmetric_eigenvalues().min()
-    })
+    smallest_of_three(p).unwrap_or_else(|| eigenvalues(p).map_or(f64::NAN, |values| values.min()))
 }
 
 /// For n = 3, by Newton's method for `det(P - x I) = 0` from a bound below all roots, which are real: it comes nearer from
@@ -399,8 +405,10 @@ pub fn frequencies<const N: usize>(x: &Mat<N>) -> Vec<f64> {
         let length = inner(x, x).sqrt();
         return vec![0.0, length, length];
     }
-    let values = DMatrix::from_column_slice(N, N, x.as_slice()).singular_values();
-    let mut frequencies: Vec<f64> = values.iter().copied().collect();
+    let mut frequencies = match singular_values(x) {
+        Some(values) => values.as_slice().to_vec(),
+        None => vec![f64::NAN; N],
+    };
     frequencies.sort_by(f64::total_cmp);
     frequencies
 }
@@ -415,10 +423,29 @@ pub fn smallest_eigenvalue_bound<const N: usize>(p: &Mat<N>) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// How far `g` is from the group: the spectral norm of `g g^T - I`.
+/// How far `g` is from the group: the spectral norm of `g g^T - I`; NaN where that overflows.
 pub fn orthogonality_error<const N: usize>(g: &Mat<N>) -> f64 {
     let defect = g * g.transpose() - Mat::<N>::identity();
-    DMatrix::from_column_slice(N, N, defect.as_slice()).symmetric_eigenvalues().amax()
+    eigenvalues(&defect).map_or(f64::NAN, |values| values.amax())
+}
+
+/// Iterations of an eigenvalue problem for each row of its matrix: three are usual.
+const MOST_ROUNDS: usize = 100;
+
+/// The eigenvalues of a symmetric matrix; `None` where it is not finite: the iteration would not end.
+fn eigenvalues<const N: usize>(p: &Mat<N>) -> Option<DVector<f64>> {
+    let finite = p.iter().all(|x| x.is_finite());
+    let matrix = finite.then(|| DMatrix::from_column_slice(N, N, p.as_slice()))?;
+    let solved = SymmetricEigen::try_new(matrix, f64::EPSILON, MOST_ROUNDS * N)?;
+    Some(solved.eigenvalues)
+}
+
+/// The singular values of a matrix; `None` as for [`eigenvalues`].
+fn singular_values<const N: usize>(x: &Mat<N>) -> Option<DVector<f64>> {
+    let finite = x.iter().all(|x| x.is_finite());
+    let matrix = finite.then(|| DMatrix::from_column_slice(N, N, x.as_slice()))?;
+    let solved = SVD::try_new(matrix, false, false, 5.0 * f64::EPSILON, MOST_ROUNDS * N)?;
+    Some(solved.singular_values)
 }
 
 /// The nearest rotation to a matrix that is already orthogonal to about 1e-8: one step of

@@ -257,6 +257,7 @@ impl<const N: usize> Books<N> {
                 self.reached.iterations += u64::from(solved.iterations);
                 self.reached.step += 1;
             }
+            Err(Failure { code: FailureCode::Stopped, .. }) => self.cancelled(),
             Err(failure) => self.ending = Ending::Failed(failure),
         }
     }

@@ -4,7 +4,6 @@
 
 use std::cell::Cell;
 use std::convert::Infallible;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use nalgebra::DMatrix;
@@ -21,6 +20,7 @@ use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::{
     self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
 };
+use crate::solve::work::Work;
 
 /// A state of any size: attitude and body momentum, n x n.
 #[derive(Clone, Debug, PartialEq)]
@@ -111,6 +111,8 @@ pub(crate) struct Measured {
     pub(crate) iterations: u64,
     pub(crate) rung: Option<Rung>,
     pub(crate) force_evaluations: u64,
+    /// Sweeps, those of Newton's method and of a step that failed included.
+    pub(crate) sweeps: u64,
     /// Largest size of the body angular velocity at a sample, rad/s.
     pub(crate) fastest_rad_s: f64,
     /// The number of that sample.
@@ -159,12 +161,18 @@ pub(crate) fn measure(
     watch: &Watch,
 ) -> Result<Measured, ScenarioError> {
     let plan = variant(scene, probe.method, probe.step_s, probe.steps)?;
-    Ok(assembled(&plan, Measurement { probe, watch }))
+    let sweep_ns = plan.sweep_cost_ns();
+    let most_sweeps = (watch.left_ns() as f64 / sweep_ns).ceil() as u64;
+    let run = assembled(&plan, Measurement { probe, watch, most_sweeps });
+    // A sample is about as much work as a sweep.
+    watch.pay(((run.sweeps + run.series.len() as u64) as f64 * sweep_ns).ceil() as u64);
+    Ok(run)
 }
 
 struct Measurement<'a> {
     probe: Probe<'a>,
     watch: &'a Watch,
+    most_sweeps: u64,
 }
 
 impl Task for Measurement<'_> {
@@ -172,6 +180,7 @@ impl Task for Measurement<'_> {
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
         let Assembly { body, mut stepper, initial, .. } = assembly;
+        let body = body.with_work(Work::limited(self.most_sweeps, self.watch.cancelled.clone()));
         let Probe { step_s, steps, every, energy_limit, keep, from, .. } = self.probe;
         let initial = from.map_or(initial, Point::state);
         let blown = Cell::new(false);
@@ -195,7 +204,7 @@ impl Task for Measurement<'_> {
             Schedule { step_s, steps, every },
             observables,
             &mut gauge,
-            |_| !blown.get() && !self.watch.cancelled.load(Ordering::Relaxed),
+            |_| !blown.get() && !self.watch.is_cancelled(),
         );
         let Ok(Trajectory { ending, reached }) = trajectory;
         let Gauge { points, series, fastest, kinetic, momentum, .. } = gauge;
@@ -214,7 +223,8 @@ impl Task for Measurement<'_> {
             series,
             iterations: reached.iterations,
             rung: reached.convergence.map(|solved| solved.rung),
-            force_evaluations: body.force_evaluations(),
+            force_evaluations: body.work().gradients(),
+            sweeps: body.work().sweeps(),
             fastest_rad_s: fastest.0,
             fastest_sample: fastest.1,
             largest_kinetic: kinetic,

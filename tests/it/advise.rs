@@ -1,9 +1,11 @@
 //! An accuracy in the place of a method and a step: the choice is cheap, the same each time, and kept.
 
 use serde_json::{Value, json};
-use vpd::advise::{self, error_at_end};
+use vpd::advise::{self, Obstacle, Unsettled, error_at_end};
+use vpd::plan::Advice;
 use vpd::run::Outcome;
-use vpd::scenario::Scenario;
+use vpd::scenario::{Scenario, ScenarioError};
+use vpd::study::Watch;
 
 use crate::laws::Numbers;
 use crate::scenarios::run;
@@ -142,4 +144,98 @@ fn what_cannot_be_reached_is_refused() {
         advise::plan(&scenario(&accurate_dipole(1e-13, 50.0))).expect_err("too much asked");
     assert_eq!(refused.pointer, "/accuracy/error");
     assert!(refused.message.contains("1e-13"), "{}", refused.message);
+}
+
+#[test]
+fn what_stands_in_the_way_has_its_figure() {
+    let asked = scenario(&accurate_dipole(1e-13, 50.0));
+    match advise::settled(&asked, &Watch::default()) {
+        Err(Unsettled::OutOfReach { asked, why: Obstacle::Untold { least, time_s } }) => {
+            assert_eq!(asked, 1e-13);
+            assert!(least > 1e-13 && time_s > 0.0 && time_s <= 50.0, "{least:e} {time_s}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_choice_is_kept_to_the_bit() {
+    let asked = scenario(&accurate_dipole(1e-6, 2.0));
+    let (settled, advice) = advise::settled(&asked, &Watch::default()).expect("a choice");
+    let kept = serde_json::to_vec(&advice).expect("JSON");
+    let read: Advice = serde_json::from_slice(&kept).expect("what was written");
+    assert_eq!(Some(&read), advice.as_ref());
+    let again = Scenario::from_json(&settled.to_json()).expect("what was written");
+    assert_eq!(again, settled);
+    let plan = |settled, advice| {
+        serde_json::to_string(&advise::plan_of(settled, advice).expect("a plan")).expect("JSON")
+    };
+    let direct = serde_json::to_string(&advise::plan(&asked).expect("a plan")).expect("JSON");
+    assert_eq!(plan(&settled, advice), direct);
+    assert_eq!(plan(&again, Some(read)), direct);
+}
+
+#[test]
+fn a_choice_that_was_stopped_is_none() {
+    let asked = scenario(&accurate_dipole(1e-6, 2.0));
+    let watch = Watch::default();
+    watch.cancelled.store(true, std::sync::atomic::Ordering::Relaxed);
+    assert_eq!(advise::settled(&asked, &watch), Err(Unsettled::Cancelled));
+}
+
+#[test]
+fn a_search_may_cost_no_more_than_it_is_allowed() {
+    let asked = scenario(&accurate_dipole(1e-10, 2.0));
+    let allowing = |ns: u64| Watch { allowance_ns: Some(ns.into()), ..Watch::default() };
+    let short = advise::settled(&asked, &allowing(1_000_000));
+    let too_expensive = Obstacle::TooExpensive { allowed_s: 1e-3 };
+    assert_eq!(short, Err(Unsettled::OutOfReach { asked: 1e-10, why: too_expensive }));
+    let told = ScenarioError::from(short.expect_err("too expensive"));
+    assert_eq!(told.pointer, "/accuracy/error");
+    assert!(told.message.contains("give `method`"), "{told}");
+    assert!(advise::settled(&asked, &allowing(1_000_000_000)).is_ok());
+}
+
+/// The reference of this scene alone takes many seconds, its steps milliseconds.
+#[test]
+fn a_long_choice_is_stopped_in_the_middle() {
+    let mut numbers = Numbers(60);
+    let n = 16;
+    let mut list = |scale: f64| -> Vec<f64> { (0..n).map(|_| scale * numbers.next()).collect() };
+    let spring = |list: &mut dyn FnMut(f64) -> Vec<f64>| json!({"kind": "spring", "stiffness": 3.0, "rest_length": 0.5, "body_point": list(1.0), "position": list(2.0)});
+    let springs: Vec<Value> = (0..60).map(|_| spring(&mut list)).collect();
+    let asked = scenario(&json!({
+        "name": "springs",
+        "scene": {"inertia": {"second_moments": vec![1.0; n]}, "potential": springs},
+        "accuracy": {"error": 1e-6},
+        "duration_s": 1e3,
+    }));
+    let watch = Watch::default();
+    let stop = watch.cancelled.clone();
+    let choice = std::thread::scope(|scope| {
+        let settling = scope.spawn(|| advise::settled(&asked, &watch));
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        stop.store(true, std::sync::atomic::Ordering::Relaxed);
+        settling.join().expect("no panic")
+    });
+    assert_eq!(choice, Err(Unsettled::Cancelled));
+}
+
+/// More steps than a run may have.
+#[test]
+fn a_choice_that_cannot_be_run_is_none() {
+    let asked = scenario(&json!({
+        "name": "fast for long",
+        "scene": {
+            "inertia": {"principal": [1.0, 1.1, 1.3]},
+            "initial": {"angular_velocity": {"body": [1e5, 2e5, 3e5]}}
+        },
+        "accuracy": {"error": 1e-2},
+        "duration_s": 2e9,
+        "log": {"every": 1_000_000_000_000_u64},
+    }));
+    match advise::settled(&asked, &Watch::default()) {
+        Err(Unsettled::OutOfReach { why, .. }) => println!("{why}"),
+        other => panic!("{other:?}"),
+    }
 }

@@ -345,6 +345,48 @@ pub(crate) fn table() -> Vec<Bad> {
         with(full(), "/scene/potential/3/direction", "[0,1e-400,0]"),
         "/scene/potential/3/direction",
     );
+    // Sizes next to zero that are not zero: what follows from them underflows.
+    let tiny = [
+        "/scene/potential/0/body_point",
+        "/scene/potential/0/direction",
+        "/scene/potential/1/position",
+        "/scene/potential/2/position",
+        "/scene/potential/2/body_point",
+        "/scene/potential/3/direction",
+        "/scene/initial/momentum/body",
+    ];
+    for pointer in tiny {
+        for raw in ["[0,1e-200,0]", "[5e-324,0,1e-320]", "[9e-16,-9e-16,0]"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+    add(
+        with(full(), "/scene/potential/3/matrix", "[[1e-200,0,0],[0,0,0],[0,0,0]]"),
+        "/scene/potential/3/matrix",
+    );
+    for pointer in [
+        "/scene/potential/0/weight",
+        "/scene/potential/1/strength",
+        "/scene/potential/2/stiffness",
+        "/scene/potential/2/rest_length",
+        "/scene/potential/3/strength",
+    ] {
+        for raw in ["5e-324", "1e-200", "9e-31"] {
+            add(with(full(), pointer, raw), pointer);
+        }
+    }
+    add(
+        with(full(), "/scene/initial", r#"{"angular_velocity":{"space":[0,0,1e-200]}}"#),
+        "/scene/initial/angular_velocity/space",
+    );
+    add(
+        with(
+            so4(),
+            "/scene/initial",
+            r#"{"momentum":{"body":[[0,1e-200,0,0],[-1e-200,0,0,0],[0,0,0,0],[0,0,0,0]]}}"#,
+        ),
+        "/scene/initial/momentum/body",
+    );
     add(with(full(), "/scene/potential/0/kind", "\"magnetic\""), "/scene/potential/0/kind");
     add(with(full(), "/scene/potential/0/kind", "null"), "/scene/potential/0/kind");
     for pointer in [
@@ -376,6 +418,16 @@ pub(crate) fn table() -> Vec<Bad> {
     }
     let long = with(full(), "/step_s", "1e5");
     add(with(serde_json::from_str(&long).expect("JSON"), "/steps", "100000"), "/steps");
+
+    // Past the year 2106, in which log times end.
+    let mut sparse = timed();
+    sparse["log"]["every"] = json!(1_000_000);
+    add(with(sparse, "/duration_s", "3.9e9"), "/duration_s");
+    let mut long = full();
+    (long["step_s"], long["log"]["epoch"]) = (json!(1e3), json!("2099-12-31T23:59:59Z"));
+    add(with(long.clone(), "/steps", "200000"), "/steps");
+    long["log"]["epoch"] = json!("1990-01-01T00:00:00Z");
+    add(with(long, "/steps", "3900000"), "/steps");
 
     // Tableaux and solvers.
     let tableau = "/method/tableau";
@@ -447,8 +499,8 @@ pub(crate) fn table() -> Vec<Bad> {
     for (field, values) in [
         ("members", &["0", "1", "100001", "-1", "2.5", "\"many\"", "null"][..]),
         ("seed", &["-1", "0.5", "9007199254740992", "\"x\""]),
-        ("attitude_spread_rad", &["-0.1", "3.2", "1e400", "[]"]),
-        ("momentum_spread", &["-1", "1e16", "NaN"]),
+        ("attitude_spread_rad", &["-0.1", "3.2", "1e400", "[]", "1e-200"]),
+        ("momentum_spread", &["-1", "1e16", "NaN", "5e-324"]),
     ] {
         for value in values {
             let pointer = format!("/ensemble/{field}");
@@ -500,6 +552,7 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(accurate(), "/step_s", "0.01"), "/step_s");
     add(with(accurate(), "/steps", "100"), "/steps");
     add(with(accurate(), "/duration_s", "0"), "/duration_s");
+    add(with(accurate(), "/duration_s", "3.9e9"), "/duration_s");
     add(without(accurate(), "/duration_s"), "");
 
     // Names and expectations.
@@ -509,6 +562,12 @@ pub(crate) fn table() -> Vec<Bad> {
     for raw in ["\"a\\nb\"", "\"a\\r\\nb\"", "\"a\\u0000b\"", "\"a\\u202eb\"", "\"a\\u001b[2J\""] {
         add(with(full(), "/name", raw), "/name");
     }
+    // What nobody sees, or what turns the text round.
+    for mark in ["200b", "200d", "200e", "200f", "061c", "2060", "2067", "feff", "00ad", "3164"] {
+        add(with(full(), "/name", &format!("\"a\\u{mark}b\"")), "/name");
+        add(with(full(), "/description", &format!("\"a\\u{mark}b\"")), "/description");
+    }
+    add(with(full(), "/name", "\"\\u200b\""), "/name");
     add(with(full(), "/description", "\"a\\u0007b\""), "/description");
     add(with(full(), "/description", &format!("\"{}\"", "x".repeat(4001))), "/description");
     add(with(full(), "/expect/energy_error_max", "-1"), "/expect/energy_error_max");
@@ -574,4 +633,38 @@ fn what_is_not_json_is_malformed() {
         refused(b"{\"name\":\"\xff\"}").expect("refused").kind,
         ScenarioErrorKind::Malformed
     );
+}
+
+#[test]
+fn what_was_given_is_not_repeated_at_length() {
+    let long = "x".repeat(486_000);
+    let mut unknown = full();
+    unknown[&long] = json!(1);
+    let mut nested = full();
+    nested["scene"][&long] = json!({ &long: 1 });
+    let epoch = with(full(), "/log/epoch", &format!("\"{long}\""));
+    let method = with(full(), "/method/name", &format!("\"{long}\""));
+    let twice = format!("{{\"{long}\": 1, \"{long}\": 1}}");
+    for text in [unknown.to_string(), nested.to_string(), epoch, method, twice] {
+        let error = refused(text.as_bytes()).expect("refused");
+        assert!(error.pointer.chars().count() <= 200, "{} bytes", error.pointer.len());
+        assert!(error.message.chars().count() <= 600, "{} bytes", error.message.len());
+    }
+    // The end of a sentence says what is allowed.
+    let error = refused(with(full(), "/method/name", &format!("\"{long}\"")).as_bytes());
+    assert!(error.is_some_and(|error| error.message.ends_with("`quaternion_gauss`")));
+}
+
+/// 311 bytes that hung the planner: a square that underflows made a rank of NaN.
+#[test]
+fn near_zero_is_planned_or_refused() {
+    let mut scene = dipole();
+    let spring = |z: f64| json!({"kind": "spring", "stiffness": 1, "body_point": [0, 0, 1], "position": [0, z, 0]});
+    let weight = |direction: [f64; 3]| json!({"kind": "uniform", "weight": 1, "body_point": [0, 0, 1], "direction": direction});
+    for (z, free) in [(1e-200, None), (1e-15, Some(0)), (0.0, Some(1))] {
+        scene["scene"]["potential"] =
+            json!([weight([0.0, 0.0, 1.0]), weight([1.0, 1e-200, 1.0]), spring(z)]);
+        let plan = Scenario::from_json(scene.to_string().as_bytes()).and_then(|s| Plan::new(&s));
+        assert_eq!(plan.ok().map(|plan| plan.free_directions), free, "{z:e}");
+    }
 }

@@ -13,7 +13,7 @@ mod wire;
 use serde_json::{Value, json};
 
 /// How many times more than in CI.
-fn scale() -> usize {
+pub(crate) fn scale() -> usize {
     std::env::var("VPD_FAULTS").ok().and_then(|text| text.parse().ok()).unwrap_or(1)
 }
 

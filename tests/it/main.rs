@@ -8,6 +8,7 @@ mod advise;
 mod bad_scenarios;
 mod cli;
 mod ensemble;
+mod extreme;
 mod faults;
 mod http;
 mod forms;

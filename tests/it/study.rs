@@ -99,7 +99,8 @@ fn the_table_shows_the_orders_and_repeats() {
 #[test]
 fn a_cancelled_study_ends() {
     let scene = shipped("dipole");
-    let watch = Watch { cancelled: true.into(), ..Watch::default() };
+    let watch = Watch::default();
+    watch.cancelled.store(true, std::sync::atomic::Ordering::Relaxed);
     let ended = precision(&scene, &usual_methods(&scene), Some(0.5), &watch);
     assert_eq!(ended, Err(StudyError::Cancelled));
 }

@@ -1,4 +1,8 @@
 //! Mean and spread of the members of an ensemble.
+//!
+//! Invariant: a member is forgotten once it is counted; what is kept does not grow with the size of a state.
+
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::DMatrix;
 
@@ -8,60 +12,160 @@ use crate::run::summary::EnsembleSummary;
 use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::State;
 
-/// Of the starts.
-pub(super) fn at_start<const N: usize>(
-    starts: impl Iterator<Item = State<N>>,
-) -> EnsembleStatistics {
-    let states: Vec<State<N>> = starts.collect();
-    of_states(&states)
+/// Sums over states, each taken from the first: what they have in common would drown how they differ.
+pub(super) struct Spread<const N: usize> {
+    first: Option<State<N>>,
+    count: u64,
+    turns: Mat<N>,
+    turns_squared: f64,
+    momenta: Mat<N>,
+    momenta_squared: Mat<N>,
 }
 
-/// Of those that made all their steps.
-pub(super) fn at_end<const N: usize>(time_s: f64, ends: &[Member]) -> EnsembleStatistics {
-    let (arrived, failed): (Vec<&Member>, Vec<&Member>) =
-        ends.iter().partition(|end| end.outcome == SUCCEEDED);
-    let states: Vec<State<N>> =
-        arrived.iter().filter_map(|end| end.last.as_ref()?.point()).collect();
-    let quantiles = |figure: fn(&Figures) -> Option<f64>| {
-        quantiles(arrived.iter().filter_map(|end| figure(end.figures.as_ref()?)).collect())
-    };
-    EnsembleStatistics {
-        time_s,
-        failed: failed.len() as u64,
-        energy_max_abs_error: quantiles(|figures| figures.energy_max_abs_error),
-        orthogonality_max: quantiles(|figures| figures.orthogonality_max),
-        momentum_max_drift: quantiles(|figures| figures.momentum_max_drift),
-        ..of_states(&states)
+impl<const N: usize> Default for Spread<N> {
+    fn default() -> Self {
+        let zero = Mat::zeros();
+        Self {
+            first: None,
+            count: 0,
+            turns: zero,
+            turns_squared: 0.0,
+            momenta: zero,
+            momenta_squared: zero,
+        }
     }
 }
 
-fn of_states<const N: usize>(states: &[State<N>]) -> EnsembleStatistics {
-    let count = states.len() as f64;
-    let mean = |sum: Mat<N>| sum / count.max(1.0);
-    let momentum = mean(states.iter().map(|state| state.momentum).sum());
-    let mut squares = vec![0.0; so::dimension(N)];
-    for state in states {
-        let from_mean = so::vee(&(state.momentum - momentum));
-        squares.iter_mut().zip(from_mean).for_each(|(sum, x)| *sum += x * x);
+impl<const N: usize> Spread<N> {
+    pub(super) fn add(&mut self, state: &State<N>) {
+        let first = self.first.get_or_insert_with(|| state.clone());
+        let turn = state.attitude - first.attitude;
+        let momentum = state.momentum - first.momentum;
+        self.count += 1;
+        self.turns += turn;
+        self.turns_squared += turn.norm_squared();
+        self.momenta += momentum;
+        self.momenta_squared += momentum.component_mul(&momentum);
     }
-    let attitude = nearest_rotation(&mean(states.iter().map(|state| state.attitude).sum()));
-    let spread = attitude.map(|nearest| {
-        let square = |state: &State<N>| (state.attitude - nearest).norm_squared() / 2.0;
-        (states.iter().map(square).sum::<f64>() / count).sqrt()
-    });
-    EnsembleStatistics {
-        members: states.len() as u64,
-        mean_attitude: attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
-        attitude_spread_rad: spread,
-        mean_body_momentum: so::vee(&momentum),
-        body_momentum_deviation: squares.iter().map(|sum| (sum / count.max(1.0)).sqrt()).collect(),
-        ..EnsembleStatistics::default()
+
+    pub(super) fn statistics(&self) -> EnsembleStatistics {
+        let Some(first) = &self.first else {
+            let zeros = vec![0.0; so::dimension(N)];
+            return EnsembleStatistics {
+                mean_body_momentum: zeros.clone(),
+                body_momentum_deviation: zeros,
+                ..EnsembleStatistics::default()
+            };
+        };
+        let count = self.count as f64;
+        let momentum = self.momenta / count;
+        let variance = self.momenta_squared / count - momentum.component_mul(&momentum);
+        // The same on both sides of the diagonal: vee does no more than pick.
+        let deviation = so::vee(&variance.map(|x| x.max(0.0).sqrt()));
+        let attitude = nearest_rotation(&(first.attitude + self.turns / count));
+        let spread = attitude.map(|nearest| {
+            let from_first = nearest - first.attitude;
+            let squares = self.turns_squared - 2.0 * self.turns.dot(&from_first)
+                + count * from_first.norm_squared();
+            (squares.max(0.0) / 2.0 / count).sqrt()
+        });
+        EnsembleStatistics {
+            members: self.count,
+            mean_attitude: attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
+            attitude_spread_rad: spread,
+            mean_body_momentum: so::vee(&(first.momentum + momentum)),
+            body_momentum_deviation: deviation,
+            ..EnsembleStatistics::default()
+        }
+    }
+}
+
+/// The members that have ended.
+#[derive(Default)]
+pub(super) struct Ends<const N: usize> {
+    members: BTreeSet<u64>,
+    steps: u64,
+    /// Member 0.
+    nominal: Option<Member>,
+    arrived: Spread<N>,
+    energy: Vec<f64>,
+    orthogonality: Vec<f64>,
+    drift: Vec<f64>,
+    /// How many failed, by the code.
+    failed: BTreeMap<String, u64>,
+}
+
+impl<const N: usize> Ends<N> {
+    pub(super) fn add(&mut self, end: Member) {
+        self.members.insert(end.member);
+        self.steps += end.steps;
+        if end.outcome == SUCCEEDED {
+            if let Some(state) = end.last.as_ref().and_then(|last| last.point()) {
+                self.arrived.add(&state);
+            }
+            let Figures { energy_max_abs_error, orthogonality_max, momentum_max_drift, .. } =
+                end.figures.unwrap_or_default();
+            self.energy.extend(energy_max_abs_error);
+            self.orthogonality.extend(orthogonality_max);
+            self.drift.extend(momentum_max_drift);
+        } else {
+            *self.failed.entry(end.outcome.clone()).or_default() += 1;
+        }
+        if end.member == 0 {
+            self.nominal = Some(end);
+        }
+    }
+
+    /// How many there are.
+    pub(super) fn count(&self) -> u64 {
+        self.members.len() as u64
+    }
+
+    pub(super) fn contains(&self, member: u64) -> bool {
+        self.members.contains(&member)
+    }
+
+    /// Steps of all of them.
+    pub(super) fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Member 0, once it has ended.
+    pub(super) fn nominal(&self) -> Option<&Member> {
+        self.nominal.as_ref()
+    }
+
+    /// Of those that made all their steps.
+    pub(super) fn statistics(&self, time_s: f64) -> EnsembleStatistics {
+        EnsembleStatistics {
+            time_s,
+            failed: self.failed.values().sum(),
+            energy_max_abs_error: quantiles(self.energy.clone()),
+            orthogonality_max: quantiles(self.orthogonality.clone()),
+            momentum_max_drift: quantiles(self.drift.clone()),
+            ..self.arrived.statistics()
+        }
+    }
+
+    /// What a summary says of them.
+    pub(super) fn summary(&self, statistics: &EnsembleStatistics) -> EnsembleSummary {
+        EnsembleSummary {
+            members: self.count(),
+            succeeded: statistics.members,
+            failed: self.failed.clone(),
+            attitude_spread_rad: statistics.attitude_spread_rad,
+            body_momentum_deviation: statistics.body_momentum_deviation.clone(),
+            energy_max_abs_error: statistics.energy_max_abs_error.map(|values| values.largest),
+            orthogonality_max: statistics.orthogonality_max.map(|values| values.largest),
+        }
     }
 }
 
 /// The rotation that lies nearest: of `U S V^T` it is `U diag(1, .., det(U V^T)) V^T`. `None` where many do.
 fn nearest_rotation<const N: usize>(matrix: &Mat<N>) -> Option<Mat<N>> {
-    let svd = DMatrix::from_column_slice(N, N, matrix.as_slice()).svd(true, true);
+    let finite = matrix.iter().all(|x| x.is_finite());
+    let matrix = finite.then(|| DMatrix::from_column_slice(N, N, matrix.as_slice()))?;
+    let svd = matrix.try_svd(true, true, 5.0 * f64::EPSILON, 100 * N)?;
     let (mut u, v) = (svd.u?, svd.v_t?);
     let singular = svd.singular_values.as_slice();
     let mirrored = (&u * &v).determinant() < 0.0;
@@ -83,21 +187,4 @@ fn quantiles(mut values: Vec<f64>) -> Option<Quantiles> {
         percentile_95: at(0.95),
         largest: at(1.0),
     })
-}
-
-/// What a summary says of it.
-pub(super) fn summary(statistics: &EnsembleStatistics, ends: &[Member]) -> EnsembleSummary {
-    let mut summary = EnsembleSummary {
-        members: ends.len() as u64,
-        succeeded: statistics.members,
-        attitude_spread_rad: statistics.attitude_spread_rad,
-        body_momentum_deviation: statistics.body_momentum_deviation.clone(),
-        energy_max_abs_error: statistics.energy_max_abs_error.map(|values| values.largest),
-        orthogonality_max: statistics.orthogonality_max.map(|values| values.largest),
-        ..EnsembleSummary::default()
-    };
-    for end in ends.iter().filter(|end| end.outcome != SUCCEEDED) {
-        *summary.failed.entry(end.outcome.clone()).or_default() += 1;
-    }
-    summary
 }

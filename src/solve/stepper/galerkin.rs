@@ -40,6 +40,9 @@ pub(super) trait Dynamics<const N: usize> {
     /// dH/dg = -dL/dg at `u`, left-trivialised; `None` if it is zero everywhere.
     fn gradient(&self, u: &Mat<N>, omega: &Mat<N>) -> Option<Mat<N>>;
 
+    /// Takes note of a sweep that begins, or refuses it: see [`crate::solve::work`].
+    fn begin_sweep(&self) -> Result<(), Failure>;
+
     /// Refuses an attitude at which the dynamics have lost their meaning.
     fn check(&self, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
@@ -260,6 +263,7 @@ impl<const N: usize, D: Dynamics<N>> Equations for Sweeps<'_, N, D> {
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
+        self.dynamics.begin_sweep()?;
         sweep(self.tableau, self.dynamics, self.h, self.p0, self.stages, self.end)
     }
 

@@ -187,6 +187,7 @@ impl Stepper<3> for QuaternionGauss {
         self.guess(&inverse, h);
         let Self { weights, skew, stop, now, carry, stages, seen, .. } = self;
         let solved = fixed_point(*stop, || {
+            body.work().begin_sweep()?;
             Ok(sweep((weights, skew), body, &inverse, seen, h, (now, carry), stages))
         });
         // A charge met explains non-finite values and divergence better than they do; an iterate that is

@@ -89,6 +89,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), &mut self.seen);
         for i in 0..self.tableau.stages() {
             let State { attitude: g, momentum: mu } =

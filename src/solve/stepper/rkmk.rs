@@ -92,6 +92,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        body.work().begin_sweep()?;
         body.seen_from(&self.state.attitude, &mut self.seen);
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;

@@ -44,6 +44,10 @@ impl<const N: usize> Dynamics<N> for Hamiltonian<'_, N> {
         (!self.body.is_free()).then(|| self.body.gradient(u, self.seen))
     }
 
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        self.body.work().begin_sweep()
+    }
+
     fn check(&self, u: &Mat<N>) -> Result<(), Failure> {
         self.body.check_distances(u, self.seen)
     }

@@ -81,6 +81,10 @@ impl<const N: usize> Dynamics<N> for Euler<'_, N> {
         Some(-self.lagrangian.force(&(self.g0 * u), omega))
     }
 
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        self.lagrangian.begin_sweep()
+    }
+
     fn check(&self, u: &Mat<N>) -> Result<(), Failure> {
         self.lagrangian.check(&(self.g0 * u))
     }

@@ -53,6 +53,10 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     fn gradient(&self, _u: &Mat<N>, _omega: &Mat<N>) -> Option<Mat<N>> {
         None
     }
+
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        self.0.work().begin_sweep()
+    }
 }
 
 /// `f^T p f - p` for skew p, by which (lp) moves the momentum, exact for a rotation that is f to rounding.

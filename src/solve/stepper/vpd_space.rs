@@ -303,6 +303,7 @@ impl Equations for InLanes<'_> {
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
+        self.start.body.work().begin_sweep()?;
         self.start.passes = self.passes.of_sweep(self.at_first);
         self.at_first = false;
         Ok(in_lanes!(sweep, self))

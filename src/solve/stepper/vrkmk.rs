@@ -282,6 +282,7 @@ impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
+        self.step.body.work().begin_sweep()?;
         self.step.sweep(self.m0, self.unknowns)
     }
 

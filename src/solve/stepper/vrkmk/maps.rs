@@ -136,28 +136,40 @@ impl<const N: usize> Skew<N> for Mat<N> {
     fn dexp(&self, v: &Self) -> Self {
         // ad_X is at most twice as large as X: the series then ends after some 25 terms.
         const LARGEST: f64 = 1.0;
-        let square = so::inner(self, self);
-        if square > LARGEST && self.size().is_finite() {
+        if !(so::inner(self, self) <= so::LARGEST_ANGLE * so::LARGEST_ANGLE) {
+            return Mat::repeat(f64::NAN);
+        }
+        let (mut part, mut halvings) = (*self, 0);
+        while so::inner(&part, &part) > LARGEST {
+            part *= 0.5;
+            halvings += 1;
+        }
+        let mut image = series_of_dexp(&part, v);
+        for _ in 0..halvings {
             // dexp_{2 Z} = (1 + Ad_{exp Z}) dexp_Z / 2
-            let half = self * 0.5;
-            let image = half.dexp(v);
-            return (image + image.turned(&so::exp(&half))) * 0.5;
+            image = (image + image.turned(&so::exp(&part))) * 0.5;
+            part *= 2.0;
         }
-        // Far below round-off: a series cut short here would cost the step its symplecticity.
-        let negligible = 1e-18 * v.size();
-        let (mut sum, mut term, mut k) = (*v, *v, 1.0);
-        while term.size() > negligible {
-            k += 1.0;
-            term = self.bracket(&term) / k;
-            sum += term;
-        }
-        sum
+        image
     }
 
     #[inline]
     fn size(&self) -> f64 {
         self.iter().fold(0.0, |most, x| greater(most, x.abs()))
     }
+}
+
+/// dexp of a small matrix, by its series.
+fn series_of_dexp<const N: usize>(x: &Mat<N>, v: &Mat<N>) -> Mat<N> {
+    // Far below round-off: a series cut short here would cost the step its symplecticity.
+    let negligible = 1e-18 * v.size();
+    let (mut sum, mut term, mut k) = (*v, *v, 1.0);
+    while term.size() > negligible {
+        k += 1.0;
+        term = x.bracket(&term) / k;
+        sum += term;
+    }
+    sum
 }
 
 /// The greater of two sizes; a NaN wins, and stays.

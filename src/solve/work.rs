@@ -1,0 +1,66 @@
+//! The work of a run, counted where it is done, and its end.
+//!
+//! Invariant: counts depend on what is computed alone, so a run that ends at a count ends at the same place each time.
+
+use std::cell::Cell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::failure::{Failure, FailureCode};
+
+/// Counts gradients and sweeps, and refuses a sweep past the most allowed or after somebody said stop. A step may be
+/// many sweeps, and a sweep long: it is asked before each.
+#[derive(Clone, Debug)]
+pub struct Work {
+    gradients: Cell<u64>,
+    sweeps: Cell<u64>,
+    most_sweeps: u64,
+    stop: Arc<AtomicBool>,
+}
+
+impl Default for Work {
+    /// Without end.
+    fn default() -> Self {
+        Self::limited(u64::MAX, Arc::default())
+    }
+}
+
+impl Work {
+    /// At most so many sweeps, and none once `stop` is set.
+    pub fn limited(most_sweeps: u64, stop: Arc<AtomicBool>) -> Self {
+        Self { gradients: Cell::new(0), sweeps: Cell::new(0), most_sweeps, stop }
+    }
+
+    /// Gradients of the potential taken so far.
+    pub fn gradients(&self) -> u64 {
+        self.gradients.get()
+    }
+
+    /// Sweeps begun so far: of an explicit scheme or a composition, steps.
+    pub fn sweeps(&self) -> u64 {
+        self.sweeps.get()
+    }
+
+    /// Are all allowed sweeps made?
+    pub fn is_spent(&self) -> bool {
+        self.sweeps() >= self.most_sweeps
+    }
+
+    /// Takes note of gradients.
+    pub(super) fn add_gradients(&self, gradients: u64) {
+        self.gradients.set(self.gradients() + gradients);
+    }
+
+    /// Takes note of a sweep that begins.
+    ///
+    /// # Errors
+    /// [`FailureCode::Stopped`] if it is not to begin.
+    pub(super) fn begin_sweep(&self) -> Result<(), Failure> {
+        if self.is_spent() || self.stop.load(Ordering::Relaxed) {
+            let (made, most) = (self.sweeps() as f64, self.most_sweeps as f64);
+            return Err(Failure::new(FailureCode::Stopped, None, made, most));
+        }
+        self.sweeps.set(self.sweeps() + 1);
+        Ok(())
+    }
+}

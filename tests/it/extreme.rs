@@ -1,0 +1,292 @@
+//! Scenes at the ends of what is accepted, drawn at random: each is planned or refused, and a few steps of it make a
+//! log of finite numbers. `VPD_FAULTS=10` draws ten times as many; `VPD_SEED` draws others.
+//!
+//! Times are printed beside the estimates and decide nothing.
+
+use std::path::Path;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use vpd::advise;
+use vpd::log::reader::read_samples;
+use vpd::plan::Plan;
+use vpd::run::{Control, JobContext, Outcome, execute};
+use vpd::scenario::Scenario;
+use vpd::solve::so::{self, Mat};
+
+/// Scenes in CI.
+const SCENES: usize = 200;
+/// Steps that take longer than this by estimate are not made.
+const LONGEST_STEP_NS: f64 = 2e7;
+/// Estimated time of the steps that are made.
+const RUN_NS: f64 = 2e7;
+
+struct Draw(u64);
+
+impl Draw {
+    fn below(&mut self, end: usize) -> usize {
+        (super::log::next(&mut self.0) >> 16) as usize % end
+    }
+
+    fn unit(&mut self) -> f64 {
+        self.below(1 << 40) as f64 / (1_u64 << 40) as f64
+    }
+
+    fn one_in(&mut self, n: usize) -> bool {
+        self.below(n) == 0
+    }
+
+    fn of<'a, T>(&mut self, list: &'a [T]) -> &'a T {
+        &list[self.below(list.len())]
+    }
+
+    /// From 10^low to 10^high, evenly in the exponent.
+    fn size(&mut self, low: f64, high: f64) -> f64 {
+        10_f64.powf(low + (high - low) * self.unit())
+    }
+
+    fn sign(&mut self) -> f64 {
+        if self.one_in(2) { -1.0 } else { 1.0 }
+    }
+
+    /// About one in two scenes is of this world.
+    fn scale(&mut self, wild: bool) -> f64 {
+        if wild { self.size(-14.9, 14.9) } else { self.size(-1.0, 1.0) }
+    }
+
+    /// Components of one size, now and then of all sizes, denormal ones too.
+    fn vector(&mut self, n: usize, wild: bool) -> Vec<f64> {
+        let scale = self.scale(wild);
+        let mut vector: Vec<f64> =
+            (0..n).map(|_| scale * (0.1 + self.unit()) * self.sign()).collect();
+        for x in &mut vector {
+            match self.below(12) {
+                0 => *x = 0.0,
+                1 if wild => *x = self.size(-323.0, 14.9),
+                _ => {}
+            }
+        }
+        vector
+    }
+
+    fn skew(&mut self, n: usize, wild: bool) -> Vec<Vec<f64>> {
+        let scale = self.scale(wild);
+        let mut rows = vec![vec![0.0; n]; n];
+        for i in 0..n {
+            for j in 0..i {
+                let x = scale * (2.0 * self.unit() - 1.0);
+                (rows[i][j], rows[j][i]) = (x, -x);
+            }
+        }
+        rows
+    }
+
+    fn term(&mut self, n: usize, wild: bool) -> Value {
+        let strength =
+            if wild { self.size(-29.0, 14.9) } else { self.size(-2.0, 1.0) } * self.sign();
+        match self.below(4) {
+            0 => {
+                json!({"kind": "uniform", "weight": strength, "body_point": self.vector(n, wild), "direction": self.vector(n, wild)})
+            }
+            1 => {
+                json!({"kind": "point_source", "strength": strength, "body_point": self.vector(n, wild), "position": self.vector(n, wild)})
+            }
+            2 => {
+                json!({"kind": "spring", "stiffness": strength, "rest_length": self.scale(wild), "body_point": self.vector(n, wild), "position": self.vector(n, wild)})
+            }
+            _ => {
+                json!({"kind": "gravity_gradient", "strength": strength, "direction": self.vector(n, wild)})
+            }
+        }
+    }
+
+    fn method(&mut self, n: usize) -> Value {
+        let gauss = ["gauss1", "gauss2", "gauss3", "gauss4", "gauss6", "gauss8", "rk3"];
+        let kind = *self.of(&["auto", "auto", "auto", "fixed_point", "newton"]);
+        let any = if n == 3 { 12 } else { 8 };
+        match self.below(any) {
+            0 => json!({}),
+            1 | 2 => json!({"name": "vpd", "tableau": self.of(&gauss), "solver": {"kind": kind}}),
+            3 => {
+                json!({"name": "vpd_lagrangian", "tableau": self.of(&gauss), "solver": {"kind": kind}})
+            }
+            4 => json!({"name": "vpd_reduced", "tableau": self.of(&gauss)}),
+            5 => {
+                json!({"name": self.of(&["vrkmk", "vrkmk_projected"]), "tableau": self.of(&gauss), "solver": {"kind": kind}})
+            }
+            6 => {
+                json!({"name": self.of(&["rkmk", "rk", "rk_projected"]), "tableau": self.of(&["rk3", "rk4"])})
+            }
+            7 => json!({"tableau": {"a": [[0.3, -0.1], [0.5, 0.25]], "b": [0.6, 0.4]}}),
+            8 => json!({"name": "splitting", "order": self.of(&[2, 4, 6, 8])}),
+            9 => json!({"name": "lgvi", "order": self.of(&[2, 4, 6, 8])}),
+            _ => json!({"name": "quaternion_gauss", "tableau": self.of(&gauss[..6])}),
+        }
+    }
+
+    fn scenario(&mut self) -> Value {
+        let n = if self.one_in(2) { 3 } else { 2 + self.below(15) };
+        let wild = self.one_in(2);
+        let inertia = match self.below(if n == 3 { 3 } else { 1 }) {
+            1 => {
+                let end = if wild { 11.99 } else { 2.0 };
+                let moments: Vec<f64> = (0..3).map(|_| self.size(-end, end)).collect();
+                json!({ "principal": moments })
+            }
+            // Next to singular.
+            2 => {
+                json!({"matrix": [[1.0, 0.9999999, 0.0], [0.9999999, 1.0, 0.0], [0.0, 0.0, self.size(-3.0, 3.0)]]})
+            }
+            _ => {
+                let scale = if wild { self.size(-11.0, 10.0) } else { 1.0 };
+                json!({"second_moments": (0..n).map(|_| scale * self.size(-1.0, 0.5)).collect::<Vec<_>>()})
+            }
+        };
+        let terms = match self.below(8) {
+            0 | 1 => 0,
+            2..=5 => 1 + self.below(5),
+            _ => self.size(0.5, 3.0) as usize,
+        };
+        let steps = self.size(0.0, 9.0) as u64;
+        let mut scenario = json!({
+            "name": "extreme",
+            "scene": {
+                "inertia": inertia,
+                "potential": (0..terms).map(|_| self.term(n, wild)).collect::<Vec<_>>(),
+                "initial": {},
+            },
+            "log": {"every": (steps / 50).max(1)},
+        });
+        let frame = *self.of(&["body", "space"]);
+        match self.below(3) {
+            0 => {}
+            1 => scenario["scene"]["initial"]["momentum"] = json!({frame: self.skew(n, wild)}),
+            _ => {
+                scenario["scene"]["initial"]["angular_velocity"] =
+                    json!({frame: self.skew(n, wild)})
+            }
+        }
+        if self.one_in(20) {
+            scenario["accuracy"] = json!({"error": self.size(-12.9, -1.1)});
+            scenario["duration_s"] = json!(self.size(-3.0, 9.3));
+        } else {
+            scenario["method"] = self.method(n);
+            scenario["step_s"] =
+                json!(if wild { self.size(-12.0, 0.0) } else { self.size(-3.0, -1.0) });
+            scenario["steps"] = json!(steps);
+        }
+        if self.one_in(10) {
+            scenario["ensemble"] = json!({"members": 2 + self.below(100_000), "attitude_spread_rad": self.size(-14.0, 0.4), "momentum_spread": self.scale(wild)});
+        }
+        scenario
+    }
+}
+
+/// What the trial has seen.
+#[derive(Default)]
+struct Seen {
+    accepted: usize,
+    refused: usize,
+    run: usize,
+    succeeded: usize,
+    plans_s: Vec<(f64, usize)>,
+    choices_s: Vec<(f64, usize)>,
+    /// Time of the steps made, in parts of the estimate.
+    ratios: Vec<(f64, usize)>,
+}
+
+#[test]
+fn extreme_scenes_are_planned_or_refused() {
+    let seed = std::env::var("VPD_SEED").ok().and_then(|text| text.parse().ok());
+    let seed = seed.unwrap_or(20_261_122);
+    println!("VPD_SEED={seed}");
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let mut draw = Draw(seed);
+    let mut seen = Seen::default();
+    for number in 0..SCENES * super::faults::scale() {
+        let scenario = draw.scenario();
+        try_one(&scenario, number, directory.path(), &mut seen);
+    }
+    let Seen { accepted, refused, run, succeeded, mut plans_s, mut choices_s, mut ratios } = seen;
+    println!("{accepted} planned, {refused} refused; {run} run, {succeeded} to their end");
+    let slowest = |list: &mut Vec<(f64, usize)>| {
+        list.sort_by(|a, b| b.0.total_cmp(&a.0));
+        list.iter().take(5).map(|(s, k)| format!("{s:.4} s (#{k})")).collect::<Vec<_>>().join(", ")
+    };
+    println!("slowest plans: {}", slowest(&mut plans_s));
+    println!("slowest choices for an accuracy: {}", slowest(&mut choices_s));
+    ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let within = |factor: f64| {
+        let near = ratios.iter().filter(|(r, _)| (1.0 / factor..=factor).contains(r)).count();
+        format!("{near} of {} within {factor}", ratios.len())
+    };
+    println!("time / estimate: {}, {}, {}", within(1.5), within(2.0), within(5.0));
+    let ends = ratios.iter().take(8).chain(ratios.iter().rev().take(8));
+    println!("furthest: {:?}", ends.map(|(r, k)| format!("{r:.2} (#{k})")).collect::<Vec<_>>());
+    assert!(accepted > 0 && refused > 0 && succeeded > 0);
+}
+
+/// A worker's thread has two mebibytes.
+#[test]
+fn a_large_turn_needs_little_stack() {
+    let turned = std::thread::Builder::new().stack_size(512 << 10).spawn(|| {
+        let mut turn = Mat::<16>::zeros();
+        (turn[(0, 1)], turn[(1, 0)]) = (9e5, -9e5);
+        so::orthogonality_error(&so::exp(&turn))
+    });
+    let error = turned.expect("a thread").join().expect("no panic");
+    assert!(error < 1e-9, "{error:e}");
+}
+
+fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
+    let text = scenario.to_string();
+    // For whoever looks for the scene that ended the process.
+    if std::env::var_os("VPD_TRACE").is_some() {
+        println!("#{number} {text}");
+    }
+    let begun = Instant::now();
+    let planned = Scenario::from_json(text.as_bytes())
+        .and_then(|scenario| advise::plan(&scenario).map(|plan| (scenario, plan)));
+    let time_s = begun.elapsed().as_secs_f64();
+    let of_choice = scenario.get("accuracy").is_some();
+    if of_choice { &mut seen.choices_s } else { &mut seen.plans_s }.push((time_s, number));
+    let Ok((_, plan)) = planned else {
+        seen.refused += 1;
+        return;
+    };
+    seen.accepted += 1;
+    let estimates = [plan.run_s, plan.step_ns, plan.step_s];
+    assert!(estimates.iter().all(|x| x.is_finite() && *x > 0.0), "{estimates:?}: {text}");
+    assert!(plan.samples_per_chunk > 0 && plan.memory_bytes < u64::MAX, "{text}");
+    // A choice of the program is not made twice.
+    if of_choice || plan.step_ns > LONGEST_STEP_NS {
+        return;
+    }
+    let members = plan.ensemble.as_ref().map_or(1.0, |_| 8.0);
+    let steps = (RUN_NS / plan.step_ns / members).clamp(1.0, 2000.0) as u64;
+    let mut short = scenario.clone();
+    short["steps"] = json!(steps.min(plan.steps));
+    short["log"] = json!({"every": (steps / 10).max(1)});
+    if members > 1.0 {
+        short["ensemble"]["members"] = json!(8);
+    }
+    let short = Scenario::from_json(short.to_string().as_bytes()).expect("it is shorter");
+    let estimate: Plan = advise::plan(&short).expect("as above");
+    let path = directory.join("log.mcap");
+    let control = Control::default();
+    let summary = execute(&short, &JobContext { log: &path, control: &control })
+        .unwrap_or_else(|error| panic!("{error}: {text}"));
+    seen.run += 1;
+    read_samples(&path, |_, message| {
+        let numbers = format!("{message:?}");
+        assert!(!numbers.contains("NaN") && !numbers.contains("inf"), "{numbers}: {text}");
+    })
+    .unwrap_or_else(|error| panic!("{error}: {text}"));
+    if summary.outcome == Outcome::Succeeded {
+        seen.succeeded += 1;
+        if members == 1.0 {
+            let time_ns = summary.ns_per_step * estimate.steps as f64;
+            seen.ratios.push((time_ns / (1e9 * estimate.run_s), number));
+        }
+    }
+}
