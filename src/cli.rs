@@ -9,7 +9,6 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
@@ -22,7 +21,6 @@ use tracing_subscriber::EnvFilter;
 
 use crate::advise;
 use crate::chart;
-use crate::live::Live;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
@@ -209,8 +207,6 @@ enum CliError {
     Log(#[from] crate::log::LogError),
     #[error("{}: {source}", path.display())]
     Verify { path: PathBuf, source: VerifyError },
-    #[error("cannot listen for viewers on {address}: {source}")]
-    Live { address: SocketAddr, source: foxglove::FoxgloveError },
     #[error(transparent)]
     Chart(#[from] chart::ChartError),
     #[error(transparent)]
@@ -403,7 +399,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             hosts: args.hosts.clone(),
             tokens,
             insecure: args.insecure,
-            live: live(args).await?,
+            live: args.foxglove_listen,
         };
         serve::serve(listener, config, stop).await?;
         Ok(ExitCode::SUCCESS)
@@ -430,17 +426,6 @@ fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
         None => std::env::var("VPD_TOKENS").unwrap_or_default(),
     };
     text.parse().map_err(CliError::Tokens)
-}
-
-/// The server of viewers, if one is asked for. It knows no tokens.
-async fn live(args: &ServeArgs) -> Result<Option<Arc<Live>>, CliError> {
-    let Some(address) = args.foxglove_listen else { return Ok(None) };
-    if !address.ip().is_loopback() && !args.insecure {
-        return Err(ServeError::Unguarded { address }.into());
-    }
-    let live = Live::listen(address).await.map_err(|source| CliError::Live { address, source })?;
-    tracing::info!("viewers may connect to ws://{}", live.address());
-    Ok(Some(Arc::new(live)))
 }
 
 /// Ends when the process is asked to stop: SIGTERM or ctrl-c. From this call on neither ends the process by itself.

@@ -88,7 +88,7 @@ impl Problem {
 
     /// No token, or none of ours.
     pub(super) fn unauthorised() -> Self {
-        let detail = "send a token: Authorization: Bearer TOKEN";
+        let detail = "send a token: Authorization: Bearer TOKEN; or, for a log, use a link that has not ended";
         Self::new(StatusCode::UNAUTHORIZED, "unauthorized", detail)
     }
 
@@ -96,6 +96,24 @@ impl Problem {
     pub(super) fn forbidden(scope: Scope) -> Self {
         let detail = format!("this needs a token of the scope {scope}");
         Self::new(StatusCode::FORBIDDEN, "forbidden", detail)
+    }
+
+    /// A page of another origin that asks for what pages of others may not have.
+    pub(super) fn foreign_page() -> Self {
+        let detail = "a page of another origin asks: name its origin with --cors";
+        Self::new(StatusCode::FORBIDDEN, "foreign_page", detail)
+    }
+
+    /// A viewer that does not speak as ours do.
+    pub(super) fn other_protocol() -> Self {
+        let detail = "speak one of the subprotocols foxglove.sdk.v1 and foxglove.websocket.v1";
+        Self::new(StatusCode::BAD_REQUEST, "other_protocol", detail)
+    }
+
+    /// One viewer too many.
+    pub(super) fn no_seat() -> Self {
+        let detail = "as many viewers look on as can: try again later";
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_viewers", detail).retry(RETRY_S)
     }
 
     /// A body beyond the limit.
