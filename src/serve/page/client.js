@@ -75,6 +75,14 @@ async function follow(id, seen, signal) {
   }
 }
 
+// ---- names in commands and files
+
+// One word to a POSIX shell, whatever is in it.
+const quoted = text => `'${text.replaceAll("'", "'\\''")}'`;
+
+// A name that is safe as that of a file, and in a shell, on every system.
+const fileName = name => name.replace(/[^A-Za-z0-9_.-]+/g, "-").replace(/^[-.]+|[-.]+$/g, "").slice(0, 80) || "log";
+
 // ---- words and figures
 
 const count = number => number.toLocaleString("en");
