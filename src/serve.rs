@@ -13,7 +13,7 @@
 //! - Only finished logs are served, or streams that end with one.
 //! - Other machines are served with tokens only, unless somebody insists.
 //!
-//! Reads in this order: `config`, `listen` (connections), `gate` (who may come in) with `link` (signed addresses), `api`
+//! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link` (signed addresses), `api`
 //! (routes, thin handlers) with `openapi` (their description), `view` (what answers look like) and `problem` (the only place
 //! that knows status codes), `download` and `follow` (the log over HTTP, finished and growing), `viewers` (the live
 //! view), `engine` (queue and workers), `job` (its life), `store` (the record), `metrics`.
@@ -24,6 +24,7 @@ mod download;
 mod engine;
 mod follow;
 mod gate;
+mod handles;
 mod job;
 mod link;
 mod listen;
@@ -53,6 +54,7 @@ use api::App;
 use engine::Engine;
 use gate::Gate;
 use link::LinkKey;
+use listen::Open;
 use store::{DataLock, Store, StudyStore};
 use studies::Studies;
 
@@ -129,6 +131,7 @@ pub async fn serve(
             return Err(ServeError::Unguarded { address });
         }
     }
+    let limits = handles::within(config.limits, config.workers, config.live.is_some());
     let lock = DataLock::take(&config.data)?;
     let store = Store::open(&config.data)?;
     let links = match config.tokens.is_empty() {
@@ -154,12 +157,13 @@ pub async fn serve(
         None => app,
     };
     let app = api::router(app, gate.clone(), &config.cors);
-    let server = listen::listen(listener, app, config.limits, stopped.clone());
+    let open = Open::new(limits);
+    let server = listen::listen(listener, app, open.clone(), stopped.clone());
     let server = match door.zip(live) {
         Some((door, live)) => {
             let viewers = viewers::router(live, gate.clone(), stopped.clone());
             let viewers = api::guarded(viewers, gate);
-            let viewers = listen::listen(door, viewers, config.limits, stopped);
+            let viewers = listen::listen(door, viewers, open, stopped);
             tokio::spawn(async { tokio::join!(server, viewers).0 })
         }
         None => tokio::spawn(server),

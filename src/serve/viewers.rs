@@ -30,7 +30,7 @@ use crate::log::schema::{Channel, ENCODING};
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
 /// Viewers at once.
-const SEATS: usize = 64;
+pub(super) const SEATS: usize = 64;
 
 /// Longest message of a viewer, bytes: it asks for channels, no more.
 const MAX_MESSAGE: usize = 64 << 10;
