@@ -17,6 +17,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use tokio::net::{TcpListener, TcpSocket};
+use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder};
 use tracing_subscriber::EnvFilter;
 
 use crate::advise;
@@ -192,6 +193,12 @@ struct InspectArgs {
     json: bool,
 }
 
+/// Lines of the service's own log that wait to be written; more are lost, and counted.
+const LOG_LINES: usize = 10_000;
+
+/// Pause between looks at how many were lost.
+const LOST_LINES_PAUSE: Duration = Duration::from_secs(10);
+
 /// What ends a command early.
 #[derive(Debug, thiserror::Error)]
 enum CliError {
@@ -364,9 +371,14 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
 
 fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    // Written by a thread of its own: a stderr that nobody reads must not stall who answers. The rest is written when
+    // the guard goes.
+    let (out, _rest) =
+        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
+    let lost = out.error_counter();
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(io::stderr)
+        .with_writer(out)
         // A closed stderr must not turn a line of the log into a panic.
         .log_internal_errors(false)
         .with_ansi(io::stderr().is_terminal());
@@ -378,6 +390,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let served = runtime.block_on(async {
         let stop = stop_signal().map_err(ServeError::System)?;
+        tokio::spawn(tell_of_lost_lines(lost));
         let listener = listener(args.listen)
             .map_err(|source| CliError::Listen { address: args.listen, source })?;
         tracing::info!("listening on http://{}", listener.local_addr()?);
@@ -407,6 +420,19 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     // A blocking task of a client that is gone must not hold up the exit.
     runtime.shutdown_background();
     served
+}
+
+/// Says in the service's own log how many of its lines nobody took in time, each time there are more.
+async fn tell_of_lost_lines(lost: ErrorCounter) {
+    let mut told = 0;
+    loop {
+        tokio::time::sleep(LOST_LINES_PAUSE).await;
+        let lines = lost.dropped_lines();
+        if lines > told {
+            told = lines;
+            tracing::warn!(lines, "lines of this log are lost: they were not read in time");
+        }
+    }
 }
 
 /// Listens with room for many clients that come at once; the usual 128 make the others wait a second.

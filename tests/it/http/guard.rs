@@ -301,3 +301,64 @@ fn who_says_nothing_is_closed() {
     }
     assert_eq!(server.get("/healthz").status, 200);
 }
+
+#[test]
+fn what_is_wrong_is_told_shortly() {
+    let data = directory();
+    let server = service(&data).start();
+    let key = "k".repeat(500_000);
+    let mut scenario = short();
+    scenario["scene"][&key] = json!(1);
+    let refused = server.post("/jobs", scenario.to_string().as_bytes());
+    let problem = refused.problem(422, "invalid_input");
+    // The field is too long to name; the one it lies in is not.
+    assert_eq!(problem["pointer"], "/scene");
+    assert!(refused.body.len() < 2000, "{} bytes", refused.body.len());
+    let mut scenario = short();
+    scenario[&key] = json!(1);
+    let problem =
+        server.post("/jobs", scenario.to_string().as_bytes()).problem(422, "invalid_input");
+    assert_eq!(problem["pointer"], "");
+    let mut scenario = short();
+    scenario["scene"]["unknown"] = json!(1);
+    let problem =
+        server.post("/jobs", scenario.to_string().as_bytes()).problem(422, "invalid_input");
+    assert_eq!(problem["pointer"], "/scene/unknown");
+}
+
+#[test]
+fn what_is_forgotten_while_it_is_read_is_not_found() {
+    const ROUNDS: usize = 20;
+    const PARTS: [&str; 5] =
+        ["", "/log.mcap", "/scenario.json", "/attitudes.json", "/charts/energy.svg"];
+    let data = directory();
+    let server = service(&data).workers(2).start();
+    for _ in 0..ROUNDS {
+        let id = server.finished();
+        std::thread::scope(|scope| {
+            for part in PARTS {
+                let path = format!("/jobs/{id}{part}");
+                let server = &server;
+                scope.spawn(move || {
+                    loop {
+                        match server.get(&path).status {
+                            200 => {}
+                            404 => break,
+                            status => panic!("{status} for {path}"),
+                        }
+                    }
+                });
+            }
+            assert_eq!(server.send("DELETE", &format!("/jobs/{id}"), &[], None).status, 204);
+        });
+    }
+    // The moment in which the files are gone and the job is still known.
+    let id = server.finished();
+    let place = super::record(&data, &id);
+    for name in ["log.mcap", "scenario.json"] {
+        std::fs::remove_file(place.join(name)).expect("removed");
+    }
+    for part in &PARTS[1..] {
+        assert_eq!(server.get(&format!("/jobs/{id}{part}")).status, 404, "{part}");
+    }
+}
