@@ -257,8 +257,14 @@ await checks({
   "a token is asked for, kept in the tab, and sent": async () => {
     const shut = await open(guarded.url);
     await shut.waitForSelector("#token-dialog[open]");
+    // An answer to what was asked before comes only when the token is given.
+    const late = [];
+    await shut.route("**/jobs?*", route => { late.push(route); });
+    await shut.waitForRequest(/jobs\?/);
     await shut.fill("#token", "a-token-of-the-tests");
     await shut.click("#token-form .main");
+    for (const route of late.splice(0)) await route.continue();
+    await shut.unroute("**/jobs?*");
     await shut.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
     await shut.click("button[type=submit]");
     await state(shut, "succeeded");

@@ -83,7 +83,7 @@ async function refresh() {
     showJobs();
     followSome();
     if (studies) await refreshStudies();
-  } catch (error) { if (error.status === 401) askToken(); }
+  } catch (error) { if (error.shut) askToken(); }
 }
 
 async function refreshStudies() {
@@ -366,10 +366,8 @@ async function start() {
 }
 
 $("token-open").onclick = askToken;
-$("token-dialog").onclose = () => {
-  const answer = $("token-dialog").returnValue;
-  if (!answer) return;
-  token = answer === "save" ? $("token").value.trim() : "";
+$("token-form").onsubmit = ({ submitter }) => {
+  token = submitter.value === "save" ? $("token").value.trim() : "";
   if (token) sessionStorage.setItem("vpd-token", token); else sessionStorage.removeItem("vpd-token");
   start().catch(error => say(error.message));
 };
