@@ -1,15 +1,19 @@
 # The service in a container that holds the program and nothing else of ours, and runs as nobody in particular.
 #
 #     docker build -t vpd .
-#     docker run -p 127.0.0.1:8080:8080 -v vpd-data:/data -e VPD_TOKENS='admin A-LONG-SECRET' vpd
+#     TOKEN=$(head -c 24 /dev/urandom | base64)
+#     docker run -p 127.0.0.1:8080:8080 -v vpd-data:/data -e VPD_TOKENS="admin $TOKEN" vpd
 #
-# tests/clients/dockerfile.py carries out these lines without Docker.
-FROM rust:1.95-bookworm AS build
+# docs/operations.md says how to pin the images that it is built from. tests/clients/dockerfile.py carries out these
+# lines without Docker.
+ARG BUILD_IMAGE=rust:1.95-bookworm
+ARG BASE_IMAGE=debian:bookworm-slim
+FROM ${BUILD_IMAGE} AS build
 WORKDIR /src
 COPY . .
 RUN cargo build --release --locked --bin vpd
 
-FROM debian:bookworm-slim
+FROM ${BASE_IMAGE}
 RUN groupadd --system --gid 991 vpd && useradd --system --uid 991 --gid vpd --no-create-home vpd \
     && install -d -o vpd -g vpd -m 700 /data
 COPY --from=build /src/target/release/vpd /usr/local/bin/vpd

@@ -9,7 +9,6 @@ use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::Duration;
@@ -18,11 +17,11 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use tokio::net::{TcpListener, TcpSocket};
+use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder};
 use tracing_subscriber::EnvFilter;
 
 use crate::advise;
 use crate::chart;
-use crate::live::Live;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
@@ -194,6 +193,12 @@ struct InspectArgs {
     json: bool,
 }
 
+/// Lines of the service's own log that wait to be written; more are lost, and counted.
+const LOG_LINES: usize = 10_000;
+
+/// Pause between looks at how many were lost.
+const LOST_LINES_PAUSE: Duration = Duration::from_secs(10);
+
 /// What ends a command early.
 #[derive(Debug, thiserror::Error)]
 enum CliError {
@@ -209,8 +214,6 @@ enum CliError {
     Log(#[from] crate::log::LogError),
     #[error("{}: {source}", path.display())]
     Verify { path: PathBuf, source: VerifyError },
-    #[error("cannot listen for viewers on {address}: {source}")]
-    Live { address: SocketAddr, source: foxglove::FoxgloveError },
     #[error(transparent)]
     Chart(#[from] chart::ChartError),
     #[error(transparent)]
@@ -368,9 +371,14 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
 
 fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    // Written by a thread of its own: a stderr that nobody reads must not stall who answers. The rest is written when
+    // the guard goes.
+    let (out, _rest) =
+        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
+    let lost = out.error_counter();
     let log = tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(io::stderr)
+        .with_writer(out)
         // A closed stderr must not turn a line of the log into a panic.
         .log_internal_errors(false)
         .with_ansi(io::stderr().is_terminal());
@@ -382,6 +390,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let served = runtime.block_on(async {
         let stop = stop_signal().map_err(ServeError::System)?;
+        tokio::spawn(tell_of_lost_lines(lost));
         let listener = listener(args.listen)
             .map_err(|source| CliError::Listen { address: args.listen, source })?;
         tracing::info!("listening on http://{}", listener.local_addr()?);
@@ -403,7 +412,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             hosts: args.hosts.clone(),
             tokens,
             insecure: args.insecure,
-            live: live(args).await?,
+            live: args.foxglove_listen,
         };
         serve::serve(listener, config, stop).await?;
         Ok(ExitCode::SUCCESS)
@@ -411,6 +420,19 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     // A blocking task of a client that is gone must not hold up the exit.
     runtime.shutdown_background();
     served
+}
+
+/// Says in the service's own log how many of its lines nobody took in time, each time there are more.
+async fn tell_of_lost_lines(lost: ErrorCounter) {
+    let mut told = 0;
+    loop {
+        tokio::time::sleep(LOST_LINES_PAUSE).await;
+        let lines = lost.dropped_lines();
+        if lines > told {
+            told = lines;
+            tracing::warn!(lines, "lines of this log are lost: they were not read in time");
+        }
+    }
 }
 
 /// Listens with room for many clients that come at once; the usual 128 make the others wait a second.
@@ -430,17 +452,6 @@ fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
         None => std::env::var("VPD_TOKENS").unwrap_or_default(),
     };
     text.parse().map_err(CliError::Tokens)
-}
-
-/// The server of viewers, if one is asked for. It knows no tokens.
-async fn live(args: &ServeArgs) -> Result<Option<Arc<Live>>, CliError> {
-    let Some(address) = args.foxglove_listen else { return Ok(None) };
-    if !address.ip().is_loopback() && !args.insecure {
-        return Err(ServeError::Unguarded { address }.into());
-    }
-    let live = Live::listen(address).await.map_err(|source| CliError::Live { address, source })?;
-    tracing::info!("viewers may connect to ws://{}", live.address());
-    Ok(Some(Arc::new(live)))
 }
 
 /// Ends when the process is asked to stop: SIGTERM or ctrl-c. From this call on neither ends the process by itself.

@@ -1,24 +1,19 @@
-//! 5 · The live view: the samples of a running job over Foxglove's WebSocket protocol.
+//! 5 · The live view: the samples of a running job, for whoever looks on.
 //!
 //! Invariant: a viewer changes nothing about a run. At most one run is on show, and of its samples no more
-//! than viewers draw; the log has them all.
+//! than viewers draw; the log has them all. A run hands a sample over once, however many look on, and never waits:
+//! who takes it too late misses it.
 
-use std::fmt;
-use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use foxglove::messages::SceneUpdate;
-use foxglove::websocket::Capability;
-use foxglove::{
-    Context, FoxgloveError, PartialMetadata, RawChannel, Schema, WebSocketServerHandle,
-};
 use prost::Message;
+use tokio::sync::broadcast;
 
 use crate::log::log_time;
 use crate::log::messages;
 use crate::log::scene::{BODY_FRAME, SceneGeometry};
-use crate::log::schema::{Channel, ENCODING};
+use crate::log::schema::Channel;
 use crate::solve::trajectory::Sample;
 
 /// Pause between samples on show: 30 a second.
@@ -27,13 +22,20 @@ const FRAME: Duration = Duration::from_millis(33);
 /// Pause between drawings of the scene: a viewer that comes late misses what was sent before.
 const SCENE: Duration = Duration::from_secs(1);
 
-/// A server of viewers. It ends when it is dropped.
+/// Frames that are kept for viewers that are behind.
+const KEPT: usize = 8;
+
+/// A sample as viewers see it.
+#[derive(Debug)]
+pub(crate) struct Frame {
+    pub(crate) time_ns: u64,
+    pub(crate) messages: Vec<(Channel, Vec<u8>)>,
+}
+
+/// The stage: runs show themselves on it, one at a time.
+#[derive(Debug)]
 pub struct Live {
-    server: WebSocketServerHandle,
-    address: SocketAddr,
-    /// Holds the channels; the server does not.
-    _context: Arc<Context>,
-    channels: Vec<(Channel, Arc<RawChannel>)>,
+    frames: broadcast::Sender<Arc<Frame>>,
     floor: Mutex<Floor>,
 }
 
@@ -46,42 +48,18 @@ struct Floor {
     next_scene: Instant,
 }
 
-impl fmt::Debug for Live {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Live").field("address", &self.address).finish_non_exhaustive()
+impl Default for Live {
+    fn default() -> Self {
+        let now = Instant::now();
+        let floor = Floor { holder: None, next_id: 0, next: now, next_scene: now };
+        Self { frames: broadcast::Sender::new(KEPT), floor: Mutex::new(floor) }
     }
 }
 
 impl Live {
-    /// Listens on `address`; port 0 for any.
-    ///
-    /// # Errors
-    /// If the address cannot be had.
-    pub async fn listen(address: SocketAddr) -> Result<Self, FoxgloveError> {
-        let context = Context::new();
-        let channels = Channel::all().into_iter().map(|channel| {
-            let schema = channel.schema();
-            let schema = Schema::new(schema.name, ENCODING, schema.descriptors.into_owned());
-            let built = context.channel_builder(channel.topic()).message_encoding(ENCODING);
-            Ok((channel, built.schema(schema).build_raw()?))
-        });
-        let channels = channels.collect::<Result<_, FoxgloveError>>()?;
-        let server = context
-            .websocket_server()
-            .name("vpd")
-            .capabilities([Capability::Time])
-            .bind(address.ip().to_string(), address.port())
-            .start()
-            .await?;
-        let now = Instant::now();
-        let floor = Floor { holder: None, next_id: 0, next: now, next_scene: now };
-        let address = SocketAddr::new(address.ip(), server.port());
-        Ok(Self { server, address, _context: context, channels, floor: Mutex::new(floor) })
-    }
-
-    /// Where it listens.
-    pub fn address(&self) -> SocketAddr {
-        self.address
+    /// What is shown from now on. Nothing is made ready for show unless somebody watches.
+    pub(crate) fn watch(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.frames.subscribe()
     }
 
     /// Announces a run: it is on show as soon as no other is.
@@ -93,12 +71,6 @@ impl Live {
 
     fn floor(&self) -> MutexGuard<'_, Floor> {
         self.floor.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn send(&self, channel: Channel, time_ns: u64, bytes: &[u8]) {
-        if let Some((_, out)) = self.channels.iter().find(|(own, _)| *own == channel) {
-            out.log_with_meta(bytes, PartialMetadata::with_log_time(time_ns));
-        }
     }
 }
 
@@ -117,7 +89,7 @@ impl Show {
         let live = &self.live;
         let now = Instant::now();
         let mut floor = live.floor();
-        if live.server.client_count() == 0 || now < floor.next {
+        if now < floor.next || live.frames.receiver_count() == 0 {
             return;
         }
         match floor.holder {
@@ -130,28 +102,21 @@ impl Show {
         }
         let Some(time_ns) = log_time(self.epoch_ns, sample.time_s) else { return };
         floor.next = now + FRAME;
-        live.server.broadcast_time(time_ns);
+        let mut messages = Vec::new();
         if now >= floor.next_scene {
             floor.next_scene = now + SCENE;
-            self.draw(N, time_ns);
+            let body = (N == 3).then(|| self.scene.body(time_ns));
+            let sources = self.scene.sources(time_ns);
+            let drawn = [(Channel::SceneBody, body), (Channel::SceneSources, sources)];
+            let drawn = drawn.into_iter().filter_map(|(channel, scene)| Some((channel, scene?)));
+            messages.extend(drawn.map(|(channel, scene)| (channel, scene.encode_to_vec())));
         }
-        for (channel, _) in &live.channels {
-            if let Some(bytes) = messages::of_sample(*channel, sample, time_ns, BODY_FRAME) {
-                live.send(*channel, time_ns, &bytes);
-            }
-        }
-    }
-
-    fn draw(&self, n: usize, time_ns: u64) {
-        let send = |channel, update: &SceneUpdate| {
-            self.live.send(channel, time_ns, &update.encode_to_vec());
-        };
-        if n == 3 {
-            send(Channel::SceneBody, &self.scene.body(time_ns));
-        }
-        if let Some(sources) = self.scene.sources(time_ns) {
-            send(Channel::SceneSources, &sources);
-        }
+        messages.extend(Channel::all().into_iter().filter_map(|channel| {
+            let bytes = messages::of_sample(channel, sample, time_ns, BODY_FRAME)?;
+            Some((channel, bytes))
+        }));
+        // Nobody there any more is no fault.
+        let _ = live.frames.send(Arc::new(Frame { time_ns, messages }));
     }
 }
 

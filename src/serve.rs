@@ -13,10 +13,10 @@
 //! - Only finished logs are served, or streams that end with one.
 //! - Other machines are served with tokens only, unless somebody insists.
 //!
-//! Reads in this order: `config`, `listen` (connections), `gate` (who may come in), `api` (routes, thin
-//! handlers) with `openapi` (their description), `view` (what answers look like) and `problem` (the only place
-//! that knows status codes), `download` and `follow` (the log over HTTP, finished and growing), `engine` (queue
-//! and workers), `job` (its life), `store` (the record), `metrics`.
+//! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link` (signed addresses), `api`
+//! (routes, thin handlers) with `openapi` (their description), `view` (what answers look like) and `problem` (the only place
+//! that knows status codes), `download` and `follow` (the log over HTTP, finished and growing), `viewers` (the live
+//! view), `engine` (queue and workers), `job` (its life), `store` (the record), `metrics`.
 
 mod api;
 mod config;
@@ -24,7 +24,9 @@ mod download;
 mod engine;
 mod follow;
 mod gate;
+mod handles;
 mod job;
+mod link;
 mod listen;
 mod metrics;
 mod openapi;
@@ -33,17 +35,26 @@ mod problem;
 mod store;
 mod studies;
 mod view;
+mod viewers;
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
+use crate::live::Live;
+
 pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
 pub(crate) use page::LAYOUT;
 
+use api::App;
 use engine::Engine;
+use gate::Gate;
+use link::LinkKey;
+use listen::Open;
 use store::{DataLock, Store, StudyStore};
 use studies::Studies;
 
@@ -89,7 +100,15 @@ pub enum ServeError {
     )]
     Unguarded {
         /// The address.
-        address: std::net::SocketAddr,
+        address: SocketAddr,
+    },
+    /// The address of the live view cannot be had.
+    #[error("cannot listen for viewers on {address}: {source}")]
+    Viewers {
+        /// The address.
+        address: SocketAddr,
+        /// What the system says.
+        source: std::io::Error,
     },
     /// A worker thread cannot be started, or the listener failed.
     #[error("the system refuses a thread or a socket")]
@@ -107,19 +126,48 @@ pub async fn serve(
     config: ServeConfig,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), ServeError> {
-    let address = listener.local_addr()?;
-    if !address.ip().is_loopback() && config.tokens.is_empty() && !config.insecure {
-        return Err(ServeError::Unguarded { address });
+    for address in [Some(listener.local_addr()?), config.live].into_iter().flatten() {
+        if !address.ip().is_loopback() && config.tokens.is_empty() && !config.insecure {
+            return Err(ServeError::Unguarded { address });
+        }
     }
+    let limits = handles::within(config.limits, config.workers, config.live.is_some());
     let lock = DataLock::take(&config.data)?;
     let store = Store::open(&config.data)?;
+    let links = match config.tokens.is_empty() {
+        true => None,
+        false => Some(
+            LinkKey::of(&config.data)
+                .map_err(|source| ServeError::Data { path: config.data.clone(), source })?,
+        ),
+    };
+    let door = match config.live {
+        Some(address) => Some(viewers_door(address).await?),
+        None => None,
+    };
+    let live = door.as_ref().map(|_| Arc::new(Live::default()));
     let (engine, drained) =
-        Engine::start(store, config.workers, config.limits, config.live.clone()).await?;
+        Engine::start(store, config.workers, config.limits, live.clone()).await?;
     let (studies, studying) = Studies::start(StudyStore::open(&config.data)?).await?;
-    let app = api::router(engine.clone(), studies.clone(), &config);
-
+    let gate = Gate::new(&config, links.clone());
     let (stop, stopped) = watch::channel(false);
-    let server = tokio::spawn(listen::listen(listener, app, config.limits, stopped));
+    let app = App::new(engine.clone(), studies.clone(), &config, links);
+    let app = match &door {
+        Some(door) => app.with_live(door.local_addr()?),
+        None => app,
+    };
+    let app = api::router(app, gate.clone(), &config.cors);
+    let open = Open::new(limits);
+    let server = listen::listen(listener, app, open.clone(), stopped.clone());
+    let server = match door.zip(live) {
+        Some((door, live)) => {
+            let viewers = viewers::router(live, gate.clone(), stopped.clone());
+            let viewers = api::guarded(viewers, gate);
+            let viewers = listen::listen(door, viewers, open, stopped);
+            tokio::spawn(async { tokio::join!(server, viewers).0 })
+        }
+        None => tokio::spawn(server),
+    };
     shutdown.await;
     tracing::info!("stopping");
     engine.stop();
@@ -137,6 +185,14 @@ pub async fn serve(
     }
     tracing::info!("stopped");
     Ok(())
+}
+
+/// Listens for viewers.
+async fn viewers_door(address: SocketAddr) -> Result<TcpListener, ServeError> {
+    let wrong = |source| ServeError::Viewers { address, source };
+    let door = TcpListener::bind(address).await.map_err(wrong)?;
+    tracing::info!("viewers may connect to ws://{}", door.local_addr().map_err(wrong)?);
+    Ok(door)
 }
 
 /// Lets this thread, which computes for long, give way to those that answer. Where a thread has no

@@ -21,10 +21,11 @@ use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 use uuid::Uuid;
 
-use super::config::Scope;
+use super::config::{Cors, Scope};
 use super::engine::Engine;
 use super::gate::{self, Gate};
 use super::job::State;
+use super::link::LinkKey;
 use super::openapi::{self, Operation};
 use super::page::{self, Pictures};
 use super::problem::{self, Problem};
@@ -42,16 +43,36 @@ use request::{json_text, off_thread};
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
+/// What handlers work with.
 #[derive(Clone, Debug)]
-struct App {
+pub(super) struct App {
     engine: Engine,
     studies: Studies,
     pictures: Pictures,
     public_url: Option<String>,
     /// Where viewers look on while a job runs.
     live: Option<SocketAddr>,
+    /// Where there are tokens.
+    links: Option<LinkKey>,
     /// Where those who submit wait for their turn.
     desk: Arc<Semaphore>,
+}
+
+impl App {
+    pub(super) fn new(
+        engine: Engine,
+        studies: Studies,
+        config: &ServeConfig,
+        links: Option<LinkKey>,
+    ) -> Self {
+        let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
+        let (pictures, desk) = (Pictures::new(), Arc::new(Semaphore::new(DESKS)));
+        Self { engine, studies, pictures, public_url, live: None, links, desk }
+    }
+
+    pub(super) fn with_live(self, address: SocketAddr) -> Self {
+        Self { live: Some(address), ..self }
+    }
 }
 
 /// Jobs that are checked and kept at once. More of them would be kept a little sooner, and everybody who asks for a
@@ -339,10 +360,7 @@ fn routes() -> Vec<Route> {
 }
 
 /// All routes of the service.
-pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> Router {
-    let gate = Gate::new(config);
-    let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
-    let live = config.live.as_ref().map(|live| live.address());
+pub(super) fn router(app: App, gate: Gate, cors: &Cors) -> Router {
     let routes = routes();
     let described = routes.iter().map(|route| {
         let Route { method, path, scope, operation, .. } = route;
@@ -360,9 +378,19 @@ pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> 
         let place = if for_all { &mut shared } else { &mut own };
         *place = std::mem::take(place).route(path, handler);
     }
-    own.merge(download::share(shared, &config.cors))
+    let all = own
+        .merge(download::share(shared, cors))
         .route("/openapi.json", get(async move || Json(description)))
-        .layer(from_fn(gate::whole_body))
+        .layer(from_fn(gate::whole_body));
+    guarded(all, gate).with_state(app)
+}
+
+/// What every request goes through, whichever door it comes by.
+pub(super) fn guarded<S: Clone + Send + Sync + 'static>(
+    router: Router<S>,
+    gate: Gate,
+) -> Router<S> {
+    router
         .layer(from_fn_with_state(gate, gate::admit))
         .layer(map_response(problem::fill))
         .layer(CatchPanicLayer::custom(problem::panicked))
@@ -373,17 +401,9 @@ pub(super) fn router(engine: Engine, studies: Studies, config: &ServeConfig) -> 
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(TraceLayer::new_for_http().make_span_with(span))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
-        .with_state(App {
-            engine,
-            studies,
-            pictures: Pictures::new(),
-            public_url,
-            live,
-            desk: Arc::new(Semaphore::new(DESKS)),
-        })
 }
 
-/// A request in the service's own log: without its query, which may hold a token.
+/// A request in the service's own log: without its query, which may hold a signature.
 fn span(request: &Request) -> tracing::Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let (method, path) = (request.method(), request.uri().path());

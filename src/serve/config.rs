@@ -1,14 +1,13 @@
 //! What the service is told at its start: where, for whom, and how much.
 
 use std::fmt;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::sync::Arc;
 
 use subtle::ConstantTimeEq;
 
 use super::engine::Refusal;
-use crate::live::Live;
 use crate::plan::{LOG_FIXED_BYTES, Plan};
 
 /// Shortest token that is taken, bytes: long enough not to be guessed.
@@ -35,8 +34,8 @@ pub struct ServeConfig {
     pub tokens: Tokens,
     /// Whether to serve other machines without tokens.
     pub insecure: bool,
-    /// Where viewers look on while a job runs.
-    pub live: Option<Arc<Live>>,
+    /// Address on which viewers look on while a job runs; port 0 for any.
+    pub live: Option<SocketAddr>,
 }
 
 impl ServeConfig {
@@ -194,6 +193,18 @@ pub enum Cors {
     Nobody,
     /// Those of the listed origins, as `https://app.foxglove.dev`.
     Origins(Vec<String>),
+}
+
+impl Cors {
+    /// Whether a page of this origin may read.
+    pub(super) fn admits(&self, origin: &str) -> bool {
+        *self == Self::Any || self.names(origin)
+    }
+
+    /// Whether the origin was named.
+    pub(super) fn names(&self, origin: &str) -> bool {
+        matches!(self, Self::Origins(origins) if origins.iter().any(|named| named == origin))
+    }
 }
 
 impl FromStr for Cors {

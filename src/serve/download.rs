@@ -4,8 +4,10 @@
 //! Invariant: a range is answered only out of the file that the client began with. The bytes are never
 //! compressed: their length and positions are what viewers go by.
 
-use std::path::PathBuf;
-use std::time::Duration;
+use std::fs::{File, Metadata};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, UNIX_EPOCH};
 
 use axum::Router;
 use axum::body::Body;
@@ -34,7 +36,7 @@ pub(super) async fn log(
     mut request: Request,
 ) -> Result<Response, Problem> {
     let file = path.clone();
-    let metadata = tokio::task::spawn_blocking(move || file.symlink_metadata()).await;
+    let metadata = tokio::task::spawn_blocking(move || dated(&file)).await;
     match metadata.map_err(std::io::Error::other).flatten() {
         // A link planted in the data directory must not lead out of it.
         Ok(metadata) if metadata.is_file() => {}
@@ -42,6 +44,9 @@ pub(super) async fn log(
         Err(error) => return Err(Problem::unreadable(&error)),
     }
 
+    if request.headers().get(RANGE).is_some_and(|range| !is_range(range)) {
+        request.headers_mut().remove(RANGE);
+    }
     let mut service = ServeFile::new(path);
     if let Some(wanted) = request.headers_mut().remove(IF_RANGE) {
         let mut probe = Request::new(Body::empty());
@@ -55,6 +60,34 @@ pub(super) async fn log(
     let answer = service.try_call(request).await.map_err(|error| Problem::unreadable(&error))?;
     let response = answer.into_response();
     Ok(if response.status().is_success() { as_log(id, response) } else { response })
+}
+
+/// What stands at a path. HTTP knows no date before 1970: a file that has one, of a clock that stood wrong, gets another.
+fn dated(path: &Path) -> io::Result<Metadata> {
+    let metadata = path.symlink_metadata()?;
+    if metadata.is_file() && metadata.modified()? < UNIX_EPOCH {
+        File::options().append(true).open(path)?.set_modified(UNIX_EPOCH)?;
+    }
+    Ok(metadata)
+}
+
+/// Whether a header asks for bytes as RFC 9110 (14.1) has it; what does not is to be ignored (14.2).
+fn is_range(value: &HeaderValue) -> bool {
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    // As numbers of any length: a longer one is larger, once zeros are gone.
+    let at_most = |first: &str, last: &str| {
+        let [first, last] = [first, last].map(|number| number.trim_start_matches('0'));
+        (first.len(), first) <= (last.len(), last)
+    };
+    let ranges = value.to_str().ok().and_then(|text| text.strip_prefix("bytes="));
+    ranges.is_some_and(|ranges| {
+        ranges.split(',').all(|range| match range.trim_matches([' ', '\t']).split_once('-') {
+            Some(("", last)) => digits(last),
+            Some((first, "")) => digits(first),
+            Some((first, last)) => digits(first) && digits(last) && at_most(first, last),
+            None => false,
+        })
+    })
 }
 
 /// Names an answer as the log of a job.

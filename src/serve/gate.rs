@@ -1,7 +1,9 @@
-//! Who may come in: the name that was called, how often, with which token, and how large a body.
+//! Who may come in: the name that was called, how often, from which page, with which token or link, and how large a
+//! body.
 //!
-//! Invariant: a request reaches a handler only under a name of ours, within the rate of its address, with a
-//! token of the route's scope if there are tokens, and with a body that is whole and small.
+//! Invariant: a request reaches a handler only under a name of ours, within the rate of its address, not from a page
+//! of another origin if it changes anything, with a token of the route's scope or a link to what it reads if there are
+//! tokens, and with a body that is whole and small.
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
@@ -10,7 +12,7 @@ use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream, Bytes};
 use axum::extract::{Request, State};
-use axum::http::header::{AUTHORIZATION, CONTENT_LENGTH, EXPECT, HOST};
+use axum::http::header::{AUTHORIZATION, CONTENT_LENGTH, EXPECT, HOST, ORIGIN};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, Method, Uri};
 use axum::middleware::Next;
@@ -21,7 +23,8 @@ use governor::state::keyed::HashMapStateStore;
 use governor::{Quota, RateLimiter};
 
 use super::ServeConfig;
-use super::config::{Scope, Tokens};
+use super::config::{Cors, Scope, Tokens};
+use super::link::{LinkKey, Subject};
 use super::listen::Peer;
 use super::problem::Problem;
 
@@ -41,6 +44,12 @@ const BODY_TIMEOUT: Duration = Duration::from_secs(30);
 /// Addresses of which the rate is remembered before the quiet ones are forgotten.
 const REMEMBERED: usize = 10_000;
 
+/// What watches over the service asks here, however busy its address is.
+const PROBES: [&str; 2] = ["/healthz", "/readyz"];
+
+/// Where a browser says how the page that asks stands to the place that is asked.
+const SEC_FETCH_SITE: &str = "sec-fetch-site";
+
 /// What is checked of each request.
 #[derive(Clone, Debug)]
 pub(super) struct Gate(Arc<Rules>);
@@ -48,19 +57,29 @@ pub(super) struct Gate(Arc<Rules>);
 #[derive(Debug)]
 struct Rules {
     hosts: Vec<String>,
+    /// The origin of the page where a proxy serves it.
+    public_origin: Option<String>,
+    cors: Cors,
     tokens: Tokens,
+    /// Where there are tokens.
+    links: Option<LinkKey>,
     rate: RateLimiter<IpAddr, HashMapStateStore<IpAddr>, DefaultClock>,
 }
 
 impl Gate {
-    pub(super) fn new(config: &ServeConfig) -> Self {
+    pub(super) fn new(config: &ServeConfig, links: Option<LinkKey>) -> Self {
         let public = config.public_url.as_ref().and_then(|url| url.parse::<Uri>().ok());
-        let public = public.and_then(|url| url.host().map(str::to_owned));
-        let hosts = config.hosts.iter().cloned().chain(public);
+        let public_host = public.as_ref().and_then(|url| url.host().map(str::to_owned));
+        let public_origin =
+            public.and_then(|url| Some(format!("{}://{}", url.scheme()?, url.authority()?)));
+        let hosts = config.hosts.iter().cloned().chain(public_host);
         let rate = NonZeroU32::new(config.limits.requests_per_s).unwrap_or(NonZeroU32::MIN);
         Self(Arc::new(Rules {
             hosts: hosts.map(|host| host.to_ascii_lowercase()).collect(),
+            public_origin,
+            cors: config.cors.clone(),
             tokens: config.tokens.clone(),
+            links,
             rate: RateLimiter::hashmap(Quota::per_second(rate)),
         }))
     }
@@ -75,17 +94,34 @@ impl Gate {
             || self.0.hosts.contains(&host)
     }
 
+    /// Whether the origin is that of our own page: what was called, or what a proxy calls us.
+    fn is_own(&self, origin: &str, request: &Request) -> bool {
+        let own = called(request).is_some_and(|called| {
+            let (_, asking) = origin.split_once("://").unwrap_or_default();
+            asking.eq_ignore_ascii_case(called.as_str())
+        });
+        own || self.0.public_origin.as_deref() == Some(origin)
+    }
+
+    /// A page of another origin may change nothing, unless it was named: `*` is for reading.
+    fn check_change(&self, request: &Request) -> Result<(), Problem> {
+        let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
+        match foreign_page(request, |origin| self.is_own(origin, request)) {
+            Some(origin) if changes && !self.0.cors.names(origin) => Err(Problem::foreign_page()),
+            _ => Ok(()),
+        }
+    }
+
+    /// A socket is not held to the rules of sharing by browsers: we do.
+    fn check_reader(&self, request: &Request) -> Result<(), Problem> {
+        match foreign_page(request, |origin| self.is_own(origin, request)) {
+            Some(origin) if !self.0.cors.admits(origin) => Err(Problem::foreign_page()),
+            _ => Ok(()),
+        }
+    }
+
     fn check_host(&self, request: &Request) -> Result<(), Problem> {
-        // An absolute address in the request line goes before the header (RFC 9112, 3.2.2).
-        let authority = match request.uri().authority() {
-            Some(authority) => Some(authority.clone()),
-            None => {
-                let mut hosts = request.headers().get_all(HOST).iter();
-                let host = hosts.next().and_then(|host| host.to_str().ok()?.parse().ok());
-                host.filter(|_| hosts.next().is_none())
-            }
-        };
-        match authority {
+        match called(request) {
             None => Err(Problem::bad_host()),
             Some(authority) if self.knows(&authority) => Ok(()),
             Some(_) => Err(Problem::misdirected()),
@@ -93,6 +129,9 @@ impl Gate {
     }
 
     fn check_rate(&self, request: &Request) -> Result<(), Problem> {
+        if PROBES.contains(&request.uri().path()) {
+            return Ok(());
+        }
         let Some(Peer(peer)) = request.extensions().get() else { return Ok(()) };
         let rate = &self.0.rate;
         if rate.len() > REMEMBERED {
@@ -103,21 +142,55 @@ impl Gate {
         })
     }
 
-    /// Whether a request may do what `scope` says.
-    fn check_token(&self, request: &Request, scope: Scope) -> Result<(), Problem> {
+    /// Whether a request may do what `scope` says, by its token or as a link to what stands here.
+    fn check_token(
+        &self,
+        request: &Request,
+        scope: Scope,
+        here: Option<Subject>,
+    ) -> Result<(), Problem> {
         if self.0.tokens.is_empty() {
             return Ok(());
         }
-        let token = bearer(request.headers()).or_else(|| {
-            // Viewers can send no header: the address of a log carries the token.
-            let is_log = request.uri().path().ends_with(".mcap");
-            is_log.then(|| query_token(request.uri())).flatten()
-        });
-        let held = token.and_then(|token| self.0.tokens.scope(token));
+        let held = bearer(request.headers()).and_then(|token| self.0.tokens.scope(token));
         match held {
+            None if scope == Scope::Read && self.is_link(request, here) => Ok(()),
             None => Err(Problem::unauthorised()),
             Some(held) if held < scope => Err(Problem::forbidden(scope)),
             Some(_) => Ok(()),
+        }
+    }
+
+    fn is_link(&self, request: &Request, here: Option<Subject>) -> bool {
+        let (Some(links), Some(subject), Some(query)) =
+            (&self.0.links, here, request.uri().query())
+        else {
+            return false;
+        };
+        matches!(*request.method(), Method::GET | Method::HEAD) && links.opens(subject, query)
+    }
+}
+
+/// The name and port that were called. An absolute address in the request line goes before the header (RFC 9112,
+/// 3.2.2).
+fn called(request: &Request) -> Option<Authority> {
+    if let Some(authority) = request.uri().authority() {
+        return Some(authority.clone());
+    }
+    let mut hosts = request.headers().get_all(HOST).iter();
+    let host = hosts.next().and_then(|host| host.to_str().ok()?.parse().ok());
+    host.filter(|_| hosts.next().is_none())
+}
+
+/// The origin of the page that asks, if one does and it is not our own; empty if the browser does not tell it.
+fn foreign_page(request: &Request, is_own: impl Fn(&str) -> bool) -> Option<&str> {
+    let header = |name| request.headers().get(name).map(|value| value.to_str().unwrap_or_default());
+    match header(SEC_FETCH_SITE) {
+        // No page can set this header, and behind a proxy only the browser knows.
+        Some("same-origin" | "none") => None,
+        site => {
+            let origin = header(ORIGIN.as_str()).or(site.map(|_| ""))?;
+            (!is_own(origin)).then_some(origin)
         }
     }
 }
@@ -127,11 +200,7 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     kind.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-fn query_token(uri: &Uri) -> Option<&str> {
-    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
-}
-
-/// Host and rate, for every request.
+/// Host, rate and page, for every request.
 pub(super) async fn admit(
     State(gate): State<Gate>,
     request: Request,
@@ -139,6 +208,7 @@ pub(super) async fn admit(
 ) -> Result<Response, Problem> {
     gate.check_host(&request)?;
     gate.check_rate(&request)?;
+    gate.check_change(&request)?;
     Ok(next.run(request).await)
 }
 
@@ -148,7 +218,19 @@ pub(super) async fn authorise(
     request: Request,
     next: Next,
 ) -> Result<Response, Problem> {
-    gate.check_token(&request, scope)?;
+    let here = Subject::at(request.uri().path());
+    gate.check_token(&request, scope, here)?;
+    Ok(next.run(request).await)
+}
+
+/// Page and token, for viewers of the live view.
+pub(super) async fn look_on(
+    State(gate): State<Gate>,
+    request: Request,
+    next: Next,
+) -> Result<Response, Problem> {
+    gate.check_reader(&request)?;
+    gate.check_token(&request, Scope::Read, Some(Subject::Live))?;
     Ok(next.run(request).await)
 }
 

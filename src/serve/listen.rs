@@ -1,12 +1,13 @@
 //! Connections: taken, counted, timed.
 //!
 //! Invariants: a connection that says nothing, or reads nothing, is closed in the end; there are never more
-//! than the limits allow, and one too many harms no other; a failed accept does not end the service.
+//! than the limits allow, and one too many harms none that has said what it wants; a failed accept does not end the
+//! service.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::convert::Infallible;
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::Router;
@@ -18,6 +19,7 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
 use tokio_io_timeout::TimeoutStream;
 use tower::ServiceExt;
 
@@ -39,23 +41,71 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Peer(pub(super) IpAddr);
 
-/// Open connections by address.
-#[derive(Clone, Debug, Default)]
-struct Open(Arc<Mutex<HashMap<IpAddr, usize>>>);
+/// Open connections, of all doors.
+#[derive(Clone, Debug)]
+pub(super) struct Open(Arc<Mutex<Places>>);
+
+#[derive(Debug)]
+struct Places {
+    limits: Limits,
+    by_address: HashMap<IpAddr, usize>,
+    /// Those that have not said yet what they want, the longest waiting first.
+    silent: BTreeMap<u64, JoinHandle<()>>,
+    next_id: u64,
+}
 
 impl Open {
-    /// Counts a connection; `None` if it is one too many.
-    fn enter(&self, peer: IpAddr, limits: &Limits) -> Option<Entry> {
-        let mut open = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if open.values().sum::<usize>() >= limits.connections {
-            return None;
+    pub(super) fn new(limits: Limits) -> Self {
+        let (by_address, silent) = (HashMap::new(), BTreeMap::new());
+        Self(Arc::new(Mutex::new(Places { limits, by_address, silent, next_id: 0 })))
+    }
+
+    fn places(&self) -> MutexGuard<'_, Places> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Counts a connection and begins it; false if it is one too many.
+    fn begin<F>(&self, peer: IpAddr, connection: impl FnOnce(Entry) -> F) -> bool
+    where
+        F: Future<Output = ()> + Send + 'static,
+    {
+        let mut places = self.places();
+        if places.is_full() {
+            return false;
         }
-        let count = open.entry(peer).or_default();
-        if *count >= limits.connections_per_client {
-            return None;
+        let limit = places.limits.connections_per_client;
+        let count = places.by_address.entry(peer).or_default();
+        if *count >= limit {
+            return false;
         }
         *count += 1;
-        Some(Entry { open: self.clone(), peer })
+        places.next_id += 1;
+        let id = places.next_id;
+        // Behind the lock: it cannot speak before it is known as silent.
+        let task = tokio::spawn(connection(Entry { open: self.clone(), peer, id }));
+        places.silent.insert(id, task);
+        true
+    }
+
+    /// Whether another one would be one too many.
+    fn is_full(&self) -> bool {
+        self.places().is_full()
+    }
+
+    /// Closes the connection that has been silent for longest: whoever means to ask does so at once.
+    async fn shed(&self) {
+        let longest = self.places().silent.pop_first();
+        if let Some((_, task)) = longest {
+            task.abort();
+            // Its handle is free when this returns.
+            let _ = task.await;
+        }
+    }
+}
+
+impl Places {
+    fn is_full(&self) -> bool {
+        self.by_address.values().sum::<usize>() >= self.limits.connections
     }
 }
 
@@ -63,15 +113,24 @@ impl Open {
 struct Entry {
     open: Open,
     peer: IpAddr,
+    id: u64,
+}
+
+impl Entry {
+    /// A whole head has come.
+    fn speaks(&self) {
+        self.open.places().silent.remove(&self.id);
+    }
 }
 
 impl Drop for Entry {
     fn drop(&mut self) {
-        let mut open = self.open.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(count) = open.get_mut(&self.peer) {
+        let mut places = self.open.places();
+        places.silent.remove(&self.id);
+        if let Some(count) = places.by_address.get_mut(&self.peer) {
             *count -= 1;
             if *count == 0 {
-                open.remove(&self.peer);
+                places.by_address.remove(&self.peer);
             }
         }
     }
@@ -81,10 +140,9 @@ impl Drop for Entry {
 pub(super) async fn listen(
     listener: TcpListener,
     app: Router,
-    limits: Limits,
+    open: Open,
     mut stop: watch::Receiver<bool>,
 ) {
-    let open = Open::default();
     let (alive, mut gone) = mpsc::channel::<()>(1);
     let stopping = stop.clone();
     loop {
@@ -96,31 +154,36 @@ pub(super) async fn listen(
             Ok((stream, address)) => (stream, address.ip()),
             Err(error) => {
                 tracing::warn!(%error, "connection not accepted");
+                open.shed().await;
                 tokio::time::sleep(ACCEPT_PAUSE).await;
                 continue;
             }
         };
-        let Some(entry) = open.enter(peer, &limits) else {
-            tracing::debug!(%peer, "one connection too many");
-            continue;
-        };
+        if open.is_full() {
+            open.shed().await;
+        }
         let (app, stopping, alive) = (app.clone(), stopping.clone(), alive.clone());
-        tokio::spawn(async move {
-            serve(stream, peer, app, stopping).await;
-            drop((entry, alive));
+        let begun = open.begin(peer, |entry| async move {
+            serve(stream, entry, app, stopping).await;
+            drop(alive);
         });
+        if !begun {
+            tracing::debug!(%peer, "one connection too many");
+        }
     }
     drop((listener, alive));
     // Nobody sends: this returns when the last connection is closed.
     let _ = gone.recv().await;
 }
 
-async fn serve(stream: TcpStream, peer: IpAddr, app: Router, mut stop: watch::Receiver<bool>) {
+async fn serve(stream: TcpStream, entry: Entry, app: Router, mut stop: watch::Receiver<bool>) {
+    let peer = entry.peer;
     // Small answers go out at once.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
-    let service = service_fn(move |mut request: Request<Incoming>| {
+    let service = service_fn(|mut request: Request<Incoming>| {
+        entry.speaks();
         request.extensions_mut().insert(Peer(peer));
         let answer = app.clone().oneshot(request.map(Body::new));
         async { answer.await.map_err(|never: Infallible| never) }
@@ -129,7 +192,8 @@ async fn serve(stream: TcpStream, peer: IpAddr, app: Router, mut stop: watch::Re
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_TIMEOUT)
         .max_header_size(MAX_HEAD)
-        .serve_connection(TokioIo::new(Box::pin(stream)), service);
+        .serve_connection(TokioIo::new(Box::pin(stream)), service)
+        .with_upgrades();
     let mut connection = std::pin::pin!(connection);
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,

@@ -4,16 +4,19 @@
 //! Invariant: a page uses the public routes alone and asks nobody else for anything; its policy allows it
 //! no script and no style but the two that were built in.
 
+use std::collections::HashMap;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
 
 use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY};
 use axum::response::{Html, IntoResponse, Response};
 use base64::Engine as _;
 use base64::prelude::BASE64_STANDARD;
 use sha2::{Digest, Sha256};
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, oneshot, watch};
 
+use super::give_way;
 use super::problem::Problem;
 use crate::chart::{ChartError, LogChart, draw_log};
 use crate::log::stretch::{Stretch, read_stretch};
@@ -23,7 +26,7 @@ use crate::log::{LogError, part_path};
 pub(super) const STRETCH: usize = 300;
 pub(super) const MAX_STRETCH: usize = 2000;
 
-/// Logs that are read for pictures at once: a long log keeps a thread busy for seconds.
+/// Logs that are read at once for charts, and as many for attitudes: a long log keeps a thread busy for seconds.
 const READERS: usize = 2;
 
 const STYLE: &str = include_str!("page/style.css");
@@ -88,25 +91,88 @@ pub(super) async fn layout() -> Response {
     ([(CONTENT_TYPE, "application/json"), (CACHE_CONTROL, "no-cache")], LAYOUT).into_response()
 }
 
-/// Reads logs for pictures, a few at a time.
+/// Reads logs for pictures: a few at a time, on threads that give way, and each chart once however many ask for it at
+/// the same time.
 #[derive(Clone, Debug)]
-pub(super) struct Pictures(Arc<Semaphore>);
+pub(super) struct Pictures {
+    drawing: Arc<Mutex<HashMap<Wanted, watch::Sender<Option<Drawn>>>>>,
+    charts: Arc<Semaphore>,
+    stretches: Arc<Semaphore>,
+}
+
+/// A chart of a log.
+type Wanted = (PathBuf, &'static str);
+
+/// A chart, or why there is none; of all who wait for it.
+type Drawn = Arc<Result<String, ChartError>>;
 
 impl Pictures {
     pub(super) fn new() -> Self {
-        Self(Arc::new(Semaphore::new(READERS)))
+        let turns = || Arc::new(Semaphore::new(READERS));
+        Self { drawing: Arc::default(), charts: turns(), stretches: turns() }
     }
 
     /// The chart with the file name `name` of a finished log.
     pub(super) async fn chart(&self, name: &str, log: PathBuf) -> Result<Response, Problem> {
         let which = LogChart::ALL.into_iter().find(|which| which.file() == name);
         let which = which.ok_or_else(|| Problem::not_found("chart"))?;
-        let drawn = self.read(move || draw_log(own_file(&log)?, which)).await?;
-        match drawn {
-            Ok(svg) => Ok(([(CONTENT_TYPE, "image/svg+xml")], svg).into_response()),
+        match &*self.drawn(which, log).await? {
+            Ok(svg) => Ok(([(CONTENT_TYPE, "image/svg+xml")], svg.clone()).into_response()),
             Err(ChartError::Empty) => Err(Problem::not_found("sample in the log for a chart")),
-            Err(error) => Err(Problem::unreadable(&error)),
+            Err(error) => Err(Problem::unreadable(error)),
         }
+    }
+
+    async fn drawn(&self, which: LogChart, log: PathBuf) -> Result<Drawn, Problem> {
+        let wanted = (log, which.file());
+        let mut seen = {
+            let mut drawing = self.drawing();
+            match drawing.get(&wanted) {
+                Some(drawn) => drawn.subscribe(),
+                None => {
+                    let (drawn, seen) = watch::channel(None);
+                    drawing.insert(wanted.clone(), drawn.clone());
+                    tokio::spawn(self.clone().draw(which, wanted, drawn));
+                    seen
+                }
+            }
+        };
+        let drawn = seen.wait_for(Option::is_some).await;
+        // Without a word only if it panicked, or the service goes down.
+        let drawn = drawn.map_err(|error| Problem::unreadable(&error))?.clone();
+        drawn.ok_or_else(|| Problem::not_found("chart"))
+    }
+
+    /// Draws a chart when its turn comes, unless nobody waits for it any more.
+    async fn draw(self, which: LogChart, wanted: Wanted, drawn: watch::Sender<Option<Drawn>>) {
+        let turn = tokio::select! {
+            turn = self.charts.acquire() => turn,
+            () = self.unwanted(&wanted, &drawn) => return,
+        };
+        let log = wanted.0.clone();
+        let chart = aside(move || draw_log(own_file(&log)?, which)).await;
+        drop(turn);
+        self.drawing().remove(&wanted);
+        if let Ok(chart) = chart {
+            drawn.send_replace(Some(Arc::new(chart)));
+        }
+    }
+
+    /// Ends when nobody waits for a chart; then it is taken off the list.
+    async fn unwanted(&self, wanted: &Wanted, drawn: &watch::Sender<Option<Drawn>>) {
+        loop {
+            drawn.closed().await;
+            let mut drawing = self.drawing();
+            // Not if somebody came since.
+            if drawn.is_closed() {
+                drawing.remove(wanted);
+                return;
+            }
+        }
+    }
+
+    fn drawing(&self) -> MutexGuard<'_, HashMap<Wanted, watch::Sender<Option<Drawn>>>> {
+        self.drawing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Attitudes of a log from a time on; of one that is being written, its first ones.
@@ -118,27 +184,25 @@ impl Pictures {
         samples: usize,
     ) -> Result<Stretch, Problem> {
         let path = if finished { log } else { part_path(&log) };
-        let read = self.read(move || read_stretch(own_file(&path)?, from_s, samples)).await?;
-        match read {
+        let _turn = self.stretches.acquire().await.map_err(|error| Problem::unreadable(&error))?;
+        let read = aside(move || read_stretch(own_file(&path)?, from_s, samples)).await;
+        match read.map_err(|error| Problem::unreadable(&error))? {
             Ok(stretch) => Ok(stretch),
             // Not begun yet, or finished at this moment.
             Err(_) if !finished => Ok(Stretch::default()),
             Err(error) => Err(Problem::unreadable(&error)),
         }
     }
+}
 
-    async fn read<T: Send + 'static>(
-        &self,
-        work: impl FnOnce() -> T + Send + 'static,
-    ) -> Result<T, Problem> {
-        let unreadable = |error: &dyn std::error::Error| Problem::unreadable(error);
-        let turn = self.0.clone().acquire_owned().await.map_err(|error| unreadable(&error))?;
-        let work = move || {
-            let _turn = turn;
-            work()
-        };
-        tokio::task::spawn_blocking(work).await.map_err(|error| unreadable(&error))
-    }
+/// Does work that takes the processor for long on a thread of its own, which gives way.
+async fn aside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> io::Result<T> {
+    let (done, result) = oneshot::channel();
+    std::thread::Builder::new().name("picture".to_owned()).spawn(move || {
+        give_way();
+        let _ = done.send(work());
+    })?;
+    result.await.map_err(io::Error::other)
 }
 
 /// A path that is a file: a link planted in the data directory must not lead out of it.
@@ -146,4 +210,49 @@ fn own_file(path: &Path) -> Result<&Path, LogError> {
     let storage = |source| LogError::Storage { path: path.to_owned(), action: "read", source };
     let metadata = path.symlink_metadata().map_err(storage)?;
     if metadata.is_file() { Ok(path) } else { Err(storage(std::io::ErrorKind::NotFound.into())) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+    use std::sync::Arc;
+
+    use super::{LogChart, Pictures, READERS};
+
+    #[tokio::test]
+    async fn a_chart_is_drawn_once_for_all_who_wait_and_not_at_all_for_nobody() {
+        let pictures = Pictures::new();
+        let all = pictures.charts.acquire_many(READERS as u32).await.expect("open");
+        let ask = || {
+            let pictures = pictures.clone();
+            tokio::spawn(async move {
+                pictures.drawn(LogChart::Energy, PathBuf::from("no/such.mcap")).await
+            })
+        };
+        let asked: Vec<_> = (0..60).map(|_| ask()).collect();
+        while pictures.drawing().values().map(|drawn| drawn.receiver_count()).sum::<usize>() < 60 {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(pictures.drawing().len(), 1);
+        drop(all);
+        let mut drawn = Vec::new();
+        for answer in asked {
+            drawn.push(answer.await.expect("no panic").expect("an answer"));
+        }
+        assert!(drawn.iter().all(|one| one.is_err() && Arc::ptr_eq(one, &drawn[0])));
+        assert!(pictures.drawing().is_empty());
+
+        let all = pictures.charts.acquire_many(READERS as u32).await.expect("open");
+        let left = ask();
+        while pictures.drawing().is_empty() {
+            tokio::task::yield_now().await;
+        }
+        left.abort();
+        while !pictures.drawing().is_empty() {
+            tokio::task::yield_now().await;
+        }
+        drop(all);
+        // Who comes later is served.
+        assert!(ask().await.expect("no panic").expect("an answer").is_err());
+    }
 }

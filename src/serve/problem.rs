@@ -4,6 +4,7 @@
 //! (`fill` sees to that); no answer names a file of the machine.
 
 use std::any::Any;
+use std::io;
 use std::time::Duration;
 
 use axum::Json;
@@ -26,6 +27,9 @@ const UNPROCESSABLE: StatusCode = StatusCode::UNPROCESSABLE_ENTITY;
 
 /// Longest detail in an answer, bytes: enough to say what is wrong, too short to echo a body.
 const MAX_DETAIL: usize = 1024;
+
+/// Longest pointer in an answer, bytes: a key of a body can be as long as the body.
+const MAX_POINTER: usize = 200;
 
 /// Seconds after which a full queue or a restarting service is worth another try.
 const RETRY_S: u64 = 5;
@@ -88,7 +92,7 @@ impl Problem {
 
     /// No token, or none of ours.
     pub(super) fn unauthorised() -> Self {
-        let detail = "send a token: Authorization: Bearer TOKEN";
+        let detail = "send a token: Authorization: Bearer TOKEN; or, for a log, use a link that has not ended";
         Self::new(StatusCode::UNAUTHORIZED, "unauthorized", detail)
     }
 
@@ -96,6 +100,24 @@ impl Problem {
     pub(super) fn forbidden(scope: Scope) -> Self {
         let detail = format!("this needs a token of the scope {scope}");
         Self::new(StatusCode::FORBIDDEN, "forbidden", detail)
+    }
+
+    /// A page of another origin that asks for what pages of others may not have.
+    pub(super) fn foreign_page() -> Self {
+        let detail = "a page of another origin asks: name its origin with --cors";
+        Self::new(StatusCode::FORBIDDEN, "foreign_page", detail)
+    }
+
+    /// A viewer that does not speak as ours do.
+    pub(super) fn other_protocol() -> Self {
+        let detail = "speak one of the subprotocols foxglove.sdk.v1 and foxglove.websocket.v1";
+        Self::new(StatusCode::BAD_REQUEST, "other_protocol", detail)
+    }
+
+    /// One viewer too many.
+    pub(super) fn no_seat() -> Self {
+        let detail = "as many viewers look on as can: try again later";
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_viewers", detail).retry(RETRY_S)
     }
 
     /// A body beyond the limit.
@@ -124,8 +146,11 @@ impl Problem {
         Refusal::Stopping.into()
     }
 
-    /// A file that should be there cannot be read.
-    pub(super) fn unreadable(error: &dyn std::error::Error) -> Self {
+    /// A file that should be there cannot be read. One that is gone was forgotten while it was asked for.
+    pub(super) fn unreadable(error: &(dyn std::error::Error + 'static)) -> Self {
+        if is_gone(error) {
+            return Self::from_status(StatusCode::NOT_FOUND);
+        }
         tracing::error!(error = chain(error), "file unreadable");
         Self::new(
             StatusCode::INTERNAL_SERVER_ERROR,
@@ -162,15 +187,42 @@ impl Problem {
             end -= 1;
         }
         detail.truncate(end);
+        let pointer = self.pointer.map(|pointer| nearest(&pointer).to_owned());
         Body {
             kind: format!("urn:vpd:problem:{}", self.code),
             title: title(self.code),
             status: self.status.as_u16(),
             detail,
             code: self.code,
-            pointer: self.pointer,
+            pointer,
         }
     }
+}
+
+/// Whether an error says that there is no such file.
+fn is_gone(error: &(dyn std::error::Error + 'static)) -> bool {
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        let io = error.downcast_ref::<io::Error>().map(io::Error::kind);
+        let store = error.downcast_ref::<object_store::Error>();
+        if io == Some(io::ErrorKind::NotFound)
+            || matches!(store, Some(object_store::Error::NotFound { .. }))
+        {
+            return true;
+        }
+        cause = error.source();
+    }
+    false
+}
+
+/// A pointer to the field, or if that is too long, to what it lies in.
+fn nearest(pointer: &str) -> &str {
+    if pointer.len() <= MAX_POINTER {
+        return pointer;
+    }
+    let begin = pointer.as_bytes().get(..=MAX_POINTER).unwrap_or_default();
+    let end = begin.iter().rposition(|byte| *byte == b'/').unwrap_or(0);
+    pointer.get(..end).unwrap_or_default()
 }
 
 /// The text of a problem.
@@ -185,7 +237,7 @@ pub(super) struct Body {
     detail: String,
     /// What is wrong, for a program; fixed.
     code: &'static str,
-    /// JSON pointer of the field at fault.
+    /// JSON pointer of the field at fault; of what it lies in, if it is longer than 200 bytes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pointer: Option<String>,
 }
@@ -273,6 +325,8 @@ impl From<Refusal> for Problem {
                 let wait = eta_s.unwrap_or(RETRY_S as f64).ceil().clamp(1.0, MAX_RETRY_S);
                 with(StatusCode::CONFLICT, "log_unfinished").retry(wait as u64)
             }
+            // Forgotten while it was asked for.
+            Refusal::Store(error) if is_gone(&error) => Refusal::UnknownJob.into(),
             Refusal::Store(error) => {
                 tracing::error!(error = chain(&error), "store failed");
                 match error.code() {

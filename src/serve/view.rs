@@ -8,6 +8,7 @@ use serde_json::value::RawValue;
 use uuid::Uuid;
 
 use super::job::{State, View};
+use super::link::{LinkKey, Subject};
 use crate::scenario::SHIPPED;
 
 /// A job as clients see it.
@@ -56,6 +57,15 @@ pub(super) struct Reach {
     pub(super) base: Option<String>,
     /// The address of the live view, if there is one that they reach.
     pub(super) live: Option<String>,
+    /// What signs the links that viewers follow, where there are tokens.
+    pub(super) links: Option<LinkKey>,
+}
+
+impl Reach {
+    /// What has to follow an address, so that a viewer may read there.
+    fn pass(&self, subject: Subject) -> String {
+        self.links.as_ref().map_or(String::new(), |links| format!("?{}", links.query(subject)))
+    }
 }
 
 /// Where the rest is.
@@ -65,7 +75,8 @@ struct Links {
     this: String,
     scenario: String,
     events: String,
-    /// The finished log.
+    /// The finished log. Where there are tokens this address, and each that opens a log in a viewer, is signed: who has
+    /// it may read this log without a token, for a day.
     #[serde(skip_serializing_if = "Option::is_none")]
     log: Option<String>,
     /// The log as it grows.
@@ -178,11 +189,16 @@ impl JobView {
             .map(|record| (record.finished, record.summary, record.diagnosis))
             .unwrap_or_default();
         let will_have_log = has_log || !state.is_final();
-        let log = format!("/jobs/{id}/log.mcap");
+        let pass = reach.pass(Subject::Log(id));
+        let log = format!("/jobs/{id}/log.mcap{pass}");
         let base = reach.base.as_deref();
         let viewers =
             base.filter(|_| has_log).map(|base| Viewers::of(base, &format!("{base}{log}")));
         let live = reach.live.as_deref().filter(|_| state == State::Running);
+        let live = live.map(|address| match reach.pass(Subject::Live) {
+            pass if pass.is_empty() => address.to_owned(),
+            pass => format!("{address}/{pass}"),
+        });
         Self {
             id,
             name,
@@ -201,9 +217,9 @@ impl JobView {
                 log: will_have_log.then_some(log),
                 attitudes: will_have_log.then(|| format!("/jobs/{id}/attitudes.json")),
                 charts: has_log.then(|| Charts::of(id)),
-                live: will_have_log.then(|| format!("/jobs/{id}/live.mcap")),
+                live: will_have_log.then(|| format!("/jobs/{id}/live.mcap{pass}")),
                 viewers,
-                live_viewers: live.map(|address| LiveViewers::of(base, address)),
+                live_viewers: live.map(|address| LiveViewers::of(base, &address)),
             },
         }
     }

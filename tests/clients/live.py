@@ -1,4 +1,4 @@
-"""The live view through a raw WebSocket client: the protocol of Foxglove's SDK, a running job, its samples.
+"""The live view through a raw WebSocket client: the protocol of Foxglove, a running job, its samples, who is let in.
 
     python live.py
 """
@@ -14,6 +14,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from service import call, serving
 
+PROTOCOLS = ["foxglove.sdk.v1", "foxglove.websocket.v1"]
+TOKEN = "a-token-of-the-tests"
 TOPICS = ["/state", "/energy", "/tf", "/scene/body"]
 
 
@@ -26,8 +28,9 @@ def decoder(channel):
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(channel["schemaName"]))
 
 
-async def watch(address, url):
-    async with websockets.connect(address, subprotocols=["foxglove.sdk.v1"]) as socket:
+async def watch(address, url, protocol):
+    async with websockets.connect(address, subprotocols=[protocol]) as socket:
+        assert socket.subprotocol == protocol
         info = json.loads(await socket.recv())
         assert info["op"] == "serverInfo" and "time" in info["capabilities"], info
         channels = {}
@@ -69,23 +72,53 @@ async def watch(address, url):
     assert clock == sorted(clock) and set(t for t, _ in states) <= set(clock), "the clock"
     turns = {(f.transforms[0].rotation.w, f.transforms[0].rotation.x) for f in frames}
     assert len(turns) > 10, "the body does not turn"
-    print(f"pass  live view: {len(frames)} frames, {len(seen['/scene/body'])} drawings, {len(clock)} times")
+    print(f"pass  live view, {protocol}: {len(frames)} frames, {len(seen['/scene/body'])} drawings, {len(clock)} times")
 
 
-async def refuse_old(address):
+async def knock(address, **options):
+    """101 for who is let in, else the status."""
     try:
-        async with websockets.connect(address, subprotocols=["foxglove.websocket.v1"]):
-            pass
+        async with websockets.connect(address, **({"subprotocols": PROTOCOLS} | options)):
+            return 101
     except websockets.exceptions.InvalidStatus as refused:
-        print(f"pass  the old protocol is refused: {refused.response.status_code}")
-        return
-    raise AssertionError("the old protocol was taken")
+        return refused.response.status_code
+
+
+async def guard(address, url):
+    """The door where there are tokens, and pages are named."""
+    token = {"authorization": f"Bearer {TOKEN}"}
+    scenario = call(f"{url}/scenarios/dipole", headers=token)
+    del scenario["expect"]
+    scenario |= {"steps": 100_000_000, "log": {"every": 1000}}
+    job = call(f"{url}/jobs", scenario, headers=token)["id"]
+    while (seen := call(f"{url}/jobs/{job}", headers=token))["state"] != "running":
+        await asyncio.sleep(0.05)
+    link = seen["links"]["live_viewers"]["address"]
+    assert link.startswith(f"{address}/?expires=") and TOKEN not in json.dumps(seen)
+    port = address.rsplit(":", 1)[1]
+    for name, wanted, place, options in [
+        ("a link", 101, link, {}),
+        ("a token", 101, address, {"additional_headers": token}),
+        ("a page that was named", 101, link, {"origin": "https://app.foxglove.dev"}),
+        ("no token", 401, address, {}),
+        ("another signature", 401, link[:-4] + "0000", {}),
+        ("another page", 403, link, {"origin": "https://evil.example"}),
+        ("another name", 421, link.replace("127.0.0.1", "evil.example"), {"host": "127.0.0.1", "port": int(port)}),
+        ("another protocol", 400, link, {"subprotocols": ["other.v1"]}),
+    ]:
+        status = await knock(place, **options)
+        assert status == wanted, f"{name}: {status}"
+        print(f"pass  {name}: {status}")
+    call(f"{url}/jobs/{job}/cancel", method="POST", headers=token)
 
 
 def main():
     with serving(live=True) as (url, address):
-        asyncio.run(watch(address, url))
-        asyncio.run(refuse_old(address))
+        for protocol in PROTOCOLS:
+            asyncio.run(watch(address, url, protocol))
+    named = ["--cors", "https://app.foxglove.dev"]
+    with serving(*named, live=True, env={"VPD_TOKENS": f"admin {TOKEN}"}) as (url, address):
+        asyncio.run(guard(address, url))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,11 @@
 //
 //     node page.mjs [DIRECTORY]     also writes screenshots
 import assert from "node:assert/strict";
+import { execFile } from "node:child_process";
+import { mkdtemp, readFile, readdir, rm } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { promisify } from "node:util";
 import { browser, checks, ended, service, shipped, submit } from "./service.mjs";
 
 const shots = process.argv[2];
@@ -95,6 +100,26 @@ await checks({
     assert.ok((await link("#open-lichtblick_desktop")).startsWith(`lichtblick://open?ds=remote-file&ds.url=${log}`));
     const [download] = await Promise.all([page.waitForEvent("download"), page.click("#download")]);
     assert.match(download.suggestedFilename(), /^vpd-.*\.mcap$/);
+  },
+  "a command is safe to paste, whatever the name of the job": async () => {
+    const names = ["$(touch pwned)", "`touch pwned`; touch pwned #", "a'b\"; touch pwned; '", "-rf ../../x & touch pwned", "..", "Kreisel, schräg"];
+    const shown = [];
+    for (const name of names) {
+      const { id } = await submit(url, { ...await shipped(url, "free-body"), name });
+      await ended(url, id);
+      await page.goto(`${url}/#/jobs/${id}`);
+      await page.waitForFunction(id => document.querySelector(".shell pre")?.textContent.includes(id), id);
+      const folder = await mkdtemp(join(tmpdir(), "vpd-shell-"));
+      for (const command of await page.$$eval(".shell pre", boxes => boxes.map(box => box.textContent))) {
+        const fetched = command.split("\n")[0];
+        await promisify(execFile)("sh", ["-ec", fetched], { cwd: folder });
+        shown.push(fetched);
+      }
+      const files = (await readdir(folder)).sort();
+      assert.ok(files.length === 2 && files.includes("scenario.json") && files.every(file => /^\w[\w.-]*$/.test(file)), `${name}: ${files}`);
+      await rm(folder, { recursive: true });
+    }
+    return shown[0];
   },
   "bad input is shown at its field": async () => {
     const text = await page.inputValue("#text");
@@ -232,13 +257,26 @@ await checks({
   "a token is asked for, kept in the tab, and sent": async () => {
     const shut = await open(guarded.url);
     await shut.waitForSelector("#token-dialog[open]");
+    // An answer to what was asked before comes only when the token is given.
+    const late = [];
+    await shut.route("**/jobs?*", route => { late.push(route); });
+    await shut.waitForRequest(/jobs\?/);
     await shut.fill("#token", "a-token-of-the-tests");
     await shut.click("#token-form .main");
+    for (const route of late.splice(0)) await route.continue();
+    await shut.unroute("**/jobs?*");
     await shut.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
     await shut.click("button[type=submit]");
     await state(shut, "succeeded");
     await shut.waitForFunction(() => document.querySelectorAll(".charts img").length === 3);
-    assert.match(await shut.getAttribute("#open-rerun", "href"), /log\.mcap%3Ftoken%3Da-token-of-the-tests$/);
+    // What the page links to and shows leads to the log, and the token is in none of it.
+    assert.match(await shut.getAttribute("#open-rerun", "href"), /log\.mcap%3Fexpires%3D\d+%26signature%3D[0-9a-f]{64}$/);
+    const [download] = await Promise.all([shut.waitForEvent("download"), shut.click("#download")]);
+    assert.equal((await readFile(await download.path())).subarray(1, 5).toString(), "MCAP");
+    assert.ok(!(await shut.content()).includes("a-token-of-the-tests"));
+    assert.ok(!shut.asked.some(to => to.includes("a-token-of-the-tests")));
+    for (const command of await shut.$$eval(".shell pre", shown => shown.map(node => node.textContent)))
+      assert.match(command, /^curl -H "authorization: Bearer \$TOKEN" -o [\w.-]+ 'http:[^'?]*'/);
     assert.equal(await shut.evaluate(() => sessionStorage.getItem("vpd-token")), "a-token-of-the-tests");
     assert.deepEqual(shut.wrong, []);
     await shut.context().close();

@@ -12,12 +12,12 @@ VPD = os.path.abspath(os.environ.get("VPD", "target/release/vpd"))
 
 
 @contextlib.contextmanager
-def serving(*args, live=False):
+def serving(*args, live=False, env=None):
     """Runs `vpd serve` on a free port; gives its address, and that for viewers if it is `live`."""
     with tempfile.TemporaryDirectory() as data:
         command = [VPD, "serve", "--listen", "127.0.0.1:0", "--data", data, *args]
         command += ["--foxglove-listen", "127.0.0.1:0"] if live else []
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | (env or {}))
         try:
             url = awaited(process, r"listening on (http://[\d.:]+)")
             yield (url, awaited(process, r"viewers may connect to (ws://[\d.:]+)")) if live else url
@@ -36,10 +36,10 @@ def awaited(process, pattern):
     raise RuntimeError("vpd serve ended: " + "".join(lines))
 
 
-def call(url, body=None, method=None):
+def call(url, body=None, method=None, headers=None):
     """One request; JSON in, JSON out."""
     data = None if body is None else json.dumps(body).encode()
-    headers = {"content-type": "application/json"}
+    headers = {"content-type": "application/json"} | (headers or {})
     request = urllib.request.Request(url, data=data, headers=headers, method=method)
     with urllib.request.urlopen(request, timeout=30) as answer:
         return json.loads(answer.read() or b"null")

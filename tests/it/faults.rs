@@ -5,6 +5,7 @@
 
 mod damage;
 mod disk;
+mod handles;
 mod kill;
 mod load;
 mod process;

@@ -4,14 +4,15 @@ mod follow;
 mod guard;
 mod jobs;
 mod life;
+mod links;
 mod log;
 mod page;
 mod studies;
+mod viewers;
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -19,7 +20,6 @@ use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::oneshot;
 use ureq::http::{HeaderMap, Request};
-use vpd::live::Live;
 use vpd::serve::{Cors, Limits, ServeConfig, ServeError, serve};
 
 /// Longest wait for anything that should happen soon: long, for machines under load.
@@ -66,7 +66,6 @@ struct Server {
 /// What a test wants of its service.
 struct Setup {
     config: ServeConfig,
-    live: bool,
 }
 
 fn service(data: &TempDir) -> Setup {
@@ -74,7 +73,7 @@ fn service(data: &TempDir) -> Setup {
     config.limits.queue = 100;
     // The tests are one client, and a busy one.
     config.limits.requests_per_s = 100_000;
-    Setup { config, live: false }
+    Setup { config }
 }
 
 impl Setup {
@@ -114,11 +113,11 @@ impl Setup {
     }
 
     fn live(mut self) -> Self {
-        self.live = true;
+        self.config.live = Some(SocketAddr::from(([127, 0, 0, 1], 0)));
         self
     }
 
-    fn start(mut self) -> Server {
+    fn start(self) -> Server {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
         listener.set_nonblocking(true).expect("a socket");
         let address = listener.local_addr().expect("an address");
@@ -132,10 +131,6 @@ impl Setup {
                 let stopped = async {
                     let _ = stopped.await;
                 };
-                if self.live {
-                    let live = Live::listen(SocketAddr::from(([127, 0, 0, 1], 0))).await;
-                    self.config.live = Some(Arc::new(live.expect("a live view")));
-                }
                 serve(listener, self.config, stopped).await
             });
             runtime.shutdown_background();

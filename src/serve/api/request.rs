@@ -54,7 +54,7 @@ impl FromRequestParts<App> for Reach {
         let name = host.as_ref().map(Authority::host).filter(|_| app.public_url.is_none());
         let live = app.live.and_then(|live| live_address(live, name?));
         let base = app.public_url.clone().or_else(|| host.map(|host| format!("http://{host}")));
-        Ok(Self { base, live })
+        Ok(Self { base, live, links: app.links.clone() })
     }
 }
 

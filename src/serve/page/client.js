@@ -18,11 +18,15 @@ class Problem extends Error {
 
 async function call(path, options = {}) {
   const headers = { ...options.headers };
+  const asked = token;
   if (token) headers.authorization = `Bearer ${token}`;
   const answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, cache: "no-store" });
   if (answer.ok) return answer;
-  if (answer.status === 401 && !options.quiet) askToken();
-  throw new Problem(await answer.json().catch(() => ({})), answer.status);
+  const problem = new Problem(await answer.json().catch(() => ({})), answer.status);
+  // What was asked before the token was given says nothing about it.
+  problem.shut = answer.status === 401 && asked === token;
+  if (problem.shut && !options.quiet) askToken();
+  throw problem;
 }
 
 const json = async (path, options) => (await call(path, options)).json();
@@ -74,6 +78,14 @@ async function follow(id, seen, signal) {
     await new Promise(later => setTimeout(later, 1000));
   }
 }
+
+// ---- names in commands and files
+
+// One word to a POSIX shell, whatever is in it.
+const quoted = text => `'${text.replaceAll("'", "'\\''")}'`;
+
+// A name that is safe as that of a file, and in a shell, on every system.
+const fileName = name => name.replace(/[^A-Za-z0-9_.-]+/g, "-").replace(/^[-.]+|[-.]+$/g, "").slice(0, 80) || "log";
 
 // ---- words and figures
 

@@ -83,7 +83,7 @@ async function refresh() {
     showJobs();
     followSome();
     if (studies) await refreshStudies();
-  } catch (error) { if (error.status === 401) askToken(); }
+  } catch (error) { if (error.shut) askToken(); }
 }
 
 async function refreshStudies() {
@@ -133,30 +133,33 @@ function diagnosis(job) {
     h("p", {}, h("strong", {}, "What to do: "), found.advice ?? ""), again || null);
 }
 
-// The address of a log for viewers, which can send no header.
-function forViewers(link) {
-  if (!token) return link;
-  return link.replace(/(ds\.url=|url=)([^&]+)/, (_, key, log) => `${key}${log}${encodeURIComponent(`?token=${token}`)}`);
+const own = path => new URL(path.replace(/^\//, ""), base);
+
+// A command that fetches something of the service. What a person pastes into a shell has to be one word to it.
+function fetching(path, ...options) {
+  const place = own(path);
+  // Whoever pastes it has a token; a signed address would end in the history.
+  place.search = "";
+  return ["curl", ...token ? ['-H "authorization: Bearer $TOKEN"'] : [], ...options, quoted(place.href)].join(" ");
 }
 
 function links(job) {
   const { viewers, log } = job.links;
   const to = (name, href, props = {}) => h("a", { href, ...props }, name);
   const out = { target: "_blank", rel: "noopener noreferrer" };
-  const own = path => new URL(path.replace(/^\//, ""), base).href + (token && path.endsWith(".mcap") ? `?token=${encodeURIComponent(token)}` : "");
   const names = { foxglove: "Foxglove", foxglove_desktop: "Foxglove desktop", lichtblick_desktop: "Lichtblick", rerun: "Rerun" };
   return [
     h("h3", {}, "The log"),
     h("div", { className: "links" },
-      to("Download", own(log), { download: `vpd-${job.id}.mcap`, id: "download" }),
+      to("Download", own(log).href, { download: `vpd-${job.id}.mcap`, id: "download" }),
       Object.entries(names).filter(([key]) => viewers?.[key])
-        .map(([key, name]) => to(`Open in ${name}`, forViewers(viewers[key]), { ...out, id: `open-${key}` })),
-      to("Foxglove layout", own("layouts/foxglove.json"), { download: "vpd-foxglove.json" }),
-      to("Lichtblick layout", own("layouts/lichtblick.json"), { download: "vpd-lichtblick.json" })),
-    shell(`curl ${token ? '-H "authorization: Bearer $TOKEN" ' : ""}-o ${job.name || "log"}.mcap ${new URL(log.slice(1), base).href}`),
+        .map(([key, name]) => to(`Open in ${name}`, viewers[key], { ...out, id: `open-${key}` })),
+      to("Foxglove layout", own("layouts/foxglove.json").href, { download: "vpd-foxglove.json" }),
+      to("Lichtblick layout", own("layouts/lichtblick.json").href, { download: "vpd-lichtblick.json" })),
+    shell(fetching(log, "-o", `${fileName(job.name)}.mcap`)),
     h("div", { className: "row" }, h("span", { className: "soft" }, "The same scenario again:"),
       h("button", { type: "button", className: "small", id: "edit", onclick: () => edit(job) }, "Edit a copy")),
-    shell(`curl ${token ? '-H "authorization: Bearer $TOKEN" ' : ""}${new URL(job.links.scenario.slice(1), base).href} > scenario.json\nvpd run scenario.json`),
+    shell(`${fetching(job.links.scenario, "-o", "scenario.json")}\nvpd run scenario.json`),
   ];
 }
 
@@ -165,15 +168,14 @@ function liveLinks(job) {
   const { live, live_viewers: viewers } = job.links;
   const names = { foxglove: "Foxglove", foxglove_desktop: "Foxglove desktop", lichtblick_desktop: "Lichtblick" };
   const out = { target: "_blank", rel: "noopener noreferrer" };
-  const follow = new URL(live.slice(1), base).href;
   return [
     h("h3", {}, "While it runs"),
     h("div", { className: "links" },
       Object.entries(names).filter(([key]) => viewers?.[key])
         .map(([key, name]) => h("a", { href: viewers[key], ...out, id: `live-${key}` }, `Watch in ${name}`)),
-      h("a", { href: follow + (token ? `?token=${encodeURIComponent(token)}` : ""), download: `vpd-${job.id}.mcap`, id: "follow" }, "Follow the log")),
-    viewers ? h("p", { className: "soft" }, `The live view at ${viewers.address} shows one job at a time.`) : null,
-    shell(`curl ${token ? '-H "authorization: Bearer $TOKEN" ' : ""}-o ${job.name || "log"}.mcap ${follow}`),
+      h("a", { href: own(live).href, download: `vpd-${job.id}.mcap`, id: "follow" }, "Follow the log")),
+    viewers ? h("p", { className: "soft" }, `The live view at ${viewers.address.split("/?")[0]} shows one job at a time.`) : null,
+    shell(fetching(live, "-o", `${fileName(job.name)}.mcap`)),
   ];
 }
 
@@ -317,7 +319,7 @@ async function viewStudy(id) {
       ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
       h("div", { className: "charts" }, pictures.filter(Boolean)),
       h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
-        .map(link => h("a", { href: new URL(link.slice(1), base), download: `${study.name}.csv` }, "Table (CSV)"))));
+        .map(link => h("a", { href: own(link).href, download: `${fileName(study.name)}.csv` }, "Table (CSV)"))));
     if (ended) return;
     await new Promise(later => setTimeout(later, 1000));
   }
@@ -364,10 +366,8 @@ async function start() {
 }
 
 $("token-open").onclick = askToken;
-$("token-dialog").onclose = () => {
-  const answer = $("token-dialog").returnValue;
-  if (!answer) return;
-  token = answer === "save" ? $("token").value.trim() : "";
+$("token-form").onsubmit = ({ submitter }) => {
+  token = submitter.value === "save" ? $("token").value.trim() : "";
   if (token) sessionStorage.setItem("vpd-token", token); else sessionStorage.removeItem("vpd-token");
   start().catch(error => say(error.message));
 };

@@ -45,19 +45,30 @@ impl Service {
         arguments: &[&str],
         environment: &[(&str, &Path)],
     ) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_vpd"));
+        command.envs(environment.iter().copied());
+        Self::start_as(command, folder, arguments)
+    }
+
+    /// Starts by a command that takes the arguments of the program; what it says goes to `folder`/stderr.
+    pub(super) fn start_as(mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
+        let log = File::options().create(true).append(true).open(folder.join("stderr"));
+        command.stderr(log.expect("a file"));
+        Self::start_unheard(command, folder, arguments)
+    }
+
+    /// The same, but what it says goes where the command says.
+    pub(super) fn start_unheard(mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         // The system's choice of a free port; nobody else takes it in the moment between.
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = listener.local_addr().expect("an address");
         drop(listener);
         let data = folder.join("data");
-        let log = File::options().create(true).append(true).open(folder.join("stderr"));
-        let child = Command::new(env!("CARGO_BIN_EXE_vpd"))
+        let child = command
             .args(["serve", "--listen", &address.to_string(), "--data"])
             .arg(&data)
             .args(["--requests-per-s", "1000000", "--connections-per-client", "1000"])
             .args(arguments)
-            .envs(environment.iter().copied())
-            .stderr(log.expect("a file"))
             .stdout(Stdio::null())
             .spawn()
             .expect("the binary starts");

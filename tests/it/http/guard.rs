@@ -93,6 +93,53 @@ fn a_name_that_is_not_ours_is_misdirected() {
 }
 
 #[test]
+fn a_page_of_another_origin_changes_nothing() {
+    let data = directory();
+    let listed = "https://app.foxglove.dev".parse().expect("an origin");
+    for (setup, named) in [(service(&data), 403), (service(&data).cors(listed), 200)] {
+        let server = setup.public_url("https://jobs.example/x").start();
+        let id = server.finished();
+        let cancel = format!("/jobs/{id}/cancel");
+        let own = format!("http://{}", server.address);
+        let send = |method: &str, path: &str, headers: &[(&str, &str)]| {
+            let json = [&[("content-type", "application/json")], headers].concat();
+            server.send(method, path, &json, Some(b"{}"))
+        };
+        // Programs, our page, our page behind a proxy: past the gate. The job has ended.
+        for headers in [
+            &[][..],
+            &[("origin", own.as_str()), ("sec-fetch-site", "same-origin")],
+            &[("origin", &own)],
+            &[("origin", "https://jobs.example")],
+            &[("origin", "https://elsewhere.example"), ("sec-fetch-site", "same-origin")],
+        ] {
+            send("POST", &cancel, headers).problem(409, "job_ended");
+        }
+        let foreign = [
+            &[("origin", "https://evil.example")][..],
+            &[("origin", "null")],
+            &[("origin", "http://localhost:1")],
+            &[("sec-fetch-site", "cross-site")],
+            &[("origin", "https://evil.example"), ("sec-fetch-site", "same-site")],
+        ];
+        for headers in foreign {
+            for path in ["/jobs", "/studies", &cancel] {
+                send("POST", path, headers).problem(403, "foreign_page");
+            }
+            send("DELETE", &format!("/jobs/{id}"), headers).problem(403, "foreign_page");
+            // Reading is another matter.
+            assert_eq!(server.get_with(&format!("/jobs/{id}/log.mcap"), headers).status, 200);
+        }
+        // `*` is for reading; to change anything an origin has to be named.
+        let answer = send("POST", &cancel, &[("origin", "https://app.foxglove.dev")]);
+        match named {
+            403 => answer.problem(403, "foreign_page"),
+            _ => answer.problem(409, "job_ended"),
+        };
+    }
+}
+
+#[test]
 fn tokens_open_what_their_scope_says() {
     let data = directory();
     let tokens = format!("# ours\nread {READ}\n\nsubmit {SUBMIT}\nadmin {ADMIN}\n");
@@ -121,10 +168,8 @@ fn tokens_open_what_their_scope_says() {
     super::until("the end", || {
         (ask(READ, "GET", &format!("/jobs/{id}")).json()["state"] == "succeeded").then_some(())
     });
-    // Viewers send no header; the address of the log, and no other, may carry the token.
-    assert_eq!(server.get(&format!("/jobs/{id}/log.mcap?token={READ}")).status, 200);
-    server.get(&format!("/jobs/{id}/log.mcap?token=x{READ}")).problem(401, "unauthorized");
-    server.get(&format!("/jobs?token={READ}")).problem(401, "unauthorized");
+    // No address carries a token.
+    server.get(&format!("/jobs/{id}/log.mcap?token={READ}")).problem(401, "unauthorized");
     assert_eq!(ask(ADMIN, "DELETE", &format!("/jobs/{id}")).status, 204);
 
     for bad in ["read", "read short", "write 0123456789abcdef", "read 0123456789 abcdef"] {
@@ -190,7 +235,7 @@ fn jobs_beyond_the_limits_are_refused_with_the_figures() {
 fn a_client_that_asks_too_often_waits() {
     let data = directory();
     let server = service(&data).limits(|limits| limits.requests_per_s = 5).start();
-    let answers: Vec<_> = (0..200).map(|_| server.get("/healthz")).collect();
+    let answers: Vec<_> = (0..200).map(|_| server.get("/scenarios")).collect();
     let refused: Vec<_> = answers.iter().filter(|answer| answer.status == 429).collect();
     assert!(answers.iter().take(5).all(|answer| answer.status == 200));
     for answer in &refused {
@@ -199,6 +244,10 @@ fn a_client_that_asks_too_often_waits() {
     }
     // 200 requests at 5 a second would take 39 s; they do not here.
     assert!(!refused.is_empty());
+    // Whoever watches over the service is told all the same.
+    for probe in ["/healthz", "/readyz"].repeat(50) {
+        assert_eq!(server.get(probe).status, 200);
+    }
 }
 
 #[test]
@@ -251,4 +300,65 @@ fn who_says_nothing_is_closed() {
         stream.read_to_end(&mut rest).expect("closed, not left waiting");
     }
     assert_eq!(server.get("/healthz").status, 200);
+}
+
+#[test]
+fn what_is_wrong_is_told_shortly() {
+    let data = directory();
+    let server = service(&data).start();
+    let key = "k".repeat(500_000);
+    let mut scenario = short();
+    scenario["scene"][&key] = json!(1);
+    let refused = server.post("/jobs", scenario.to_string().as_bytes());
+    let problem = refused.problem(422, "invalid_input");
+    // The field is too long to name; the one it lies in is not.
+    assert_eq!(problem["pointer"], "/scene");
+    assert!(refused.body.len() < 2000, "{} bytes", refused.body.len());
+    let mut scenario = short();
+    scenario[&key] = json!(1);
+    let problem =
+        server.post("/jobs", scenario.to_string().as_bytes()).problem(422, "invalid_input");
+    assert_eq!(problem["pointer"], "");
+    let mut scenario = short();
+    scenario["scene"]["unknown"] = json!(1);
+    let problem =
+        server.post("/jobs", scenario.to_string().as_bytes()).problem(422, "invalid_input");
+    assert_eq!(problem["pointer"], "/scene/unknown");
+}
+
+#[test]
+fn what_is_forgotten_while_it_is_read_is_not_found() {
+    const ROUNDS: usize = 20;
+    const PARTS: [&str; 5] =
+        ["", "/log.mcap", "/scenario.json", "/attitudes.json", "/charts/energy.svg"];
+    let data = directory();
+    let server = service(&data).workers(2).start();
+    for _ in 0..ROUNDS {
+        let id = server.finished();
+        std::thread::scope(|scope| {
+            for part in PARTS {
+                let path = format!("/jobs/{id}{part}");
+                let server = &server;
+                scope.spawn(move || {
+                    loop {
+                        match server.get(&path).status {
+                            200 => {}
+                            404 => break,
+                            status => panic!("{status} for {path}"),
+                        }
+                    }
+                });
+            }
+            assert_eq!(server.send("DELETE", &format!("/jobs/{id}"), &[], None).status, 204);
+        });
+    }
+    // The moment in which the files are gone and the job is still known.
+    let id = server.finished();
+    let place = super::record(&data, &id);
+    for name in ["log.mcap", "scenario.json"] {
+        std::fs::remove_file(place.join(name)).expect("removed");
+    }
+    for part in &PARTS[1..] {
+        assert_eq!(server.get(&format!("/jobs/{id}{part}")).status, 404, "{part}");
+    }
 }

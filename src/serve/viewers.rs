@@ -1,0 +1,215 @@
+//! The door of the live view: what a run shows, over Foxglove's WebSocket protocol.
+//!
+//! Invariants: a viewer comes in through the gate, as every request does. Nothing it says reaches a run; what it does
+//! not take in time it misses, and one that takes nothing, or is not heard of, is let go.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, LazyLock};
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::State as Shared;
+use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
+use axum::middleware::from_fn_with_state;
+use axum::response::Response;
+use axum::routing::get;
+use base64::Engine as _;
+use base64::prelude::BASE64_STANDARD;
+use futures_util::SinkExt;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use tokio::sync::broadcast::{self, error::RecvError};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+
+use super::gate::{self, Gate};
+use super::problem::Problem;
+use crate::live::{Frame, Live};
+use crate::log::schema::{Channel, ENCODING};
+
+/// Names of the protocol, of which we speak what they share.
+const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+
+/// Viewers at once.
+pub(super) const SEATS: usize = 64;
+
+/// Longest message of a viewer, bytes: it asks for channels, no more.
+const MAX_MESSAGE: usize = 64 << 10;
+
+/// Subscriptions of one viewer.
+const MAX_SUBSCRIPTIONS: usize = 256;
+
+/// Longest time in which a viewer does not take what is sent.
+const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// How often a viewer has to be heard of; it answers when it is asked.
+const PULSE: Duration = Duration::from_secs(20);
+
+/// First bytes of binary messages.
+const MESSAGE_DATA: u8 = 1;
+const TIME: u8 = 2;
+
+#[derive(Clone, Debug)]
+struct House {
+    live: Arc<Live>,
+    seats: Arc<Semaphore>,
+    stop: watch::Receiver<bool>,
+}
+
+/// What stands behind the door: one place, for WebSockets.
+pub(super) fn router(live: Arc<Live>, gate: Gate, stop: watch::Receiver<bool>) -> Router {
+    let house = House { live, seats: Arc::new(Semaphore::new(SEATS)), stop };
+    Router::new()
+        .route("/", get(come_in).route_layer(from_fn_with_state(gate, gate::look_on)))
+        .with_state(house)
+}
+
+async fn come_in(
+    Shared(house): Shared<House>,
+    upgrade: WebSocketUpgrade,
+) -> Result<Response, Problem> {
+    let upgrade = upgrade.protocols(PROTOCOLS).max_message_size(MAX_MESSAGE);
+    if upgrade.selected_protocol().is_none() {
+        return Err(Problem::other_protocol());
+    }
+    let seat = house.seats.clone().try_acquire_owned().map_err(|_| Problem::no_seat())?;
+    Ok(upgrade.on_upgrade(move |socket| Viewer::new(socket, house.live).look_on(house.stop, seat)))
+}
+
+/// What viewers are told first.
+static WELCOME: LazyLock<[String; 2]> = LazyLock::new(|| {
+    let channels: Vec<Value> = Channel::all().into_iter().zip(0..).map(advertised).collect();
+    let info = json!({ "op": "serverInfo", "name": "vpd", "capabilities": ["time"] });
+    [info.to_string(), json!({ "op": "advertise", "channels": channels }).to_string()]
+});
+
+fn advertised((channel, id): (Channel, u64)) -> Value {
+    let schema = channel.schema();
+    json!({
+        "id": id,
+        "topic": channel.topic(),
+        "encoding": ENCODING,
+        "schemaName": schema.name,
+        "schemaEncoding": ENCODING,
+        "schema": BASE64_STANDARD.encode(schema.descriptors),
+    })
+}
+
+/// What a viewer says; what else there is in the protocol we do not offer.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
+enum Wish {
+    Subscribe { subscriptions: Vec<Subscription> },
+    Unsubscribe { subscription_ids: Vec<u32> },
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Subscription {
+    id: u32,
+    channel_id: usize,
+}
+
+/// The viewer has left, or is to be let go.
+struct Gone;
+
+struct Viewer {
+    socket: WebSocket,
+    live: Arc<Live>,
+    subscriptions: BTreeMap<u32, Channel>,
+    /// While it subscribes to anything.
+    frames: Option<broadcast::Receiver<Arc<Frame>>>,
+}
+
+impl Viewer {
+    fn new(socket: WebSocket, live: Arc<Live>) -> Self {
+        Self { socket, live, subscriptions: BTreeMap::new(), frames: None }
+    }
+
+    /// Until it leaves, is let go, or the service stops.
+    async fn look_on(mut self, mut stop: watch::Receiver<bool>, _seat: OwnedSemaphorePermit) {
+        let welcome = WELCOME.iter().map(|text| Message::text(text.as_str())).collect();
+        let mut shown = self.send(welcome).await;
+        let mut pulse = tokio::time::interval(PULSE);
+        let mut heard = true;
+        while shown.is_ok() {
+            shown = tokio::select! {
+                said = self.socket.recv() => {
+                    heard = true;
+                    said.and_then(Result::ok).ok_or(Gone).map(|said| self.hear(&said))
+                }
+                frame = next(&mut self.frames) => self.show(&frame).await,
+                _ = pulse.tick() => match std::mem::take(&mut heard) {
+                    true => self.send(vec![Message::Ping(Default::default())]).await,
+                    false => Err(Gone),
+                },
+                _ = stop.changed() => Err(Gone),
+            };
+        }
+        let _ = self.send(vec![Message::Close(None)]).await;
+    }
+
+    /// Does as it wishes; what it may not wish, or we do not understand, is passed over.
+    fn hear(&mut self, said: &Message) {
+        let Message::Text(text) = said else { return };
+        match serde_json::from_str(text) {
+            Ok(Wish::Subscribe { subscriptions }) => {
+                for Subscription { id, channel_id } in subscriptions {
+                    if let Some(channel) = Channel::all().get(channel_id)
+                        && self.subscriptions.len() < MAX_SUBSCRIPTIONS
+                    {
+                        self.subscriptions.entry(id).or_insert(*channel);
+                    }
+                }
+            }
+            Ok(Wish::Unsubscribe { subscription_ids }) => {
+                self.subscriptions.retain(|id, _| !subscription_ids.contains(id));
+            }
+            Err(_) => return,
+        }
+        let watches = !self.subscriptions.is_empty();
+        match &self.frames {
+            None if watches => self.frames = Some(self.live.watch()),
+            Some(_) if !watches => self.frames = None,
+            _ => {}
+        }
+    }
+
+    async fn show(&mut self, frame: &Frame) -> Result<(), Gone> {
+        let time = [&[TIME][..], &frame.time_ns.to_le_bytes()].concat();
+        let mut out = vec![Message::binary(time)];
+        for (channel, bytes) in &frame.messages {
+            let wanted = self.subscriptions.iter().filter(|(_, wanted)| *wanted == channel);
+            out.extend(wanted.map(|(id, _)| {
+                let (id, time) = (id.to_le_bytes(), frame.time_ns.to_le_bytes());
+                Message::binary([&[MESSAGE_DATA][..], &id, &time, bytes].concat())
+            }));
+        }
+        self.send(out).await
+    }
+
+    async fn send(&mut self, messages: Vec<Message>) -> Result<(), Gone> {
+        let sent = async {
+            for message in messages {
+                self.socket.feed(message).await?;
+            }
+            self.socket.flush().await
+        };
+        let sent = tokio::time::timeout(WRITE_TIMEOUT, sent).await;
+        sent.ok().and_then(Result::ok).ok_or(Gone)
+    }
+}
+
+/// The next frame; never, for one that watches nothing.
+async fn next(frames: &mut Option<broadcast::Receiver<Arc<Frame>>>) -> Arc<Frame> {
+    if let Some(frames) = frames {
+        loop {
+            match frames.recv().await {
+                Ok(frame) => return frame,
+                // What was missed is missed.
+                Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => break,
+            }
+        }
+    }
+    std::future::pending().await
+}
