@@ -81,6 +81,12 @@ pub enum LogError {
         /// The sample's step.
         step: u64,
     },
+    /// Somebody stopped the reading of what an earlier run left; nothing was changed.
+    #[error("taking up the log {} was interrupted", path.display())]
+    Interrupted {
+        /// The file.
+        path: PathBuf,
+    },
     /// An earlier write failed; the log is given up.
     #[error("the log {} is given up: an earlier write failed", path.display())]
     GivenUp {
@@ -98,7 +104,16 @@ impl LogError {
             Self::Format { .. } => "log_format",
             Self::Time { .. } => "log_time",
             Self::NotFinite { .. } => "log_not_finite",
+            Self::Interrupted { .. } => "interrupted",
             Self::GivenUp { .. } => "log_given_up",
+        }
+    }
+
+    /// Whether the file system may do later what it refused now.
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::StorageFull { source, .. } | Self::Storage { source, .. } => is_transient(source),
+            _ => false,
         }
     }
 
@@ -118,6 +133,33 @@ impl LogError {
             source => Self::Format { path: path.to_owned(), action, source },
         }
     }
+}
+
+/// Whether a refusal of the system is one of the moment (no room, no file handles, a disk that fails) and not of
+/// the file that was asked for: trying again later may succeed.
+pub(crate) fn is_transient(error: &io::Error) -> bool {
+    use io::ErrorKind as K;
+    // Those without a kind of their own: the limits of files, of the process and of the system, and a failing disk.
+    #[cfg(unix)]
+    {
+        use rustix::io::Errno;
+        let limits = [Errno::MFILE, Errno::NFILE, Errno::IO, Errno::NOBUFS, Errno::DQUOT];
+        if limits.iter().any(|limit| error.raw_os_error() == Some(limit.raw_os_error())) {
+            return true;
+        }
+    }
+    matches!(
+        error.kind(),
+        K::StorageFull
+            | K::QuotaExceeded
+            | K::ReadOnlyFilesystem
+            | K::StaleNetworkFileHandle
+            | K::ResourceBusy
+            | K::OutOfMemory
+            | K::TimedOut
+            | K::WouldBlock
+            | K::Interrupted
+    )
 }
 
 /// The name of a log while it is being written: `.part` is added.

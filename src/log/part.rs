@@ -36,15 +36,16 @@ enum Mode {
 }
 
 impl Part {
-    /// An empty file, over anything of that name.
+    /// An empty file, over any file of that name; what is no file, or a link to one, is left alone.
     pub(super) fn create(path: &Path) -> io::Result<Self> {
-        Ok(Self::new(Mode::Writing(BufWriter::new(File::create(path)?))))
+        let file = own(path, OpenOptions::new().write(true).create(true).truncate(true))?;
+        Ok(Self::new(Mode::Writing(BufWriter::new(file))))
     }
 
     /// The file that an interrupted run left; what is written is compared with it until its end or
     /// [`Part::go_on`].
     pub(super) fn compare(path: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().read(true).write(true).open(path)?;
+        let file = own(path, OpenOptions::new().read(true).write(true))?;
         let held = BufReader::with_capacity(COMPARED, file);
         Ok(Self::new(Mode::Comparing(held)))
     }
@@ -77,6 +78,11 @@ impl Part {
             // Not flushed: only whole chunks count, and those were.
             drop(buffer.into_parts());
         }
+    }
+
+    /// Bytes written so far.
+    fn position(&self) -> u64 {
+        self.inner().position
     }
 
     /// Everything to the disk, and the file closed.
@@ -161,19 +167,46 @@ impl Seek for Part {
     }
 }
 
+/// Opens a file that is one: a link that somebody put in its place would have its target written over, and what is
+/// read from a pipe may never come.
+fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(
+        options,
+        (rustix::fs::OFlags::NOFOLLOW | rustix::fs::OFlags::NONBLOCK).bits().cast_signed(),
+    );
+    let file = options.open(path)?;
+    if file.metadata()?.is_file() { Ok(file) } else { Err(io::Error::other("this is no file")) }
+}
+
+/// A place in the log: the step of a checkpoint, and the bytes of the file up to its end.
+type Place = (u64, u64);
+
+/// How far the file is on the disk.
+#[derive(Debug, Default)]
+struct Durable {
+    step: AtomicU64,
+    bytes: AtomicU64,
+}
+
+impl Durable {
+    fn reach(&self, (step, bytes): Place) {
+        self.step.store(step, Ordering::Relaxed);
+        self.bytes.store(bytes, Ordering::Relaxed);
+    }
+}
+
 /// Syncs the file on a thread of its own, so that the integrator need not wait for the disk.
 pub(super) struct Syncer {
     part: Part,
     folder: PathBuf,
-    /// The step up to which the file is on the disk.
-    durable_step: Arc<AtomicU64>,
-    running: Option<(Sender<u64>, JoinHandle<io::Result<()>>)>,
+    durable: Arc<Durable>,
+    running: Option<(Sender<Place>, JoinHandle<io::Result<()>>)>,
 }
 
 impl Syncer {
     pub(super) fn new(part: Part, path: &Path) -> Self {
-        let durable_step = Arc::new(AtomicU64::new(0));
-        Self { part, folder: folder(path).to_owned(), durable_step, running: None }
+        Self { part, folder: folder(path).to_owned(), durable: Arc::default(), running: None }
     }
 
     /// Brings what is flushed by now, the samples up to `step`, to the disk; soon, and without waiting.
@@ -187,24 +220,30 @@ impl Syncer {
             None => {
                 let (file, folder) = (self.part.second_handle()?, self.folder.clone());
                 let (requests, requested) = channel();
-                let durable_step = self.durable_step.clone();
+                let durable = self.durable.clone();
                 let thread = std::thread::Builder::new()
                     .name("log-sync".to_owned())
-                    .spawn(move || sync(&file, &folder, &requested, &durable_step))?;
+                    .spawn(move || sync(&file, &folder, &requested, &durable))?;
                 self.running.insert((requests, thread))
             }
         };
         // The thread is gone only if it failed.
-        if requests.send(step).is_err() { self.settle() } else { Ok(()) }
+        let place = (step, self.part.position());
+        if requests.send(place).is_err() { self.settle() } else { Ok(()) }
     }
 
     /// Takes note that the file is on the disk up to `step`.
     pub(super) fn settled(&self, step: u64) {
-        self.durable_step.store(step, Ordering::Relaxed);
+        self.durable.reach((step, self.part.position()));
     }
 
     pub(super) fn durable_step(&self) -> u64 {
-        self.durable_step.load(Ordering::Relaxed)
+        self.durable.step.load(Ordering::Relaxed)
+    }
+
+    /// Bytes of the file that are known to be on the disk.
+    pub(super) fn durable_bytes(&self) -> u64 {
+        self.durable.bytes.load(Ordering::Relaxed)
     }
 
     /// Waits for what was requested.
@@ -222,19 +261,19 @@ impl Syncer {
 fn sync(
     file: &File,
     folder: &Path,
-    requested: &Receiver<u64>,
-    durable_step: &AtomicU64,
+    requested: &Receiver<Place>,
+    durable: &Durable,
 ) -> io::Result<()> {
     let mut named = false;
-    while let Ok(step) = requested.recv() {
-        let step = requested.try_iter().last().unwrap_or(step);
+    while let Ok(place) = requested.recv() {
+        let place = requested.try_iter().last().unwrap_or(place);
         file.sync_data()?;
         if !named {
             // A file is durable with its name.
             sync_folder(folder)?;
             named = true;
         }
-        durable_step.store(step, Ordering::Relaxed);
+        durable.reach(place);
     }
     Ok(())
 }

@@ -52,14 +52,16 @@ impl<const N: usize> LogWriter<N> {
     /// Takes up the unfinished log of `path` behind its last checkpoint. `None` if there is none that
     /// this build would write for this job, or none with a checkpoint; nothing is changed then.
     ///
-    /// `seen` is shown what stands before the checkpoint; also if the log is not taken up in the end.
+    /// `seen` is shown what stands before the checkpoint; also if the log is not taken up in the end. The reading
+    /// ends once `stopped`, and the file stays as it is.
     ///
     /// # Errors
-    /// If the file cannot be read, or not be cut off behind the checkpoint.
+    /// If the file cannot be read, or not be cut off behind the checkpoint, or the reading was stopped.
     pub fn resume(
         path: &Path,
         header: &LogHeader,
         mut seen: impl FnMut(Seen<'_>),
+        stopped: impl Fn() -> bool,
     ) -> Result<Option<(Self, Resumed<N>)>, LogError> {
         let part = part_path(path);
         let failed = |source| LogError::io(path, "resume", source);
@@ -77,6 +79,7 @@ impl<const N: usize> LogWriter<N> {
         let mut fed = Ok(());
         reader::read(&part, |item| {
             match item {
+                _ if stopped() => return ControlFlow::Break(()),
                 Item::Message { topic, time_ns, sequence, data, .. } => {
                     let Some(topic) = Topic::parse(topic) else {
                         return ControlFlow::Break(());
@@ -108,6 +111,9 @@ impl<const N: usize> LogWriter<N> {
             }
             ControlFlow::Continue(())
         })?;
+        if stopped() {
+            return Err(LogError::Interrupted { path: path.to_owned() });
+        }
         match (fed, found) {
             (Err(error), _) if !file.differs() => Err(error),
             (Ok(()), Some(resumed)) => {

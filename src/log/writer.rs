@@ -1,10 +1,10 @@
 //! Writes the log of one job.
 //!
 //! Invariant: the final name appears with a complete, synced file whose last record is the outcome,
-//! or not at all. After an error nothing more is written, and a writer that is dropped before
-//! [`LogWriter::finish`] takes its `.part` file with it; only [`LogWriter::leave`] and a killed process
-//! leave one behind. Every chunk but the last ends with a checkpoint, from which such a file can be
-//! taken up ([`LogWriter::resume`]).
+//! or not at all. After an error nothing more is written. A writer that is dropped before
+//! [`LogWriter::finish`] takes its `.part` file with it, unless the file system refused something that it may do
+//! later; that, [`LogWriter::leave`] and a killed process leave one behind. Every chunk but the last ends with a
+//! checkpoint, from which such a file can be taken up ([`LogWriter::resume`]).
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -27,7 +27,7 @@ use super::scene::{SceneGeometry, body_frame};
 use super::schema::{Channel, ENCODING, Topic};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
-    resume,
+    is_transient, resume,
 };
 use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
@@ -103,6 +103,8 @@ pub struct LogWriter<const N: usize> {
     part_file: Part,
     pub(super) syncer: Syncer,
     given_up: bool,
+    /// What becomes of the file when the writer is dropped.
+    rest: Rest,
     epoch_ns: u64,
     samples_per_chunk: u64,
     /// What is to be written, in the order of the channel ids.
@@ -115,6 +117,17 @@ pub struct LogWriter<const N: usize> {
     /// Whether the open chunk holds messages; one without would start in 1970.
     chunk_has_messages: bool,
     last_ns: u64,
+}
+
+/// What becomes of an unfinished file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Rest {
+    /// Nobody can go on from it.
+    Removed,
+    /// The next run goes on from its last whole chunk.
+    Kept,
+    /// The same, of what is known to be on the disk: a sync failed, and what it lost is not known.
+    KeptWhereSynced,
 }
 
 impl<const N: usize> LogWriter<N> {
@@ -184,6 +197,7 @@ impl<const N: usize> LogWriter<N> {
             syncer: Syncer::new(part_file.clone(), path),
             part_file,
             given_up: false,
+            rest: Rest::Removed,
             epoch_ns: header.epoch_ns,
             samples_per_chunk: header
                 .samples_per_chunk
@@ -267,10 +281,8 @@ impl<const N: usize> LogWriter<N> {
             return self.close_chunk(None);
         }
         self.close_chunk(Some(&resume::encode(checkpoint, figures)))?;
-        self.syncer.request(checkpoint.step).map_err(|source| {
-            self.given_up = true;
-            LogError::io(&self.path, "sync", source)
-        })
+        let requested = self.syncer.request(checkpoint.step);
+        requested.map_err(|source| self.refused("sync", source))
     }
 
     /// Leaves the log unfinished, to be taken up by [`LogWriter::resume`].
@@ -294,16 +306,25 @@ impl<const N: usize> LogWriter<N> {
         self.attempt(|file| file.write_metadata(&record))?;
         self.attempt(|file| file.finish().map(drop))?;
 
-        let storage = |action| {
-            let path = self.path.clone();
-            move |source| LogError::io(&path, action, source)
-        };
-        self.syncer.settle().map_err(storage("sync"))?;
-        self.part_file.close().map_err(storage("sync"))?;
-        fs::rename(&self.part, &self.path).map_err(storage("rename"))?;
+        let synced = self.syncer.settle().and_then(|()| self.part_file.close());
+        synced.map_err(|source| self.refused("sync", source))?;
+        let renamed = fs::rename(&self.part, &self.path);
+        renamed.map_err(|source| self.refused("rename", source))?;
         self.part = PathBuf::new();
         // The rename is durable with its directory.
-        sync_folder(folder(&self.path)).map_err(storage("sync"))
+        sync_folder(folder(&self.path)).map_err(|source| LogError::io(&self.path, "sync", source))
+    }
+
+    /// Takes note that the file system refused something: no more is written, and the file stays if it may be done
+    /// later.
+    fn refused(&mut self, action: &'static str, source: std::io::Error) -> LogError {
+        self.given_up = true;
+        self.rest = match (is_transient(&source), action) {
+            (false, _) => self.rest,
+            (true, "sync") => Rest::KeptWhereSynced,
+            (true, _) => Rest::Kept,
+        };
+        LogError::io(&self.path, action, source)
     }
 
     fn time(&self, time_s: f64) -> Result<u64, LogError> {
@@ -388,7 +409,10 @@ impl<const N: usize> LogWriter<N> {
         }
         action(&mut self.file).map_err(|source| {
             self.given_up = true;
-            LogError::mcap(&self.path, "write", source)
+            match source {
+                mcap::McapError::Io(source) => self.refused("write", source),
+                source => LogError::mcap(&self.path, "write", source),
+            }
         })
     }
 }
@@ -463,10 +487,18 @@ impl<const N: usize> Drop for LogWriter<N> {
         // The MCAP writer completes its file when it is dropped: that must not be seen.
         self.part_file.leave();
         let _ = self.syncer.settle();
-        if !self.part.as_os_str().is_empty() {
-            // If this fails, the file is `.part` and has no outcome.
-            let _ = fs::remove_file(&self.part);
+        if self.part.as_os_str().is_empty() {
+            return;
         }
+        // If any of this fails, the file is `.part` and has no outcome.
+        let _ = match self.rest {
+            Rest::Removed => fs::remove_file(&self.part),
+            Rest::Kept => Ok(()),
+            Rest::KeptWhereSynced => fs::File::options()
+                .write(true)
+                .open(&self.part)
+                .and_then(|file| file.set_len(self.syncer.durable_bytes())),
+        };
     }
 }
 

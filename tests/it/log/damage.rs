@@ -4,9 +4,11 @@ use std::fs;
 
 use vpd::log::inspect::inspect;
 use vpd::log::part_path;
+use vpd::log::resume::last_checkpoint;
 use vpd::log::writer::{Compression, Level, LogHeader, LogWriter};
 
 use super::fixture::*;
+use crate::faults::disk::Disk;
 
 #[test]
 fn a_dropped_writer_leaves_nothing() {
@@ -118,24 +120,38 @@ fn storage_errors_are_told_and_nothing_stays() {
 }
 
 #[test]
-fn a_full_disk_fails_the_log() {
+fn a_link_in_the_place_of_the_log_is_not_written_through() {
     let (folder, path) = place();
-    std::os::unix::fs::symlink("/dev/full", part_path(&path)).expect("symlink");
-    let mut log = match LogWriter::<3>::create(&path, &header()) {
-        Ok(log) => log,
-        Err(error) => {
-            assert_eq!(error.code(), "storage_full");
-            return;
-        }
+    let target = folder.path().join("target");
+    fs::write(&target, "kept").expect("written");
+    std::os::unix::fs::symlink(&target, part_path(&path)).expect("symlink");
+    let error = LogWriter::<3>::create(&path, &header()).err().expect("a link");
+    assert_eq!(error.code(), "storage_error");
+    assert_eq!(fs::read(&target).expect("a file"), b"kept");
+}
+
+#[test]
+fn a_full_disk_fails_the_log_and_leaves_what_it_holds() {
+    let (folder, _) = place();
+    let disk = folder.path().join("disk");
+    let Some(_disk) = Disk::mount(&disk, 512 << 10) else {
+        println!(
+            "SKIPPED: cannot mount a tmpfs here; no_space_at_each_write_in_turn stands in for it"
+        );
+        return;
     };
+    let path = disk.join("a.mcap");
+    let header = LogHeader { samples_per_chunk: 100, ..header() };
+    let mut log = LogWriter::<3>::create(&path, &header).expect("room");
     let (body, state) = crate::verification::dipole();
-    let error = try_run(&body, state, &mut log, 1000).expect_err("no space");
+    let error = try_run(&body, state, &mut log, 100_000).expect_err("no space");
     assert_eq!(error.code(), "storage_full", "{error}");
+    assert!(error.is_transient());
     assert_eq!(
         log.message(Level::Error, 10.0, "full").expect_err("given up").code(),
         "log_given_up"
     );
     assert_eq!(log.finish(succeeded()).expect_err("given up").code(), "log_given_up");
     assert!(!path.exists());
-    assert_eq!(fs::read_dir(folder.path()).expect("folder").count(), 0);
+    assert!(last_checkpoint(&path).expect("readable") > Some(0));
 }
