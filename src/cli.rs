@@ -26,7 +26,7 @@ use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
-use crate::serve::{self, Cors, LAYOUT, Limits, ServeConfig, ServeError, Tokens};
+use crate::serve::{self, Cors, LAYOUT, Limits, ServeConfig, ServeError, Tokens, apart};
 use crate::study::StudyError;
 use crate::verify::{self, VerifyError};
 
@@ -61,6 +61,9 @@ enum Command {
     Verify(InspectArgs),
     /// Print the JSON Schema of a scenario.
     Schema,
+    /// Carry out what a service asks for on stdin: its own affair.
+    #[command(hide = true, name = apart::SUBCOMMAND)]
+    Apart,
 }
 
 /// A scenario from a file, with changes.
@@ -157,6 +160,9 @@ struct ServeArgs {
     /// Largest log that is taken on, in bytes as estimated.
     #[arg(long, env = "VPD_MAX_LOG_BYTES", default_value_t = Limits::default().log_bytes, value_name = "N")]
     max_log_bytes: u64,
+    /// Memory that runs may take at one time, in bytes as estimated.
+    #[arg(long, env = "VPD_MAX_MEMORY_BYTES", default_value_t = Limits::default().memory_bytes, value_name = "N")]
+    max_memory_bytes: u64,
     /// Bytes of the disk that logs leave free.
     #[arg(long, env = "VPD_RESERVE_BYTES", default_value_t = Limits::default().reserve_bytes, value_name = "N")]
     reserve_bytes: u64,
@@ -257,6 +263,7 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Verify(args) => verify(&args),
+        Command::Apart => apart::child().map(|()| ExitCode::SUCCESS).map_err(CliError::Output),
         Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
     };
     done.unwrap_or_else(|error| {
@@ -339,7 +346,7 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
     let control = Control::default();
     let context = JobContext { log, control: &control };
     if !io::stderr().is_terminal() {
-        return run::execute(scenario, &context);
+        return run::execute_planned(scenario, plan, &context);
     }
     let style = ProgressStyle::with_template(
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
@@ -349,7 +356,7 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
         .with_style(style)
         .with_message(scenario.name().to_owned());
     thread::scope(|scope| {
-        let worker = scope.spawn(|| run::execute(scenario, &context));
+        let worker = scope.spawn(|| run::execute_planned(scenario, plan, &context));
         while !worker.is_finished() {
             bar.set_position(control.steps_done.load(Ordering::Relaxed));
             thread::sleep(Duration::from_millis(50));
@@ -402,6 +409,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
                 queue: args.queue,
                 run_s: args.max_run_s,
                 log_bytes: args.max_log_bytes,
+                memory_bytes: args.max_memory_bytes,
                 reserve_bytes: args.reserve_bytes,
                 connections: args.connections,
                 connections_per_client: args.connections_per_client,
@@ -413,6 +421,7 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             tokens,
             insecure: args.insecure,
             live: args.foxglove_listen,
+            program: program(),
         };
         serve::serve(listener, config, stop).await?;
         Ok(ExitCode::SUCCESS)
@@ -420,6 +429,16 @@ fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     // A blocking task of a client that is gone must not hold up the exit.
     runtime.shutdown_background();
     served
+}
+
+/// The program of this process, for others like it.
+fn program() -> Option<PathBuf> {
+    // Also where the file was replaced since.
+    if cfg!(target_os = "linux") {
+        Some("/proc/self/exe".into())
+    } else {
+        std::env::current_exe().ok()
+    }
 }
 
 /// Says in the service's own log how many of its lines nobody took in time, each time there are more.

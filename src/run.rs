@@ -27,6 +27,7 @@ use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
     self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
 };
+use crate::study::Watch;
 
 mod advice;
 mod end;
@@ -63,30 +64,38 @@ pub struct Control {
     pub resumed_step: AtomicU64,
     /// The step up to which the log is on the disk; the run writes it.
     pub durable_step: AtomicU64,
-    /// Set it to end the run after its current step, with a finished log.
+    /// Whether the run is to end after its current step, with a finished log: see [`Control::cancel`].
     pub cancelled: AtomicBool,
-    /// Set it to end the run after its current step, with a log that a later run goes on from.
+    /// Whether it is to end there with a log that a later run goes on from: see [`Control::interrupt`].
     pub interrupted: AtomicBool,
+    /// How the search for a method and a step is stopped.
+    pub settling: Watch,
     /// The run is cancelled at this step, as if somebody had set `cancelled` there.
     pub cancelled_at: Option<u64>,
-    /// Where the run writes its step, eight bytes, every [`TRACED_STEPS`]: for whoever finds its process
-    /// dead and asks whether it always dies at the same place.
+    /// Where the run writes each of its steps, eight bytes: for whoever finds its process dead and asks whether it
+    /// always dies at the same place. It costs a call of the system each, so only suspects are traced.
     pub trace: Option<File>,
     /// Where viewers look on.
     pub live: Option<Arc<Live>>,
 }
 
-/// Steps between two notes of the trace: not more often, for the cost; by count, so that a run that ends
-/// its process leaves the same note each time.
-pub const TRACED_STEPS: u64 = 256;
-
 impl Control {
+    /// Ends the run after its current step, with a finished log.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+        self.settling.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// Ends the run after its current step, with a log that a later run goes on from.
+    pub fn interrupt(&self) {
+        self.interrupted.store(true, Ordering::Relaxed);
+        self.settling.cancelled.store(true, Ordering::Relaxed);
+    }
+
     /// Takes note of a step; whether there is to be another one.
     fn go_on(&self, steps: u64) -> bool {
         self.steps_done.store(steps, Ordering::Relaxed);
-        if steps.is_multiple_of(TRACED_STEPS) {
-            self.note(steps);
-        }
+        self.note(steps);
         if self.cancelled_at == Some(steps) {
             self.cancelled.store(true, Ordering::Relaxed);
         }
@@ -116,7 +125,7 @@ pub enum RunError {
     Scenario(#[from] ScenarioError),
     /// The log could not be written.
     #[error(transparent)]
-    Log(#[from] LogError),
+    Log(LogError),
     /// Somebody interrupted it; the next run goes on from its log.
     #[error("the run was interrupted")]
     Interrupted,
@@ -133,15 +142,36 @@ impl RunError {
     }
 }
 
-/// Runs a scenario to its end and writes its log; the log of a run that was interrupted is taken up where
+impl From<LogError> for RunError {
+    fn from(error: LogError) -> Self {
+        match error {
+            LogError::Interrupted { .. } => Self::Interrupted,
+            error => Self::Log(error),
+        }
+    }
+}
+
+/// Plans a scenario, runs it to its end and writes its log; the log of a run that was interrupted is taken up where
 /// it ended, with the same bytes in the end. Blocks.
 ///
 /// # Errors
-/// If the scenario cannot be planned or the log cannot be written: no log is left then. If the run is
-/// interrupted: then an unfinished one is.
+/// If the scenario cannot be planned or the log cannot be written: no log is left then, unless the file system may
+/// take it later. If the run is interrupted: then an unfinished one is.
 pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary, RunError> {
     let plan = advise::plan(scenario)?;
-    assembled(&plan, Run { scenario, plan: &plan, context })
+    execute_planned(scenario, &plan, context)
+}
+
+/// The same with the plan that was made of the scenario.
+///
+/// # Errors
+/// Those of [`execute`].
+pub fn execute_planned(
+    scenario: &Scenario,
+    plan: &Plan,
+    context: &JobContext<'_>,
+) -> Result<Summary, RunError> {
+    assembled(plan, Run { scenario, plan, context })
 }
 
 /// A run that writes its log.
@@ -250,7 +280,8 @@ impl<'a, const N: usize> Recorder<'a, N> {
         let JobContext { log, control } = *context;
         let mut course = Course::default();
         let seen = |seen: Seen<'_>| course.note_seen(&seen);
-        let (writer, figures, checkpoint) = match LogWriter::resume(log, header, seen)? {
+        let stopped = || control.interrupted.load(Ordering::Relaxed);
+        let (writer, figures, checkpoint) = match LogWriter::resume(log, header, seen, stopped)? {
             Some((writer, Resumed { checkpoint, figures, .. })) => {
                 (writer, figures, Some(checkpoint))
             }

@@ -19,9 +19,12 @@
 //! view), `engine` (queue and workers), `job` (its life), `store` (the record), `metrics`.
 
 mod api;
+pub(crate) mod apart;
 mod config;
+mod desk;
 mod download;
 mod engine;
+mod errand;
 mod follow;
 mod gate;
 mod handles;
@@ -51,6 +54,7 @@ pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
 pub(crate) use page::LAYOUT;
 
 use api::App;
+use desk::Desk;
 use engine::Engine;
 use gate::Gate;
 use link::LinkKey;
@@ -146,12 +150,13 @@ pub async fn serve(
         None => None,
     };
     let live = door.as_ref().map(|_| Arc::new(Live::default()));
+    let (workers, program) = (config.workers, config.program.clone());
     let (engine, drained) =
-        Engine::start(store, config.workers, config.limits, live.clone()).await?;
-    let (studies, studying) = Studies::start(StudyStore::open(&config.data)?).await?;
+        Engine::start(store, workers, limits, live.clone(), program.clone()).await?;
+    let (studies, studying) = Studies::start(StudyStore::open(&config.data)?, program).await?;
     let gate = Gate::new(&config, links.clone());
     let (stop, stopped) = watch::channel(false);
-    let app = App::new(engine.clone(), studies.clone(), &config, links);
+    let app = App::new(engine.clone(), studies.clone(), Desk::open()?, &config, links);
     let app = match &door {
         Some(door) => app.with_live(door.local_addr()?),
         None => app,

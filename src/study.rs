@@ -88,6 +88,14 @@ impl Watch {
     }
 }
 
+/// Makes sure that a scene is one, whatever method and step it will run with.
+///
+/// # Errors
+/// Those of planning it.
+pub(crate) fn scene_of(scene: &Scenario) -> Result<(), ScenarioError> {
+    measure::variant(scene, &Method::default(), 1.0, 1).map(drop)
+}
+
 /// A method that takes part in a study.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Entry {

@@ -428,7 +428,8 @@ fn open<const N: usize>(
         Seen::Member(end) => ends.add(*end),
         seen => course.note_seen(&seen),
     };
-    if let Some((log, _)) = LogWriter::resume(context.log, header, seen)?
+    let stopped = || context.control.interrupted.load(Ordering::Relaxed);
+    if let Some((log, _)) = LogWriter::resume(context.log, header, seen, stopped)?
         && ends.count() > 0
     {
         return Ok((log, ends, course));

@@ -5,7 +5,6 @@
 use std::path::Path;
 
 use super::{Diagnosis, End, Outcome, RunError, Summary, finish, header};
-use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
 use crate::log::messages::Figures;
@@ -30,10 +29,14 @@ pub struct Reason<'a> {
 /// Ends the log of `log` as failed: what interrupted runs left in whole chunks, or no sample at all, and why.
 ///
 /// # Errors
-/// If the scenario cannot be planned or the log cannot be written.
-pub fn give_up(scenario: &Scenario, log: &Path, reason: Reason<'_>) -> Result<Summary, RunError> {
-    let plan = advise::plan(scenario)?;
-    assembled(&plan, GiveUp { scenario, plan: &plan, log, reason })
+/// If the log cannot be written.
+pub fn give_up(
+    scenario: &Scenario,
+    plan: &Plan,
+    log: &Path,
+    reason: Reason<'_>,
+) -> Result<Summary, RunError> {
+    assembled(plan, GiveUp { scenario, plan, log, reason })
 }
 
 struct GiveUp<'a> {
@@ -51,7 +54,8 @@ impl Task for GiveUp<'_> {
         let header = header(scenario, plan);
         let mut course = Course::default();
         let seen = |seen: Seen<'_>| course.note_seen(&seen);
-        let (writer, figures, reached) = match LogWriter::<N>::resume(log, &header, seen)? {
+        let (writer, figures, reached) = match LogWriter::<N>::resume(log, &header, seen, || false)?
+        {
             Some((writer, Resumed { mut checkpoint, figures, .. })) => {
                 // Of an ensemble all members are counted; the log says where member 0 came to.
                 checkpoint.step = checkpoint.step.min(plan.steps);

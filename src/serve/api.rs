@@ -4,7 +4,6 @@
 //! not at all; and every route is in the list that also makes the API's description.
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 
 use axum::extract::{Path, Request, State as Shared};
 use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
@@ -14,7 +13,6 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Json, Router};
 use serde_json::Value;
-use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -22,6 +20,7 @@ use tower_http::trace::TraceLayer;
 use uuid::Uuid;
 
 use super::config::{Cors, Scope};
+use super::desk::Desk;
 use super::engine::Engine;
 use super::gate::{self, Gate};
 use super::job::State;
@@ -54,19 +53,20 @@ pub(super) struct App {
     live: Option<SocketAddr>,
     /// Where there are tokens.
     links: Option<LinkKey>,
-    /// Where those who submit wait for their turn.
-    desk: Arc<Semaphore>,
+    /// Where what is submitted is checked.
+    desk: Desk,
 }
 
 impl App {
     pub(super) fn new(
         engine: Engine,
         studies: Studies,
+        desk: Desk,
         config: &ServeConfig,
         links: Option<LinkKey>,
     ) -> Self {
         let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
-        let (pictures, desk) = (Pictures::new(), Arc::new(Semaphore::new(DESKS)));
+        let pictures = Pictures::new();
         Self { engine, studies, pictures, public_url, live: None, links, desk }
     }
 
@@ -74,10 +74,6 @@ impl App {
         Self { live: Some(address), ..self }
     }
 }
-
-/// Jobs that are checked and kept at once. More of them would be kept a little sooner, and everybody who asks for a
-/// state would wait behind them all.
-const DESKS: usize = 4;
 
 /// A route: where it is, what it says of itself, who may use it, what it does.
 struct Route {

@@ -36,6 +36,9 @@ pub struct ServeConfig {
     pub insecure: bool,
     /// Address on which viewers look on while a job runs; port 0 for any.
     pub live: Option<SocketAddr>,
+    /// The `vpd` program, which runs in a process of its own what may have ended this one; absent: there is none, and
+    /// such jobs run within.
+    pub program: Option<PathBuf>,
 }
 
 impl ServeConfig {
@@ -51,6 +54,7 @@ impl ServeConfig {
             tokens: Tokens::default(),
             insecure: false,
             live: None,
+            program: None,
         }
     }
 }
@@ -64,6 +68,9 @@ pub struct Limits {
     pub run_s: f64,
     /// Largest estimated log in bytes; more is answered 422.
     pub log_bytes: u64,
+    /// Bytes of memory that the runs at one time may take by estimate; a job that takes more by itself is answered
+    /// 422, the others wait for each other.
+    pub memory_bytes: u64,
     /// Bytes of the disk that logs leave free; a job without room is answered 507.
     pub reserve_bytes: u64,
     /// Connections at once; more are closed.
@@ -80,6 +87,7 @@ impl Default for Limits {
             queue: 10_000,
             run_s: 7.0 * 86_400.0,
             log_bytes: 16 << 30,
+            memory_bytes: 4 << 30,
             reserve_bytes: 64 << 20,
             connections: 1024,
             connections_per_client: 64,
@@ -101,6 +109,10 @@ impl Limits {
             let every = ((plan.every as f64 * excess * 1.01).ceil() as u64).min(plan.steps);
             let (estimate, limit) = (plan.log_bytes, self.log_bytes);
             return Err(Refusal::LogTooLarge { estimate, limit, every });
+        }
+        if plan.memory_bytes > self.memory_bytes {
+            let (estimate, limit) = (plan.memory_bytes, self.memory_bytes);
+            return Err(Refusal::TooMuchMemory { estimate, limit });
         }
         Ok(())
     }

@@ -2,25 +2,30 @@
 //!
 //! Invariants: all state sits behind one std mutex, held for moments and never over an `.await`. A job runs on
 //! an OS thread of its own, and what it costs is seen through two atomics. A state is shown only after the
-//! store holds what it says; an operation once begun goes on to its end, whether or not the client waits.
+//! store holds what it says; an operation once begun goes on to its end, whether or not the client waits. A start
+//! computes nothing and ends no job: that is left to the workers.
 
 mod worker;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::fs::Metadata;
+use std::io;
 use std::ops::Bound;
-use std::path::PathBuf;
-use std::sync::atomic::Ordering;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
-use futures_util::{StreamExt, TryStreamExt, stream};
+use futures_util::{StreamExt, stream};
+use serde_json::value::RawValue;
+use tokio::sync::Semaphore;
 use tokio::sync::mpsc;
 use uuid::Uuid;
 
+use super::errand::Task;
 use super::job::{Fault, Job, Phase, State, View};
 use super::metrics::Metrics;
-use super::store::{Ending, Found, MAX_GIVING_UP, Record, Store, StoreError};
+use super::store::{Ending, Found, Line, LogSum, Record, Size, Store, StoreError, Waiting};
 use super::{Limits, ServeError, chain, give_way};
-use crate::advise;
 use crate::live::Live;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
@@ -43,12 +48,18 @@ pub(super) enum Refusal {
         "the log is expected to take {estimate} bytes, more than the {limit} allowed here: log every {every} steps, or fewer channels"
     )]
     LogTooLarge { estimate: u64, limit: u64, every: u64 },
+    #[error(
+        "the run is expected to take {estimate} bytes of memory, more than the {limit} allowed here: fewer members, or a smaller n"
+    )]
+    TooMuchMemory { estimate: u64, limit: u64 },
     #[error("the disk has no room for the log of this job beside those that were accepted before")]
     DiskFull,
     #[error("this Idempotency-Key came with another scenario before")]
     KeyReused,
     #[error("the request with this Idempotency-Key is still being answered")]
     KeyBusy,
+    #[error("the service failed to check the request; its log says why")]
+    Broken,
     #[error("there is no job with this id")]
     UnknownJob,
     #[error("the job is running: cancel it first")]
@@ -59,14 +70,42 @@ pub(super) enum Refusal {
     LogUnfinished { eta_s: Option<f64> },
     #[error("the job ended before it began a log")]
     NoLog,
+    #[error("the log is missing, or is not what the job wrote: its checksum differs")]
+    LogDamaged,
     #[error(transparent)]
     Store(#[from] StoreError),
+}
+
+impl Refusal {
+    /// What programs match on.
+    pub(super) fn code(&self) -> &'static str {
+        match self {
+            Self::QueueFull { .. } => "queue_full",
+            Self::Stopping => "stopping",
+            Self::TooExpensive { .. } => "too_expensive",
+            Self::LogTooLarge { .. } => "log_too_large",
+            Self::TooMuchMemory { .. } => "too_much_memory",
+            Self::DiskFull => "storage_full",
+            Self::KeyReused => "idempotency_key_reused",
+            Self::KeyBusy => "idempotency_key_busy",
+            Self::Broken => "internal",
+            Self::UnknownJob => "unknown_job",
+            Self::JobRunning => "job_running",
+            Self::JobEnded => "job_ended",
+            Self::LogUnfinished { .. } => "log_unfinished",
+            Self::NoLog => "no_log",
+            Self::LogDamaged => "log_damaged",
+            Self::Store(error) => error.code(),
+        }
+    }
 }
 
 #[derive(Debug)]
 struct Index {
     jobs: BTreeMap<Uuid, Job>,
     queue: VecDeque<Uuid>,
+    /// Jobs that wait for the store, until when.
+    resting: BTreeSet<(Instant, Uuid)>,
     /// Those in the hands of workers.
     running: BTreeSet<Uuid>,
     /// The job that came under each idempotency key.
@@ -94,11 +133,21 @@ impl Index {
     fn remove(&mut self, id: Uuid) -> Option<Job> {
         let job = self.jobs.remove(&id)?;
         self.running.remove(&id);
-        self.promised_bytes -= job.log_bytes;
+        self.promised_bytes -= job.owed_bytes;
         if let Some(key) = job.key {
             self.keys.remove(&key);
         }
         Some(job)
+    }
+
+    /// Takes back a job that could not be forgotten.
+    fn restore(&mut self, id: Uuid, job: Job) {
+        self.promised_bytes += job.owed_bytes;
+        if let Some(key) = job.key {
+            self.keys.insert(key, id);
+        }
+        self.jobs.insert(id, job);
+        self.back_to_queue(id);
     }
 
     fn running(&self) -> impl Iterator<Item = &Job> {
@@ -110,15 +159,77 @@ impl Index {
         let written = self.running().map(Job::bytes_written).sum();
         self.promised_bytes.saturating_sub(written)
     }
+
+    /// Takes note of what a job is expected to take, of whose log so much is on the disk.
+    fn owe(&mut self, id: Uuid, size: Size, written_bytes: u64) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        let owed_bytes = size.log_bytes.saturating_sub(written_bytes);
+        self.promised_bytes = self.promised_bytes - job.owed_bytes + owed_bytes;
+        (job.size, job.owed_bytes) = (Some(size), owed_bytes);
+    }
+
+    /// Takes a job that waits out of the queue.
+    fn leave(&mut self, id: Uuid) {
+        if let Some(job) = self.jobs.get_mut(&id) {
+            job.phase = Phase::Leaving;
+        }
+        self.queue.retain(|waiting| *waiting != id);
+        self.resting.retain(|(_, waiting)| *waiting != id);
+    }
+
+    /// Puts a job back to where it was before it left the queue, or was in the hands of a worker.
+    fn back_to_queue(&mut self, id: Uuid) {
+        self.running.remove(&id);
+        if let Some(job) = self.jobs.get_mut(&id)
+            && matches!(job.phase, Phase::Leaving | Phase::Running { .. })
+        {
+            job.phase = Phase::Queued;
+            self.queue.push_front(id);
+        }
+    }
+}
+
+/// What tells a file from one that was changed since.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Identity {
+    bytes: u64,
+    place: (u64, u64),
+    changed: (i64, i64),
+}
+
+impl Identity {
+    fn of(found: &Metadata) -> Self {
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt;
+            Self {
+                bytes: found.len(),
+                place: (found.dev(), found.ino()),
+                changed: (found.ctime(), found.ctime_nsec()),
+            }
+        }
+        #[cfg(not(unix))]
+        {
+            let since = found.modified().ok().and_then(|time| time.elapsed().ok());
+            let changed = since.map_or(0, |since| since.as_secs().cast_signed());
+            Self { bytes: found.len(), place: (0, 0), changed: (changed, 0) }
+        }
+    }
 }
 
 #[derive(Debug)]
 struct Shared {
-    store: Store,
+    store: Arc<Store>,
     metrics: Metrics,
     limits: Limits,
     live: Option<Arc<Live>>,
+    /// The program that carries out errands in a process of its own.
+    program: Option<PathBuf>,
     index: Mutex<Index>,
+    /// The logs that were found to be what their jobs wrote.
+    sound: Mutex<HashMap<Uuid, Identity>>,
+    /// Logs are read through one at a time.
+    summing: Semaphore,
     /// There is work in the queue, or no more to come.
     work: Condvar,
     /// The stop has begun.
@@ -161,8 +272,11 @@ impl Place {
     fn fill(mut self, id: Uuid, job: Job) {
         self.key = None;
         let mut index = self.shared.index();
-        index.promised_bytes += job.log_bytes;
+        let size = job.size;
         index.jobs.insert(id, job);
+        if let Some(size) = size {
+            index.owe(id, size, 0);
+        }
         index.queue.push_back(id);
         drop(index);
         self.shared.work.notify_one();
@@ -187,33 +301,44 @@ impl Engine {
         workers: usize,
         limits: Limits,
         live: Option<Arc<Live>>,
+        program: Option<PathBuf>,
     ) -> Result<(Self, Drained), ServeError> {
         let unreadable = |error: StoreError| ServeError::Record { message: chain(&error) };
-        let found = store.scan().await.map_err(unreadable)?;
+        let store = Arc::new(store);
+        let scanned = {
+            let store = store.clone();
+            tokio::task::spawn_blocking(move || store.scan()).await.map_err(io::Error::other)?
+        };
+        let (found, aside) = scanned.map_err(unreadable)?;
         let jobs: BTreeMap<_, _> = stream::iter(found)
             .map(|found| take_up(&store, found))
             .buffered(SCAN_WIDTH)
-            .try_collect()
-            .await
-            .map_err(unreadable)?;
+            .collect()
+            .await;
         let queue: VecDeque<_> = jobs
             .iter()
             .filter(|(_, job)| matches!(job.phase, Phase::Queued))
             .map(|(id, _)| *id)
             .collect();
         let keys = jobs.iter().filter_map(|(id, job)| Some((job.key?, *id))).collect();
-        let promised_bytes = jobs.values().map(|job| job.log_bytes).sum();
-        tracing::info!(jobs = jobs.len(), queued = queue.len(), "record read");
+        let promised_bytes = jobs.values().map(|job| job.owed_bytes).sum();
+        let unknown: Vec<Uuid> =
+            queue.iter().filter(|id| jobs[*id].size.is_none()).copied().collect();
+        tracing::info!(jobs = jobs.len(), queued = queue.len(), aside, "record read");
 
         let (alive, gone) = mpsc::channel(1);
         let shared = Arc::new(Shared {
             store,
-            metrics: Metrics::new(),
+            metrics: Metrics::new(aside),
             limits,
             live,
+            program,
+            sound: Mutex::default(),
+            summing: Semaphore::new(1),
             index: Mutex::new(Index {
                 jobs,
                 queue,
+                resting: BTreeSet::new(),
                 running: BTreeSet::new(),
                 keys,
                 promised_bytes,
@@ -232,32 +357,64 @@ impl Engine {
                 drop(alive);
             })?;
         }
-        Ok((Self(shared), Drained(gone)))
+        let engine = Self(shared);
+        tokio::spawn(engine.clone().read_names(unknown));
+        Ok((engine, Drained(gone)))
     }
 
-    /// Takes a job. When this returns the job is on the disk. A key that came before, with the same
-    /// scenario, gives the job of that time.
+    /// Reads the names of jobs that the index does not know, one after the other.
+    async fn read_names(self, unknown: Vec<Uuid>) {
+        for id in unknown {
+            let Ok(text) = self.0.store.scenario(id).await else { continue };
+            let Ok(Ok(scenario)) =
+                tokio::task::spawn_blocking(move || Scenario::from_json(&text)).await
+            else {
+                continue;
+            };
+            if let Some(job) = self.0.index().jobs.get_mut(&id)
+                && job.name.is_empty()
+            {
+                scenario.name().clone_into(&mut job.name);
+            }
+        }
+    }
+
+    /// Takes a job, with its plan unless its accuracy is yet to be settled. When this returns the job is on the
+    /// disk. A key that came before, with the same scenario, gives the job of that time.
     pub(super) async fn submit(
         &self,
         scenario: Scenario,
-        plan: Plan,
+        plan: Option<Plan>,
         key: Option<Uuid>,
     ) -> Result<View, Refusal> {
-        self.0.limits.admit(&plan)?;
+        if let Some(plan) = &plan {
+            self.0.limits.admit(plan)?;
+        }
         let shared = self.0.clone();
         let free_bytes = tokio::task::spawn_blocking(move || shared.store.free_bytes()).await;
         // A runtime that goes down takes no jobs.
         let free_bytes = free_bytes.map_err(|_| Refusal::Stopping)??;
         let id = Uuid::now_v7();
         let text = scenario.to_json();
-        let place = match self.reserve(id, key, plan.log_bytes, free_bytes)? {
+        let log_bytes = plan.as_ref().map_or(0, |plan| plan.log_bytes);
+        let place = match self.reserve(id, key, log_bytes, free_bytes)? {
             Ok(place) => place,
             Err(earlier) => return self.submitted_before(earlier, &text).await,
         };
         to_the_end(async move {
-            let job = Job { key, ..Job::new(&scenario, &plan, 0) };
-            place.shared.store.accept(id, key, text).await?;
-            tracing::info!(job = %id, name = job.name, steps = job.steps, "job accepted");
+            let job = Job { key, ..Job::new(scenario.name(), 0) };
+            let job = match &plan {
+                Some(plan) => job.planned(plan),
+                None => job,
+            };
+            let store = &place.shared.store;
+            store.accept(id, key, text).await?;
+            store.add_to_index(&Line::Waits(Waiting {
+                id,
+                name: job.name.clone(),
+                size: job.size,
+            }));
+            tracing::info!(job = %id, name = job.name, "job accepted");
             let view = job.view(id);
             place.shared.metrics.accept();
             place.fill(id, job);
@@ -305,22 +462,41 @@ impl Engine {
         self.get(id).await
     }
 
-    /// One job, with how it ended.
+    /// One job, with how it ended or what is planned.
     pub(super) async fn get(&self, id: Uuid) -> Result<View, Refusal> {
         let mut view = self.brief(id)?;
+        if view.record.is_some() {
+            return Ok(view);
+        }
         if view.state.is_final() {
             let record = self.0.store.record(id).await.or_else(|error| {
                 tracing::error!(job = %id, error = chain(&error), "result unreadable");
                 let index = self.0.index();
                 let job = index.jobs.get(&id).ok_or(Refusal::UnknownJob)?;
-                let record = job.record(view.state, Some(&Fault::damaged()));
+                let record = job.record(view.state, Some(&Fault::damaged(Some(&error))));
                 Ok::<_, Refusal>(Record { finished: None, ..record })
             })?;
             let Record { plan, .. } = &record;
             view.plan.clone_from(plan);
             view.record = Some(record);
+        } else if view.plan.is_none() {
+            view.plan = self.plan(id).await;
+            if let Some(job) = self.0.index().jobs.get_mut(&id)
+                && job.plan.is_none()
+            {
+                job.plan.clone_from(&view.plan);
+            }
         }
         Ok(view)
+    }
+
+    /// The plan of a job that waits since before the start, if method and step are settled.
+    async fn plan(&self, id: Uuid) -> Option<Box<RawValue>> {
+        let text = self.0.store.scenario(id).await.ok()?;
+        let task = Task::new(&text, self.0.store.settled(id).await.ok()?);
+        let planned = move || task.plan(&task.scenario()?);
+        let planned = tokio::task::spawn_blocking(planned).await;
+        serde_json::value::to_raw_value(&planned.ok()?.ok()??).ok()
     }
 
     /// One job, without a look at the disk.
@@ -362,14 +538,49 @@ impl Engine {
         self.0.metrics.text(&counts, queue, free_bytes)
     }
 
-    /// The finished log of a job.
-    pub(super) fn log(&self, id: Uuid) -> Result<PathBuf, Refusal> {
+    /// The finished log of a job, found to be what the job wrote: read through once after each start, and whenever
+    /// the file is not the one of before.
+    pub(super) async fn log(&self, id: Uuid) -> Result<PathBuf, Refusal> {
         let view = self.brief(id)?;
         match (view.state.is_final(), view.has_log) {
-            (true, true) => Ok(self.0.store.log_path(id)),
-            (true, false) => Err(Refusal::NoLog),
-            (false, _) => Err(Refusal::LogUnfinished { eta_s: view.eta_s }),
+            (true, true) => {}
+            (true, false) => return Err(Refusal::NoLog),
+            (false, _) => return Err(Refusal::LogUnfinished { eta_s: view.eta_s }),
         }
+        let path = self.0.store.log_path(id);
+        // An older build kept no checksum.
+        let Some(known) = view.log else { return Ok(path) };
+        if self.0.is_known(id, &path) {
+            return Ok(path);
+        }
+        // Never closed.
+        let _turn = self.0.summing.acquire().await;
+        if self.0.is_known(id, &path) {
+            return Ok(path);
+        }
+        let shared = self.0.clone();
+        let checked = tokio::task::spawn_blocking(move || {
+            let failed = StoreError::reading_a_log;
+            let found = match path.symlink_metadata() {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+                found => Some(found.map_err(failed)?),
+            };
+            // A link planted in the data directory must not lead out of it.
+            let Some(found) = found.filter(Metadata::is_file) else {
+                tracing::error!(job = %id, "log missing");
+                return Err(Refusal::LogDamaged);
+            };
+            let identity = Identity::of(&found);
+            let stopped = || shared.index().alive.is_none();
+            let sum = LogSum::of(&path, stopped).map_err(failed)?.ok_or(Refusal::Stopping)?;
+            if sum != known {
+                tracing::error!(job = %id, bytes = sum.bytes, sha256 = sum.sha256, "log damaged");
+                return Err(Refusal::LogDamaged);
+            }
+            shared.sound().insert(id, identity);
+            Ok(path)
+        });
+        checked.await.map_err(|_| Refusal::Stopping)?
     }
 
     /// The scenario of a job, as accepted.
@@ -384,20 +595,28 @@ impl Engine {
         let alive = self.alive()?;
         to_the_end(async move {
             let record = {
+                // A log that was begun gets its end from a worker.
+                let begun = shared.store.has_begun(id);
                 let mut index = shared.index();
-                let Index { jobs, queue, .. } = &mut *index;
-                let job = jobs.get_mut(&id).ok_or(Refusal::UnknownJob)?;
+                let job = index.jobs.get_mut(&id).ok_or(Refusal::UnknownJob)?;
                 match &mut job.phase {
-                    Phase::Ended { .. } => return Err(Refusal::JobEnded),
+                    Phase::Ended { .. } | Phase::Aside(_) => return Err(Refusal::JobEnded),
                     Phase::Leaving => None,
                     Phase::Running { control, .. } => {
-                        control.cancelled.store(true, Ordering::Relaxed);
+                        control.cancel();
+                        None
+                    }
+                    Phase::Queued if begun => {
+                        job.cancelled = true;
+                        index.leave(id);
+                        index.back_to_queue(id);
+                        shared.work.notify_one();
                         None
                     }
                     Phase::Queued => {
-                        job.phase = Phase::Leaving;
-                        queue.retain(|waiting| *waiting != id);
-                        Some(job.record(State::Cancelled, None))
+                        let record = job.record(State::Cancelled, None);
+                        index.leave(id);
+                        Some(record)
                     }
                 }
             };
@@ -421,24 +640,23 @@ impl Engine {
         let shared = self.0.clone();
         let alive = self.alive()?;
         to_the_end(async move {
-            {
+            // It is gone for those who ask before its files are.
+            let job = {
                 let mut index = shared.index();
-                let Index { jobs, queue, .. } = &mut *index;
-                let job = jobs.get_mut(&id).ok_or(Refusal::UnknownJob)?;
+                let job = index.jobs.get(&id).ok_or(Refusal::UnknownJob)?;
                 match job.phase {
                     Phase::Running { .. } | Phase::Leaving => return Err(Refusal::JobRunning),
-                    Phase::Ended { .. } => {}
-                    Phase::Queued => {
-                        job.phase = Phase::Leaving;
-                        queue.retain(|waiting| *waiting != id);
-                    }
+                    Phase::Ended { .. } | Phase::Aside(_) => {}
+                    Phase::Queued => index.leave(id),
                 }
-            }
+                index.remove(id).ok_or(Refusal::UnknownJob)?
+            };
             if let Err(error) = shared.store.forget(id).await {
-                shared.back_to_queue(id);
+                shared.index().restore(id, job);
+                shared.work.notify_one();
                 return Err(error.into());
             }
-            shared.index().remove(id);
+            shared.sound().remove(&id);
             tracing::info!(job = %id, "job forgotten");
             drop(alive);
             Ok(())
@@ -452,7 +670,7 @@ impl Engine {
         index.alive = None;
         for job in index.running() {
             if let Phase::Running { control, .. } = &job.phase {
-                control.interrupted.store(true, Ordering::Relaxed);
+                control.interrupt();
             }
         }
         drop(index);
@@ -480,81 +698,59 @@ impl Shared {
                 Ok(())
             }
             Err(error) => {
-                self.back_to_queue(id);
+                self.index().back_to_queue(id);
+                self.work.notify_one();
                 Err(error)
             }
         }
     }
 
-    /// Puts a job whose departure failed to the front of the queue.
-    fn back_to_queue(&self, id: Uuid) {
-        let mut index = self.index();
-        let Index { jobs, queue, .. } = &mut *index;
-        if let Some(job) = jobs.get_mut(&id)
-            && matches!(job.phase, Phase::Leaving)
-        {
-            job.phase = Phase::Queued;
-            queue.push_front(id);
-            self.work.notify_one();
-        }
+    fn sound(&self) -> MutexGuard<'_, HashMap<Uuid, Identity>> {
+        self.sound.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether a log is the file that was found sound before.
+    fn is_known(&self, id: Uuid, path: &Path) -> bool {
+        let found = path.symlink_metadata().ok().map(|found| Identity::of(&found));
+        found.is_some() && self.sound().get(&id).copied() == found
     }
 }
 
-/// A job of the store: one that ended, one that must end now, or one to run (again).
-async fn take_up(store: &Store, found: Found) -> Result<(Uuid, Job), StoreError> {
-    let id = found.id;
-    if found.ended {
-        let ending = match found.ending {
-            Some(ending) => ending,
-            None => unindexed(store, &found).await,
+/// A job of the store: one that ended, or one that waits.
+async fn take_up(store: &Store, found: Found) -> (Uuid, Job) {
+    let Found { id, key, attempts, cancelled, ended, .. } = found;
+    if ended {
+        let job = match found.line {
+            Some(Line::Ended(ending)) => Job::ended(ending),
+            _ => unindexed(store, &found).await,
         };
-        return Ok((id, Job { key: found.key, ..Job::ended(ending) }));
+        return (id, Job { key, ..job });
     }
-    let came_to = store.progress(id)?;
-    let deaths = store.deaths(id, found.attempts, came_to).await;
-    let given_up = (found.given_up > 0 || deaths.convict()).then_some(found.given_up);
-    let planned = store.scenario(id).await.map_err(|error| Fault::storage(&error));
-    let planned = planned.and_then(|text| {
-        let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
-        let plan = advise::plan(&scenario).map_err(|error| Fault::rejected(&error))?;
-        let job = Job::new(&scenario, &plan, found.attempts);
-        // Nothing of a job that is given up is computed: it harms no other.
-        let suspect = deaths.fruitless > 0 && given_up.is_none();
-        Ok(Job { suspect, given_up, cancelled: found.cancelled, ..job.come_to(came_to) })
-    });
-    let (job, fault) = match planned {
-        Ok(job) => (job, None),
-        Err(fault) => (Job::unnamed(found.attempts), Some(fault)),
-    };
-    let job = Job { key: found.key, ..job };
-    let record = match fault {
-        // What ran before goes to its worker, who gives its log an end.
-        _ if found.cancelled && found.attempts == 0 => job.record(State::Cancelled, None),
-        Some(fault) => job.record(State::Failed, Some(&fault)),
-        None if found.given_up >= MAX_GIVING_UP => {
-            job.record(State::Failed, Some(&Fault::worker_crashed()))
+    let job = match found.line {
+        Some(Line::Waits(waiting)) => {
+            let owed_bytes = waiting.size.map_or(0, |size| size.log_bytes);
+            let owed_bytes = owed_bytes.saturating_sub(found.part_bytes);
+            Job { size: waiting.size, owed_bytes, ..Job::new(&waiting.name, attempts) }
         }
-        None => return Ok((id, job)),
+        _ => Job::new("", attempts),
     };
-    tracing::warn!(job = %id, attempts = found.attempts, state = ?record.state, "job ended at the start");
-    store.remove_leftovers(id)?;
-    let ending = Ending::of(id, &store.publish(id, &record).await?);
-    Ok((id, Job { key: found.key, ..Job::ended(ending) }))
+    (id, Job { key, cancelled, suspect: attempts > 0, ..job })
 }
 
 /// How a job ended that the index does not know.
-async fn unindexed(store: &Store, found: &Found) -> Ending {
-    let id = found.id;
-    let ending = match store.record(id).await {
-        Ok(record) => Ending::of(id, &record),
-        Err(error) => {
-            tracing::error!(job = %id, error = chain(&error), "result unreadable");
-            let record = Job::unnamed(found.attempts).record(State::Failed, None);
-            return Ending { has_log: found.has_log, ..Ending::of(id, &record) };
+async fn unindexed(store: &Store, found: &Found) -> Job {
+    match store.record(found.id).await {
+        Ok(record) => {
+            let ending = Ending::of(found.id, &record);
+            store.add_to_index(&Line::Ended(ending.clone()));
+            Job::ended(ending)
         }
-    };
-    store.add_to_index(&ending);
-    ending
+        Err(error) => {
+            tracing::error!(job = %found.id, error = chain(&error), "result unreadable");
+            let record = Job::new("", found.attempts).record(State::Failed, None);
+            Job::ended(Ending { has_log: found.has_log, ..Ending::of(found.id, &record) })
+        }
+    }
 }
 
 /// Runs a task to its end even if the caller, a request whose client has left, is dropped.

@@ -65,10 +65,9 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
 }
 
 /// The log of a job from its first byte, as its chunks are closed, up to its last one.
-pub(super) fn log(engine: Engine, id: Uuid) -> Result<Response, Refusal> {
-    let view = engine.brief(id)?;
-    if view.state.is_final() && !view.has_log {
-        return Err(Refusal::NoLog);
+pub(super) async fn log(engine: Engine, id: Uuid) -> Result<Response, Refusal> {
+    if engine.brief(id)?.state.is_final() {
+        engine.log(id).await?;
     }
     Ok(download::as_log(
         id,

@@ -2,11 +2,14 @@
 //!
 //! ```text
 //! queued → running → succeeded | failed | cancelled
+//!    ↑        |
+//!    └────────┘  the store refuses something for now, or a method and a step have been settled
 //! ```
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use chrono::{DateTime, SubsecRound, Utc};
 use schemars::JsonSchema;
@@ -14,10 +17,12 @@ use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-use super::store::{Ending, Record, StoreError};
+use super::engine::Refusal;
+use super::store::{Ending, LogSum, Record, Size, StoreError};
+use crate::advise::Unsettled;
 use crate::plan::Plan;
 use crate::run::{Control, Reason, RunError};
-use crate::scenario::{Scenario, ScenarioError};
+use crate::scenario::ScenarioError;
 
 /// Where a job stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
@@ -65,6 +70,10 @@ pub(super) struct View {
     pub(super) durable_step: u64,
     pub(super) eta_s: Option<f64>,
     pub(super) has_log: bool,
+    /// Size and checksum of the finished log.
+    pub(super) log: Option<LogSum>,
+    /// Why it waits although a run of it began.
+    pub(super) trouble: Option<Trouble>,
     pub(super) plan: Option<Box<RawValue>>,
     /// How it ended; only where a single job is asked for.
     pub(super) record: Option<Record>,
@@ -83,79 +92,115 @@ pub(super) enum Phase {
         state: State,
         steps_done: u64,
         has_log: bool,
+        log: Option<LogSum>,
     },
+    /// Its record is damaged or out of reach: nothing is done with it, and it is looked at again at the next start.
+    Aside(Fault),
+}
+
+/// Why a job waits although a run of it began: the store refused something that it may do later.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub(super) struct Trouble {
+    /// `storage_full` or `storage_error`.
+    code: Cow<'static, str>,
+    /// What could not be done.
+    message: String,
+    /// How often in a row.
+    times: u32,
+}
+
+impl Trouble {
+    pub(super) fn new(code: &'static str, message: String) -> Self {
+        Self { code: code.into(), message, times: 1 }
+    }
+
+    /// One more in a row.
+    pub(super) fn again(self, before: Option<&Self>) -> Self {
+        Self { times: before.map_or(0, |before| before.times) + 1, ..self }
+    }
+
+    /// How long the job rests: longer each time, and not so long that nobody would wait for the next try.
+    pub(super) fn pause(&self) -> Duration {
+        const FIRST: Duration = Duration::from_millis(100);
+        const LONGEST: Duration = Duration::from_secs(15);
+        FIRST.saturating_mul(1 << self.times.min(16)).min(LONGEST)
+    }
 }
 
 #[derive(Debug)]
 pub(super) struct Job {
     pub(super) name: String,
     pub(super) attempts: u32,
-    /// Whether the last run ended with its process and without having come further.
+    /// Whether the process ended during its last run: it is run in a process of its own.
     pub(super) suspect: bool,
-    /// It ends its process, time and again: it is not run, its log is given an end; so often that was tried.
-    pub(super) given_up: Option<u32>,
-    /// Whether a client stopped it before the process ended.
+    /// Whether a client stopped it.
     pub(super) cancelled: bool,
     /// The key under which the client sent it.
     pub(super) key: Option<Uuid>,
-    pub(super) steps: u64,
-    /// The step up to which earlier runs have written its log.
-    pub(super) came_to: u64,
+    /// What it takes; `None` as long as its method and step are not settled.
+    pub(super) size: Option<Size>,
+    /// What its log is expected to take of the disk beyond what earlier runs have written.
+    pub(super) owed_bytes: u64,
     /// The plan as JSON, until the record holds it; as text, for there may be many jobs, and many who ask.
     pub(super) plan: Option<Box<RawValue>>,
-    /// What its log is expected to take of the disk beyond what earlier runs have written.
-    pub(super) log_bytes: u64,
+    pub(super) trouble: Option<Trouble>,
     pub(super) phase: Phase,
 }
 
+impl Size {
+    pub(super) fn of(plan: &Plan) -> Self {
+        let Plan { log_bytes, memory_bytes, .. } = *plan;
+        Self { steps: plan.total_steps(), log_bytes, memory_bytes }
+    }
+}
+
 impl Job {
-    pub(super) fn new(scenario: &Scenario, plan: &Plan, attempts: u32) -> Self {
+    pub(super) fn new(name: &str, attempts: u32) -> Self {
         Self {
-            name: scenario.name().to_owned(),
+            name: name.to_owned(),
             attempts,
             suspect: false,
-            given_up: None,
             cancelled: false,
             key: None,
-            steps: plan.total_steps(),
-            came_to: 0,
-            plan: serde_json::value::to_raw_value(plan).ok(),
-            log_bytes: plan.log_bytes,
+            size: None,
+            owed_bytes: 0,
+            plan: None,
+            trouble: None,
             phase: Phase::Queued,
         }
     }
 
-    /// The same job, of whose log the beginning is on the disk.
-    pub(super) fn come_to(self, step: u64) -> Self {
-        let left = self.steps.saturating_sub(step) as f64 / self.steps.max(1) as f64;
-        Self { came_to: step, log_bytes: (self.log_bytes as f64 * left) as u64, ..self }
-    }
-
-    /// A job whose scenario cannot be read.
-    pub(super) fn unnamed(attempts: u32) -> Self {
-        Self {
-            name: String::new(),
-            attempts,
-            suspect: false,
-            given_up: None,
-            cancelled: false,
-            key: None,
-            steps: 0,
-            came_to: 0,
-            plan: None,
-            log_bytes: 0,
-            phase: Phase::Leaving,
-        }
+    /// The same job, planned.
+    pub(super) fn planned(self, plan: &Plan) -> Self {
+        let text = serde_json::value::to_raw_value(plan).ok();
+        Self { size: Some(Size::of(plan)), plan: text, ..self }
     }
 
     pub(super) fn ended(ending: Ending) -> Self {
-        let Ending { name, state, attempts, steps, steps_done, has_log, .. } = ending;
+        let Ending { name, state, attempts, steps, steps_done, has_log, log, .. } = ending;
         Self {
-            name,
-            steps,
-            phase: Phase::Ended { state, steps_done, has_log },
-            ..Self::unnamed(attempts)
+            size: Some(Size { steps, log_bytes: 0, memory_bytes: 0 }),
+            phase: Phase::Ended { state, steps_done, has_log, log },
+            ..Self::new(&name, attempts)
         }
+    }
+
+    fn steps(&self) -> u64 {
+        self.size.map_or(0, |size| size.steps)
+    }
+
+    /// How much of `owed_bytes` is on the disk by now, about.
+    pub(super) fn bytes_written(&self) -> u64 {
+        let Phase::Running { control, .. } = &self.phase else { return 0 };
+        let from = control.resumed_step.load(Ordering::Relaxed);
+        let made = control.durable_step.load(Ordering::Relaxed).saturating_sub(from);
+        let to_make = self.steps().saturating_sub(from).max(1);
+        (self.owed_bytes as f64 * (made as f64 / to_make as f64).min(1.0)) as u64
+    }
+
+    /// Bytes of memory that its run takes.
+    pub(super) fn memory_bytes(&self) -> u64 {
+        self.size.map_or(0, |size| size.memory_bytes)
     }
 
     pub(super) fn state(&self) -> State {
@@ -163,43 +208,27 @@ impl Job {
             Phase::Queued | Phase::Leaving => State::Queued,
             Phase::Running { .. } => State::Running,
             Phase::Ended { state, .. } => state,
-        }
-    }
-
-    /// How much of `log_bytes` is on the disk by now, about.
-    pub(super) fn bytes_written(&self) -> u64 {
-        let Phase::Running { control, .. } = &self.phase else { return 0 };
-        let made = control.durable_step.load(Ordering::Relaxed).saturating_sub(self.came_to);
-        let to_make = self.steps.saturating_sub(self.came_to).max(1);
-        (self.log_bytes as f64 * (made as f64 / to_make as f64).min(1.0)) as u64
-    }
-
-    /// Whether the job runs and may yet be what ended the process.
-    pub(super) fn is_suspect(&self) -> bool {
-        match &self.phase {
-            Phase::Running { control, .. } => {
-                let came_from = control.resumed_step.load(Ordering::Relaxed);
-                self.suspect && control.durable_step.load(Ordering::Relaxed) <= came_from
-            }
-            _ => false,
+            Phase::Aside(_) => State::Failed,
         }
     }
 
     pub(super) fn view(&self, id: Uuid) -> View {
         let (mut steps_done, mut durable_step, mut eta_s, mut has_log) = (0, 0, None, false);
+        let mut sum = None;
         match &self.phase {
             Phase::Running { control, since } => {
                 steps_done = control.steps_done.load(Ordering::Relaxed);
                 durable_step = control.durable_step.load(Ordering::Relaxed);
-                let left = self.steps.saturating_sub(steps_done) as f64;
+                let left = self.steps().saturating_sub(steps_done) as f64;
                 let made = steps_done.saturating_sub(control.resumed_step.load(Ordering::Relaxed));
                 eta_s = (made > 0).then(|| since.elapsed().as_secs_f64() * left / made as f64);
             }
-            Phase::Ended { steps_done: done, has_log: log, .. } => {
-                (steps_done, has_log) = (*done, *log);
+            Phase::Ended { steps_done: done, has_log: logged, log, .. } => {
+                (steps_done, has_log) = (*done, *logged);
                 durable_step = if has_log { steps_done } else { 0 };
+                sum.clone_from(log);
             }
-            Phase::Queued | Phase::Leaving => {}
+            Phase::Queued | Phase::Leaving | Phase::Aside(_) => {}
         }
         View {
             id,
@@ -207,13 +236,20 @@ impl Job {
             state: self.state(),
             created: created(id),
             attempts: self.attempts,
-            steps: self.steps,
+            steps: self.steps(),
             steps_done,
             durable_step,
             eta_s,
             has_log,
+            log: sum,
+            trouble: self.trouble.clone(),
             plan: self.plan.clone(),
-            record: None,
+            record: match &self.phase {
+                Phase::Aside(fault) => {
+                    Some(Record { finished: None, ..self.record(State::Failed, Some(fault)) })
+                }
+                _ => None,
+            },
         }
     }
 
@@ -224,9 +260,10 @@ impl Job {
             state,
             attempts: self.attempts,
             finished: Some(Utc::now().trunc_subsecs(3)),
-            steps: self.steps,
+            steps: self.steps(),
             steps_done: 0,
             has_log: false,
+            log: None,
             plan: self.plan.clone(),
             summary: None,
             diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
@@ -241,34 +278,38 @@ pub(super) fn created(id: Uuid) -> Option<DateTime<Utc>> {
 }
 
 /// Why a job ended without a summary of its run.
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Fault {
-    code: &'static str,
+    code: Cow<'static, str>,
     message: String,
-    advice: &'static str,
+    advice: Cow<'static, str>,
+}
+
+impl std::fmt::Display for Fault {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.message)
+    }
 }
 
 impl Fault {
     fn new(code: &'static str, message: impl Into<String>) -> Self {
         let advice = match code {
-            "storage_full" => {
-                "free space on the disk of the data directory, then submit the job again"
-            }
-            "storage_error" => {
-                "look for disk errors in the log of the service, then submit the job again"
+            "record_damaged" => {
+                "look for disk errors and for rights in the data directory; what it holds is left as it is, and looked at again at the next start"
             }
             "worker_crashed" => {
                 "the job ends its process: submit it with fewer samples or a smaller n, or report it"
             }
-            "record_damaged" => "look for disk errors; if the job has a log, its outcome is there",
             "scenario_rejected" => "submit the scenario again and mend what the answer names",
+            "accuracy_out_of_reach" => {
+                "ask for a larger error or a shorter run, or give a method and a step"
+            }
+            "too_expensive" | "log_too_large" | "too_much_memory" => {
+                "submit it shorter, with fewer samples or members, or raise the limit of the service"
+            }
             _ => "this is a fault of the program: report it with the scenario",
         };
-        Self { code, message: message.into(), advice }
-    }
-
-    pub(super) fn storage(error: &StoreError) -> Self {
-        Self::new(error.code(), format!("the service {error}"))
+        Self { code: code.into(), message: message.into(), advice: advice.into() }
     }
 
     pub(super) fn rejected(error: &ScenarioError) -> Self {
@@ -278,9 +319,26 @@ impl Fault {
         )
     }
 
+    /// No method and step for the accuracy that was asked for; `None` if the search was stopped.
+    pub(super) fn unsettled(error: &Unsettled) -> Option<Self> {
+        match error {
+            Unsettled::Cancelled => None,
+            Unsettled::Refused(error) => Some(Self::rejected(error)),
+            Unsettled::OutOfReach { .. } => {
+                Some(Self::new("accuracy_out_of_reach", error.to_string()))
+            }
+        }
+    }
+
+    /// More than the service takes on, which shows only once method and step are settled.
+    pub(super) fn beyond(refusal: &Refusal) -> Self {
+        Self::new(refusal.code(), refusal.to_string())
+    }
+
     /// A record that cannot be read: what is left of the job is its state.
-    pub(super) fn damaged() -> Self {
-        Self::new("record_damaged", "the result of this job cannot be read")
+    pub(super) fn damaged(error: Option<&StoreError>) -> Self {
+        let why = error.map_or_else(String::new, |error| format!(": the service {error}"));
+        Self::new("record_damaged", format!("the record of this job cannot be used{why}"))
     }
 
     pub(super) fn worker_crashed() -> Self {
@@ -290,9 +348,14 @@ impl Fault {
         )
     }
 
+    /// Whether the job is given up because its runs end their process.
+    pub(super) fn is_of_the_process(&self) -> bool {
+        self.code == "worker_crashed"
+    }
+
     /// For the log.
     pub(super) fn reason(&self) -> Reason<'_> {
-        Reason { code: self.code, cause: &self.message, advice: self.advice }
+        Reason { code: &self.code, cause: &self.message, advice: &self.advice }
     }
 
     pub(super) fn panicked() -> Self {
@@ -301,11 +364,6 @@ impl Fault {
 
     /// The cause may name files of the machine: it goes to the service's own log, not into the record.
     pub(super) fn run(error: &RunError) -> Self {
-        let message = match error.code() {
-            "storage_full" => "the disk filled up while the log was written",
-            "storage_error" => "the log could not be written",
-            _ => "the run broke off",
-        };
-        Self::new(error.code(), message)
+        Self::new(error.code(), "the run broke off")
     }
 }

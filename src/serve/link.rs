@@ -13,7 +13,7 @@ use sha2::Sha256;
 use tempfile::NamedTempFile;
 use uuid::Uuid;
 
-use super::store::parse_id;
+use super::store::{parse_id, put_aside};
 
 /// How long a link is good, at most, seconds.
 const LIFE_S: u64 = 86_400;
@@ -69,6 +69,10 @@ impl LinkKey {
     /// The key of a data directory, made if there is none: links outlive a restart.
     pub(super) fn of(data: &Path) -> io::Result<Self> {
         let path = data.join(FILE);
+        // What is no file may never open.
+        if path.symlink_metadata().is_ok_and(|found| !found.is_file()) {
+            put_aside(&path)?;
+        }
         let key = match std::fs::read(&path) {
             Ok(key) if key.len() == KEY_BYTES => key,
             Ok(_) => {

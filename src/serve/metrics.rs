@@ -41,6 +41,7 @@ pub(super) struct Metrics {
     accepted: Counter,
     ended: Family<OfState, Counter>,
     failures: Family<OfCode, Counter>,
+    aside: Counter,
     steps: Counter,
     log_bytes: Counter,
     step_ns: Histogram,
@@ -51,12 +52,14 @@ pub(super) struct Metrics {
 }
 
 impl Metrics {
-    pub(super) fn new() -> Self {
+    /// With so many things in the data directory that a start set aside.
+    pub(super) fn new(aside: usize) -> Self {
         let mut metrics = Self {
             registry: Registry::with_prefix("vpd"),
             accepted: Counter::default(),
             ended: Family::default(),
             failures: Family::default(),
+            aside: Counter::default(),
             steps: Counter::default(),
             log_bytes: Counter::default(),
             // From an explicit step of n = 3 to an implicit one of n = 16.
@@ -70,6 +73,12 @@ impl Metrics {
         registry.register("jobs_accepted", "Jobs answered 202", metrics.accepted.clone());
         registry.register("jobs_ended", "Jobs that ended, by state", metrics.ended.clone());
         registry.register("job_failures", "Failed jobs, by code", metrics.failures.clone());
+        registry.register(
+            "set_aside",
+            "Jobs and things in the data directory that cannot be used, since the start",
+            metrics.aside.clone(),
+        );
+        metrics.aside.inc_by(aside as u64);
         registry.register("steps", "Steps of ended jobs", metrics.steps.clone());
         registry.register("log_bytes", "Bytes of finished logs", metrics.log_bytes.clone());
         registry.register(
@@ -90,6 +99,11 @@ impl Metrics {
             metrics.free_bytes.clone(),
         );
         metrics
+    }
+
+    /// The record of a job cannot be used.
+    pub(super) fn set_aside(&self) {
+        self.aside.inc();
     }
 
     /// A job was answered 202.

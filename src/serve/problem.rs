@@ -298,41 +298,37 @@ impl From<StudyRefusal> for Problem {
 
 impl From<Refusal> for Problem {
     fn from(refusal: Refusal) -> Self {
-        let detail = refusal.to_string();
-        let with = |status, code| Self::new(status, code, detail);
+        let (detail, code) = (refusal.to_string(), refusal.code());
+        let with = |status| Self::new(status, code, detail);
         match refusal {
-            Refusal::QueueFull { .. } => {
-                with(StatusCode::TOO_MANY_REQUESTS, "queue_full").retry(RETRY_S)
-            }
+            Refusal::QueueFull { .. } => with(StatusCode::TOO_MANY_REQUESTS).retry(RETRY_S),
             Refusal::TooExpensive { .. } => {
-                Self { pointer: Some("/steps".to_owned()), ..with(UNPROCESSABLE, "too_expensive") }
+                Self { pointer: Some("/steps".to_owned()), ..with(UNPROCESSABLE) }
             }
-            Refusal::LogTooLarge { .. } => Self {
-                pointer: Some("/log/every".to_owned()),
-                ..with(UNPROCESSABLE, "log_too_large")
-            },
-            Refusal::DiskFull => {
-                with(StatusCode::INSUFFICIENT_STORAGE, "storage_full").retry(MAX_RETRY_S as u64)
+            Refusal::LogTooLarge { .. } => {
+                Self { pointer: Some("/log/every".to_owned()), ..with(UNPROCESSABLE) }
             }
-            Refusal::KeyReused => with(UNPROCESSABLE, "idempotency_key_reused"),
-            Refusal::KeyBusy => with(StatusCode::CONFLICT, "idempotency_key_busy").retry(1),
-            Refusal::Stopping => with(StatusCode::SERVICE_UNAVAILABLE, "stopping").retry(RETRY_S),
-            Refusal::UnknownJob => with(StatusCode::NOT_FOUND, "unknown_job"),
-            Refusal::NoLog => with(StatusCode::NOT_FOUND, "no_log"),
-            Refusal::JobRunning => with(StatusCode::CONFLICT, "job_running"),
-            Refusal::JobEnded => with(StatusCode::CONFLICT, "job_ended"),
+            Refusal::TooMuchMemory { .. } => with(UNPROCESSABLE),
+            Refusal::DiskFull => with(StatusCode::INSUFFICIENT_STORAGE).retry(MAX_RETRY_S as u64),
+            Refusal::KeyReused => with(UNPROCESSABLE),
+            Refusal::KeyBusy => with(StatusCode::CONFLICT).retry(1),
+            Refusal::Stopping => with(StatusCode::SERVICE_UNAVAILABLE).retry(RETRY_S),
+            Refusal::UnknownJob | Refusal::NoLog => with(StatusCode::NOT_FOUND),
+            Refusal::JobRunning | Refusal::JobEnded => with(StatusCode::CONFLICT),
+            Refusal::LogDamaged | Refusal::Broken => with(StatusCode::INTERNAL_SERVER_ERROR),
             Refusal::LogUnfinished { eta_s } => {
                 let wait = eta_s.unwrap_or(RETRY_S as f64).ceil().clamp(1.0, MAX_RETRY_S);
-                with(StatusCode::CONFLICT, "log_unfinished").retry(wait as u64)
+                with(StatusCode::CONFLICT).retry(wait as u64)
             }
             // Forgotten while it was asked for.
             Refusal::Store(error) if is_gone(&error) => Refusal::UnknownJob.into(),
             Refusal::Store(error) => {
                 tracing::error!(error = chain(&error), "store failed");
-                match error.code() {
-                    "storage_full" => with(StatusCode::INSUFFICIENT_STORAGE, "storage_full")
-                        .retry(MAX_RETRY_S as u64),
-                    code => with(StatusCode::INTERNAL_SERVER_ERROR, code),
+                match code {
+                    "storage_full" => {
+                        with(StatusCode::INSUFFICIENT_STORAGE).retry(MAX_RETRY_S as u64)
+                    }
+                    _ => with(StatusCode::INTERNAL_SERVER_ERROR),
                 }
             }
         }

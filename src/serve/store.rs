@@ -1,65 +1,62 @@
 //! The record of the jobs, on disk.
 //!
-//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, cancel, attempt-1, trace-1,
-//! …, giving-up-1, log.mcap, result.json}`.
+//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, settled.json, cancel, attempt-1, …, log.mcap,
+//! result.json}`.
 //!
-//! Invariants: a job exists while its `scenario.json` does. `attempt-N` and `result.json` are written
-//! put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
+//! Invariants: a job exists while its `scenario.json` or its `result.json` does. `attempt-N` and `result.json` are
+//! written put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
 //! has written is on the disk when the call returns, under a checksum. A file named `log.mcap` is finished, and
-//! it is the job's log once `result.json` stands. No name that a client sent becomes part of a path.
+//! it is the job's log once `result.json` stands, which holds its checksum. No name that a client sent becomes part of
+//! a path. Nothing is removed but what somebody forgot (`trash`) and what an answer that was never given left; what is
+//! not understood is told and left alone.
 //!
-//! `index.jsonl` repeats of each result what lists show, so that a start need not read them all. It is no
-//! record: what it lacks, or holds damaged, is read from the result.
+//! `index.jsonl` repeats of each job what lists show, so that a start need not read them all. It is no
+//! record: what it lacks, or holds damaged, is read from the job.
 
 mod studies;
 
 pub(super) use studies::{FoundStudy, StudyStore};
 
-use std::collections::{BTreeMap, HashMap, HashSet};
-use std::fs::{DirBuilder, File, TryLockError};
-use std::io::{self, Write};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fs::{self, DirBuilder, File, TryLockError};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use axum::body::Bytes;
 use chrono::{DateTime, Utc};
-use futures_util::{StreamExt, TryStreamExt, stream};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use object_store::{Error, ObjectStore, ObjectStoreExt, PutMode, PutOptions};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
+use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use uuid::Uuid;
 
-use super::ServeError;
 use super::job::State;
-use crate::log::resume::last_checkpoint;
+use super::{ServeError, chain};
+use crate::log::is_transient;
+use crate::plan::Advice;
+use crate::scenario::Scenario;
 
 const JOBS: &str = "jobs";
 const SCENARIO: &str = "scenario.json";
+const SETTLED: &str = "settled.json";
 const RESULT: &str = "result.json";
 const CANCEL: &str = "cancel";
 const ATTEMPT: &str = "attempt-";
-const TRACE: &str = "trace-";
-const GIVING_UP: &str = "giving-up-";
+const TRACE: &str = "trace";
 const LOG: &str = "log.mcap";
 const PART: &str = "log.mcap.part";
 const KEY: &str = "key-";
 const INDEX: &str = "index.jsonl";
+const TRASH: &str = "trash";
 
 /// Files written at once. A disk is no faster for more, and their threads crowd out those that answer.
 const WRITERS: usize = 8;
-
-/// A job that ends its process at the same step so many times in a row is given up.
-pub(super) const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
-
-/// A job of which so many runs in a row came to nothing is given up, wherever they ended.
-const MAX_FRUITLESS: u32 = 20;
-
-/// So often it is tried to give the log of a given-up job an end: that may end the process as well.
-pub(super) const MAX_GIVING_UP: u32 = 2;
 
 /// What begins the last line of a text that has a checksum.
 const SEAL: &str = "crc32 ";
@@ -75,9 +72,60 @@ pub(super) struct Record {
     pub(super) steps: u64,
     pub(super) steps_done: u64,
     pub(super) has_log: bool,
+    /// Size and checksum of the log; records of older builds have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) log: Option<LogSum>,
     pub(super) plan: Option<Box<RawValue>>,
     pub(super) summary: Option<Value>,
     pub(super) diagnosis: Option<Value>,
+}
+
+/// What makes out a log.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub(super) struct LogSum {
+    /// Its size.
+    pub(super) bytes: u64,
+    /// SHA-256, in hexadecimal digits.
+    pub(super) sha256: String,
+}
+
+impl LogSum {
+    /// Reads a log; `None` if that was stopped. Blocking.
+    pub(super) fn of(path: &Path, stopped: impl Fn() -> bool) -> io::Result<Option<Self>> {
+        let (mut file, mut piece) = (File::open(path)?, vec![0; 1 << 20]);
+        let (mut sum, mut bytes) = (Sha256::new(), 0);
+        loop {
+            let length = file.read(&mut piece)?;
+            if length == 0 {
+                let sha256 = sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+                return Ok(Some(Self { bytes, sha256 }));
+            }
+            sum.update(&piece[..length]);
+            bytes += length as u64;
+            if stopped() {
+                return Ok(None);
+            }
+        }
+    }
+}
+
+/// What an accuracy came to, as it is kept with the job: the scenario with a method and a step, and how they were
+/// chosen.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) struct Settled {
+    scenario: Box<RawValue>,
+    pub(super) advice: Advice,
+}
+
+impl Settled {
+    pub(super) fn new(scenario: &Scenario, advice: Advice) -> serde_json::Result<Self> {
+        // In one line, as all that goes between processes.
+        Ok(Self { scenario: serde_json::value::to_raw_value(scenario)?, advice })
+    }
+
+    pub(super) fn scenario(&self) -> &[u8] {
+        self.scenario.get().as_bytes()
+    }
 }
 
 /// What the scan found of one job.
@@ -86,29 +134,29 @@ pub(super) struct Found {
     pub(super) id: Uuid,
     pub(super) key: Option<Uuid>,
     pub(super) attempts: u32,
-    /// How often somebody began to give its log an end, because its runs end their process.
-    pub(super) given_up: u32,
     pub(super) cancelled: bool,
     pub(super) ended: bool,
     pub(super) has_log: bool,
-    /// How it ended, if the index knows.
-    pub(super) ending: Option<Ending>,
+    /// Size of its unfinished log.
+    pub(super) part_bytes: u64,
+    /// What the index says of it.
+    pub(super) line: Option<Line>,
 }
 
-/// How the processes of a job's last attempts ended, counted backwards from the last attempt.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Deaths {
-    /// Attempts after which the job stood where they began.
-    pub(super) fruitless: u32,
-    /// Those of them that died at the step of the last one.
-    pub(super) at_one_place: u32,
+/// What the index says of a job.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(untagged)]
+pub(super) enum Line {
+    Ended(Ending),
+    Waits(Waiting),
 }
 
-impl Deaths {
-    /// Whether the job itself is to blame. A kill from outside hits a run anywhere; a run that ends its
-    /// own process does so at the same step every time, or at least never gets beyond it.
-    pub(super) fn convict(self) -> bool {
-        self.at_one_place >= MAX_DEATHS_AT_ONE_PLACE || self.fruitless >= MAX_FRUITLESS
+impl Line {
+    fn id(&self) -> Uuid {
+        match self {
+            Self::Ended(ending) => ending.id,
+            Self::Waits(waiting) => waiting.id,
+        }
     }
 }
 
@@ -122,13 +170,33 @@ pub(super) struct Ending {
     pub(super) steps: u64,
     pub(super) steps_done: u64,
     pub(super) has_log: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) log: Option<LogSum>,
 }
 
 impl Ending {
     pub(super) fn of(id: Uuid, record: &Record) -> Self {
         let Record { state, attempts, steps, steps_done, has_log, .. } = *record;
-        Self { id, name: record.name.clone(), state, attempts, steps, steps_done, has_log }
+        let (name, log) = (record.name.clone(), record.log.clone());
+        Self { id, name, state, attempts, steps, steps_done, has_log, log }
     }
+}
+
+/// What lists show of a job that waits, and what it is expected to take.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(super) struct Waiting {
+    pub(super) id: Uuid,
+    pub(super) name: String,
+    /// Of a job whose method and step are settled.
+    pub(super) size: Option<Size>,
+}
+
+/// What a job is expected to take.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Size {
+    pub(super) steps: u64,
+    pub(super) log_bytes: u64,
+    pub(super) memory_bytes: u64,
 }
 
 /// Reading or writing the record failed.
@@ -146,18 +214,34 @@ impl StoreError {
         move |source| Self { action, source: source.into() }
     }
 
+    /// A log cannot be read.
+    pub(super) fn reading_a_log(source: io::Error) -> Self {
+        Self::new("read the log")(source)
+    }
+
     /// `storage_full` or `storage_error`.
     pub(super) fn code(&self) -> &'static str {
+        let full = |error: &io::Error| {
+            matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+        };
+        if self.system().is_some_and(full) { "storage_full" } else { "storage_error" }
+    }
+
+    /// Whether trying again later may succeed.
+    pub(super) fn is_transient(&self) -> bool {
+        self.system().is_some_and(is_transient)
+    }
+
+    /// What the system said, if it was the system.
+    fn system(&self) -> Option<&io::Error> {
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&*self.source);
         while let Some(error) = cause {
-            if let Some(error) = error.downcast_ref::<io::Error>()
-                && matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
-            {
-                return "storage_full";
+            if let Some(error) = error.downcast_ref::<io::Error>() {
+                return Some(error);
             }
             cause = error.source();
         }
-        "storage_error"
+        None
     }
 }
 
@@ -174,18 +258,41 @@ impl DataLock {
         if !data.exists() {
             make_directory(data).map_err(failed)?;
         }
-        let file = File::options()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(data.join("lock"))
-            .map_err(failed)?;
+        // The directory itself, where that can be: a file in it could be removed, and a second one locked.
+        let file = if cfg!(unix) {
+            File::open(data)
+        } else {
+            File::options().create(true).truncate(false).write(true).open(data.join("lock"))
+        };
+        let file = file.map_err(failed)?;
         match file.try_lock() {
             Ok(()) => Ok(Self { _file: file }),
             Err(TryLockError::WouldBlock) => Err(ServeError::DataInUse { path: data.into() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
     }
+}
+
+/// A directory of ours, made if need be; what has its name and is none is put aside under another one.
+fn own_directory(data: &Path, name: &str) -> Result<PathBuf, ServeError> {
+    let path = data.join(name);
+    let failed = |source: io::Error| ServeError::Data { path: path.clone(), source };
+    if !path.is_dir() {
+        put_aside(&path).map_err(failed)?;
+        make_directory(&path).map_err(failed)?;
+    }
+    Ok(path)
+}
+
+/// Gives what is in the place of a file or a directory of ours another name.
+pub(super) fn put_aside(path: &Path) -> io::Result<()> {
+    if path.symlink_metadata().is_err() {
+        return Ok(());
+    }
+    let mut aside = path.as_os_str().to_owned();
+    aside.push(format!(".set-aside-{}", Uuid::now_v7()));
+    tracing::warn!(from = %path.display(), to = %Path::new(&aside).display(), "set aside: not ours");
+    fs::rename(path, aside)
 }
 
 fn make_directory(path: &Path) -> io::Result<()> {
@@ -202,35 +309,28 @@ fn sync_directory(path: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
 }
 
-fn remove_if_there(path: &Path) -> io::Result<()> {
-    match std::fs::remove_file(path) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
-    }
-}
-
 /// The record; the only code that knows names of files.
 #[derive(Debug)]
 pub(super) struct Store {
     objects: LocalFileSystem,
     data: PathBuf,
     jobs: PathBuf,
-    /// Open for appending.
-    index: Mutex<File>,
+    trash: PathBuf,
+    /// Open for appending, if it can be.
+    index: Mutex<Option<File>>,
     writers: Semaphore,
 }
 
 impl Store {
-    /// Opens the record in a directory that exists and is locked.
+    /// Opens the record in a directory that exists and is locked, and removes what was forgotten.
     pub(super) fn open(data: &Path) -> Result<Self, ServeError> {
         let failed = |source: io::Error| ServeError::Data { path: data.into(), source };
         let data = data.canonicalize().map_err(failed)?;
-        let jobs = data.join(JOBS);
-        make_directory(&jobs).map_err(failed)?;
-        let index = File::options().create(true).append(true).open(data.join(INDEX));
-        let index = Mutex::new(index.map_err(failed)?);
+        let (jobs, trash) = (own_directory(&data, JOBS)?, own_directory(&data, TRASH)?);
+        empty(&trash);
+        let index = Mutex::new(open_index(&data.join(INDEX)));
         let writers = Semaphore::new(WRITERS);
-        Ok(Self { objects: objects(&data)?, data, jobs, index, writers })
+        Ok(Self { objects: objects(&data)?, data, jobs, trash, index, writers })
     }
 
     /// Bytes that may still be written to the disk. Blocking.
@@ -270,69 +370,48 @@ impl Store {
         unsealed(text).map_err(StoreError::new(failed))
     }
 
-    /// Notes that attempt `n` begins, and at which step.
-    pub(super) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        let failed = "note the attempt";
-        let step = self.progress(id)?;
-        let note = sealed(step.to_string().into_bytes());
-        self.create(id, &format!("{ATTEMPT}{n}"), note).await.map_err(StoreError::new(failed))
-    }
-
-    /// Notes that the `n`th attempt begins to give the log of a given-up job an end.
-    pub(super) async fn begin_giving_up(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        let noted = self.create(id, &format!("{GIVING_UP}{n}"), Vec::new()).await;
-        noted.map_err(StoreError::new("note that the job is given up"))
-    }
-
-    /// Takes that note back: it was interrupted in order.
-    pub(super) async fn take_back_giving_up(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        let failed = StoreError::new("take back the note that the job is given up");
-        self.objects.delete(&key(id, &format!("{GIVING_UP}{n}"))).await.map_err(failed)
-    }
-
-    /// A file in which attempt `n` leaves how far it came, should its process die. Blocking.
-    pub(super) fn trace(&self, id: Uuid, n: u32) -> Option<File> {
-        File::create(self.directory(id).join(format!("{TRACE}{n}"))).ok()
-    }
-
-    /// What the last of `n` attempts came to, which left the log at step `reached`. Blocking but for the store.
-    pub(super) async fn deaths(&self, id: Uuid, n: u32, mut reached: u64) -> Deaths {
-        let trace = |n: u32| {
-            let trace = std::fs::read(self.directory(id).join(format!("{TRACE}{n}"))).ok()?;
-            // Before it makes steps a run is where every other one is: that says nothing.
-            let step = u64::from_le_bytes(trace.try_into().ok()?);
-            (step > 0).then_some(step)
-        };
-        let last = trace(n);
-        let mut deaths = Deaths::default();
-        for n in (1..=n).rev() {
-            // One that was taken back, or is torn, began at the start as far as we know.
-            let note = self.read(id, &format!("{ATTEMPT}{n}")).await.ok();
-            let note = note.and_then(|note| unsealed(note).ok());
-            let began = note.and_then(|note| std::str::from_utf8(&note).ok()?.parse().ok());
-            let began: u64 = began.unwrap_or(0);
-            if began < reached {
-                break;
+    /// What the accuracy of a job came to; `None` if that is not known yet.
+    pub(super) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, StoreError> {
+        let failed = "read the settled scenario";
+        match self.read(id, SETTLED).await {
+            Ok(text) => {
+                let text = unsealed(text).map_err(StoreError::new(failed))?;
+                serde_json::from_slice(&text).map(Some).map_err(StoreError::new(failed))
             }
-            if deaths.at_one_place == deaths.fruitless && last.is_some() && trace(n) == last {
-                deaths.at_one_place += 1;
-            }
-            (reached, deaths.fruitless) = (began, deaths.fruitless + 1);
+            Err(Error::NotFound { .. }) => Ok(None),
+            Err(error) => Err(StoreError::new(failed)(error)),
         }
-        deaths
     }
 
-    /// The step from which a run of the job would go on. Blocking.
-    pub(super) fn progress(&self, id: Uuid) -> Result<u64, StoreError> {
-        let found = last_checkpoint(&self.log_path(id)).map_err(StoreError::new("read the log"));
-        found.map(Option::unwrap_or_default)
+    /// Keeps what the accuracy of a job came to; the first one stands.
+    pub(super) async fn settle(&self, id: Uuid, settled: &Settled) -> Result<(), StoreError> {
+        let failed = "keep the settled scenario";
+        let text = serde_json::to_vec(settled).map_err(StoreError::new(failed))?;
+        match self.create(id, SETTLED, sealed(text)).await {
+            Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
+            Err(error) => Err(StoreError::new(failed)(error)),
+        }
     }
 
-    /// Takes back the note of an attempt that was interrupted in order: it must not count as a crash.
+    /// Notes that attempt `n` begins.
+    pub(super) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
+        match self.create(id, &format!("{ATTEMPT}{n}"), Vec::new()).await {
+            Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
+            Err(error) => Err(StoreError::new("note the attempt")(error)),
+        }
+    }
+
+    /// Takes back the note of an attempt that came back: it must not count as a death of the process.
     pub(super) async fn take_back_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        let failed = StoreError::new("take back the note of the attempt");
-        let _ = std::fs::remove_file(self.directory(id).join(format!("{TRACE}{n}")));
-        self.objects.delete(&key(id, &format!("{ATTEMPT}{n}"))).await.map_err(failed)
+        match self.objects.delete(&key(id, &format!("{ATTEMPT}{n}"))).await {
+            Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
+            Err(error) => Err(StoreError::new("take back the note of the attempt")(error)),
+        }
+    }
+
+    /// A file in which a run leaves how far it came, should its process die.
+    pub(super) fn trace_path(&self, id: Uuid) -> PathBuf {
+        self.directory(id).join(TRACE)
     }
 
     /// Notes that somebody wants the job stopped, so that it stays stopped if we die before it ends.
@@ -348,7 +427,7 @@ impl Store {
         let text = serde_json::to_vec(record).map_err(StoreError::new("write the result"))?;
         match self.create(id, RESULT, sealed(text)).await {
             Ok(()) => {
-                self.add_to_index(&Ending::of(id, record));
+                self.add_to_index(&Line::Ended(Ending::of(id, record)));
                 Ok(record.clone())
             }
             Err(Error::AlreadyExists { .. }) => self.record(id).await,
@@ -369,102 +448,106 @@ impl Store {
         self.directory(id).join(LOG)
     }
 
+    /// Whether a run of the job has begun its log.
+    pub(super) fn has_begun(&self, id: Uuid) -> bool {
+        [LOG, PART].iter().any(|name| self.directory(id).join(name).is_file())
+    }
+
     /// Makes a finished log that has no result an unfinished one again: the run goes on from its last
     /// checkpoint and ends once more. Blocking.
     pub(super) fn reopen_log(&self, id: Uuid) -> Result<(), StoreError> {
         let directory = self.directory(id);
-        match std::fs::rename(directory.join(LOG), directory.join(PART)) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                Err(StoreError::new("reopen an unpublished log")(error))
-            }
-            _ => Ok(()),
+        if !directory.join(LOG).is_file() {
+            return Ok(());
         }
+        let renamed = fs::rename(directory.join(LOG), directory.join(PART));
+        renamed.map_err(StoreError::new("reopen an unpublished log"))
     }
 
-    /// Removes what a dead attempt left of its log. Blocking.
-    pub(super) fn remove_leftovers(&self, id: Uuid) -> Result<(), StoreError> {
-        let directory = self.directory(id);
-        let removed = remove_if_there(&directory.join(PART))
-            .and_then(|()| remove_if_there(&directory.join(LOG)));
-        removed.map_err(StoreError::new("remove an unfinished log"))
-    }
-
-    /// Forgets a job and its log. The scenario goes first: half of it done, the rest is rubbish that the
-    /// next scan removes, not a job to be run again.
+    /// Forgets a job and its log. One change of a name does it; the rest is rubbish that the next start removes.
     pub(super) async fn forget(&self, id: Uuid) -> Result<(), StoreError> {
-        let directory = self.directory(id);
-        let removed = tokio::task::spawn_blocking(move || forget_prefix(&directory, SCENARIO));
+        let (from, to) = (self.directory(id), self.trash.join(id.to_string()));
+        let removed = tokio::task::spawn_blocking(move || throw_away(&from, &to));
         let removed = removed.await.map_err(io::Error::other).flatten();
         removed.map_err(StoreError::new("forget the job"))
     }
 
-    /// All jobs, oldest first. Prefixes without a scenario are removed.
-    pub(super) async fn scan(&self) -> Result<Vec<Found>, StoreError> {
-        let failed = "list the jobs";
-        let mut jobs: BTreeMap<Uuid, Vec<String>> = BTreeMap::new();
-        let mut entries = self.objects.list(Some(&Key::from(JOBS)));
-        while let Some(entry) = entries.try_next().await.map_err(StoreError::new(failed))? {
-            let parts: Vec<_> = entry.location.parts().collect();
-            if let [_, id, name] = parts.as_slice()
-                && let Some(id) = parse_id(id.as_ref())
-            {
-                jobs.entry(id).or_default().push(name.as_ref().to_owned());
+    /// All jobs, oldest first, and how many things were found that are none. Blocking.
+    pub(super) fn scan(&self) -> Result<(Vec<Found>, usize), StoreError> {
+        let (prefixes, mut aside) =
+            prefixes(&self.jobs).map_err(StoreError::new("list the jobs"))?;
+        let (mut index, lines) = self.read_index();
+        let mut found = Vec::new();
+        for (id, prefix) in prefixes {
+            let ended = prefix.stands(RESULT);
+            if !ended && !prefix.files.contains(SCENARIO) {
+                if prefix.is_unanswered() {
+                    let thrown = throw_away(&self.directory(id), &self.trash.join(id.to_string()));
+                    if let Err(error) = thrown {
+                        tracing::warn!(job = %id, %error, "rubbish stays in the data directory");
+                    }
+                } else {
+                    aside += 1;
+                    let names: Vec<_> = prefix.files.iter().chain(&prefix.odd).collect();
+                    tracing::error!(job = %id, ?names, "set aside: it has no scenario; nothing is removed");
+                }
+                continue;
             }
+            let numbers = prefix.files.iter().filter_map(|name| name.strip_prefix(ATTEMPT));
+            found.push(Found {
+                id,
+                key: prefix.files.iter().find_map(|name| parse_id(name.strip_prefix(KEY)?)),
+                attempts: numbers.filter_map(|number| number.parse().ok()).max().unwrap_or(0),
+                cancelled: prefix.stands(CANCEL),
+                ended,
+                has_log: prefix.files.contains(LOG),
+                part_bytes: match prefix.files.contains(PART) {
+                    true => self.directory(id).join(PART).metadata().map_or(0, |part| part.len()),
+                    false => 0,
+                },
+                line: index.remove(&id),
+            });
         }
-        let (whole, broken): (Vec<_>, Vec<_>) =
-            jobs.into_iter().partition(|(_, names)| names.iter().any(|name| name == SCENARIO));
-        let removed = stream::iter(broken).map(Ok).try_for_each(|(id, _)| self.forget(id)).await;
-        if let Err(error) = removed {
-            tracing::warn!(%error, "rubbish stays in the data directory");
+        if lines > 3 * found.len() + 100 {
+            self.shorten_index(&found);
         }
-        let mut index = self.read_index(&whole);
-        let last = |names: &[String], kind: &str| {
-            let numbers = names.iter().filter_map(|name| name.strip_prefix(kind)?.parse().ok());
-            numbers.max().unwrap_or(0)
-        };
-        let found = whole.into_iter().map(|(id, names)| Found {
-            id,
-            key: names.iter().find_map(|name| parse_id(name.strip_prefix(KEY)?)),
-            has_log: names.iter().any(|name| name == LOG),
-            ending: index.remove(&id),
-            attempts: last(&names, ATTEMPT),
-            given_up: last(&names, GIVING_UP),
-            cancelled: names.iter().any(|name| name == CANCEL),
-            ended: names.iter().any(|name| name == RESULT),
-        });
-        Ok(found.collect())
+        Ok((found, aside))
     }
 
-    /// Adds a line to the index; a lost one costs the next start a look at the result.
-    pub(super) fn add_to_index(&self, ending: &Ending) {
-        let Ok(line) = index_line(ending) else { return };
+    /// Adds a line to the index; a lost one costs the next start a look at the job.
+    pub(super) fn add_to_index(&self, line: &Line) {
+        let Ok(line) = index_line(line) else { return };
         let mut index = self.index.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Err(error) = index.write_all(line.as_bytes()) {
+        if let Some(index) = &mut *index
+            && let Err(error) = index.write_all(line.as_bytes())
+        {
             tracing::warn!(%error, "index not written");
         }
     }
 
-    /// The sound lines of the index that belong to a job; without the others, if they became many.
-    fn read_index(&self, jobs: &[(Uuid, Vec<String>)]) -> HashMap<Uuid, Ending> {
-        let path = self.data.join(INDEX);
-        let text = std::fs::read(&path).unwrap_or_default();
-        let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
-        let count = lines.clone().count();
-        let mut index: HashMap<Uuid, Ending> =
-            lines.filter_map(index_entry).map(|ending| (ending.id, ending)).collect();
-        let known: HashSet<Uuid> = jobs.iter().map(|(id, _)| *id).collect();
-        index.retain(|id, _| known.contains(id));
-        if count > 2 * index.len() + 100 {
-            let text: String =
-                index.values().filter_map(|ending| index_line(ending).ok()).collect();
-            let mut file = self.index.lock().unwrap_or_else(PoisonError::into_inner);
-            // Appending goes on behind what is written here.
-            let rewritten = file.set_len(0).and_then(|()| file.write_all(text.as_bytes()));
-            if let Err(error) = rewritten {
-                tracing::warn!(%error, "index not rewritten");
-            }
+    /// The last sound line of the index of each job, and how many lines there are.
+    fn read_index(&self) -> (HashMap<Uuid, Line>, usize) {
+        let index = self.index.lock().unwrap_or_else(PoisonError::into_inner);
+        if index.is_none() {
+            return (HashMap::new(), 0);
         }
-        index
+        let text = fs::read(self.data.join(INDEX)).unwrap_or_default();
+        let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+        let sound = lines.clone().filter_map(index_entry);
+        (sound.map(|line| (line.id(), line)).collect(), lines.count())
+    }
+
+    /// Writes the index without the lines that are superseded, or of jobs that are gone.
+    fn shorten_index(&self, found: &[Found]) {
+        let lines = found.iter().filter_map(|found| found.line.as_ref());
+        let text: String = lines.filter_map(|line| index_line(line).ok()).collect();
+        let mut index = self.index.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(file) = &mut *index else { return };
+        // Appending goes on behind what is written here.
+        let rewritten = file.set_len(0).and_then(|()| file.write_all(text.as_bytes()));
+        if let Err(error) = rewritten {
+            tracing::warn!(%error, "index not rewritten");
+        }
     }
 
     fn directory(&self, id: Uuid) -> PathBuf {
@@ -494,24 +577,113 @@ async fn create(objects: &LocalFileSystem, place: &Key, content: Vec<u8>) -> Res
     objects.put_opts(place, content.into(), options).await.map(drop)
 }
 
-/// Removes a directory, first of all the file without which the rest is nothing. Blocking.
-fn forget_prefix(directory: &Path, first: &str) -> io::Result<()> {
-    let removed = remove_if_there(&directory.join(first))
-        .and_then(|()| sync_directory(directory))
-        .and_then(|()| std::fs::remove_dir_all(directory));
-    match removed {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
-        _ => Ok(()),
+/// What stands below a directory of jobs or studies under one id.
+#[derive(Debug, Default)]
+struct Prefix {
+    files: BTreeSet<String>,
+    /// What is no file: directories, links, pipes.
+    odd: BTreeSet<String>,
+}
+
+impl Prefix {
+    fn stands(&self, name: &str) -> bool {
+        self.files.contains(name) || self.odd.contains(name)
+    }
+
+    /// Whether this is what is left of a request that was never answered: a key, or texts on their way.
+    fn is_unanswered(&self) -> bool {
+        let passing = |name: &String| name.starts_with(KEY) || name.contains('#');
+        self.odd.is_empty() && self.files.iter().all(passing)
     }
 }
 
+/// The prefixes below a directory by their ids, and how many things there are none of ours: these are told.
+fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid, Prefix>, usize)> {
+    let (mut found, mut aside) = (BTreeMap::new(), 0);
+    let mut told = |path: &Path, why: &dyn std::fmt::Display| {
+        aside += 1;
+        tracing::error!(path = %path.display(), why = %why, "set aside: nothing of it is read or removed");
+    };
+    for entry in fs::read_dir(directory)? {
+        let entry = match entry {
+            Ok(entry) => entry,
+            Err(error) => {
+                told(directory, &error);
+                continue;
+            }
+        };
+        let (name, path) = (entry.file_name(), entry.path());
+        let id = name.to_str().and_then(parse_id);
+        match (id, entry.file_type().and_then(|kind| contents(&path, kind.is_dir()))) {
+            (Some(id), Ok(prefix)) => {
+                found.insert(id, prefix);
+            }
+            (Some(_), Err(error)) => told(&path, &error),
+            (None, _) => told(&path, &"its name is no id"),
+        }
+    }
+    Ok((found, aside))
+}
+
+fn contents(path: &Path, is_directory: bool) -> io::Result<Prefix> {
+    if !is_directory {
+        return Err(io::Error::from(io::ErrorKind::NotADirectory));
+    }
+    let mut prefix = Prefix::default();
+    for entry in fs::read_dir(path)? {
+        let entry = entry?;
+        let names = if entry.file_type()?.is_file() { &mut prefix.files } else { &mut prefix.odd };
+        names.insert(entry.file_name().to_string_lossy().into_owned());
+    }
+    Ok(prefix)
+}
+
+/// Takes a directory out of its place at once, and then removes it. Blocking.
+fn throw_away(from: &Path, to: &Path) -> io::Result<()> {
+    match fs::rename(from, to) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(error) => return Err(error),
+        Ok(()) => {}
+    }
+    from.parent().map_or(Ok(()), sync_directory)?;
+    if let Err(error) = fs::remove_dir_all(to) {
+        tracing::warn!(path = %to.display(), %error, "rubbish stays until the next start");
+    }
+    Ok(())
+}
+
+/// Removes what was thrown away before.
+fn empty(trash: &Path) {
+    for entry in fs::read_dir(trash).into_iter().flatten().flatten() {
+        let is_directory = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        let path = entry.path();
+        let removed = if is_directory { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+        if let Err(error) = removed {
+            tracing::warn!(path = %path.display(), %error, "rubbish stays in the data directory");
+        }
+    }
+}
+
+/// The index, open for appending; `None` if it cannot be had, and the start reads each job.
+fn open_index(path: &Path) -> Option<File> {
+    // What is no file may never open.
+    if path.symlink_metadata().is_ok_and(|found| !found.is_file())
+        && let Err(error) = put_aside(path)
+    {
+        tracing::warn!(%error, "there is no index");
+        return None;
+    }
+    let file = File::options().create(true).append(true).read(true).open(path);
+    file.inspect_err(|error| tracing::warn!(error = chain(error), "there is no index")).ok()
+}
+
 /// A line of the index: a checksum and what it covers.
-fn index_line(ending: &Ending) -> serde_json::Result<String> {
-    let json = serde_json::to_string(ending)?;
+fn index_line(line: &Line) -> serde_json::Result<String> {
+    let json = serde_json::to_string(line)?;
     Ok(format!("{:08x} {json}\n", crc32fast::hash(json.as_bytes())))
 }
 
-fn index_entry(line: &[u8]) -> Option<Ending> {
+fn index_entry(line: &[u8]) -> Option<Line> {
     let (sum, json) = std::str::from_utf8(line).ok()?.split_once(' ')?;
     let sum = u32::from_str_radix(sum, 16).ok()?;
     if sum == crc32fast::hash(json.as_bytes()) { serde_json::from_str(json).ok() } else { None }

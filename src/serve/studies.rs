@@ -2,12 +2,13 @@
 //!
 //! Invariants: all state sits behind one std mutex, held for moments; a study runs without it. What was asked is
 //! on the disk before the answer, and what was found before it is shown; a study without a result is made again
-//! at the next start.
+//! at the next start, in a process of its own if the service ended during it.
 
 mod question;
 mod worker;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -22,17 +23,13 @@ use uuid::Uuid;
 use super::job::{State, created};
 use super::store::{FoundStudy, StoreError, StudyStore};
 use super::{ServeError, chain};
-use crate::study::Watch;
-use question::Answer;
-pub(super) use question::{Kind, Question, Request};
+use crate::run::Control;
+pub(super) use question::{Answer, Kind, Question, Request, Unanswered};
 
 /// Studies that may wait.
 const QUEUE: usize = 16;
 /// Studies that are kept, the oldest ended ones forgotten first.
 const KEPT: usize = 64;
-/// A study during which the process died so many times is given up.
-const MAX_DEATHS: u32 = 3;
-
 /// How a study ended: the text of its `result.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Record {
@@ -49,7 +46,7 @@ struct Record {
 /// Where a study stands.
 #[derive(Clone, Debug)]
 enum Phase {
-    Queued(Box<Question>),
+    Queued,
     Running,
     /// Being written to the store.
     Busy,
@@ -61,8 +58,11 @@ struct Study {
     kind: Kind,
     name: String,
     attempts: u32,
+    /// Whether the process ended during its last run.
+    suspect: bool,
     phase: Phase,
-    watch: Arc<Watch>,
+    /// How it is followed and stopped.
+    control: Arc<Control>,
 }
 
 #[derive(Debug, Default)]
@@ -77,6 +77,8 @@ struct Shared {
     index: Mutex<Index>,
     work: Condvar,
     store: StudyStore,
+    /// The program that carries out errands in a process of its own.
+    program: Option<PathBuf>,
     runtime: Handle,
 }
 
@@ -141,19 +143,24 @@ pub(super) enum StudyRefusal {
 
 impl Studies {
     /// Takes up the studies of the store and starts the thread that makes them; it ends after [`Studies::stop`].
-    pub(super) async fn start(store: StudyStore) -> Result<(Self, JoinHandle<()>), ServeError> {
+    pub(super) async fn start(
+        store: StudyStore,
+        program: Option<PathBuf>,
+    ) -> Result<(Self, JoinHandle<()>), ServeError> {
         let unreadable = |error: StoreError| ServeError::Record { message: chain(&error) };
         let mut index = Index::default();
-        for found in store.scan().await.map_err(unreadable)? {
+        let (found, aside) = store.scan().await.map_err(unreadable)?;
+        tracing::info!(studies = found.len(), aside, "record of the studies read");
+        for found in found {
             let id = found.id;
             let Some(study) = take_up(found) else { continue };
-            if matches!(study.phase, Phase::Queued(_)) {
+            if matches!(study.phase, Phase::Queued) {
                 index.queue.push_back(id);
             }
             index.studies.insert(id, study);
         }
         let (index, work) = (Mutex::new(index), Condvar::new());
-        let shared = Arc::new(Shared { index, work, store, runtime: Handle::current() });
+        let shared = Arc::new(Shared { index, work, store, program, runtime: Handle::current() });
         let worker = shared.clone();
         let thread = thread::Builder::new().name("studies".to_owned()).spawn(move || {
             super::give_way();
@@ -167,7 +174,7 @@ impl Studies {
         let mut index = self.0.index();
         index.stopping = true;
         for study in index.studies.values().filter(|study| matches!(study.phase, Phase::Running)) {
-            study.watch.cancelled.store(true, Ordering::Relaxed);
+            study.control.interrupt();
         }
         drop(index);
         self.0.work.notify_all();
@@ -188,8 +195,9 @@ impl Studies {
             kind: question.kind,
             name: question.name().to_owned(),
             attempts: 0,
+            suspect: false,
             phase: Phase::Busy,
-            watch: Arc::default(),
+            control: Arc::default(),
         };
         let view = study.view(id);
         index.studies.insert(id, study);
@@ -200,7 +208,7 @@ impl Studies {
         }
         let mut index = self.0.index();
         if let Some(study) = index.studies.get_mut(&id) {
-            study.phase = Phase::Queued(Box::new(question));
+            study.phase = Phase::Queued;
             index.queue.push_back(id);
         }
         let forgotten = index.forget_oldest();
@@ -232,14 +240,14 @@ impl Studies {
         let mut index = self.0.index();
         index.queue.retain(|queued| *queued != id);
         let study = index.studies.get_mut(&id).ok_or(StudyRefusal::Unknown)?;
-        study.watch.cancelled.store(true, Ordering::Relaxed);
-        let waited = matches!(study.phase, Phase::Queued(_));
+        study.control.cancel();
+        let waited = matches!(study.phase, Phase::Queued);
         if waited {
             study.phase = Phase::Busy;
         }
         drop(index);
         if waited {
-            self.0.end(id, State::Cancelled, None, Answer::default());
+            self.0.end(id, State::Cancelled, None, Answer::default())?;
         }
         self.get(id)
     }
@@ -250,7 +258,7 @@ impl Studies {
         match index.studies.get(&id).map(|study| &study.phase) {
             None => return Err(StudyRefusal::Unknown),
             Some(Phase::Running | Phase::Busy) => return Err(StudyRefusal::Running),
-            Some(Phase::Queued(_) | Phase::Ended(_)) => {}
+            Some(Phase::Queued | Phase::Ended(_)) => {}
         }
         index.queue.retain(|queued| *queued != id);
         index.studies.remove(&id);
@@ -300,27 +308,25 @@ fn take_up(found: FoundStudy) -> Option<Study> {
             damaged(&error);
             failed("the result cannot be read".to_owned())
         }
-        None if attempts >= MAX_DEATHS => {
-            failed(format!("the service ended {attempts} times while the study ran"))
+        // Whether this build takes it is found out where it is made.
+        None => {
+            let request: Value = serde_json::from_slice(request.as_deref()?).ok()?;
+            return Some(Study {
+                kind: Kind::deserialize(&request["kind"]).ok()?,
+                name: request["scenario"]["name"].as_str().unwrap_or_default().to_owned(),
+                attempts,
+                suspect: attempts > 0,
+                phase: Phase::Queued,
+                control: Arc::default(),
+            });
         }
-        None => match Question::from_json(request.as_deref()?) {
-            Ok(question) => {
-                return Some(Study {
-                    kind: question.kind,
-                    name: question.name().to_owned(),
-                    attempts,
-                    phase: Phase::Queued(Box::new(question)),
-                    watch: Arc::default(),
-                });
-            }
-            Err(error) => failed(format!("this build does not take the request: {error}")),
-        },
     }?;
-    let watch = Watch::default();
-    watch.total.store(record.runs, Ordering::Relaxed);
-    watch.done.store(record.runs_done, Ordering::Relaxed);
-    let (kind, name, watch) = (record.kind, record.name.clone(), Arc::new(watch));
-    Some(Study { kind, name, attempts, phase: Phase::Ended(Arc::new(record)), watch })
+    let control = Control::default();
+    control.settling.total.store(record.runs, Ordering::Relaxed);
+    control.settling.done.store(record.runs_done, Ordering::Relaxed);
+    let (kind, name, control) = (record.kind, record.name.clone(), Arc::new(control));
+    let phase = Phase::Ended(Arc::new(record));
+    Some(Study { kind, name, attempts, suspect: false, phase, control })
 }
 
 impl Index {
@@ -339,7 +345,7 @@ impl Index {
 impl Study {
     fn state(&self) -> State {
         match &self.phase {
-            Phase::Queued(_) | Phase::Busy => State::Queued,
+            Phase::Queued | Phase::Busy => State::Queued,
             Phase::Running => State::Running,
             Phase::Ended(record) => record.state,
         }
@@ -377,8 +383,8 @@ impl Study {
             name: self.name.clone(),
             state: self.state(),
             created: created(id),
-            runs_done: self.watch.done.load(Ordering::Relaxed),
-            runs: self.watch.total.load(Ordering::Relaxed),
+            runs_done: self.control.settling.done.load(Ordering::Relaxed),
+            runs: self.control.settling.total.load(Ordering::Relaxed),
             error: record.and_then(|record| record.error.clone()),
             reference: answer.and_then(|answer| answer.reference),
             rows: Vec::new(),

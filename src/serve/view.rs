@@ -7,8 +7,9 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-use super::job::{State, View};
+use super::job::{State, Trouble, View};
 use super::link::{LinkKey, Subject};
+use super::store::LogSum;
 use crate::scenario::SHIPPED;
 
 /// A job as clients see it.
@@ -23,7 +24,14 @@ pub(super) struct JobView {
     /// Runs so far.
     attempts: u32,
     progress: Progress,
-    /// What will be modelled and why; absent in lists once the job has ended.
+    /// Why it waits although a run of it began: the store refused something, and it is tried again.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    trouble: Option<Trouble>,
+    /// Size and checksum of the finished log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    log: Option<LogSum>,
+    /// What will be modelled and why; absent in lists once the job has ended, and until an accuracy is
+    /// turned into a method and a step.
     #[schemars(with = "Option<Value>")]
     plan: Option<Box<RawValue>>,
     /// When it ended.
@@ -185,6 +193,7 @@ impl JobView {
     pub(super) fn new(view: View, reach: &Reach) -> Self {
         let progress = Progress::of(&view);
         let View { id, name, state, created, attempts, has_log, plan, record, .. } = view;
+        let (trouble, sum) = (view.trouble, view.log);
         let (finished, summary, diagnosis) = record
             .map(|record| (record.finished, record.summary, record.diagnosis))
             .unwrap_or_default();
@@ -206,6 +215,8 @@ impl JobView {
             created,
             attempts,
             progress,
+            trouble,
+            log: sum,
             plan,
             finished,
             summary,

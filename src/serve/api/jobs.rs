@@ -12,7 +12,7 @@ use serde::Deserialize;
 use uuid::Uuid;
 
 use super::App;
-use super::request::{JobId, is_plain_json, json_text, off_thread};
+use super::request::{JobId, is_plain_json, json_text};
 use crate::advise;
 use crate::log::stretch::Stretch;
 use crate::scenario::{Scenario, ScenarioError};
@@ -22,6 +22,7 @@ use crate::serve::page::{MAX_STRETCH, STRETCH};
 use crate::serve::problem::Problem;
 use crate::serve::view::{JobList, JobView, Reach};
 use crate::serve::{download, follow, store};
+use crate::study::scene_of;
 
 /// Jobs on a page of the list, unless the client says otherwise, and at most.
 const PAGE: usize = 50;
@@ -72,15 +73,19 @@ pub(super) async fn submit_job(
         return Err(Problem::not_json());
     }
     let key = idempotency_key(&headers)?;
-    // Never closed.
-    let _turn = app.desk.acquire().await;
-    // A mebibyte of JSON takes a while to check: not on a thread that others wait for.
     let checked = move || {
         let scenario = Scenario::from_json(&body)?;
-        let plan = advise::plan(&scenario)?;
+        let plan = match scenario.accuracy {
+            None => Some(advise::plan_of(&scenario, None)?),
+            // A worker settles it; that there is a scene to settle it for is seen here.
+            Some(_) => {
+                scene_of(&scenario)?;
+                None
+            }
+        };
         Ok::<_, ScenarioError>((scenario, plan))
     };
-    let (scenario, plan) = off_thread(checked).await?;
+    let (scenario, plan) = app.desk.check(checked).await??;
     let view = app.engine.submit(scenario, plan, key).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
@@ -147,14 +152,14 @@ pub(super) async fn get_log(
     JobId(id): JobId,
     request: Request,
 ) -> Result<Response, Problem> {
-    download::log(id, app.engine.log(id)?, request).await
+    download::log(id, app.engine.log(id).await?, request).await
 }
 
 pub(super) async fn get_live(
     Shared(app): Shared<App>,
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
-    Ok(follow::log(app.engine, id)?)
+    Ok(follow::log(app.engine, id).await?)
 }
 
 pub(super) async fn get_events(
@@ -188,10 +193,10 @@ pub(super) async fn get_attitudes(
         return Err(Problem::bad_query("from_s is a time in seconds, not below 0"));
     }
     let view = app.engine.brief(id)?;
-    if view.state.is_final() && !view.has_log {
-        return Err(Refusal::NoLog.into());
-    }
-    let log = app.engine.log_path(id);
+    let log = match view.state.is_final() {
+        true => app.engine.log(id).await?,
+        false => app.engine.log_path(id),
+    };
     Ok(Json(app.pictures.attitudes(log, view.state.is_final(), from_s, samples).await?))
 }
 
@@ -200,7 +205,7 @@ pub(super) async fn get_chart(
     Path((id, chart)): Path<(String, String)>,
 ) -> Result<Response, Problem> {
     let id = store::parse_id(&id).ok_or(Refusal::UnknownJob)?;
-    app.pictures.chart(&chart, app.engine.log(id)?).await
+    app.pictures.chart(&chart, app.engine.log(id).await?).await
 }
 
 pub(super) async fn get_job_scenario(

@@ -21,10 +21,9 @@ pub(super) async fn submit_study(
     if !is_plain_json(&headers) {
         return Err(Problem::not_json());
     }
-    let submit = move || {
-        let question = Question::from_json(&body)?;
-        Ok::<_, Problem>(app.studies.submit(question, &body)?)
-    };
+    let text = body.clone();
+    let question = app.desk.check(move || Question::from_json(&text)).await??;
+    let submit = move || app.studies.submit(question, &body);
     let view = off_thread(submit).await?;
     let location = [(LOCATION, format!("/studies/{}", view.id))];
     Ok((StatusCode::ACCEPTED, location, Json(view)).into_response())

@@ -1,8 +1,9 @@
-//! The worker: takes a job from the queue, runs it, publishes how it ended.
+//! The worker: takes a job from the queue, settles what is not settled, runs it, publishes how it ended.
 //!
 //! Invariant: whatever happens in a run (a failure, a full disk, a panic), the thread goes on and the job gets
-//! exactly one result, or none if the service stops, so that it goes on at the next start. A job whose last
-//! run ended with its process runs alone until it has come further, so that no other is blamed for it.
+//! exactly one result, or none: if the service stops, so that it goes on at the next start; if the store refuses
+//! something for now, so that it is tried again after a rest; if its record cannot be used, so that a person looks at
+//! it. A job during which the process ended runs in a process of its own, so that it harms no other.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
@@ -11,137 +12,220 @@ use std::time::{Duration, Instant};
 
 use uuid::Uuid;
 
-use super::{Index, Shared};
-use crate::run::{Control, JobContext, Outcome, RunError, Summary, execute, give_up};
-use crate::scenario::Scenario;
+use super::{Identity, Index, Refusal, Shared};
+use crate::plan::Plan;
+use crate::run::{Control, Outcome, Summary};
+use crate::serve::apart;
 use crate::serve::chain;
-use crate::serve::job::{Fault, Job, Phase, State};
-use crate::serve::store::{Ending, Record, StoreError};
+use crate::serve::errand::{Broken, Done, Errand, Task};
+use crate::serve::job::{Fault, Phase, State, Trouble};
+use crate::serve::store::{Ending, Line, LogSum, Record, Size, StoreError, Waiting};
 
-/// Pause between attempts to write a result: long enough not to spin, short enough to notice space
-/// that returns.
-const RETRY_PAUSE: Duration = Duration::from_secs(1);
+/// So often a result is written anew before its job rests, and the pauses between, which double.
+const PUBLISHING: (u32, Duration) = (5, Duration::from_millis(100));
 
-/// How often a worker looks whether a suspect has come further.
-const SUSPECT_PAUSE: Duration = Duration::from_millis(100);
+/// So often it is tried to give the log of a job that ends its process an end: that may end one as well.
+const MAX_GIVING_UP: u32 = 2;
 
 /// A job in the hands of a worker.
-struct Task {
+struct Turn {
     id: Uuid,
     attempt: u32,
-    /// Not to be run: for the so manyeth time, its log is to be given an end.
-    given_up: Option<u32>,
+    /// Whether the process ended during its last run.
+    suspect: bool,
     control: Arc<Control>,
+}
+
+/// What came of a turn.
+enum Carried {
+    /// Method and step are settled: it is a job of this plan.
+    Settled(Box<Plan>),
+    Ended(Box<Summary>),
+    /// Somebody stopped it before it began a log.
+    Cancelled,
+    /// It has no log, and never will.
+    GivenUp(Fault),
 }
 
 impl Shared {
     /// The life of a worker thread.
     pub(super) fn work(&self) {
-        while let Some(task) = self.next() {
-            let caught = catch_unwind(AssertUnwindSafe(|| self.run(&task)));
+        while let Some(turn) = self.next() {
+            let caught = catch_unwind(AssertUnwindSafe(|| self.carry_out(&turn)));
             let result = caught.unwrap_or_else(|_| Err(Broken::Fault(Fault::panicked())));
-            self.conclude(&task, result);
-            // Others may have waited for this one.
+            self.conclude(&turn, result);
+            // Others may have waited for its memory.
             self.work.notify_all();
         }
     }
 
     /// The oldest waiting job, marked as running; none once the service stops.
-    fn next(&self) -> Option<Task> {
+    fn next(&self) -> Option<Turn> {
         let mut index = self.index();
         loop {
             index.alive.as_ref()?;
-            if index.queue.is_empty() {
-                index = self.work.wait(index).unwrap_or_else(PoisonError::into_inner);
-            } else if index.must_wait() {
-                let waited = self.work.wait_timeout(index, SUSPECT_PAUSE);
-                index = waited.unwrap_or_else(PoisonError::into_inner).0;
-            } else if let Some(id) = index.queue.pop_front()
+            let now = Instant::now();
+            while let Some(&(until, id)) = index.resting.first()
+                && until <= now
+            {
+                index.resting.pop_first();
+                index.queue.push_back(id);
+            }
+            if index.fits(self.limits.memory_bytes)
+                && let Some(id) = index.queue.pop_front()
                 && let Some(job) = index.jobs.get_mut(&id)
             {
-                let given_up = job.given_up.map(|tries| tries + 1);
-                job.attempts += u32::from(given_up.is_none());
-                let attempt = job.attempts;
-                let trace = if given_up.is_some() { None } else { self.store.trace(id, attempt) };
-                let live = self.live.clone();
-                let control = Arc::new(Control { trace, live, ..Control::default() });
-                control.cancelled.store(job.cancelled, Ordering::Relaxed);
-                job.phase = Phase::Running { control: control.clone(), since: Instant::now() };
+                job.attempts += 1;
+                let (attempt, suspect) = (job.attempts, job.suspect);
+                let control = Arc::new(Control { live: self.live.clone(), ..Control::default() });
+                if job.cancelled {
+                    control.cancel();
+                }
+                job.phase = Phase::Running { control: control.clone(), since: now };
                 index.running.insert(id);
-                return Some(Task { id, attempt, given_up, control });
+                return Some(Turn { id, attempt, suspect, control });
             }
-        }
-    }
-
-    fn run(&self, task: &Task) -> Result<Summary, Broken> {
-        let Task { id, attempt, control, .. } = task;
-        let storage = |error: StoreError| {
-            tracing::error!(job = %id, error = chain(&error), "store failed");
-            Fault::storage(&error)
-        };
-        self.store.reopen_log(*id).map_err(storage)?;
-        match task.given_up {
-            Some(n) => self.runtime.block_on(self.store.begin_giving_up(*id, n)),
-            None => self.runtime.block_on(self.store.begin_attempt(*id, *attempt)),
-        }
-        .map_err(storage)?;
-        let text = self.runtime.block_on(self.store.scenario(*id)).map_err(storage)?;
-        let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
-        let log = self.store.log_path(*id);
-        if task.given_up.is_some() {
-            tracing::warn!(job = %id, attempt, "job given up: its runs end the process");
-            let fault = Fault::worker_crashed();
-            return match give_up(&scenario, &log, fault.reason()) {
-                Ok(summary) => {
-                    control.steps_done.store(summary.steps, Ordering::Relaxed);
-                    Ok(summary)
+            index = match index.resting.first() {
+                Some(&(until, _)) => {
+                    let waited =
+                        self.work.wait_timeout(index, until.saturating_duration_since(now));
+                    waited.unwrap_or_else(PoisonError::into_inner).0
                 }
-                Err(error) => {
-                    tracing::error!(job = %id, error = chain(&error), "its log is lost");
-                    Err(Broken::Fault(fault))
-                }
+                None => self.work.wait(index).unwrap_or_else(PoisonError::into_inner),
             };
         }
-        tracing::info!(job = %id, attempt, "job runs");
-        execute(&scenario, &JobContext { log: &log, control }).map_err(|error| match error {
-            RunError::Interrupted => Broken::Interrupted,
-            error => {
-                tracing::error!(job = %id, error = chain(&error), "run broke off");
-                Broken::Fault(Fault::run(&error))
-            }
-        })
     }
 
-    fn conclude(&self, task: &Task, result: Result<Summary, Broken>) {
-        let Task { id, attempt, control, .. } = task;
-        let result = match result {
-            Ok(summary) => Ok(summary),
-            Err(Broken::Fault(fault)) => Err(fault),
-            Err(Broken::Interrupted) => return self.hand_back(task),
+    fn carry_out(&self, turn: &Turn) -> Result<Carried, Broken> {
+        let Turn { id, attempt, control, .. } = turn;
+        let wait = &self.runtime;
+        if control.cancelled.load(Ordering::Relaxed) && !self.store.has_begun(*id) {
+            return Ok(Carried::Cancelled);
+        }
+        wait.block_on(self.store.begin_attempt(*id, *attempt))?;
+        let text = wait.block_on(self.store.scenario(*id))?;
+        let task = Task::new(&text, wait.block_on(self.store.settled(*id))?);
+        let scenario = task.scenario()?;
+        let Some(plan) = task.plan(&scenario)? else {
+            let Done::Settled(settled) = self.errand(turn, &Errand::Settle(task))? else {
+                return Err(Fault::panicked().into());
+            };
+            wait.block_on(self.store.settle(*id, &settled))?;
+            let plan = Task::new(&text, Some(settled)).plan(&scenario)?;
+            let plan = plan.ok_or_else(Fault::panicked)?;
+            return self.admitted(turn, plan).map(|plan| Carried::Settled(Box::new(plan)));
         };
-        let Some(record) = self.record(task, &result) else { return };
-        if !record.has_log
-            && let Err(error) = self.store.remove_leftovers(*id)
-        {
-            tracing::warn!(job = %id, error = chain(&error), "rubbish stays beside the job");
+        if self.index().jobs.get(id).is_none_or(|job| job.size.is_none()) {
+            return self.admitted(turn, plan).map(|plan| Carried::Settled(Box::new(plan)));
         }
-        match self.publish(*id, &record) {
-            Some(record) => {
-                let steps_done = control.steps_done.load(Ordering::Relaxed);
-                tracing::info!(job = %id, attempt, steps_done, state = ?record.state, "job ended");
-                let log = std::fs::metadata(self.store.log_path(*id)).ok();
-                let log = log.filter(|_| record.has_log);
-                self.metrics.end(&record, log.map_or(0, |log| log.len()));
-                self.index().end(Ending::of(*id, &record));
+        self.store.reopen_log(*id)?;
+        tracing::info!(job = %id, attempt, apart = turn.suspect, "job runs");
+        let log = self.store.log_path(*id);
+        let trace = turn.suspect.then(|| self.store.trace_path(*id));
+        let run = Errand::Run { task, log: log.clone(), trace };
+        match self.errand(turn, &run) {
+            Ok(Done::Ran(summary)) => Ok(Carried::Ended(summary)),
+            Ok(_) => Err(Fault::panicked().into()),
+            Err(Broken::Fault(fault)) if fault.is_of_the_process() => {
+                let Errand::Run { task, .. } = run else { return Err(fault.into()) };
+                self.give_up(turn, task, fault)
             }
-            None => self.hand_back(task),
+            Err(broken) => Err(broken),
         }
     }
 
-    /// What to publish.
-    fn record(&self, task: &Task, result: &Result<Summary, Fault>) -> Option<Record> {
+    /// Does what is to be done for a job, here or in a process of its own.
+    fn errand(&self, turn: &Turn, errand: &Errand) -> Result<Done, Broken> {
+        match self.program.as_ref().filter(|_| turn.suspect) {
+            Some(program) => apart::carry_out(program, errand, &turn.control, None),
+            None => errand.carry_out(&turn.control),
+        }
+    }
+
+    /// Gives the log of a job that ends its process an end.
+    fn give_up(&self, turn: &Turn, task: Task, fault: Fault) -> Result<Carried, Broken> {
+        let Turn { id, control, .. } = turn;
+        tracing::warn!(job = %id, "job given up: its runs end the process");
+        let errand = Errand::GiveUp { task, log: self.store.log_path(*id), fault: fault.clone() };
+        let ended = match &self.program {
+            Some(program) => apart::carry_out(program, &errand, control, Some(MAX_GIVING_UP)),
+            None => errand.carry_out(control),
+        };
+        match ended {
+            Ok(Done::Ran(summary)) => {
+                control.steps_done.store(summary.steps, Ordering::Relaxed);
+                Ok(Carried::Ended(summary))
+            }
+            Ok(_) | Err(Broken::Fault(_) | Broken::Unanswered(_)) => {
+                tracing::error!(job = %id, "its log has no end");
+                Ok(Carried::GivenUp(fault))
+            }
+            Err(broken) => Err(broken),
+        }
+    }
+
+    /// Whether the service takes on what a job turned out to be.
+    fn admitted(&self, turn: &Turn, plan: Plan) -> Result<Plan, Broken> {
+        self.limits.admit(&plan).map_err(|refusal| Fault::beyond(&refusal))?;
+        let free_bytes = self.store.free_bytes()?;
+        let to_come = {
+            let mut index = self.index();
+            let before = index.jobs.get(&turn.id).map_or(0, |job| job.owed_bytes);
+            index.promised_bytes -= before;
+            let to_come = index.bytes_to_come();
+            index.promised_bytes += before;
+            to_come
+        };
+        let needed = to_come.saturating_add(plan.log_bytes);
+        if needed.saturating_add(self.limits.reserve_bytes) > free_bytes {
+            let refusal = Refusal::DiskFull;
+            return Err(Broken::Trouble(Trouble::new("storage_full", refusal.to_string())));
+        }
+        Ok(plan)
+    }
+
+    fn conclude(&self, turn: &Turn, result: Result<Carried, Broken>) {
+        let Turn { id, control, .. } = turn;
+        let record = match result {
+            Ok(Carried::Settled(plan)) => return self.put_back(turn, &plan),
+            Ok(Carried::Ended(summary)) => self.record(turn, Ok(&summary)),
+            Ok(Carried::Cancelled) => self.record(turn, Err((State::Cancelled, None))),
+            Ok(Carried::GivenUp(fault)) | Err(Broken::Fault(fault)) => {
+                self.record(turn, Err((State::Failed, Some(&fault))))
+            }
+            Err(Broken::Stopped) if self.index().alive.is_none() => return self.hand_back(turn),
+            // Its search was stopped, and it has no log.
+            Err(Broken::Stopped) => self.record(turn, Err((State::Cancelled, None))),
+            Err(Broken::Trouble(trouble)) => return self.rest(turn, trouble),
+            Err(Broken::Aside(fault)) => return self.set_aside(turn, fault),
+            Err(Broken::Unanswered(_)) => {
+                self.record(turn, Err((State::Failed, Some(&Fault::panicked()))))
+            }
+        };
+        let record = match record.map(|record| self.publish(turn, record)) {
+            Some(Ok(record)) => record,
+            None | Some(Err(Broken::Stopped)) => return self.hand_back(turn),
+            Some(Err(Broken::Trouble(trouble))) => return self.rest(turn, trouble),
+            Some(Err(Broken::Aside(fault) | Broken::Fault(fault))) => {
+                return self.set_aside(turn, fault);
+            }
+            Some(Err(Broken::Unanswered(_))) => return self.set_aside(turn, Fault::panicked()),
+        };
+        let _ = std::fs::remove_file(self.store.trace_path(*id));
+        let steps_done = control.steps_done.load(Ordering::Relaxed);
+        tracing::info!(job = %id, attempt = turn.attempt, steps_done, state = ?record.state, "job ended");
+        self.metrics.end(&record, record.log.as_ref().map_or(0, |log| log.bytes));
+        self.index().end(Ending::of(*id, &record));
+    }
+
+    /// What to publish; none if the service stops while the log is read through.
+    fn record(
+        &self,
+        turn: &Turn,
+        result: Result<&Summary, (State, Option<&Fault>)>,
+    ) -> Option<Record> {
         let index = self.index();
-        let job = index.jobs.get(&task.id)?;
+        let job = index.jobs.get(&turn.id)?;
         let mut record = match result {
             Ok(summary) => {
                 let state = match summary.outcome {
@@ -159,72 +243,116 @@ impl Shared {
                 let summary = Some(summary);
                 Record { has_log: true, summary, diagnosis, ..job.record(state, None) }
             }
-            Err(fault) => job.record(State::Failed, Some(fault)),
+            Err((state, fault)) => job.record(state, fault),
         };
-        record.steps_done = task.control.steps_done.load(Ordering::Relaxed);
+        record.steps_done = turn.control.steps_done.load(Ordering::Relaxed);
         Some(record)
     }
 
-    /// Writes the result, however long the disk refuses it: a state that is shown must be on the disk.
-    /// None if the service stops first.
-    fn publish(&self, id: Uuid, record: &Record) -> Option<Record> {
-        loop {
-            match self.runtime.block_on(self.store.publish(id, record)) {
-                Ok(record) => return Some(record),
-                Err(error) => {
-                    tracing::error!(job = %id, error = chain(&error), "result not written; trying again")
+    /// Writes the result, with the checksum of the log: a state that is shown must be on the disk.
+    fn publish(&self, turn: &Turn, mut record: Record) -> Result<Record, Broken> {
+        let id = turn.id;
+        if record.has_log {
+            let log = self.store.log_path(id);
+            let stopped = || self.index().alive.is_none();
+            let failed = StoreError::reading_a_log;
+            let identity = Identity::of(&log.metadata().map_err(failed)?);
+            record.log = Some(LogSum::of(&log, stopped).map_err(failed)?.ok_or(Broken::Stopped)?);
+            self.sound().insert(id, identity);
+        }
+        let (tries, mut pause) = PUBLISHING;
+        for _ in 1..tries {
+            match self.runtime.block_on(self.store.publish(id, &record)) {
+                Ok(record) => return Ok(record),
+                Err(error) if error.is_transient() => {
+                    tracing::error!(job = %id, error = chain(&error), "result not written; trying again");
                 }
+                Err(error) => return Err(error.into()),
             }
-            let waited = self
-                .halt
-                .wait_timeout_while(self.index(), RETRY_PAUSE, |index| index.alive.is_some());
+            let waited =
+                self.halt.wait_timeout_while(self.index(), pause, |index| index.alive.is_some());
             let (index, _) = waited.unwrap_or_else(PoisonError::into_inner);
-            index.alive.as_ref()?;
+            index.alive.as_ref().ok_or(Broken::Stopped)?;
+            pause *= 2;
+        }
+        Ok(self.runtime.block_on(self.store.publish(id, &record))?)
+    }
+
+    /// The attempt came back: it does not count as a death of the process.
+    fn take_back(&self, turn: &Turn) {
+        let taken_back = self.runtime.block_on(self.store.take_back_attempt(turn.id, turn.attempt));
+        if let Err(error) = taken_back {
+            tracing::warn!(job = %turn.id, error = chain(&error), "attempt counted");
+        }
+        if let Some(job) = self.index().jobs.get_mut(&turn.id) {
+            job.attempts -= 1;
         }
     }
 
-    /// Leaves a job for the next start; its attempt does not count as a crash.
-    fn hand_back(&self, task: &Task) {
-        let Task { id, attempt, given_up, .. } = *task;
-        let taken_back = match given_up {
-            Some(n) => self.runtime.block_on(self.store.take_back_giving_up(id, n)),
-            None => self.runtime.block_on(self.store.take_back_attempt(id, attempt)),
-        };
-        if let Err(error) = taken_back {
-            tracing::warn!(job = %id, error = chain(&error), "attempt counted");
-        }
+    /// Puts a job whose method and step are settled to the front of the queue.
+    fn put_back(&self, turn: &Turn, plan: &Plan) {
+        self.take_back(turn);
+        let id = turn.id;
         let mut index = self.index();
-        index.running.remove(&id);
-        if let Some(job) = index.jobs.get_mut(&id) {
-            job.attempts -= u32::from(given_up.is_none());
+        let Some(job) = index.jobs.get_mut(&id) else { return };
+        job.plan = serde_json::value::to_raw_value(plan).ok();
+        job.cancelled |= turn.control.cancelled.load(Ordering::Relaxed);
+        let size = Size::of(plan);
+        let line = Line::Waits(Waiting { id, name: job.name.clone(), size: Some(size) });
+        index.owe(id, size, 0);
+        index.back_to_queue(id);
+        drop(index);
+        self.store.add_to_index(&line);
+        tracing::info!(job = %id, steps = size.steps, "method and step settled");
+    }
+
+    /// Leaves a job for the next start.
+    fn hand_back(&self, turn: &Turn) {
+        self.take_back(turn);
+        let mut index = self.index();
+        index.running.remove(&turn.id);
+        if let Some(job) = index.jobs.get_mut(&turn.id) {
             job.phase = Phase::Queued;
         }
         drop(index);
-        tracing::info!(job = %id, "job interrupted; it goes on at the next start");
+        tracing::info!(job = %turn.id, "job interrupted; it goes on at the next start");
+    }
+
+    /// Lets a job wait for the store. What it has logged stays.
+    fn rest(&self, turn: &Turn, trouble: Trouble) {
+        self.take_back(turn);
+        let id = turn.id;
+        let mut index = self.index();
+        index.running.remove(&id);
+        let Some(job) = index.jobs.get_mut(&id) else { return };
+        let trouble = trouble.again(job.trouble.as_ref());
+        let pause = trouble.pause();
+        tracing::warn!(job = %id, ?trouble, ?pause, "job rests");
+        job.phase = Phase::Queued;
+        job.cancelled |= turn.control.cancelled.load(Ordering::Relaxed);
+        job.trouble = Some(trouble);
+        index.resting.insert((Instant::now() + pause, id));
+    }
+
+    /// Leaves a job to somebody who looks at its record; the next start tries again.
+    fn set_aside(&self, turn: &Turn, fault: Fault) {
+        self.take_back(turn);
+        tracing::error!(job = %turn.id, ?fault, "job set aside; nothing of it is removed");
+        self.metrics.set_aside();
+        let mut index = self.index();
+        index.running.remove(&turn.id);
+        let Some(job) = index.jobs.get_mut(&turn.id) else { return };
+        job.phase = Phase::Aside(fault);
+        let owed_bytes = std::mem::take(&mut job.owed_bytes);
+        index.promised_bytes -= owed_bytes;
     }
 }
 
 impl Index {
-    /// Whether the next job has to wait: it, or one that runs, may be what ended the process.
-    fn must_wait(&self) -> bool {
-        let mut running = self.running();
-        let next = self.queue.front().and_then(|id| self.jobs.get(id));
-        if next.is_some_and(|job| job.suspect) {
-            running.next().is_some()
-        } else {
-            running.any(Job::is_suspect)
-        }
-    }
-}
-
-/// Why a run has no summary.
-enum Broken {
-    Fault(Fault),
-    Interrupted,
-}
-
-impl From<Fault> for Broken {
-    fn from(fault: Fault) -> Self {
-        Self::Fault(fault)
+    /// Whether there is memory for the next job beside those that run. One alone always fits: it was admitted.
+    fn fits(&self, memory_bytes: u64) -> bool {
+        let Some(next) = self.queue.front().and_then(|id| self.jobs.get(id)) else { return false };
+        let taken: u64 = self.running().map(super::Job::memory_bytes).sum();
+        self.running.is_empty() || taken.saturating_add(next.memory_bytes()) <= memory_bytes
     }
 }

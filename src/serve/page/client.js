@@ -99,9 +99,10 @@ function span(seconds) {
   return seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${Math.round(seconds / 86400)} days`;
 }
 
-function standing({ state, progress }) {
+function standing({ state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
-  if (state === "queued") return "waits for a free worker";
+  if (state === "queued") return trouble ? "waits for the disk" : "waits for a free worker";
+  if (state === "running" && steps === 0) return "looks for a method and a step";
   if (state !== "running") return `${count(steps_done)} of ${count(steps)} steps`;
   return `${percent.toFixed(1)} %, ${eta_s == null ? "beginning" : `${span(eta_s)} left`}`;
 }
@@ -109,6 +110,7 @@ function standing({ state, progress }) {
 // What happened, in plain words.
 function outcome(job) {
   const { summary, state } = job;
+  if (state === "queued" && job.trouble) return `The job is kept and tried again: ${job.trouble.message}.`;
   if (state === "queued") return "The job is kept and waits for a free worker.";
   if (state === "running") return "The job is running. You may leave: it goes on without this page.";
   if (!summary) return state === "cancelled" ? "Stopped before it began." : "";

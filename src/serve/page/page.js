@@ -56,7 +56,7 @@ function fill(list, items, make, empty) {
 const showJobs = () => fill("jobs", jobs, jobItem, "None yet.");
 
 function heard(job) {
-  jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: known.plan } : known);
+  jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
   showJobs();
 }
 

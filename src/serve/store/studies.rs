@@ -5,19 +5,17 @@
 //! Invariants: a study exists while its `request.json` does. `attempt-N` counts the runs that never came back,
 //! and `result.json` is written put-if-absent: a study ends once.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use axum::body::Bytes;
-use futures_util::TryStreamExt;
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
-use object_store::{Error, ObjectStore, ObjectStoreExt};
+use object_store::{Error, ObjectStoreExt};
 use uuid::Uuid;
 
 use super::{
-    ATTEMPT, RESULT, ServeError, StoreError, create, forget_prefix, make_directory, objects,
-    parse_id, sealed, unsealed,
+    ATTEMPT, RESULT, ServeError, StoreError, TRASH, chain, create, objects, own_directory,
+    prefixes, sealed, throw_away, unsealed,
 };
 
 const STUDIES: &str = "studies";
@@ -38,15 +36,16 @@ pub(in crate::serve) struct FoundStudy {
 pub(in crate::serve) struct StudyStore {
     objects: LocalFileSystem,
     studies: PathBuf,
+    trash: PathBuf,
 }
 
 impl StudyStore {
     /// Opens the record in a directory that exists and is locked.
     pub(in crate::serve) fn open(data: &Path) -> Result<Self, ServeError> {
         let failed = |source| ServeError::Data { path: data.into(), source };
-        let studies = data.canonicalize().map_err(failed)?.join(STUDIES);
-        make_directory(&studies).map_err(failed)?;
-        Ok(Self { objects: objects(data)?, studies })
+        let data = data.canonicalize().map_err(failed)?;
+        let (studies, trash) = (own_directory(&data, STUDIES)?, own_directory(&data, TRASH)?);
+        Ok(Self { objects: objects(&data)?, studies, trash })
     }
 
     /// Keeps what was asked.
@@ -55,11 +54,17 @@ impl StudyStore {
         create(&self.objects, &key(id, REQUEST), sealed(request.to_vec())).await.map_err(failed)
     }
 
+    /// What was asked.
+    pub(in crate::serve) async fn request(&self, id: Uuid) -> Result<Bytes, StoreError> {
+        self.read(id, REQUEST).await
+    }
+
     /// Notes that attempt `n` begins.
     pub(in crate::serve) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        let failed = StoreError::new("note the attempt");
-        let note = key(id, &format!("{ATTEMPT}{n}"));
-        create(&self.objects, &note, Vec::new()).await.map_err(failed)
+        match create(&self.objects, &key(id, &format!("{ATTEMPT}{n}")), Vec::new()).await {
+            Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
+            Err(error) => Err(StoreError::new("note the attempt")(error)),
+        }
     }
 
     /// Takes back the note of an attempt that was interrupted in order.
@@ -76,48 +81,55 @@ impl StudyStore {
     pub(in crate::serve) async fn publish(
         &self,
         id: Uuid,
-        result: Vec<u8>,
+        record: &impl serde::Serialize,
     ) -> Result<(), StoreError> {
+        let failed = "write the result of the study";
+        let result = serde_json::to_vec(record).map_err(StoreError::new(failed))?;
         match create(&self.objects, &key(id, RESULT), sealed(result)).await {
             Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
-            Err(error) => Err(StoreError::new("write the result of the study")(error)),
+            Err(error) => Err(StoreError::new(failed)(error)),
         }
     }
 
     /// Forgets a study. Blocking.
     pub(in crate::serve) fn forget(&self, id: Uuid) -> Result<(), StoreError> {
-        forget_prefix(&self.studies.join(id.to_string()), REQUEST)
+        let name = id.to_string();
+        throw_away(&self.studies.join(&name), &self.trash.join(&name))
             .map_err(StoreError::new("forget the study"))
     }
 
-    /// All studies, oldest first. Prefixes without a request are passed over.
-    pub(in crate::serve) async fn scan(&self) -> Result<Vec<FoundStudy>, StoreError> {
-        let failed = "list the studies";
-        let mut studies: BTreeMap<Uuid, Vec<String>> = BTreeMap::new();
-        let mut entries = self.objects.list(Some(&Key::from(STUDIES)));
-        while let Some(entry) = entries.try_next().await.map_err(StoreError::new(failed))? {
-            let parts: Vec<_> = entry.location.parts().collect();
-            if let [_, id, name] = parts.as_slice()
-                && let Some(id) = parse_id(id.as_ref())
-            {
-                studies.entry(id).or_default().push(name.as_ref().to_owned());
-            }
-        }
-        let mut found = Vec::with_capacity(studies.len());
-        for (id, names) in studies {
-            let has = |wanted: &str| names.iter().any(|name| name == wanted);
-            if !has(REQUEST) {
+    /// All studies, oldest first, and how many things were found that are none.
+    pub(in crate::serve) async fn scan(&self) -> Result<(Vec<FoundStudy>, usize), StoreError> {
+        let (prefixes, mut aside) =
+            prefixes(&self.studies).map_err(StoreError::new("list the studies"))?;
+        let mut found = Vec::with_capacity(prefixes.len());
+        for (id, prefix) in prefixes {
+            if !prefix.files.contains(REQUEST) && !prefix.stands(RESULT) {
+                if prefix.is_unanswered() {
+                    if let Err(error) = self.forget(id) {
+                        tracing::warn!(study = %id, error = chain(&error), "rubbish stays");
+                    }
+                } else {
+                    aside += 1;
+                    tracing::error!(study = %id, "set aside: it has no request; nothing is removed");
+                }
                 continue;
             }
+            let read = async |name: &str| match prefix.files.contains(name) {
+                true => self.read(id, name).await,
+                false => {
+                    Err(StoreError::new("read the record of a study")("there is no such file"))
+                }
+            };
             let attempt = |name: &String| name.strip_prefix(ATTEMPT)?.parse().ok();
             found.push(FoundStudy {
                 id,
-                attempts: names.iter().filter_map(attempt).max().unwrap_or(0),
-                request: self.read(id, REQUEST).await,
-                result: if has(RESULT) { Some(self.read(id, RESULT).await) } else { None },
+                attempts: prefix.files.iter().filter_map(attempt).max().unwrap_or(0),
+                request: read(REQUEST).await,
+                result: if prefix.stands(RESULT) { Some(read(RESULT).await) } else { None },
             });
         }
-        Ok(found)
+        Ok((found, aside))
     }
 
     async fn read(&self, id: Uuid, name: &str) -> Result<Bytes, StoreError> {

@@ -115,7 +115,7 @@ impl Question {
     }
 
     /// The name of its scenario.
-    pub(super) fn name(&self) -> &str {
+    pub(in crate::serve) fn name(&self) -> &str {
         self.scene.name()
     }
 
@@ -123,7 +123,7 @@ impl Question {
     ///
     /// # Errors
     /// If the scene cannot be studied, or the study is cancelled.
-    pub(super) fn answer(&self, watch: &Watch) -> Result<Answer, Unanswered> {
+    pub(in crate::serve) fn answer(&self, watch: &Watch) -> Result<Answer, Unanswered> {
         let Question { kind, scene, entries, until_s } = self;
         let name = scene.name();
         let mut answer = Answer::default();
@@ -156,7 +156,7 @@ impl Question {
 /// What a study found, as it is kept and shown: rows and borders are plain JSON, so that a newer build can show
 /// what an older one found.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(super) struct Answer {
+pub(in crate::serve) struct Answer {
     /// File name and content.
     pub(super) files: Vec<(String, String)>,
     pub(super) rows: Vec<Value>,
@@ -166,7 +166,7 @@ pub(super) struct Answer {
 }
 
 #[derive(Debug, thiserror::Error)]
-pub(super) enum Unanswered {
+pub(in crate::serve) enum Unanswered {
     #[error(transparent)]
     Study(#[from] StudyError),
     #[error(transparent)]

@@ -1,8 +1,9 @@
 //! The thread that makes the studies, one after the other.
 //!
 //! Invariant: whatever happens in a study, the thread goes on and the study ends once, or not at all if the service
-//! stops, so that it is made again at the next start.
+//! stops, so that it is made again at the next start. What is shown as its end is on the disk.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, PoisonError};
@@ -11,56 +12,81 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::question::{Answer, Question, Unanswered};
+use super::question::Answer;
 use super::{Phase, Record, Shared};
-use crate::serve::chain;
+use crate::run::Control;
+use crate::serve::errand::{Broken, Done, Errand};
 use crate::serve::job::State;
-use crate::study::{StudyError, Watch};
+use crate::serve::store::StoreError;
+use crate::serve::{apart, chain};
 
 /// Longest study: nobody waits longer, and others wait behind it.
 const LONGEST: Duration = Duration::from_secs(900);
 
+/// Pause between attempts to write a result: long enough not to spin, short enough to notice space that returns.
+const RETRY_PAUSE: Duration = Duration::from_secs(1);
+
 /// A study in the hands of the thread.
-struct Task {
+struct Turn {
     id: Uuid,
     attempt: u32,
-    question: Box<Question>,
-    watch: Arc<Watch>,
+    suspect: bool,
+    control: Arc<Control>,
 }
 
 impl Shared {
     /// The life of the thread.
     pub(super) fn work(&self) {
-        while let Some(Task { id, attempt, question, watch }) = self.next() {
-            if let Err(error) = self.runtime.block_on(self.store.begin_attempt(id, attempt)) {
-                tracing::warn!(study = %id, error = chain(&error), "attempt not noted");
-            }
-            let (ended, late) = limited(&watch);
-            let answer = std::panic::catch_unwind(|| question.answer(&watch));
+        while let Some(turn) = self.next() {
+            let (ended, late) = limited(&turn.control);
+            let answer = catch_unwind(AssertUnwindSafe(|| self.answer(&turn)));
             drop(ended);
             let late = late.join().unwrap_or_default();
             let (state, error, answer) = match answer {
                 Ok(Ok(answer)) => (State::Succeeded, None, answer),
-                Ok(Err(Unanswered::Study(StudyError::Cancelled))) => {
+                Ok(Err(Broken::Stopped)) => {
                     if self.index().stopping {
-                        return self.hand_back(id, attempt);
+                        return self.hand_back(&turn);
                     }
                     let error = late.then(|| format!("took longer than {} s", LONGEST.as_secs()));
                     let state = if late { State::Failed } else { State::Cancelled };
                     (state, error, Answer::default())
                 }
-                Ok(Err(error)) => (State::Failed, Some(error.to_string()), Answer::default()),
+                Ok(Err(Broken::Trouble(trouble))) => {
+                    tracing::warn!(study = %turn.id, ?trouble, "study waits for the store");
+                    self.postpone(&turn);
+                    continue;
+                }
+                Ok(Err(broken)) => (State::Failed, Some(told(&broken)), Answer::default()),
                 Err(_) => {
                     let error = "the study failed; the service's log says why".to_owned();
                     (State::Failed, Some(error), Answer::default())
                 }
             };
-            self.end(id, state, error, answer);
+            if !self.ends(turn.id, state, &error, &answer) {
+                return self.hand_back(&turn);
+            }
+        }
+    }
+
+    /// Makes a study, here or in a process of its own.
+    fn answer(&self, turn: &Turn) -> Result<Answer, Broken> {
+        let Turn { id, attempt, control, .. } = turn;
+        self.runtime.block_on(self.store.begin_attempt(*id, *attempt))?;
+        let request = self.runtime.block_on(self.store.request(*id))?;
+        let errand = Errand::Study { request: String::from_utf8_lossy(&request).into_owned() };
+        let done = match self.program.as_ref().filter(|_| turn.suspect) {
+            Some(program) => apart::carry_out(program, &errand, control, None),
+            None => errand.carry_out(control),
+        };
+        match done? {
+            Done::Studied(answer) => Ok(answer),
+            Done::Settled(_) | Done::Ran(_) => Err(Broken::Unanswered("no answer".to_owned())),
         }
     }
 
     /// The oldest waiting study, marked as running; none once the service stops.
-    fn next(&self) -> Option<Task> {
+    fn next(&self) -> Option<Turn> {
         let mut index = self.index();
         loop {
             if index.stopping {
@@ -68,47 +94,99 @@ impl Shared {
             }
             if let Some(id) = index.queue.pop_front()
                 && let Some(study) = index.studies.get_mut(&id)
-                && let Phase::Queued(question) = std::mem::replace(&mut study.phase, Phase::Running)
             {
+                study.phase = Phase::Running;
                 study.attempts += 1;
-                let (attempt, watch) = (study.attempts, study.watch.clone());
-                return Some(Task { id, attempt, question, watch });
+                let (attempt, suspect) = (study.attempts, study.suspect);
+                return Some(Turn { id, attempt, suspect, control: study.control.clone() });
             }
             index = self.work.wait(index).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
+    /// Ends a study, however long the disk refuses it; false if the service stops first.
+    fn ends(&self, id: Uuid, state: State, error: &Option<String>, answer: &Answer) -> bool {
+        loop {
+            match self.end(id, state, error.clone(), answer.clone()) {
+                Ok(()) => return true,
+                Err(error) => {
+                    tracing::error!(study = %id, error = chain(&error), "result not written");
+                    if !error.is_transient() {
+                        self.set_aside(id);
+                        return true;
+                    }
+                }
+            }
+            let waited =
+                self.work.wait_timeout_while(self.index(), RETRY_PAUSE, |index| !index.stopping);
+            if waited.unwrap_or_else(PoisonError::into_inner).0.stopping {
+                return false;
+            }
+        }
+    }
+
     /// Writes how a study ended, then shows it.
-    pub(super) fn end(&self, id: Uuid, state: State, error: Option<String>, answer: Answer) {
+    pub(super) fn end(
+        &self,
+        id: Uuid,
+        state: State,
+        error: Option<String>,
+        answer: Answer,
+    ) -> Result<(), StoreError> {
         let Some(record) = self.index().studies.get(&id).map(|study| Record {
             kind: study.kind,
             name: study.name.clone(),
             state,
-            runs: study.watch.total.load(Ordering::Relaxed),
-            runs_done: study.watch.done.load(Ordering::Relaxed),
+            runs: study.control.settling.total.load(Ordering::Relaxed),
+            runs_done: study.control.settling.done.load(Ordering::Relaxed),
             error,
             answer,
         }) else {
+            return Ok(());
+        };
+        self.runtime.block_on(self.store.publish(id, &record))?;
+        tracing::info!(study = %id, state = state.as_str(), "study ended");
+        self.show(id, record);
+        Ok(())
+    }
+
+    /// Leaves a study to somebody who looks at its record; the next start tries again.
+    fn set_aside(&self, id: Uuid) {
+        let Some(record) = self.index().studies.get(&id).map(|study| Record {
+            kind: study.kind,
+            name: study.name.clone(),
+            state: State::Failed,
+            runs: 0,
+            runs_done: 0,
+            error: Some("the result could not be written".to_owned()),
+            answer: Answer::default(),
+        }) else {
             return;
         };
-        let written = serde_json::to_vec(&record)
-            .map(|text| self.runtime.block_on(self.store.publish(id, text)));
-        // Shown all the same: it is made again at the next start.
-        match written {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => {
-                tracing::error!(study = %id, error = chain(&error), "result not written");
-            }
-            Err(error) => tracing::error!(study = %id, %error, "result not written"),
-        }
-        tracing::info!(study = %id, state = state.as_str(), "study ended");
+        self.show(id, record);
+    }
+
+    fn show(&self, id: Uuid, record: Record) {
         if let Some(study) = self.index().studies.get_mut(&id) {
             study.phase = Phase::Ended(Arc::new(record));
         }
     }
 
+    /// Puts a study back that the store does not allow to be made for now.
+    fn postpone(&self, turn: &Turn) {
+        let mut index = self.index();
+        if let Some(study) = index.studies.get_mut(&turn.id) {
+            study.phase = Phase::Queued;
+            study.attempts -= 1;
+        }
+        index.queue.push_front(turn.id);
+        let waited = self.work.wait_timeout_while(index, RETRY_PAUSE, |index| !index.stopping);
+        drop(waited);
+    }
+
     /// Leaves a study for the next start; its attempt does not count.
-    fn hand_back(&self, id: Uuid, attempt: u32) {
+    fn hand_back(&self, turn: &Turn) {
+        let Turn { id, attempt, .. } = *turn;
         if let Err(error) = self.runtime.block_on(self.store.take_back_attempt(id, attempt)) {
             tracing::warn!(study = %id, error = chain(&error), "attempt counted");
         }
@@ -116,14 +194,24 @@ impl Shared {
     }
 }
 
+/// Why a study has no answer, for a person.
+fn told(broken: &Broken) -> String {
+    match broken {
+        Broken::Unanswered(message) => message.clone(),
+        Broken::Fault(fault) | Broken::Aside(fault) => fault.to_string(),
+        Broken::Trouble(_) => "the store refused it".to_owned(),
+        Broken::Stopped => "stopped".to_owned(),
+    }
+}
+
 /// Cancels a study that takes too long, unless the sender is dropped before; tells whether it did.
-fn limited(watch: &Arc<Watch>) -> (mpsc::Sender<()>, JoinHandle<bool>) {
+fn limited(control: &Arc<Control>) -> (mpsc::Sender<()>, JoinHandle<bool>) {
     let (ended, end) = mpsc::channel();
-    let watch = watch.clone();
+    let control = control.clone();
     let late = thread::spawn(move || {
         let late = end.recv_timeout(LONGEST) == Err(RecvTimeoutError::Timeout);
         if late {
-            watch.cancelled.store(true, Ordering::Relaxed);
+            control.cancel();
         }
         late
     });
