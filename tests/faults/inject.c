@@ -1,6 +1,6 @@
 /* Makes the n-th change of a file below a directory fail, for the fault tests. Preloaded into the real
  * binary; driven through a file that both sides map:
- *   [0] calls left before the fault (0: disarmed)  [1] errno, or -1: abort  [2] 1: every call after it fails as well
+ *   [0] calls left before the fault (0: disarmed)  [1] errno, or -1: abort  [2] so many calls after it fail as well
  *   [3] faults given                               [4] calls seen while armed
  */
 #define _GNU_SOURCE
@@ -39,11 +39,16 @@ static int fails(void) {
     __atomic_add_fetch(&plan[4], 1, __ATOMIC_SEQ_CST);
     int64_t left = __atomic_sub_fetch(&plan[0], 1, __ATOMIC_SEQ_CST);
     if (left > 0) return 0;
-    if (left < 0 && !plan[2]) {
+    if (left < 0) {
         __atomic_store_n(&plan[0], 0, __ATOMIC_SEQ_CST);
         return 0;
     }
-    __atomic_store_n(&plan[0], plan[2] ? 1 : 0, __ATOMIC_SEQ_CST);
+    if (plan[2] > 0) {
+        __atomic_sub_fetch(&plan[2], 1, __ATOMIC_SEQ_CST);
+        __atomic_store_n(&plan[0], 1, __ATOMIC_SEQ_CST);
+    } else {
+        __atomic_store_n(&plan[0], 0, __ATOMIC_SEQ_CST);
+    }
     __atomic_add_fetch(&plan[3], 1, __ATOMIC_SEQ_CST);
     if (plan[1] < 0) abort();
     errno = (int)plan[1];

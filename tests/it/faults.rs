@@ -4,7 +4,8 @@
 //! gives twenty times as many.
 
 mod damage;
-mod disk;
+pub(crate) mod disk;
+mod hostile;
 mod handles;
 mod kill;
 mod load;
@@ -43,6 +44,36 @@ fn dipole(steps: u64) -> Value {
         serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
     scenario["steps"] = json!(steps);
     scenario["log"] = json!({ "every": 5 });
+    scenario
+}
+
+/// A body of n dimensions on many springs: steps that take long.
+fn heavy(n: usize, terms: usize, steps: u64) -> Value {
+    let at = |k: usize, length: f64| -> Vec<f64> {
+        (0..n).map(|i| if i == k % n { length } else { 0.1 * ((i + k) % 3) as f64 }).collect()
+    };
+    let springs = (0..terms).map(|k| {
+        json!({ "kind": "spring", "stiffness": 1.0, "rest_length": 0.3,
+                "body_point": at(k, 1.0), "position": at(k + 1, 2.0) })
+    });
+    let moments: Vec<f64> = (0..n).map(|i| 1.0 + 0.1 * i as f64).collect();
+    json!({
+        "name": "heavy",
+        "scene": { "inertia": { "second_moments": moments }, "potential": springs.collect::<Vec<_>>() },
+        "method": { "name": "vpd", "tableau": "gauss4" },
+        "step_s": 0.01, "steps": steps,
+    })
+}
+
+/// A pendulum whose method and step are to be found.
+fn pendulum(error: f64, duration_s: f64) -> Value {
+    let mut scenario: Value =
+        serde_json::from_str(include_str!("../../scenarios/pendulum.json")).expect("shipped");
+    for field in ["method", "step_s", "steps", "expect"] {
+        scenario.as_object_mut().expect("an object").remove(field);
+    }
+    scenario["accuracy"] = json!({ "error": error });
+    scenario["duration_s"] = json!(duration_s);
     scenario
 }
 

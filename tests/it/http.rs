@@ -261,6 +261,10 @@ impl Answer {
         serde_json::from_slice(&self.body).expect("JSON")
     }
 
+    fn text(&self) -> &str {
+        std::str::from_utf8(&self.body).expect("text")
+    }
+
     fn header(&self, name: &str) -> &str {
         self.headers.get(name).map_or("", |value| value.to_str().expect("text"))
     }

@@ -1,7 +1,8 @@
 //! Damaged files of the store: every one is noticed, none harms another job.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use uuid::Uuid;
 use vpd::log::inspect::inspect;
@@ -54,10 +55,10 @@ fn every_damaged_file_is_reported() {
         assert_eq!(job["diagnosis"]["code"], "record_damaged", "{job}");
     }
     for id in &scenarios {
-        let job = service.job(id);
+        let job = service.ended(id);
         assert_eq!(
             (&job["state"], &job["diagnosis"]["code"]),
-            (&"failed".into(), &"storage_error".into()),
+            (&"failed".into(), &"record_damaged".into()),
             "{job}"
         );
     }
@@ -72,6 +73,151 @@ fn every_damaged_file_is_reported() {
         assert!(!found.finished && found.damage.is_some(), "{found}");
     }
     println!("{} damaged files, all reported", 3 * count);
+}
+
+/// A kind of damage: what it is called, and how it is done to a path.
+type Manner = (&'static str, fn(&Path));
+
+/// What is done to a data directory.
+type Act = Box<dyn Fn(&Path)>;
+
+const MANNERS: [Manner; 7] = [
+    ("removed", |path| drop(remove(path))),
+    ("emptied", |path| replace(path, |path| fs::write(path, ""))),
+    ("garbage", |path| replace(path, |path| fs::write(path, [0xff; 300]))),
+    ("a directory", |path| replace(path, |path| fs::create_dir(path))),
+    ("a loop of links", |path| replace(path, |path| std::os::unix::fs::symlink(path, path))),
+    ("a pipe", |path| {
+        replace(path, |path| {
+            let made = Command::new("mkfifo").arg(path).status()?;
+            if made.success() { Ok(()) } else { Err(std::io::Error::other("no mkfifo")) }
+        });
+    }),
+    ("without rights", |path| {
+        use std::os::unix::fs::PermissionsExt;
+        let _ = fs::set_permissions(path, fs::Permissions::from_mode(0o000));
+    }),
+];
+
+fn remove(path: &Path) -> std::io::Result<()> {
+    if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) }
+}
+
+fn replace(path: &Path, make: impl Fn(&Path) -> std::io::Result<()>) {
+    let _ = remove(path);
+    make(path).expect("made");
+}
+
+/// All files below a directory.
+fn files(directory: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(directory).into_iter().flatten().flatten() {
+        match entry.file_type() {
+            Ok(kind) if kind.is_dir() => found.extend(files(&entry.path())),
+            _ => found.push(entry.path()),
+        }
+    }
+    found
+}
+
+/// Whatever is done to the data directory, a start serves the rest and removes nothing.
+#[test]
+fn no_kind_of_damage_stops_a_start_or_is_swept_away() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut blocker = dipole(10_000_000_000);
+    blocker["log"]["every"] = 1_000_000.into();
+    let service = Service::start(folder.path(), &["--workers", "1"]);
+    let [sound, victim] = [(); 2].map(|()| service.submit(&dipole(2_000)));
+    assert_eq!(service.ended(&victim)["state"], "succeeded");
+    let digest = service.digest(&sound);
+    let study = serde_json::json!({ "kind": "precision", "scenario": dipole(10),
+        "methods": [{"name": "vpd", "tableau": "gauss2"}] });
+    let answer = service.send("POST", "/studies", Some(&study.to_string())).json();
+    let study = answer["id"].as_str().expect("an id").to_owned();
+    assert_eq!(service.study(&study)["state"], "succeeded");
+    let (running, waiting) = (service.submit(&blocker), service.submit(&dipole(2_000)));
+    while service.job(&running)["state"] != "running" {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    service.kill();
+    for id in [&running, &waiting] {
+        fs::write(folder.path().join("data/jobs").join(id).join("cancel"), "").expect("written");
+    }
+    let data = folder.path().join("data");
+    let jobs = data.join("jobs");
+    let mut places: Vec<PathBuf> = ["jobs", "studies", "trash", "index.jsonl", "link-key", "lock"]
+        .iter()
+        .map(|name| data.join(name))
+        .collect();
+    places.extend(
+        ["scenario.json", "result.json", "log.mcap"].map(|name| jobs.join(&victim).join(name)),
+    );
+    places.extend(
+        ["scenario.json", "cancel", "log.mcap.part", "attempt-1"]
+            .map(|name| jobs.join(&running).join(name)),
+    );
+    places.extend(
+        ["request.json", "result.json"].map(|name| data.join("studies").join(&study).join(name)),
+    );
+    places.push(jobs.join(&waiting));
+    let mut cases: Vec<(String, Act)> = Vec::new();
+    for place in &places {
+        let name = place.strip_prefix(&data).expect("below").to_owned();
+        for (manner, act) in MANNERS {
+            let name = name.clone();
+            cases.push((
+                format!("{} {manner}", name.display()),
+                Box::new(move |data| act(&data.join(&name))),
+            ));
+        }
+    }
+    for odd in ["jobs/lost+found", "jobs/../jobs/ ", "jobs/0190", "studies/lost+found"] {
+        cases.push((
+            odd.to_owned(),
+            Box::new(move |data| fs::create_dir_all(data.join(odd)).expect("made")),
+        ));
+    }
+    cases.push((
+        "a name that is not UTF-8".to_owned(),
+        Box::new(|data| {
+            use std::os::unix::ffi::OsStrExt;
+            let name = std::ffi::OsStr::from_bytes(b"jobs/\xff\xfe");
+            fs::create_dir(data.join(name)).expect("made");
+        }),
+    ));
+    for (number, (name, act)) in cases.iter().enumerate() {
+        let place = folder.path().join(format!("case-{number}"));
+        fs::create_dir(&place).expect("made");
+        let copied = Command::new("cp").arg("-a").args([&data, &place.join("data")]).status();
+        assert!(copied.expect("cp").success());
+        let copy = place.join("data");
+        act(&copy);
+        let before = files(&copy);
+        let service = Service::start(&place, &["--workers", "2"]);
+        assert_eq!(service.get("/healthz").status, 200, "{name}");
+        if copy.join("jobs").join(&sound).join("log.mcap").is_file() {
+            assert_eq!(service.digest(&sound), digest, "{name}");
+        }
+        assert_eq!(service.reference(&dipole(2_000)), digest, "{name}");
+        assert!(service.terminate().0.success(), "{name}");
+        // What was there is there, under its name or under that of what was set aside; but for what jobs that ran
+        // made of their own files.
+        let after = files(&copy);
+        let kept = |file: &PathBuf| {
+            after.contains(file)
+                || file.starts_with(copy.join("jobs").join(&running))
+                || file.parent().is_some_and(|parent| parent.ends_with("trash"))
+                || after.iter().any(|other| {
+                    let (file, other) = (file.to_string_lossy(), other.to_string_lossy());
+                    other.starts_with(&*format!("{file}.set-aside"))
+                })
+        };
+        let gone: Vec<_> = before.iter().filter(|file| !kept(file)).collect();
+        assert!(gone.is_empty(), "{name}: {gone:?}");
+        fs::remove_dir_all(&place).expect("removed");
+    }
+    println!("{} kinds of damage, each start served the rest", cases.len());
+    assert!(cases.len() >= 70);
 }
 
 /// Files of a corpus.

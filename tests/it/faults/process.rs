@@ -168,6 +168,19 @@ impl Service {
         }
     }
 
+    /// The study once it has ended.
+    pub(super) fn study(&self, id: &str) -> Value {
+        let begun = Instant::now();
+        loop {
+            let study = self.get(&format!("/studies/{id}")).json();
+            if !["queued", "running"].contains(&study["state"].as_str().expect("a state")) {
+                return study;
+            }
+            assert!(begun.elapsed() < PATIENCE, "{id} does not end: {study}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
     /// SHA-256 of a job's log.
     pub(super) fn digest(&self, id: &str) -> String {
         let answer = self.get(&format!("/jobs/{id}/log.mcap"));

@@ -255,5 +255,37 @@ fn a_link_planted_as_a_log_leads_nowhere() {
     let log = super::record(&data, &id).join("log.mcap");
     std::fs::remove_file(&log).expect("removed");
     std::os::unix::fs::symlink(&secret, &log).expect("linked");
-    server.get(&path(&id)).problem(404, "not_found");
+    server.get(&path(&id)).problem(500, "log_damaged");
+}
+
+/// Damage that came after the end of the job: it is told, whoever asks and however often, and no byte of it is served.
+#[test]
+fn a_log_that_is_not_what_the_job_wrote_is_not_served() {
+    let data = directory();
+    let server = service(&data).start();
+    let ids: Vec<_> = (0..3).map(|_| server.finished()).collect();
+    let log = |id: &String| super::record(&data, id).join("log.mcap");
+    let whole = std::fs::read(log(&ids[0])).expect("a log");
+    let job = server.job(&ids[0]);
+    assert_eq!(job["log"]["bytes"], whole.len());
+    let flip = |id: &String| {
+        let mut bytes = std::fs::read(log(id)).expect("a log");
+        bytes[whole.len() / 2] ^= 1;
+        std::fs::write(log(id), bytes).expect("written");
+    };
+    flip(&ids[0]);
+    std::fs::write(log(&ids[1]), &whole[..whole.len() / 2]).expect("written");
+    for id in &ids[..2] {
+        for name in ["log.mcap", "live.mcap", "charts/energy.svg", "attitudes.json"] {
+            server.get(&format!("/jobs/{id}/{name}")).problem(500, "log_damaged");
+        }
+    }
+    server.stop().0.expect("stops in order");
+    flip(&ids[2]);
+    let server = service(&data).start();
+    for id in &ids {
+        server.get(&path(id)).problem(500, "log_damaged");
+    }
+    flip(&ids[2]);
+    assert_eq!(server.get(&path(&ids[2])).body, whole);
 }
