@@ -13,6 +13,7 @@ use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, execute};
 use vpd::scenario::Scenario;
 use vpd::solve::so::{self, Mat};
+use vpd::study::Watch;
 
 /// Scenes in CI.
 const SCENES: usize = 200;
@@ -188,6 +189,7 @@ struct Seen {
     accepted: usize,
     refused: usize,
     run: usize,
+    runs_s: Vec<(f64, usize)>,
     succeeded: usize,
     plans_s: Vec<(f64, usize)>,
     choices_s: Vec<(f64, usize)>,
@@ -207,7 +209,16 @@ fn extreme_scenes_are_planned_or_refused() {
         let scenario = draw.scenario();
         try_one(&scenario, number, directory.path(), &mut seen);
     }
-    let Seen { accepted, refused, run, succeeded, mut plans_s, mut choices_s, mut ratios } = seen;
+    let Seen {
+        accepted,
+        refused,
+        run,
+        succeeded,
+        mut plans_s,
+        mut choices_s,
+        mut runs_s,
+        mut ratios,
+    } = seen;
     println!("{accepted} planned, {refused} refused; {run} run, {succeeded} to their end");
     let slowest = |list: &mut Vec<(f64, usize)>| {
         list.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -215,6 +226,7 @@ fn extreme_scenes_are_planned_or_refused() {
     };
     println!("slowest plans: {}", slowest(&mut plans_s));
     println!("slowest choices for an accuracy: {}", slowest(&mut choices_s));
+    println!("slowest runs, failures and their advice included: {}", slowest(&mut runs_s));
     ratios.sort_by(|a, b| a.0.total_cmp(&b.0));
     let within = |factor: f64| {
         let near = ratios.iter().filter(|(r, _)| (1.0 / factor..=factor).contains(r)).count();
@@ -245,12 +257,17 @@ fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
         println!("#{number} {text}");
     }
     let begun = Instant::now();
-    let planned = Scenario::from_json(text.as_bytes())
-        .and_then(|scenario| advise::plan(&scenario).map(|plan| (scenario, plan)));
+    // In CI a choice may cost a fraction of what it may otherwise.
+    let allowance_ns = (super::faults::scale() == 1).then(|| 300_000_000.into());
+    let watch = Watch { allowance_ns, ..Watch::default() };
+    let planned = Scenario::from_json(text.as_bytes()).and_then(|scenario| {
+        let (settled, advice) = advise::settled(&scenario, &watch)?;
+        advise::plan_of(&settled, advice)
+    });
     let time_s = begun.elapsed().as_secs_f64();
     let of_choice = scenario.get("accuracy").is_some();
     if of_choice { &mut seen.choices_s } else { &mut seen.plans_s }.push((time_s, number));
-    let Ok((_, plan)) = planned else {
+    let Ok(plan) = planned else {
         seen.refused += 1;
         return;
     };
@@ -274,9 +291,11 @@ fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     let estimate: Plan = advise::plan(&short).expect("as above");
     let path = directory.join("log.mcap");
     let control = Control::default();
+    let begun = Instant::now();
     let summary = execute(&short, &JobContext { log: &path, control: &control })
         .unwrap_or_else(|error| panic!("{error}: {text}"));
     seen.run += 1;
+    seen.runs_s.push((begun.elapsed().as_secs_f64(), number));
     read_samples(&path, |_, message| {
         let numbers = format!("{message:?}");
         assert!(!numbers.contains("NaN") && !numbers.contains("inf"), "{numbers}: {text}");
