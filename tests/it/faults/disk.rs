@@ -169,6 +169,31 @@ fn no_file_handle_at_each_write_in_turn() {
     advance(EMFILE, "storage_error");
 }
 
+/// What is shown as the end of a study is on the disk.
+#[test]
+fn a_study_waits_for_room_for_its_result() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(mut faults) = Faults::new(folder.path()) else { return };
+    let studies = folder.path().join("data/studies");
+    let service = faults.start_on(folder.path(), &studies);
+    let question = serde_json::json!({ "kind": "precision", "scenario": dipole(10),
+        "methods": [{"name": "vpd", "tableau": "gauss2"}] });
+    let answer = service.send("POST", "/studies", Some(&question.to_string()));
+    let id = answer.json()["id"].as_str().expect("an id").to_owned();
+    while service.get(&format!("/studies/{id}")).json()["state"] == "queued" {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    faults.arm(1, ENOSPC, i64::MAX);
+    while faults.given() < 3 {
+        let state = service.get(&format!("/studies/{id}")).json()["state"].clone();
+        assert!(state == "running" || state == "queued", "{state}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    faults.arm(0, ENOSPC, 0);
+    assert_eq!(service.study(&id)["state"], "succeeded");
+    assert!(studies.join(&id).join("result.json").is_file());
+}
+
 /// A small file system, unmounted when dropped.
 pub(crate) struct Disk(PathBuf);
 
