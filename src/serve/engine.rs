@@ -567,6 +567,10 @@ impl Engine {
             };
             // A link planted in the data directory must not lead out of it.
             let Some(found) = found.filter(Metadata::is_file) else {
+                // Forgotten since it was looked up.
+                if !shared.index().jobs.contains_key(&id) {
+                    return Err(Refusal::UnknownJob);
+                }
                 tracing::error!(job = %id, "log missing");
                 return Err(Refusal::LogDamaged);
             };
