@@ -13,10 +13,12 @@
 //! - Only finished logs are served, or streams that end with one.
 //! - Other machines are served with tokens only, unless somebody insists.
 //!
-//! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link` (signed addresses), `api`
-//! (routes, thin handlers) with `openapi` (their description), `view` (what answers look like) and `problem` (the only place
-//! that knows status codes), `download` and `follow` (the log over HTTP, finished and growing), `viewers` (the live
-//! view), `engine` (queue and workers), `job` (its life), `store` (the record), `metrics`.
+//! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link`
+//! (signed addresses), `api` (routes, thin handlers) with `openapi` (their description), `view` (what answers look
+//! like) and `problem` (the only place that knows status codes), `desk` (where submissions are checked), `download`
+//! and `follow` (the log over HTTP, finished and growing), `viewers` (the live view), `engine` (queue and workers),
+//! `errand` (what a worker does) and `apart` (in a process of its own), `job` (its life), `store` (the record),
+//! `metrics`.
 
 mod api;
 pub(crate) mod apart;
