@@ -67,7 +67,7 @@ pub enum Obstacle {
     Reference(#[from] ReferenceError),
     /// The reference itself is not known so well.
     #[error(
-        "errors grow on this scene so that only {least:.1e} can be told at t = {time_s} s; ask for that, or for a shorter time"
+        "errors grow on this scene so that only {least:.1e} can be told at t = {time_s:.3e} s; ask for that, or for a shorter time"
     )]
     Untold {
         /// The least error that can be told.

@@ -103,6 +103,7 @@ function standing({ state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
   if (state === "queued") return trouble ? "waits for the disk" : "waits for a free worker";
   if (state === "running" && steps === 0) return "looks for a method and a step";
+  if (state !== "running" && steps === 0) return "no steps";
   if (state !== "running") return `${count(steps_done)} of ${count(steps)} steps`;
   return `${percent.toFixed(1)} %, ${eta_s == null ? "beginning" : `${span(eta_s)} left`}`;
 }

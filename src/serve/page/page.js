@@ -251,7 +251,7 @@ async function viewJob(id) {
     if (ended ? job.links.log : job.progress.durable_step > 0) await show(job);
     if (ended) {
       rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
-        h("h3", {}, "How it was done"), facts(job), h("div", { className: "row" }, forgetJob(job)));
+        job.plan ? h("h3", {}, "How it was done") : "", facts(job), h("div", { className: "row" }, forgetJob(job)));
     }
   };
   await update(job);
