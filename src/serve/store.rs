@@ -13,12 +13,14 @@
 //! `index.jsonl` repeats of each job what lists show, so that a start need not read them all. It is no
 //! record: what it lacks, or holds damaged, is read from the job.
 
+mod directory;
 mod studies;
 
+pub(super) use directory::{DataLock, put_aside};
 pub(super) use studies::{FoundStudy, StudyStore};
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::fs::{self, DirBuilder, File, TryLockError};
+use std::collections::HashMap;
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -36,6 +38,7 @@ use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use uuid::Uuid;
 
+use self::directory::{empty, own_directory, prefixes, throw_away};
 use super::job::State;
 use super::{ServeError, chain};
 use crate::log::is_transient;
@@ -243,70 +246,6 @@ impl StoreError {
         }
         None
     }
-}
-
-/// The data directory is ours while this lives: two services on one record would run each other's jobs.
-#[derive(Debug)]
-pub(super) struct DataLock {
-    _file: File,
-}
-
-impl DataLock {
-    /// Makes the directory if need be, readable by its owner alone, and locks it.
-    pub(super) fn take(data: &Path) -> Result<Self, ServeError> {
-        let failed = |source| ServeError::Data { path: data.into(), source };
-        if !data.exists() {
-            make_directory(data).map_err(failed)?;
-        }
-        // The directory itself, where that can be: a file in it could be removed, and a second one locked.
-        let file = if cfg!(unix) {
-            File::open(data)
-        } else {
-            File::options().create(true).truncate(false).write(true).open(data.join("lock"))
-        };
-        let file = file.map_err(failed)?;
-        match file.try_lock() {
-            Ok(()) => Ok(Self { _file: file }),
-            Err(TryLockError::WouldBlock) => Err(ServeError::DataInUse { path: data.into() }),
-            Err(TryLockError::Error(source)) => Err(failed(source)),
-        }
-    }
-}
-
-/// A directory of ours, made if need be; what has its name and is none is put aside under another one.
-fn own_directory(data: &Path, name: &str) -> Result<PathBuf, ServeError> {
-    let path = data.join(name);
-    let failed = |source: io::Error| ServeError::Data { path: path.clone(), source };
-    if !path.is_dir() {
-        put_aside(&path).map_err(failed)?;
-        make_directory(&path).map_err(failed)?;
-    }
-    Ok(path)
-}
-
-/// Gives what is in the place of a file or a directory of ours another name.
-pub(super) fn put_aside(path: &Path) -> io::Result<()> {
-    if path.symlink_metadata().is_err() {
-        return Ok(());
-    }
-    let mut aside = path.as_os_str().to_owned();
-    aside.push(format!(".set-aside-{}", Uuid::now_v7()));
-    tracing::warn!(from = %path.display(), to = %Path::new(&aside).display(), "set aside: not ours");
-    fs::rename(path, aside)
-}
-
-fn make_directory(path: &Path) -> io::Result<()> {
-    let mut builder = DirBuilder::new();
-    builder.recursive(true);
-    #[cfg(unix)]
-    std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
-    builder.create(path)?;
-    // The new name must survive a power cut as well, or every job below it goes with it.
-    path.canonicalize()?.parent().map_or(Ok(()), sync_directory)
-}
-
-fn sync_directory(path: &Path) -> io::Result<()> {
-    if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
 }
 
 /// The record; the only code that knows names of files.
@@ -575,93 +514,6 @@ fn objects(data: &Path) -> Result<LocalFileSystem, ServeError> {
 async fn create(objects: &LocalFileSystem, place: &Key, content: Vec<u8>) -> Result<(), Error> {
     let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
     objects.put_opts(place, content.into(), options).await.map(drop)
-}
-
-/// What stands below a directory of jobs or studies under one id.
-#[derive(Debug, Default)]
-struct Prefix {
-    files: BTreeSet<String>,
-    /// What is no file: directories, links, pipes.
-    odd: BTreeSet<String>,
-}
-
-impl Prefix {
-    fn stands(&self, name: &str) -> bool {
-        self.files.contains(name) || self.odd.contains(name)
-    }
-
-    /// Whether this is what is left of a request that was never answered: a key, or texts on their way.
-    fn is_unanswered(&self) -> bool {
-        let passing = |name: &String| name.starts_with(KEY) || name.contains('#');
-        self.odd.is_empty() && self.files.iter().all(passing)
-    }
-}
-
-/// The prefixes below a directory by their ids, and how many things there are none of ours: these are told.
-fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid, Prefix>, usize)> {
-    let (mut found, mut aside) = (BTreeMap::new(), 0);
-    let mut told = |path: &Path, why: &dyn std::fmt::Display| {
-        aside += 1;
-        tracing::error!(path = %path.display(), why = %why, "set aside: nothing of it is read or removed");
-    };
-    for entry in fs::read_dir(directory)? {
-        let entry = match entry {
-            Ok(entry) => entry,
-            Err(error) => {
-                told(directory, &error);
-                continue;
-            }
-        };
-        let (name, path) = (entry.file_name(), entry.path());
-        let id = name.to_str().and_then(parse_id);
-        match (id, entry.file_type().and_then(|kind| contents(&path, kind.is_dir()))) {
-            (Some(id), Ok(prefix)) => {
-                found.insert(id, prefix);
-            }
-            (Some(_), Err(error)) => told(&path, &error),
-            (None, _) => told(&path, &"its name is no id"),
-        }
-    }
-    Ok((found, aside))
-}
-
-fn contents(path: &Path, is_directory: bool) -> io::Result<Prefix> {
-    if !is_directory {
-        return Err(io::Error::from(io::ErrorKind::NotADirectory));
-    }
-    let mut prefix = Prefix::default();
-    for entry in fs::read_dir(path)? {
-        let entry = entry?;
-        let names = if entry.file_type()?.is_file() { &mut prefix.files } else { &mut prefix.odd };
-        names.insert(entry.file_name().to_string_lossy().into_owned());
-    }
-    Ok(prefix)
-}
-
-/// Takes a directory out of its place at once, and then removes it. Blocking.
-fn throw_away(from: &Path, to: &Path) -> io::Result<()> {
-    match fs::rename(from, to) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(error) => return Err(error),
-        Ok(()) => {}
-    }
-    from.parent().map_or(Ok(()), sync_directory)?;
-    if let Err(error) = fs::remove_dir_all(to) {
-        tracing::warn!(path = %to.display(), %error, "rubbish stays until the next start");
-    }
-    Ok(())
-}
-
-/// Removes what was thrown away before.
-fn empty(trash: &Path) {
-    for entry in fs::read_dir(trash).into_iter().flatten().flatten() {
-        let is_directory = entry.file_type().is_ok_and(|kind| kind.is_dir());
-        let path = entry.path();
-        let removed = if is_directory { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
-        if let Err(error) = removed {
-            tracing::warn!(path = %path.display(), %error, "rubbish stays in the data directory");
-        }
-    }
 }
 
 /// The index, open for appending; `None` if it cannot be had, and the start reads each job.

@@ -13,9 +13,9 @@ use object_store::path::Path as Key;
 use object_store::{Error, ObjectStoreExt};
 use uuid::Uuid;
 
+use super::directory::{own_directory, prefixes, throw_away};
 use super::{
-    ATTEMPT, RESULT, ServeError, StoreError, TRASH, chain, create, objects, own_directory,
-    prefixes, sealed, throw_away, unsealed,
+    ATTEMPT, RESULT, ServeError, StoreError, TRASH, chain, create, objects, sealed, unsealed,
 };
 
 const STUDIES: &str = "studies";
