@@ -1,53 +1,63 @@
-//! What a step costs, beside what the plan says of it: `cargo bench --bench costs` prints a table, from which the
-//! figures in `src/plan/cost.rs` are made. One part alone by the method's name, as in `cargo bench --bench costs -- vpd`.
+//! What the parts of a step cost: `cargo bench --bench costs > src/plan/costs.json` makes the table that plans are
+//! estimated and methods are chosen by. Takes a few minutes on a machine that does nothing else; a word after `--` keeps
+//! to the methods whose name has it and prints their estimates beside what was measured.
 
 use std::io::Write;
 
+use nalgebra::{DMatrix, DVector};
 use serde_json::{Value, json};
 use vpd::advise;
-use vpd::run::{Control, JobContext, execute};
 use vpd::scenario::Scenario;
+use vpd::study::measure::{Effort, effort};
 
-/// Methods with the tableau or the order, and whether they are for n = 3 alone.
-const METHODS: &[(&str, &str, bool)] = &[
-    ("vpd", "gauss1", false),
-    ("vpd", "gauss2", false),
-    ("vpd", "gauss4", false),
-    ("vpd", "gauss8", false),
-    ("vpd_lagrangian", "gauss2", false),
-    ("vpd_reduced", "gauss2", false),
-    ("vpd_reduced", "gauss8", false),
-    ("vrkmk", "gauss2", false),
-    ("vrkmk", "gauss8", false),
-    ("rkmk", "rk4", false),
-    ("rk", "rk4", false),
-    ("splitting", "4", true),
-    ("splitting", "8", true),
-    ("lgvi", "4", true),
-    ("quaternion_gauss", "gauss2", true),
-    ("quaternion_gauss", "gauss8", true),
+/// Methods, whether each is for n = 3 alone, and its tableaux or orders.
+const METHODS: &[(&str, bool, &[&str])] = &[
+    ("vpd", false, GAUSS),
+    ("vpd_lagrangian", false, FEW),
+    ("vpd_reduced", false, GAUSS),
+    ("vrkmk", false, GAUSS),
+    ("rkmk", false, EXPLICIT),
+    ("rk", false, EXPLICIT),
+    ("rk_projected", false, EXPLICIT),
+    ("splitting", true, &["2", "4", "8"]),
+    ("lgvi", true, &["2", "4", "8"]),
+    ("quaternion_gauss", true, GAUSS),
 ];
+const GAUSS: &[&str] = &["gauss1", "gauss2", "gauss3", "gauss4", "gauss5", "gauss6", "gauss8"];
+const FEW: &[&str] = &["gauss1", "gauss2", "gauss4"];
+const EXPLICIT: &[&str] = &["rk3", "rk4", "rk8"];
+const DIMENSIONS: [usize; 8] = [2, 3, 4, 5, 6, 8, 12, 16];
 const KINDS: [&str; 4] = ["uniform", "point_source", "spring", "gravity_gradient"];
-/// Time of a run by the estimate, and the repeats of which the quickest counts.
-const RUN_NS: f64 = 2e7;
-const REPEATS: usize = 3;
+/// Terms in the two scenes by which the cost of a term is told.
+const TERMS: [usize; 2] = [2, 16];
+/// A step that few sweeps solve, in radians.
+const SMALL_RAD: f64 = 0.02;
+/// Terms, and radians of a step, of the runs that a method's costs are fitted to.
+const RUNS: [(usize, f64); 6] =
+    [(1, SMALL_RAD), (1, 0.2), (1, 0.6), (4, 0.2), (16, SMALL_RAD), (16, 0.6)];
 
 fn main() {
     let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
-    say("method,tableau,n,kind,terms,ns,iterations,estimate_ns");
-    for &(method, tableau, three) in METHODS {
-        if !asked.is_empty() && !asked.iter().any(|asked| asked == method) {
-            continue;
-        }
-        for n in [2, 3, 4, 5, 6, 8, 12, 16].into_iter().filter(|&n| !three || n == 3) {
-            measure(method, tableau, n, "none", 0);
-            for (kind, count) in KINDS.into_iter().flat_map(|kind| [(kind, 3), (kind, 200)]) {
-                if method != "vpd_reduced" && (count > 3 || kind == "uniform") {
-                    measure(method, tableau, n, kind, count);
-                }
+    if !asked.is_empty() {
+        compare(&asked);
+        return;
+    }
+    let terms: Vec<Value> = DIMENSIONS.iter().map(|&n| terms_of(n)).collect();
+    let mut schemes = Vec::new();
+    for &(method, three, tableaux) in METHODS {
+        for &tableau in tableaux {
+            for n in DIMENSIONS.into_iter().filter(|&n| !three || n == 3) {
+                schemes.push(scheme(method, tableau, n, &terms));
             }
         }
     }
+    let line = |row: &Value| format!("    {row}");
+    let lines = |rows: &[Value]| rows.iter().map(line).collect::<Vec<_>>().join(",\n");
+    say(&format!(
+        "{{\n  \"terms\": [\n{}\n  ],\n  \"schemes\": [\n{}\n  ]\n}}",
+        lines(&terms),
+        lines(&schemes)
+    ));
 }
 
 fn say(line: &str) {
@@ -55,77 +65,151 @@ fn say(line: &str) {
     let _ = writeln!(std::io::stdout(), "{line}");
 }
 
-fn measure(method: &str, tableau: &str, n: usize, kind: &str, count: usize) {
-    let scene = |steps: u64| scenario(method, tableau, n, kind, count, steps);
-    let plan = advise::plan(&scene(1)).expect("a good scene");
-    let steps = (RUN_NS / plan.step_ns).clamp(3.0, 50_000.0) as u64;
-    let directory = tempfile::tempdir().expect("a temporary directory");
-    let (mut least, mut iterations) = (f64::INFINITY, 0.0);
-    for _ in 0..REPEATS {
-        let control = Control::default();
-        let context = JobContext { log: &directory.path().join("log.mcap"), control: &control };
-        let summary = execute(&scene(steps), &context).expect("a log");
-        least = least.min(summary.ns_per_step);
-        iterations = summary.solver.iterations_per_step;
-    }
-    let estimate = plan.step_ns;
-    say(&format!("{method},{tableau},{n},{kind},{count},{least:.0},{iterations:.2},{estimate:.0}"));
+fn rounded(ns: f64) -> f64 {
+    (ns.max(0.0) * 100.0).round() / 100.0
 }
 
+/// What a term of each kind adds to a gradient: by the classical method, whose four stages are gradients and little else.
+fn terms_of(n: usize) -> Value {
+    let cost = |kind: &str| {
+        let [few, many] = TERMS.map(|count| timed("rk", "rk4", n, &[kind], count, SMALL_RAD));
+        (many.step_ns - few.step_ns) / (few.gradients * (TERMS[1] - TERMS[0]) as f64)
+    };
+    let mut row = json!({ "n": n });
+    for kind in KINDS {
+        row[kind] = json!(rounded(cost(kind)));
+    }
+    row
+}
+
+/// `t = step + sweeps sweep + gradients share (what their terms cost by themselves)`: least squares of the relative misses.
+fn scheme(method: &str, tableau: &str, n: usize, terms: &[Value]) -> Value {
+    let row = terms.iter().find(|row| row["n"] == n).expect("a row for each n");
+    let own = |count: usize| -> f64 {
+        (0..count).filter_map(|k| row[KINDS[k % KINDS.len()]].as_f64()).sum()
+    };
+    let mut equations = Vec::new();
+    for (count, turn) in RUNS {
+        let count = if method == "vpd_reduced" { 0 } else { count };
+        let run = timed(method, tableau, n, &KINDS, count, turn);
+        let gradients = if count > 0 { run.gradients } else { 0.0 };
+        let row = [1.0, run.sweeps, gradients * own(count)];
+        equations.push(row.map(|part| part / run.step_ns));
+    }
+    let [step, sweep, share] = fitted(&equations);
+    let plan =
+        advise::plan(&scenario(method, tableau, n, &[], 0, SMALL_RAD)).expect("a good scene");
+    json!({
+        "method": method, "stages": plan.formulation.stages, "n": n, "step_ns": rounded(step),
+        "sweep_ns": rounded(sweep), "terms": rounded(share),
+    })
+}
+
+/// Costs, none below zero, with which the rows come nearest to one: of all choices of costs that are zero the best.
+fn fitted(rows: &[[f64; 3]]) -> [f64; 3] {
+    let mut best = ([0.0; 3], f64::INFINITY);
+    for chosen in 1_u32..8 {
+        let columns: Vec<usize> = (0..3).filter(|column| chosen >> column & 1 == 1).collect();
+        let matrix = DMatrix::from_fn(rows.len(), columns.len(), |i, j| rows[i][columns[j]]);
+        let ones = DVector::from_element(rows.len(), 1.0);
+        let normal = matrix.tr_mul(&matrix);
+        let Some(found) = normal.lu().solve(&matrix.tr_mul(&ones)) else { continue };
+        let missed = (&matrix * &found - ones).norm();
+        if found.iter().all(|&cost| cost >= 0.0) && missed < best.1 {
+            let mut costs = [0.0; 3];
+            for (&column, &cost) in columns.iter().zip(found.iter()) {
+                costs[column] = cost;
+            }
+            best = (costs, missed);
+        }
+    }
+    best.0
+}
+
+/// Prints estimates beside what is measured.
+fn compare(asked: &[String]) {
+    say("method,tableau,n,terms,turn_rad,ns,sweeps,estimate_ns,ratio");
+    for &(method, three, tableaux) in METHODS {
+        if !asked.iter().any(|asked| method.contains(asked.as_str())) {
+            continue;
+        }
+        for &tableau in tableaux {
+            for n in DIMENSIONS.into_iter().filter(|&n| !three || n == 3) {
+                for (count, turn) in [(0, 0.1), (3, 0.1), (3, 0.5), (100, 0.1)] {
+                    if method == "vpd_reduced" && count > 0 {
+                        continue;
+                    }
+                    let scene = scenario(method, tableau, n, &KINDS, count, turn);
+                    let Effort { step_ns, sweeps, .. } = effort(&scene).expect("a good scene");
+                    let estimate = advise::plan(&scene).expect("a good scene").step_ns;
+                    let ratio = estimate / step_ns;
+                    say(&format!(
+                        "{method},{tableau},{n},{count},{turn},{step_ns:.0},{sweeps:.2},{estimate:.0},{ratio:.2}"
+                    ));
+                }
+            }
+        }
+    }
+}
+
+fn timed(method: &str, tableau: &str, n: usize, kinds: &[&str], count: usize, turn: f64) -> Effort {
+    let scene = scenario(method, tableau, n, kinds, count, turn);
+    let once = || effort(&scene).expect("a good scene");
+    let (first, second) = (once(), once());
+    if first.step_ns < second.step_ns { first } else { second }
+}
+
+/// A body that turns by about `turn_rad` a step, with so many terms of the kinds in turn, which together pull about as
+/// much as one.
 fn scenario(
     method: &str,
     tableau: &str,
     n: usize,
-    kind: &str,
+    kinds: &[&str],
     count: usize,
-    steps: u64,
+    turn_rad: f64,
 ) -> Scenario {
     let vector = |seed: usize, size: f64| -> Vec<f64> {
         (0..n).map(|i| size * ((seed * n + i + 1) as f64 * 0.618).fract() - 0.5 * size).collect()
     };
-    // All terms together pull about as much as one.
     let strength = 0.5 / count.max(1) as f64;
     let far = |seed: usize| vector(seed, 1.0).into_iter().map(|x| x + 2.0).collect::<Vec<f64>>();
-    let term = |k: usize| match kind {
+    let term = |k: usize| match kinds[k % kinds.len()] {
         "uniform" => {
-            json!({"kind": kind, "weight": strength, "body_point": vector(k, 1.0), "direction": vector(k + 7, 1.0)})
+            json!({"kind": "uniform", "weight": strength, "body_point": vector(k, 1.0), "direction": vector(k + 7, 1.0)})
         }
         "point_source" => {
-            json!({"kind": kind, "strength": strength, "body_point": vector(k, 1.0), "position": far(k)})
+            json!({"kind": "point_source", "strength": strength, "body_point": vector(k, 1.0), "position": far(k)})
         }
         "spring" => {
-            json!({"kind": kind, "stiffness": strength, "rest_length": 0.5, "body_point": vector(k, 1.0), "position": far(k)})
+            json!({"kind": "spring", "stiffness": strength, "rest_length": 0.5, "body_point": vector(k, 1.0), "position": far(k)})
         }
-        _ => json!({"kind": kind, "strength": strength, "direction": vector(k, 1.0)}),
+        _ => json!({"kind": "gravity_gradient", "strength": strength, "direction": vector(k, 1.0)}),
     };
     let moments: Vec<f64> = (0..n).map(|i| 0.5 + 0.1 * i as f64).collect();
-    let momentum = |i: usize, j: usize| ((n * i + j + 1) as f64 * 0.317).fract() / n as f64;
-    let momentum: Vec<Vec<f64>> = (0..n)
+    let rate = |i: usize, j: usize| ((n * i + j + 1) as f64 * 0.317).fract() / n as f64;
+    let velocity: Vec<Vec<f64>> = (0..n)
         .map(|i| {
-            (0..n)
-                .map(|j| {
-                    if i < j {
-                        momentum(i, j)
-                    } else if i > j {
-                        -momentum(j, i)
-                    } else {
-                        0.0
-                    }
-                })
-                .collect()
+            let entry = |j: usize| match i.cmp(&j) {
+                std::cmp::Ordering::Less => rate(i, j),
+                std::cmp::Ordering::Equal => 0.0,
+                std::cmp::Ordering::Greater => -rate(j, i),
+            };
+            (0..n).map(entry).collect()
         })
         .collect();
-    let mut method = json!({ "name": method });
+    let mut chosen = json!({ "name": method });
     match tableau.parse::<u32>() {
-        Ok(order) => method["order"] = json!(order),
-        Err(_) => method["tableau"] = json!(tableau),
+        Ok(order) => chosen["order"] = json!(order),
+        Err(_) => chosen["tableau"] = json!(tableau),
     }
+    // The velocity's size is between a half and one.
     let scenario: Value = json!({
-        "name": "cost", "method": method, "step_s": 0.01, "steps": steps, "log": {"every": steps},
+        "name": "cost", "method": chosen, "step_s": turn_rad, "steps": 40, "log": {"every": 40},
         "scene": {
             "inertia": {"second_moments": moments},
             "potential": (0..count).map(term).collect::<Vec<_>>(),
-            "initial": {"momentum": {"body": momentum}}
+            "initial": {"angular_velocity": {"body": velocity}}
         }
     });
     Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scene")

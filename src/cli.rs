@@ -27,7 +27,7 @@ use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
 use crate::serve::{self, Cors, LAYOUT, Limits, ServeConfig, ServeError, Tokens, apart};
-use crate::study::StudyError;
+use crate::study::{StudyError, Watch};
 use crate::verify::{self, VerifyError};
 
 mod study;
@@ -273,8 +273,15 @@ pub fn main() -> ExitCode {
     })
 }
 
+/// A scenario as it was asked for and as it is run, with a method and a step.
+struct Planned {
+    asked: Scenario,
+    settled: Scenario,
+    plan: Plan,
+}
+
 /// Reads a scenario, applies the changes and plans it.
-fn planned(args: &ScenarioArgs) -> Result<(Scenario, Plan), CliError> {
+fn planned(args: &ScenarioArgs) -> Result<Planned, CliError> {
     let path = &args.scenario;
     let wrong = |source| CliError::Scenario { path: path.clone(), source };
     let mut text =
@@ -284,9 +291,11 @@ fn planned(args: &ScenarioArgs) -> Result<(Scenario, Plan), CliError> {
         Scenario::from_json(&text).map_err(wrong)?;
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
-    let scenario = Scenario::from_json(&text).map_err(wrong)?;
-    let plan = advise::plan(&scenario).map_err(wrong)?;
-    Ok((scenario, plan))
+    let asked = Scenario::from_json(&text).map_err(wrong)?;
+    let (settled, advice) = advise::settled(&asked, &Watch::default())
+        .map_err(|unsettled| wrong(ScenarioError::from(unsettled)))?;
+    let plan = advise::plan_of(&settled, advice).map_err(wrong)?;
+    Ok(Planned { asked, settled, plan })
 }
 
 /// The text of a scenario with some fields replaced or added.
@@ -315,7 +324,7 @@ fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
 }
 
 fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
-    let (scenario, plan) = planned(&args.scenario)?;
+    let Planned { asked: scenario, settled, plan } = planned(&args.scenario)?;
     let log = args.output.clone().unwrap_or_else(|| {
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
@@ -328,7 +337,10 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         }
     }
     if args.error && summary.outcome == Outcome::Succeeded {
-        summary.error = Some(advise::error_at_end(&scenario)?);
+        match advise::error_at_end(&settled)? {
+            advise::ErrorAtEnd::About(error) => summary.error = Some(error),
+            advise::ErrorAtEnd::Below(bound) => summary.error_below = Some(bound),
+        }
     }
     if args.json {
         print_json(&summary)?;
@@ -367,7 +379,7 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
 }
 
 fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
-    let (scenario, plan) = planned(&args.scenario)?;
+    let Planned { asked: scenario, plan, .. } = planned(&args.scenario)?;
     if args.json {
         print_json(&plan)?;
     } else {

@@ -19,6 +19,8 @@ use crate::solve::nonlinear::StopRule;
 mod cost;
 mod model;
 
+pub(crate) use cost::Counts;
+
 pub(crate) use model::{Model, ModelKinetic, space_vector};
 use model::{
     attitude, constant_part, inertia_matrix, kinetic, momentum, singular_points, tableau,

@@ -31,7 +31,7 @@ use crate::study::Watch;
 
 mod advice;
 mod end;
-mod ensemble;
+pub(crate) mod ensemble;
 mod geometry;
 mod give_up;
 mod summary;

@@ -66,8 +66,11 @@ pub struct Scenario {
 #[serde(deny_unknown_fields)]
 pub struct Accuracy {
     /// Largest error at the end: of the attitude (for n = 3 the spectral norm), plus of the body momentum in
-    /// parts of its largest size.
+    /// parts of its largest size. Of an ensemble, of every member.
     pub error: f64,
+    /// Symplectic methods only: for long runs whose energy must not drift. `false` if absent.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub symplectic: bool,
 }
 
 /// A body that turns about a fixed point.
@@ -326,7 +329,8 @@ pub enum TableauChoice {
     Custom(Coefficients),
 }
 
-/// The named tableaux: Gauss with 1 to 8 stages (order twice that), Kutta's third and fourth order.
+/// The named tableaux: Gauss with 1 to 8 stages (order twice that), Kutta's third and fourth order, and the twelve
+/// stages of eighth order of Dormand and Prince, for explicit methods alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[allow(missing_docs)]
@@ -341,6 +345,7 @@ pub enum TableauName {
     Gauss8,
     Rk3,
     Rk4,
+    Rk8,
 }
 
 /// The coefficients of a tableau.

@@ -180,7 +180,9 @@ pub fn usual_methods(scene: &Scenario) -> Vec<Entry> {
             with_order(M::Splitting, 8),
             with_order(M::Lgvi, 4),
             with_tableau(M::Rkmk, T::Rk4),
+            with_tableau(M::Rkmk, T::Rk8),
             with_tableau(M::Rk, T::Rk4),
+            with_tableau(M::RkProjected, T::Rk8),
         ],
     )
 }
@@ -213,7 +215,7 @@ pub fn all_methods(scene: &Scenario) -> Vec<Entry> {
     methods.extend([2, 4, 6, 8].map(|order| with_order(M::Splitting, order)));
     methods.extend([2, 4, 8].map(|order| with_order(M::Lgvi, order)));
     for name in [M::Rkmk, M::Rk, M::RkProjected] {
-        methods.extend([T::Rk3, T::Rk4].map(|tableau| with_tableau(name, tableau)));
+        methods.extend([T::Rk3, T::Rk4, T::Rk8].map(|tableau| with_tableau(name, tableau)));
     }
     entries(scene, methods)
 }

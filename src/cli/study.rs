@@ -15,7 +15,7 @@ use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
-use super::{Change, CliError, ScenarioArgs, planned};
+use super::{Change, CliError, Planned, ScenarioArgs, planned};
 use crate::advise;
 use crate::chart;
 use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
@@ -61,7 +61,7 @@ struct StudyArgs {
 impl StudyArgs {
     fn scenario(&self, path: &Path) -> Result<Scenario, CliError> {
         let args = ScenarioArgs { scenario: path.to_owned(), changes: self.changes.clone() };
-        let (scenario, _) = planned(&args)?;
+        let Planned { asked: scenario, .. } = planned(&args)?;
         let settled = advise::settled(&scenario, &Watch::default());
         settled
             .map(|(settled, _)| settled)

@@ -30,6 +30,9 @@ pub(super) fn summary(summary: &Summary) -> String {
     if let Some(error) = summary.error {
         line("error", format!("{error:.2e} at the end, against a reference"));
     }
+    if let Some(bound) = summary.error_below {
+        line("error", format!("below {bound:.0e} at the end: the reference is known no better"));
+    }
     if let Some(energy) = summary.energy {
         let max = energy.max_abs_error;
         line(

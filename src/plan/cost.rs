@@ -1,22 +1,87 @@
 //! What a run costs: time, log, memory, chunks.
 //!
-//! Measured with `cargo bench --bench costs`, on one core of a common machine; a figure that was fitted to its table is
-//! good to a third, and a run whose sweeps were counted to about a half.
+//! A step costs what belongs to each step, to each sweep and to each gradient: figures for each method, number of stages
+//! and n, measured on one core of a common machine and kept in `costs.json`, which `cargo bench --bench costs` writes
+//! anew when a solver has changed. How many sweeps and gradients there are is counted in the first steps.
 //!
-//! Invariant: estimates are finite and depend on the plan alone.
+//! Invariant: estimates are finite and depend on the plan and the table alone.
 
-use super::{EnsemblePlan, LOG_FIXED_BYTES, Plan};
+use std::sync::LazyLock;
+
+use serde::Deserialize;
+
+use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Plan};
 use crate::log::schema::{Channel, bytes_per_member, dense_bytes_per_member};
 use crate::log::writer::Compression;
 use crate::scenario::{MethodName, PotentialTerm};
 use crate::solve::lanes::WIDTH;
 
-/// Stages up to which numbers go in four lanes.
-const FEW_STAGES: f64 = 4.0;
+/// Work that was counted, or is expected.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Counts {
+    pub(crate) steps: f64,
+    /// Those of Newton's method included; of a method without sweeps its steps.
+    pub(crate) sweeps: f64,
+    /// Gradients of the potential, each at one attitude.
+    pub(crate) gradients: f64,
+}
+
+/// What the parts of a method cost.
+#[derive(Clone, Copy, Debug, Deserialize)]
+struct Scheme {
+    step_ns: f64,
+    /// Beside the terms of the potential.
+    sweep_ns: f64,
+    /// What a term costs here, in parts of what it costs in [`Table::terms`].
+    terms: f64,
+}
+
+#[derive(Debug, Deserialize)]
+struct SchemeRow {
+    method: MethodName,
+    stages: usize,
+    n: usize,
+    #[serde(flatten)]
+    costs: Scheme,
+}
+
+/// What a gradient of one term costs, in nanoseconds.
+#[derive(Debug, Deserialize)]
+struct TermRow {
+    n: usize,
+    uniform: f64,
+    point_source: f64,
+    spring: f64,
+    gravity_gradient: f64,
+}
+
+#[derive(Debug, Deserialize)]
+struct Table {
+    schemes: Vec<SchemeRow>,
+    terms: Vec<TermRow>,
+}
+
+static TABLE: LazyLock<Table> = LazyLock::new(|| {
+    serde_json::from_str(include_str!("costs.json")).expect("a table that the bench wrote")
+});
+
+/// The value at `x` on straight lines through points that ascend, in the given measure of both; beyond their ends the last
+/// line goes on, and never below zero.
+fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
+    let Some(&(_, only)) = points.first() else { return 0.0 };
+    let after = points.iter().position(|&(at, _)| at >= x).unwrap_or(points.len());
+    let after = after.clamp(1, points.len().max(2) - 1);
+    let (Some(&(x0, y0)), Some(&(x1, y1))) = (points.get(after - 1), points.get(after)) else {
+        return only;
+    };
+    // Next to nothing has no logarithm to draw a line by.
+    let part = (measure(x) - measure(x0)) / (measure(x1) - measure(x0));
+    (y0 + (y1 - y0) * part).max(0.0)
+}
 
 impl Plan {
-    /// Fills in the estimates of size and time, by the sweeps of a step if they were counted.
-    pub(crate) fn estimate(&mut self, compression: Compression, sweeps: Option<f64>) {
+    /// Fills in the estimates of size and time, by the work of a step if it was counted.
+    pub(crate) fn estimate(&mut self, compression: Compression, of_step: Option<Counts>) {
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
         let raw: u64 = self.channels.iter().map(|plan| plan.topic.bytes_per_sample(n)).sum();
@@ -24,7 +89,7 @@ impl Plan {
         let in_full = self.ensemble.as_ref().map_or(1, |ensemble| ensemble.in_full.len() as u64);
         let samples = self.samples.saturating_mul(in_full) as f64;
         let mut log = LOG_FIXED_BYTES as f64 + samples * compressed(raw, raw_dense, compression);
-        self.step_ns = self.step_cost_ns(sweeps);
+        self.step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
         let sample_ns = self.sample_cost_ns(raw);
         let steps_ns = self.steps as f64 * self.step_ns;
         let mut run_ns = steps_ns + self.samples as f64 * sample_ns;
@@ -49,74 +114,90 @@ impl Plan {
         self.memory_bytes = (self.memory(raw) + kept + chunks * CHUNK_INDEX_BYTES) as u64;
     }
 
-    /// About what a step costs, in nanoseconds.
-    fn step_cost_ns(&self, sweeps: Option<f64>) -> f64 {
+    /// About what so much work costs, in nanoseconds.
+    pub(crate) fn work_ns(&self, work: Counts) -> f64 {
+        let Scheme { step_ns, sweep_ns, terms } = self.scheme();
+        let gradient_ns = terms * self.terms_cost_ns();
+        work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns
+    }
+
+    /// The work of a step whose sweeps nobody has counted.
+    fn usual_work(&self) -> Counts {
         use MethodName as M;
-        let sweeps = |usual: f64| sweeps.unwrap_or(usual);
-        let space = self.dimension == 3 && self.formulation.stages <= WIDTH;
-        let count = match self.formulation.method {
-            // The first guess is worth a sweep and a half; what follows is cheaper than it.
-            M::VpdReduced if space => 0.3 + 0.9 * sweeps(1.0),
-            M::Auto | M::Vpd if space => 1.46 + 0.39 * sweeps(4.2),
-            M::VpdReduced => sweeps(3.0),
-            M::Auto | M::Vpd | M::VpdLagrangian | M::Vrkmk | M::VrkmkProjected => 0.5 + sweeps(5.5),
-            // What each step begins and ends with.
-            M::QuaternionGauss => return 500.0 + sweeps(5.0) * self.sweep_cost_ns(),
+        let stages = self.formulation.stages as f64;
+        let sweeps = match self.formulation.method {
+            M::VpdReduced if self.dimension == 3 => 1.0,
+            M::VpdReduced => 3.0,
+            M::Auto | M::Vpd | M::VpdLagrangian | M::Vrkmk | M::VrkmkProjected => 5.0,
+            M::QuaternionGauss => 5.0,
             M::Rkmk | M::Rk | M::RkProjected | M::Splitting | M::Lgvi => 1.0,
         };
-        count * self.sweep_cost_ns()
+        Counts { steps: 1.0, sweeps, gradients: sweeps * stages }
     }
 
-    /// About what a sweep over all stages costs, or a whole step where there are no sweeps or each is short
-    /// (lgvi), in nanoseconds.
+    /// About what one sweep over all stages costs with all that belongs to it, in nanoseconds: of a method without sweeps
+    /// a step.
     pub(crate) fn sweep_cost_ns(&self) -> f64 {
+        let Counts { sweeps, gradients, .. } = self.usual_work();
+        let steps = if sweeps == 1.0 { 1.0 } else { 0.0 };
+        self.work_ns(Counts { steps, sweeps: 1.0, gradients: gradients / sweeps }).max(1.0)
+    }
+
+    /// What the method's parts cost with so many stages, in this dimension.
+    fn scheme(&self) -> Scheme {
         use MethodName as M;
+        let Formulation { method, stages, .. } = self.formulation;
+        let method = match method {
+            M::Auto => M::Vpd,
+            M::VrkmkProjected => M::Vrkmk,
+            method => method,
+        };
+        // More stages than lanes go the way of general n.
+        let general = matches!(method, M::Vpd | M::VpdReduced) && stages > WIDTH;
+        let rows: Vec<&SchemeRow> = TABLE
+            .schemes
+            .iter()
+            .filter(|row| row.method == method && !(general && row.n == 3))
+            .collect();
         let n = self.dimension as f64;
-        let stages = self.formulation.stages as f64;
-        let space = self.dimension == 3 && self.formulation.stages <= WIDTH;
-        // Between n^2 and n^3: products are quicker the larger they are.
-        let size = libm::pow(n / 4.0, 2.75);
-        let galerkin = 500.0 * (1.6 + stages) * size;
-        let gradient = self.gradient_cost_ns();
-        match self.formulation.method {
-            // In four lanes or in eight, all stages at once.
-            M::Auto | M::Vpd | M::VpdReduced if space => {
-                let base = if stages <= FEW_STAGES { 342.0 } else { 1172.0 };
-                base + self.terms_cost_ns(|term| match term {
-                    PotentialTerm::Uniform(_) => 6.0,
-                    PotentialTerm::GravityGradient(_) => 8.0,
-                    PotentialTerm::PointSource(_) | PotentialTerm::Spring(_) => 11.0,
-                })
-            }
-            M::Auto | M::Vpd | M::VpdReduced => galerkin + stages * gradient,
-            M::VpdLagrangian => {
-                // A dense inverse for each step.
-                let coordinates = 0.5 * n * (n - 1.0);
-                1.4 * galerkin + 0.25 * libm::pow(coordinates, 3.0) + stages * gradient
-            }
-            M::Vrkmk | M::VrkmkProjected if self.dimension == 3 => {
-                stages * (132.0 + 50.0 * stages + gradient)
-            }
-            M::Vrkmk | M::VrkmkProjected => stages * ((1000.0 + 60.0 * stages) * size + gradient),
-            M::Rkmk => stages * (400.0 * size + gradient),
-            M::Rk => stages * (20.0 + 0.9 * n * n * n + gradient),
-            M::RkProjected => 1500.0 * size + stages * (20.0 + 0.9 * n * n * n + gradient),
-            M::Splitting | M::Lgvi => stages * (186.0 + gradient),
-            M::QuaternionGauss => stages * (45.0 + gradient),
-        }
+        let mut counts: Vec<usize> = rows.iter().map(|row| row.stages).collect();
+        counts.sort_unstable();
+        counts.dedup();
+        let at = |stages: usize| {
+            let line = rows.iter().filter(|row| row.stages == stages);
+            let part = |of: fn(&Scheme) -> f64| {
+                let points: Vec<(f64, f64)> =
+                    line.clone().map(|row| (row.n as f64, of(&row.costs))).collect();
+                between(&points, n, libm::log)
+            };
+            [part(|costs| costs.step_ns), part(|costs| costs.sweep_ns), part(|costs| costs.terms)]
+        };
+        let lines: Vec<(f64, [f64; 3])> =
+            counts.into_iter().map(|count| (count as f64, at(count))).collect();
+        let [step_ns, sweep_ns, terms] = std::array::from_fn(|part| {
+            let points: Vec<(f64, f64)> =
+                lines.iter().map(|(count, costs)| (*count, costs[part])).collect();
+            between(&points, stages as f64, |x| x)
+        });
+        Scheme { step_ns, sweep_ns, terms }
     }
 
-    /// The gradient of the potential at one attitude.
-    fn gradient_cost_ns(&self) -> f64 {
+    /// About what the gradient of the potential costs at one attitude by itself.
+    fn terms_cost_ns(&self) -> f64 {
         let n = self.dimension as f64;
-        self.terms_cost_ns(|term| match term {
-            PotentialTerm::Uniform(_) => 0.85 * n * n,
-            PotentialTerm::GravityGradient(_) => 0.85 * n * n + 2.5 * n,
-            PotentialTerm::PointSource(_) | PotentialTerm::Spring(_) => 0.85 * n * n + 3.5 * n,
-        })
-    }
-
-    fn terms_cost_ns(&self, cost: impl Fn(&PotentialTerm) -> f64) -> f64 {
+        let of = |cost: fn(&TermRow) -> f64| {
+            let points: Vec<(f64, f64)> =
+                TABLE.terms.iter().map(|row| (row.n as f64, cost(row))).collect();
+            between(&points, n, libm::log)
+        };
+        let (uniform, gradient) = (of(|row| row.uniform), of(|row| row.gravity_gradient));
+        let (source, spring) = (of(|row| row.point_source), of(|row| row.spring));
+        let cost = |term: &PotentialTerm| match term {
+            PotentialTerm::Uniform(_) => uniform,
+            PotentialTerm::PointSource(_) => source,
+            PotentialTerm::Spring(_) => spring,
+            PotentialTerm::GravityGradient(_) => gradient,
+        };
         self.model.terms.iter().map(cost).sum()
     }
 
@@ -129,7 +210,7 @@ impl Plan {
             + of(Channel::Solver, 1.0 + self.formulation.stages as f64);
         WRITTEN_BYTE_NS * raw as f64
             + matrices * eigenvalues
-            + of(Channel::Energy, 0.5) * self.gradient_cost_ns()
+            + of(Channel::Energy, 0.5) * self.terms_cost_ns()
     }
 
     /// What a run takes of the memory beside its members.

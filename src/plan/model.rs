@@ -196,8 +196,12 @@ pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau
     let name = method.name.as_str();
     let wrong = |message| Err(ScenarioError::invalid("/method/tableau", message));
     if method.name.is_explicit() && !tableau.is_explicit() {
-        return wrong(format!("{name} is explicit; it takes rk3, rk4 or explicit coefficients"));
+        return wrong(format!(
+            "{name} is explicit; it takes rk3, rk4, rk8 or explicit coefficients"
+        ));
     }
+    let partner = if method.name.is_explicit() { Ok(()) } else { tableau.partnered() };
+    partner.map_err(|error| refused(choice, &error))?;
     let gauss = Tableau::gauss(tableau.stages());
     if method.name == MethodName::QuaternionGauss && gauss.as_ref() != Some(&tableau) {
         return wrong(format!("{name} takes gauss1 to gauss8"));
@@ -217,23 +221,27 @@ fn coefficients(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
         TableauName::Gauss8 => Tableau::gauss(8),
         TableauName::Rk3 => Some(Tableau::rk3()),
         TableauName::Rk4 => Some(Tableau::rk4()),
+        TableauName::Rk8 => Some(Tableau::rk8()),
     };
     match choice {
         TableauChoice::Named(name) => named(*name).ok_or_else(|| {
             ScenarioError::invalid("/method/tableau", "this tableau cannot be made")
         }),
         TableauChoice::Custom(given) => {
-            Tableau::new(given.a.clone(), given.b.clone()).map_err(|error| {
-                let pointer = match error {
-                    TableauError::Shape { .. } => "/method/tableau/a".to_owned(),
-                    TableauError::Size => "/method/tableau".to_owned(),
-                    TableauError::ZeroWeight { stage, .. } => format!("/method/tableau/b/{stage}"),
-                    TableauError::Inconsistent { .. } => "/method/tableau/b".to_owned(),
-                };
-                ScenarioError::invalid(pointer, error.to_string())
-            })
+            Tableau::new(given.a.clone(), given.b.clone()).map_err(|error| refused(choice, &error))
         }
     }
+}
+
+/// What is said of a tableau that cannot be used.
+fn refused(choice: &TableauChoice, error: &TableauError) -> ScenarioError {
+    let pointer = match (choice, error) {
+        (TableauChoice::Named(_), _) | (_, TableauError::Size) => "/method/tableau".to_owned(),
+        (_, TableauError::Shape { .. }) => "/method/tableau/a".to_owned(),
+        (_, TableauError::ZeroWeight { stage, .. }) => format!("/method/tableau/b/{stage}"),
+        (_, TableauError::Inconsistent { .. }) => "/method/tableau/b".to_owned(),
+    };
+    ScenarioError::invalid(pointer, error.to_string())
 }
 
 /// The value of a term that does not depend on the attitude, and the reason; `None` if it does.

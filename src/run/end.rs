@@ -60,6 +60,7 @@ pub(super) fn finish<const N: usize>(
         resumed_step: 0,
         last: summary::final_state(reached.attitude.as_ref(), &reached.momentum),
         error: None,
+        error_below: None,
         energy: summary::energy(figures),
         orthogonality: summary::orthogonality(figures, reached.samples),
         momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),

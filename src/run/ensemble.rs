@@ -32,7 +32,7 @@ use crate::solve::trajectory::{
     Checkpoint, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
 };
 
-mod spread;
+pub(crate) mod spread;
 mod statistics;
 
 use statistics::{Ends, Spread};

@@ -53,6 +53,9 @@ pub struct Summary {
     /// [`crate::advise::error_at_end`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<f64>,
+    /// In its place a bound, where the reference is known no better.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_below: Option<f64>,
     /// Energy; absent if `/energy` was not logged.
     pub energy: Option<EnergySummary>,
     /// Distance from the group; absent if `/orthogonality` was not logged.

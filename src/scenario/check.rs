@@ -399,7 +399,7 @@ fn whole_duration(duration_s: f64) -> Check {
 }
 
 fn duration(scenario: &Scenario) -> Check {
-    if let Some(Accuracy { error }) = scenario.accuracy {
+    if let Some(Accuracy { error, .. }) = scenario.accuracy {
         return accuracy(scenario, error);
     }
     let Some(h) = scenario.step_s else {

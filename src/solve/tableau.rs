@@ -1,7 +1,8 @@
-//! Butcher tableaux: the Gauss family to round-off, Kutta's classics, and any other with b_i != 0.
+//! Butcher tableaux: the Gauss family to round-off, Kutta's classics, Dormand and Prince's of eighth order, and any
+//! other with b_i != 0.
 //!
-//! Invariant: a [`Tableau`] is consistent (sum b = 1), has no zero weight and knows its order, found
-//! from order conditions and not from its name.
+//! Invariant: a [`Tableau`] is consistent (sum b = 1) and knows its order, found from order conditions and not from its
+//! name. Only an explicit one may have a zero weight, and then it has no symplectic partner.
 
 use thiserror::Error;
 
@@ -54,8 +55,10 @@ pub const MAX_STAGES: usize = 16;
 pub const MIN_WEIGHT: f64 = 1e-6;
 /// Largest coefficient accepted.
 pub const MAX_COEFFICIENT: f64 = 1e3;
-/// Order up to which the conditions of every tree are checked for a tableau that is not symplectic.
-const MAX_TREE_ORDER: u32 = 6;
+/// Order up to which the conditions of every tree are checked for a pair that is not symplectic by itself.
+const MAX_PAIR_ORDER: u32 = 6;
+/// And for one tableau by itself: 200 trees.
+const MAX_CLASSICAL_ORDER: u32 = 8;
 /// Tolerance of an order condition; coefficients are good to a few units of the last place.
 const CONDITION_TOLERANCE: f64 = 1e-12;
 
@@ -63,7 +66,7 @@ impl Tableau {
     /// A tableau from its coefficients; the nodes are the row sums of `a`.
     ///
     /// # Errors
-    /// If the shape is wrong, a weight is zero, or the weights do not sum to one.
+    /// If the shape is wrong, a weight of an implicit tableau is zero, or the weights do not sum to one.
     pub fn new(a: Vec<Vec<f64>>, b: Vec<f64>) -> Result<Self, TableauError> {
         let stages = b.len();
         let square = a.len() == stages && a.iter().all(|row| row.len() == stages);
@@ -74,10 +77,6 @@ impl Tableau {
         if !a.iter().flatten().chain(&b).all(usable) {
             return Err(TableauError::Size);
         }
-        if let Some(stage) = b.iter().position(|weight| weight.abs() < MIN_WEIGHT) {
-            let weight = b[stage];
-            return Err(TableauError::ZeroWeight { stage, weight });
-        }
         let sum: f64 = b.iter().sum();
         if (sum - 1.0).abs() > CONDITION_TOLERANCE {
             return Err(TableauError::Inconsistent { sum });
@@ -86,8 +85,23 @@ impl Tableau {
         let mut ascending: Vec<usize> = (0..stages).collect();
         ascending.sort_by(|&i, &j| c[i].total_cmp(&c[j]));
         let mut tableau = Self { a, b, c, ascending, order: 0 };
-        tableau.order = tableau.simplified_order().max(tableau.pair_order());
+        match tableau.partnered() {
+            Ok(()) => tableau.order = tableau.simplified_order().max(tableau.pair_order()),
+            Err(error) if !tableau.is_explicit() => return Err(error),
+            Err(_) => {}
+        }
         Ok(tableau)
+    }
+
+    /// Makes sure that it has a symplectic partner.
+    ///
+    /// # Errors
+    /// If a weight is zero.
+    pub fn partnered(&self) -> Result<(), TableauError> {
+        match self.b.iter().position(|weight| weight.abs() < MIN_WEIGHT) {
+            Some(stage) => Err(TableauError::ZeroWeight { stage, weight: self.b[stage] }),
+            None => Ok(()),
+        }
     }
 
     /// Gauss collocation with `stages` nodes, order 2 `stages`.
@@ -136,6 +150,21 @@ impl Tableau {
         Self::new(a, b).expect("Kutta's coefficients are consistent")
     }
 
+    /// Dormand and Prince's twelve stages of eighth order: the formula that DOP853 goes on with (Hairer, Norsett, Wanner,
+    /// Solving ODEs I, 1993, II.5 and II.10).
+    pub fn rk8() -> Self {
+        let row = |stage: usize| {
+            let mut row = match stage {
+                0 => Vec::new(),
+                stage => RK8_ROWS[stage - 1].to_vec(),
+            };
+            row.resize(RK8_WEIGHTS.len(), 0.0);
+            row
+        };
+        let a = (0..RK8_WEIGHTS.len()).map(row).collect();
+        Self::new(a, RK8_WEIGHTS.to_vec()).expect("the weights sum to one")
+    }
+
     /// Number of stages s.
     pub fn stages(&self) -> usize {
         self.b.len()
@@ -163,7 +192,7 @@ impl Tableau {
 
     /// Order of the symplectic pair `(a, b)` and `a^ = b_j (1 - a_ji / b_i)` that the discrete
     /// Lagrangian makes of the tableau. Exact where the conditions checked decide it: up to order 6 for
-    /// any tableau, up to any order for one that is symplectic by itself.
+    /// any tableau, up to any order for one that is symplectic by itself. 0 where a zero weight leaves no partner.
     pub fn order(&self) -> u32 {
         self.order
     }
@@ -174,9 +203,9 @@ impl Tableau {
     }
 
     /// Order of the tableau as a Runge-Kutta method by itself, without a partner: at least [`Self::order`].
-    /// Exact up to order 6, and never more than that for a tableau that is not symplectic.
+    /// Exact up to order 8, and never more than that for a tableau that is not symplectic.
     pub fn classical_order(&self) -> u32 {
-        self.order.max(self.tree_order(std::slice::from_ref(&self.a)))
+        self.order.max(self.tree_order(std::slice::from_ref(&self.a), MAX_CLASSICAL_ORDER))
     }
 
     /// The momentum's partner coefficients `a^_ij = b_j (1 - a_ji / b_i)`.
@@ -220,17 +249,17 @@ impl Tableau {
     fn pair_order(&self) -> u32 {
         let s = self.stages();
         let partner = (0..s).map(|i| (0..s).map(|j| self.partner(i, j)).collect()).collect();
-        self.tree_order(&[self.a.clone(), partner])
+        self.tree_order(&[self.a.clone(), partner], MAX_PAIR_ORDER)
     }
 
     /// The order from the conditions of all rooted trees with vertices of as many colours as there are
-    /// `matrices`, up to [`MAX_TREE_ORDER`]: `sum_i b_i Phi_i(t) = 1 / gamma(t)`
+    /// `matrices`, up to `most`: `sum_i b_i Phi_i(t) = 1 / gamma(t)`
     /// (Hairer, Lubich, Wanner, Geometric Numerical Integration, III.1 and III.2).
-    fn tree_order(&self, matrices: &[Vec<Vec<f64>>]) -> u32 {
+    fn tree_order(&self, matrices: &[Vec<Vec<f64>>], most: u32) -> u32 {
         let s = self.stages();
         // A branch: a tree hung below an edge of one colour, its weight at each stage, 1 / gamma, size.
         let mut branches: Vec<Tree> = Vec::new();
-        for order in 1..=MAX_TREE_ORDER {
+        for order in 1..=most {
             let mut grown = Vec::new();
             graft(
                 &branches,
@@ -255,9 +284,89 @@ impl Tableau {
                 }
             }
         }
-        MAX_TREE_ORDER
+        most
     }
 }
+
+/// Rows 1 to 11 of `a` below the diagonal, of [`Tableau::rk8`].
+const RK8_ROWS: [&[f64]; 11] = [
+    &[0.05260015195876773],
+    &[0.0197250569845379, 0.0591751709536137],
+    &[0.02958758547680685, 0.0, 0.08876275643042054],
+    &[0.2413651341592667, 0.0, -0.8845494793282861, 0.924834003261792],
+    &[0.037037037037037035, 0.0, 0.0, 0.17082860872947386, 0.12546768756682242],
+    &[0.037109375, 0.0, 0.0, 0.17025221101954405, 0.06021653898045596, -0.017578125],
+    &[
+        0.03709200011850479,
+        0.0,
+        0.0,
+        0.17038392571223998,
+        0.10726203044637328,
+        -0.015319437748624402,
+        0.008273789163814023,
+    ],
+    &[
+        0.6241109587160757,
+        0.0,
+        0.0,
+        -3.3608926294469414,
+        -0.868219346841726,
+        27.59209969944671,
+        20.154067550477894,
+        -43.48988418106996,
+    ],
+    &[
+        0.47766253643826434,
+        0.0,
+        0.0,
+        -2.4881146199716677,
+        -0.590290826836843,
+        21.230051448181193,
+        15.279233632882423,
+        -33.28821096898486,
+        -0.020331201708508627,
+    ],
+    &[
+        -0.9371424300859873,
+        0.0,
+        0.0,
+        5.186372428844064,
+        1.0914373489967295,
+        -8.149787010746927,
+        -18.52006565999696,
+        22.739487099350505,
+        2.4936055526796523,
+        -3.0467644718982196,
+    ],
+    &[
+        2.273310147516538,
+        0.0,
+        0.0,
+        -10.53449546673725,
+        -2.0008720582248625,
+        -17.9589318631188,
+        27.94888452941996,
+        -2.8589982771350235,
+        -8.87285693353063,
+        12.360567175794303,
+        0.6433927460157636,
+    ],
+];
+/// Its weights.
+const RK8_WEIGHTS: [f64; 12] = [
+    0.054293734116568765,
+    0.0,
+    0.0,
+    0.0,
+    0.0,
+    4.450312892752409,
+    1.8915178993145003,
+    -5.801203960010585,
+    0.3111643669578199,
+    -0.1521609496625161,
+    0.20136540080403034,
+    0.04471061572777259,
+];
 
 /// A rooted tree as the order conditions see it.
 #[derive(Clone)]
@@ -350,6 +459,10 @@ mod tests {
             assert!(tableau.is_explicit());
             assert_eq!(tableau.classical_order(), order);
         }
+        let rk8 = Tableau::rk8();
+        assert!(rk8.is_explicit());
+        assert_eq!((rk8.order(), rk8.classical_order()), (0, 8));
+        assert!(matches!(rk8.partnered(), Err(TableauError::ZeroWeight { stage: 1, .. })));
         let gauss = Tableau::gauss(4).expect("4 stages");
         assert!(!gauss.is_explicit());
         assert_eq!(gauss.classical_order(), 8);

@@ -11,8 +11,9 @@ use nalgebra::DMatrix;
 use super::{Entry, Watch};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::schema::Channel;
-use crate::plan::Plan;
-use crate::scenario::{LogOptions, Method, Scenario, ScenarioError};
+use crate::plan::{Counts, Plan};
+use crate::run::ensemble::spread;
+use crate::scenario::{Ensemble, LogOptions, Method, Scenario, ScenarioError};
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
@@ -71,6 +72,8 @@ pub(crate) struct Probe<'a> {
     pub(crate) keep: bool,
     /// Where the run starts, if not where the scene does.
     pub(crate) from: Option<&'a Point>,
+    /// The member of the scene's ensemble that runs.
+    pub(crate) member: u64,
 }
 
 impl<'a> Probe<'a> {
@@ -84,6 +87,7 @@ impl<'a> Probe<'a> {
             energy_limit: f64::INFINITY,
             keep: false,
             from: None,
+            member: 0,
         }
     }
 }
@@ -113,6 +117,8 @@ pub(crate) struct Measured {
     pub(crate) force_evaluations: u64,
     /// Sweeps, those of Newton's method and of a step that failed included.
     pub(crate) sweeps: u64,
+    /// What it costs by the plan's figures.
+    pub(crate) cost_ns: f64,
     /// Largest size of the body angular velocity at a sample, rad/s.
     pub(crate) fastest_rad_s: f64,
     /// The number of that sample.
@@ -128,6 +134,14 @@ impl Measured {
 
     pub(crate) fn orthogonality_error(&self) -> f64 {
         self.series.iter().map(|&(_, _, orthogonality)| orthogonality).fold(0.0, f64::max)
+    }
+
+    pub(crate) fn counts(&self) -> Counts {
+        Counts {
+            steps: self.steps as f64,
+            sweeps: self.sweeps as f64,
+            gradients: self.force_evaluations as f64,
+        }
     }
 
     pub(crate) fn completed(&self) -> bool {
@@ -163,14 +177,17 @@ pub(crate) fn measure(
     let plan = variant(scene, probe.method, probe.step_s, probe.steps)?;
     let sweep_ns = plan.sweep_cost_ns();
     let most_sweeps = (watch.left_ns() as f64 / sweep_ns).ceil() as u64;
-    let run = assembled(&plan, Measurement { probe, watch, most_sweeps });
+    let ensemble = scene.ensemble.as_ref();
+    let mut run = assembled(&plan, Measurement { probe, ensemble, watch, most_sweeps });
+    run.cost_ns = plan.work_ns(run.counts());
     // A sample is about as much work as a sweep.
-    watch.pay(((run.sweeps + run.series.len() as u64) as f64 * sweep_ns).ceil() as u64);
+    watch.pay((run.cost_ns + run.series.len() as f64 * sweep_ns).ceil() as u64);
     Ok(run)
 }
 
 struct Measurement<'a> {
     probe: Probe<'a>,
+    ensemble: Option<&'a Ensemble>,
     watch: &'a Watch,
     most_sweeps: u64,
 }
@@ -181,8 +198,12 @@ impl Task for Measurement<'_> {
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
         let Assembly { body, mut stepper, initial, .. } = assembly;
         let body = body.with_work(Work::limited(self.most_sweeps, self.watch.cancelled.clone()));
-        let Probe { step_s, steps, every, energy_limit, keep, from, .. } = self.probe;
-        let initial = from.map_or(initial, Point::state);
+        let Probe { step_s, steps, every, energy_limit, keep, from, member, .. } = self.probe;
+        let initial = match (from, self.ensemble) {
+            (Some(point), _) => point.state(),
+            (None, Some(ensemble)) => spread::start(&initial, ensemble, member),
+            (None, None) => initial,
+        };
         let blown = Cell::new(false);
         let mut gauge = Gauge {
             body: &body,
@@ -225,6 +246,7 @@ impl Task for Measurement<'_> {
             rung: reached.convergence.map(|solved| solved.rung),
             force_evaluations: body.work().gradients(),
             sweeps: body.work().sweeps(),
+            cost_ns: 0.0,
             fastest_rad_s: fastest.0,
             fastest_sample: fastest.1,
             largest_kinetic: kinetic,
@@ -291,6 +313,36 @@ pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
     }
     let plan = variant(scene, &Method::default(), 1.0, 1)?;
     Ok(assembled(&plan, Rate))
+}
+
+/// What the steps of a scenario take and do, without a log: for the bench that makes the table of costs.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// Nanoseconds of a step, the least of some turns.
+    pub step_ns: f64,
+    /// Sweeps of a step.
+    pub sweeps: f64,
+    /// Gradients of the potential, each at one attitude, of a step.
+    pub gradients: f64,
+}
+
+/// Makes the steps of a scenario again and again.
+///
+/// # Errors
+/// If it cannot be planned.
+pub fn effort(scenario: &Scenario) -> Result<Effort, ScenarioError> {
+    const TURNS: usize = 5;
+    let Plan { step_s, steps, .. } = Plan::new(scenario)?;
+    let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &Watch::default())?;
+    let plan = variant(scenario, &scenario.method, step_s, steps)?;
+    let turns = (0..TURNS).map(|_| assembled(&plan, Timing { step_s, steps }));
+    let Counts { steps, sweeps, gradients } = run.counts();
+    let steps = steps.max(1.0);
+    Ok(Effort {
+        step_ns: turns.fold(f64::INFINITY, f64::min),
+        sweeps: sweeps / steps,
+        gradients: gradients / steps,
+    })
 }
 
 /// Nanoseconds a step takes, each the least over `repeats` turns in which all runs take part one after

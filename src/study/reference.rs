@@ -1,12 +1,15 @@
 //! The reference solution of any scene, computed by the program.
 //!
-//! VPD with Gauss 8 stages (order 16), its step halved until two solutions agree; then VRKMK with Gauss 6
-//! stages, which has other variables, another discretisation and another round-off, must meet it.
+//! For n = 3 VPD with Gauss 8 stages (order 16), its step halved until two solutions agree; then Gauss with 6
+//! stages in quaternions, which has other variables, another discretisation and another round-off, must meet it. For other n the first
+//! is Dormand and Prince's eighth order, projected, whose steps cost a twentieth there, and VPD must meet it.
 //!
 //! Where errors grow with time no step brings two solutions closer than round-off has grown: that distance is
-//! then the error of the reference, and nothing below it can be told.
+//! then the error of the reference, and nothing below it can be told. How it grew shows whether the motion is chaotic.
 //!
 //! Invariant: a [`Reference`] is met by two families of methods to within its stated error.
+
+use std::fmt;
 
 use thiserror::Error;
 
@@ -33,17 +36,23 @@ pub enum ReferenceError {
     },
     /// Round-off grows too much.
     #[error(
-        "errors grow so fast on this scene that two solutions of order 16 differ by {difference:.1e} at t = {time_s} s: ask for a shorter time"
+        "{growth}, two solutions to round-off differ by {difference:.1e} at t = {time_s:.4} s, doubles reach {asked:.1e} until t = {until_s:.3} s; ask for that time, or for less"
     )]
     Chaotic {
         /// The time.
         time_s: f64,
         /// By how much they differ.
         difference: f64,
+        /// The error they had to tell.
+        asked: f64,
+        /// Until when they tell it.
+        until_s: f64,
+        /// How it came.
+        growth: Growth,
     },
     /// The two families do not meet.
     #[error(
-        "the reference is in doubt: vpd and vrkmk differ by {difference:.1e} at t = {time_s} s, {allowed:.1e} is allowed"
+        "the reference is in doubt: two families of methods differ by {difference:.1e} at t = {time_s} s, {allowed:.1e} is allowed"
     )]
     Disagree {
         /// The time.
@@ -55,12 +64,38 @@ pub enum ReferenceError {
     },
 }
 
+/// How the distance of two solutions grows that differ by round-off.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Growth {
+    /// Tenfold in every so many seconds.
+    Exponential {
+        /// Seconds.
+        tenfold_s: f64,
+    },
+    /// As this power of time, or too little to be told from one.
+    Power {
+        /// The exponent.
+        exponent: f64,
+    },
+}
+
+impl fmt::Display for Growth {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Exponential { tenfold_s } => {
+                write!(f, "this motion is chaotic: errors grow 10x every {tenfold_s:.2} s")
+            }
+            Self::Power { exponent } => write!(f, "errors grow as t^{exponent:.1}"),
+        }
+    }
+}
+
 /// The state of a scene at a time, and how well it is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
     /// The time in seconds.
     pub time_s: f64,
-    /// The state at each eighth of the time, the start first.
+    /// The state at each eighth of the time, of a long one at each sixty-fourth, the start first.
     pub points: Vec<Point>,
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
     pub momentum_scale: f64,
@@ -71,12 +106,25 @@ pub struct Reference {
     pub cross_check: f64,
     /// Steps of the solution that was taken.
     pub steps: u64,
+    /// How far the two were apart at most until each of the points.
+    pub apart: Vec<f64>,
+    /// The method of the solution.
+    method: Method,
 }
 
 /// Solutions are compared at so many times; their steps come in multiples of it.
 pub(crate) const EIGHTHS: u64 = 8;
+/// And those of a reference of at least [`LONG_STEPS`] at so many.
+const SIXTY_FOURTHS: u64 = 64;
+const LONG_STEPS: u64 = 512;
+/// What a rough family misses by less than this is tried with the other.
+const ROUGH: f64 = 1e3;
+/// Distances of two solutions between these show how errors grow: above noise, below the size of the motion.
+const GROWTH_SEEN: std::ops::Range<f64> = 1e-13..1e-2;
+/// Distances that grew by less than this are no exponential.
+const LEAST_GROWTH: f64 = 1e3;
 /// Steps of the first solution at most.
-const MOST_STEPS: f64 = 20_000.0;
+pub(crate) const MOST_STEPS: f64 = 20_000.0;
 /// Two solutions that agree to this are taken.
 const AGREED: f64 = 1e-13;
 /// A reference worse than this is none.
@@ -96,27 +144,93 @@ impl Reference {
         scales: &Scales,
         watch: &Watch,
     ) -> Result<Self, StudyError> {
+        Self::known_to(scene, time_s, USELESS, scales, watch)
+    }
+
+    /// The same, where an error of `asked` will do.
+    ///
+    /// # Errors
+    /// Those of [`Self::at`].
+    pub(crate) fn known_to(
+        scene: &Scenario,
+        time_s: f64,
+        asked: f64,
+        scales: &Scales,
+        watch: &Watch,
+    ) -> Result<Self, StudyError> {
+        Self::of(scene, 0, time_s, asked, scales, watch)
+    }
+
+    /// The same of a member of the scene's ensemble.
+    ///
+    /// # Errors
+    /// Those of [`Self::at`].
+    pub(crate) fn of(
+        scene: &Scenario,
+        member: u64,
+        time_s: f64,
+        asked: f64,
+        scales: &Scales,
+        watch: &Watch,
+    ) -> Result<Self, StudyError> {
         let most_s = MOST_STEPS * scales.easy_step_s;
-        if time_s > most_s {
+        // The last digit of a quotient is no step too many.
+        if time_s > most_s * (1.0 + 1e-12) {
             return Err(ReferenceError::TooFar { time_s, most_s }.into());
         }
-        let first = with_tableau(MethodName::Vpd, TableauName::Gauss8);
-        let start = EIGHTHS * (time_s / scales.easy_step_s / EIGHTHS as f64).ceil().max(1.0) as u64;
+        let easy = (time_s / scales.easy_step_s).ceil();
+        let solve = |families: [Family; 2]| -> Result<Self, StudyError> {
+            let mut reference =
+                Self::solved(scene, member, &families[0], (time_s, easy), asked, watch)?;
+            if reference.error <= asked {
+                reference.check(scene, member, &families[1], asked, easy, watch)?;
+            }
+            Ok(reference)
+        };
+        let [first, second] = families(scene);
+        let mut reference = solve([first.clone(), second.clone()])?;
+        // The explicit scheme has more round-off: what it does not tell VPD may.
+        if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
+            reference = solve([second, first])?;
+        }
+        if reference.error > asked {
+            return Err(reference.chaotic(asked).into());
+        }
+        Ok(reference)
+    }
+
+    /// The solution of one family to round-off, or until it tells an error of `asked` no better.
+    fn solved(
+        scene: &Scenario,
+        member: u64,
+        family: &Family,
+        (time_s, easy): (f64, f64),
+        asked: f64,
+        watch: &Watch,
+    ) -> Result<Self, StudyError> {
+        let first = family.method.clone();
+        let least = family.easy_steps * easy;
+        let points = if least >= LONG_STEPS as f64 { SIXTY_FOURTHS } else { EIGHTHS };
+        let mut steps = points * (least / points as f64).ceil().max(1.0) as u64;
         let mut before: Option<Vec<Point>> = None;
         let mut best: Option<Self> = None;
-        let mut steps = start;
         for _ in 0..8 {
-            let run = solution(scene, &first, time_s, steps, watch)?;
+            let run = solution(scene, member, &first, time_s, (steps, points), watch)?;
             if let (Some(before), Some(run)) = (&before, &run) {
-                let mut reference = Self::from_run(time_s, run);
-                reference.error = reference.worst(before);
-                let better = best.as_ref().is_none_or(|best| reference.error < best.error);
-                let fell = best.as_ref().is_none_or(|best| reference.error < 0.25 * best.error);
+                let mut reference = Self::from_run(time_s, &first, run);
+                reference.compare(before);
+                let further = |than: &Self, by: f64| {
+                    reference.error < than.error / by.powi(4)
+                        || reference.until(asked) > by * than.until(asked)
+                };
+                let better = best.as_ref().is_none_or(|best| further(best, 1.0));
+                // Order 16 gains 65536 a halving; what gains less than 4 is round-off. Where round-off has grown past what
+                // is asked, the time counts until which it has not.
+                let fell = best.as_ref().is_none_or(|best| further(best, std::f64::consts::SQRT_2));
                 if better {
                     best = Some(reference);
                 }
                 let error = best.as_ref().map_or(f64::INFINITY, |best| best.error);
-                // Order 16 gains 65536 a halving; what gains less than 4 is round-off.
                 if error <= AGREED || !fell {
                     break;
                 }
@@ -124,15 +238,39 @@ impl Reference {
             before = run.map(|run| run.points);
             steps *= 2;
         }
-        let mut reference = best.ok_or(ReferenceError::NoStep { time_s })?;
-        if reference.error > USELESS {
-            return Err(ReferenceError::Chaotic { time_s, difference: reference.error }.into());
-        }
-        reference.check(scene, watch)?;
-        Ok(reference)
+        Ok(best.ok_or(ReferenceError::NoStep { time_s })?)
     }
 
-    fn from_run(time_s: f64, run: &Measured) -> Self {
+    /// What is said of a reference that does not tell an error of `asked`.
+    pub(crate) fn chaotic(&self, asked: f64) -> ReferenceError {
+        ReferenceError::Chaotic {
+            time_s: self.time_s,
+            difference: self.error,
+            asked,
+            until_s: self.until(asked),
+            growth: self.growth(),
+        }
+    }
+
+    /// The same solution from the start of a member of the scene's ensemble; `None` if it fails.
+    pub(crate) fn of_member(
+        &self,
+        scene: &Scenario,
+        member: u64,
+        watch: &Watch,
+    ) -> Result<Option<Self>, StudyError> {
+        let probe = Probe {
+            every: self.steps / EIGHTHS,
+            keep: true,
+            member,
+            ..Probe::of(&self.method, self.time_s / self.steps as f64, self.steps)
+        };
+        let run = measure(scene, probe, watch)?;
+        watch.advance(0)?;
+        Ok(run.completed().then(|| Self::from_run(self.time_s, &self.method, &run)))
+    }
+
+    fn from_run(time_s: f64, method: &Method, run: &Measured) -> Self {
         Self {
             time_s,
             points: run.points.clone(),
@@ -140,46 +278,122 @@ impl Reference {
             error: 0.0,
             cross_check: 0.0,
             steps: run.steps,
+            apart: vec![0.0; run.points.len()],
+            method: method.clone(),
+        }
+    }
+
+    /// Takes the distance from another solution for the error.
+    fn compare(&mut self, other: &[Point]) {
+        let mut most = 0.0_f64;
+        let apart = self.points.iter().zip(other).map(|(own, point)| {
+            most = most.max(self.apart_from(own, point));
+            most
+        });
+        self.apart = apart.collect();
+        self.error = most;
+    }
+
+    /// The time until which the two solutions differ by no more than `error`.
+    pub(crate) fn until(&self, error: f64) -> f64 {
+        let interval_s = self.time_s / (self.apart.len() - 1) as f64;
+        let Some(past) = self.apart.iter().position(|&apart| apart > error) else {
+            return self.time_s;
+        };
+        let Some(before) = past.checked_sub(1) else { return 0.0 };
+        // Between two points their logarithms lie on a line.
+        let (low, high) = (self.apart[before].max(AGREED), self.apart[past]);
+        let part = (libm::log(error / low) / libm::log(high / low)).clamp(0.0, 1.0);
+        (before as f64 + part) * interval_s
+    }
+
+    /// How the two solutions came apart: `log d` is fitted as a line of t and as a line of log t, and the better is taken.
+    pub(crate) fn growth(&self) -> Growth {
+        let interval_s = self.time_s / (self.apart.len() - 1) as f64;
+        let seen: Vec<(f64, f64)> = self
+            .apart
+            .iter()
+            .enumerate()
+            .skip(1)
+            .filter(|(_, apart)| GROWTH_SEEN.contains(apart))
+            .map(|(k, &apart)| (k as f64 * interval_s, libm::log10(apart)))
+            .collect();
+        let (first, last) = match (seen.first(), seen.last()) {
+            (Some(first), Some(last)) if seen.len() > 2 => (first, last),
+            // Between two points, or at once: from the round-off of the start to where it is past all measure.
+            _ if self.error > GROWTH_SEEN.end => {
+                let decades = libm::log10(GROWTH_SEEN.end / f64::EPSILON);
+                return Growth::Exponential { tenfold_s: self.until(GROWTH_SEEN.end) / decades };
+            }
+            _ => return Growth::Power { exponent: 1.0 },
+        };
+        let in_log: Vec<(f64, f64)> = seen.iter().map(|&(t, d)| (libm::log10(t), d)).collect();
+        let ((rate, miss), (exponent, power_miss)) = (line(&seen), line(&in_log));
+        let grown = libm::pow(10.0, last.1 - first.1);
+        if rate > 0.0 && miss < power_miss && grown > LEAST_GROWTH {
+            Growth::Exponential { tenfold_s: 1.0 / rate }
+        } else {
+            Growth::Power { exponent }
         }
     }
 
     /// Lets the second family meet the first: within a hundred errors, or else as nearly as its own solutions meet.
-    fn check(&mut self, scene: &Scenario, watch: &Watch) -> Result<(), StudyError> {
-        let second = with_tableau(MethodName::Vrkmk, TableauName::Gauss6);
+    fn check(
+        &mut self,
+        scene: &Scenario,
+        member: u64,
+        family: &Family,
+        asked: f64,
+        easy: f64,
+        watch: &Watch,
+    ) -> Result<(), StudyError> {
+        let points = (self.points.len() - 1) as u64;
+        let least = (family.easy_steps * easy / points as f64).ceil().max(1.0) as u64;
+        let (second, steps) = (family.method.clone(), points * least);
         let near = (OTHER_ROUND_OFF * self.error).max(10.0 * AGREED);
         // How near its solutions come to the first, and the last two to each other.
         let (mut difference, mut own) = (f64::INFINITY, 0.0_f64);
         let mut before: Option<Self> = None;
         for halvings in 0..4 {
-            let run = solution(scene, &second, self.time_s, self.steps << halvings, watch)?;
+            let run =
+                solution(scene, member, &second, self.time_s, (steps << halvings, points), watch)?;
             if let Some(run) = &run {
                 difference = difference.min(self.worst(&run.points));
-                own = before.map_or(0.0, |before| before.worst(&run.points));
+                own = before.as_ref().map_or(0.0, |before| before.worst(&run.points));
             }
             if difference <= near {
                 break;
             }
-            before = run.map(|run| Self::from_run(self.time_s, &run));
+            before = run.map(|run| Self::from_run(self.time_s, &self.method, &run));
         }
-        let allowed = near.max(own.min(USELESS));
-        if difference <= allowed {
+        if difference <= near.max(own.min(asked)) {
             self.error = self.error.max(difference / OTHER_ROUND_OFF);
             self.cross_check = difference;
             return Ok(());
         }
+        // Solutions that meet each other no better than the first: round-off has grown here, too.
+        if let Some(scattered) = before.filter(|_| own > 0.1 * difference) {
+            self.compare(&scattered.points);
+            return Err(self.chaotic(asked).into());
+        }
+        let allowed = near.max(asked);
         Err(ReferenceError::Disagree { time_s: self.time_s, difference, allowed }.into())
     }
 
     /// The error of a state: that of the attitude (for n = 3 the spectral norm) plus that of the body
     /// momentum in parts of its largest size.
     pub fn distance(&self, point: &Point) -> f64 {
-        self.distance_at(self.points.len() - 1, point)
+        self.apart_from(self.end(), point)
     }
 
     /// The error of a state at an eighth of the time.
     pub(crate) fn distance_at(&self, eighth: usize, point: &Point) -> f64 {
+        let parts = (self.points.len() - 1) / EIGHTHS as usize;
+        self.apart_from(&self.points[parts * eighth], point)
+    }
+
+    fn apart_from(&self, own: &Point, point: &Point) -> f64 {
         let scale = if self.momentum_scale > 0.0 { self.momentum_scale } else { 1.0 };
-        let own = &self.points[eighth];
         own.attitude_distance(point) + own.momentum_distance(point) / scale
     }
 
@@ -188,24 +402,58 @@ impl Reference {
         &self.points[self.points.len() - 1]
     }
 
-    /// The largest error at any eighth.
+    /// The largest error at any of the points.
     fn worst(&self, points: &[Point]) -> f64 {
-        let errors =
-            points.iter().enumerate().map(|(eighth, point)| self.distance_at(eighth, point));
+        let errors = self.points.iter().zip(points).map(|(own, point)| self.apart_from(own, point));
         errors.fold(0.0, f64::max)
     }
 }
 
-/// The end of a run in so many steps; `None` if it fails.
+/// A method whose solutions are held against those of another.
+#[derive(Clone)]
+struct Family {
+    method: Method,
+    /// Its steps at first, for each easy one.
+    easy_steps: f64,
+    /// Has it much round-off of its own?
+    is_rough: bool,
+}
+
+/// The two families of a scene, the one to solve with first.
+fn families(scene: &Scenario) -> [Family; 2] {
+    let family = |method, easy_steps| Family { method, easy_steps, is_rough: false };
+    let vpd = family(with_tableau(MethodName::Vpd, TableauName::Gauss8), 1.0);
+    if scene.dimension() == 3 {
+        [vpd, family(with_tableau(MethodName::QuaternionGauss, TableauName::Gauss6), 2.0)]
+    } else {
+        let explicit = family(with_tableau(MethodName::RkProjected, TableauName::Rk8), 3.0);
+        [Family { is_rough: true, ..explicit }, vpd]
+    }
+}
+
+/// The slope of the line of least squares, and the sum of the squares that it leaves.
+fn line(points: &[(f64, f64)]) -> (f64, f64) {
+    let count = points.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (x0, y0) = (mean(|p| p.0), mean(|p| p.1));
+    let spread: f64 = points.iter().map(|p| (p.0 - x0) * (p.0 - x0)).sum();
+    let slope = points.iter().map(|p| (p.0 - x0) * (p.1 - y0)).sum::<f64>() / spread;
+    let missed = |p: &(f64, f64)| p.1 - y0 - slope * (p.0 - x0);
+    (slope, points.iter().map(|p| missed(p) * missed(p)).sum())
+}
+
+/// The end of a run in so many steps, with the states at so many points on its way; `None` if it fails.
 fn solution(
     scene: &Scenario,
+    member: u64,
     method: &Method,
     time_s: f64,
-    steps: u64,
+    (steps, points): (u64, u64),
     watch: &Watch,
 ) -> Result<Option<Measured>, StudyError> {
-    let every = steps / EIGHTHS;
-    let probe = Probe { every, keep: true, ..Probe::of(method, time_s / steps as f64, steps) };
+    let every = steps / points;
+    let whole = Probe::of(method, time_s / steps as f64, steps);
+    let probe = Probe { every, keep: true, member, ..whole };
     watch.expect(1);
     let run = measure(scene, probe, watch)?;
     watch.advance(1)?;

@@ -1,7 +1,7 @@
 //! An accuracy in the place of a method and a step: the choice is cheap, the same each time, and kept.
 
 use serde_json::{Value, json};
-use vpd::advise::{self, Obstacle, Unsettled, error_at_end};
+use vpd::advise::{self, ErrorAtEnd, Obstacle, Unsettled, error_at_end};
 use vpd::plan::Advice;
 use vpd::run::Outcome;
 use vpd::scenario::{Scenario, ScenarioError};
@@ -68,8 +68,9 @@ fn accuracies_are_kept_on_forty_scenes() {
                 continue;
             }
         };
-        let reached = match error_at_end(&scenario) {
-            Ok(reached) => reached,
+        let (settled, _) = advise::settled(&scenario, &Watch::default()).expect("it was planned");
+        let reached = match error_at_end(&settled) {
+            Ok(ErrorAtEnd::About(reached) | ErrorAtEnd::Below(reached)) => reached,
             Err(untold) => {
                 // Errors grow so that nobody can tell: not kept, then.
                 println!("{number}: {untold}");
@@ -131,7 +132,7 @@ fn the_choice_is_the_cheapest_of_those_tried() {
     let costs: Vec<f64> = advice.candidates.iter().filter_map(|tried| tried.cost_us).collect();
     assert!(costs.len() >= 2 && costs.is_sorted(), "{costs:?}");
     assert_eq!(advice.candidates[0].method, plan.formulation.method);
-    assert!(advice.margin >= 2.0, "{}", advice.margin);
+    assert!(advice.margin >= 1.2, "{}", advice.margin);
     let finer = advise::plan(&scenario(&accurate_dipole(1e-10, 2.0))).expect("a choice");
     let cost = finer.advice.and_then(|advice| advice.candidates[0].cost_us);
     assert!(cost.is_some_and(|cost| cost > costs[0]), "{cost:?} {costs:?}");
@@ -150,9 +151,13 @@ fn what_cannot_be_reached_is_refused() {
 fn what_stands_in_the_way_has_its_figure() {
     let asked = scenario(&accurate_dipole(1e-13, 50.0));
     match advise::settled(&asked, &Watch::default()) {
-        Err(Unsettled::OutOfReach { asked, why: Obstacle::Untold { least, time_s } }) => {
+        Err(Unsettled::OutOfReach {
+            asked,
+            why: Obstacle::Untold { least, time_s, until_s, .. },
+        }) => {
             assert_eq!(asked, 1e-13);
-            assert!(least > 1e-13 && time_s > 0.0 && time_s <= 50.0, "{least:e} {time_s}");
+            assert!(least > 1e-13 && time_s == 50.0, "{least:e} {time_s}");
+            assert!(until_s > 0.0 && until_s < 50.0, "{until_s}");
         }
         other => panic!("{other:?}"),
     }

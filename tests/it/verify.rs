@@ -56,7 +56,8 @@ fn and_of_one_that_chose_its_own_step() {
     let place = tempfile::tempdir().expect("a directory");
     let mut scenario = dipole(0);
     (scenario.steps, scenario.duration_s) = (None, Some(5.0));
-    (scenario.step_s, scenario.accuracy) = (None, Some(Accuracy { error: 1e-6 }));
+    (scenario.step_s, scenario.accuracy) =
+        (None, Some(Accuracy { error: 1e-6, symplectic: false }));
     (scenario.method, scenario.log.every) = (Method::default(), Some(1));
     let control = Control { cancelled_at: Some(7), ..Control::default() };
     let log = log(&scenario, place.path(), &control);

@@ -10,7 +10,7 @@ use crate::solve::trajectory::State;
 
 /// Where `member` begins: `g exp(hat(theta))` and `mu + hat(delta)`, with theta and delta normally distributed. Each
 /// member has a stream of random numbers of its own, so that it does not depend on how many there are.
-pub(super) fn start<const N: usize>(
+pub(crate) fn start<const N: usize>(
     nominal: &State<N>,
     ensemble: &Ensemble,
     member: u64,

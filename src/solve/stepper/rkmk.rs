@@ -58,8 +58,11 @@ impl<const N: usize> Rkmk<N> {
     ) -> Result<(Mat<N>, Mat<N>, Mat<N>), Failure> {
         let (mut sigma, mut mu) = (Mat::zeros(), self.state.momentum);
         for (j, (k, l)) in self.rates.iter().enumerate().take(stage.unwrap_or(usize::MAX)) {
-            sigma += k * part(j);
-            mu += l * part(j);
+            let part = part(j);
+            if part != 0.0 {
+                sigma += k * part;
+                mu += l * part;
+            }
         }
         let u = so::exp(&sigma);
         if u.iter().chain(&mu).all(|x| x.is_finite()) {
