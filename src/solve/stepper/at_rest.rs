@@ -45,6 +45,7 @@ impl<const N: usize> Stepper<N> for AtRest<N> {
         let nothing = |x: &Mat<N>| x.iter().all(|&x| x == 0.0);
         let stays = || nothing(momentum) && nothing(&body.gradient_at(attitude));
         if *self.stays.get_or_insert_with(stays) {
+            body.work().begin_sweep()?;
             Ok(Convergence::EXPLICIT)
         } else {
             self.method.step(body, h)
