@@ -2,12 +2,13 @@
 //!
 //! Invariant: the only place that turns runtime n into const N.
 
-use crate::plan::{Formulation, Plan};
+use crate::plan::{Formulation, Motion, Plan};
 use crate::scenario::MethodName;
 use crate::solve::ensemble::{Apart, Members};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lanes::WIDTH;
 use crate::solve::stepper::Stepper;
+use crate::solve::stepper::at_rest::AtRest;
 use crate::solve::stepper::lgvi::Lgvi;
 use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
 use crate::solve::stepper::rk::Rk;
@@ -15,13 +16,12 @@ use crate::solve::stepper::rkmk::Rkmk;
 use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
+use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::stepper::vpd_reduced::VpdReduced;
 use crate::solve::stepper::vpd_space::VpdSpace;
 use crate::solve::stepper::vpd_space::ensemble::VpdEnsemble;
 use crate::solve::stepper::vrkmk::Vrkmk;
 use crate::solve::trajectory::State;
-
-mod problem;
 
 /// What a plan is made of once its size is known.
 pub(crate) struct Assembly<const N: usize> {
@@ -61,11 +61,17 @@ fn perform<const N: usize, T: Task>(
     together: impl Fn(&Plan) -> Option<Box<dyn Members<N>>>,
     task: T,
 ) -> T::Output {
-    let stepper = || stepper(plan).expect("the plan refuses a method that cannot run the scene");
+    let stepper = || {
+        let stepper = stepper(plan).expect("the plan refuses a method that cannot run the scene");
+        match plan.formulation.motion {
+            Motion::AtRest => Box::new(AtRest::new(stepper)),
+            Motion::General | Motion::InPlane => stepper,
+        }
+    };
     let members = plan.ensemble.is_some().then(|| {
         together(plan).unwrap_or_else(|| Box::new(Apart(std::array::from_fn(|_| stepper()))))
     });
-    let (body, initial) = problem::problem::<N>(&plan.model);
+    let (body, initial) = plan.model.problem::<N>();
     task.perform(Assembly { body, stepper: stepper(), initial, members })
 }
 
@@ -99,6 +105,18 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
 
 /// The stepper that the plan chose, for n = 3.
 fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
+    let stepper = out_of_plane(plan)?;
+    let (body, start) = plan.model.problem::<3>();
+    let plane = Plane::of(&body, &start).filter(|_| plan.formulation.motion == Motion::InPlane);
+    let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
+    Some(match plane {
+        Some(plane) => Box::new(VpdPlane::new(plane, tableau.clone(), stop, stepper)),
+        None => stepper,
+    })
+}
+
+/// The same wherever the body goes.
+fn out_of_plane(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
     let Formulation { method, order, stages, carries_attitude, .. } = plan.formulation;
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
     Some(match method {

@@ -13,19 +13,20 @@ use crate::scenario::{
     Ensemble, MethodName, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
 };
 use crate::solve::composition::Composition;
-use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::StopRule;
+use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 
 mod cost;
 mod model;
+mod problem;
+mod terms;
 
 pub(crate) use cost::Counts;
-
-pub(crate) use model::{Model, ModelKinetic, space_vector};
+pub(crate) use model::{Model, ModelKinetic};
 use model::{
-    attitude, constant_part, inertia_matrix, kinetic, momentum, singular_points, tableau,
-    tableau_choice, with_matrix,
+    attitude, inertia_matrix, kinetic, momentum, space_vector, tableau, tableau_choice, with_matrix,
 };
+use terms::{Extent, Terms};
 
 /// About what a log takes beside its samples: schemas, scenario, plan, index.
 pub(crate) const LOG_FIXED_BYTES: u64 = 50_000;
@@ -131,6 +132,9 @@ pub struct Formulation {
     pub carries_attitude: bool,
     /// Why it was chosen.
     pub why: &'static str,
+    /// What is made use of beside: a body at rest, a motion in a plane.
+    #[serde(skip_serializing_if = "Motion::is_general")]
+    pub motion: Motion,
 }
 
 /// What becomes of one term of the potential.
@@ -138,10 +142,38 @@ pub struct Formulation {
 pub struct TermPlan {
     /// JSON pointer of the term.
     pub pointer: String,
-    /// Is it modelled?
+    /// Is it modelled? One that is merged into another is not by itself.
     pub kept: bool,
     /// Why, or why not.
-    pub why: &'static str,
+    pub why: String,
+}
+
+/// What the start and the terms make of the motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Motion {
+    /// Nothing that could be made use of.
+    #[default]
+    General,
+    /// Nothing moves and nothing pushes: the state stays as it is.
+    AtRest,
+    /// n = 3, and the body turns about one of its axes: the scheme is computed for n = 2.
+    InPlane,
+}
+
+impl Motion {
+    fn is_general(&self) -> bool {
+        *self == Self::General
+    }
+
+    /// The motion in words; `None` if there is nothing to be said.
+    pub fn words(self) -> Option<&'static str> {
+        match self {
+            Self::General => None,
+            Self::AtRest => Some("at rest: nothing moves and nothing pushes, so the state is kept"),
+            Self::InPlane => Some("stays in a plane: computed for n = 2, logged for n = 3"),
+        }
+    }
 }
 
 /// One channel of the log.
@@ -200,6 +232,7 @@ impl Plan {
             model: Model {
                 kinetic,
                 terms: Vec::new(),
+                shown: Vec::new(),
                 constant: 0.0,
                 attitude,
                 momentum,
@@ -213,9 +246,8 @@ impl Plan {
             },
         };
         plan.samples = 1 + plan.steps.div_ceil(plan.every);
-        for (index, term) in scenario.scene.potential.iter().enumerate() {
-            plan.add_term(format!("/scene/potential/{index}"), term, &inertia)?;
-        }
+        plan.model.check_distances(&scenario.scene.potential)?;
+        plan.add_terms(&scenario.scene.potential, &inertia);
         plan.formulation = plan.formulate(scenario)?;
         if !plan.formulation.carries_attitude {
             let momentum = plan.channels.iter_mut().find(|plan| plan.topic == Channel::Momentum);
@@ -238,34 +270,19 @@ impl Plan {
         self.channels.iter().any(|plan| plan.topic == channel)
     }
 
-    /// Keeps a term, or drops it if it does not depend on the attitude.
-    fn add_term(
-        &mut self,
-        pointer: String,
-        term: &PotentialTerm,
-        inertia: &DMatrix<f64>,
-    ) -> Result<(), ScenarioError> {
-        let (constant, why) = match constant_part(term, inertia) {
-            Some((value, why)) => (Some(value), why),
-            None => (None, "depends on the attitude"),
+    /// Puts the terms together to those that have to be modelled.
+    fn add_terms(&mut self, given: &[PotentialTerm], inertia: &DMatrix<f64>) {
+        let given: Vec<PotentialTerm> =
+            given.iter().map(|term| with_matrix(term, inertia)).collect();
+        let terms = Terms::new(&given, inertia);
+        self.model.shown = terms.modelled().cloned().collect();
+        let extent = Extent {
+            duration_s: self.steps as f64 * self.step_s,
+            momentum: self.model.momentum.norm(),
+            mobility: self.model.kinetic.mobility(),
         };
-        if let Some((body_point, position)) = singular_points(term) {
-            let (y, z) =
-                (DVector::from_column_slice(body_point), DVector::from_column_slice(position));
-            let distance = (&y - self.model.attitude.tr_mul(&z)).norm();
-            if !(distance > CLOSEST_APPROACH * (y.norm() + z.norm())) {
-                let message = format!(
-                    "lies on `position` at the start (distance {distance:e}); the potential is singular there"
-                );
-                return Err(ScenarioError::invalid(format!("{pointer}/body_point"), message));
-            }
-        }
-        match constant {
-            Some(value) => self.model.constant += value,
-            None => self.model.terms.push(with_matrix(term, inertia)),
-        }
-        self.potential.push(TermPlan { pointer, kept: constant.is_none(), why });
-        Ok(())
+        (self.model.terms, self.model.constant, self.potential) =
+            terms.put_together(&extent, &self.model).into_parts();
     }
 
     /// Chooses the integrator.
@@ -280,6 +297,15 @@ impl Plan {
             return Err(ScenarioError::invalid("/method/name", message));
         }
         let (method, why) = match asked {
+            // Whoever names a tableau wants its scheme.
+            MethodName::Auto
+                if free && self.dimension == 3 && scenario.method.tableau.is_none() =>
+            {
+                (
+                    MethodName::Splitting,
+                    "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
+                )
+            }
             MethodName::Auto if free => (
                 MethodName::VpdReduced,
                 "no term depends on the attitude, so the momentum moves by itself",
@@ -296,7 +322,9 @@ impl Plan {
             || shown.into_iter().any(|channel| self.logs(channel))
             || self.ensemble.is_some();
         let tableau = &self.model.tableau;
-        let (name, stages, order) = match (scenario.method.order.unwrap_or(4), method) {
+        // A free body needs no more than one part.
+        let usual = if asked == MethodName::Auto { 2 } else { 4 };
+        let (name, stages, order) = match (scenario.method.order.unwrap_or(usual), method) {
             (order, method) if method.is_composition() => (
                 None,
                 Composition::new(order).map_or(1, |composition| composition.parts().len()),
@@ -307,7 +335,26 @@ impl Plan {
             }
             _ => (tableau_name(scenario), tableau.stages(), tableau.order()),
         };
-        Ok(Formulation { method, tableau: name, stages, order, carries_attitude, why })
+        let motion = self.motion(method, stages);
+        Ok(Formulation { method, tableau: name, stages, order, carries_attitude, why, motion })
+    }
+
+    /// What the motion is from the start that is given; members of an ensemble have others.
+    fn motion(&self, method: MethodName, stages: usize) -> Motion {
+        if self.ensemble.is_some() {
+            return Motion::General;
+        }
+        if self.model.is_at_rest() {
+            return Motion::AtRest;
+        }
+        let quicker = method == MethodName::Vpd && stages <= VpdPlane::MOST_STAGES;
+        if self.dimension == 3 && quicker && !self.model.terms.is_empty() {
+            let (body, start) = self.model.problem::<3>();
+            if Plane::of(&body, &start).is_some() {
+                return Motion::InPlane;
+            }
+        }
+        Motion::General
     }
 }
 
@@ -352,11 +399,11 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
 }
 
 /// n less the rank of the terms' space vectors.
-fn free_directions(n: usize, terms: &[PotentialTerm]) -> usize {
+fn free_directions(n: usize, modelled: &[PotentialTerm]) -> usize {
     // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
     let mut taken: Vec<DVector<f64>> = Vec::new();
-    for term in terms {
-        let mut rest = DVector::from_column_slice(space_vector(term)).normalize();
+    for term in modelled {
+        let mut rest = terms::unit(&DVector::from_column_slice(space_vector(term)));
         for direction in taken.iter().chain(&taken) {
             let part = direction.dot(&rest);
             rest.axpy(-part, direction, 1.0);

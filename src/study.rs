@@ -115,8 +115,9 @@ impl Entry {
     pub fn new(scene: &Scenario, method: Method) -> Result<Self, ScenarioError> {
         let formulation = measure::variant(scene, &method, 1.0, 1)?.formulation;
         let tableau = formulation.tableau.unwrap_or_else(|| format!("order {}", formulation.order));
-        let method = Method { name: formulation.method, ..method };
-        Ok(Self { method, tableau, order: formulation.order })
+        let (name, order) = (formulation.method, formulation.order);
+        let method = Method { name, order: name.is_composition().then_some(order), ..method };
+        Ok(Self { method, tableau, order })
     }
 
     /// `vpd gauss2`, and the solver where it was asked for.

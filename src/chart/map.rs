@@ -41,6 +41,9 @@ fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
     let classes = classes(map);
     let (columns, rows) = (map.steps_s.len() as i32, map.cells.len() as i32);
     let bottom = TOP + rows * CELL.1;
+    let resonates = map.borders.iter().any(|border| !border.resonances.is_empty());
+    // Places of the legend before those of the classes: the words about resonances are long.
+    let before = if resonates { 3 } else { 1 };
     let legend_rows = (classes.len() as i32 + 2) / 3;
     let size = (LEFT + columns * CELL.0 + RIGHT, bottom + 74 + 26 * legend_rows);
     let root = SVGBackend::with_string(svg, (size.0 as u32, size.1 as u32)).into_drawing_area();
@@ -56,6 +59,10 @@ fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
         for (column, cell) in cells.iter().enumerate() {
             let corner = (LEFT + column as i32 * CELL.0, y);
             draw_cell(&root, corner, cell.class, color(map, cell.row.energy_error))?;
+        }
+        for resonance in &border.resonances {
+            let [from, to] = resonance.window_s.map(|step_s| LEFT + column_of(map, step_s));
+            draw_window(&root, (from.min(to - 3), to, y + CELL.1))?;
         }
         if let Some(step_s) = border.usable_step_s {
             let x = LEFT + column_of(map, step_s);
@@ -80,14 +87,29 @@ fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
     root.draw(&PathElement::new(line, RGBColor(213, 94, 0).stroke_width(4)))?;
     let border = "largest usable step, to 5 %".to_owned();
     text(border, (60, bottom + 53), 14, HPos::Left, VPos::Center)?;
+    if resonates {
+        draw_window(&root, (310, 330, bottom + 62))?;
+        let words = "step resonance: energy is lost in this window";
+        text(words.to_owned(), (346, bottom + 53), 14, HPos::Left, VPos::Center)?;
+    }
     for (at, &class) in classes.iter().enumerate() {
-        let place = at as i32 + 1;
+        let place = at as i32 + before;
         let corner = (20 + (place % 3) * 290, bottom + 43 + (place / 3) * 26);
         draw_cell(&root, corner, class, CIVIDIS_MIDDLE)?;
         let label = (corner.0 + 36, corner.1 + CELL.1 / 2);
         text(words(class), label, 14, HPos::Left, VPos::Center)?;
     }
     root.present()?;
+    Ok(())
+}
+
+/// A window of steps that a method must not take: a wedge that stands on the lower edge of its row.
+fn draw_window(root: &Area<'_>, (from, to, below): (i32, i32, i32)) -> Drawn {
+    let middle = (from + to) / 2;
+    let wedge = vec![(middle - 5, below - 1), (middle + 5, below - 1), (middle, below - 11)];
+    root.draw(&Polygon::new(wedge, RGBColor(213, 94, 0).filled()))?;
+    let edge = [(from, below - 2), (to, below - 2)];
+    root.draw(&PathElement::new(edge, RGBColor(213, 94, 0).stroke_width(3)))?;
     Ok(())
 }
 

@@ -21,7 +21,7 @@ use crate::chart;
 use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
 use crate::study::long_term::long_term;
 use crate::study::precision::{Precision, precision};
-use crate::study::stability::{Border, stability};
+use crate::study::stability::{Border, Resonance, stability};
 use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
 
 #[derive(Debug, Args)]
@@ -209,6 +209,15 @@ fn borders(borders: &[Border]) -> String {
             figure(border.turn_rad, 2),
             border.broken.unwrap_or("-"),
         );
+        for Resonance {
+            steps_per_swing, window_s: [from, to], worst_step_s, energy_error, ..
+        } in &border.resonances
+        {
+            text += &format!(
+                "{:28} from {from:.4e} to {to:.4e} s: energy off by {energy_error:.1e} J at {worst_step_s:.4e} s\n",
+                format!("  resonance, {steps_per_swing} steps a swing")
+            );
+        }
     }
     text
 }

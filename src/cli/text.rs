@@ -105,6 +105,9 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             formulation.why
         ),
     );
+    if let Some(words) = formulation.motion.words() {
+        line("motion", words.to_owned());
+    }
     if let Some(advice) = &plan.advice {
         line(
             "accuracy",

@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 
 use serde::Deserialize;
 
-use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Plan};
+use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
 use crate::log::schema::{Channel, bytes_per_member, dense_bytes_per_member};
 use crate::log::writer::Compression;
 use crate::scenario::{MethodName, PotentialTerm};
@@ -116,9 +116,18 @@ impl Plan {
 
     /// About what so much work costs, in nanoseconds.
     pub(crate) fn work_ns(&self, work: Counts) -> f64 {
+        /// What a step takes that keeps the state.
+        const AT_REST_NS: f64 = 5.0;
+        /// Of what it takes in space, in a plane.
+        const IN_PLANE: f64 = 0.7;
+        let part = match self.formulation.motion {
+            Motion::AtRest => return work.steps * AT_REST_NS,
+            Motion::InPlane => IN_PLANE,
+            Motion::General => 1.0,
+        };
         let Scheme { step_ns, sweep_ns, terms } = self.scheme();
         let gradient_ns = terms * self.terms_cost_ns();
-        work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns
+        part * (work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns)
     }
 
     /// The work of a step whose sweeps nobody has counted.

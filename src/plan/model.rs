@@ -3,10 +3,12 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
+use super::terms::ROUNDED;
 use crate::scenario::{
     Attitude, Entry, Framed, Inertia, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
     SolverKind, TableauChoice, TableauName,
 };
+use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::{Rungs, StopRule};
 use crate::solve::so;
 use crate::solve::tableau::{Tableau, TableauError};
@@ -15,8 +17,10 @@ use crate::solve::tableau::{Tableau, TableauError};
 #[derive(Clone, Debug)]
 pub(crate) struct Model {
     pub(crate) kinetic: ModelKinetic,
-    /// The terms kept, every default filled in.
+    /// The terms that are computed, every default filled in.
     pub(crate) terms: Vec<PotentialTerm>,
+    /// The terms of the scene that depend on the attitude, as viewers draw them.
+    pub(crate) shown: Vec<PotentialTerm>,
     /// The sum of the terms that do not depend on the attitude.
     pub(crate) constant: f64,
     /// n x n, a rotation to 1e-8.
@@ -36,6 +40,38 @@ pub(crate) enum ModelKinetic {
     Tensor { inertia: Matrix3<f64> },
 }
 
+impl Model {
+    /// Refuses a body point that lies on its place at the start, where the law of the term is singular.
+    pub(super) fn check_distances(&self, given: &[PotentialTerm]) -> Result<(), ScenarioError> {
+        for (index, term) in given.iter().enumerate() {
+            let Some((body_point, position)) = singular_points(term) else { continue };
+            let (y, z) =
+                (DVector::from_column_slice(body_point), DVector::from_column_slice(position));
+            let distance = (&y - self.attitude.tr_mul(&z)).norm();
+            if !(distance > CLOSEST_APPROACH * (y.norm() + z.norm())) {
+                let pointer = format!("/scene/potential/{index}/body_point");
+                let message = format!(
+                    "lies on `position` at the start (distance {distance:e}); the potential is singular there"
+                );
+                return Err(ScenarioError::invalid(pointer, message));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl ModelKinetic {
+    /// A bound on the velocity that a momentum of one makes.
+    pub(super) fn mobility(&self) -> f64 {
+        match self {
+            Self::Principal { weights } => weights.amax(),
+            Self::Tensor { inertia } => {
+                inertia.try_inverse().map_or(f64::INFINITY, |inverse| inverse.norm())
+            }
+        }
+    }
+}
+
 /// The rungs of the solver that a scenario allows.
 pub(super) fn rungs(kind: SolverKind) -> Rungs {
     match kind {
@@ -45,7 +81,7 @@ pub(super) fn rungs(kind: SolverKind) -> Rungs {
     }
 }
 
-fn rows(rows: &[Vec<f64>]) -> DMatrix<f64> {
+pub(super) fn rows(rows: &[Vec<f64>]) -> DMatrix<f64> {
     DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j])
 }
 
@@ -92,7 +128,11 @@ pub(super) fn kinetic(
                     format!("is not positive definite: its smallest eigenvalue is {smallest:e}");
                 return Err(ScenarioError::invalid(pointer, message));
             }
-            let diagonal = matrix.iter().enumerate().all(|(k, &x)| k % 4 == 0 || x == 0.0);
+            // Beside its two moments such a product of inertia is rounding.
+            let none = |i: usize, j: usize| {
+                matrix[(i, j)].abs() <= f64::EPSILON * (matrix[(i, i)] * matrix[(j, j)]).sqrt()
+            };
+            let diagonal = (0..3).all(|i| (0..i).all(|j| none(i, j) && none(j, i)));
             if diagonal {
                 return Ok(principal([matrix[(0, 0)], matrix[(1, 1)], matrix[(2, 2)]]));
             }
@@ -271,11 +311,12 @@ pub(super) fn constant_part(
         PotentialTerm::GravityGradient(t) => {
             let m = t.matrix.as_ref().map_or_else(|| inertia.clone(), |given| rows(given));
             let level = m[(0, 0)];
-            let round = (&m - DMatrix::identity(m.nrows(), m.nrows()) * level).amax() == 0.0;
+            let off = (&m - DMatrix::identity(m.nrows(), m.nrows()) * level).amax();
+            let round = off <= ROUNDED * m.amax();
             let square: f64 = t.direction.iter().map(|x| x * x).sum();
             round.then_some((
                 0.5 * t.strength * level * square,
-                "is the same at every attitude: its matrix is a multiple of I",
+                "is the same at every attitude: its matrix is a multiple of I, to rounding",
             ))
         }
         _ => None,
@@ -283,7 +324,7 @@ pub(super) fn constant_part(
 }
 
 /// Body point and place of a term whose law is singular where the two meet.
-pub(super) fn singular_points(term: &PotentialTerm) -> Option<(&[f64], &[f64])> {
+fn singular_points(term: &PotentialTerm) -> Option<(&[f64], &[f64])> {
     match term {
         PotentialTerm::PointSource(t) if t.strength != 0.0 => Some((&t.body_point, &t.position)),
         PotentialTerm::Spring(t) if t.stiffness != 0.0 && t.rest_length > 0.0 => {

@@ -15,7 +15,7 @@ pub(super) fn scene(plan: &Plan) -> SceneGeometry {
     let mut scene = SceneGeometry { box_size, box_axes, ..SceneGeometry::default() };
     let neutral = |position: &[f64]| Marker { position: three(position), sign: Sign::Neutral };
     let mut directions = Vec::new();
-    for term in &plan.model.terms {
+    for term in &plan.model.shown {
         match term {
             PotentialTerm::Uniform(term) => {
                 scene.body_points.push(neutral(&term.body_point));

@@ -14,6 +14,8 @@ pub mod vpd;
 pub mod vpd_lagrangian;
 pub mod vpd_reduced;
 pub mod vpd_space;
+pub mod vpd_plane;
+pub mod at_rest;
 pub mod vrkmk;
 pub mod rkmk;
 pub mod rk;

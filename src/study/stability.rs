@@ -54,6 +54,24 @@ pub struct Cell {
     pub class: Class,
     /// The figures.
     pub row: Row,
+    /// By how much the strongest swing of the motion goes on in a step, rad: see [`swing_rad`].
+    pub swing_rad: Option<f64>,
+}
+
+/// Steps in which a scheme loses its hold on the energy, though smaller and larger ones keep it: the swing of the motion
+/// and the steps meet again after a few of them, and what each step does wrong adds up.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Resonance {
+    /// So many steps make one swing.
+    pub steps_per_swing: u32,
+    /// The window, in seconds: the steps tried on either side of it that keep the energy.
+    pub window_s: [f64; 2],
+    /// The worst of the steps tried in it.
+    pub worst_step_s: f64,
+    /// The largest |H - H0| there, J.
+    pub energy_error: f64,
+    /// What it would be there, by the steps on either side.
+    pub usual_energy_error: f64,
 }
 
 /// The largest step at which a method is usable, and every smaller one of the sweep too.
@@ -69,6 +87,8 @@ pub struct Border {
     pub broken_step_s: Option<f64>,
     /// What happens there.
     pub broken: Option<&'static str>,
+    /// Windows below the largest usable step in which the energy is lost.
+    pub resonances: Vec<Resonance>,
 }
 
 /// The map of a scene.
@@ -107,6 +127,20 @@ const OFF_GROUP: f64 = 1e-6;
 /// A step that ends further than this from where it should has gone to another branch: 60 degrees.
 const WRONG_BRANCH: f64 = 1.0;
 
+/// Steps to a swing of the resonances that are looked for. That of order m grows by the nonlinearity of degree m - 1 and is
+/// the weaker the larger m is; with two steps a swing the scheme is at its border.
+const STEPS_PER_SWING: [u32; 2] = [4, 3];
+/// A step is moved so many times at most until its swing is that of the resonance ...
+const AIMS: u32 = 3;
+/// ... to this part.
+const AIMED: f64 = 2e-3;
+/// The steps about it that are tried; windows are some hundredths wide.
+const ABOUT: [f64; 9] = [0.955, 0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03, 1.045];
+/// An energy error so many times that of the steps on either side is a resonance.
+const STANDS_OUT: f64 = 3.0;
+/// Samples from which the strongest swing is told.
+const SWING_SAMPLES: usize = 1024;
+
 /// Sweeps the step for each method and bisects the border of what is usable.
 ///
 /// # Errors
@@ -136,7 +170,13 @@ pub fn stability(scene: &Scenario, entries: &[Entry], watch: &Watch) -> Result<M
             },
             broken: broken.map(|at| (map.steps_s[at], cells[at].class)),
         };
-        map.borders.push(judge.border(entry, bracket, watch)?);
+        let (mut border, tried) = judge.border(entry, bracket, watch)?;
+        let usable =
+            |cell: &&Cell| cell.class.is_usable() && Some(cell.row.step_s) <= border.usable_step_s;
+        let mut along: Vec<Cell> = cells.iter().chain(&tried).filter(usable).cloned().collect();
+        along.sort_by(|a, b| a.row.step_s.total_cmp(&b.row.step_s));
+        border.resonances = judge.resonances(entry, &along, watch)?;
+        map.borders.push(border);
         map.cells.push(cells);
     }
     Ok(map)
@@ -191,7 +231,7 @@ impl<'a> Judge<'a> {
         let run = measure(self.scene, probe, watch)?;
         watch.advance(0)?;
         let class = self.class(probe, &run, watch)?;
-        Ok(Cell { class, row: Row::new(entry, step_s, &run, None) })
+        Ok(Cell { class, row: Row::new(entry, step_s, &run, None), swing_rad: swing_rad(&run) })
     }
 
     fn class(&self, probe: Probe<'_>, run: &Measured, watch: &Watch) -> Result<Class, StudyError> {
@@ -277,12 +317,15 @@ impl<'a> Judge<'a> {
         entry: &Entry,
         mut bracket: Bracket,
         watch: &Watch,
-    ) -> Result<Border, StudyError> {
+    ) -> Result<(Border, Vec<Cell>), StudyError> {
+        let mut tried = Vec::new();
         while let Bracket { usable_step_s: Some(usable), broken: Some((broken, _)) } = bracket
             && broken > BORDER_RATIO * usable
         {
             let middle = (usable * broken).sqrt();
-            let class = self.cell(entry, middle, watch)?.class;
+            let cell = self.cell(entry, middle, watch)?;
+            let class = cell.class;
+            tried.push(cell);
             if class.is_usable() {
                 bracket.usable_step_s = Some(middle);
             } else {
@@ -290,14 +333,132 @@ impl<'a> Judge<'a> {
             }
         }
         let Bracket { usable_step_s, broken } = bracket;
-        Ok(Border {
+        let border = Border {
             label: entry.label(),
             usable_step_s,
             turn_rad: usable_step_s.map(|step_s| step_s * self.scales.fastest_rad_s),
             broken_step_s: broken.map(|(step_s, _)| step_s),
             broken: broken.map(|(_, class)| class.as_str()),
+            resonances: Vec::new(),
+        };
+        Ok((border, tried))
+    }
+
+    /// Looks for step resonances between the steps of `along`, which rise and are usable.
+    ///
+    /// The swing of a step is measured, so that no scheme's own function of h omega is needed; where it passes
+    /// `2 pi / m` steps are tried close by.
+    fn resonances(
+        &self,
+        entry: &Entry,
+        along: &[Cell],
+        watch: &Watch,
+    ) -> Result<Vec<Resonance>, StudyError> {
+        let mut found = Vec::new();
+        for steps_per_swing in STEPS_PER_SWING {
+            let target = std::f64::consts::TAU / f64::from(steps_per_swing);
+            let passes = |pair: &&[Cell]| {
+                let [low, high] = [&pair[0], &pair[1]].map(|cell| cell.swing_rad);
+                low.is_some_and(|low| low < target) && high.is_some_and(|high| high >= target)
+            };
+            let Some(pair) = along.windows(2).find(passes) else { continue };
+            let at = self.aimed(entry, target, [pair[0].clone(), pair[1].clone()], watch)?;
+            let largest = along.last().map_or(at, |cell| cell.row.step_s);
+            let mut cells = Vec::with_capacity(ABOUT.len());
+            for step_s in ABOUT.map(|part| part * at).into_iter().filter(|&h| h <= largest) {
+                cells.push(self.cell(entry, step_s, watch)?);
+            }
+            found.extend(self.window(steps_per_swing, &cells));
+        }
+        Ok(found)
+    }
+
+    /// The step between two at which the motion swings by `target`.
+    fn aimed(
+        &self,
+        entry: &Entry,
+        target: f64,
+        [mut low, mut high]: [Cell; 2],
+        watch: &Watch,
+    ) -> Result<f64, StudyError> {
+        let swing = |cell: &Cell| cell.swing_rad.unwrap_or(target);
+        let between = |low: &Cell, high: &Cell| {
+            let part = (target - swing(low)) / (swing(high) - swing(low)).max(f64::MIN_POSITIVE);
+            low.row.step_s * libm::pow(high.row.step_s / low.row.step_s, part.clamp(0.0, 1.0))
+        };
+        for _ in 0..AIMS {
+            let cell = self.cell(entry, between(&low, &high), watch)?;
+            match cell.swing_rad {
+                Some(swing) if (swing - target).abs() > AIMED * target => {
+                    if swing < target {
+                        low = cell
+                    } else {
+                        high = cell
+                    }
+                }
+                _ => return Ok(cell.row.step_s),
+            }
+        }
+        Ok(between(&low, &high))
+    }
+
+    /// The steps of `cells` whose energy stands out, if there are any.
+    fn window(&self, steps_per_swing: u32, cells: &[Cell]) -> Option<Resonance> {
+        let error = |cell: &Cell| match (cell.class, cell.row.energy_error) {
+            (Class::Failed(_), _) | (_, None) => self.scales.kinetic,
+            (_, Some(error)) => error,
+        };
+        let (first, last) = (cells.first()?, cells.last()?);
+        // The larger of the two: a window at the rim hides none.
+        let usual = error(first).max(error(last)).max(1e-13 * self.scales.kinetic);
+        let stands_out = |cell: &Cell| error(cell) > STANDS_OUT * usual;
+        let (from, to) = (cells.iter().position(stands_out)?, cells.iter().rposition(stands_out)?);
+        let worst = cells.iter().max_by(|a, b| error(a).total_cmp(&error(b)))?;
+        Some(Resonance {
+            steps_per_swing,
+            window_s: [cells.get(from.checked_sub(1)?)?.row.step_s, cells.get(to + 1)?.row.step_s],
+            worst_step_s: worst.row.step_s,
+            energy_error: error(worst),
+            usual_energy_error: usual,
         })
     }
+}
+
+/// By how much the strongest swing of a motion goes on in a step, rad, between 0 and pi: where the periodogram of the
+/// momentum's liveliest component, with Hann's window, is largest. `None` of a run too short, or a momentum that stays.
+fn swing_rad(run: &Measured) -> Option<f64> {
+    let points = run.points.get(..SWING_SAMPLES)?;
+    let n = points[0].momentum.nrows();
+    let series = |i: usize, j: usize| -> Vec<f64> {
+        let values: Vec<f64> = points.iter().map(|point| point.momentum[(i, j)]).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        values.into_iter().map(|x| x - mean).collect()
+    };
+    let power = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
+    let liveliest = (0..n)
+        .flat_map(|i| (0..i).map(move |j| (i, j)))
+        .map(|(i, j)| series(i, j))
+        .max_by(|a, b| power(a).total_cmp(&power(b)))?;
+    if !(power(&liveliest) > 0.0) {
+        return None;
+    }
+    let unit = std::f64::consts::TAU / SWING_SAMPLES as f64;
+    let windowed: Vec<f64> =
+        liveliest.iter().enumerate().map(|(k, x)| x * (1.0 - libm::cos(unit * k as f64))).collect();
+    // Goertzel's recurrence for each line.
+    let strength = |line: usize| {
+        let c = 2.0 * libm::cos(unit * line as f64);
+        let [a, b] = windowed.iter().fold([0.0, 0.0], |[a, b], x| [x + c * a - b, a]);
+        (a * a + b * b - c * a * b).max(0.0).sqrt()
+    };
+    let spectrum: Vec<f64> = (0..=SWING_SAMPLES / 2).map(strength).collect();
+    // The lines next to zero are what the window makes of the mean.
+    let line = (2..SWING_SAMPLES / 2).max_by(|&a, &b| spectrum[a].total_cmp(&spectrum[b]))?;
+    // Of Hann's window two lines tell the place between them (Grandke 1983).
+    let (left, peak, right) = (spectrum[line - 1], spectrum[line], spectrum[line + 1]);
+    let (next, side) = if right > left { (right, 1.0) } else { (left, -1.0) };
+    let ratio = next / peak;
+    Some(unit * (line as f64 + side * (2.0 * ratio - 1.0) / (ratio + 1.0)))
 }
 
 #[cfg(test)]

@@ -659,11 +659,15 @@ fn what_was_given_is_not_repeated_at_length() {
 #[test]
 fn near_zero_is_planned_or_refused() {
     let mut scene = dipole();
+    // Their points are independent, or they were one field.
     let spring = |z: f64| json!({"kind": "spring", "stiffness": 1, "body_point": [0, 0, 1], "position": [0, z, 0]});
-    let weight = |direction: [f64; 3]| json!({"kind": "uniform", "weight": 1, "body_point": [0, 0, 1], "direction": direction});
+    let weight = |body_point: [f64; 3], direction: [f64; 3]| json!({"kind": "uniform", "weight": 1, "body_point": body_point, "direction": direction});
     for (z, free) in [(1e-200, None), (1e-15, Some(0)), (0.0, Some(1))] {
-        scene["scene"]["potential"] =
-            json!([weight([0.0, 0.0, 1.0]), weight([1.0, 1e-200, 1.0]), spring(z)]);
+        scene["scene"]["potential"] = json!([
+            weight([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
+            weight([0.0, 1.0, 0.0], [1.0, 1e-200, 1.0]),
+            spring(z)
+        ]);
         let plan = Scenario::from_json(scene.to_string().as_bytes()).and_then(|s| Plan::new(&s));
         assert_eq!(plan.ok().map(|plan| plan.free_directions), free, "{z:e}");
     }

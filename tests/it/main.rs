@@ -17,6 +17,7 @@ mod lanes;
 mod laws;
 mod log;
 mod methods;
+mod plan_sees;
 mod resume;
 mod scenarios;
 mod stability;

@@ -288,7 +288,9 @@ fn symmetric_methods_go_back_the_way_they_came() {
         let path: Vec<f64> = [0.02; 10].into_iter().chain([-0.02; 10]).collect();
         let end = advance((method.three)().as_mut(), &body, &start, &path);
         let defect = distance(&end, &start);
-        println!("{}: {defect:.2e}", method.name);
+        let forth_and_back = advance((method.three)().as_mut(), &body, &start, &[0.05, -0.05]);
+        let at_large = distance(&forth_and_back, &start);
+        println!("{}: {defect:.2e}; one step of 0.05 s and back: {at_large:.2e}", method.name);
         if method.symmetric {
             assert!(defect < 3e-14, "{}: {defect:e}", method.name);
         }

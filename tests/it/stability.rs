@@ -106,3 +106,77 @@ fn a_turn_past_pi_that_looks_fine_is_refused() {
         assert!(matches!(class, Class::Failed(_)), "{step_s}: {class:?}");
     }
 }
+
+/// A pendulum in a plane with a spring, pushed by `push_rad_s` from where it hangs, and omega of its small swings.
+fn spring_pendulum(push_rad_s: f64) -> (Scenario, f64) {
+    let (weight, stiffness, length, anchor) = (9.81, 4.0, 0.5, [0.5, -2.0]);
+    // U of an angle, J = 1, by differences.
+    let potential = |angle: f64| {
+        let [x, y] = [libm::sin(angle), -libm::cos(angle)];
+        let [dx, dy] = [x - anchor[0], y - anchor[1]];
+        let stretch = (dx * dx + dy * dy).sqrt() - length;
+        weight * y + 0.5 * stiffness * stretch * stretch
+    };
+    let d = 1e-3;
+    let slope = |angle: f64| (potential(angle + d) - potential(angle - d)) / (2.0 * d);
+    let curvature = |angle: f64| {
+        (potential(angle + d) - 2.0 * potential(angle) + potential(angle - d)) / (d * d)
+    };
+    let rest = (0..50).fold(0.1, |angle, _| angle - slope(angle) / curvature(angle).abs());
+    assert!(slope(rest).abs() < 1e-6 && curvature(rest) > 0.0, "{rest}");
+    let scene = serde_json::json!({
+        "name": "spring-pendulum", "step_s": 0.05, "duration_s": 200,
+        "scene": {
+            "inertia": { "principal": [0.6, 0.5, 1.0] },
+            "potential": [
+                { "kind": "uniform", "weight": weight, "body_point": [0, -1, 0], "direction": [0, 1, 0] },
+                { "kind": "spring", "stiffness": stiffness, "rest_length": length, "body_point": [0, -1, 0],
+                  "position": [anchor[0], anchor[1], 0] }
+            ],
+            "initial": {
+                "attitude": { "axis_angle": { "axis": [0, 0, 1], "angle_rad": rest } },
+                "angular_velocity": { "body": [0, 0, push_rad_s] }
+            }
+        }
+    });
+    let scene = Scenario::from_json(scene.to_string().as_bytes()).expect("a good scenario");
+    (scene, curvature(rest).sqrt())
+}
+
+/// Where the scheme turns its linear oscillator by 2 pi / m: the phase of Gauss's rational approximants of exp(i x) is
+/// pi / 2 and 2 pi / 3 there.
+#[test]
+fn step_resonances_are_marked() {
+    // Pushed harder, one stage is past its border before three steps make a swing.
+    let cases = [
+        ("gauss1", 0.06, [2.00, 3.46]),
+        ("gauss2", 0.15, [1.58, 2.14]),
+        ("gauss3", 0.15, [1.57, 2.10]),
+    ];
+    for (tableau, push_rad_s, expected) in cases {
+        let (scene, omega) = spring_pendulum(push_rad_s);
+        let entry = all_methods(&scene)
+            .into_iter()
+            .find(|entry| entry.label() == format!("vpd {tableau}, newton"))
+            .expect("it runs on the scene");
+        let map = stability(&scene, &[entry], &Watch::default()).expect("a map");
+        let border = &map.borders[0];
+        for resonance in &border.resonances {
+            let [from, to] = resonance.window_s.map(|step_s| omega * step_s);
+            println!(
+                "{}: m = {}, h w from {from:.3} to {to:.3}, {:.1e} J in the place of {:.1e}",
+                border.label,
+                resonance.steps_per_swing,
+                resonance.energy_error,
+                resonance.usual_energy_error
+            );
+        }
+        for expected in expected {
+            let marked = border.resonances.iter().any(|resonance| {
+                let [from, to] = resonance.window_s.map(|step_s| omega * step_s);
+                from < expected && expected < to && to < 1.1 * from
+            });
+            assert!(marked, "{}: {expected} is not in {:?}", border.label, border.resonances);
+        }
+    }
+}
