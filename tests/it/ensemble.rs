@@ -79,6 +79,15 @@ fn contents(log: &Path) -> Contents {
     found
 }
 
+/// The attitudes at the end, of member after member.
+pub(crate) fn ends(log: &Path) -> Vec<Vec<f64>> {
+    let members = contents(log).members;
+    members
+        .into_iter()
+        .map(|member| member.last.map_or_else(Vec::new, |last| last.attitude))
+        .collect()
+}
+
 #[test]
 fn every_member_ends_once_and_those_in_full_end_where_their_samples_do() {
     let folder = tempfile::tempdir().expect("a folder");
