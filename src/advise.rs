@@ -16,7 +16,7 @@ use thiserror::Error;
 use crate::plan::{Advice, Candidate, Counts, Plan};
 use crate::scenario::{Accuracy, MethodName, Scenario, ScenarioError, TableauName};
 use crate::study::measure::{End, Measured, Probe, measure, variant};
-use crate::study::reference::{EIGHTHS, Growth, MOST_STEPS, Reference, ReferenceError};
+use crate::study::reference::{Growth, MOST_STEPS, QUARTERS, Reference, ReferenceError};
 use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
 
 /// Work that the choice of a method may cost, in nanoseconds by the plan's figures: counted, so that it ends at the same
@@ -395,7 +395,7 @@ struct Trial<'a> {
 
 /// So many steps as a reference can be met with.
 fn multiple(steps: f64) -> u64 {
-    EIGHTHS * (steps / EIGHTHS as f64).ceil().max(1.0) as u64
+    QUARTERS * (steps / QUARTERS as f64).ceil().max(1.0) as u64
 }
 
 impl Trial<'_> {
@@ -492,7 +492,7 @@ impl Trial<'_> {
             let next = match reached {
                 Some((reached, _)) if next >= reached => break,
                 Some(_) if next <= too_few => break,
-                _ => next.max(too_few + EIGHTHS),
+                _ => next.max(too_few + QUARTERS),
             };
             steps = next;
         }
@@ -548,7 +548,7 @@ impl Trial<'_> {
         }
     }
 
-    /// A run over the time of a reference, with its states at each eighth.
+    /// A run over the time of a reference, with its states at each quarter.
     fn run(
         &self,
         entry: &Entry,
@@ -558,7 +558,7 @@ impl Trial<'_> {
         watch: &Watch,
     ) -> Result<Measured, StudyError> {
         let whole = Probe::of(&entry.method, reference.time_s / steps as f64, steps);
-        let probe = Probe { every: steps / EIGHTHS, keep: true, member, ..whole };
+        let probe = Probe { every: steps / QUARTERS, keep: true, member, ..whole };
         let run = measure(self.scenario, probe, watch)?;
         watch.advance(0)?;
         Ok(run)
@@ -634,11 +634,11 @@ impl Trial<'_> {
             .points
             .iter()
             .enumerate()
-            .map(|(eighth, point)| reference.distance_at(eighth, point))
+            .map(|(quarter, point)| reference.distance_at(quarter, point))
             .collect();
         let largest = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
-        // Not the last alone: an error that swings may pass through zero there.
-        let late = largest(&errors[errors.len() / 2..]);
+        // Not the last alone: an error that swings may pass through zero there. And no more is known than by the reference.
+        let late = largest(&errors[errors.len() / 2..]) + reference.error;
         if self.duration_s <= reference.time_s {
             return Some(late);
         }

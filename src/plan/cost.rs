@@ -92,7 +92,7 @@ impl Plan {
         self.step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
         let sample_ns = self.sample_cost_ns(raw);
         let steps_ns = self.steps as f64 * self.step_ns;
-        let mut run_ns = steps_ns + self.samples as f64 * sample_ns;
+        let mut run_ns = START_NS + steps_ns + self.samples as f64 * sample_ns;
         self.samples_per_chunk =
             samples_per_chunk(raw, 1e-9 * (self.every as f64 * self.step_ns + sample_ns));
         let mut kept = 0.0;
@@ -234,6 +234,8 @@ impl Plan {
     }
 }
 
+/// What a run takes before its steps find everything at hand.
+const START_NS: f64 = 5_000.0;
 /// What a byte of a sample costs on its way into the log: 700 of them take 5.9 us, `docs/performance.md`.
 const WRITTEN_BYTE_NS: f64 = 8.0;
 /// What the writer keeps of a chunk until the log is finished.

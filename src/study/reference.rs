@@ -95,7 +95,7 @@ impl fmt::Display for Growth {
 pub struct Reference {
     /// The time in seconds.
     pub time_s: f64,
-    /// The state at each eighth of the time, of a long one at each sixty-fourth, the start first.
+    /// The state at each quarter of the time, of a long one at each sixty-fourth, the start first.
     pub points: Vec<Point>,
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
     pub momentum_scale: f64,
@@ -113,7 +113,7 @@ pub struct Reference {
 }
 
 /// Solutions are compared at so many times; their steps come in multiples of it.
-pub(crate) const EIGHTHS: u64 = 8;
+pub(crate) const QUARTERS: u64 = 4;
 /// And those of a reference of at least [`LONG_STEPS`] at so many.
 const SIXTY_FOURTHS: u64 = 64;
 const LONG_STEPS: u64 = 512;
@@ -210,7 +210,7 @@ impl Reference {
     ) -> Result<Self, StudyError> {
         let first = family.method.clone();
         let least = family.easy_steps * easy;
-        let points = if least >= LONG_STEPS as f64 { SIXTY_FOURTHS } else { EIGHTHS };
+        let points = if least >= LONG_STEPS as f64 { SIXTY_FOURTHS } else { QUARTERS };
         let mut steps = points * (least / points as f64).ceil().max(1.0) as u64;
         let mut before: Option<Vec<Point>> = None;
         let mut best: Option<Self> = None;
@@ -252,22 +252,23 @@ impl Reference {
         }
     }
 
-    /// The same solution from the start of a member of the scene's ensemble; `None` if it fails.
+    /// The same solution from the start of a member of the scene's ensemble, held against one in half the steps; `None` if
+    /// one of them fails.
     pub(crate) fn of_member(
         &self,
         scene: &Scenario,
         member: u64,
         watch: &Watch,
     ) -> Result<Option<Self>, StudyError> {
-        let probe = Probe {
-            every: self.steps / EIGHTHS,
-            keep: true,
-            member,
-            ..Probe::of(&self.method, self.time_s / self.steps as f64, self.steps)
+        let solved = |steps: u64| {
+            solution(scene, member, &self.method, self.time_s, (steps, QUARTERS), watch)
         };
-        let run = measure(scene, probe, watch)?;
-        watch.advance(0)?;
-        Ok(run.completed().then(|| Self::from_run(self.time_s, &self.method, &run)))
+        let (Some(half), Some(whole)) = (solved(self.steps / 2)?, solved(self.steps)?) else {
+            return Ok(None);
+        };
+        let mut reference = Self::from_run(self.time_s, &self.method, &whole);
+        reference.compare(&half.points);
+        Ok(Some(reference))
     }
 
     fn from_run(time_s: f64, method: &Method, run: &Measured) -> Self {
@@ -386,10 +387,10 @@ impl Reference {
         self.apart_from(self.end(), point)
     }
 
-    /// The error of a state at an eighth of the time.
-    pub(crate) fn distance_at(&self, eighth: usize, point: &Point) -> f64 {
-        let parts = (self.points.len() - 1) / EIGHTHS as usize;
-        self.apart_from(&self.points[parts * eighth], point)
+    /// The error of a state at an quarter of the time.
+    pub(crate) fn distance_at(&self, quarter: usize, point: &Point) -> f64 {
+        let parts = (self.points.len() - 1) / QUARTERS as usize;
+        self.apart_from(&self.points[parts * quarter], point)
     }
 
     fn apart_from(&self, own: &Point, point: &Point) -> f64 {
