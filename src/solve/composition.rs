@@ -173,7 +173,7 @@ fn kick(
     top: &Top,
     h: f64,
 ) -> Result<Vector3<f64>, Failure> {
-    let g = so3::unit_rotation(&top.attitude);
+    let g = so3::rotation(&top.attitude);
     body.check_distances(&g, seen)?;
     Ok(so3::vector(&body.gradient(&g, seen)) * -h)
 }

@@ -99,10 +99,8 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> 
     }
     let w = inverse[pole.axis];
     // 2 T - G^2 w_e, without the difference of large numbers.
-    let excess: f64 = (0..3)
-        .filter(|&i| i != pole.axis)
-        .map(|i| (inverse[i] - w) * mu[i] * mu[i])
-        .sum();
+    let excess: f64 =
+        (0..3).filter(|&i| i != pole.axis).map(|i| (inverse[i] - w) * mu[i] * mu[i]).sum();
     let half = 0.5 * (size * w * h + excess * integral);
     let mut direction = Vector3::zeros();
     direction[pole.axis] = pole.sign;
