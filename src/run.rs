@@ -36,10 +36,11 @@ mod geometry;
 mod give_up;
 mod summary;
 
-use advice::Broken;
+use advice::{Broken, Patience};
 use end::{End, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
+use summary::EnergySeen;
 pub use summary::{
     Diagnosis, EnergySummary, EnsembleSummary, FinalState, MomentumSummary, OrthogonalitySummary,
     Outcome, SolverSummary, Summary,
@@ -235,11 +236,22 @@ fn run<const N: usize>(
         Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
             let broken = Broken { initial, reached: &reached, schedule, failure };
-            (Outcome::Failed, Some(advice::diagnosis(body, stepper.as_mut(), &broken)))
+            let patience = Patience::of(plan, control, 1);
+            (Outcome::Failed, Some(advice::diagnosis(body, stepper.as_mut(), &broken, patience)))
         }
     };
+    // Who stops the search for a smaller step stops the run before the step that failed.
+    if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
+        recorder.writer.leave();
+        return Err(RunError::Interrupted);
+    }
+    let (outcome, diagnosis) = match diagnosis {
+        Some(_) if control.stopped() => (Outcome::Cancelled, None),
+        diagnosis => (outcome, diagnosis),
+    };
     let Recorder { writer, figures, course, .. } = recorder;
-    let end = End { outcome, reached, diagnosis, ensemble: None };
+    let energy = EnergySeen::at_the_ends(body, initial, &reached.state());
+    let end = End { outcome, reached, diagnosis, ensemble: None, energy };
     let summary = finish(scenario, plan, context.log, writer, (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,

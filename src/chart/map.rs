@@ -238,6 +238,10 @@ fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor)
             Code::MaxIterations => rising(6)?,
             Code::Diverged => falling(6)?,
             Code::Stalled => flat(5)?,
+            Code::SecondRoot => {
+                rising(6)?;
+                flat(6)?;
+            }
             Code::LeftGlPlus => upright(5)?,
             Code::IllConditioned => {
                 flat(6)?;

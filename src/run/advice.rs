@@ -1,18 +1,57 @@
 //! The step to try after a failure: tried here first, not guessed.
 //!
-//! Invariant: an advised step was tried and got past the place where the run failed.
+//! Steps are halved until one carries the run, and then taken longer again as far as they still do: what failed and what
+//! did not are brought to within a fifth of each other. A try begins where the run began, for the state that it failed at may
+//! have gone astray long before.
+//!
+//! Invariant: an advised step was tried, and carried as much of the run as is said; the work is bounded, counted and not
+//! timed, and ends when somebody stops the run.
 
-use super::summary::{self, Diagnosis};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use super::Control;
+use super::summary::{self, Advised, Diagnosis, Tried};
+use crate::plan::Plan;
 use crate::scenario::SMALLEST_STEP_S;
-use crate::solve::failure::Failure;
+use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
+use crate::solve::so;
 use crate::solve::stepper::Stepper;
 use crate::solve::trajectory::{Checkpoint, Schedule, State};
+use crate::solve::work::Work;
 
-/// Steps of a try at most.
-const TRY_STEPS: f64 = 5000.0;
-/// Smaller and smaller steps to try.
-const TRIES: usize = 20;
+/// Work of a search in nanoseconds, by the plan's figures: so many runs like the one that failed, but no less than the
+/// first and no more than the second.
+const RUNS: f64 = 100.0;
+const LEAST_NS: f64 = 2e8;
+const MOST_NS: f64 = 2e9;
+/// Steps that failed and steps that did not are brought as near as this.
+const NEAR: f64 = 1.2;
+/// A part of the search that one try may take: there are some that fail, one that does not, and a few between.
+const SHARE: f64 = 1.0 / 8.0;
+/// Sweeps of a step, for want of knowing: most take fewer.
+const SWEEPS: f64 = 8.0;
+/// Looks at the energy in a try.
+const LOOKS: u64 = 2000;
+/// What the energy may be off by, as a part of what moves: half of what is warned of, for the looks are few.
+const LOST: f64 = 0.5 * summary::MEANINGLESS;
+
+/// How much work a search may be, and who ends it.
+#[derive(Clone, Debug)]
+pub(super) struct Patience {
+    most_sweeps: u64,
+    stop: Arc<AtomicBool>,
+}
+
+impl Patience {
+    /// For one of so many members of a run.
+    pub(super) fn of(plan: &Plan, control: &Control, members: u64) -> Self {
+        let most_ns = (RUNS * plan.run_s * 1e9).clamp(LEAST_NS, MOST_NS);
+        let most = most_ns / plan.sweep_cost_ns() / members.max(1) as f64;
+        Self { most_sweeps: most as u64, stop: control.settling.cancelled.clone() }
+    }
+}
 
 /// A run of which a step failed.
 pub(super) struct Broken<'a, const N: usize> {
@@ -29,57 +68,164 @@ pub(super) fn diagnosis<const N: usize>(
     body: &RigidBody<N>,
     stepper: &mut dyn Stepper<N>,
     broken: &Broken<'_, N>,
+    patience: Patience,
 ) -> Diagnosis {
-    let advised = advised_step(body, stepper, broken);
-    let Broken { reached, schedule, failure, .. } = broken;
-    summary::diagnosis(failure, reached.step, schedule.step_s, advised)
+    let Broken { initial, reached, schedule, failure } = broken;
+    let stiffness = stiffness(body, broken);
+    let Patience { most_sweeps, stop } = patience;
+    let body = body.clone().with_work(Work::limited(most_sweeps, stop));
+    let start = body.energy(&initial.attitude, &initial.momentum);
+    let mut search = Search { body: &body, stepper, broken, start: start.total() };
+    let advised = search.advised(most_sweeps as f64);
+    summary::diagnosis(failure, stiffness, reached.step, schedule.step_s, advised)
 }
 
-/// A smaller step for such a run; `None` if none was found in reasonable time.
-fn advised_step<const N: usize>(
-    body: &RigidBody<N>,
-    stepper: &mut dyn Stepper<N>,
-    broken: &Broken<'_, N>,
-) -> Option<f64> {
-    let &Broken { initial, reached, schedule, failure } = broken;
-    let (last, done) = (&reached.state(), reached.step);
-    let Schedule { step_s: h, steps: asked, .. } = schedule;
-    let energy = body.energy(&initial.attitude, &initial.momentum);
-    let start = energy.total();
-    // What the energy may change by in a run that means anything; no limit where nothing moves at first.
-    let allowed = 0.5 * energy.kinetic.max(start.abs()).max(energy.potential.abs());
-    let allowed = if allowed > 0.0 { allowed } else { f64::INFINITY };
-    let mut met = failure.clone();
-    let mut step_s = h;
-    for _ in 0..TRIES {
-        step_s = met.smaller_step(step_s);
-        if step_s < SMALLEST_STEP_S {
-            return None;
-        }
-        let count = |steps: u64| (steps as f64 * h / step_s).ceil();
-        // From the beginning if the place is soon passed: the run may have gone astray before it failed.
-        let (from, past, left) = if count(done + 2) <= TRY_STEPS {
-            (initial, count(done + 2), count(asked))
-        } else {
-            (last, count(2), count(asked - done))
+/// The fastest frequency of the potential where the run began or failed, if that is what asks for a smaller step and not
+/// how fast the body turns.
+fn stiffness<const N: usize>(body: &RigidBody<N>, broken: &Broken<'_, N>) -> Option<f64> {
+    /// A step of less than this part of a radian is short for any frequency.
+    const SHORT_RAD: f64 = 0.5;
+    let &Broken { initial, reached, schedule, .. } = broken;
+    let reached = reached.state();
+    let (mut frequency, mut rate) = (0.0_f64, 0.0_f64);
+    for State { attitude, momentum } in [initial, &reached] {
+        frequency = frequency.max(body.fastest_frequency(attitude));
+        let omega = body.velocity(momentum);
+        rate = rate.max(so::inner(&omega, &omega).sqrt());
+    }
+    (frequency * schedule.step_s.abs() > SHORT_RAD && frequency > 2.0 * rate).then_some(frequency)
+}
+
+/// How a try went.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Went {
+    /// To its end, with its energy.
+    Well,
+    /// Into a failure, or astray.
+    Badly,
+    /// Nowhere: the work is done, or somebody stopped it.
+    Out,
+}
+
+/// A search for a step.
+struct Search<'a, const N: usize> {
+    body: &'a RigidBody<N>,
+    stepper: &'a mut dyn Stepper<N>,
+    broken: &'a Broken<'a, N>,
+    /// The energy at the start.
+    start: f64,
+}
+
+impl<const N: usize> Search<'_, N> {
+    fn advised(&mut self, most_sweeps: f64) -> Advised {
+        let Schedule { step_s: asked, steps, .. } = self.broken.schedule;
+        let most_steps = (most_sweeps * SHARE / SWEEPS).floor().max(1.0);
+        let (mut failed, mut step_s) = (asked, shorter(asked, 0.5));
+        let mut found = loop {
+            if step_s < SMALLEST_STEP_S {
+                return Advised::NoneWorks;
+            }
+            let span = Span::of(steps as f64 * asked / step_s, most_steps);
+            match self.went(step_s, span) {
+                Went::Well => break (step_s, span.tried(step_s)),
+                Went::Badly => (failed, step_s) = (step_s, shorter(step_s, 0.5)),
+                Went::Out => return Advised::NotFound { tried_s: failed },
+            }
         };
-        if past > TRY_STEPS {
-            return None;
-        }
-        stepper.start(from);
-        let steps = left.min(TRY_STEPS) as u64;
-        match (0..steps).try_for_each(|_| stepper.step(body, step_s).map(|_| ())) {
-            Err(again) => met = again,
-            Ok(()) => {
-                let attitude = stepper.attitude().unwrap_or(initial.attitude);
-                let change = body.energy(&attitude, &stepper.momentum()).total() - start;
-                if change.abs() <= allowed {
-                    return Some(step_s);
-                }
-                // Past it, but astray: half the step again.
-                met = Failure { increments: Vec::new(), turn_rad: None, ..met };
+        while failed > NEAR * found.0 {
+            let between = shorter((failed * found.0).sqrt(), 1.0);
+            let span = Span::of(steps as f64 * asked / between, most_steps);
+            if between <= found.0 || between >= failed {
+                break;
+            }
+            match self.went(between, span) {
+                Went::Well => found = (between, span.tried(between)),
+                Went::Badly => failed = between,
+                Went::Out => break,
             }
         }
+        Advised::Step { step_s: found.0, tried: found.1 }
     }
-    None
+
+    /// Tries a step from the start and, where the place of the failure is too far from there, from just before it too, if
+    /// the run had come there with its energy.
+    fn went(&mut self, step_s: f64, span: Span) -> Went {
+        let Broken { initial, reached, schedule, .. } = self.broken;
+        let count = |steps: u64| (steps as f64 * schedule.step_s / step_s).ceil() as u64;
+        let left = schedule.steps - reached.step;
+        let past = count(left.min(2));
+        let went = self.travels(initial, step_s, span.steps);
+        if went != Went::Well || span.is_whole || count(reached.step) + past <= span.steps {
+            return went;
+        }
+        let last = reached.state();
+        let energy = self.body.energy(&last.attitude, &last.momentum);
+        if (energy.total() - self.start).abs() > LOST * energy.kinetic {
+            return went;
+        }
+        // Not to come past the place is to know nothing.
+        if past > span.steps {
+            return Went::Out;
+        }
+        self.travels(&last, step_s, count(left).min(span.steps))
+    }
+
+    /// Makes so many steps from a state.
+    fn travels(&mut self, from: &State<N>, step_s: f64, steps: u64) -> Went {
+        /// The round-off of the potential is no loss.
+        const ROUND_OFF: f64 = 1e-9;
+        let Self { body, stepper, start, .. } = self;
+        let every = steps.div_ceil(LOOKS);
+        let (mut kinetic, mut off) = (0.0_f64, 0.0_f64);
+        stepper.start(from);
+        for step in 1..=steps {
+            match stepper.step(body, step_s) {
+                Ok(_) => {}
+                Err(Failure { code: FailureCode::Stopped, .. }) => return Went::Out,
+                Err(_) => return Went::Badly,
+            }
+            if step % every == 0 || step == steps {
+                let attitude = stepper.attitude().unwrap_or(from.attitude);
+                let energy = body.energy(&attitude, &stepper.momentum());
+                kinetic = kinetic.max(energy.kinetic);
+                off = off.max((energy.total() - *start).abs());
+                // A number that is none is no energy.
+                if !energy.total().is_finite() {
+                    return Went::Badly;
+                }
+            }
+        }
+        let lost = off > LOST * kinetic && off > ROUND_OFF * start.abs();
+        if lost { Went::Badly } else { Went::Well }
+    }
+}
+
+/// How far a try goes.
+#[derive(Clone, Copy, Debug)]
+struct Span {
+    steps: u64,
+    /// Is that the whole run?
+    is_whole: bool,
+}
+
+impl Span {
+    fn of(asked: f64, most: f64) -> Self {
+        Self { steps: asked.ceil().min(most).max(1.0) as u64, is_whole: asked.ceil() <= most }
+    }
+
+    fn tried(self, step_s: f64) -> Tried {
+        if self.is_whole {
+            Tried::Throughout
+        } else {
+            Tried::For { time_s: self.steps as f64 * step_s }
+        }
+    }
+}
+
+/// A part of a step, rounded down to two decimal digits, as they would be written.
+fn shorter(step_s: f64, part: f64) -> f64 {
+    let target = step_s * part;
+    let exponent = libm::log10(target).floor() - 1.0;
+    let digits = (target / libm::pow(10.0, exponent)).floor();
+    format!("{digits}e{exponent}").parse().unwrap_or(target)
 }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::summary::{
-    self, Diagnosis, EnsembleSummary, MomentumSummary, Outcome, SolverSummary, Summary,
+    self, Diagnosis, EnergySeen, EnsembleSummary, MomentumSummary, Outcome, SolverSummary, Summary,
 };
 use super::{RunError, json};
 use crate::chart::{Course, LogChart};
@@ -23,6 +23,8 @@ pub(super) struct End<const N: usize> {
     pub(super) reached: Checkpoint<N>,
     pub(super) diagnosis: Option<Diagnosis>,
     pub(super) ensemble: Option<EnsembleSummary>,
+    /// Of a run whose log does not tell.
+    pub(super) energy: EnergySeen,
 }
 
 /// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
@@ -34,11 +36,11 @@ pub(super) fn finish<const N: usize>(
     (figures, course): (&Figures, &Course),
     end: End<N>,
 ) -> Result<Summary, RunError> {
-    let End { outcome, reached, diagnosis, ensemble } = end;
+    let End { outcome, reached, diagnosis, ensemble, energy } = end;
     let time_s = reached.step as f64 * plan.step_s;
     // Member 0 may have failed long before the others came to the end.
     let last_s = if ensemble.is_some() { plan.steps as f64 * plan.step_s } else { time_s };
-    let warning = summary::warning(figures);
+    let warning = summary::warning(EnergySeen::at_samples(figures).unwrap_or(energy));
     if let Some(warning) = &warning {
         writer.message(Level::Warning, last_s, warning)?;
     }

@@ -12,8 +12,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread;
 use std::time::Instant;
 
-use super::advice::{self, Broken};
-use super::summary::{Outcome, Summary};
+use super::advice::{self, Broken, Patience};
+use super::summary::{EnergySeen, Outcome, Summary};
 use super::{Control, End, JobContext, RunError, finish, header, json, note, observables};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
@@ -100,9 +100,13 @@ impl Ensemble<'_> {
         };
         let nominal = ends.nominal();
         let figures = nominal.and_then(|end| end.figures).unwrap_or_default();
+        let reached = reached(&assembly.initial, nominal);
+        let first = nominal.and_then(|end| end.initial.as_ref()?.point());
+        let first = first.unwrap_or_else(|| reached.state());
         let end = End {
             outcome,
-            reached: reached(&assembly.initial, nominal),
+            energy: EnergySeen::at_the_ends(&assembly.body, &first, &reached.state()),
+            reached,
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
         };
@@ -286,7 +290,10 @@ impl Ensemble<'_> {
                 diagnosis,
             }
         });
-        Ok(Some(ends.collect()))
+        let ends = ends.collect();
+        // A search for a smaller step that somebody stopped is none.
+        let searched = trajectories.iter().any(|end| matches!(end.ending, Ending::Failed(_)));
+        Ok(if searched && self.context.control.stopped() { None } else { Some(ends) })
     }
 
     /// How a member ended, and its diagnosis if it failed.
@@ -301,7 +308,9 @@ impl Ensemble<'_> {
         };
         let schedule = self.schedule();
         let broken = Broken { initial, reached: &end.reached, schedule, failure };
-        let diagnosis = advice::diagnosis(&assembly.body, assembly.stepper.as_mut(), &broken);
+        let patience = Patience::of(self.plan, self.context.control, self.planned.members);
+        let stepper = assembly.stepper.as_mut();
+        let diagnosis = advice::diagnosis(&assembly.body, stepper, &broken, patience);
         (diagnosis.code.clone(), json(&diagnosis))
     }
 }

@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use super::summary::EnergySeen;
 use super::{Diagnosis, End, Outcome, RunError, Summary, finish, header};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::chart::Course;
@@ -93,7 +94,8 @@ impl Task for GiveUp<'_> {
         };
         let resumed_step = reached.step;
         let diagnosis = Some(diagnosis);
-        let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None };
+        let energy = EnergySeen::at_the_ends(&assembly.body, &assembly.initial, &reached.state());
+        let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None, energy };
         let summary = finish(scenario, plan, log, writer, (&figures, &course), end)?;
         Ok(Summary { resumed_step, ..summary })
     }

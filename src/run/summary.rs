@@ -7,8 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::log::messages::Figures;
 use crate::scenario::Expect;
-use crate::solve::failure::Failure;
+use crate::solve::failure::{Failure, FailureCode};
+use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
+use crate::solve::trajectory::State;
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -178,7 +180,7 @@ pub struct Diagnosis {
     pub cause: String,
     /// What to do about it, for a person.
     pub advice: String,
-    /// A step in seconds that got past the place; absent if none did.
+    /// A step in seconds that carries the run, as far as it was tried; absent if none was found.
     pub advised_step_s: Option<f64>,
 }
 
@@ -190,14 +192,54 @@ pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
     })
 }
 
-/// A run may lose its energy without a step that fails: steps over a near charge, each of them finite. As in a
-/// stability map, an error beyond a tenth of the energy that moves is no integration any more.
-pub(super) fn warning(figures: &Figures) -> Option<String> {
-    const MEANINGLESS: f64 = 0.1;
+/// As in a stability map, an error beyond this part of the energy that moves is no integration any more.
+pub(super) const MEANINGLESS: f64 = 0.1;
+
+/// The energy of a run, as far as somebody looked.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct EnergySeen {
+    /// At the start.
+    initial: f64,
+    /// Largest |H - H0|.
+    error: f64,
+    /// Largest kinetic energy.
+    kinetic: f64,
+}
+
+impl EnergySeen {
+    /// At the samples; `None` if `/energy` was not logged.
+    pub(super) fn at_samples(figures: &Figures) -> Option<Self> {
+        Some(Self {
+            initial: figures.energy_initial?,
+            error: figures.energy_max_abs_error?,
+            kinetic: figures.kinetic_max?,
+        })
+    }
+
+    /// At the start and at the end alone.
+    pub(super) fn at_the_ends<const N: usize>(
+        body: &RigidBody<N>,
+        start: &State<N>,
+        end: &State<N>,
+    ) -> Self {
+        let [first, last] = [start, end].map(|at| body.energy(&at.attitude, &at.momentum));
+        // A run that begins and ends at rest has moved between: by about as much as the torque does in a radian.
+        let torque = |at: &State<N>| {
+            let torque = body.gradient_at(&at.attitude);
+            so::inner(&torque, &torque).sqrt()
+        };
+        let moved = first.kinetic.max(last.kinetic).max(torque(start)).max(torque(end));
+        let error = (last.total() - first.total()).abs();
+        Self { initial: first.total(), error, kinetic: moved }
+    }
+}
+
+/// A run may lose its energy without a step that fails: steps over a near charge, each of them finite.
+pub(super) fn warning(seen: EnergySeen) -> Option<String> {
     /// At rest nothing moves, and the round-off of the potential is no loss.
     const ROUND_OFF: f64 = 1e-9;
-    let (error, kinetic) = (figures.energy_max_abs_error?, figures.kinetic_max?);
-    let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * figures.energy_initial?.abs();
+    let EnergySeen { initial, error, kinetic } = seen;
+    let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * initial.abs();
     lost.then(|| {
         format!(
             "the energy was off by {error:.1e} J, where at most {kinetic:.1e} J moved: no step failed, but the run \
@@ -226,19 +268,72 @@ pub(super) fn final_state<const N: usize>(
     FinalState { attitude: attitude.map(rows), body_momentum }
 }
 
+/// What came of a search for a smaller step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Advised {
+    /// A step that was tried.
+    Step { step_s: f64, tried: Tried },
+    /// The work allowed was done before one was found.
+    NotFound {
+        /// The smallest that failed.
+        tried_s: f64,
+    },
+    /// There is none.
+    NoneWorks,
+}
+
+/// How far a step was tried.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Tried {
+    /// Over the whole run.
+    Throughout,
+    /// For so long, from the start and, if the run had come there with its energy, from where it failed.
+    For { time_s: f64 },
+}
+
+/// What happened, for a person: the common reason, or the stiffness where that is it.
+fn cause(failure: &Failure, frequency: Option<f64>, step_s: f64) -> String {
+    use FailureCode as Code;
+    let of_size = matches!(failure.code, Code::MaxIterations | Code::Diverged | Code::Stalled);
+    match frequency.filter(|_| of_size) {
+        Some(frequency) => format!(
+            "the implicit equations of the step are not solved: the potential is stiff, its fastest oscillation of {frequency:.1e} rad/s \
+             goes through {:.1e} rad in a step, and not how fast the body turns limits it",
+            frequency * step_s.abs()
+        ),
+        None => failure.code.cause().to_owned(),
+    }
+}
+
 pub(super) fn diagnosis(
     failure: &Failure,
+    frequency: Option<f64>,
     steps_done: u64,
     step_s: f64,
-    advised_step_s: Option<f64>,
+    advised: Advised,
 ) -> Diagnosis {
     let finite = |x: f64| x.is_finite().then_some(x);
-    let advice = match advised_step_s {
-        Some(advised) => {
-            let advised = serde_json::json!(advised);
-            format!("try \"step_s\": {advised} or a tableau with more stages")
+    let written = |step_s: f64| serde_json::json!(step_s);
+    let (advice, advised_step_s) = match advised {
+        Advised::Step { step_s, tried } => {
+            let advice =
+                format!("try \"step_s\": {} or a tableau with more stages", written(step_s));
+            let advice = match tried {
+                Tried::Throughout => advice,
+                Tried::For { time_s } => format!("{advice}; it was tried for {time_s:.3} s only"),
+            };
+            (advice, Some(step_s))
         }
-        None => "no smaller step got past this place; look at the scene there".to_owned(),
+        Advised::NotFound { tried_s } => (
+            format!(
+                "try a much smaller step than {}, or look at the scene there: none was found in the time that there is to try",
+                written(tried_s)
+            ),
+            None,
+        ),
+        Advised::NoneWorks => {
+            ("no smaller step got past this place; look at the scene there".to_owned(), None)
+        }
     };
     Diagnosis {
         code: failure.code.as_str().to_owned(),
@@ -250,7 +345,7 @@ pub(super) fn diagnosis(
         limit: finite(failure.limit),
         iterations: failure.iterations,
         increments: failure.increments.clone(),
-        cause: failure.code.cause().to_owned(),
+        cause: cause(failure, frequency, step_s),
         advice,
         advised_step_s,
     }

@@ -8,15 +8,19 @@
 //! Integration, V.3.2). Here S is kick, drift, kick: half a step of the potential's torque, a step of the
 //! free body, the other half; kicks that meet are made at once.
 //!
+//! Many small changes add up to a step; what rounding takes off a sum is carried to the next, so that it makes a random
+//! walk and no line (Hairer, McLachlan, Razakarivony 2008, BIT 48).
+//!
 //! Invariant: a composition of a symplectic and symmetric S is symplectic and symmetric.
 
-use nalgebra::Vector3;
+use nalgebra::{Quaternion, Vector3};
 
 use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::nonlinear::Convergence;
 use super::so::{Mat, Vector};
 use super::so3::{self, Top};
+use super::space;
 
 /// Suzuki (1990), Physics Letters A 146: five steps, `1 / (4 - 4^(1/3))` four times around the rest.
 const ORDER_4: [f64; 3] =
@@ -43,6 +47,56 @@ const ORDER_8: [f64; 9] = [
     0.295_011_723_609_310_3,
     -0.605_508_533_830_034_6,
 ];
+
+/// What a drift does to the free body.
+#[derive(Clone, Copy, Debug)]
+pub struct Drift {
+    /// f of `g1 = g0 f`.
+    pub turn: Quaternion<f64>,
+    /// What the body momentum gains.
+    pub gain: Vector3<f64>,
+}
+
+/// A point of T*SO(3) as a sum: what it is, and what is still to be added.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sum {
+    /// The point.
+    pub top: Top,
+    carry: Top,
+}
+
+impl From<Top> for Sum {
+    fn from(top: Top) -> Self {
+        let attitude = Quaternion::from_imag(Vector3::zeros());
+        Self { top, carry: Top { attitude, momentum: Vector3::zeros() } }
+    }
+}
+
+impl Sum {
+    /// Adds to the body momentum.
+    fn push(&mut self, gain: &Vector3<f64>) {
+        for i in 0..3 {
+            let gain = gain[i] + self.carry.momentum[i];
+            let (sum, left) = space::sum(self.top.momentum[i], gain);
+            (self.top.momentum[i], self.carry.momentum[i]) = (sum, left);
+        }
+    }
+
+    /// `q1 = q0 + q0 (f - 1)`, and what its length lacks of one.
+    fn turn(&mut self, turn: &Quaternion<f64>) {
+        let Self { top: Top { attitude, .. }, carry: Top { attitude: carry, .. } } = self;
+        // Of the two quaternions of a rotation that next to one, with 1 - w = |v|^2 / (1 + w).
+        let turn = turn * 1.0_f64.copysign(turn.w);
+        let v = turn.vector();
+        let small = Quaternion::from_parts(-v.norm_squared() / (1.0 + turn.w), v.into_owned());
+        let lack = 0.5 - 0.5 * attitude.norm_squared();
+        let change = *attitude * small + (*carry + *carry * small + *attitude * lack);
+        for i in 0..4 {
+            let (sum, left) = space::sum(attitude.coords[i], change.coords[i]);
+            (attitude.coords[i], carry.coords[i]) = (sum, left);
+        }
+    }
+}
 
 /// The steps of a composition, as parts of h.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,7 +129,7 @@ impl Composition {
         &self.parts
     }
 
-    /// One step of `h` from `top`; `drift` carries the free body on. Convergence counts the iterations of
+    /// One step of `h` from `state`; `drift` carries the free body on. Convergence counts the iterations of
     /// all drifts and the largest last increment.
     ///
     /// `seen` is scratch.
@@ -86,18 +140,19 @@ impl Composition {
         &self,
         body: &RigidBody<3>,
         seen: &mut Vec<Vector<3>>,
-        mut top: Top,
+        mut state: Sum,
         h: f64,
-        mut drift: impl FnMut(&Top, f64) -> Result<(Top, Convergence), Failure>,
-    ) -> Result<(Top, Convergence), Failure> {
+        mut drift: impl FnMut(&Top, f64) -> Result<(Drift, Convergence), Failure>,
+    ) -> Result<(Sum, Convergence), Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), seen);
         let mut total = Convergence { iterations: 0, ..Convergence::EXPLICIT };
         let mut before = 0.0;
         for &part in &self.parts {
-            top.momentum += kick(body, seen, &top, 0.5 * h * (before + part))?;
-            let solved;
-            (top, solved) = drift(&top, h * part)?;
+            state.push(&kick(body, seen, &state.top, 0.5 * h * (before + part))?);
+            let (Drift { turn, gain }, solved) = drift(&state.top, h * part)?;
+            state.turn(&turn);
+            state.push(&gain);
             total = Convergence {
                 iterations: total.iterations + solved.iterations,
                 increment: total.increment.max(solved.increment),
@@ -105,8 +160,9 @@ impl Composition {
             };
             before = part;
         }
-        top.momentum += kick(body, seen, &top, 0.5 * h * before)?;
-        Ok((top.finite()?, total))
+        state.push(&kick(body, seen, &state.top, 0.5 * h * before)?);
+        state.top.finite()?;
+        Ok((state, total))
     }
 }
 
@@ -117,7 +173,7 @@ fn kick(
     top: &Top,
     h: f64,
 ) -> Result<Vector3<f64>, Failure> {
-    let g = so3::unit_rotation(&top.attitude);
+    let g = so3::rotation(&top.attitude);
     body.check_distances(&g, seen)?;
     Ok(so3::vector(&body.gradient(&g, seen)) * -h)
 }

@@ -14,6 +14,8 @@ pub enum FailureCode {
     Diverged,
     /// The increments stopped falling far above round-off.
     Stalled,
+    /// The equations of the step are solved, but not by the solution that smaller steps lead to.
+    SecondRoot,
     /// A stage's interpolated matrix is singular or orientation-reversing: it has no polar factor in SO(n).
     LeftGlPlus,
     /// A stage's interpolated matrix is too close to a singular one.
@@ -37,6 +39,7 @@ impl FailureCode {
             Self::MaxIterations => "not_converged.max_iterations",
             Self::Diverged => "not_converged.diverged",
             Self::Stalled => "not_converged.stalled",
+            Self::SecondRoot => "not_converged.second_root",
             Self::LeftGlPlus => "polar.left_gl_plus",
             Self::IllConditioned => "polar.ill_conditioned",
             Self::BranchJump => "polar.branch_jump",
@@ -58,6 +61,9 @@ impl FailureCode {
             }
             Self::Stalled => {
                 "the implicit equations of the step stopped converging above round-off: values of very different size meet in the scene"
+            }
+            Self::SecondRoot => {
+                "the implicit equations of the step have several solutions, and the one found is not that to which smaller steps lead: the step is too large"
             }
             Self::LeftGlPlus => {
                 "the body turns so far within the step that the interpolated matrix is singular or reversed"

@@ -31,7 +31,7 @@
 
 use nalgebra::{Quaternion, Vector3};
 
-use super::so3::{self, Top};
+use super::composition::Drift;
 
 /// Longest piece in units of the argument u of Jacobi's functions. The nearest poles are at least pi / 2
 /// away from the real axis: eight terms of the series of S^2 leave 1e-17, five nodes leave 1e-18.
@@ -57,16 +57,16 @@ const SHORT_RULE: [(f64, f64); 3] = [
     (0.887_298_334_620_741_7, 0.277_777_777_777_777_8),
 ];
 
-/// Carries a free body on by `h`, given its inverse principal moments of inertia.
+/// How a free body moves in `h`, given its inverse principal moments of inertia and its momentum.
 ///
 /// `None` if the values are not finite or the body turns by more than about 10^4 radians.
-pub fn flow(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
-    let size = top.momentum.norm();
+pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> {
+    let size = mu.norm();
     if size == 0.0 {
-        return Some(*top);
+        return Some(Drift { turn: Quaternion::identity(), gain: Vector3::zeros() });
     }
     let axes = Axes::new(inverse);
-    let mut m = axes.0.map(|axis| top.momentum[axis]);
+    let mut m = axes.0.map(|axis| mu[axis]);
     let constants = Constants::new(axes.0.map(|axis| inverse[axis]), m);
     let [a, b] = constants.squares;
     // The sum keeps a NaN, a maximum would not.
@@ -81,33 +81,32 @@ pub fn flow(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
     let pole = Pole { axis: axes.0[place], sign: 1.0_f64.copysign(m[place]) };
     let t = h / pieces;
     let series = constants.series(t);
-    let mut integral = 0.0;
+    let (mut integral, mut gains) = (0.0, [0.0; 3]);
     for _ in 0..pieces as u32 {
         for &(node, weight) in rule {
             // t / (G + e . mu)
             let [numerator, divisor] = constants.place(place, m, series.at(node));
             integral += weight * t * divisor / (size * divisor + pole.sign * numerator);
         }
-        m = constants.carried(m, &series);
+        let change = constants.change(m, &series);
+        for i in 0..3 {
+            (m[i], gains[i]) = (m[i] + change[i], gains[i] + change[i]);
+        }
     }
-    let mut momentum = Vector3::zeros();
-    for (axis, value) in axes.0.into_iter().zip(m) {
-        momentum[axis] = value;
+    let mut gain = Vector3::zeros();
+    for (axis, value) in axes.0.into_iter().zip(gains) {
+        gain[axis] = value;
     }
     let w = inverse[pole.axis];
     // 2 T - G^2 w_e, without the difference of large numbers.
-    let excess: f64 = (0..3)
-        .filter(|&i| i != pole.axis)
-        .map(|i| (inverse[i] - w) * top.momentum[i] * top.momentum[i])
-        .sum();
+    let excess: f64 =
+        (0..3).filter(|&i| i != pole.axis).map(|i| (inverse[i] - w) * mu[i] * mu[i]).sum();
     let half = 0.5 * (size * w * h + excess * integral);
     let mut direction = Vector3::zeros();
     direction[pole.axis] = pole.sign;
     let turn = Quaternion::from_parts(libm::cos(half), direction * libm::sin(half));
-    let (start, end) = (pole.to(&top.momentum, size), pole.to(&momentum, size));
-    let change = (start * turn * end.conjugate()).normalize();
-    let attitude = so3::renormalised(&(top.attitude * change));
-    Some(Top { attitude, momentum })
+    let (start, end) = (pole.to(mu, size), pole.to(&(mu + gain), size));
+    Some(Drift { turn: (start * turn * end.conjugate()).normalize(), gain })
 }
 
 /// The axes x, y, z, y that of the middle moment, right-handed.
@@ -154,20 +153,20 @@ impl Constants {
         Series { t, squares: [a, b], w }
     }
 
-    /// x, y, z at the end of a piece.
+    /// What x, y, z gain in a piece.
     ///
-    /// By changes, in the small numbers c - 1 and d - 1: ratios next to one would round the same way in every
+    /// In the small numbers c - 1 and d - 1: ratios next to one would round the same way in every
     /// piece, and the size of the momentum would drift.
-    fn carried(&self, [x, y, z]: [f64; 3], series: &Series) -> [f64; 3] {
+    fn change(&self, [x, y, z]: [f64; 3], series: &Series) -> [f64; 3] {
         let [alpha, beta, gamma] = self.rates;
         let [s, c, d] = series.at(1.0);
         let [c1, d1] = series.excess();
         let rest = alpha * gamma * (s * y) * (s * y);
         let scale = 1.0 / (1.0 - rest);
         [
-            x + (x * (c1 + rest) + alpha * s * d * y * z) * scale,
-            y + (y * (c1 + d1 + c1 * d1 + rest) + beta * s * z * x) * scale,
-            z + (z * (d1 + rest) + gamma * s * c * x * y) * scale,
+            (x * (c1 + rest) + alpha * s * d * y * z) * scale,
+            (y * (c1 + d1 + c1 * d1 + rest) + beta * s * z * x) * scale,
+            (z * (d1 + rest) + gamma * s * c * x * y) * scale,
         ]
     }
 
@@ -225,6 +224,14 @@ impl Pole {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::solve::so3::{self, Top};
+
+    /// Where the body is after `h`.
+    fn after(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
+        let Drift { turn, gain } = flow(inverse, &top.momentum, h)?;
+        let attitude = so3::renormalised(&(top.attitude * turn));
+        Some(Top { attitude, momentum: top.momentum + gain })
+    }
 
     #[test]
     fn a_long_step_is_many_short_ones_and_keeps_what_is_kept() {
@@ -242,13 +249,13 @@ mod tests {
                 let attitude = Quaternion::new(0.1, -0.7, 0.5, 0.5);
                 let start = Top { attitude, momentum };
                 let start = Top { attitude: start.attitude.normalize(), ..start };
-                let long = flow(&inverse, &start, 1.0).expect("finite");
+                let long = after(&inverse, &start, 1.0).expect("finite");
                 let short = (0..400)
-                    .fold(start, |top, _| flow(&inverse, &top, 1.0 / 400.0).expect("finite"));
+                    .fold(start, |top, _| after(&inverse, &top, 1.0 / 400.0).expect("finite"));
                 let scale = 1.0 + momentum.norm() * inverse.amax();
                 assert!((long.momentum - short.momentum).amax() < 4e-15 * scale);
                 assert!((long.attitude - short.attitude).norm() < 1e-14 * scale);
-                let back = flow(&inverse, &long, -1.0).expect("finite");
+                let back = after(&inverse, &long, -1.0).expect("finite");
                 assert!((back.attitude - start.attitude).norm() < 1e-14 * scale);
                 let energy = |m: &Vector3<f64>| 0.5 * m.dot(&m.component_mul(&inverse));
                 let change = energy(&long.momentum) - energy(&momentum);
@@ -258,8 +265,8 @@ mod tests {
             }
         }
         let spin = Top { momentum: Vector3::new(1.0, 0.0, 0.0), ..Top::at_rest() };
-        assert_eq!(flow(&Vector3::repeat(f64::NAN), &spin, 1.0), None);
-        assert_eq!(flow(&Vector3::new(1.0, 2.0, 3.0), &spin, 1e9), None);
+        assert_eq!(after(&Vector3::repeat(f64::NAN), &spin, 1.0), None);
+        assert_eq!(after(&Vector3::new(1.0, 2.0, 3.0), &spin, 1e9), None);
     }
 
     #[test]
@@ -268,7 +275,7 @@ mod tests {
         let start = Top { momentum: Vector3::new(0.3, -0.8, 0.5), ..Top::at_rest() };
         // Five points, fourth order.
         let e = 1e-3;
-        let at = |k: f64| flow(&inverse, &start, k * e).expect("finite");
+        let at = |k: f64| after(&inverse, &start, k * e).expect("finite");
         let (one, two) =
             (at(1.0).momentum - at(-1.0).momentum, at(2.0).momentum - at(-2.0).momentum);
         let omega = start.momentum.component_mul(&inverse);

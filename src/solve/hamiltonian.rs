@@ -12,6 +12,7 @@ use super::failure::{Failure, FailureCode};
 use super::so::{Mat, Vector};
 use super::work::Work;
 
+mod frequency;
 mod plane;
 mod torque;
 

@@ -25,6 +25,19 @@ pub struct StopRule {
     pub foresee: bool,
 }
 
+impl StopRule {
+    /// A rule that goes to round-off, to the last digit that sweeps find: what they leave at its tolerance leans to one
+    /// side, and would add up to a line. One with a tolerance of its own stays as it is.
+    pub fn to_the_floor(self) -> Self {
+        let round_off = Self::default().tolerance;
+        if self.tolerance > round_off {
+            self
+        } else {
+            Self { tolerance: 0.0, foresee: false, ..self }
+        }
+    }
+}
+
 /// The rungs of the solver that may be tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rungs {
@@ -146,6 +159,11 @@ impl Solver {
     /// A solver that follows `rule`.
     pub fn new(rule: StopRule) -> Self {
         Self { rule, newton: Newton::default() }
+    }
+
+    /// The same by sweeps alone.
+    pub fn by_sweeps(&self) -> Self {
+        Self::new(StopRule { rungs: Rungs::FixedPoint, ..self.rule })
     }
 
     /// Solves `equations` from their first guess: by sweeps, and by Newton's method where they contract too

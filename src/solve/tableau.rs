@@ -6,6 +6,8 @@
 
 use thiserror::Error;
 
+mod gauss;
+
 /// Coefficients `a_ij`, `b_j` of a Runge-Kutta method, as the internal points and the end point of the
 /// VPD discrete Lagrangian use them (paper, internal and restrict).
 #[derive(Clone, Debug, PartialEq)]
@@ -106,32 +108,12 @@ impl Tableau {
 
     /// Gauss collocation with `stages` nodes, order 2 `stages`.
     ///
-    /// `None` for 0 or more than 8 stages. The nodes are the roots of the shifted Legendre polynomial, and
-    /// with `P_k` shifted to [0, 1] and Gauss quadrature exact,
-    /// `a_ij = b_j sum_{k<s} (2k+1) P_k(c_j) int_0^{c_i} P_k` (Hairer, Wanner, Solving ODEs II, IV.5).
+    /// `None` for 0 or more than 8 stages.
     pub fn gauss(stages: usize) -> Option<Self> {
         if !(1..=8).contains(&stages) {
             return None;
         }
-        let nodes: Vec<f64> = (0..stages).map(|i| legendre_root(stages, i)).collect();
-        let values: Vec<Vec<f64>> = nodes.iter().map(|&t| legendre(stages + 1, t)).collect();
-        // b = 1 / sum_{k<s} (2k+1) P_k(c)^2, the Christoffel numbers on [0, 1].
-        let b: Vec<f64> = values
-            .iter()
-            .map(|p| 1.0 / (0..stages).map(|k| (2 * k + 1) as f64 * p[k] * p[k]).sum::<f64>())
-            .collect();
-        let a = (0..stages)
-            .map(|i| {
-                (0..stages)
-                    .map(|j| {
-                        let sum: f64 = (0..stages)
-                            .map(|k| values[j][k] * integral(&values[i], nodes[i], k))
-                            .sum();
-                        b[j] * sum
-                    })
-                    .collect()
-            })
-            .collect();
+        let (a, b) = gauss::coefficients(stages);
         Self::new(a, b).ok()
     }
 
@@ -393,48 +375,6 @@ fn graft(branches: &[Tree], first: usize, root: Tree, size: u32, grown: &mut Vec
     }
 }
 
-/// `P_0(t), ..., P_n(t)` at `t = 2 c - 1`, given the node `c` in [0, 1].
-fn legendre(n: usize, c: f64) -> Vec<f64> {
-    let t = 2.0 * c - 1.0;
-    let mut p = vec![1.0, t];
-    for k in 1..n {
-        let k1 = (k + 1) as f64;
-        // (k+1) P_{k+1} = (2k+1) t P_k - k P_{k-1}
-        p.push(((2 * k + 1) as f64 * t * p[k] - k as f64 * p[k - 1]) / k1);
-    }
-    p
-}
-
-/// `(2k+1) int_0^c P_k = (P_{k+1} - P_{k-1}) / 2` on [0, 1], and `c` for k = 0.
-fn integral(p: &[f64], c: f64, k: usize) -> f64 {
-    if k == 0 { c } else { 0.5 * (p[k + 1] - p[k - 1]) }
-}
-
-/// Root number `i` (ascending) of the shifted Legendre polynomial of degree `n`, by Newton from
-/// Tricomi's estimate. The pair of roots c and 1 - c is made exact.
-fn legendre_root(n: usize, i: usize) -> f64 {
-    if 2 * i + 1 == n {
-        return 0.5;
-    }
-    if 2 * i + 1 > n {
-        return 1.0 - legendre_root(n, n - 1 - i);
-    }
-    let guess = libm::cos(std::f64::consts::PI * (i as f64 + 0.75) / (n as f64 + 0.5));
-    let mut c = 0.5 * (1.0 - guess);
-    for _ in 0..20 {
-        let p = legendre(n, c);
-        let t = 2.0 * c - 1.0;
-        // (t^2 - 1) P_n' = n (t P_n - P_{n-1}); dt = 2 dc
-        let slope = 2.0 * n as f64 * (t * p[n] - p[n - 1]) / (t * t - 1.0);
-        let change = p[n] / slope;
-        c -= change;
-        if change.abs() <= f64::EPSILON * c {
-            break;
-        }
-    }
-    c
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -481,6 +421,25 @@ mod tests {
                     let defect = t.b[i] * t.a[i][j] + t.b[j] * t.a[j][i] - t.b[i] * t.b[j];
                     assert!(defect.abs() < 1e-16, "{stages} stages: {defect:e}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn gauss_keeps_its_clock() {
+        let exact = |numbers: &[f64]| gauss::total(numbers.iter().map(|&x| gauss::Twice::from(x)));
+        for stages in 1..=8 {
+            let t = Tableau::gauss(stages).expect("1 to 8 stages");
+            // Not by one digit too much or too little: the sum of doubles is the number one.
+            let sum = exact(&t.b);
+            assert_eq!((sum.high, sum.low), (1.0, 0.0), "{stages} stages");
+            for i in 0..stages {
+                assert_eq!(t.b[i], t.b[stages - 1 - i]);
+                // A row sums to its node, of which there are two that make one, up to half a unit of each entry.
+                let last_place = t.a[i].iter().map(|a| a.abs()).sum::<f64>() * f64::EPSILON / 2.0;
+                let both = exact(&[t.a[i].as_slice(), &t.a[stages - 1 - i]].concat());
+                let defect = (both.high - 1.0) + both.low;
+                assert!(defect.abs() <= 2.0 * last_place, "{stages} stages: {defect:e}");
             }
         }
     }

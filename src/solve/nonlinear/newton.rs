@@ -47,6 +47,8 @@ impl Newton {
         equations: &mut impl Equations,
     ) -> Result<Convergence, Failure> {
         let mut history = History::new();
+        // A correction squares the error: none is needed for what is left at round-off.
+        let tolerance = rule.tolerance.max(StopRule::default().tolerance);
         equations.settle()?;
         self.take(equations);
         let mut increment = equations.sweep()?;
@@ -57,7 +59,7 @@ impl Newton {
             if !increment.is_finite() {
                 return Err(history.failure(FailureCode::NonFinite, f64::MAX));
             }
-            if increment <= rule.tolerance
+            if increment <= tolerance
                 || (increment >= previous && increment <= super::ROUND_OFF_FLOOR)
             {
                 let iterations = corrections.max(1);
@@ -67,7 +69,7 @@ impl Newton {
             self.linear_solve(equations).map_err(|failure| history.of(failure, corrections))?;
             increment = self.corrected(equations, increment, &history)?;
         }
-        Err(history.failure(FailureCode::MaxIterations, rule.tolerance))
+        Err(history.failure(FailureCode::MaxIterations, tolerance))
     }
 
     fn take(&mut self, equations: &impl Equations) {

@@ -110,6 +110,11 @@ impl<const N: usize> GalerkinStep<N> {
         Self { past: Some(Past::default()), ..self }
     }
 
+    /// The same, solved by sweeps alone, with no step before.
+    pub(super) fn by_sweeps(&self) -> Self {
+        Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
+    }
+
     /// The next step follows none.
     pub(super) fn forget(&mut self) {
         if let Some(past) = &mut self.past {
@@ -173,6 +178,26 @@ impl<const N: usize> GalerkinStep<N> {
     pub(super) fn momentum(&self) -> Mat<N> {
         let End { e, lambda, .. } = &self.end;
         -(lambda * 2.0 + so::asym(&so::product(e, lambda)))
+    }
+
+    /// What the step of length `h` changes, in the frame of g0, each small by itself: `f - I = D - f E` for
+    /// `I + D = f (I + E)`, and the impulse of the forces
+    ///
+    /// ```text
+    /// pi1 - p0 = -h sum_k b_k U_k dH/dg(U_k) U_k^T,      p1 = f^T pi1 f
+    /// ```
+    ///
+    /// which is (vih4) and (vih5) with the equations of the stages summed: everything but the forces cancels.
+    pub(super) fn changes(&self, dynamics: &impl Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
+        let (mut d, mut impulse) = (Mat::zeros(), Mat::zeros());
+        for (k, stage) in self.stages.iter().enumerate() {
+            let weight = h * self.tableau.b(k);
+            d += stage.u_omega * weight;
+            if let Some(gradient) = dynamics.gradient(&stage.u, &stage.omega) {
+                impulse -= so::conjugate(&stage.u, &gradient) * weight;
+            }
+        }
+        (d - so::product(&self.end.f, &self.end.e), impulse)
     }
 
     /// The smallest singular value of the interpolated matrices.

@@ -22,7 +22,7 @@
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
-use crate::solve::composition::Composition;
+use crate::solve::composition::{Composition, Drift, Sum};
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::{Convergence, Rung, StopRule, fixed_point};
@@ -36,7 +36,7 @@ use crate::solve::trajectory::State;
 pub struct Lgvi {
     composition: Composition,
     stop: StopRule,
-    top: Top,
+    state: Sum,
     seen: Vec<Vector<3>>,
 }
 
@@ -45,7 +45,7 @@ impl Lgvi {
     /// other order.
     pub fn new(order: u32, stop: StopRule) -> Option<Self> {
         let composition = Composition::new(order)?;
-        Some(Self { composition, stop, top: Top::at_rest(), seen: Vec::new() })
+        Some(Self { composition, stop, state: Top::at_rest().into(), seen: Vec::new() })
     }
 }
 
@@ -55,34 +55,33 @@ impl Stepper<3> for Lgvi {
     }
 
     fn start(&mut self, state: &State<3>) {
-        self.top = Top::from_state(state);
+        self.state = Top::from_state(state).into();
     }
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let inverse = body.inverse_inertia();
         let inertia = inverse.try_inverse().ok_or(too_large(0.0, 0.0))?;
         let stop = self.stop;
-        let (top, convergence) =
-            self.composition.step(body, &mut self.seen, self.top, h, |top, h| {
+        let (state, convergence) =
+            self.composition.step(body, &mut self.seen, self.state, h, |top, h| {
                 let half = top.momentum * (0.5 * h);
                 let (turn, convergence) = solve(&inertia, &half, inverse * half, stop)?;
                 // F^T p by its change, relative to which it is rounded.
                 let v = Vector3::from(turn.vector());
                 let across = v.cross(&top.momentum);
-                let momentum = top.momentum + (v.cross(&across) - across * turn.scalar()) * 2.0;
-                let attitude = so3::renormalised(&(top.attitude * turn));
-                Ok((Top { attitude, momentum }, convergence))
+                let gain = (v.cross(&across) - across * turn.scalar()) * 2.0;
+                Ok((Drift { turn, gain }, convergence))
             })?;
-        self.top = top;
+        self.state = state;
         Ok(convergence)
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        Some(so3::rotation(&self.top.attitude))
+        Some(so3::rotation(&self.state.top.attitude))
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.top.momentum)
+        so3::skew(&self.state.top.momentum)
     }
 }
 

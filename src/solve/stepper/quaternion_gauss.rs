@@ -95,7 +95,7 @@ impl QuaternionGauss {
             weights: (0..stages).map(|j| tableau.b(j)).collect(),
             tableau,
             skew,
-            stop,
+            stop: stop.to_the_floor(),
             now: Point { q: Quaternion::identity(), pi: ZERO },
             carry: Point::zero(),
             stages: vec![stage; stages],

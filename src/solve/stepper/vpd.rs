@@ -4,11 +4,11 @@
 //! Invariant: on success the state has moved by one step of the tableau's order and its attitude is on the
 //! group to round-off; on failure it has not moved. No sine, cosine or exponential is used.
 
-use super::Stepper;
 use super::galerkin::{Dynamics, GalerkinStep};
+use super::{Stepper, check_root};
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
-use crate::solve::nonlinear::{Convergence, StopRule};
+use crate::solve::nonlinear::{Convergence, Rung, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
@@ -68,9 +68,13 @@ impl<const N: usize> Stepper<N> for Vpd<N> {
         let omega = body.velocity(&state.momentum);
         let mut dynamics = Hamiltonian { body, seen };
         let convergence = step.solve(&mut dynamics, h, &state.momentum, &omega)?;
-        state.momentum = step.momentum();
         // The product drifts off the group like any product; one correction in space puts it back.
-        state.attitude = so::orthonormalised(&so::product(&state.attitude, step.rotation()));
+        let attitude = so::orthonormalised(&so::product(&state.attitude, step.rotation()));
+        if convergence.rung == Rung::Newton {
+            let halves = Self { step: step.by_sweeps(), state: state.clone(), seen: Vec::new() };
+            check_root(convergence, halves, body, h, &attitude)?;
+        }
+        *state = State { attitude, momentum: step.momentum() };
         Ok(convergence)
     }
 

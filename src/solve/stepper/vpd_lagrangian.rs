@@ -10,32 +10,62 @@
 //! with the second derivative of the beginning of the step, so that the sweeps converge to the
 //! solution of (vil1) whatever the Lagrangian. For a hyperregular one this is the map of the Hamiltonian form.
 //!
+//! The state is the attitude and the momentum in space. A step adds to each what is small beside it, and what rounding
+//! takes off a sum is carried to the next step, as in [`super::vpd_space`]: in space the momentum is what forces make of
+//! it and nothing else.
+//!
 //! Invariant: nothing is asked of the system but the derivatives of its Lagrangian.
 
 use nalgebra::DMatrix;
 
-use super::Stepper;
 use super::galerkin::{Dynamics, GalerkinStep};
+use super::{Stepper, check_root};
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
-use crate::solve::nonlinear::{Convergence, StopRule};
+use crate::solve::nonlinear::{Convergence, Rung, StopRule};
 use crate::solve::so::{self, Mat};
+use crate::solve::space;
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
-/// The stepper: the shared step, the state, and the velocity that belongs to it.
+/// The stepper: the shared step and the state.
 #[derive(Clone, Debug)]
 pub struct VpdLagrangian<const N: usize> {
     step: GalerkinStep<N>,
     state: State<N>,
+    attitude: Sum<N>,
+    /// In space.
+    momentum: Sum<N>,
+}
+
+/// A sum, and what rounding has taken off it.
+#[derive(Clone, Debug)]
+struct Sum<const N: usize> {
+    value: Mat<N>,
+    carry: Mat<N>,
+}
+
+impl<const N: usize> Sum<N> {
+    fn new(value: Mat<N>) -> Self {
+        Self { value, carry: Mat::zeros() }
+    }
+
+    /// Adds `change` and what is carried.
+    fn add(&mut self, change: &Mat<N>) {
+        for i in 0..N * N {
+            let (sum, left) = space::sum(self.value[i], change[i] + self.carry[i]);
+            (self.value[i], self.carry[i]) = (sum, left);
+        }
+    }
 }
 
 impl<const N: usize> VpdLagrangian<N> {
     /// A stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
-        Self { step: GalerkinStep::new(tableau, stop), state }
+        let (attitude, momentum) = (Sum::new(state.attitude), Sum::new(state.momentum));
+        Self { step: GalerkinStep::new(tableau, stop.to_the_floor()), state, attitude, momentum }
     }
 
     /// Carries the state forward by `h` along any Lagrangian.
@@ -48,7 +78,7 @@ impl<const N: usize> VpdLagrangian<N> {
         lagrangian: &dyn Lagrangian<N>,
         h: f64,
     ) -> Result<Convergence, Failure> {
-        let Self { step, state } = self;
+        let Self { step, state, attitude, momentum } = self;
         let singular = || Failure::new(FailureCode::Diverged, None, f64::INFINITY, f64::MAX);
         let g0 = state.attitude;
         let zero = Mat::zeros();
@@ -57,10 +87,20 @@ impl<const N: usize> VpdLagrangian<N> {
         let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
         let mut dynamics = Euler { lagrangian, g0, inverse };
         let convergence = step.solve(&mut dynamics, h, &state.momentum, &omega)?;
-        state.momentum = step.momentum();
-        state.attitude = so::orthonormalised(&so::product(&g0, step.rotation()));
+        let (turn, impulse) = step.changes(&dynamics, h);
+        momentum.add(&skew(&so::conjugate(&g0, &impulse)));
+        // What is carried turns along, and what g^T g lacks of one is added.
+        let lack = (Mat::<N>::identity() - so::transposed_product(&g0, &g0)) * 0.5;
+        attitude.add(&(so::product(&g0, &(turn + lack)) + so::product(&attitude.carry, &turn)));
+        state.attitude = attitude.value;
+        state.momentum = skew(&so::conjugate(&attitude.value.transpose(), &momentum.value));
         Ok(convergence)
     }
+}
+
+/// The skew part, of what is skew but for rounding.
+fn skew<const N: usize>(x: &Mat<N>) -> Mat<N> {
+    so::asym(x) * 0.5
 }
 
 /// (vil1) and the force, in the frame of g0.
@@ -97,10 +137,21 @@ impl<const N: usize> Stepper<N> for VpdLagrangian<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.state = state.clone();
+        self.attitude = Sum::new(state.attitude);
+        self.momentum = Sum::new(skew(&so::conjugate(&state.attitude, &state.momentum)));
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
-        self.advance(body, h)
+        let before = self.clone();
+        let convergence = self.advance(body, h)?;
+        if convergence.rung == Rung::Newton {
+            let halves = Self { step: before.step.by_sweeps(), ..before.clone() };
+            if let Err(failure) = check_root(convergence, halves, body, h, &self.state.attitude) {
+                *self = before;
+                return Err(failure);
+            }
+        }
+        Ok(convergence)
     }
 
     fn attitude(&self) -> Option<Mat<N>> {

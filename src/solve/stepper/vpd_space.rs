@@ -12,12 +12,12 @@
 
 use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
 
-use super::Stepper;
 use super::galerkin::SMALLEST_SINGULAR_VALUE;
+use super::{Stepper, check_root};
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::solve::lanes::{Row, Rows, WIDTH};
-use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Solver, StopRule};
+use crate::solve::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::so3::Top;
 use crate::solve::space::{
@@ -236,7 +236,7 @@ impl VpdSpace {
             torques: 0,
         };
         let solved = solver.solve_after(past, &mut equations);
-        if stages > FEW_STAGES && solved.is_ok() {
+        if lanes.is_finished && solved.is_ok() {
             in_lanes!(finish, &mut equations);
         }
         body.count(equations.torques);
@@ -406,7 +406,18 @@ impl VpdSpace {
         solved: Convergence,
     ) -> Result<Convergence, Failure> {
         self.check(body).map_err(|failure| self.turned(body, h, failure))?;
+        let before = self.state;
         self.advance();
+        if solved.rung == Rung::Newton
+            && let Some(end) = self.attitude()
+        {
+            let solver = self.solver.by_sweeps();
+            let halves = Self { solver, past: None, state: before, ..self.clone() };
+            if let Err(failure) = check_root(solved, halves, body, h, &end) {
+                self.state = before;
+                return Err(self.turned(body, h, failure));
+            }
+        }
         Ok(solved)
     }
 

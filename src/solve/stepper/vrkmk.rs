@@ -27,9 +27,9 @@ use nalgebra::Vector3;
 
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
-use crate::solve::nonlinear::{Convergence, Equations, Solver, StopRule};
+use crate::solve::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
 use crate::solve::so::{self, Mat, Vector};
-use crate::solve::stepper::Stepper;
+use crate::solve::stepper::{Stepper, check_root};
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::State;
 
@@ -102,7 +102,7 @@ impl<const N: usize> Vrkmk<N> {
             momentum: Mat::zeros(),
             space: Vec::new(),
             tableau,
-            solver: Solver::new(stop),
+            solver: Solver::new(stop.to_the_floor()),
         }
     }
 
@@ -148,7 +148,12 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
             Unknowns::Vector(stages) => step.solve(solver, momentum, stages)?,
             Unknowns::Bracket(stages) => step.solve(solver, momentum, stages)?,
         };
-        self.attitude = if self.projected { so::orthonormalised(&g1) } else { g1 };
+        let attitude = if self.projected { so::orthonormalised(&g1) } else { g1 };
+        if convergence.rung == Rung::Newton {
+            let halves = Self { solver: self.solver.by_sweeps(), ..self.clone() };
+            check_root(convergence, halves, body, h, &attitude)?;
+        }
+        self.attitude = attitude;
         self.momentum = m1;
         Ok(convergence)
     }

@@ -169,6 +169,9 @@ impl VpdEnsemble {
                         goes_on[m] = false;
                     }
                 }
+                if tableau.is_finished {
+                    in_member_lanes!(level, $stages, like => sweep::finish(like, &start, taken));
+                }
                 let before = *motion;
                 let order = stages.ascending();
                 let doubts = in_member_lanes!(level, $stages, like => {
@@ -193,7 +196,8 @@ impl VpdEnsemble {
             Lanes::Four(side) => step!(side, 4),
             Lanes::None => {}
         }
-        let torques = sweeps + guesses * u64::from(tableau.torques_of_guess());
+        let ends = u64::from(tableau.torques_of_guess()) + u64::from(tableau.is_finished);
+        let torques = sweeps + guesses * ends;
         body.count(torques * stages.stages() as u64);
         swept
     }
@@ -334,14 +338,17 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
                 rows[k][lane] = from[k][lane];
             }
         };
-        let Self { attitude, excess, end, end_excess, kick, nearness, .. } = self;
+        let Self { attitude, momentum, inverse, excess, end, end_excess, kick, nearness, .. } =
+            self;
         stages(&mut attitude.w, &solved.attitude.w);
         for i in 0..3 {
             stages(&mut attitude.v[i], &solved.attitude.v[i]);
+            stages(&mut momentum[i], &solved.momentum[i]);
             end.v[i][lane] = solved.end.v[i][lane];
             kick[i][lane] = solved.kick[i][lane];
         }
         for i in 0..6 {
+            stages(&mut inverse[i], &solved.inverse[i]);
             stages(&mut excess[i], &solved.excess[i]);
             end_excess[i][lane] = solved.end_excess[i][lane];
         }

@@ -13,6 +13,10 @@ const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 4, linear_at_first: 6
 /// Up to here stages are few.
 pub(super) const FEW_STAGES: usize = 4;
 
+/// From here on a step is short of nothing but its last digits, and what it lacks of them leans to one side: its end is
+/// brought up to the newest sweep.
+const FINISHED_STAGES: usize = 3;
+
 /// So many rounds of the first guess take the same torque.
 pub(super) const TORQUE_EVERY: u32 = 3;
 
@@ -55,6 +59,8 @@ pub(super) struct LaneTableau {
     /// One for each stage.
     pub(super) present: Row,
     pub(super) passes: Passes,
+    /// Is a solved step finished? See [`super::sweep::finish`].
+    pub(super) is_finished: bool,
     /// Rounds of the first guess.
     pub(super) rounds: u32,
     /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
@@ -73,6 +79,7 @@ impl LaneTableau {
             nodes: zero,
             present: zero,
             passes: if few { FEW_PASSES } else { MANY_PASSES },
+            is_finished: stages >= FINISHED_STAGES,
             rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
             own_partner: false,
         };
