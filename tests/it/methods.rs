@@ -143,11 +143,11 @@ fn methods() -> Vec<Method> {
             .leaves_the_group(),
         any_n!("rk_projected rk3", 3, [[64, 512], [40, 320]], Rk::new(Tableau::rk3(), true).expect("explicit")),
         any_n!("rk_projected rk4", 4, [[64, 512], [40, 320]], Rk::new(Tableau::rk4(), true).expect("explicit")),
-        any_n!("rkmk rk8", 8, [[4, 8], [4, 10]], Rkmk::new(Tableau::rk8()).expect("explicit")).nearly_straight(),
-        any_n!("rk rk8", 8, [[6, 11], [4, 10]], Rk::new(Tableau::rk8(), false).expect("explicit"))
+        any_n!("rkmk rk8", 8, [[4, 8], [10, 10]], Rkmk::new(Tableau::rk8()).expect("explicit")).nearly_straight(),
+        any_n!("rk rk8", 8, [[6, 11], [10, 10]], Rk::new(Tableau::rk8(), false).expect("explicit"))
             .nearly_straight()
             .leaves_the_group(),
-        any_n!("rk_projected rk8", 8, [[6, 11], [4, 10]], Rk::new(Tableau::rk8(), true).expect("explicit")).nearly_straight(),
+        any_n!("rk_projected rk8", 8, [[6, 11], [10, 10]], Rk::new(Tableau::rk8(), true).expect("explicit")).nearly_straight(),
         three!("splitting 2", 2, [[32, 256], [20, 160]], Splitting::new(2).expect("even")).symmetric(),
         three!("splitting 4", 4, [[16, 128], [20, 80]], Splitting::new(4).expect("even")).symmetric(),
         three!("splitting 6", 6, [[8, 32], [8, 32]], Splitting::new(6).expect("even")).symmetric(),
