@@ -54,7 +54,7 @@ pub struct Cell {
     pub class: Class,
     /// The figures.
     pub row: Row,
-    /// By how much the strongest swing of the motion goes on in a step, rad: see [`swing_rad`].
+    /// By how much the strongest swing of the motion goes on in a step, rad: see `swing_rad`.
     pub swing_rad: Option<f64>,
 }
 
