@@ -387,7 +387,7 @@ impl Reference {
         self.apart_from(self.end(), point)
     }
 
-    /// The error of a state at an quarter of the time.
+    /// The error of a state at a quarter of the time.
     pub(crate) fn distance_at(&self, quarter: usize, point: &Point) -> f64 {
         let parts = (self.points.len() - 1) / QUARTERS as usize;
         self.apart_from(&self.points[parts * quarter], point)

@@ -1,0 +1,379 @@
+//! The search for a method and a step: pilots choose, runs over the whole time decide, members are made sure of.
+//!
+//! Invariant: the step that is taken was seen to get there as far as a reference reaches.
+
+use crate::plan::Candidate;
+use crate::scenario::{Accuracy, MethodName, Scenario, TableauName};
+use crate::study::measure::{Measured, Probe, measure, variant};
+use crate::study::reference::{Growth, QUARTERS, Reference};
+use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
+
+use super::Obstacle;
+
+/// The error asked for is aimed at with this margin where the whole run is seen.
+pub(super) const MARGIN: f64 = 1.25;
+/// And with this one where their errors were carried on.
+const CARRIED_MARGIN: f64 = 10.0;
+/// Errors that grow faster than this power of time are not carried on.
+const FASTEST_GROWTH: f64 = 3.0;
+/// Errors are carried on by this much of a power of time faster than they were seen to grow.
+const DOUBT: f64 = 0.5;
+/// A smaller error than this is luck.
+pub(super) const ROUND_OFF: f64 = 1e-16;
+/// Steps that are tried for a method.
+const TRIES: u32 = 7;
+/// Steps that are tried for a method over the whole run.
+const WHOLE_TRIES: u32 = 4;
+/// And for a member of an ensemble.
+const MEMBER_TRIES: u32 = 8;
+
+/// The methods that are tried, those first whose steps are cheap: what costs much more than one that gets there is not
+/// tried.
+fn methods(scene: &Scenario, asked: Accuracy) -> Vec<Entry> {
+    use MethodName as M;
+    use TableauName as T;
+    let mut methods: Vec<_> = [2, 4, 6, 8].map(|order| with_order(M::Splitting, order)).to_vec();
+    methods.extend([T::Rk4, T::Rk8].map(|tableau| with_tableau(M::RkProjected, tableau)));
+    methods.push(with_tableau(M::Rkmk, T::Rk8));
+    let gauss = [T::Gauss1, T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss6, T::Gauss8];
+    methods.extend(gauss.map(|tableau| with_tableau(M::QuaternionGauss, tableau)));
+    methods.extend([4, 8].map(|order| with_order(M::Lgvi, order)));
+    methods.extend(gauss.map(|tableau| with_tableau(M::VpdReduced, tableau)));
+    methods.extend(gauss.map(|tableau| with_tableau(M::Vpd, tableau)));
+    methods.extend([T::Gauss2, T::Gauss4].map(|tableau| with_tableau(M::Vrkmk, tableau)));
+    methods.retain(|method| !(asked.symplectic && method.name.is_explicit()));
+    entries(scene, methods)
+}
+
+/// The error to which a reference has to be known.
+pub(super) fn needed(asked: Accuracy) -> f64 {
+    asked.error / (2.0 * MARGIN)
+}
+
+/// A step of a method, and what is known of a run with it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Choice {
+    pub(super) step_s: f64,
+    /// The error expected at the end of the run.
+    pub(super) expected: f64,
+    /// What a second of motion costs.
+    cost_ns: f64,
+    /// Was the run seen, as far as a reference reaches?
+    seen: bool,
+}
+
+/// A method with its steps.
+pub(super) struct Contender {
+    pub(super) entry: Entry,
+    pub(super) choice: Option<Choice>,
+    /// The last step that was seen to get there, while a larger one is tried.
+    sure: Option<Choice>,
+    /// The least error that was met.
+    pub(super) least: Option<f64>,
+    tries: u32,
+}
+
+impl Contender {
+    pub(super) fn cost_ns(&self) -> f64 {
+        self.choice.map_or(f64::INFINITY, |choice| choice.cost_ns)
+    }
+
+    /// What the plan tells of it.
+    pub(super) fn told(&self) -> Candidate {
+        let Self { entry, choice, least, .. } = self;
+        Candidate {
+            method: entry.method.name,
+            tableau: entry.tableau.clone(),
+            step_s: choice.map(|choice| choice.step_s),
+            expected_error: choice.map_or(*least, |choice| Some(choice.expected)),
+            cost_us: choice.map(|choice| 1e-3 * choice.cost_ns),
+        }
+    }
+}
+
+/// Why a member keeps the ensemble from its accuracy.
+pub(super) enum Unmet {
+    Study(StudyError),
+    Obstacle(Obstacle),
+}
+
+impl<E: Into<StudyError>> From<E> for Unmet {
+    fn from(error: E) -> Self {
+        Self::Study(error.into())
+    }
+}
+
+/// What the search for a step needs to know.
+pub(super) struct Trial<'a> {
+    pub(super) scenario: &'a Scenario,
+    pub(super) asked: Accuracy,
+    pub(super) duration_s: f64,
+    pub(super) scales: Scales,
+    /// Of the first part of the run.
+    pub(super) near: Reference,
+    /// As far as a reference reaches: of the whole run, if it is not too long.
+    pub(super) far: Reference,
+}
+
+/// So many steps as a reference can be met with.
+fn multiple(steps: f64) -> u64 {
+    QUARTERS * (steps / QUARTERS as f64).ceil().max(1.0) as u64
+}
+
+impl Trial<'_> {
+    fn is_whole(&self) -> bool {
+        self.duration_s <= self.far.time_s
+    }
+
+    fn goal(&self) -> f64 {
+        self.asked.error / if self.is_whole() { MARGIN } else { CARRIED_MARGIN }
+    }
+
+    /// The steps of such a size over a time: as they were tried, so that the run is the one that was seen.
+    pub(super) fn steps(&self, step_s: f64, time_s: f64) -> u64 {
+        // The last digit of a quotient is no step too many.
+        let steps = time_s / step_s * (1.0 - 1e-12);
+        if time_s <= self.far.time_s { multiple(steps) } else { steps.ceil().max(1.0) as u64 }
+    }
+
+    /// Makes sure that errors may be carried on to the end of the run.
+    pub(super) fn carried(&self) -> Result<(), Obstacle> {
+        let Growth::Exponential { tenfold_s } = self.far.growth() else { return Ok(()) };
+        if self.is_whole() {
+            return Ok(());
+        }
+        let needed = self.asked.error / (2.0 * CARRIED_MARGIN);
+        let decades = libm::log10(needed / self.far.error.max(ROUND_OFF));
+        let until_s = (self.far.time_s + tenfold_s * decades).max(0.0);
+        if until_s >= self.duration_s {
+            return Ok(());
+        }
+        let grown = self.far.error
+            * libm::pow(10.0, ((self.duration_s - self.far.time_s) / tenfold_s).min(300.0));
+        let growth = self.far.growth();
+        Err(Obstacle::Untold { least: grown.min(2.0), time_s: self.duration_s, until_s, growth })
+    }
+
+    /// All methods with the steps that the first part of the run asks for.
+    pub(super) fn contenders(&self, watch: &Watch) -> Result<Vec<Contender>, StudyError> {
+        let mut cheapest = f64::INFINITY;
+        let mut contenders = Vec::new();
+        for entry in methods(self.scenario, self.asked) {
+            let (choice, least) = self.search(&entry, cheapest, watch)?;
+            cheapest = cheapest.min(choice.map_or(f64::INFINITY, |choice| choice.cost_ns));
+            contenders.push(Contender { entry, choice, sure: None, least, tries: 0 });
+        }
+        Ok(contenders)
+    }
+
+    /// The cheapest step of a method that is expected to reach the accuracy, and the least error met. Given
+    /// up where it costs more than `cheapest`.
+    fn search(
+        &self,
+        entry: &Entry,
+        cheapest: f64,
+        watch: &Watch,
+    ) -> Result<(Option<Choice>, Option<f64>), StudyError> {
+        /// What costs so many times more by its usual sweeps is not even tried.
+        const TOO_DEAR: f64 = 6.0;
+        let (time_s, goal) = (self.near.time_s, self.goal());
+        // A radian a step, and then by the order of the method; never back to where a step failed.
+        let mut steps = multiple(time_s * self.scales.fastest_rad_s);
+        let (mut reached, mut least) = (None::<(u64, Choice)>, None::<f64>);
+        let mut too_few = 0;
+        let usual_ns = variant(self.scenario, &entry.method, 1.0, 1)?.step_ns;
+        for _ in 0..TRIES {
+            if reached.is_none() && usual_ns * steps as f64 > TOO_DEAR * cheapest * time_s {
+                break;
+            }
+            let run = self.run(entry, &self.near, steps, 0, watch)?;
+            let cost_ns = run.cost_ns / time_s;
+            let expected = run.completed().then(|| self.expected(&self.near, &run)).flatten();
+            let ratio = match expected {
+                Some(expected) => {
+                    least = Some(least.map_or(expected, |least| least.min(expected)));
+                    // Near its border a step may need so many sweeps that a smaller one is cheaper.
+                    let better = reached.is_none_or(|(_, best)| cost_ns < best.cost_ns);
+                    if expected <= goal && better {
+                        let step_s = time_s / steps as f64;
+                        let seen = self.near.time_s >= self.far.time_s;
+                        reached = Some((steps, Choice { step_s, expected, cost_ns, seen }));
+                    }
+                    libm::pow(expected.max(ROUND_OFF) / goal, 1.0 / f64::from(entry.order))
+                }
+                None => 2.0,
+            };
+            if expected.is_none_or(|expected| expected > goal) {
+                too_few = too_few.max(steps);
+            }
+            if reached.is_none() && cost_ns > 2.0 * cheapest {
+                break;
+            }
+            // A little more than the order asks for, in bounds.
+            let next = multiple(steps as f64 * (1.03 * ratio).clamp(0.4, 4.0));
+            let next = match reached {
+                Some((reached, _)) if next >= reached => break,
+                Some(_) if next <= too_few => break,
+                _ => next.max(too_few + QUARTERS),
+            };
+            steps = next;
+        }
+        Ok((reached.map(|(_, choice)| choice), least))
+    }
+
+    /// Runs the cheapest as far as a reference reaches and mends its step, until the cheapest is one that was seen there.
+    pub(super) fn decide(
+        &self,
+        contenders: &mut [Contender],
+        watch: &Watch,
+    ) -> Result<(), StudyError> {
+        let time_s = self.far.time_s;
+        loop {
+            let cheapest = contenders
+                .iter_mut()
+                .filter(|tried| tried.choice.is_some())
+                .min_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
+            let Some(Contender { entry, choice, sure, least, tries }) = cheapest else {
+                return Ok(());
+            };
+            let Some(at) = choice.filter(|choice| !choice.seen) else { return Ok(()) };
+            *tries += 1;
+            let steps = self.steps(at.step_s, time_s);
+            let run = self.run(entry, &self.far, steps, 0, watch)?;
+            let (step_s, cost_ns) = (time_s / steps as f64, run.cost_ns / time_s);
+            let expected = run.completed().then(|| self.expected(&self.far, &run)).flatten();
+            if let Some(expected) = expected {
+                *least = Some(least.map_or(expected, |least| least.min(expected)));
+            }
+            if let Some(expected) = expected.filter(|&expected| expected <= self.goal()) {
+                let reached = Choice { step_s, expected, cost_ns, seen: true };
+                if sure.is_none_or(|sure| reached.cost_ns < sure.cost_ns) {
+                    *sure = Some(reached);
+                }
+            }
+            let ratio = expected.map_or(2.0, |expected| {
+                let order = f64::from(entry.order);
+                libm::pow(expected.max(ROUND_OFF) / self.goal(), 1.0 / order)
+            });
+            let factor = (1.03 * ratio).clamp(0.4, 4.0);
+            // As much larger as pays for another try, or smaller until it gets there.
+            let goes_on = sure.is_none() || (expected.is_some() && factor < 0.93);
+            *choice = if *tries < WHOLE_TRIES && goes_on {
+                let factor = if sure.is_some() { factor } else { factor.max(1.03) };
+                let expected = self.goal();
+                Some(Choice {
+                    step_s: step_s / factor,
+                    expected,
+                    cost_ns: cost_ns * factor,
+                    seen: false,
+                })
+            } else {
+                *sure
+            };
+        }
+    }
+
+    /// A run over the time of a reference, with its states at each quarter.
+    fn run(
+        &self,
+        entry: &Entry,
+        reference: &Reference,
+        steps: u64,
+        member: u64,
+        watch: &Watch,
+    ) -> Result<Measured, StudyError> {
+        let whole = Probe::of(&entry.method, reference.time_s / steps as f64, steps);
+        let probe = Probe { every: steps / QUARTERS, keep: true, member, ..whole };
+        let run = measure(self.scenario, probe, watch)?;
+        watch.advance(0)?;
+        Ok(run)
+    }
+
+    /// The choice with a step that is small enough for every member of an ensemble.
+    pub(super) fn every_member(
+        &self,
+        entry: &Entry,
+        mut choice: Choice,
+        watch: &Watch,
+    ) -> Result<Choice, Unmet> {
+        let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
+        let left_ns = watch.left_ns();
+        for member in 1..members {
+            choice = self.of_member(entry, choice, member, watch)?;
+            if member == 1 {
+                let cost_ns = (left_ns - watch.left_ns()).max(1);
+                let most = 2 + watch.left_ns() / cost_ns;
+                if members > most {
+                    return Err(Unmet::Obstacle(Obstacle::TooManyMembers { members, most }));
+                }
+            }
+        }
+        Ok(choice)
+    }
+
+    /// The choice with a step that is small enough for a member, too.
+    fn of_member(
+        &self,
+        entry: &Entry,
+        mut choice: Choice,
+        member: u64,
+        watch: &Watch,
+    ) -> Result<Choice, Unmet> {
+        let obstacle = |why| Unmet::Obstacle(Obstacle::Member { member, why: Box::new(why) });
+        let out_of_sight = |error: StudyError| match error {
+            StudyError::Reference(error) => obstacle(error.into()),
+            error => error.into(),
+        };
+        let time_s = self.far.time_s;
+        let mut reference = self.far.of_member(self.scenario, member, watch)?;
+        let mut is_sure = false;
+        for _ in 0..MEMBER_TRIES {
+            let steps = self.steps(choice.step_s, time_s);
+            let run = self.run(entry, &self.far, steps, member, watch)?;
+            let expected = reference.as_ref().filter(|_| run.completed());
+            let expected = expected.and_then(|reference| self.expected(reference, &run));
+            if let Some(expected) = expected.filter(|&expected| expected <= self.goal()) {
+                let cost_ns = choice.cost_ns.max(run.cost_ns / time_s);
+                return Ok(Choice { expected: choice.expected.max(expected), cost_ns, ..choice });
+            }
+            if !is_sure {
+                // Is it the step that is too large, or the reference that is not known?
+                let needed = needed(self.asked);
+                let known =
+                    Reference::of(self.scenario, member, time_s, needed, &self.scales, watch);
+                reference = Some(known.map_err(out_of_sight)?);
+                is_sure = true;
+                continue;
+            }
+            let order = f64::from(entry.order);
+            let ratio =
+                expected.map_or(2.0, |expected| libm::pow(expected / self.goal(), 1.0 / order));
+            choice.step_s = time_s / steps as f64 / (1.03 * ratio).clamp(1.03, 4.0);
+        }
+        Err(obstacle(Obstacle::NoMethod { least: None }))
+    }
+
+    /// The error expected at the end of the run; `None` where errors grow too fast to be carried on.
+    fn expected(&self, reference: &Reference, run: &Measured) -> Option<f64> {
+        let errors: Vec<f64> = run
+            .points
+            .iter()
+            .enumerate()
+            .map(|(quarter, point)| reference.distance_at(quarter, point))
+            .collect();
+        let largest = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
+        // Not the last alone: an error that swings may pass through zero there. And no more is known than by the reference.
+        let late = largest(&errors[errors.len() / 2..]) + reference.error;
+        if self.duration_s <= reference.time_s {
+            return Some(late);
+        }
+        let early = largest(&errors[..errors.len() / 2 + 1]).max(reference.error);
+        let growth = libm::log2(late / early).max(1.0);
+        let ratio = self.duration_s / reference.time_s;
+        // What will be seen to its end is a guess here; what will not is to hold.
+        if self.is_whole() {
+            return Some(late * libm::pow(ratio, growth.min(FASTEST_GROWTH)));
+        }
+        (growth <= FASTEST_GROWTH).then(|| late * libm::pow(ratio, growth + DOUBT))
+    }
+}
