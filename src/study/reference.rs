@@ -123,6 +123,8 @@ const ROUGH: f64 = 1e3;
 const GROWTH_SEEN: std::ops::Range<f64> = 1e-13..1e-2;
 /// Distances that grew by less than this are no exponential.
 const LEAST_GROWTH: f64 = 1e3;
+/// No power of time grows faster: what does is an exponential seen at few points.
+const STEEPEST: f64 = 6.0;
 /// Steps of the first solution at most.
 pub(crate) const MOST_STEPS: f64 = 20_000.0;
 /// Two solutions that agree to this are taken.
@@ -308,7 +310,8 @@ impl Reference {
         (before as f64 + part) * interval_s
     }
 
-    /// How the two solutions came apart: `log d` is fitted as a line of t and as a line of log t, and the better is taken.
+    /// How the two solutions came apart: `log d` is fitted as a line of t and as a line of log t, and the better is taken
+    /// unless its power is none.
     pub(crate) fn growth(&self) -> Growth {
         let interval_s = self.time_s / (self.apart.len() - 1) as f64;
         let seen: Vec<(f64, f64)> = self
@@ -331,7 +334,8 @@ impl Reference {
         let in_log: Vec<(f64, f64)> = seen.iter().map(|&(t, d)| (libm::log10(t), d)).collect();
         let ((rate, miss), (exponent, power_miss)) = (line(&seen), line(&in_log));
         let grown = libm::pow(10.0, last.1 - first.1);
-        if rate > 0.0 && miss < power_miss && grown > LEAST_GROWTH {
+        let bends = miss < power_miss || exponent > STEEPEST;
+        if rate > 0.0 && bends && grown > LEAST_GROWTH {
             Growth::Exponential { tenfold_s: 1.0 / rate }
         } else {
             Growth::Power { exponent }

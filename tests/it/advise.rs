@@ -6,6 +6,7 @@ use vpd::plan::Advice;
 use vpd::run::Outcome;
 use vpd::scenario::{Scenario, ScenarioError};
 use vpd::study::Watch;
+use vpd::study::reference::Growth;
 
 use crate::ensemble::ends;
 use crate::laws::Numbers;
@@ -307,6 +308,7 @@ fn accuracies_of_long_runs_are_met_or_refused_with_their_time() {
                     println!(
                         "{number}: {error:.0e} until {until_s:.0} s, by the growth {doubles_s:.0} of {duration_s} s; {growth}"
                     );
+                    assert!(matches!(growth, Growth::Exponential { .. }), "{number}: {growth}");
                     // A rounding of the start alone, and what rounding adds on the way: a few dozen times that.
                     assert!(60.0 * grown * f64::EPSILON > error, "{number}: {grown:e}");
                     assert!(
@@ -321,6 +323,27 @@ fn accuracies_of_long_runs_are_met_or_refused_with_their_time() {
     }
     println!("{met} met, {refused} refused");
     assert!(met >= 16 && refused >= 4, "{met} met, {refused} refused");
+}
+
+/// It comes apart within a few of the points at which solutions are compared.
+#[test]
+fn chaos_at_the_beginning_of_a_long_run_is_told_from_a_power() {
+    let spring = json!({"kind": "spring", "stiffness": 3.0, "rest_length": 0.5, "body_point": [0.3, 0.2, 0.6], "position": [0.5, -1.0, 1.0]});
+    let field = json!({"kind": "uniform", "weight": 2.0, "body_point": [0.1, 0.0, 0.5], "direction": [1.0, 0.0, 0.0]});
+    let asked = scenario(&json!({
+        "name": "chaos", "accuracy": {"error": 1e-8}, "duration_s": 800.0,
+        "scene": {
+            "inertia": {"principal": [1.0, 1.4, 2.0]}, "potential": [spring, field],
+            "initial": {"angular_velocity": {"body": [0.2, 0.9, 0.4]}}
+        },
+    }));
+    match advise::settled(&asked, &Watch::default()) {
+        Err(Unsettled::OutOfReach { why: Obstacle::Untold { until_s, growth, .. }, .. }) => {
+            assert!(matches!(growth, Growth::Exponential { .. }), "{growth}");
+            assert!(until_s > 100.0 && until_s < 400.0, "{until_s}");
+        }
+        other => panic!("{other:?}"),
+    }
 }
 
 #[test]
