@@ -116,45 +116,16 @@ impl PrincipalAxes {
     }
 
     fn free(&self, top: &Top, h: f64) -> Option<Drift> {
-        let drift = match self.turn {
-            None => free_top::flow(&self.inverse, &top.momentum, h)?,
-            Some(turn) => {
-                let rotate = |q: &Quaternion<f64>, v: &Vector3<f64>| {
-                    Vector3::from((*q * so3::pure(v) * q.conjugate()).vector())
-                };
-                let principal = rotate(&turn.conjugate(), &top.momentum);
-                let Drift { turn: f, gain } = free_top::flow(&self.inverse, &principal, h)?;
-                Drift { turn: turn * f * turn.conjugate(), gain: rotate(&turn, &gain) }
-            }
+        let Some(turn) = self.turn else {
+            return free_top::flow(&self.inverse, &top.momentum, h);
         };
-        Some(Drift { gain: self.on_orbit(&top.momentum, drift.gain), ..drift })
-    }
-
-    /// Puts `mu + gain` back to where the size of the momentum and the energy are those of `mu`.
-    ///
-    /// The constants of the exact solution are the same numbers at every step of a body whose motion is regular, and
-    /// so is what their rounding takes off what is kept: it would add up to a line (Vilmart 2008, Journal of
-    /// Computational Physics 227). To first order, for `d_G = gain . (2 mu + gain)` and, `w` being the mean of J^-1
-    /// along mu, `d_T = gain . (J^-1 - w) (2 mu + gain)`,
-    ///
-    /// ```text
-    /// gain <- gain - d_G mu / (2 |mu|^2) - d_T n / (2 |n|^2),     n = (J^-1 - w) mu, which is across mu
-    /// ```
-    fn on_orbit(&self, mu: &Vector3<f64>, gain: Vector3<f64>) -> Vector3<f64> {
-        let square = mu.norm_squared();
-        if square == 0.0 {
-            return gain;
-        }
-        let both = mu * 2.0 + gain;
-        // The gradients where the step ends.
-        let end = mu + gain;
-        let rate = self.tensor * end;
-        let mean = rate.dot(&end) / square;
-        let across = rate - end * mean;
-        let part = |defect: f64, size: f64| if size > 0.0 { -0.5 * defect / size } else { 0.0 };
-        let longer = part(gain.dot(&both), square);
-        let defect = gain.dot(&(self.tensor * both - both * mean));
-        gain + (end * longer + across * part(defect, across.norm_squared()))
+        let rotate = |q: &Quaternion<f64>, v: &Vector3<f64>| {
+            Vector3::from((*q * so3::pure(v) * q.conjugate()).vector())
+        };
+        let principal = rotate(&turn.conjugate(), &top.momentum);
+        let Drift { turn: f, gain } = free_top::flow(&self.inverse, &principal, h)?;
+        let gain = free_top::on_orbit(&self.tensor, &top.momentum, rotate(&turn, &gain));
+        Some(Drift { turn: turn * f * turn.conjugate(), gain })
     }
 }
 
