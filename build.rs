@@ -8,11 +8,7 @@ use std::{env, fs, io};
 const PROTO: &str = "src/log/vpd.proto";
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let sources = ["src", "build.rs", "Cargo.lock"];
-    for source in sources {
-        println!("cargo:rerun-if-changed={source}");
-    }
-    println!("cargo:rustc-env=VPD_BUILD={:016x}", fingerprint(&sources)?);
+    println!("cargo:rustc-env=VPD_BUILD={:016x}", fingerprint()?);
     let includes = ["src/log"];
 
     // With comments: they become the documentation of the message types.
@@ -33,25 +29,50 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// FNV-1a (Fowler, Noll, Vo) of names and contents of all files.
-fn fingerprint(sources: &[&str]) -> io::Result<u64> {
+/// Whatever can change a byte of a log.
+const SOURCES: [&str; 4] = ["src", "solve/src", "build.rs", "Cargo.lock"];
+
+/// What of `src` cannot: how a job comes, and how it is looked at.
+const DOORS: [&str; 9] = [
+    "src/main.rs",
+    "src/cli.rs",
+    "src/cli",
+    "src/serve.rs",
+    "src/serve",
+    "src/live.rs",
+    "src/verify.rs",
+    "src/log/layout.json",
+    "src/study/table.rs",
+];
+
+/// FNV-1a (Fowler, Noll, Vo) of names and contents of all files, and of whether logs hold charts.
+fn fingerprint() -> io::Result<u64> {
     let mut files = Vec::new();
-    for source in sources {
+    for source in SOURCES {
         collect(Path::new(source), &mut files)?;
     }
     files.sort();
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
-    for file in files {
-        let name = file.to_string_lossy().into_owned().into_bytes();
-        for byte in name.into_iter().chain(fs::read(&file)?) {
+    let mut take = |bytes: &[u8]| {
+        for &byte in bytes {
             hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
         }
+    };
+    take(&[u8::from(env::var_os("CARGO_FEATURE_CHART").is_some())]);
+    for file in files {
+        println!("cargo:rerun-if-changed={}", file.display());
+        take(file.to_string_lossy().as_bytes());
+        take(&fs::read(&file)?);
     }
     Ok(hash)
 }
 
 fn collect(path: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {
+    if DOORS.iter().any(|door| path == Path::new(door)) {
+        return Ok(());
+    }
     if path.is_dir() {
+        println!("cargo:rerun-if-changed={}", path.display());
         for entry in fs::read_dir(path)? {
             collect(&entry?.path(), files)?;
         }

@@ -14,8 +14,7 @@ use plotters::prelude::*;
 use thiserror::Error;
 
 use crate::log::LogError;
-use crate::log::reader::{Message, read_samples};
-use crate::log::resume::Seen;
+use crate::log::course::{Course, LogChart};
 
 mod map;
 mod plot;
@@ -74,12 +73,13 @@ const MOMENTUM: Axis<'static> = Axis { label: "drift in kg m^2/s", scale: Scale:
 /// # Errors
 /// If a log cannot be read, none has any of the channels, or a file cannot be written.
 pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, ChartError> {
-    let mut charts = LogChart::ALL.map(|which| (which.file(), which.empty()));
+    let mut charts = LogChart::ALL.map(|which| (which.file(), empty(which)));
     for (color, log) in logs.iter().enumerate() {
         let label = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let style = Style { color, member: color, marked: false };
-        for ((_, chart), series) in charts.iter_mut().zip(Course::of(log)?.series) {
-            let points = series.points;
+        let course = Course::of(log)?;
+        for ((_, chart), which) in charts.iter_mut().zip(LogChart::ALL) {
+            let points = course.points(which).to_vec();
             if !points.is_empty() {
                 chart.lines.push(Line { label: label.clone(), points, style });
             }
@@ -94,116 +94,36 @@ pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, Cha
     write(directory, &drawn)
 }
 
-/// What is drawn of a log over time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum LogChart {
-    /// The error of the energy.
-    Energy,
-    /// The distance of the attitude from the group.
-    Orthogonality,
-    /// The drift of the momentum that the scene conserves.
-    Momentum,
-}
-
-impl LogChart {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Energy, Self::Orthogonality, Self::Momentum];
-
-    /// The name of its file.
-    pub const fn file(self) -> &'static str {
-        match self {
-            Self::Energy => "energy.svg",
-            Self::Orthogonality => "orthogonality.svg",
-            Self::Momentum => "momentum.svg",
-        }
-    }
-
-    fn empty(self) -> Plot<'static> {
-        match self {
-            Self::Energy => over_time("Energy error", ENERGY),
-            Self::Orthogonality => over_time("Orthogonality error", ORTHOGONALITY),
-            Self::Momentum => over_time("Drift of the conserved spatial momentum", MOMENTUM),
-        }
-    }
-}
-
 /// Draws one chart of one log.
 ///
 /// # Errors
 /// If the log cannot be read, or does not hold what the chart shows.
 pub fn draw_log(log: &Path, which: LogChart) -> Result<String, ChartError> {
-    Course::of(log)?.draw(which)
+    draw_course(&Course::of(log)?, which)
 }
 
-/// What the charts of a log are drawn from, gathered in bounded memory: from the log, or while it is written. Both
-/// give the same charts to the byte.
-#[derive(Clone, Debug, Default)]
-pub struct Course {
-    start_ns: Option<u64>,
-    /// In the order of [`LogChart::ALL`].
-    series: [Series; 3],
+/// A chart of a log without its lines.
+fn empty(which: LogChart) -> Plot<'static> {
+    match which {
+        LogChart::Energy => over_time("Energy error", ENERGY),
+        LogChart::Orthogonality => over_time("Orthogonality error", ORTHOGONALITY),
+        LogChart::Momentum => over_time("Drift of the conserved spatial momentum", MOMENTUM),
+    }
 }
 
-impl Course {
-    /// Reads it from a log.
-    ///
-    /// # Errors
-    /// If the log cannot be read.
-    pub fn of(log: &Path) -> Result<Self, LogError> {
-        let mut course = Self::default();
-        read_samples(log, |time_ns, message| course.note_message(time_ns, &message))?;
-        Ok(course)
+/// Draws a chart of what was kept of a log.
+///
+/// # Errors
+/// If there is nothing that it shows.
+pub fn draw_course(course: &Course, which: LogChart) -> Result<String, ChartError> {
+    let points = course.points(which).to_vec();
+    if points.is_empty() {
+        return Err(ChartError::Empty);
     }
-
-    /// Takes note of what a log that is taken up held.
-    pub fn note_seen(&mut self, seen: &Seen<'_>) {
-        if let Seen::Message(time_ns, message) = seen {
-            self.note_message(*time_ns, message);
-        }
-    }
-
-    /// Takes note of a message of the log.
-    pub fn note_message(&mut self, time_ns: u64, message: &Message) {
-        match message {
-            Message::Energy(message) => self.note(time_ns, LogChart::Energy, message.error),
-            Message::Orthogonality(message) => {
-                self.note(time_ns, LogChart::Orthogonality, message.error);
-            }
-            Message::Momentum(message) => {
-                if let Some(drift) = message.drift {
-                    self.note(time_ns, LogChart::Momentum, drift);
-                }
-            }
-            _ => {}
-        }
-    }
-
-    /// Takes note of what a chart shows at a log time; the first time is its zero.
-    pub fn note(&mut self, time_ns: u64, which: LogChart, value: f64) {
-        let since_ns = time_ns.saturating_sub(*self.start_ns.get_or_insert(time_ns));
-        self.series[which as usize].push((since_ns as f64 * 1e-9, value));
-    }
-
-    /// Whether a chart would show a line.
-    pub fn has_line(&self, which: LogChart) -> bool {
-        let points = &self.series[which as usize].points;
-        points.first().zip(points.last()).is_some_and(|(first, last)| first.0 < last.0)
-    }
-
-    /// Draws a chart.
-    ///
-    /// # Errors
-    /// If there is nothing that it shows.
-    pub fn draw(&self, which: LogChart) -> Result<String, ChartError> {
-        let points = self.series[which as usize].points.clone();
-        if points.is_empty() {
-            return Err(ChartError::Empty);
-        }
-        let style = Style { color: 0, member: 0, marked: false };
-        let mut chart = which.empty();
-        chart.lines.push(Line { label: String::new(), points, style });
-        chart.draw()
-    }
+    let style = Style { color: 0, member: 0, marked: false };
+    let mut chart = empty(which);
+    chart.lines.push(Line { label: String::new(), points, style });
+    chart.draw()
 }
 
 /// Writes files into a directory that is made if it is not there; returns their paths.
@@ -237,67 +157,5 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
         lines: Vec::new(),
         guides: Vec::new(),
         guide_label: String::new(),
-    }
-}
-
-/// Points over time in bounded memory: once there are too many, the larger of two neighbours stays.
-#[derive(Clone, Debug)]
-struct Series {
-    points: Vec<(f64, f64)>,
-    /// Samples behind a point.
-    each: usize,
-    /// Samples behind the last point.
-    held: usize,
-}
-
-impl Default for Series {
-    fn default() -> Self {
-        Self { points: Vec::new(), each: 1, held: 1 }
-    }
-}
-
-impl Series {
-    const LIMIT: usize = 1 << 16;
-
-    fn push(&mut self, point: (f64, f64)) {
-        if self.held < self.each {
-            self.held += 1;
-            if let Some(last) = self.points.last_mut() {
-                *last = larger(*last, point);
-            }
-            return;
-        }
-        if self.points.len() == Self::LIMIT {
-            self.points = self.points.chunks(2).map(|pair| larger(pair[0], pair[1])).collect();
-            self.each *= 2;
-        }
-        self.held = 1;
-        self.points.push(point);
-    }
-}
-
-/// The point with the larger size.
-fn larger(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
-    if b.1.abs() > a.1.abs() { b } else { a }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::Series;
-
-    #[test]
-    fn a_long_series_keeps_its_extremes_in_bounded_memory() {
-        let mut series = Series::default();
-        let value = |k: usize| if k == 777_777 { -5.0 } else { (k % 7) as f64 * 1e-3 };
-        for k in 0..1_000_000 {
-            series.push((k as f64, value(k)));
-        }
-        let points = &series.points;
-        assert!(points.len() <= Series::LIMIT && points.len() > Series::LIMIT / 2);
-        assert!(points.contains(&(777_777.0, -5.0)));
-        assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        // What a point stands for is never far away.
-        assert!(points.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 2.0 * series.each as f64));
-        assert!(points.last().is_some_and(|point| point.0 >= 1e6 - 2.0 * series.each as f64));
     }
 }

@@ -14,12 +14,15 @@ pub mod scenario;
 pub mod plan;
 mod assemble;
 pub mod run;
-pub mod solve;
+pub use vpd_solve as solve;
 pub mod study;
 pub mod advise;
 pub mod log;
+#[cfg(feature = "live")]
 pub mod live;
 pub mod verify;
+#[cfg(feature = "chart")]
 pub mod chart;
+#[cfg(feature = "serve")]
 pub mod serve;
 pub mod cli;

@@ -27,9 +27,11 @@ const KEPT: usize = 8;
 
 /// A sample as viewers see it.
 #[derive(Debug)]
-pub(crate) struct Frame {
-    pub(crate) time_ns: u64,
-    pub(crate) messages: Vec<(Channel, Vec<u8>)>,
+pub struct Frame {
+    /// Log time in nanoseconds.
+    pub time_ns: u64,
+    /// One message a channel, encoded as in a log.
+    pub messages: Vec<(Channel, Vec<u8>)>,
 }
 
 /// The stage: runs show themselves on it, one at a time.
@@ -58,7 +60,7 @@ impl Default for Live {
 
 impl Live {
     /// What is shown from now on. Nothing is made ready for show unless somebody watches.
-    pub(crate) fn watch(&self) -> broadcast::Receiver<Arc<Frame>> {
+    pub fn watch(&self) -> broadcast::Receiver<Arc<Frame>> {
         self.frames.subscribe()
     }
 

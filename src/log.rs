@@ -2,7 +2,7 @@
 //!
 //! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
 //! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
-//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing. [`resume`] takes up a
+//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing, [`course`] keeps what charts show. [`resume`] takes up a
 //! log that was interrupted.
 //!
 //! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named `.mcap.part`, and each of
@@ -12,6 +12,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+pub mod course;
 pub mod inspect;
 pub mod messages;
 mod part;
@@ -30,6 +31,9 @@ pub const JOB_RECORD: &str = "vpd.job";
 pub const OUTCOME_RECORD: &str = "vpd.outcome";
 /// Name of the attachment that holds the scenario.
 pub const SCENARIO_ATTACHMENT: &str = "scenario.json";
+
+/// A layout of panels for these logs, for Foxglove and Lichtblick: both read the same.
+pub const LAYOUT: &str = include_str!("log/layout.json");
 
 /// The most bytes of a chunk before compression, and of any record. The writer keeps below it; the
 /// reader allocates no more at once, whatever a damaged file asks for.

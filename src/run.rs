@@ -6,6 +6,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::Path;
+#[cfg(feature = "live")]
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -15,8 +16,9 @@ use thiserror::Error;
 
 use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
-use crate::chart::{Course, LogChart};
+#[cfg(feature = "live")]
 use crate::live::{Live, Show};
+use crate::log::course::{Course, LogChart};
 use crate::log::messages::Figures;
 use crate::log::resume::{Resumed, Seen};
 use crate::log::schema::Channel;
@@ -77,6 +79,7 @@ pub struct Control {
     /// always dies at the same place. It costs a call of the system each, so only suspects are traced.
     pub trace: Option<File>,
     /// Where viewers look on.
+    #[cfg(feature = "live")]
     pub live: Option<Arc<Live>>,
 }
 
@@ -280,6 +283,7 @@ struct Recorder<'a, const N: usize> {
     epoch_ns: u64,
     elsewhere: Duration,
     control: &'a Control,
+    #[cfg(feature = "live")]
     show: Option<Show>,
 }
 
@@ -302,11 +306,17 @@ impl<'a, const N: usize> Recorder<'a, N> {
                 (LogWriter::create(log, header)?, Figures::default(), None)
             }
         };
-        let announce = |live: &Arc<Live>| live.announce(header.epoch_ns, header.scene.clone());
-        let show = control.live.as_ref().map(announce);
         let epoch_ns = header.epoch_ns;
-        let elsewhere = Duration::ZERO;
-        let recorder = Self { writer, figures, course, epoch_ns, elsewhere, control, show };
+        let recorder = Self {
+            writer,
+            figures,
+            course,
+            epoch_ns,
+            elsewhere: Duration::ZERO,
+            control,
+            #[cfg(feature = "live")]
+            show: show(control, header),
+        };
         Ok((recorder, checkpoint))
     }
 }
@@ -322,6 +332,7 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
         let begun = Instant::now();
         self.figures.keep(sample);
         note(&mut self.course, self.epoch_ns, sample);
+        #[cfg(feature = "live")]
         if let Some(show) = &self.show {
             show.sample(sample);
         }
@@ -341,6 +352,13 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
         self.elsewhere += begun.elapsed();
         Ok(result?)
     }
+}
+
+/// Puts the run on show, if there is a stage.
+#[cfg(feature = "live")]
+fn show(control: &Control, header: &LogHeader) -> Option<Show> {
+    let announce = |live: &Arc<Live>| live.announce(header.epoch_ns, header.scene.clone());
+    control.live.as_ref().map(announce)
 }
 
 /// Takes note of a sample for the charts.

@@ -13,6 +13,7 @@ mod parse;
 
 pub(crate) use check::SMALLEST_STEP_S;
 pub use ensemble::Ensemble;
+#[cfg(feature = "serve")]
 pub(crate) use parse::{from_tree, tree as read_tree};
 
 use schemars::JsonSchema;

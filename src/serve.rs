@@ -53,7 +53,6 @@ use tokio::sync::watch;
 use crate::live::Live;
 
 pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
-pub(crate) use page::LAYOUT;
 
 use api::App;
 use desk::Desk;

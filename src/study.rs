@@ -92,6 +92,7 @@ impl Watch {
 ///
 /// # Errors
 /// Those of planning it.
+#[cfg(feature = "serve")]
 pub(crate) fn scene_of(scene: &Scenario) -> Result<(), ScenarioError> {
     measure::variant(scene, &Method::default(), 1.0, 1).map(drop)
 }

@@ -9,7 +9,11 @@ use super::summary::{
     self, Diagnosis, EnergySeen, EnsembleSummary, MomentumSummary, Outcome, SolverSummary, Summary,
 };
 use super::{RunError, json};
-use crate::chart::{Course, LogChart};
+#[cfg(feature = "chart")]
+use crate::chart::draw_course;
+use crate::log::course::Course;
+#[cfg(feature = "chart")]
+use crate::log::course::LogChart;
 use crate::log::messages::Figures;
 use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
@@ -112,10 +116,19 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     if let Some(warning) = &summary.warning {
         entries.insert("warning".to_owned(), warning.clone());
     }
+    LogOutcome { state: summary.outcome.as_str().to_owned(), entries, charts: charts(course) }
+}
+
+/// The pictures in the log: file names and SVG.
+#[cfg(feature = "chart")]
+fn charts(course: &Course) -> Vec<(&'static str, String)> {
     let charts = [LogChart::Energy, LogChart::Orthogonality].into_iter();
     let charts = charts.filter(|which| course.has_line(*which));
     // One that could not be drawn would be missing; the log is good without.
-    let charts = charts.filter_map(|which| Some((which.file(), course.draw(which).ok()?)));
-    let charts = charts.collect();
-    LogOutcome { state: summary.outcome.as_str().to_owned(), entries, charts }
+    charts.filter_map(|which| Some((which.file(), draw_course(course, which).ok()?))).collect()
+}
+
+#[cfg(not(feature = "chart"))]
+fn charts(_: &Course) -> Vec<(&'static str, String)> {
+    Vec::new()
 }

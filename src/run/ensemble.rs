@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread;
 use std::time::Instant;
 
@@ -16,9 +16,8 @@ use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
 use super::{Control, End, JobContext, RunError, finish, header, json, note, observables};
 use crate::assemble::{Assembly, Task, assembled};
-use crate::chart::Course;
-use crate::live::Live;
 use crate::log::LogError;
+use crate::log::course::Course;
 use crate::log::messages::{self, Figures, Member};
 use crate::log::resume::Seen;
 use crate::log::schema::Channel;
@@ -137,11 +136,12 @@ impl Ensemble<'_> {
         let JobContext { control, .. } = *self.context;
         let numbers = &self.planned.in_full;
         let epoch_ns = header.epoch_ns;
-        let announce = |live: &Arc<Live>| live.announce(epoch_ns, header.scene.clone());
-        let show = control.live.as_ref().map(announce);
+        #[cfg(feature = "live")]
+        let show = super::show(control, header);
         let record = |m: usize, sample: &Sample<N>| {
             if m == 0 {
                 note(course, epoch_ns, sample);
+                #[cfg(feature = "live")]
                 if let Some(show) = &show {
                     show.sample(sample);
                 }

@@ -7,7 +7,7 @@ use std::path::Path;
 use super::summary::EnergySeen;
 use super::{Diagnosis, End, Outcome, RunError, Summary, finish, header};
 use crate::assemble::{Assembly, Task, assembled};
-use crate::chart::Course;
+use crate::log::course::Course;
 use crate::log::messages::Figures;
 use crate::log::resume::Resumed;
 use crate::log::resume::Seen;

@@ -18,7 +18,9 @@ use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::give_way;
 use super::problem::Problem;
-use crate::chart::{ChartError, LogChart, draw_log};
+use crate::chart::{ChartError, draw_log};
+use crate::log::LAYOUT;
+use crate::log::course::LogChart;
 use crate::log::stretch::{Stretch, read_stretch};
 use crate::log::{LogError, part_path};
 
@@ -36,9 +38,6 @@ const SCRIPT: &str = concat!(
     include_str!("page/editor.js"),
     include_str!("page/page.js"),
 );
-
-/// The layout of panels for Foxglove and Lichtblick: both read the same.
-pub(crate) const LAYOUT: &str = include_str!("page/layout.json");
 
 /// A page as one file.
 struct OneFile {

@@ -9,7 +9,7 @@ use vpd::study::Watch;
 use vpd::study::reference::Growth;
 
 use crate::ensemble::ends;
-use crate::laws::Numbers;
+use crate::given::Numbers;
 use crate::scenarios::run;
 
 fn scenario(value: &Value) -> Scenario {

@@ -18,7 +18,7 @@ use vpd::solve::stepper::vpd_space::VpdSpace;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::State;
 
-use crate::laws::Numbers;
+use crate::given::Numbers;
 use crate::scenarios::run;
 
 /// A scene, a method, and a time for it.
@@ -377,4 +377,32 @@ fn a_second_root_is_refused() {
     println!("{refused} refused, {solved} solved, the furthest off by {furthest:.2}");
     // Second roots are off by 0.5 to 1.4.
     assert!(refused > 0 && furthest < 0.6, "{refused} refused, {furthest}");
+}
+
+/// No direction is free here, so nothing but the spatial momentum itself shows that it is beyond all numbers.
+#[test]
+fn a_sample_beyond_all_numbers_ends_the_run_and_not_the_program() {
+    let spring = |stiffness: f64, body_point: [f64; 3], position: [f64; 3]| json!({"kind": "spring", "stiffness": stiffness, "rest_length": 0.5, "body_point": body_point, "position": position});
+    let scenario = json!({
+        "name": "beyond all numbers",
+        "scene": {
+            "inertia": {"principal": [1, 1.5, 2]},
+            "potential": [
+                spring(3e4, [1.0, 0.0, 0.0], [2.0, 0.3, 0.1]),
+                spring(4e4, [0.0, 1.0, 0.0], [0.0, 3.0, 0.2]),
+                spring(4e4, [0.0, 0.0, 1.0], [0.3, 0.2, 2.0])
+            ],
+            "initial": {"angular_velocity": {"body": [1, 2, 3]}}
+        },
+        "method": {"name": "rk", "tableau": "rk4"},
+        "step_s": 0.2,
+        "steps": 40,
+        "log": {"every": 1}
+    });
+    let folder = tempfile::tempdir().expect("a temporary directory");
+    let summary = run(&scenario.to_string(), &folder.path().join("log.mcap"));
+    assert_eq!(summary.outcome, Outcome::Failed);
+    let diagnosis = summary.diagnosis.expect("it failed");
+    assert_eq!(diagnosis.code, FailureCode::NonFinite.as_str());
+    assert!(summary.samples >= 1 && diagnosis.advised_step_s.is_some(), "{diagnosis}");
 }

@@ -263,7 +263,7 @@ fn an_inspection_sums_up() {
 fn a_log_refuses_what_it_cannot_hold() {
     let (_folder, path) = place();
     let mut log = LogWriter::<3>::create(&path, &header()).expect("create");
-    let (_, state) = crate::verification::dipole();
+    let (_, state) = crate::given::dipole();
     let at = |time_s| sample(&state, time_s);
     log.record(&at(1.0)).expect("record");
     for time_s in [0.5, -1.0, f64::NAN, f64::INFINITY, 1e10] {

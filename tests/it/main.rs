@@ -1,5 +1,4 @@
-//! The integration tests, one binary: laws and verification of the mathematics, then the doors of the
-//! program (scenario, run, command line, log, HTTP).
+//! The program, one binary: its doors (scenario, run, command line, log, HTTP) and what it says of itself.
 
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
@@ -12,19 +11,16 @@ mod extreme;
 mod failing;
 mod faults;
 mod http;
-mod forms;
 mod gallery;
-mod growth;
-mod lanes;
-mod laws;
+/// Shared with the tests of the mathematics.
+#[allow(dead_code)]
+#[path = "../../solve/tests/it/given.rs"]
+mod given;
 mod log;
-mod methods;
 mod plan_sees;
 mod resume;
 mod scenarios;
 mod stability;
 mod study;
-mod verification;
 mod verify;
 mod architecture;
-mod vrkmk;

@@ -3,7 +3,8 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use vpd::chart::{LogChart, draw_log};
+use vpd::chart::draw_log;
+use vpd::log::course::LogChart;
 use vpd::log::reader::Item;
 use vpd::run::{Control, JobContext, Outcome, Summary, execute};
 use vpd::scenario::{SHIPPED, Scenario};

@@ -9,7 +9,7 @@ use vpd::study::table::Table;
 use vpd::study::{Scales, StudyError, Watch, usual_methods};
 
 use crate::cli::vpd;
-use crate::verification::reference;
+use crate::given::reference;
 
 pub(crate) fn shipped(name: &str) -> Scenario {
     let (_, text) = SHIPPED.iter().find(|(shipped, _)| *shipped == name).expect("shipped");

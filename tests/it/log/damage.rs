@@ -143,7 +143,7 @@ fn a_full_disk_fails_the_log_and_leaves_what_it_holds() {
     let path = disk.join("a.mcap");
     let header = LogHeader { samples_per_chunk: 100, ..header() };
     let mut log = LogWriter::<3>::create(&path, &header).expect("room");
-    let (body, state) = crate::verification::dipole();
+    let (body, state) = crate::given::dipole();
     let error = try_run(&body, state, &mut log, 100_000).expect_err("no space");
     assert_eq!(error.code(), "storage_full", "{error}");
     assert!(error.is_transient());

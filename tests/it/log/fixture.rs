@@ -81,7 +81,7 @@ pub(super) fn succeeded() -> Outcome {
 }
 
 pub(super) fn run_dipole<S: Sink<3, Error = LogError>>(sink: &mut S, steps: u64) {
-    let (body, state) = crate::verification::dipole();
+    let (body, state) = crate::given::dipole();
     run(&body, state, sink, steps);
 }
 

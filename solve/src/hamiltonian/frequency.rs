@@ -1,0 +1,63 @@
+//! How stiff a potential is.
+
+use super::RigidBody;
+use crate::so::{self, Mat};
+
+impl<const N: usize> RigidBody<N> {
+    /// The fastest frequency, in rad/s, of small turns about the attitude `g` in the potential alone: the root of the
+    /// largest eigenvalue, by its size, of
+    ///
+    /// ```text
+    /// xi -> J^-1 d/de (dH/dg)(g exp(e xi))
+    /// ```
+    ///
+    /// by power iteration from a difference of two gradients. Zero for a free body, and where the potential makes no sense.
+    pub fn fastest_frequency(&self, g: &Mat<N>) -> f64 {
+        /// To a few percent, unless the two fastest are that near each other; then it is between them.
+        const ROUNDS: u32 = 30;
+        /// Short beside a turn, long beside rounding.
+        const APART: f64 = 1e-5;
+        if self.is_free() {
+            return 0.0;
+        }
+        let size = |xi: &Mat<N>| so::inner(xi, xi).sqrt();
+        // No direction stands out.
+        let start: Vec<f64> = (0..so::dimension(N)).map(|i| 1.0 / (i as f64 + 1.0)).collect();
+        let mut xi = so::hat::<N>(&start);
+        let mut square = 0.0;
+        for _ in 0..ROUNDS {
+            xi /= size(&xi);
+            let Some(turn) = so::retraction(&(xi * APART)) else { return 0.0 };
+            let ahead = self.gradient_at(&so::product(g, &turn));
+            let behind = self.gradient_at(&so::product(g, &turn.transpose()));
+            xi = self.velocity(&((ahead - behind) / (2.0 * APART)));
+            square = size(&xi);
+            if !(square > 0.0 && square.is_finite()) {
+                return 0.0;
+            }
+        }
+        square.sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hamiltonian::{Kinetic, Law, Term};
+    use crate::so::Vector;
+
+    #[test]
+    fn a_pendulum_on_a_spring() {
+        // k / 2 |g y - v|^2 with |y| = |v| = 1 is k (1 - cos): J w^2 = k about the axes across y.
+        let weights = Mat::<3>::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (1 + i + j) as f64 });
+        let y = Vector::<3>::new(0.0, 0.0, 1.0);
+        let law = Law::Spring { stiffness: 50.0, rest_length: 0.0, body_point: y };
+        let body =
+            RigidBody::new(Kinetic::Principal { weights }, vec![Term { law, space: y }], 0.0);
+        // The smaller moment of the two, about the second axis, is that of entry (0, 2).
+        let found = body.fastest_frequency(&Mat::identity());
+        assert!((found - (50.0_f64 / 3.0).sqrt()).abs() < 1e-3 * found, "{found}");
+        let free = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+        assert_eq!(free.fastest_frequency(&Mat::identity()), 0.0);
+    }
+}

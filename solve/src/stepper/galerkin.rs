@@ -1,0 +1,430 @@
+//! The step that all three forms of VPD share: the constrained Galerkin discretisation of Shen, Tran,
+//! Leok (2022) on SO(n), solved in a rearranged form.
+//!
+//! With one skew unknown X_i per stage for the paper's nested inverse of phi~*, and everything in the
+//! frame of g0 (U_i here is the paper's g0^T U_i, f = g0^T g1):
+//!
+//! ```text
+//! U_i P_i = I + h sum_j a_ij U_j Omega_j                                            (vih3)
+//! f  P_e  = I + h sum_j b_j U_j Omega_j                                             (vih2)
+//! V_k  = h b_k f Lambda + h sum_i a_ik U_i X_i
+//! P_k X_k + X_k P_k = asym(U_k^T V_k Omega_k^T) - h b_k dH/dg(U_k)                  (f1), (fff1)
+//! asym(f Lambda) = -p0 - asym(sum_i U_i X_i)                                        (vih4)
+//! mu_k = -asym(U_k^T V_k) / (h b_k)                                                 (vih1)
+//! p1 = -(P_e Lambda + Lambda P_e),    g1 = g0 f                                     (vih5)
+//! ```
+//!
+//! In words: a symplectic partitioned Runge-Kutta method for g and the embedded momentum -V_k / (h b_k),
+//! with the polar factor as constraint. The products h a_ij and h b_j enter both halves with the same bits,
+//! so the pair is symplectic whatever their rounding. The forms differ in how Omega_k follows from mu_k
+//! and in the gradient: that is [`Dynamics`].
+//!
+//! Nothing of g0 remains but through the gradient. For a free body the step is therefore the reduced
+//! Lie-Poisson integrator (lp) as it stands, with f_0 = f and Theta_i = U_i^T f.
+//!
+//! Invariant: a solution is refused where its polar factors are not to be trusted.
+
+use crate::failure::{Failure, FailureCode};
+use crate::nonlinear::{Continued, Convergence, Equations, Past, Solver, StopRule};
+use crate::so::{self, Mat};
+use crate::tableau::Tableau;
+
+/// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
+pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
+
+/// What a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
+pub(super) trait Dynamics<const N: usize> {
+    /// The velocity Omega_k of stage `k` at `u`, given its momentum `mu` and the `omega` before.
+    fn velocity(&mut self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
+
+    /// dH/dg = -dL/dg at `u`, left-trivialised; `None` if it is zero everywhere.
+    fn gradient(&self, u: &Mat<N>, omega: &Mat<N>) -> Option<Mat<N>>;
+
+    /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
+    fn begin_sweep(&self) -> Result<(), Failure>;
+
+    /// Refuses an attitude at which the dynamics have lost their meaning.
+    fn check(&self, _u: &Mat<N>) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+/// The unknowns of a step and what solves for them.
+#[derive(Clone, Debug)]
+pub(super) struct GalerkinStep<const N: usize> {
+    tableau: Tableau,
+    solver: Solver,
+    /// The steps before, if they tell where the next one leads.
+    past: Option<Past>,
+    stages: Vec<Stage<N>>,
+    end: End<N>,
+}
+
+/// The unknowns of one stage, in the frame of g0.
+#[derive(Clone, Copy, Debug)]
+struct Stage<const N: usize> {
+    /// Attitude U_k.
+    u: Mat<N>,
+    /// E_k = P_k - I.
+    e: Mat<N>,
+    /// Body momentum mu_k.
+    mu: Mat<N>,
+    /// Body velocity Omega_k.
+    omega: Mat<N>,
+    /// U_k Omega_k.
+    u_omega: Mat<N>,
+    /// X_k.
+    x: Mat<N>,
+    /// U_k X_k.
+    u_x: Mat<N>,
+    /// V_k.
+    v: Mat<N>,
+}
+
+/// The unknowns of the end point.
+#[derive(Clone, Copy, Debug)]
+struct End<const N: usize> {
+    /// f = g0^T g1.
+    f: Mat<N>,
+    /// E = P_e - I.
+    e: Mat<N>,
+    /// The multiplier Lambda.
+    lambda: Mat<N>,
+}
+
+impl<const N: usize> GalerkinStep<N> {
+    /// A step of `tableau` that is solved until `stop`.
+    pub(super) fn new(tableau: Tableau, stop: StopRule) -> Self {
+        let zero = Mat::zeros();
+        let u = Mat::identity();
+        let stage =
+            Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
+        let end = End { f: u, e: zero, lambda: zero };
+        let (stages, solver) = (vec![stage; tableau.stages()], Solver::new(stop));
+        Self { stages, end, tableau, solver, past: None }
+    }
+
+    /// The same for steps that follow one another smoothly: each begins where those before lead to, until
+    /// [`GalerkinStep::forget`].
+    pub(super) fn continued(self) -> Self {
+        Self { past: Some(Past::default()), ..self }
+    }
+
+    /// The same, solved by sweeps alone, with no step before.
+    pub(super) fn by_sweeps(&self) -> Self {
+        Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
+    }
+
+    /// The next step follows none.
+    pub(super) fn forget(&mut self) {
+        if let Some(past) = &mut self.past {
+            past.forget();
+        }
+    }
+
+    /// Order of the scheme.
+    pub(super) fn order(&self) -> u32 {
+        self.tableau.order()
+    }
+
+    /// Solves the step of length `h` from the body momentum `p0`, starting from the velocity `omega` at its
+    /// beginning, kept constant. That guess is a function of the state alone: a resumed run repeats it to
+    /// the bit.
+    ///
+    /// # Errors
+    /// Any [`FailureCode`].
+    pub(super) fn solve(
+        &mut self,
+        dynamics: &mut impl Dynamics<N>,
+        h: f64,
+        p0: &Mat<N>,
+        omega: &Mat<N>,
+    ) -> Result<Convergence, Failure> {
+        // |Omega| is the length of the vector for n = 3, and at least the largest frequency for any n.
+        let turn_rad = Some(h.abs() * so::inner(omega, omega).sqrt());
+        self.solved(dynamics, h, p0, omega).map_err(|failure| Failure { turn_rad, ..failure })
+    }
+
+    fn solved(
+        &mut self,
+        dynamics: &mut impl Dynamics<N>,
+        h: f64,
+        p0: &Mat<N>,
+        omega: &Mat<N>,
+    ) -> Result<Convergence, Failure> {
+        let Self { tableau, solver, past, stages, end } = self;
+        let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
+        match solver.solve_after(past, &mut equations) {
+            Ok(convergence) => self.check(dynamics).map(|()| convergence),
+            // A charge that was met explains a failed iteration better than the iteration does.
+            Err(failure) => Err(match self.check_dynamics(dynamics) {
+                Err(met) => Failure {
+                    iterations: failure.iterations,
+                    increments: failure.increments,
+                    ..met
+                },
+                Ok(()) => failure,
+            }),
+        }
+    }
+
+    /// The rotation of the step, f = g0^T g1.
+    pub(super) fn rotation(&self) -> &Mat<N> {
+        &self.end.f
+    }
+
+    /// The body momentum at the end of the step (vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for
+    /// skew Lambda.
+    pub(super) fn momentum(&self) -> Mat<N> {
+        let End { e, lambda, .. } = &self.end;
+        -(lambda * 2.0 + so::asym(&so::product(e, lambda)))
+    }
+
+    /// What the step of length `h` changes, in the frame of g0, each small by itself: `f - I = D - f E` for
+    /// `I + D = f (I + E)`, and the impulse of the forces
+    ///
+    /// ```text
+    /// pi1 - p0 = -h sum_k b_k U_k dH/dg(U_k) U_k^T,      p1 = f^T pi1 f
+    /// ```
+    ///
+    /// which is (vih4) and (vih5) with the equations of the stages summed: everything but the forces cancels.
+    pub(super) fn changes(&self, dynamics: &impl Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
+        let (mut d, mut impulse) = (Mat::zeros(), Mat::zeros());
+        for (k, stage) in self.stages.iter().enumerate() {
+            let weight = h * self.tableau.b(k);
+            d += stage.u_omega * weight;
+            if let Some(gradient) = dynamics.gradient(&stage.u, &stage.omega) {
+                impulse -= so::conjugate(&stage.u, &gradient) * weight;
+            }
+        }
+        (d - so::product(&self.end.f, &self.end.e), impulse)
+    }
+
+    /// The smallest singular value of the interpolated matrices.
+    pub(super) fn sigma_min(&self) -> f64 {
+        1.0 + self.excesses().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min)
+    }
+
+    fn excesses(&self) -> impl Iterator<Item = &Mat<N>> {
+        self.stages.iter().map(|stage| &stage.e).chain([&self.end.e])
+    }
+
+    /// Refuses a solution on which the polar factors or the dynamics are not to be trusted.
+    fn check(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
+        for (k, e) in self.excesses().enumerate() {
+            let stage = (k < self.stages.len()).then_some(k);
+            // The cheap bound decides nearly always.
+            if so::smallest_eigenvalue_bound(e) < -0.5 {
+                let sigma = 1.0 + so::smallest_eigenvalue(e);
+                if !(sigma >= SMALLEST_SINGULAR_VALUE) {
+                    let code = if sigma > 0.0 {
+                        FailureCode::IllConditioned
+                    } else {
+                        FailureCode::LeftGlPlus
+                    };
+                    return Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE));
+                }
+            }
+        }
+        self.check_continuity()?;
+        self.check_dynamics(dynamics)
+    }
+
+    /// A determinant is blind past half a turn: continuity from node to node is what tells.
+    fn check_continuity(&self) -> Result<(), Failure> {
+        // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
+        let limit = N as f64 - 2.0;
+        let identity = Mat::<N>::identity();
+        let mut before = &identity;
+        let nodes = self.tableau.ascending().iter().map(|&k| (Some(k), &self.stages[k].u));
+        for (stage, u) in nodes.chain([(None, &self.end.f)]) {
+            let trace = before.dot(u);
+            if !(trace > limit) {
+                return Err(Failure::new(FailureCode::BranchJump, stage, trace, limit));
+            }
+            before = u;
+        }
+        Ok(())
+    }
+
+    fn check_dynamics(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
+        self.stages.iter().enumerate().try_for_each(|(k, stage)| {
+            dynamics.check(&stage.u).map_err(|failure| Failure { stage: Some(k), ..failure })
+        })
+    }
+}
+
+/// A step being solved.
+struct Sweeps<'a, const N: usize, D> {
+    tableau: &'a Tableau,
+    dynamics: &'a mut D,
+    h: f64,
+    p0: &'a Mat<N>,
+    /// The velocity at the beginning.
+    omega: &'a Mat<N>,
+    stages: &'a mut [Stage<N>],
+    end: &'a mut End<N>,
+}
+
+impl<const N: usize, D: Dynamics<N>> Equations for Sweeps<'_, N, D> {
+    fn guess(&mut self) -> Result<(), Failure> {
+        let Self { tableau, h, p0, omega, .. } = *self;
+        let turn = |angle: f64| so::retraction(&(omega * angle)).ok_or_else(|| not_finite(None));
+        *self.end = End { f: turn(h)?, e: Mat::zeros(), lambda: p0 * -0.5 };
+        for (k, stage) in self.stages.iter_mut().enumerate() {
+            let u = turn(h * tableau.c(k))?;
+            *stage = Stage {
+                u,
+                e: Mat::zeros(),
+                mu: *p0,
+                omega: *omega,
+                u_omega: u * omega,
+                x: Mat::zeros(),
+                u_x: Mat::zeros(),
+                v: self.end.f * self.end.lambda * (h * tableau.b(k)),
+            };
+        }
+        Ok(())
+    }
+
+    fn sweep(&mut self) -> Result<f64, Failure> {
+        self.dynamics.begin_sweep()?;
+        sweep(self.tableau, self.dynamics, self.h, self.p0, self.stages, self.end)
+    }
+
+    fn unknowns(&self, values: &mut Vec<f64>) {
+        let (turn, momentum) = self.units();
+        for stage in self.stages.iter() {
+            values.extend(stage.u_omega.iter().chain(&stage.omega).map(|x| x / turn));
+            values.extend(stage.v.iter().map(|x| x / momentum));
+        }
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let (turn, momentum) = self.units();
+        let matrix = |values: &[f64], unit: f64| Mat::from_column_slice(values) * unit;
+        for (stage, values) in self.stages.iter_mut().zip(values.chunks_exact(3 * N * N)) {
+            stage.u_omega = matrix(&values[..N * N], turn);
+            stage.omega = matrix(&values[N * N..2 * N * N], turn);
+            stage.v = matrix(&values[2 * N * N..], momentum);
+        }
+    }
+}
+
+impl<const N: usize, D: Dynamics<N>> Continued for Sweeps<'_, N, D> {
+    fn keep(&self, numbers: &mut Vec<f64>) {
+        for Stage { u_omega, omega, v, .. } in self.stages.iter() {
+            numbers.extend(u_omega.iter().chain(omega).chain(v));
+        }
+    }
+
+    fn continue_from(&mut self, numbers: &[f64]) -> Result<u32, Failure> {
+        let matrix =
+            |k: usize, numbers: &[f64]| Mat::from_column_slice(&numbers[k * N * N..][..N * N]);
+        for (stage, numbers) in self.stages.iter_mut().zip(numbers.chunks_exact(3 * N * N)) {
+            (stage.u_omega, stage.omega, stage.v) =
+                (matrix(0, numbers), matrix(1, numbers), matrix(2, numbers));
+        }
+        // A sweep finds f from the velocities before it, and finds anew the momenta that the next is measured by.
+        self.sweep().map(|_| 1)
+    }
+}
+
+impl<const N: usize, D> Sweeps<'_, N, D> {
+    /// The units of velocities and of the embedded momenta.
+    fn units(&self) -> (f64, f64) {
+        let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
+        (unit(self.omega.amax()), unit(self.h.abs() * self.p0.amax()))
+    }
+}
+
+/// One sweep over all unknowns, each from the newest of the others; returns the largest change of a
+/// stage momentum relative to the largest momentum.
+fn sweep<const N: usize>(
+    tableau: &Tableau,
+    dynamics: &mut impl Dynamics<N>,
+    h: f64,
+    p0: &Mat<N>,
+    stages: &mut [Stage<N>],
+    end: &mut End<N>,
+) -> Result<f64, Failure> {
+    let s = stages.len();
+    for i in 0..s {
+        let mut d = Mat::zeros();
+        for j in 0..s {
+            d += stages[j].u_omega * (h * tableau.a(i, j));
+        }
+        let stage = &mut stages[i];
+        (stage.u, stage.e) = polar(&d, Some(i))?;
+        stage.u_omega = so::product(&stage.u, &stage.omega);
+    }
+    let mut d = Mat::zeros();
+    for j in 0..s {
+        d += stages[j].u_omega * (h * tableau.b(j));
+    }
+    (end.f, end.e) = polar(&d, None)?;
+    let mut sum = Mat::zeros();
+    for k in 0..s {
+        let stage = &mut stages[k];
+        let mut load =
+            -so::asym(&so::product(&so::transposed_product(&stage.u, &stage.v), &stage.omega));
+        if let Some(gradient) = dynamics.gradient(&stage.u, &stage.omega) {
+            load -= gradient * (h * tableau.b(k));
+        }
+        stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;
+        stage.u_x = so::product(&stage.u, &stage.x);
+        sum += stage.u_x;
+    }
+    // M X + X M^T is asym(M X) for skew X.
+    end.lambda = lyapunov(&end.f, &(-p0 - so::asym(&sum)), &end.lambda, None)?;
+    let f_lambda = so::product(&end.f, &end.lambda);
+    let (mut change, mut size) = (0.0_f64, p0.amax());
+    for k in 0..s {
+        let weight = h * tableau.b(k);
+        let mut v = f_lambda * weight;
+        for i in 0..s {
+            v += stages[i].u_x * (h * tableau.a(i, k));
+        }
+        let stage = &mut stages[k];
+        let mu = -so::asym(&so::transposed_product(&stage.u, &v)) / weight;
+        if !mu.iter().all(|x| x.is_finite()) {
+            return Err(not_finite(Some(k)));
+        }
+        change = change.max((mu - stage.mu).amax());
+        size = size.max(mu.amax());
+        stage.omega = dynamics.velocity(k, &stage.u, &mu, &stage.omega);
+        stage.u_omega = so::product(&stage.u, &stage.omega);
+        (stage.v, stage.mu) = (v, mu);
+    }
+    Ok(if change == 0.0 { 0.0 } else { change / size })
+}
+
+/// `U` and `P - I` of `I + d = U P`.
+fn polar<const N: usize>(d: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Mat<N>), Failure> {
+    if !d.iter().all(|x| x.is_finite()) {
+        return Err(not_finite(stage));
+    }
+    let u = so::polar(&(d + Mat::identity())).ok_or(Failure::new(
+        FailureCode::LeftGlPlus,
+        stage,
+        0.0,
+        SMALLEST_SINGULAR_VALUE,
+    ))?;
+    Ok((u, so::stretch_excess(&u, d)))
+}
+
+fn lyapunov<const N: usize>(
+    m: &Mat<N>,
+    c: &Mat<N>,
+    guess: &Mat<N>,
+    stage: Option<usize>,
+) -> Result<Mat<N>, Failure> {
+    if !c.iter().all(|x| x.is_finite()) {
+        return Err(not_finite(stage));
+    }
+    so::lyapunov(m, c, guess).ok_or(Failure::new(FailureCode::LyapunovSingular, stage, 0.0, 0.0))
+}
+
+fn not_finite(stage: Option<usize>) -> Failure {
+    Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
+}

@@ -1,0 +1,155 @@
+//! Explicit Runge-Kutta on (g, mu) as plain matrices, the baseline that knows nothing of the group.
+//!
+//! ```text
+//! g' = g Omega,   mu' = [mu, Omega] - dH/dg,   Omega = dH/dmu
+//! ```
+//!
+//! Kutta (1901), Zeitschrift fuer Mathematik und Physik 46, in R^(n x n). The attitude leaves the group by the
+//! order of the method; optionally it is projected back after each step, to its orthogonal polar factor
+//! (Hairer, Lubich, Wanner, Geometric Numerical Integration, IV.4), which mends the attitude but not the
+//! energy.
+//!
+//! Invariant: the momentum is skew; with projection the attitude is on the group to round-off, and no step begins
+//! with a turn of more than a quarter.
+
+use std::f64::consts::FRAC_PI_2;
+
+use crate::failure::{Failure, FailureCode};
+use crate::hamiltonian::RigidBody;
+use crate::nonlinear::Convergence;
+use crate::so::{self, Mat, Vector};
+use crate::stepper::Stepper;
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+/// The stepper: an explicit tableau and its scratch.
+#[derive(Clone, Debug)]
+pub struct Rk<const N: usize> {
+    tableau: Tableau,
+    order: u32,
+    projected: bool,
+    state: State<N>,
+    /// g' and mu' of each stage.
+    rates: Vec<(Mat<N>, Mat<N>)>,
+    seen: Vec<Vector<N>>,
+}
+
+impl<const N: usize> Rk<N> {
+    /// A stepper for an explicit tableau, with a polar projection after each step if `projected`; `None`
+    /// for any other tableau.
+    pub fn new(tableau: Tableau, projected: bool) -> Option<Self> {
+        tableau.is_explicit().then(|| Self {
+            order: tableau.classical_order(),
+            projected,
+            state: State { attitude: Mat::identity(), momentum: Mat::zeros() },
+            rates: vec![(Mat::zeros(), Mat::zeros()); tableau.stages()],
+            seen: Vec::new(),
+            tableau,
+        })
+    }
+
+    /// The state after the given parts of the rates so far.
+    fn at(&self, stage: Option<usize>, part: impl Fn(usize) -> f64) -> Result<State<N>, Failure> {
+        let State { attitude: mut g, momentum: mut mu } = self.state;
+        for (j, (k, l)) in self.rates.iter().enumerate().take(stage.unwrap_or(usize::MAX)) {
+            // Of the eighth order a third is zero.
+            let part = part(j);
+            if part != 0.0 {
+                g += k * part;
+                mu += l * part;
+            }
+        }
+        if g.iter().chain(&mu).all(|x| x.is_finite()) {
+            Ok(State { attitude: g, momentum: mu })
+        } else {
+            Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))
+        }
+    }
+}
+
+/// A projection cannot tell turns that are a whole one apart, and what four stages make of a turn past 3 rad looks
+/// like one of less than a quarter: the guard behind the projection is blind there. So the turn is judged by the
+/// velocity as well, by the same limit.
+fn check_turn<const N: usize>(omega: &Mat<N>, h: f64) -> Result<(), Failure> {
+    // No plane turns faster than all of them together.
+    let turn = if h * so::inner(omega, omega).sqrt() > FRAC_PI_2 {
+        h * so::frequencies(omega).last().copied().unwrap_or_default()
+    } else {
+        0.0
+    };
+    if turn > FRAC_PI_2 {
+        return Err(Failure::new(FailureCode::BranchJump, Some(0), turn, FRAC_PI_2));
+    }
+    Ok(())
+}
+
+/// The orthogonal polar factor of what a step ends at. Next to the group the iteration of Newton and Schulz needs no
+/// inverse: each round squares the defect, `E <- 3/4 E^2 + E^3 / 4` for `E = I - g^T g`.
+fn projection<const N: usize>(g: &Mat<N>) -> Option<Mat<N>> {
+    const NEAR: f64 = 1e-2;
+    const ROUNDS: usize = 4;
+    let mut u = *g;
+    for _ in 0..ROUNDS {
+        let defect = Mat::<N>::identity() - u.tr_mul(&u);
+        let size = defect.amax();
+        if !(size <= NEAR) {
+            return so::polar(g);
+        }
+        u += u * defect * 0.5;
+        if size <= 1e-8 {
+            return Some(u);
+        }
+    }
+    so::polar(g)
+}
+
+impl<const N: usize> Stepper<N> for Rk<N> {
+    fn order(&self) -> u32 {
+        self.order
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.state = state.clone();
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        body.work().begin_sweep()?;
+        body.seen_from(&Mat::identity(), &mut self.seen);
+        for i in 0..self.tableau.stages() {
+            let State { attitude: g, momentum: mu } =
+                self.at(Some(i), |j| h * self.tableau.a(i, j))?;
+            body.check_distances(&g, &self.seen)
+                .map_err(|failure| Failure { stage: Some(i), ..failure })?;
+            let omega = body.velocity(&mu);
+            if self.projected && i == 0 {
+                check_turn(&omega, h)?;
+            }
+            self.rates[i] = (g * omega, body.momentum_rate(&g, &mu, &omega, &self.seen));
+        }
+        let mut end = self.at(None, |j| h * self.tableau.b(j))?;
+        if self.projected {
+            let factor = projection(&end.attitude).ok_or(Failure::new(
+                FailureCode::LeftGlPlus,
+                None,
+                0.0,
+                0.0,
+            ))?;
+            // A quarter turn in one plane, or a reflection: tr(U^T V) <= n - 2.
+            let (trace, limit) = (self.state.attitude.dot(&factor), N as f64 - 2.0);
+            if !(trace > limit) {
+                return Err(Failure::new(FailureCode::BranchJump, None, trace, limit));
+            }
+            end.attitude = factor;
+        }
+        self.state = end;
+        Ok(Convergence::EXPLICIT)
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        Some(self.state.attitude)
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.state.momentum
+    }
+}

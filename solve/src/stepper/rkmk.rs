@@ -1,0 +1,122 @@
+//! Explicit Runge-Kutta-Munthe-Kaas: a classical method in the Lie algebra, pulled to the group by exp.
+//!
+//! Left-trivialised, `g = g0 exp(sigma)`, the momentum by the same tableau in its own linear space:
+//!
+//! ```text
+//! sigma_i = h sum_j a_ij k_j          mu_i = mu_0 + h sum_j a_ij l_j
+//! k_i = dexpinv(sigma_i, Omega_i)     l_i = [mu_i, Omega_i] - dH/dg(g0 exp(sigma_i))
+//! g1 = g0 exp(h sum_j b_j k_j)        mu_1 = mu_0 + h sum_j b_j l_j
+//! dexpinv(sigma, Omega) = sum_{k <= p - 2} (-1)^k B_k / k! ad_sigma^k Omega
+//!                       = Omega + [sigma, Omega] / 2 + [sigma, [sigma, Omega]] / 12 - ...
+//! ```
+//!
+//! Munthe-Kaas (1999), Applied Numerical Mathematics 29; Hairer, Lubich, Wanner, Geometric Numerical
+//! Integration, IV.8.2 (there with `g' = A g`, which turns the sign of the odd terms). The sum is cut at
+//! p - 2, p the order of the tableau: sigma is O(h), and the last term counts once more h.
+//!
+//! Invariant: the attitude is on the group to round-off. The method is not symplectic and not symmetric.
+
+use crate::failure::{Failure, FailureCode};
+use crate::hamiltonian::RigidBody;
+use crate::nonlinear::Convergence;
+use crate::so::{self, Mat, Vector};
+use crate::stepper::Stepper;
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+/// `(-1)^k B_k / k!`, k = 1, 2, ...
+const DEXPINV: [f64; 6] = [0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30_240.0];
+
+/// The stepper: an explicit tableau and its scratch.
+#[derive(Clone, Debug)]
+pub struct Rkmk<const N: usize> {
+    tableau: Tableau,
+    order: u32,
+    state: State<N>,
+    /// k_i and l_i.
+    rates: Vec<(Mat<N>, Mat<N>)>,
+    seen: Vec<Vector<N>>,
+}
+
+impl<const N: usize> Rkmk<N> {
+    /// A stepper for an explicit tableau; `None` for any other.
+    pub fn new(tableau: Tableau) -> Option<Self> {
+        tableau.is_explicit().then(|| Self {
+            order: tableau.classical_order(),
+            state: State { attitude: Mat::identity(), momentum: Mat::zeros() },
+            rates: vec![(Mat::zeros(), Mat::zeros()); tableau.stages()],
+            seen: Vec::new(),
+            tableau,
+        })
+    }
+
+    /// The attitude in the frame of g0 and the momentum after the given parts of the rates so far.
+    fn at(
+        &self,
+        stage: Option<usize>,
+        part: impl Fn(usize) -> f64,
+    ) -> Result<(Mat<N>, Mat<N>, Mat<N>), Failure> {
+        let (mut sigma, mut mu) = (Mat::zeros(), self.state.momentum);
+        for (j, (k, l)) in self.rates.iter().enumerate().take(stage.unwrap_or(usize::MAX)) {
+            let part = part(j);
+            if part != 0.0 {
+                sigma += k * part;
+                mu += l * part;
+            }
+        }
+        let u = so::exp(&sigma);
+        if u.iter().chain(&mu).all(|x| x.is_finite()) {
+            Ok((sigma, u, mu))
+        } else {
+            Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))
+        }
+    }
+
+    fn dexpinv(&self, sigma: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+        let (mut nested, mut sum) = (*omega, *omega);
+        for coefficient in DEXPINV.iter().take(self.order.saturating_sub(2) as usize) {
+            // [A, B] = AB - (AB)^T for skew A and B.
+            nested = so::asym(&(sigma * nested));
+            if *coefficient != 0.0 {
+                sum += nested * *coefficient;
+            }
+        }
+        sum
+    }
+}
+
+impl<const N: usize> Stepper<N> for Rkmk<N> {
+    fn order(&self) -> u32 {
+        self.order
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.state = state.clone();
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        body.work().begin_sweep()?;
+        body.seen_from(&self.state.attitude, &mut self.seen);
+        for i in 0..self.tableau.stages() {
+            let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
+            body.check_distances(&u, &self.seen)
+                .map_err(|failure| Failure { stage: Some(i), ..failure })?;
+            let omega = body.velocity(&mu);
+            let k = self.dexpinv(&sigma, &omega);
+            self.rates[i] = (k, body.momentum_rate(&u, &mu, &omega, &self.seen));
+        }
+        let (_, f, momentum) = self.at(None, |j| h * self.tableau.b(j))?;
+        // The product drifts off the group like any product; one correction in space puts it back.
+        let attitude = so::orthonormalised(&(self.state.attitude * f));
+        self.state = State { attitude, momentum };
+        Ok(Convergence::EXPLICIT)
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        Some(self.state.attitude)
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.state.momentum
+    }
+}

@@ -1,0 +1,116 @@
+//! VPD for a free body, reduced to the Lie-Poisson equations on so(n)*: Shen, Tran, Leok (2022), (lp) with
+//! the reduced adjoint maps (nf), (nnf).
+//!
+//! The shared step in the frame of g0 is that integrator: with f_0 = f and Theta_i = U_i^T f nothing of g0
+//! remains. (The paper's (nnf2) slips an index: the reduced phi~ map has weight 1, as in (fff2).) The body
+//! momentum is all the state there is; the attitude is put together from the rotations of the steps,
+//! g_{k+1} = g_k f_k, only if it is asked for. Nothing pushes, so a step begins where those before it lead
+//! ([`crate::nonlinear::Past`]).
+//!
+//! Invariant: the momentum stays on its coadjoint orbit to round-off.
+
+use super::Stepper;
+use super::galerkin::{Dynamics, GalerkinStep};
+use crate::failure::Failure;
+use crate::hamiltonian::RigidBody;
+use crate::nonlinear::{Convergence, StopRule};
+use crate::so::{self, Mat};
+use crate::space;
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+/// The stepper: the shared step, the momentum, and the attitude if it is wanted.
+#[derive(Clone, Debug)]
+pub struct VpdReduced<const N: usize> {
+    step: GalerkinStep<N>,
+    momentum: Mat<N>,
+    /// What rounding took off the sum of the momentum.
+    carry: Mat<N>,
+    attitude: Option<Mat<N>>,
+}
+
+impl<const N: usize> VpdReduced<N> {
+    /// A stepper for `tableau` that solves each step until `stop`, and reconstructs the attitude if
+    /// `with_attitude`.
+    pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Self {
+        Self {
+            step: GalerkinStep::new(tableau, stop).continued(),
+            momentum: Mat::zeros(),
+            carry: Mat::zeros(),
+            attitude: with_attitude.then(Mat::identity),
+        }
+    }
+}
+
+/// (lp6): `Omega = dh/dmu`; nothing depends on the attitude.
+struct Free<'a, const N: usize>(&'a RigidBody<N>);
+
+impl<const N: usize> Dynamics<N> for Free<'_, N> {
+    fn velocity(&mut self, _k: usize, _u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
+        self.0.velocity(mu)
+    }
+
+    fn gradient(&self, _u: &Mat<N>, _omega: &Mat<N>) -> Option<Mat<N>> {
+        None
+    }
+
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        self.0.work().begin_sweep()
+    }
+}
+
+/// `f^T p f - p` for skew p, by which (lp) moves the momentum, exact for a rotation that is f to rounding.
+///
+/// With `f = I + F` it is `asym(p F) + F^T p F`. What f lacks of a rotation is a drift of the Casimirs, so it is
+/// taken off F first: all that is rounded then is small beside p.
+fn coadjoint_change<const N: usize>(f: &Mat<N>, p: &Mat<N>) -> Mat<N> {
+    let small = f - Mat::<N>::identity();
+    // f^T f - I
+    let defect = small + small.transpose() + so::transposed_product(&small, &small);
+    let small = small - (defect + so::product(&small, &defect)) * 0.5;
+    let turned = so::product(p, &small);
+    so::asym(&turned) + so::asym(&so::transposed_product(&small, &turned)) * 0.5
+}
+
+impl<const N: usize> Stepper<N> for VpdReduced<N> {
+    fn order(&self) -> u32 {
+        self.step.order()
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.step.forget();
+        self.momentum = state.momentum;
+        self.carry = Mat::zeros();
+        self.attitude = self.attitude.map(|_| state.attitude);
+    }
+
+    /// # Assumes
+    /// A free body: a potential is not seen.
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        debug_assert!(body.is_free(), "the reduced integrator is for free bodies");
+        let omega = body.velocity(&self.momentum);
+        let convergence = self.step.solve(&mut Free(body), h, &self.momentum, &omega)?;
+        let change = coadjoint_change(self.step.rotation(), &self.momentum) + self.carry;
+        for i in 0..N {
+            for j in 0..N {
+                let (sum, left) = space::sum(self.momentum[(i, j)], change[(i, j)]);
+                (self.momentum[(i, j)], self.carry[(i, j)]) = (sum, left);
+            }
+        }
+        self.attitude =
+            self.attitude.map(|g| so::orthonormalised(&so::product(&g, self.step.rotation())));
+        Ok(convergence)
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        self.attitude
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.momentum
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        Some(self.step.sigma_min())
+    }
+}

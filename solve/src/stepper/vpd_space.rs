@@ -1,0 +1,483 @@
+//! VPD in Hamiltonian form for n = 3 with up to eight stages: the map of [`super::vpd`] and
+//! [`super::vpd_reduced`], computed in vectors and quaternions with the stages side by side in SIMD lanes.
+//!
+//! The state is the attitude as a unit quaternion and the momentum, in space and in the body. A step adds to each what is
+//! small beside it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
+//! takes off a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
+//! McLachlan, Razakarivony 2008, BIT 48). In space the momentum is what torques make of it and nothing else. In the body
+//! it is `g^T pi`; but many stages are there for the last digits, and with torques the small momentum about a thin axis, of
+//! which that product knows too little, has a sum of its own there.
+//!
+//! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
+
+use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
+
+use super::galerkin::SMALLEST_SINGULAR_VALUE;
+use super::{Stepper, check_root};
+use crate::failure::{Failure, FailureCode};
+use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::lanes::{Row, Rows, WIDTH};
+use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
+use crate::so::{self, Mat, Vector};
+use crate::so3::Top;
+use crate::space::{Mat3, Sym3, Turn, Vec3, dot, mat3, product, scaled, transposed_product, vec3};
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+pub mod ensemble;
+mod motion;
+mod sweep;
+mod unknowns;
+
+use motion::{Motion, Sum};
+use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
+
+/// A free body that turns by less in a step takes half the passes of others.
+const CALM_RAD: f64 = 0.05;
+
+/// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
+macro_rules! in_lanes {
+    ($work:ident, $equations:expr) => {{
+        let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
+        *torques += *stages as u64;
+        match (level, stages) {
+            (Some(level), 1) => {
+                dispatch!(*level, _simd => sweep::$work(Rows([0.0; 1]), start, unknowns))
+            }
+            (Some(level), 2) => {
+                dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns))
+            }
+            (Some(level), 3 | 4) => {
+                dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns))
+            }
+            (Some(level), _) => {
+                dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns))
+            }
+            (None, 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
+            (None, 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),
+            (None, 3) => sweep::$work(Rows([0.0; 3]), start, unknowns),
+            (None, 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
+            (None, _) => sweep::$work(Rows([0.0; 8]), start, unknowns),
+        }
+    }};
+}
+
+/// The stepper: the tableau in lanes, the state, and the unknowns of the last step.
+#[derive(Clone, Debug)]
+pub struct VpdSpace {
+    tableau: Tableau,
+    lanes: LaneTableau,
+    solver: Solver,
+    /// The steps before, if they tell where the next one leads.
+    past: Option<Past>,
+    /// The instruction set; without one, one number at a time.
+    level: Option<Level>,
+    state: Carried,
+    unknowns: Unknowns<Row, f64>,
+    seen: Vec<Vec3<f64>>,
+}
+
+/// What is carried from step to step.
+#[derive(Clone, Copy, Debug)]
+enum Carried {
+    /// Attitude and momentum.
+    Full(Motion<f64>),
+    /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
+    /// Its square labels the coadjoint orbit.
+    Reduced { momentum: Sum<f64, 3>, square: f64 },
+}
+
+impl VpdSpace {
+    /// A stepper for `tableau` that solves each step until `stop`. `None` if the tableau has more stages than there are
+    /// lanes.
+    pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
+        // Many stages are there for the last digits.
+        let stop = StopRule { foresee: tableau.stages() <= FEW_STAGES, ..stop };
+        (tableau.stages() <= WIDTH).then(|| Self {
+            lanes: LaneTableau::new(&tableau),
+            tableau,
+            solver: Solver::new(stop),
+            past: None,
+            level: Some(Level::new()),
+            state: Carried::Full(Motion::blank(0.0, 1.0)),
+            unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
+            seen: Vec::new(),
+        })
+    }
+
+    /// The same for free bodies, whose momentum moves by itself: it carries an attitude only if `with_attitude`, and a
+    /// step begins where those before lead.
+    pub fn reduced(self, with_attitude: bool) -> Self {
+        let state = if with_attitude {
+            self.state
+        } else {
+            Carried::Reduced { momentum: Sum::new([0.0; 3], 0.0), square: 0.0 }
+        };
+        // Many stages are better guessed by themselves.
+        let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
+        Self { past, state, ..self }
+    }
+
+    /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
+    pub fn on_level(self, level: Option<Level>) -> Self {
+        Self { level, ..self }
+    }
+
+    /// E of stage `k`, or of the end point after the last.
+    fn excess(&self, k: usize) -> Sym3<f64> {
+        let excess = if k < self.tableau.stages() {
+            self.unknowns.excess.each_ref().map(|row| row[k])
+        } else {
+            self.unknowns.end_excess
+        };
+        unsigned_zeros(excess)
+    }
+
+    /// U_k, or f after the last.
+    fn turn(&self, k: usize) -> Turn<f64> {
+        if k < self.tableau.stages() {
+            let Turn { w, v } = &self.unknowns.attitude;
+            Turn { w: w.0[k], v: vec3!(i => v[i].0[k]) }
+        } else {
+            self.unknowns.end
+        }
+    }
+
+    /// Refuses a solution on which the polar factors or the potential are not to be trusted.
+    fn check(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+        let stages = self.tableau.stages();
+        let stage = |k: usize| (k < stages).then_some(k);
+        for k in 0..=stages {
+            let [xx, yy, zz, yz, xz, xy] = self.excess(k);
+            // Gershgorin's discs decide nearly always.
+            let [yz_, xz_, xy_] = [yz.abs(), xz.abs(), xy.abs()];
+            let bound = (xx - xy_ - xz_).min(yy - xy_ - yz_).min(zz - xz_ - yz_);
+            if !(bound >= -0.5) {
+                let sigma = smallest_singular_value(&self.excess(k));
+                if !(sigma >= SMALLEST_SINGULAR_VALUE) {
+                    let code = if sigma > 0.0 {
+                        FailureCode::IllConditioned
+                    } else {
+                        FailureCode::LeftGlPlus
+                    };
+                    return Err(Failure::new(code, stage(k), sigma, SMALLEST_SINGULAR_VALUE));
+                }
+            }
+        }
+        let mut before = Turn { w: 1.0, v: [0.0; 3] };
+        for k in self.tableau.ascending().iter().copied().chain([stages]) {
+            let turn = self.turn(k);
+            // tr(U^T V) = 4 (p . q)^2 - 1; a quarter turn has 1.
+            let cosine = before.w * turn.w + dot(&before.v, &turn.v);
+            let trace = 4.0 * cosine * cosine - 1.0;
+            if !(trace > 1.0) {
+                return Err(Failure::new(FailureCode::BranchJump, stage(k), trace, 1.0));
+            }
+            before = turn;
+        }
+        // What is not a number is refused, too.
+        if self.unknowns.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
+            Ok(())
+        } else {
+            self.check_distances(body)
+        }
+    }
+
+    /// Refuses stages too close to a point of the potential.
+    fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+        let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
+        // An iterate that is no rotation, or no number, meets no charge.
+        let turns = (0..self.tableau.stages()).map(|k| (k, self.turn(k)));
+        let is_rotation =
+            |turn: &Turn<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
+        turns.filter(|(_, turn)| is_rotation(turn)).try_for_each(|(k, turn)| {
+            let u = turn.matrix();
+            body.check_distances(&Mat::from_fn(|i, j| u[i][j]), &seen)
+                .map_err(|failure| Failure { stage: Some(k), ..failure })
+        })
+    }
+
+    /// Solves the step of length `h` from `momentum`, the body momentum at its beginning, with the space
+    /// vectors of the potential in `self.seen`.
+    fn solve(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        momentum: Vec3<f64>,
+    ) -> Result<Convergence, Failure> {
+        let inertia = Inertia::of(body);
+        let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
+        // Where a step follows the steps before and turns little, half the passes bring it home.
+        let calm = past.is_some() && {
+            let turn = scaled(&inertia.divides(&momentum), h);
+            dot(&turn, &turn) <= CALM_RAD * CALM_RAD
+        };
+        let passes = if calm { lanes.passes.halved() } else { lanes.passes };
+        let start = Start {
+            tableau: lanes,
+            body,
+            inertia,
+            seen,
+            step: h,
+            passes: passes.of_sweep(false),
+            momentum,
+        };
+        let (level, stages) = (*level, tableau.stages());
+        let mut equations = InLanes {
+            level,
+            stages,
+            start,
+            passes,
+            at_first: false,
+            unknowns,
+            momentum_scale: 1.0,
+            torques: 0,
+        };
+        let solved = solver.solve_after(past, &mut equations);
+        if lanes.is_finished && solved.is_ok() {
+            in_lanes!(finish, &mut equations);
+        }
+        body.count(equations.torques);
+        solved.map_err(|mut failure| {
+            // The state is finite: an iterate that is not has grown out of all bounds.
+            if failure.code == FailureCode::NonFinite && failure.iterations > 1 {
+                failure.code = FailureCode::Diverged;
+            }
+            // A charge that was met explains a failed iteration better than the iteration does.
+            match self.check_distances(body) {
+                Err(met) => {
+                    let Failure { iterations, increments, .. } = failure;
+                    Failure { iterations, increments, ..met }
+                }
+                Ok(()) => failure,
+            }
+        })
+    }
+}
+
+/// The equations of a step, in as many lanes as the stages need.
+struct InLanes<'a> {
+    level: Option<Level>,
+    stages: usize,
+    start: Start<'a, f64>,
+    passes: Passes,
+    /// Is the next sweep the first after a guess?
+    at_first: bool,
+    unknowns: &'a mut Unknowns<Row, f64>,
+    /// The unit of momenta.
+    momentum_scale: f64,
+    /// Torques computed.
+    torques: u64,
+}
+
+impl InLanes<'_> {
+    fn lanes(&self) -> usize {
+        self.stages.next_power_of_two()
+    }
+}
+
+impl Equations for InLanes<'_> {
+    fn guess(&mut self) -> Result<(), Failure> {
+        in_lanes!(guess, self);
+        // One at each stage is counted with every piece of work.
+        let more = self.start.tableau.torques_of_guess() - 1;
+        self.torques += u64::from(more) * self.stages as u64;
+        self.at_first = true;
+        let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
+        let size = self.start.momentum.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
+        let size = self.unknowns.momentum.iter().fold(size, largest);
+        self.momentum_scale = if size > 0.0 { size } else { 1.0 };
+        Ok(())
+    }
+
+    /// The guess leaves x and K^-1 far from where a sweep puts them.
+    fn settle(&mut self) -> Result<(), Failure> {
+        if !self.sweep()?.is_finite() {
+            self.guess()?;
+            // Newton's method needs sweeps that are all alike.
+            self.at_first = false;
+        }
+        Ok(())
+    }
+
+    fn sweep(&mut self) -> Result<f64, Failure> {
+        self.start.body.work().begin_sweep()?;
+        self.start.passes = self.passes.of_sweep(self.at_first);
+        self.at_first = false;
+        Ok(in_lanes!(sweep, self))
+    }
+
+    fn unknowns(&self, values: &mut Vec<f64>) {
+        self.unknowns.visit(self.lanes(), self.momentum_scale, |x, unit| values.push(x / unit));
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let mut values = values.iter();
+        self.unknowns.visit_mut(self.lanes(), self.momentum_scale, |x, unit| {
+            *x = values.next().map_or(*x, |value| value * unit);
+        });
+    }
+}
+
+impl Continued for InLanes<'_> {
+    fn keep(&self, numbers: &mut Vec<f64>) {
+        match self.lanes() {
+            1 => self.unknowns.keep::<1>(numbers),
+            2 => self.unknowns.keep::<2>(numbers),
+            _ => self.unknowns.keep::<FEW_STAGES>(numbers),
+        }
+    }
+
+    fn continue_from(&mut self, numbers: &[f64]) -> Result<u32, Failure> {
+        match self.lanes() {
+            1 => self.unknowns.continue_from::<1>(numbers),
+            2 => self.unknowns.continue_from::<2>(numbers),
+            _ => self.unknowns.continue_from::<FEW_STAGES>(numbers),
+        }
+        Ok(0)
+    }
+}
+
+impl Stepper<3> for VpdSpace {
+    fn order(&self) -> u32 {
+        self.tableau.order()
+    }
+
+    fn start(&mut self, state: &State<3>) {
+        let Top { attitude, momentum } = Top::from_state(state);
+        if let Some(past) = &mut self.past {
+            past.forget();
+        }
+        self.state = match self.state {
+            Carried::Full(_) => {
+                let in_space = product(&rows(&state.attitude), &momentum.into());
+                let attitude = [attitude.w, attitude.i, attitude.j, attitude.k];
+                Carried::Full(Motion {
+                    attitude: Sum::new(unsigned_zeros(attitude), 0.0),
+                    momentum: Sum::new(unsigned_zeros(in_space), 0.0),
+                    body_momentum: Sum::new(unsigned_zeros(momentum.into()), 0.0),
+                })
+            }
+            Carried::Reduced { .. } => {
+                let square = momentum.norm_squared();
+                Carried::Reduced { momentum: Sum::new(momentum.into(), 0.0), square }
+            }
+        };
+    }
+
+    fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
+        let p0 = self.body_momentum();
+        self.look(body);
+        let solved = self.solve(body, h, p0).map_err(|failure| self.turned(body, h, failure))?;
+        self.accepted(body, h, solved)
+    }
+
+    fn attitude(&self) -> Option<Mat<3>> {
+        let g = self.motion()?.turn().matrix();
+        Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
+    }
+
+    fn momentum(&self) -> Mat<3> {
+        so::hat(&self.body_momentum())
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.excess(k)));
+        Some(sigmas.fold(f64::INFINITY, f64::min))
+    }
+}
+
+impl VpdSpace {
+    /// The space vectors of the potential from where the step begins.
+    fn look(&mut self, body: &RigidBody<3>) {
+        match &self.state {
+            Carried::Full(motion) => motion.look(0.0, body, &mut self.seen),
+            Carried::Reduced { .. } => self.seen.clear(),
+        }
+    }
+
+    /// Checks the solved step and takes it over into the state.
+    fn accepted(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        solved: Convergence,
+    ) -> Result<Convergence, Failure> {
+        self.check(body).map_err(|failure| self.turned(body, h, failure))?;
+        let before = self.state;
+        self.advance();
+        if solved.rung == Rung::Newton
+            && let Some(end) = self.attitude()
+        {
+            let solver = self.solver.by_sweeps();
+            let halves = Self { solver, past: None, state: before, ..self.clone() };
+            if let Err(failure) = check_root(solved, halves, body, h, &end) {
+                self.state = before;
+                return Err(self.turned(body, h, failure));
+            }
+        }
+        Ok(solved)
+    }
+
+    /// A failure with the angle by which the body would turn.
+    fn turned(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
+        let velocity = body.inverse_inertia() * Vector::<3>::from(self.body_momentum());
+        Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
+    }
+
+    /// Takes the solved step over into the state.
+    fn advance(&mut self) {
+        let Unknowns { end, kick, gain, .. } = &self.unknowns;
+        match &mut self.state {
+            Carried::Full(motion) => {
+                motion.advance(0.0, end, kick);
+                // A free body has the one in space to the bit, and the sum would lean by 1e-18 a step.
+                if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
+                    motion.gain(gain);
+                } else {
+                    motion.turn_momentum(0.0);
+                }
+            }
+            Carried::Reduced { momentum, square } => {
+                let Sum { value, carry } = &*momentum;
+                let small = end.change();
+                let change = transposed_product(&small, value);
+                let carried = transposed_product(&small, carry);
+                // Back onto the orbit, off which only rounding takes it.
+                let defect = dot(value, value) / *square - 1.0;
+                let lack = if *square > 0.0 { -0.5 * defect } else { 0.0 };
+                let change = vec3!(i => change[i] + (carried[i] + lack * value[i]));
+                momentum.add(&change);
+            }
+        }
+    }
+
+    /// Of a stepper that carries an attitude.
+    fn motion(&self) -> Option<&Motion<f64>> {
+        match &self.state {
+            Carried::Full(motion) => Some(motion),
+            Carried::Reduced { .. } => None,
+        }
+    }
+
+    fn body_momentum(&self) -> Vec3<f64> {
+        match &self.state {
+            Carried::Full(motion) => motion.body_momentum.value,
+            Carried::Reduced { momentum, .. } => momentum.value,
+        }
+    }
+}
+
+/// The smallest eigenvalue of `P = I + E`.
+fn smallest_singular_value([xx, yy, zz, yz, xz, xy]: &Sym3<f64>) -> f64 {
+    1.0 + so::smallest_eigenvalue(&Mat::<3>::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz))
+}
+
+/// Without the sign of zeros: a lane of no stage adds a zero of either sign. What is summed to these has none, either.
+fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
+    numbers.map(|x| x + 0.0)
+}
+
+fn rows(m: &Mat<3>) -> Mat3<f64> {
+    mat3!(i, j => m[(i, j)])
+}

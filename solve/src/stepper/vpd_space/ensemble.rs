@@ -1,0 +1,380 @@
+//! Up to eight members of an ensemble side by side, one in each lane.
+//!
+//! A lane goes through the sweeps of [`VpdSpace`] with the same bits; its solution is taken when its own iteration has
+//! converged, whatever the others still do, and it holds what the member is until somebody asks for that. A member
+//! whose sweeps do not get on makes that step by itself, with Newton's method where that helps. Without AVX2, and with
+//! more than four stages, which fill the lanes of one member, this would gain nothing: then every member goes by
+//! itself. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
+//! arithmetic itself is the limit.)
+//!
+//! Invariant: each member ends with the bits, and with the failure, of its own run.
+
+use fearless_simd::{Level, f64x8, prelude::*};
+
+use super::motion::Motion;
+use super::sweep;
+use super::unknowns::{Inertia, Start, Unknowns};
+use super::{Carried, VpdSpace};
+use crate::ensemble::Members;
+use crate::failure::Failure;
+use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::lanes::{Real, Row, Rows, Stages, WIDTH, Whole, aligned_zero};
+use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
+use crate::space::{Turn, Vec3, dot};
+use crate::stepper::Stepper;
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `like` is so many
+/// stages in lanes.
+macro_rules! in_member_lanes {
+    ($level:ident, $stages:literal, $like:ident => $work:expr) => {{
+        #[cfg(target_arch = "x86_64")]
+        match ($level.as_avx512(), $level.as_avx2()) {
+            (Some(simd), _) => in_member_lanes!(@on simd, $stages, $like => $work),
+            (None, Some(simd)) => in_member_lanes!(@on simd, $stages, $like => $work),
+            (None, None) => unreachable!("members go by themselves here"),
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        unreachable!("members go by themselves here")
+    }};
+    (@on $simd:ident, $stages:literal, $like:ident => $work:expr) => {
+        $simd.vectorize(
+            #[inline(always)]
+            || {
+                let zero = f64x8::from_slice($simd, &aligned_zero().0);
+                let $like = Rows([zero; $stages]);
+                $work
+            },
+        )
+    };
+}
+
+/// The members, each with its lane.
+#[derive(Clone, Debug)]
+pub struct VpdEnsemble {
+    members: Vec<VpdSpace>,
+    /// What each member starts from.
+    blank: VpdSpace,
+    lanes: Lanes,
+    /// Whose lane is ahead of the member, which is written when it is asked for.
+    ahead: [bool; WIDTH],
+    motion: Motion<Row>,
+    seen: Vec<Vec3<Row>>,
+    iterations: [Progress; WIDTH],
+}
+
+/// The members side by side, for as many stages as there are rows.
+#[derive(Clone, Debug)]
+enum Lanes {
+    One(Box<Side<1>>),
+    Two(Box<Side<2>>),
+    Three(Box<Side<3>>),
+    Four(Box<Side<4>>),
+    /// Members go by themselves.
+    None,
+}
+
+/// What sweeps work on, and the solutions that have been taken from it.
+#[derive(Clone, Debug)]
+struct Side<const K: usize> {
+    unknowns: Unknowns<[Row; K], Row>,
+    taken: Unknowns<[Row; K], Row>,
+}
+
+impl<const K: usize> Side<K> {
+    fn blank() -> Box<Self> {
+        let zero = Row::splat(0.0);
+        let blank = Unknowns::blank([zero; K], zero);
+        Box::new(Self { unknowns: blank, taken: blank })
+    }
+}
+
+/// What came of a member's sweeps.
+#[derive(Clone, Copy, Debug)]
+enum Swept {
+    /// The step is made.
+    Made(Convergence),
+    /// The step is solved, and to be looked at more closely.
+    Doubtful(Convergence),
+    /// The sweeps do not get on.
+    Stuck,
+}
+
+impl VpdEnsemble {
+    /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
+    pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
+        let blank = VpdSpace::new(tableau.clone(), stop)?;
+        let lanes = match tableau.stages() {
+            _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
+            1 => Lanes::One(Side::blank()),
+            2 => Lanes::Two(Side::blank()),
+            3 => Lanes::Three(Side::blank()),
+            4 => Lanes::Four(Side::blank()),
+            _ => Lanes::None,
+        };
+        Some(Self {
+            members: Vec::new(),
+            blank,
+            lanes,
+            ahead: [false; WIDTH],
+            motion: Motion::blank(Row::splat(0.0), Row::splat(1.0)),
+            seen: Vec::new(),
+            iterations: [Progress::new(stop, stop.rungs == Rungs::Both); WIDTH],
+        })
+    }
+
+    /// Makes the step of those whose sweeps converge, together.
+    fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
+        let mut swept = [Swept::Stuck; WIDTH];
+        let Self { blank, lanes, ahead, motion, seen, iterations, .. } = self;
+        let VpdSpace { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
+            return swept;
+        };
+        let inertia = Inertia::of(body);
+        let passes = tableau.passes.of_sweep(false);
+        let (mut sweeps, mut guesses) = (0, 0);
+        macro_rules! step {
+            ($side:ident, $stages:literal) => {{
+                let Side { unknowns, taken } = &mut **$side;
+                in_member_lanes!(level, $stages, like => motion.look(like.0[0], body, seen));
+                let momentum = motion.body_momentum.value;
+                let start =
+                    Start { tableau, body, inertia, seen, step: h, passes, momentum };
+                in_member_lanes!(level, $stages, like => sweep::guess(like, &start, unknowns));
+                let mut goes_on = [false; WIDTH];
+                for &m in going {
+                    iterations[m].restart();
+                    goes_on[m] = true;
+                }
+                while goes_on.contains(&true) {
+                    let increments = in_member_lanes!(level, $stages, like => {
+                        sweep::sweep_to_row(like, &start, unknowns)
+                    });
+                    for &m in going {
+                        if !goes_on[m] {
+                            continue;
+                        }
+                        match iterations[m].judged(increments[m]) {
+                            Ok(Verdict::GoOn) => continue,
+                            Ok(Verdict::Converged(convergence)) => {
+                                sweeps += u64::from(convergence.iterations);
+                                guesses += 1;
+                                swept[m] = Swept::Made(convergence);
+                                taken.take(m, unknowns);
+                                ahead[m] = true;
+                            }
+                            Ok(Verdict::Leave) | Err(_) => {}
+                        }
+                        goes_on[m] = false;
+                    }
+                }
+                if tableau.is_finished {
+                    in_member_lanes!(level, $stages, like => sweep::finish(like, &start, taken));
+                }
+                let before = *motion;
+                let order = stages.ascending();
+                let doubts = in_member_lanes!(level, $stages, like => {
+                    motion.advance(like.0[0], &taken.end, &taken.kick);
+                    motion.turn_momentum(like.0[0]);
+                    doubts(like, order, taken)
+                });
+                for lane in 0..WIDTH {
+                    match swept[lane] {
+                        Swept::Made(_) if doubts[lane] < 0.0 => continue,
+                        Swept::Made(convergence) => swept[lane] = Swept::Doubtful(convergence),
+                        _ => {}
+                    }
+                    motion.take(lane, &before.member(lane));
+                }
+            }};
+        }
+        match lanes {
+            Lanes::One(side) => step!(side, 1),
+            Lanes::Two(side) => step!(side, 2),
+            Lanes::Three(side) => step!(side, 3),
+            Lanes::Four(side) => step!(side, 4),
+            Lanes::None => {}
+        }
+        let ends = u64::from(tableau.torques_of_guess()) + u64::from(tableau.is_finished);
+        let torques = sweeps + guesses * ends;
+        body.count(torques * stages.stages() as u64);
+        swept
+    }
+
+    /// Member `m`, level with its lane.
+    fn written(&mut self, m: usize) -> &mut VpdSpace {
+        let Self { members, lanes, ahead, motion, .. } = self;
+        let stepper = &mut members[m];
+        if std::mem::take(&mut ahead[m]) {
+            stepper.state = Carried::Full(motion.member(m));
+            match lanes {
+                Lanes::One(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::Two(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::Three(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::Four(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::None => {}
+            }
+        }
+        stepper
+    }
+}
+
+/// Below zero where [`VpdSpace::check`] finds nothing at first sight: by Gershgorin's discs, the turns from stage to
+/// stage in the order of their times, and the distances. Not a number where the solution is none.
+#[inline(always)]
+fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
+    like: R,
+    ascending: &[usize],
+    solution: &Unknowns<R::Plain, Row>,
+) -> Row {
+    let Unknowns { attitude, excess, end, end_excess, nearness, .. } = solution;
+    let whole = like.stage(0);
+    let nearness = whole.load(nearness);
+    let mut doubt = nearness + CLOSEST_APPROACH * CLOSEST_APPROACH;
+    let mut total = nearness;
+    let mut before = Turn { w: whole.constant(1.0), v: [whole.constant(0.0); 3] };
+    for k in 0..=ascending.len() {
+        let (mut e, mut turn) = ([whole; 6], before);
+        if k < ascending.len() {
+            let k = ascending[k];
+            for i in 0..6 {
+                e[i] = like.load(&excess[i]).stage(k);
+            }
+            turn.w = like.load(&attitude.w).stage(k);
+            for i in 0..3 {
+                turn.v[i] = like.load(&attitude.v[i]).stage(k);
+            }
+        } else {
+            for i in 0..6 {
+                e[i] = whole.load(&end_excess[i]);
+            }
+            turn.w = whole.load(&end.w);
+            for i in 0..3 {
+                turn.v[i] = whole.load(&end.v[i]);
+            }
+        }
+        let [xx, yy, zz, yz, xz, xy] = e;
+        let [yz, xz, xy] = [yz.size(), xz.size(), xy.size()];
+        for lack in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
+            doubt = doubt.larger(lack + -0.5);
+            total = total + lack;
+        }
+        let cosine = before.w * turn.w + dot(&before.v, &turn.v);
+        doubt = doubt.larger(cosine * cosine * -4.0 + 2.0);
+        total = total + cosine;
+        before = turn;
+    }
+    let mut doubts = Row::splat(0.0);
+    (doubt + total * 0.0).store(&mut doubts);
+    doubts
+}
+
+impl Members<3> for VpdEnsemble {
+    fn start(&mut self, states: &[State<3>]) {
+        let Self { members, blank, ahead, motion, .. } = self;
+        members.resize_with(states.len().min(WIDTH), || blank.clone());
+        for (stepper, state) in members.iter_mut().zip(states) {
+            stepper.start(state);
+        }
+        *ahead = [false; WIDTH];
+        // Lanes of nobody repeat the others.
+        for (lane, own) in
+            members.iter().filter_map(VpdSpace::motion).cycle().take(WIDTH).enumerate()
+        {
+            motion.take(lane, own);
+        }
+    }
+
+    fn step(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        going: &[usize],
+        stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
+    ) {
+        if matches!(self.lanes, Lanes::None) {
+            going.iter().for_each(|&m| stepped(m, self.members[m].step(body, h)));
+            return;
+        }
+        let swept = self.swept(body, h, going);
+        for &m in going {
+            if let Swept::Made(convergence) = swept[m] {
+                stepped(m, Ok(convergence));
+                continue;
+            }
+            let stepper = self.written(m);
+            let result = if let Swept::Doubtful(convergence) = swept[m] {
+                stepper.look(body);
+                stepper.accepted(body, h, convergence)
+            } else {
+                stepper.step(body, h)
+            };
+            if let Some(own) = self.members[m].motion() {
+                self.motion.take(m, own);
+            }
+            stepped(m, result);
+        }
+    }
+
+    fn member(&mut self, m: usize) -> &dyn Stepper<3> {
+        self.written(m)
+    }
+}
+
+/// Is this an instruction set on which members side by side gain?
+fn has_lanes(level: Option<Level>) -> bool {
+    #[cfg(target_arch = "x86_64")]
+    return level.is_some_and(|level| level.as_avx2().is_some());
+    #[cfg(not(target_arch = "x86_64"))]
+    return false;
+}
+
+impl<const K: usize> Unknowns<[Row; K], Row> {
+    /// Takes from `solved` what the step of a member is judged by and made with.
+    fn take(&mut self, lane: usize, solved: &Self) {
+        let stages = |rows: &mut [Row; K], from: &[Row; K]| {
+            for k in 0..K {
+                rows[k][lane] = from[k][lane];
+            }
+        };
+        let Self { attitude, momentum, inverse, excess, end, end_excess, kick, nearness, .. } =
+            self;
+        stages(&mut attitude.w, &solved.attitude.w);
+        for i in 0..3 {
+            stages(&mut attitude.v[i], &solved.attitude.v[i]);
+            stages(&mut momentum[i], &solved.momentum[i]);
+            end.v[i][lane] = solved.end.v[i][lane];
+            kick[i][lane] = solved.kick[i][lane];
+        }
+        for i in 0..6 {
+            stages(&mut inverse[i], &solved.inverse[i]);
+            stages(&mut excess[i], &solved.excess[i]);
+            end_excess[i][lane] = solved.end_excess[i][lane];
+        }
+        end.w[lane] = solved.end.w[lane];
+        nearness[lane] = solved.nearness[lane];
+    }
+
+    /// Hands the same over to the member.
+    fn hand_over(&self, lane: usize, own: &mut Unknowns<Row, f64>) {
+        let stages = |rows: &[Row; K], row: &mut Row| {
+            for k in 0..K {
+                row[k] = rows[k][lane];
+            }
+        };
+        let Self { attitude, excess, end, end_excess, kick, nearness, .. } = self;
+        stages(&attitude.w, &mut own.attitude.w);
+        for i in 0..3 {
+            stages(&attitude.v[i], &mut own.attitude.v[i]);
+            own.end.v[i] = end.v[i][lane];
+            own.kick[i] = kick[i][lane];
+        }
+        for i in 0..6 {
+            stages(&excess[i], &mut own.excess[i]);
+            own.end_excess[i] = end_excess[i][lane];
+        }
+        own.end.w = end.w[lane];
+        own.nearness = nearness[lane];
+    }
+}

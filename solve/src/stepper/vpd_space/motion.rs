@@ -1,0 +1,182 @@
+//! What is carried from step to step: attitude and momentum, and what rounding has taken off each.
+//!
+//! Written for one body and for members side by side: `P` is a number in memory, or one for each member.
+//!
+//! Invariant: in space the momentum is what torques make of it and nothing else.
+
+use crate::hamiltonian::RigidBody;
+use crate::lanes::{Row, Whole};
+use crate::space::{Turn, Vec3, cross, dot, minus, product, scaled, sum, transposed_product, vec3};
+
+/// A sum, and what rounding has taken off it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sum<P, const K: usize> {
+    pub(super) value: [P; K],
+    pub(super) carry: [P; K],
+}
+
+impl<P: Copy, const K: usize> Sum<P, K> {
+    /// Begins with `value`, from which nothing is lacking.
+    pub(super) fn new(value: [P; K], zero: P) -> Self {
+        Self { value, carry: [zero; K] }
+    }
+
+    /// Adds `change` and what is carried.
+    #[inline(always)]
+    pub(super) fn add<W: Whole<Plain = P>>(&mut self, change: &[W; K]) {
+        for i in 0..K {
+            let value = change[i].load(&self.value[i]);
+            let change = change[i] + change[i].load(&self.carry[i]);
+            let (value, carry) = sum(value, change);
+            value.store(&mut self.value[i]);
+            carry.store(&mut self.carry[i]);
+        }
+    }
+}
+
+/// The motion of a body that turns in space.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Motion<P> {
+    /// A quaternion (w, v).
+    pub(super) attitude: Sum<P, 4>,
+    /// In space.
+    pub(super) momentum: Sum<P, 3>,
+    /// In the body; with up to four stages, and of a free body, `g^T pi` and no sum.
+    pub(super) body_momentum: Sum<P, 3>,
+}
+
+impl<P: Copy> Motion<P> {
+    /// At rest, not turned.
+    pub(super) fn blank(zero: P, one: P) -> Self {
+        Self {
+            attitude: Sum::new([one, zero, zero, zero], zero),
+            momentum: Sum::new([zero; 3], zero),
+            body_momentum: Sum::new([zero; 3], zero),
+        }
+    }
+
+    /// Writes the space vectors of the potential, as they are seen from here, to `seen`.
+    #[inline(always)]
+    pub(super) fn look<W: Whole<Plain = P>>(
+        &self,
+        like: W,
+        body: &RigidBody<3>,
+        seen: &mut Vec<Vec3<P>>,
+    ) {
+        let g = load_turn(like, &self.attitude.value).matrix();
+        seen.clear();
+        for v in body.space_vectors() {
+            let v = transposed_product(&g, &vec3!(i => like.constant(v[i])));
+            let mut plain = self.momentum.value;
+            for i in 0..3 {
+                v[i].store(&mut plain[i]);
+            }
+            seen.push(plain);
+        }
+    }
+
+    /// Goes on by a step that turns by `end` and pushes by `kick`, both in the frame of its beginning; the momentum in
+    /// the body is left behind.
+    #[inline(always)]
+    pub(super) fn advance<W: Whole<Plain = P>>(&mut self, like: W, end: &Turn<P>, kick: &Vec3<P>) {
+        let start = load_turn(like, &self.attitude.value);
+        self.momentum.add(&product(&start.matrix(), &vec3!(i => like.load(&kick[i]))));
+        // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
+        let w = like.load(&end.w);
+        let one = like.constant(1.0);
+        let sign = one.within(-w, 0.0, -one);
+        let v: Vec3<W> = vec3!(i => like.load(&end.v[i]) * sign);
+        let change = Turn { w: -dot(&v, &v) / (sign * w + 1.0), v };
+        // What is carried turns along.
+        let carried = load_turn(like, &self.attitude.carry).times(&change);
+        let change = start.times(&change);
+        // What the length lacks of one.
+        let lack = (-start.square() + 1.0) * 0.5;
+        self.attitude.add(&[
+            change.w + (carried.w + lack * start.w),
+            change.v[0] + (carried.v[0] + lack * start.v[0]),
+            change.v[1] + (carried.v[1] + lack * start.v[1]),
+            change.v[2] + (carried.v[2] + lack * start.v[2]),
+        ]);
+    }
+
+    /// The momentum in the body is that in space, seen from it: `g^T pi`.
+    #[inline(always)]
+    pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, like: W) {
+        let g = load_turn(like, &self.attitude.value).matrix();
+        let seen = transposed_product(&g, &vec3!(i => like.load(&self.momentum.value[i])));
+        for i in 0..3 {
+            seen[i].store(&mut self.body_momentum.value[i]);
+        }
+    }
+}
+
+impl Motion<f64> {
+    pub(super) fn turn(&self) -> Turn<f64> {
+        load_turn(0.0, &self.attitude.value)
+    }
+
+    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
+    /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
+    /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
+    /// The length of both is that of the momentum in space.
+    pub(super) fn gain(&mut self, gain: &Vec3<f64>) {
+        self.body_momentum.add(gain);
+        let now = self.turn();
+        let seen = transposed_product(&now.matrix(), &self.momentum.value);
+        let Sum { value, carry } = &mut self.body_momentum;
+        let square = dot(value, value);
+        let lack = if square > 0.0 { 0.5 * (dot(&seen, &seen) / square - 1.0) } else { 0.0 };
+        for (carry, p) in carry.iter_mut().zip(&*value) {
+            *carry += lack * p;
+        }
+        let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
+        let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);
+        // Next to nothing: it is added at the next step.
+        let Turn { w, v: [x, y, z] } = now.rate(&half);
+        for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
+            *carry += change;
+        }
+    }
+}
+
+impl Motion<Row> {
+    /// Takes in a member.
+    pub(super) fn take(&mut self, lane: usize, member: &Motion<f64>) {
+        let Motion { attitude, momentum, body_momentum } = member;
+        self.attitude.take(lane, attitude);
+        self.momentum.take(lane, momentum);
+        self.body_momentum.take(lane, body_momentum);
+    }
+
+    /// A member.
+    pub(super) fn member(&self, lane: usize) -> Motion<f64> {
+        let Self { attitude, momentum, body_momentum } = self;
+        Motion {
+            attitude: attitude.member(lane),
+            momentum: momentum.member(lane),
+            body_momentum: body_momentum.member(lane),
+        }
+    }
+}
+
+impl<const K: usize> Sum<Row, K> {
+    fn take(&mut self, lane: usize, member: &Sum<f64, K>) {
+        for i in 0..K {
+            self.value[i][lane] = member.value[i];
+            self.carry[i][lane] = member.carry[i];
+        }
+    }
+
+    fn member(&self, lane: usize) -> Sum<f64, K> {
+        Sum {
+            value: self.value.each_ref().map(|row| row[lane]),
+            carry: self.carry.each_ref().map(|row| row[lane]),
+        }
+    }
+}
+
+#[inline(always)]
+fn load_turn<W: Whole>(like: W, [w, x, y, z]: &[W::Plain; 4]) -> Turn<W> {
+    Turn { w: like.load(w), v: [like.load(x), like.load(y), like.load(z)] }
+}

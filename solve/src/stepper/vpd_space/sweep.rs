@@ -1,0 +1,459 @@
+//! One sweep over the equations of a VPD step for n = 3, the stages side by side in lanes.
+//!
+//! The equations are those of [`crate::stepper::galerkin`] in the vectors of so(3). With
+//! `w_j = h b_j U_j hat(Omega_j)`, `e_ij = a_ij / b_j` and `K(P) = tr(P) I - P`:
+//!
+//! ```text
+//! U_i P_i = I + sum_j e_ij w_j                      f P_e = I + sum_j w_j
+//! pi1 = p0 - h sum_k b_k U_k tau_k                  tau = vee(dH/dg)
+//! K(P_e) lambda = -f^T pi1
+//! W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)
+//! K(P_k) x_k = -h b_k ((tr(N_k) I - N_k^T) Omega_k + tau_k)                  N_k = U_k^T W_k
+//! pi_k = -vee asym(W_k U_k^T)                       Omega_k = J^-1 U_k^T pi_k
+//! ```
+//!
+//! The second line is (vih4) and (vih5) solved exactly: summing the equations of the stages, everything but the
+//! torques cancels. So the spatial momentum changes by the torques alone, and a free body keeps it to the bit.
+//!
+//! The stiff coupling, J^-1 times the momentum, sits in the kinematics (first line and last): they are repeated
+//! within a sweep. So is the linear system of x, which must be consistent with them. The torque is computed once.
+//!
+//! What is small is computed as such, or a thin body, which turns fast about its axis by little momentum, would gain
+//! rounding errors of the large components: momenta are kept less p0, rotations used less one. With `D_k = U_k - I`,
+//! `D_f = f - I` and `Y_k = W_k - f hat(lambda)`,
+//!
+//! ```text
+//! pi_k - p0 = (pi1 - p0) + D_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(D_f hat(lambda) + W_k D_k^T + Y_k)
+//! ```
+//!
+//! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
+//! `U <- U (1 + theta / 2)` normalised, with the K of the sweep before. At the end U^T A is symmetric, and P its polar
+//! factor. What a correction brings about itself at the other stages is added to first order, with all turns and stretches
+//! taken as one, in vectors where a pass works in matrices:
+//!
+//! ```text
+//! theta_k <- theta_k + h sum_j a_kj (J^-1 (mu_j x theta_j) + theta_j x Omega_j / 2)
+//! x_k <- x_k + h b_k Omega_k x (sum_i e_ik dx_i) / 2                  dx the change of x in the pass
+//! ```
+
+use super::unknowns::{LaneTableau, Start, TORQUE_EVERY, Unknowns};
+use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
+use crate::space::{
+    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
+    symmetric_product, times_hat, transposed, transposed_matrix_product, transposed_product, vec3,
+    vee_asym, with_one,
+};
+
+/// What the square of a quaternion may lack of one in the last round of the first guess.
+const MOST_LACK: f64 = 0.1;
+
+/// [`sweep`] for members, with the increment of each in memory.
+#[inline(always)]
+pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
+    like: R,
+    start: &Start<'_, Row>,
+    unknowns: &mut Unknowns<R::Plain, Row>,
+) -> Row {
+    let mut increments = Row::splat(0.0);
+    sweep(like, start, unknowns).store(&mut increments);
+    increments
+}
+
+/// The first guess: from the velocity at the beginning, kept constant, and the torque along it, a few rounds of plain
+/// collocation,
+///
+/// ```text
+/// q_k = 1 + h sum_j a_kj q_j Omega_j / 2,    pi_k = p0 - h sum_j a_kj U_j tau_j
+/// ```
+///
+/// each a small part of the time of a sweep. A round gains an order of h, until it is as near as the stages of the step
+/// are to those of the collocation: some rounds more than stages if they are many, one less if they are few. The torque
+/// couples weakly: every third round takes it, and once more the end. A function of the state alone: a resumed run
+/// repeats it to the bit.
+#[inline(always)]
+pub(super) fn guess<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) {
+    let whole = like.stage(0);
+    let LaneTableau { columns, weights, nodes, rounds, .. } = start.tableau;
+    let at_start = vec3!(i => whole.load(&start.momentum[i]));
+    let velocity = start.inertia.in_lanes(whole).divides(&at_start);
+    let inertia = start.inertia.in_lanes(like);
+    let p0 = vec3!(i => like.spread(at_start[i]));
+    let weight = like.row(weights) * start.step;
+    let elapsed = like.row(nodes) * start.step;
+    let half = elapsed * 0.5;
+    let turned = Turn::cayley(&vec3!(i => half * like.spread(velocity[i])));
+    let u = turned.matrix();
+    let (torque, _) = start.body.torque(&u, start.seen);
+    let pushed = scaled(&product(&u, &torque), -elapsed);
+    let (mut attitude, mut momentum) = (turned, pushed);
+    let mut lack = like.constant(0.0);
+    for round in 0..*rounds {
+        let u = attitude.matrix();
+        if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
+            let (torque, _) = start.body.torque(&u, start.seen);
+            let kick = scaled(&product(&u, &torque), weight);
+            momentum = vec3!(i => -kick[i].combined(columns));
+        }
+        let mu = transposed_product(&u, &plus(&p0, &momentum));
+        let rate = attitude.rate(&scaled(&inertia.divides(&mu), weight * 0.5));
+        let next =
+            Turn { w: rate.w.combined(columns) + 1.0, v: vec3!(i => rate.v[i].combined(columns)) };
+        lack = (next.square() + -1.0).size();
+        attitude = next.lengthened();
+    }
+    // Rounds that went astray are worse than none.
+    let last_lack = lack.largest();
+    let lack = like.spread(last_lack);
+    let attitude = attitude.within(lack, MOST_LACK, &turned);
+    let u = attitude.matrix();
+    let (torque, _) = start.body.torque(&u, start.seen);
+    let kick = scaled(&product(&u, &torque), weight);
+    let momentum = vec3!(i => (-kick[i].combined(columns)).within(lack, MOST_LACK, pushed[i]));
+    let mu = transposed_product(&u, &plus(&p0, &momentum));
+    let omega = inertia.divides(&mu);
+    let rate = attitude.rate(&scaled(&omega, weight * 0.5));
+    let end = Turn { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
+    let kept_on = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
+    let end = end.normalised().within(last_lack, MOST_LACK, &kept_on);
+    // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
+    let c = cross(&mu, &omega);
+    let weight = weight * 0.5;
+    let x: Vec3<R> = vec3!(i => weight * (c[i] * 0.5 - torque[i]));
+    store_turn(&attitude, &mut unknowns.attitude);
+    store(&momentum, &mut unknowns.momentum);
+    store(&x, &mut unknowns.x);
+    // K(I)^-1
+    for (i, entry) in unknowns.inverse.iter_mut().enumerate() {
+        like.constant(if i < 3 { 0.5 } else { 0.0 }).store(entry);
+    }
+    end.w.store(&mut unknowns.end.w);
+    for i in 0..3 {
+        end.v[i].store(&mut unknowns.end.v[i]);
+    }
+}
+
+/// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the largest, or
+/// of an attitude in the last pass. NaN or infinite if an unknown is.
+#[inline(always)]
+pub(super) fn sweep<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) -> R::Whole {
+    let whole = like.stage(0);
+    let LaneTableau { rows, present, .. } = start.tableau;
+    let [kinematic, linear] = &start.passes;
+    let momentum: Vec3<R> = load(like, &unknowns.momentum);
+    let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
+        kinematics(like, start, &momentum, unknowns, *kinematic);
+    let u = with_one(&turn);
+    let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick, gain } =
+        end_point(like, start, &u, weight, &w, unknowns);
+    let p0 = vec3!(i => whole.load(&start.momentum[i]));
+    let pi1 = plus(&p0, &kick);
+    let p1 = plus(&p0, &gain);
+    let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
+    let f_lambda = times_hat(&with_one(&end_turn), &lambda);
+    let f_lambda: Mat3<R> = mat3!(i, j => like.spread(f_lambda[i][j]));
+    // -vee asym(f hat(lambda)) - p0
+    let stretched = symmetric_product(&end_inverse, &k_less_two(&stretch, &p1));
+    let beyond = vee_asym(&times_hat(&end_turn, &lambda));
+    let common: Vec3<R> = vec3!(i => like.spread(gain[i] - (stretched[i] + beyond[i])));
+
+    // The embedded momenta W_k.
+    let half_weight = weight * 0.5;
+    let mut x: Vec3<R> = load(like, &unknowns.x);
+    let mut y = embedded(&u, &x, rows);
+    let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
+    // N^T Omega = W^T U Omega
+    let in_space = product(&u, &omega);
+    for _ in 0..*linear {
+        // tr(U^T W)
+        let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
+        let turned = transposed_product(&m, &in_space);
+        let load: Vec3<R> = vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
+        let next = symmetric_product(&inverse_k, &load);
+        // What it brings about itself.
+        let change: Vec3<R> = vec3!(i => (next[i] - x[i]).combined(rows));
+        let follows = cross(&omega, &change);
+        x = vec3!(i => next[i] + follows[i] * half_weight);
+        y = embedded(&u, &x, rows);
+        m = mat3!(i, j => f_lambda[i][j] + y[i][j]);
+    }
+    // -vee asym(W U^T) - p0
+    let turned_off = [
+        dot(&m[1], &turn[2]) - dot(&m[2], &turn[1]),
+        dot(&m[2], &turn[0]) - dot(&m[0], &turn[2]),
+        dot(&m[0], &turn[1]) - dot(&m[1], &turn[0]),
+    ];
+    let own = vee_asym(&y);
+    // A lane of no stage must not be what the sweeps seem to change.
+    let present = like.row(present);
+    let next: Vec3<R> = vec3!(i => present * (common[i] + (turned_off[i] - own[i])));
+    let change = minus(&next, &momentum);
+    let change = change[0].size().larger(change[1].size()).larger(change[2].size()).largest();
+    let size = next[0].size().larger(next[1].size()).larger(next[2].size()).largest();
+    let size = size.larger(pi1[0].size()).larger(pi1[1].size()).larger(pi1[2].size());
+    // Zero where all is finite.
+    let total = ((next[0] + next[1]) + next[2]).sum();
+    let poison = total * 0.0;
+    store(&next, &mut unknowns.momentum);
+    store(&x, &mut unknowns.x);
+    // At rest nothing moves, and nothing changes.
+    let relative = change / size.larger(whole.constant(f64::MIN_POSITIVE));
+    relative.larger(turned.largest()) + poison
+}
+
+/// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
+/// after a sweep they are one behind, and what they lack leans to one side.
+///
+/// `p1 - p0 = (pi1 - p0) + D_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers. If
+/// the tableau is its own partner, `e_ij + e_ji = 1`, then `D_f = sum_k w_k - f E_e` and
+/// `2 E_e + E_e^2 = sum_k h b_k [E_k, hat(Omega_k)]`, and every term of a sum over the stages is small by itself:
+///
+/// ```text
+/// p1 - p0 = sum_k h b_k (mu_k x Omega_k - U_k tau_k + (U_k^T (pi1 - pi_k)) x Omega_k) - E_e p1
+/// E_e p1 = (sum_k h b_k [E_k, hat(Omega_k)] p1 - E_e^2 p1) / 2
+/// ```
+#[inline(always)]
+pub(super) fn finish<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) {
+    let momentum: Vec3<R> = load(like, &unknowns.momentum);
+    let Kinematics { change, omega, weight, w, .. } =
+        kinematics(like, start, &momentum, unknowns, 1);
+    let u = with_one(&change);
+    let EndPoint { stretch, torque, kick, gain, .. } =
+        end_point(like, start, &u, weight, &w, unknowns);
+    let gain = if start.tableau.own_partner {
+        let p0 = vec3!(i => like.stage(0).load(&start.momentum[i]));
+        let p1 = plus(&p0, &gain);
+        let square = symmetric_product(&stretch, &symmetric_product(&stretch, &p1));
+        let p1: Vec3<R> = vec3!(i => like.spread(p1[i]));
+        let pi: Vec3<R> = vec3!(i => like.spread(p0[i]) + momentum[i]);
+        let mu = plus(&pi, &transposed_product(&change, &pi));
+        let turned = cross(&mu, &omega);
+        let to_come: Vec3<R> = vec3!(i => like.spread(kick[i]) - momentum[i]);
+        let to_come = cross(&transposed_product(&u, &to_come), &omega);
+        let pushed = product(&u, &torque);
+        let mut excess: Sym3<R> = [like; 6];
+        for i in 0..6 {
+            excess[i] = like.load(&unknowns.excess[i]);
+        }
+        let stretched = minus(
+            &symmetric_product(&excess, &cross(&omega, &p1)),
+            &cross(&omega, &symmetric_product(&excess, &p1)),
+        );
+        let rate: Vec3<R> = vec3!(i => turned[i] + (to_come[i] - pushed[i]));
+        vec3!(i => (weight * rate[i]).sum() - ((weight * stretched[i]).sum() - square[i]) * 0.5)
+    } else {
+        gain
+    };
+    for i in 0..3 {
+        gain[i].store(&mut unknowns.gain[i]);
+    }
+}
+
+/// The stages for given momenta.
+struct Kinematics<R> {
+    /// U - I
+    change: Mat3<R>,
+    omega: Vec3<R>,
+    /// h b
+    weight: R,
+    inverse_k: Sym3<R>,
+    /// The largest change of an attitude in the last pass.
+    turned: R,
+    /// h b U hat(Omega)
+    w: Mat3<R>,
+}
+
+/// U_k and Omega_k for the momenta p0 + `momentum`.
+#[inline(always)]
+fn kinematics<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    momentum: &Vec3<R>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    passes: u32,
+) -> Kinematics<R> {
+    let LaneTableau { columns, weights, .. } = start.tableau;
+    let weight = like.row(weights) * start.step;
+    let inertia = start.inertia.in_lanes(like);
+    let mut attitude = load_turn(like, &unknowns.attitude);
+    let mut inverse_k: Sym3<R> = [like; 6];
+    for i in 0..6 {
+        inverse_k[i] = like.load(&unknowns.inverse[i]);
+    }
+    let p0 = vec3!(i => like.spread(like.stage(0).load(&start.momentum[i])));
+    let momentum = plus(&p0, momentum);
+    // J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi
+    let unturned = inertia.divides(&momentum);
+    let mut change = attitude.change();
+    let mut u = with_one(&change);
+    let mut turned_by = transposed_product(&change, &momentum);
+    let mut omega = plus(&unturned, &inertia.divides(&turned_by));
+    let mut w = times_hat(&u, &scaled(&omega, weight));
+    let mut turned = like.constant(0.0);
+    let mut excess = inverse_k;
+    for pass in 1..=passes {
+        let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
+        let half = symmetric_product(&inverse_k, &residual(&attitude, &u, &d));
+        let half = scaled(&half, like.constant(0.5));
+        // What it brings about itself, through the velocities.
+        let faster = inertia.divides(&cross(&plus(&momentum, &turned_by), &half));
+        let bent = cross(&half, &scaled(&omega, like.constant(0.5)));
+        let follows: Vec3<R> = vec3!(i => (weight * (faster[i] + bent[i])).combined(columns));
+        let half = plus(&half, &follows);
+        // The last pass looks at the stretch for what is to come; the others take it from the sweep before.
+        if pass == passes {
+            excess = stretch_excess(&attitude, &u, &d);
+            inverse_k = inverse_of_k(&excess);
+        }
+        attitude = attitude.turned(&half);
+        turned = half[0].size().larger(half[1].size()).larger(half[2].size());
+        change = attitude.change();
+        u = with_one(&change);
+        turned_by = transposed_product(&change, &momentum);
+        omega = plus(&unturned, &inertia.divides(&turned_by));
+        w = times_hat(&u, &scaled(&omega, weight));
+    }
+    store_turn(&attitude, &mut unknowns.attitude);
+    for i in 0..6 {
+        inverse_k[i].store(&mut unknowns.inverse[i]);
+        excess[i].store(&mut unknowns.excess[i]);
+    }
+    Kinematics { change, omega, weight, inverse_k, turned, w }
+}
+
+/// Where the stages lead to.
+struct EndPoint<R: Stages> {
+    /// f - I
+    change: Mat3<R::Whole>,
+    /// P_e - I.
+    stretch: Sym3<R::Whole>,
+    /// K(P_e)^-1.
+    inverse: Sym3<R::Whole>,
+    /// At the stages.
+    torque: Vec3<R>,
+    /// pi1 - p0
+    kick: Vec3<R::Whole>,
+    /// p1 - p0
+    gain: Vec3<R::Whole>,
+}
+
+/// The end point, and the momentum there.
+#[inline(always)]
+fn end_point<R: Stages>(
+    like: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    u: &Mat3<R>,
+    weight: R,
+    w: &Mat3<R>,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) -> EndPoint<R> {
+    let whole = like.stage(0);
+    let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
+    let end =
+        Turn { w: whole.load(&unknowns.end.w), v: vec3!(i => whole.load(&unknowns.end.v[i])) };
+    let f = end.matrix();
+    let excess = stretch_excess(&end, &f, &d);
+    let inverse = inverse_of_k(&excess);
+    let half = symmetric_product(&inverse, &residual(&end, &f, &d));
+    let half = scaled(&half, whole.constant(0.5));
+    let end = end.turned(&half);
+    let (torque, nearness) = start.body.torque(u, start.seen);
+    let kicks = scaled(&product(u, &torque), -weight);
+    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
+    for i in 0..6 {
+        excess[i].store(&mut unknowns.end_excess[i]);
+    }
+    end.w.store(&mut unknowns.end.w);
+    for i in 0..3 {
+        end.v[i].store(&mut unknowns.end.v[i]);
+        kick[i].store(&mut unknowns.kick[i]);
+    }
+    nearness.largest().store(&mut unknowns.nearness);
+    let change = end.change();
+    let p0 = vec3!(i => whole.load(&start.momentum[i]));
+    let gain = plus(&kick, &transposed_product(&change, &plus(&p0, &kick)));
+    EndPoint { change, stretch: excess, inverse, torque, kick, gain }
+}
+
+/// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
+#[inline(always)]
+fn embedded<R: Stages>(u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> Mat3<R> {
+    let y = times_hat(u, x);
+    mat3!(i, j => y[i][j].combined(rows))
+}
+
+/// `(K(P) - 2) v` for `P = I + E`.
+#[inline(always)]
+fn k_less_two<T: Real>(excess: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+    let trace = excess[0] + excess[1] + excess[2];
+    let stretched = symmetric_product(excess, v);
+    vec3!(i => trace * v[i] - stretched[i])
+}
+
+/// `vee asym(U^T A)` for `A = I + D`: vee asym(U^T) = -4 w v without cancellation.
+#[inline(always)]
+fn residual<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3<T> {
+    let [u, d] = [transposed(u), transposed(d)];
+    let factor = attitude.w * -4.0;
+    [
+        factor * attitude.v[0] + (dot(&u[2], &d[1]) - dot(&u[1], &d[2])),
+        factor * attitude.v[1] + (dot(&u[0], &d[2]) - dot(&u[2], &d[0])),
+        factor * attitude.v[2] + (dot(&u[1], &d[0]) - dot(&u[0], &d[1])),
+    ]
+}
+
+/// `E = P - I = sym(U^T A) - I` for `A = I + D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
+#[inline(always)]
+fn stretch_excess<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Sym3<T> {
+    let [x, y, z] = attitude.v;
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    let b = transposed_matrix_product(u, d);
+    [
+        (yy + zz) * -2.0 + b[0][0],
+        (xx + zz) * -2.0 + b[1][1],
+        (xx + yy) * -2.0 + b[2][2],
+        y * z * 2.0 + (b[1][2] + b[2][1]) * 0.5,
+        x * z * 2.0 + (b[0][2] + b[2][0]) * 0.5,
+        x * y * 2.0 + (b[0][1] + b[1][0]) * 0.5,
+    ]
+}
+
+/// `(tr(P) I - P)^-1` for `P = I + E`.
+#[inline(always)]
+fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
+    inverse(&[*yy + *zz + 2.0, *xx + *zz + 2.0, *xx + *yy + 2.0, -*yz, -*xz, -*xy])
+}
+
+#[inline(always)]
+fn load<R: Stages>(like: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
+    vec3!(i => like.load(&plain[i]))
+}
+
+#[inline(always)]
+fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
+    for i in 0..3 {
+        value[i].store(&mut plain[i]);
+    }
+}
+
+#[inline(always)]
+fn load_turn<R: Stages>(like: R, plain: &Turn<R::Plain>) -> Turn<R> {
+    Turn { w: like.load(&plain.w), v: load(like, &plain.v) }
+}
+
+#[inline(always)]
+fn store_turn<R: Stages>(value: &Turn<R>, plain: &mut Turn<R::Plain>) {
+    value.w.store(&mut plain.w);
+    store(&value.v, &mut plain.v);
+}

@@ -1,0 +1,262 @@
+//! What a step of VPD for n = 3 is made from, and what it is solved for, as they lie in memory.
+//!
+//! Invariant: lanes beyond the stages hold numbers, and weigh nothing.
+
+use crate::hamiltonian::RigidBody;
+use crate::lanes::{Real, Row, WIDTH};
+use crate::space::{Sym3, Turn, Vec3, dot, symmetric_product, vec3};
+use crate::tableau::Tableau;
+
+/// Fewer passes take more sweeps; many stages are for large steps, and those need more.
+const FEW_PASSES: Passes = Passes { kinematic: 2, linear: 2, linear_at_first: 2 };
+const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 4, linear_at_first: 6 };
+/// Up to here stages are few.
+pub(super) const FEW_STAGES: usize = 4;
+
+/// From here on a step is short of nothing but its last digits, and what it lacks of them leans to one side: its end is
+/// brought up to the newest sweep.
+const FINISHED_STAGES: usize = 3;
+
+/// So many rounds of the first guess take the same torque.
+pub(super) const TORQUE_EVERY: u32 = 3;
+
+/// What rounding may make of a coefficient.
+const ROUNDED: f64 = 1e-14;
+
+/// Passes within a sweep.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Passes {
+    /// Over the kinematics.
+    pub(super) kinematic: u32,
+    /// Over the linear system of x.
+    pub(super) linear: u32,
+    /// The same in the first sweep, which has but a guess of x.
+    pub(super) linear_at_first: u32,
+}
+
+impl Passes {
+    /// Half of them.
+    pub(super) fn halved(self) -> Self {
+        let Self { kinematic, linear, linear_at_first } = self;
+        Self { kinematic: kinematic / 2, linear: linear / 2, linear_at_first: linear_at_first / 2 }
+    }
+
+    /// Those over the kinematics and over the linear system in the first sweep, or in a later one.
+    pub(super) fn of_sweep(&self, at_first: bool) -> [u32; 2] {
+        [self.kinematic, if at_first { self.linear_at_first } else { self.linear }]
+    }
+}
+
+/// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
+#[derive(Clone, Debug)]
+pub(super) struct LaneTableau {
+    /// `e_ij`, column by column.
+    pub(super) columns: [Row; WIDTH],
+    /// `e_ij`, row by row: the columns of its transpose.
+    pub(super) rows: [Row; WIDTH],
+    pub(super) weights: Row,
+    pub(super) nodes: Row,
+    /// One for each stage.
+    pub(super) present: Row,
+    pub(super) passes: Passes,
+    /// Is a solved step finished? See [`super::sweep::finish`].
+    pub(super) is_finished: bool,
+    /// Rounds of the first guess.
+    pub(super) rounds: u32,
+    /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
+    pub(super) own_partner: bool,
+}
+
+impl LaneTableau {
+    pub(super) fn new(tableau: &Tableau) -> Self {
+        let zero = Row::splat(0.0);
+        let stages = tableau.stages();
+        let few = stages <= FEW_STAGES;
+        let mut lanes = Self {
+            columns: [zero; WIDTH],
+            rows: [zero; WIDTH],
+            weights: zero,
+            nodes: zero,
+            present: zero,
+            passes: if few { FEW_PASSES } else { MANY_PASSES },
+            is_finished: stages >= FINISHED_STAGES,
+            rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
+            own_partner: false,
+        };
+        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
+        lanes.own_partner = (0..stages)
+            .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
+        for i in 0..stages {
+            lanes.weights.0[i] = tableau.b(i);
+            lanes.nodes.0[i] = tableau.c(i);
+            lanes.present.0[i] = 1.0;
+            for j in 0..stages {
+                // Of two that make one to the last bit the smaller is what the larger leaves.
+                let from_other = lanes.own_partner && part(i, j) < part(j, i);
+                let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
+                // The same bits enter both halves: the pair is symplectic whatever their rounding.
+                lanes.columns[j].0[i] = e;
+                lanes.rows[i].0[j] = e;
+            }
+        }
+        lanes
+    }
+
+    /// How often the first guess takes the torque at the stages: before its rounds, in them, and after.
+    pub(super) fn torques_of_guess(&self) -> u32 {
+        2 + self.rounds / TORQUE_EVERY
+    }
+}
+
+/// What a step is made from. `P` holds a number in memory, or one for each member.
+pub(super) struct Start<'a, P> {
+    pub(super) tableau: &'a LaneTableau,
+    pub(super) body: &'a RigidBody<3>,
+    pub(super) inertia: Inertia<f64>,
+    /// The space vectors of the potential, as seen from g0.
+    pub(super) seen: &'a [Vec3<P>],
+    pub(super) step: f64,
+    /// Over the kinematics and over the linear system: numbers that the compiler does not know, or it would unroll
+    /// their loops into more code than a cache holds.
+    pub(super) passes: [u32; 2],
+    /// p0.
+    pub(super) momentum: Vec3<P>,
+}
+
+/// The inertia J of the body, as what divides a momentum.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Inertia<T> {
+    /// J^-1.
+    inverse: Sym3<T>,
+    /// Is it diagonal, as in principal axes?
+    principal: bool,
+}
+
+impl Inertia<f64> {
+    pub(super) fn of(body: &RigidBody<3>) -> Self {
+        let m = body.inverse_inertia();
+        let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
+        Self { inverse, principal: inverse[3..] == [0.0; 3] }
+    }
+
+    /// The same for all lanes.
+    #[inline(always)]
+    pub(super) fn in_lanes<R: Real>(&self, like: R) -> Inertia<R> {
+        let mut inverse = [like; 6];
+        for i in 0..6 {
+            inverse[i] = like.constant(self.inverse[i]);
+        }
+        Inertia { inverse, principal: self.principal }
+    }
+}
+
+impl<R: Real> Inertia<R> {
+    /// `J^-1 v`
+    #[inline(always)]
+    pub(super) fn divides(&self, v: &Vec3<R>) -> Vec3<R> {
+        if self.principal {
+            vec3!(i => self.inverse[i] * v[i])
+        } else {
+            symmetric_product(&self.inverse, v)
+        }
+    }
+}
+
+/// The unknowns of a step in the frame of g0, as they lie in memory; `S` holds a number for each stage.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unknowns<S, P> {
+    /// U_k.
+    pub(super) attitude: Turn<S>,
+    /// pi_k - p0.
+    pub(super) momentum: Vec3<S>,
+    /// x_k.
+    pub(super) x: Vec3<S>,
+    /// f.
+    pub(super) end: Turn<P>,
+    /// K(P_k)^-1.
+    pub(super) inverse: Sym3<S>,
+    /// E_k = P_k - I.
+    pub(super) excess: Sym3<S>,
+    /// The same of the end point.
+    pub(super) end_excess: Sym3<P>,
+    /// pi1 - p0.
+    pub(super) kick: Vec3<P>,
+    /// p1 - p0, where it is needed to the last digit.
+    pub(super) gain: Vec3<P>,
+    /// The largest over the stages, as [`RigidBody::torque`] gives it.
+    pub(super) nearness: P,
+}
+
+impl<S: Copy, P: Copy> Unknowns<S, P> {
+    /// Nothing yet, in the size of `stages` and `whole`.
+    pub(super) fn blank(stages: S, whole: P) -> Self {
+        Self {
+            attitude: Turn { w: stages, v: [stages; 3] },
+            momentum: [stages; 3],
+            x: [stages; 3],
+            end: Turn { w: whole, v: [whole; 3] },
+            inverse: [stages; 6],
+            excess: [stages; 6],
+            end_excess: [whole; 6],
+            kick: [whole; 3],
+            gain: [whole; 3],
+            nearness: whole,
+        }
+    }
+}
+
+impl Unknowns<Row, f64> {
+    /// Appends what changes smoothly from step to step in the first `L` lanes: of turns the vector parts.
+    pub(super) fn keep<const L: usize>(&self, numbers: &mut Vec<f64>) {
+        let Self { attitude, momentum, x, end, .. } = self;
+        for row in attitude.v.iter().chain(momentum).chain(x) {
+            if let Some(row) = row.0.first_chunk::<L>() {
+                numbers.extend_from_slice(row);
+            }
+        }
+        numbers.extend_from_slice(&end.v);
+    }
+
+    /// Takes up what [`Unknowns::keep`] gave, or what it will give.
+    pub(super) fn continue_from<const L: usize>(&mut self, numbers: &[f64]) {
+        let Self { attitude, momentum, x, end, .. } = self;
+        let Some((numbers, v)) = numbers.split_last_chunk::<3>() else { return };
+        let scalar = |square: f64| (1.0 - square).max(0.0).sqrt();
+        *end = Turn { w: scalar(dot(v, v)).copysign(end.w), v: *v };
+        let rows = attitude.v.iter_mut().chain(momentum).chain(x);
+        for (row, numbers) in rows.zip(numbers.as_chunks::<L>().0) {
+            if let Some(row) = row.0.first_chunk_mut::<L>() {
+                *row = *numbers;
+            }
+        }
+        for k in 0..L {
+            let v = vec3!(i => attitude.v[i].0[k]);
+            attitude.w.0[k] = scalar(dot(&v, &v));
+        }
+    }
+
+    /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
+    /// numbers, too: what is zero times a NaN is none.
+    pub(super) fn visit_mut(
+        &mut self,
+        lanes: usize,
+        momentum: f64,
+        mut visit: impl FnMut(&mut f64, f64),
+    ) {
+        let Self { attitude, momentum: momenta, x, end, inverse, .. } = self;
+        let turns = [&mut attitude.w].into_iter().chain(&mut attitude.v).chain(inverse);
+        let rows = turns
+            .map(|row| (row, 1.0))
+            .chain(momenta.iter_mut().chain(x).map(|row| (row, momentum)));
+        for (row, unit) in rows {
+            row.0[..lanes].iter_mut().for_each(|number| visit(number, unit));
+        }
+        [&mut end.w].into_iter().chain(&mut end.v).for_each(|number| visit(number, 1.0));
+    }
+
+    /// The same without a change.
+    pub(super) fn visit(&self, lanes: usize, momentum: f64, mut visit: impl FnMut(f64, f64)) {
+        let mut copy = *self;
+        copy.visit_mut(lanes, momentum, |number, unit| visit(*number, unit));
+    }
+}

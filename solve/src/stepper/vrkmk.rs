@@ -1,0 +1,426 @@
+//! VRKMK: variational Runge-Kutta-Munthe-Kaas methods of Bogfjellmo and Marthinsen, High-order symplectic
+//! partitioned Lie group methods, Found. Comput. Math. 16 (2016), the paper's comparator.
+//!
+//! The discrete action `h sum b_i L(G_i, xi_i)` is made stationary with the positions held together by the
+//! exponential: `G_i = exp(X_i) g0`, `g1 = exp(Y) g0`. Right-trivialised: `g' = xi g`, and the momentum m
+//! is the spatial one. With `T(X) = sum_{k<=q} B_k / k! ad_X^k` for the inverse of dexp and
+//! `W(X, xi, P)` the adjoint of its derivative, `<W, D> = <P, (dT(X) D) xi>`:
+//!
+//! ```text
+//! X_i = h sum_j a_ij k_j,              G_i = exp(X_i) g0
+//! M_i = T(X_i)^* P_i                   stage momentum, in space
+//! xi_i = dH/dm(G_i, M_i),              f_i = -dH/dg(G_i, M_i)
+//! k_i = T(X_i) xi_i
+//! Q_i = dexp_{-X_i} f_i - W(X_i, xi_i, P_i)
+//! Y = h sum_i b_i k_i,                 n = m0 + h sum_i b_i Ad_{exp(-X_i)} f_i
+//! P_j = dexp_Y n - h sum_i (b_i a_ij / b_j) Q_i
+//! g1 = exp(Y) g0,                      m1 = Ad_{exp(Y)} n
+//! ```
+//!
+//! The unknowns are k_i and P_i. dexp and exp are exact: cut short, either would cost the symplecticity.
+//! T may be truncated, since W is the derivative of what is left; q = p - 2 keeps the order p.
+//!
+//! Invariant: on success the state has moved by one symplectic step; on failure it has not moved. Unless
+//! projected, the attitude is a product of exponentials and leaves the group as round-off piles up.
+
+use nalgebra::Vector3;
+
+use crate::failure::{Failure, FailureCode};
+use crate::hamiltonian::RigidBody;
+use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
+use crate::so::{self, Mat, Vector};
+use crate::stepper::{Stepper, check_root};
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+use maps::{Chains, MAX_TRUNCATION, Skew, greater, inverse_dexp_coefficients};
+
+mod maps;
+
+/// The stepper: a tableau, a stop rule, the attitude g and the spatial momentum m, and its scratch.
+#[derive(Clone, Debug)]
+pub struct Vrkmk<const N: usize> {
+    tableau: Tableau,
+    solver: Solver,
+    /// `B_k / k!` up to the truncation.
+    beta: Vec<f64>,
+    projected: bool,
+    attitude: Mat<N>,
+    /// In space, skew.
+    momentum: Mat<N>,
+    space: Vec<Vector<N>>,
+    unknowns: Unknowns<N>,
+}
+
+/// The unknowns of a step, in one of the two readings of so(n).
+#[derive(Clone, Debug)]
+enum Unknowns<const N: usize> {
+    /// n = 3.
+    Vector(Stages<N, Vector3<f64>>),
+    /// Any n.
+    Bracket(Stages<N, Mat<N>>),
+}
+
+/// The stages, and what they share.
+#[derive(Clone, Debug)]
+struct Stages<const N: usize, A> {
+    stages: Vec<Stage<N, A>>,
+    chains: Chains<N, A>,
+    /// Y: the step from g0 to g1 in the algebra.
+    y: A,
+    /// The momentum at the end of the step, seen from its beginning.
+    n: A,
+}
+
+/// The unknowns of one stage.
+#[derive(Clone, Copy, Debug)]
+struct Stage<const N: usize, A> {
+    /// The slope k_i of X.
+    k: A,
+    /// The multiplier P_i of its definition.
+    p: A,
+    /// h b_i Q_i.
+    load: A,
+    /// Attitude G_i.
+    g: Mat<N>,
+}
+
+impl<const N: usize> Vrkmk<N> {
+    /// A stepper for `tableau` that solves each step until `stop`, with the truncation q = p - 2 that
+    /// keeps the order p of the tableau (at most 20).
+    pub fn new(tableau: Tableau, stop: StopRule) -> Self {
+        let q = (tableau.order() as usize).saturating_sub(2).min(MAX_TRUNCATION);
+        Self {
+            beta: inverse_dexp_coefficients(q),
+            unknowns: if N == 3 {
+                Unknowns::Vector(Stages::new(tableau.stages(), q))
+            } else {
+                Unknowns::Bracket(Stages::new(tableau.stages(), q))
+            },
+            projected: false,
+            attitude: Mat::identity(),
+            momentum: Mat::zeros(),
+            space: Vec::new(),
+            tableau,
+            solver: Solver::new(stop.to_the_floor()),
+        }
+    }
+
+    /// The stepper that puts its attitude back on the group after each step (`vrkmk_projected`), by
+    /// the polar factor. The spatial momentum is left as it is.
+    pub fn projected(mut self) -> Self {
+        self.projected = true;
+        self
+    }
+
+    /// The stepper with the inverse of dexp truncated after the power `q`, at most 20: the step stays
+    /// symplectic, the order falls where q < p - 2.
+    pub fn truncated(mut self, q: usize) -> Self {
+        let q = q.min(MAX_TRUNCATION);
+        self.beta = inverse_dexp_coefficients(q);
+        match &mut self.unknowns {
+            Unknowns::Vector(stages) => stages.chains = Chains::new(q),
+            Unknowns::Bracket(stages) => stages.chains = Chains::new(q),
+        }
+        self
+    }
+}
+
+impl<const N: usize> Stepper<N> for Vrkmk<N> {
+    fn order(&self) -> u32 {
+        // The odd Bernoulli numbers from B_3 on vanish: an even truncation serves the next power too.
+        let q = self.beta.len() as u32 - 1;
+        let reached = if q >= 2 && q.is_multiple_of(2) { q + 3 } else { q + 2 };
+        self.tableau.order().min(reached)
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.attitude = state.attitude;
+        self.momentum = Skew::<N>::turned(&state.momentum, &state.attitude);
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        // Attitudes of the stages are absolute: the potential is seen from space.
+        body.seen_from(&Mat::identity(), &mut self.space);
+        let Self { tableau, solver, beta, attitude, momentum, space, unknowns, .. } = self;
+        let step = Step { tableau, beta, body, space, h, g0: attitude };
+        let (convergence, (g1, m1)) = match unknowns {
+            Unknowns::Vector(stages) => step.solve(solver, momentum, stages)?,
+            Unknowns::Bracket(stages) => step.solve(solver, momentum, stages)?,
+        };
+        let attitude = if self.projected { so::orthonormalised(&g1) } else { g1 };
+        if convergence.rung == Rung::Newton {
+            let halves = Self { solver: self.solver.by_sweeps(), ..self.clone() };
+            check_root(convergence, halves, body, h, &attitude)?;
+        }
+        self.attitude = attitude;
+        self.momentum = m1;
+        Ok(convergence)
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        Some(self.attitude)
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        Skew::<N>::turned_back(&self.momentum, &self.attitude)
+    }
+}
+
+impl<const N: usize, A: Skew<N>> Stages<N, A> {
+    fn new(stages: usize, q: usize) -> Self {
+        let zero = A::zero();
+        let stage = Stage { k: zero, p: zero, load: zero, g: Mat::identity() };
+        let chains = Chains::new(q);
+        Self { stages: vec![stage; stages], chains, y: zero, n: zero }
+    }
+}
+
+/// What stays fixed while a step is solved.
+struct Step<'a, const N: usize> {
+    tableau: &'a Tableau,
+    beta: &'a [f64],
+    body: &'a RigidBody<N>,
+    space: &'a [Vector<N>],
+    h: f64,
+    g0: &'a Mat<N>,
+}
+
+impl<const N: usize> Step<'_, N> {
+    /// Solves the step from the spatial momentum `m0`; returns g1 and m1.
+    fn solve<A: Skew<N>>(
+        &self,
+        solver: &mut Solver,
+        m0: &Mat<N>,
+        unknowns: &mut Stages<N, A>,
+    ) -> Result<(Convergence, (Mat<N>, Mat<N>)), Failure> {
+        let m0 = A::from_matrix(m0);
+        let (xi, _) = slopes(self.body, self.g0, &m0);
+        let solved = solver.solve(&mut Sweeps { step: self, m0: &m0, xi: &xi, unknowns });
+        // An iterate that is no number meets no charge.
+        let finite = |stage: &Stage<N, A>| stage.g.iter().all(|x| x.is_finite());
+        let mut met = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
+        let near = met.find_map(|(i, stage)| {
+            let near = self.body.check_distances(&stage.g, self.space).err()?;
+            Some(Failure { stage: Some(i), ..near })
+        });
+        match (solved, near) {
+            (Ok(convergence), None) => {
+                let turn = so::exp(&unknowns.y.matrix());
+                Ok((convergence, (turn * self.g0, unknowns.n.turned(&turn).matrix())))
+            }
+            (Ok(_), Some(near)) => Err(near),
+            (Err(failure), None) => Err(failure),
+            // A charge met explains non-finite values and divergence better than they do.
+            (Err(failure), Some(near)) => Err(Failure {
+                iterations: failure.iterations,
+                increments: failure.increments,
+                ..near
+            }),
+        }
+    }
+
+    /// One sweep over all unknowns, each slope from the newest of the others; returns the largest change
+    /// of a stage's displacement h k_i, in radians, or of a multiplier, relative to the largest.
+    ///
+    /// The slopes themselves would not do: they carry the round-off of the momentum times the inverse of
+    /// the smallest moment of inertia.
+    fn sweep<A: Skew<N>>(&self, m0: &A, unknowns: &mut Stages<N, A>) -> Result<f64, Failure> {
+        let Self { tableau, beta, body, h, g0, .. } = *self;
+        let Stages { stages, chains, y, n } = unknowns;
+        let s = stages.len();
+        (*y, *n) = (A::zero(), *m0);
+        let mut displacement = 0.0;
+        for i in 0..s {
+            let mut x = A::zero();
+            for j in 0..s {
+                x += stages[j].k * (h * tableau.a(i, j));
+            }
+            if !x.size().is_finite() {
+                return Err(Failure::new(FailureCode::NonFinite, Some(i), f64::INFINITY, f64::MAX));
+            }
+            let stage = &mut stages[i];
+            let turn = so::exp(&x.matrix());
+            stage.g = turn * g0;
+            let m = chains.dual_image(beta, &x, &stage.p);
+            let (xi, f) = slopes(body, &stage.g, &m);
+            let k = chains.image(beta, &x, &xi);
+            displacement = greater(displacement, h.abs() * (k - stage.k).size());
+            stage.k = k;
+            let weight = h * tableau.b(i);
+            stage.load = ((-x).dexp(&f) - chains.adjoint_of_derivative(beta)) * weight;
+            *y += k * weight;
+            *n += f.turned_back(&turn) * weight;
+        }
+        let end = y.dexp(n);
+        let (mut change, mut size) = (0.0, m0.size());
+        for j in 0..s {
+            let mut sum = A::zero();
+            for i in 0..s {
+                // The products h a_ij and h b_j of both halves have the same bits: the pair is
+                // symplectic whatever their rounding.
+                sum += stages[i].load * (h * tableau.a(i, j));
+            }
+            let p = end - sum * (1.0 / (h * tableau.b(j)));
+            change = greater(change, (p - stages[j].p).size());
+            size = greater(size, p.size());
+            stages[j].p = p;
+        }
+        Ok(greater(displacement, if change == 0.0 { 0.0 } else { change / size }))
+    }
+}
+
+/// A step being solved: `xi` is the slope at its beginning, kept constant for the first guess.
+struct Sweeps<'a, 'b, const N: usize, A> {
+    step: &'a Step<'b, N>,
+    m0: &'a A,
+    xi: &'a A,
+    unknowns: &'a mut Stages<N, A>,
+}
+
+impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
+    fn guess(&mut self) -> Result<(), Failure> {
+        for stage in &mut self.unknowns.stages {
+            *stage = Stage { k: *self.xi, p: *self.m0, load: A::zero(), g: *self.step.g0 };
+        }
+        Ok(())
+    }
+
+    fn sweep(&mut self) -> Result<f64, Failure> {
+        self.step.body.work().begin_sweep()?;
+        self.step.sweep(self.m0, self.unknowns)
+    }
+
+    fn unknowns(&self, values: &mut Vec<f64>) {
+        let (slope, momentum) = self.units();
+        for stage in &self.unknowns.stages {
+            values.extend(stage.k.matrix().iter().map(|x| x / slope));
+            values.extend(stage.p.matrix().iter().map(|x| x / momentum));
+        }
+    }
+
+    fn set(&mut self, values: &[f64]) {
+        let (slope, momentum) = self.units();
+        let skew = |values: &[f64], unit: f64| {
+            A::from_matrix(&(Mat::<N>::from_column_slice(values) * unit))
+        };
+        for (stage, values) in self.unknowns.stages.iter_mut().zip(values.chunks_exact(2 * N * N)) {
+            stage.k = skew(&values[..N * N], slope);
+            stage.p = skew(&values[N * N..], momentum);
+        }
+    }
+}
+
+impl<const N: usize, A: Skew<N>> Sweeps<'_, '_, N, A> {
+    /// The units of slopes and of momenta.
+    fn units(&self) -> (f64, f64) {
+        let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
+        (unit(self.xi.size()), unit(self.m0.size()))
+    }
+}
+
+/// `xi = dH/dm` and `f = -dH/dg`, right-trivialised, at an attitude and a spatial momentum:
+/// `<f, eta> = -d/de H(exp(e eta) g, m)`.
+///
+/// With the body momentum `mu = g^T m g` and `Omega = dH/dmu` of the left-trivialised H, `xi = Ad_g Omega`
+/// and `f = -[xi, m] - dU/dg`: turning g at a fixed spatial momentum turns mu.
+fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) -> (A, A) {
+    let omega = A::from_matrix(&body.velocity(&m.turned_back(g).matrix()));
+    let xi = omega.turned(g);
+    (xi, -(xi.bracket(m) + A::from_matrix(&body.spatial_gradient(g))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hamiltonian::{Kinetic, Law, Term};
+
+    /// The paper's dipole on a stick.
+    fn dipole() -> RigidBody<3> {
+        let moments = [1.01, 1.0, 0.01];
+        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+        let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
+        let source = |strength: f64| Term {
+            law: Law::PointSource {
+                strength,
+                body_point: Vector::<3>::new(0.0, 0.1 * strength, -1.0),
+            },
+            space: Vector::<3>::new(0.0, 0.0, -1.5),
+        };
+        let weight =
+            Term { law: Law::Uniform { weight: 1.0, body_point: vertical }, space: vertical };
+        RigidBody::new(Kinetic::Principal { weights }, vec![weight, source(1.0), source(-1.0)], 0.0)
+    }
+
+    fn start() -> State<3> {
+        let attitude = so::exp(&so::hat(&[0.3, -0.5, 0.7]));
+        let momentum = so::hat::<3>(&[0.4, -0.2, 0.1]);
+        State { attitude, momentum: attitude.tr_mul(&momentum) * attitude }
+    }
+
+    #[test]
+    fn slopes_of_the_dipole() {
+        let (body, g) = (dipole(), start().attitude);
+        let (xi, f) = slopes(&body, &g, &Vector3::new(0.4, -0.2, 0.1));
+        // Values of an independent program.
+        let expected = [
+            [-0.749_360_295_121_939_4, -1.649_027_840_870_673, 2.976_318_224_715_369_4],
+            [0.221_236_330_894_681, -1.183_460_599_028_618_9, -0.809_483_195_372_657_1],
+        ];
+        assert!((xi - Vector3::from(expected[0])).amax() < 5e-14, "{xi}");
+        assert!((f - Vector3::from(expected[1])).amax() < 5e-14, "{f}");
+    }
+
+    #[test]
+    fn slopes_are_derivatives_of_the_energy() {
+        fn law<const N: usize>() {
+            let number = |seed: f64, place: usize| (seed * (place + 1) as f64).rem_euclid(1.0);
+            let vector = |seed| Vector::<N>::from_fn(|i, _| number(seed, i));
+            let skew = |seed| so::asym(&Mat::<N>::from_fn(|i, j| number(seed, N * i + j)));
+            let weights = Mat::from_fn(|i, j| 1.0 / (1.0 + 0.3 * (i + j) as f64));
+            let uniform = Law::Uniform { weight: 0.7, body_point: vector(0.414) };
+            let source = Law::PointSource { strength: 0.5, body_point: vector(0.732) };
+            let terms = vec![
+                Term { law: uniform, space: vector(0.236) },
+                Term { law: source, space: vector(0.646) * 3.0 },
+            ];
+            let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
+            let (g, m) = (so::exp(&skew(0.317)), skew(0.605));
+            let (xi, f) = slopes(&body, &g, &m);
+            let energy = |g: &Mat<N>, m: &Mat<N>| body.energy(g, &m.turned_back(g)).total();
+            let e = 1e-3;
+            let derivative = |at: &dyn Fn(f64) -> f64| {
+                (8.0 * (at(e) - at(-e)) - (at(2.0 * e) - at(-2.0 * e))) / (12.0 * e)
+            };
+            for eta in [skew(0.828), skew(0.162), skew(0.873)] {
+                let turned = derivative(&|e| energy(&(so::exp(&(eta * e)) * g), &m));
+                assert!((turned + so::inner(&f, &eta)).abs() < 1e-9, "n = {N}");
+                let pushed = derivative(&|e| energy(&g, &(m + eta * e)));
+                assert!((pushed - so::inner(&xi, &eta)).abs() < 1e-11, "n = {N}");
+            }
+        }
+        law::<2>();
+        law::<3>();
+        law::<4>();
+        law::<5>();
+    }
+
+    #[test]
+    fn brackets_agree_with_the_closed_forms() {
+        let (body, start) = (dipole(), start());
+        let tableaux = [Tableau::gauss(1), Some(Tableau::rk3()), Tableau::gauss(3)];
+        for tableau in tableaux.into_iter().flatten() {
+            let mut closed = Vrkmk::new(tableau.clone(), StopRule::default());
+            let mut general = closed.clone();
+            let q = closed.beta.len() - 1;
+            general.unknowns = Unknowns::Bracket(Stages::new(tableau.stages(), q));
+            for stepper in [&mut closed, &mut general] {
+                stepper.start(&start);
+                stepper.step(&body, 0.05).expect("a small step");
+            }
+            let attitude = (closed.attitude - general.attitude).amax();
+            let momentum = (closed.momentum - general.momentum).amax();
+            assert!(attitude.max(momentum) < 1e-14, "{attitude:e}, {momentum:e}");
+        }
+    }
+}

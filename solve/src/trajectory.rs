@@ -1,0 +1,381 @@
+//! The time loop: a stepper carries a state forward, samples go to a sink. ([`super::ensemble`] carries several, by the
+//! same books.)
+//!
+//! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of
+//! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
+//! holds, so that a trajectory which is taken up there is, to the bit, the one that was not interrupted.
+
+use super::failure::{Failure, FailureCode};
+use super::hamiltonian::{Energy, RigidBody};
+use super::nonlinear::Convergence;
+use super::so::{self, Mat};
+use super::stepper::Stepper;
+
+/// A point of T*SO(n), left-trivialised: `g' = g Omega`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct State<const N: usize> {
+    /// The attitude g in SO(n): body coordinates to space coordinates.
+    pub attitude: Mat<N>,
+    /// The body momentum mu in so(n)*, skew.
+    pub momentum: Mat<N>,
+}
+
+/// How far and how finely to go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Schedule {
+    /// The step h in seconds.
+    pub step_s: f64,
+    /// Number of steps.
+    pub steps: u64,
+    /// A sample is taken every so many steps, at the start and at the end.
+    pub every: u64,
+}
+
+/// What is computed at a sample beside the state: what somebody asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Observables {
+    /// Kinetic and potential energy.
+    pub energy: bool,
+    /// Distance of the attitude from the group.
+    pub orthogonality: bool,
+    /// Spatial momentum and the drift of its conserved part.
+    pub momentum: bool,
+    /// The smallest singular value met in the step.
+    pub sigma_min: bool,
+}
+
+/// One sample. What was not asked for is `None`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample<const N: usize> {
+    /// Number of the step that ended here; 0 at the start.
+    pub step: u64,
+    /// Time in seconds since the start.
+    pub time_s: f64,
+    /// The attitude g; `None` from a scheme that carries none.
+    pub attitude: Option<Mat<N>>,
+    /// The body momentum mu, skew.
+    pub momentum: Mat<N>,
+    /// Energy H = T + U.
+    pub energy: Option<Energy>,
+    /// Energy now minus energy at the start.
+    pub energy_error: Option<f64>,
+    /// Spectral norm of g g^T - I.
+    pub orthogonality_error: Option<f64>,
+    /// Spatial momentum g mu g^T.
+    pub spatial_momentum: Option<Mat<N>>,
+    /// Size of the change of the conserved part of the spatial momentum since the start; `None` also
+    /// where the scene conserves none.
+    pub momentum_drift: Option<f64>,
+    /// How the nonlinear solver ended the step; `None` at the start.
+    pub convergence: Option<Convergence>,
+    /// Smallest singular value of the interpolated matrices of the step; `None` at the start.
+    pub sigma_min: Option<f64>,
+}
+
+/// Where samples go: the MCAP log, a `Vec` in tests and studies.
+pub trait Sink<const N: usize> {
+    /// What may go wrong when a sample is kept.
+    type Error;
+
+    /// Takes one sample.
+    ///
+    /// # Errors
+    /// Ends the trajectory.
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error>;
+
+    /// Whether a checkpoint is wanted at the sample that came last.
+    fn wants_checkpoint(&self) -> bool {
+        false
+    }
+
+    /// Takes the checkpoint it wanted.
+    ///
+    /// # Errors
+    /// Ends the trajectory.
+    fn checkpoint(&mut self, _checkpoint: &Checkpoint<N>) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+/// Where a trajectory is at a sample: all that it needs, beside where it began, to go on from there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Checkpoint<const N: usize> {
+    /// Steps made.
+    pub step: u64,
+    /// Samples recorded, that of this step included.
+    pub samples: u64,
+    /// The attitude g; `None` from a scheme that carries none.
+    pub attitude: Option<Mat<N>>,
+    /// The body momentum mu.
+    pub momentum: Mat<N>,
+    /// Sweeps of the nonlinear solver in all.
+    pub iterations: u64,
+    /// How the last step was solved; `None` if none was made.
+    pub convergence: Option<Convergence>,
+}
+
+impl<const N: usize> Checkpoint<N> {
+    /// Attitude and momentum; a scheme that carries no attitude does not look at the one that stands here for it.
+    pub fn state(&self) -> State<N> {
+        let attitude = self.attitude.unwrap_or_else(Mat::identity);
+        State { attitude, momentum: self.momentum }
+    }
+}
+
+/// Where a trajectory begins, and where it is taken up if it was interrupted.
+#[derive(Clone, Copy, Debug)]
+pub struct Origin<'a, const N: usize> {
+    /// The state at t = 0: drifts and errors are measured against it.
+    pub initial: &'a State<N>,
+    /// Where to go on.
+    pub checkpoint: Option<&'a Checkpoint<N>>,
+}
+
+impl<'a, const N: usize> From<&'a State<N>> for Origin<'a, N> {
+    fn from(initial: &'a State<N>) -> Self {
+        Self { initial, checkpoint: None }
+    }
+}
+
+/// How a trajectory ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Ending {
+    /// All steps were made.
+    Completed,
+    /// The caller asked to stop.
+    Cancelled,
+    /// The step after the last one reached failed.
+    Failed(Failure),
+}
+
+/// What a trajectory leaves behind.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectory<const N: usize> {
+    /// How it ended.
+    pub ending: Ending,
+    /// Where.
+    pub reached: Checkpoint<N>,
+}
+
+/// Carries a state forward along `schedule` and gives the samples to `sink`: the first at the start,
+/// then one every `schedule.every` steps, and the last accepted state whatever happens. A trajectory
+/// that is taken up at a checkpoint gives the samples after it.
+/// `go_on(steps_done)` is asked before each step.
+///
+/// # Errors
+/// Those of the sink. A step that fails is not an error but an [`Ending`].
+pub fn integrate<'a, const N: usize, S: Sink<N>>(
+    body: &RigidBody<N>,
+    stepper: &mut dyn Stepper<N>,
+    origin: impl Into<Origin<'a, N>>,
+    schedule: Schedule,
+    observables: Observables,
+    sink: &mut S,
+    mut go_on: impl FnMut(u64) -> bool,
+) -> Result<Trajectory<N>, S::Error> {
+    let Schedule { step_s, steps, every } = schedule;
+    let Origin { initial, checkpoint } = origin.into();
+    let mut books = Books::new(body, initial, step_s, observables);
+    match checkpoint {
+        None => stepper.start(initial),
+        Some(found) => {
+            stepper.start(&found.state());
+            books.take_up(found);
+        }
+    }
+    loop {
+        let step = books.reached.step;
+        let over = step == steps || !books.goes_on();
+        if over || step % every == 0 {
+            books.sample(body, stepper, |sample| sink.record(sample))?;
+            // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
+            if !over && books.goes_on() && sink.wants_checkpoint() {
+                sink.checkpoint(&books.reached)?;
+                stepper.start(&books.reached.state());
+            }
+        }
+        if over || !books.goes_on() {
+            break;
+        }
+        if go_on(step) {
+            books.stepped(stepper.step(body, step_s));
+        } else {
+            books.cancelled();
+        }
+    }
+    Ok(books.end())
+}
+
+/// The books of one trajectory: how far it came, and its samples.
+pub(super) struct Books<const N: usize> {
+    observer: Observer<N>,
+    step_s: f64,
+    ending: Ending,
+    /// Steps and sweeps are those made, attitude and momentum those of the last sample.
+    reached: Checkpoint<N>,
+    /// The step of the last sample.
+    sampled: Option<u64>,
+}
+
+impl<const N: usize> Books<N> {
+    pub(super) fn new(
+        body: &RigidBody<N>,
+        initial: &State<N>,
+        step_s: f64,
+        observables: Observables,
+    ) -> Self {
+        let reached = Checkpoint {
+            step: 0,
+            samples: 0,
+            attitude: Some(initial.attitude),
+            momentum: initial.momentum,
+            iterations: 0,
+            convergence: None,
+        };
+        let observer = Observer::new(body, initial, observables);
+        Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
+    }
+
+    fn take_up(&mut self, found: &Checkpoint<N>) {
+        self.reached = found.clone();
+        self.sampled = Some(found.step);
+    }
+
+    pub(super) fn goes_on(&self) -> bool {
+        self.ending == Ending::Completed
+    }
+
+    pub(super) fn cancelled(&mut self) {
+        self.ending = Ending::Cancelled;
+    }
+
+    /// Takes note of a step that was tried.
+    pub(super) fn stepped(&mut self, result: Result<Convergence, Failure>) {
+        match result {
+            Ok(solved) => {
+                self.reached.convergence = Some(solved);
+                self.reached.iterations += u64::from(solved.iterations);
+                self.reached.step += 1;
+            }
+            Err(Failure { code: FailureCode::Stopped, .. }) => self.cancelled(),
+            Err(failure) => self.ending = Ending::Failed(failure),
+        }
+    }
+
+    /// Gives the sample of the state that was reached to `record`, unless that has it. A sample that cannot be
+    /// taken ends the trajectory: it is good up to the sample before, and all that is reported ends there.
+    pub(super) fn sample<E>(
+        &mut self,
+        body: &RigidBody<N>,
+        stepper: &dyn Stepper<N>,
+        record: impl FnOnce(&Sample<N>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let Self { observer, step_s, ending, reached, sampled } = self;
+        let step = reached.step;
+        if *sampled == Some(step) {
+            return Ok(());
+        }
+        let time_s = step as f64 * *step_s;
+        match observer.sample(body, stepper, step, time_s, reached.convergence) {
+            Ok(sample) => {
+                (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
+                reached.samples += 1;
+                *sampled = Some(step);
+                record(&sample)
+            }
+            Err(failure) => {
+                *ending = Ending::Failed(failure);
+                reached.step = sampled.unwrap_or(0);
+                Ok(())
+            }
+        }
+    }
+
+    /// Every way to an end leads past a sample of the last state.
+    pub(super) fn end(self) -> Trajectory<N> {
+        Trajectory { ending: self.ending, reached: self.reached }
+    }
+}
+
+/// Computes what a sample holds beside the state, measured against the start.
+struct Observer<const N: usize> {
+    observables: Observables,
+    initial: State<N>,
+    initial_energy: f64,
+    conserved: Option<Mat<N>>,
+}
+
+impl<const N: usize> Observer<N> {
+    fn new(body: &RigidBody<N>, initial: &State<N>, observables: Observables) -> Self {
+        Self {
+            observables,
+            initial: initial.clone(),
+            initial_energy: body.energy(&initial.attitude, &initial.momentum).total(),
+            conserved: body.conserved_directions(),
+        }
+    }
+
+    fn sample(
+        &self,
+        body: &RigidBody<N>,
+        stepper: &dyn Stepper<N>,
+        step: u64,
+        time_s: f64,
+        convergence: Option<Convergence>,
+    ) -> Result<Sample<N>, Failure> {
+        let asked = self.observables;
+        let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
+        // A scheme without an attitude serves free bodies, whose energy needs none.
+        let g = attitude.unwrap_or_else(Mat::identity);
+        let energy = asked.energy.then(|| body.energy(&g, &momentum));
+        let sample = Sample {
+            step,
+            time_s,
+            attitude,
+            momentum,
+            energy,
+            energy_error: energy.map(|now| now.total() - self.initial_energy),
+            orthogonality_error: attitude
+                .filter(|_| asked.orthogonality)
+                .map(|g| so::orthogonality_error(&g)),
+            spatial_momentum: attitude
+                .filter(|_| asked.momentum)
+                .map(|g| so::conjugate(&g, &momentum)),
+            momentum_drift: if asked.momentum { self.drift(attitude, &momentum) } else { None },
+            convergence,
+            sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
+        };
+        let numbers = [
+            energy.map(|energy| energy.total()),
+            sample.orthogonality_error,
+            sample.momentum_drift,
+            sample.sigma_min,
+        ];
+        let spatial = sample.spatial_momentum.unwrap_or_else(Mat::zeros);
+        let finite = g.iter().chain(&momentum).chain(&spatial).all(|x| x.is_finite())
+            && numbers.into_iter().flatten().all(f64::is_finite);
+        if finite {
+            Ok(sample)
+        } else {
+            Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
+        }
+    }
+
+    /// How far what the scene conserves has moved: the spatial momentum among the free directions, or,
+    /// without an attitude, the coadjoint orbit of the body momentum.
+    fn drift(&self, attitude: Option<Mat<N>>, momentum: &Mat<N>) -> Option<f64> {
+        let start = &self.initial;
+        match attitude {
+            Some(g) => self.conserved.map(|q| {
+                let change =
+                    so::conjugate(&g, momentum) - so::conjugate(&start.attitude, &start.momentum);
+                let kept = q * change * q;
+                so::inner(&kept, &kept).sqrt()
+            }),
+            None => {
+                let (now, then) = (so::frequencies(momentum), so::frequencies(&start.momentum));
+                Some(now.iter().zip(&then).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max))
+            }
+        }
+    }
+}

@@ -1,0 +1,321 @@
+//! Long runs: how the error of energy and momentum grows with the number of steps.
+//!
+//! A line grows like the number of steps, a random walk like its root (Brouwer's law), an oscillation not at all. The error
+//! of a run is taken in blocks; for blocks of so many steps, the difference between the means of two that follow one
+//! another has a root mean square over a run and over runs that begin next to one another, and the slope of its logarithm
+//! over that of their length is the exponent: 1 of a line, 1/2 of a random walk, -1/2 of what swings without a memory
+//! (Allan 1966, Proceedings of the IEEE 54). The interval is that of the jackknife over the runs.
+
+use std::fmt::Write as _;
+use std::sync::Mutex;
+use std::thread;
+
+use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use vpd_solve::nonlinear::StopRule;
+use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::lgvi::Lgvi;
+use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
+use vpd_solve::stepper::splitting::Splitting;
+use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
+use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vrkmk::Vrkmk;
+use vpd_solve::tableau::Tableau;
+use vpd_solve::trajectory::State;
+
+use crate::given::dipole;
+
+/// Makes a fresh stepper.
+type Make = fn(usize) -> Box<dyn Stepper<3>>;
+
+fn gauss(stages: usize) -> Tableau {
+    Tableau::gauss(stages).expect("1 to 8 stages")
+}
+
+fn vpd(stages: usize) -> Box<dyn Stepper<3>> {
+    Box::new(VpdSpace::new(gauss(stages), StopRule::default()).expect("at most 8 stages"))
+}
+
+fn vpd_reduced(stages: usize) -> Box<dyn Stepper<3>> {
+    let stepper = VpdSpace::new(gauss(stages), StopRule::default()).expect("at most 8 stages");
+    Box::new(stepper.reduced(true))
+}
+
+fn vpd_lagrangian(stages: usize) -> Box<dyn Stepper<3>> {
+    Box::new(VpdLagrangian::new(gauss(stages), StopRule::default()))
+}
+
+fn vrkmk(stages: usize) -> Box<dyn Stepper<3>> {
+    Box::new(Vrkmk::new(gauss(stages), StopRule::default()))
+}
+
+fn quaternion_gauss(stages: usize) -> Box<dyn Stepper<3>> {
+    Box::new(QuaternionGauss::new(stages, StopRule::default()).expect("1 to 8"))
+}
+
+fn splitting(order: usize) -> Box<dyn Stepper<3>> {
+    Box::new(Splitting::new(order as u32).expect("even"))
+}
+
+fn lgvi(order: usize) -> Box<dyn Stepper<3>> {
+    Box::new(Lgvi::new(order as u32, StopRule::default()).expect("even"))
+}
+
+/// A method, its stages or its order, and a step at which little but rounding is left where it has the order for that.
+struct Method {
+    name: &'static str,
+    size: usize,
+    h: f64,
+    make: Make,
+}
+
+/// A family, and the stages or orders and the steps of its methods.
+type Family = (&'static str, Make, &'static [(usize, f64)]);
+
+#[rustfmt::skip]
+fn methods() -> Vec<Method> {
+    let rows: [Family; 7] = [
+        ("vpd gauss", vpd, &[(1, 0.005), (2, 0.01), (3, 0.02), (4, 0.03), (6, 0.08), (8, 0.1)]),
+        ("vpd_reduced gauss", vpd_reduced, &[(2, 0.02), (4, 0.1), (8, 0.2)]),
+        ("vpd_lagrangian gauss", vpd_lagrangian, &[(2, 0.01), (4, 0.03)]),
+        ("vrkmk gauss", vrkmk, &[(2, 0.01), (3, 0.02)]),
+        ("quaternion_gauss", quaternion_gauss, &[(1, 0.005), (2, 0.01), (3, 0.02), (4, 0.03), (5, 0.05), (6, 0.08), (7, 0.1), (8, 0.1)]),
+        ("splitting", splitting, &[(2, 0.005), (4, 0.01), (6, 0.03), (8, 0.05)]),
+        ("lgvi", lgvi, &[(2, 0.005), (4, 0.01), (8, 0.03)]),
+    ];
+    let method = |(name, make, sizes): Family| -> Vec<Method> {
+        sizes.iter().map(|&(size, h)| Method { name, size, h, make }).collect()
+    };
+    rows.into_iter().flat_map(method).collect()
+}
+
+/// A body with a vertical symmetry, and its start.
+struct Scene {
+    name: &'static str,
+    body: RigidBody<3>,
+    start: State<3>,
+}
+
+fn scenes() -> Vec<Scene> {
+    let principal = |moments: [f64; 3]| {
+        let weight = |i: usize, j: usize| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] };
+        Kinetic::Principal { weights: Mat::from_fn(weight) }
+    };
+    let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
+    let state = |turn: [f64; 3], momentum: [f64; 3]| State {
+        attitude: so::exp(&so::hat(&turn)),
+        momentum: so::hat(&momentum),
+    };
+    let moments = [2.0, 1.6, 0.9];
+    let weight = Law::Uniform { weight: 1.0, body_point: Vector::<3>::new(0.0, 0.0, 0.7) };
+    let tide = Law::GravityGradient {
+        strength: 1.5,
+        matrix: Mat::from_diagonal(&Vector::<3>::from(moments)),
+    };
+    let body = |moments, law| RigidBody::new(principal(moments), law, 0.0);
+    let term = |law| vec![Term { law, space: vertical }];
+    let (dipole, start) = dipole();
+    let tumbling = state([0.5, 0.3, -0.2], [0.4, 0.7, 0.5]);
+    vec![
+        Scene { name: "dipole", body: dipole, start },
+        Scene {
+            name: "heavy top",
+            body: body([1.0, 1.0, 0.3], term(weight)),
+            start: state([0.5, 0.1, 0.0], [0.2, 0.1, 1.2]),
+        },
+        Scene {
+            name: "gravity gradient",
+            body: body(moments, term(tide)),
+            start: tumbling.clone(),
+        },
+        Scene { name: "free body", body: body(moments, Vec::new()), start: tumbling },
+    ]
+}
+
+/// Blocks of a run: the shortest difference is that between two of them.
+const BLOCKS: usize = 16;
+
+/// The means over blocks of the errors of energy and vertical momentum, of a run that begins next to the start.
+fn run(method: &Method, scene: &Scene, member: usize, steps: usize) -> [Vec<f64>; 2] {
+    /// An energy takes as long as a tenth of a step.
+    const EVERY: usize = 8;
+    let Scene { body, start, .. } = scene;
+    let apart = 1e-3 * member as f64;
+    let start = State {
+        attitude: start.attitude * so::exp(&so::hat(&[apart, -0.7 * apart, 0.3 * apart])),
+        momentum: start.momentum * (1.0 + 0.1 * apart),
+    };
+    let figures =
+        |g: &Mat<3>, mu: &Mat<3>| [body.energy(g, mu).total(), so::vee(&so::conjugate(g, mu))[2]];
+    let initial = figures(&start.attitude, &start.momentum);
+    let mut stepper = (method.make)(method.size);
+    stepper.start(&start);
+    let length = steps / BLOCKS;
+    let mut means = [Vec::new(), Vec::new()];
+    for _ in 0..BLOCKS {
+        let mut sums = [0.0; 2];
+        for step in 1..=length {
+            stepper.step(body, method.h).unwrap_or_else(|failure| panic!("{failure:?}"));
+            if step % EVERY == 0 {
+                let g = stepper.attitude().expect("carried");
+                let now = figures(&g, &stepper.momentum());
+                for i in 0..2 {
+                    sums[i] += now[i] - initial[i];
+                }
+            }
+        }
+        for i in 0..2 {
+            means[i].push(sums[i] / (length / EVERY) as f64);
+        }
+    }
+    means
+}
+
+/// An exponent, and half its interval of 95 %.
+#[derive(Clone, Copy, Debug)]
+struct Exponent {
+    value: f64,
+    half: f64,
+    /// Root mean square of the change from one half of a run to the other.
+    change: f64,
+}
+
+/// Of runs by the means over their blocks; `None` if nothing changes.
+fn exponent(runs: &[&[f64]]) -> Option<Exponent> {
+    /// Student's t for 95 % with 1, 2, ... degrees of freedom.
+    const STUDENT: [f64; 9] = [12.71, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
+    let value = slope(runs.iter().copied())?;
+    let without = |m: usize| {
+        let rest = runs.iter().enumerate().filter(move |(k, _)| *k != m);
+        slope(rest.map(|(_, run)| *run))
+    };
+    let left_out: Option<Vec<f64>> = (0..runs.len()).map(without).collect();
+    let left_out = left_out?;
+    let n = runs.len() as f64;
+    let mean = left_out.iter().sum::<f64>() / n;
+    let spread: f64 = left_out.iter().map(|slope| (slope - mean).powi(2)).sum();
+    let half = STUDENT[runs.len() - 2] * ((n - 1.0) / n * spread).sqrt();
+    Some(Exponent { value, half, change: differences(runs.iter().copied(), BLOCKS / 2).0.sqrt() })
+}
+
+/// The mean square of the differences between neighbours that are `blocks` long each, and their number.
+fn differences<'a>(runs: impl Iterator<Item = &'a [f64]>, blocks: usize) -> (f64, f64) {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for run in runs {
+        let means: Vec<f64> =
+            run.chunks(blocks).map(|chunk| chunk.iter().sum::<f64>() / blocks as f64).collect();
+        for pair in means.windows(2) {
+            sum += (pair[1] - pair[0]).powi(2);
+            count += 1.0;
+        }
+    }
+    (sum / count, count)
+}
+
+/// Of the logarithms, each weighted with the number of its differences.
+fn slope<'a>(runs: impl Iterator<Item = &'a [f64]> + Clone) -> Option<f64> {
+    let (mut w, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for blocks in [1, 2, 4, 8] {
+        let (square, count) = differences(runs.clone(), blocks);
+        if square == 0.0 {
+            return None;
+        }
+        let (length, size) = ((blocks as f64).ln(), 0.5 * square.ln());
+        w += count;
+        x += count * length;
+        y += count * size;
+        xx += count * length * length;
+        xy += count * length * size;
+    }
+    Some((xy - x * y / w) / (xx - x * x / w))
+}
+
+/// The exponents of energy and momentum of each method on each scene that it runs, by the number of steps and of runs.
+fn grown(
+    methods: &[Method],
+    steps: usize,
+    members: usize,
+) -> Vec<(usize, usize, [Option<Exponent>; 2])> {
+    let free: Vec<bool> = scenes().iter().map(|scene| scene.body.is_free()).collect();
+    let pairs = (0..methods.len()).flat_map(|m| (0..free.len()).map(move |s| (m, s)));
+    let runs = |&(m, s): &(usize, usize)| methods[m].name.starts_with("vpd_reduced") == free[s];
+    let todo = Mutex::new(pairs.filter(runs).collect::<Vec<_>>());
+    let found = Mutex::new(Vec::new());
+    thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                // A body counts its work and is nobody else's.
+                let scenes = scenes();
+                loop {
+                    let Some((m, s)) = todo.lock().expect("no panic").pop() else { break };
+                    let means: Vec<[Vec<f64>; 2]> =
+                        (0..members).map(|k| run(&methods[m], &scenes[s], k, steps)).collect();
+                    let exponents = [0, 1].map(|i| {
+                        let runs: Vec<&[f64]> = means.iter().map(|run| run[i].as_slice()).collect();
+                        exponent(&runs)
+                    });
+                    found.lock().expect("no panic").push((m, s, exponents));
+                }
+            });
+        }
+    });
+    let mut found = found.into_inner().expect("no panic");
+    found.sort_by_key(|&(m, s, _)| (m, s));
+    found
+}
+
+/// The largest exponent that is rounding's own. Of many intervals of 95 % some miss it by chance, hardly one by twice its
+/// half.
+const WALK: f64 = 0.6;
+
+/// A table for people, and what grows faster than a random walk.
+fn judged(methods: &[Method], steps: usize, members: usize) -> (String, String) {
+    let (mut table, mut lines) = (String::new(), String::new());
+    let scenes = scenes();
+    for (m, s, exponents) in grown(methods, steps, members) {
+        let (Method { name, size, h, .. }, scene) = (&methods[m], scenes[s].name);
+        let cell = |exponent: &Option<Exponent>| match exponent {
+            Some(Exponent { value, half, change }) => {
+                format!("{value:.2} \u{b1} {half:.2} | {change:.1e}")
+            }
+            None => "nothing changes | 0".to_owned(),
+        };
+        let [energy, momentum] = exponents.each_ref().map(cell);
+        let row = format!("| {name} {size} | {h} | {scene} | {energy} | {momentum} |");
+        println!("{row}");
+        let _ = writeln!(table, "{row}");
+        if exponents.iter().flatten().any(|e| e.value - 2.0 * e.half > WALK) {
+            let _ = writeln!(lines, "{row}");
+        }
+    }
+    (table, lines)
+}
+
+#[test]
+fn rounding_makes_a_random_walk_and_no_line() {
+    let known = |method: &Method| {
+        matches!(
+            (method.name, method.size),
+            ("vpd gauss", 4 | 8) | ("quaternion_gauss", 4 | 8) | ("splitting" | "lgvi", 8)
+        )
+    };
+    let methods: Vec<Method> = methods().into_iter().filter(known).collect();
+    let (_, lines) = judged(&methods, 40_000, 4);
+    assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
+    // What there is to be seen: a line, a random walk.
+    let line: Vec<Vec<f64>> = (0..4)
+        .map(|m| (0..BLOCKS).map(|k| k as f64 + 0.1 * (m * k % 3) as f64).collect())
+        .collect();
+    let runs: Vec<&[f64]> = line.iter().map(Vec::as_slice).collect();
+    let exponent = exponent(&runs).expect("it grows");
+    assert!(exponent.value - 2.0 * exponent.half > WALK, "{exponent:?}");
+}
+
+/// `cargo test --release growth_over_a_million_steps -- --ignored --nocapture`
+#[test]
+#[ignore = "half an hour: cargo test --release growth_over_a_million_steps -- --ignored --nocapture"]
+fn growth_over_a_million_steps() {
+    let (table, lines) = judged(&methods(), 1_000_000, 6);
+    println!("{table}");
+    assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
+}

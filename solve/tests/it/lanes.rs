@@ -1,0 +1,339 @@
+//! VPD for n = 3 in lanes: the same map as in matrices, the same bits on every instruction set; and the rungs of
+//! the solver.
+
+use std::collections::BTreeSet;
+
+use fearless_simd::{Level, Simd};
+use vpd_solve::ensemble::Members;
+use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use vpd_solve::nonlinear::{Rung, Rungs, StopRule};
+use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::vpd::Vpd;
+use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
+use vpd_solve::stepper::vpd_reduced::VpdReduced;
+use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use vpd_solve::stepper::vrkmk::Vrkmk;
+use vpd_solve::tableau::Tableau;
+use vpd_solve::trajectory::State;
+
+use crate::given::{Numbers, dipole};
+use crate::laws::{self, advance};
+
+fn tableaux() -> Vec<Tableau> {
+    let gauss = (1..=8).filter_map(Tableau::gauss);
+    gauss.chain([Tableau::rk3(), Tableau::rk4()]).collect()
+}
+
+fn in_lanes(tableau: &Tableau, with_attitude: bool) -> VpdSpace {
+    let full = VpdSpace::new(tableau.clone(), StopRule::default()).expect("at most 8 stages");
+    if with_attitude { full } else { full.reduced(false) }
+}
+
+/// A thin free body.
+fn free() -> RigidBody<3> {
+    let moments = [1.01, 1.0, 0.01];
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+    RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+}
+
+#[test]
+fn lanes_and_matrices_make_the_same_step() {
+    let mut numbers = Numbers(7);
+    let body = laws::body::<3>(&mut numbers);
+    let mut worst = 0.0_f64;
+    for tableau in tableaux() {
+        for h in [0.02, 0.2] {
+            let start = State { attitude: numbers.rotation(), momentum: numbers.skew() * 4.0 };
+            let mut matrices = Vpd::new(tableau.clone(), StopRule::default());
+            let lanes = advance(&mut in_lanes(&tableau, true), &body, &start, &[h]);
+            let matrices = advance(&mut matrices, &body, &start, &[h]);
+            let attitude = (lanes.attitude - matrices.attitude).amax();
+            let momentum = (lanes.momentum - matrices.momentum).amax();
+            worst = worst.max(attitude).max(momentum);
+        }
+    }
+    println!("largest difference of a step: {worst:e}");
+    assert!(worst < 1e-13, "{worst:e}");
+}
+
+#[test]
+fn the_reduced_form_in_lanes_is_that_in_matrices() {
+    let mut numbers = Numbers(8);
+    let body = free();
+    for tableau in tableaux() {
+        let start = State { attitude: Mat::identity(), momentum: numbers.skew() };
+        let (mut lanes, stop) = (in_lanes(&tableau, false), StopRule::default());
+        let mut matrices = VpdReduced::new(tableau, stop, false);
+        for stepper in [&mut lanes as &mut dyn Stepper<3>, &mut matrices] {
+            stepper.start(&start);
+            stepper.step(&body, 0.02).expect("a small step");
+        }
+        let difference = (lanes.momentum() - matrices.momentum()).amax();
+        assert!(difference < 1e-14, "{difference:e}");
+        assert_eq!(lanes.attitude(), None);
+    }
+}
+
+/// |mu| labels the coadjoint orbit of a free body in space.
+#[test]
+fn the_reduced_form_stays_on_its_orbit() {
+    let (body, mut numbers) = (free(), Numbers(10));
+    for stages in [1, 2, 4, 8] {
+        let mut stepper = in_lanes(&Tableau::gauss(stages).expect("a few stages"), false);
+        stepper.start(&State { attitude: Mat::identity(), momentum: numbers.skew() });
+        let length =
+            |stepper: &VpdSpace| so::inner(&stepper.momentum(), &stepper.momentum()).sqrt();
+        let before = length(&stepper);
+        for _ in 0..100_000 {
+            stepper.step(&body, 0.02).expect("a small step");
+        }
+        let change = (length(&stepper) / before - 1.0).abs();
+        println!("{stages} stages: |mu| kept to {change:.1e} over 1e5 steps");
+        assert!(change <= 1e-12, "{change:e}");
+    }
+}
+
+#[test]
+fn every_instruction_set_makes_the_same_bits() {
+    let detected = Level::new();
+    #[cfg(target_arch = "x86_64")]
+    let levels = [
+        Some(Level::baseline()),
+        detected.as_sse4_2().map(Simd::level),
+        detected.as_avx2().map(Simd::level),
+        detected.as_avx512().map(Simd::level),
+    ];
+    #[cfg(not(target_arch = "x86_64"))]
+    let levels = [Some(Level::baseline()), Some(detected)];
+    let known = levels.iter().flatten().count();
+    assert!(known >= 2 || cfg!(not(target_arch = "x86_64")), "only one instruction set");
+    let (body, start) = dipole();
+    // In a plane, where most numbers are zeros: these have a sign.
+    let in_plane = State { momentum: so::hat(&[-0.1, -0.0, -0.0]), ..start };
+    for start in [start, in_plane] {
+        let end = |tableau: &Tableau, level: Option<Level>| {
+            let mut stepper = in_lanes(tableau, true).on_level(level);
+            let end = advance(&mut stepper, &body, &start, &[0.03; 50]);
+            (bits(&end.attitude), bits(&end.momentum), stepper.sigma_min().map(f64::to_bits))
+        };
+        for tableau in tableaux() {
+            let without_lanes = end(&tableau, None);
+            for level in levels.into_iter().flatten() {
+                assert_eq!(end(&tableau, Some(level)), without_lanes, "{level:?}");
+            }
+        }
+    }
+}
+
+fn bits(m: &Mat<3>) -> Vec<u64> {
+    m.iter().map(|x| x.to_bits()).collect()
+}
+
+#[test]
+fn a_free_body_keeps_its_spatial_momentum() {
+    let mut numbers = Numbers(9);
+    let body = free();
+    let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
+    for (stages, step_s) in [(3, 0.02), (8, 0.02), (8, 0.03)] {
+        let mut stepper = in_lanes(&Tableau::gauss(stages).expect("up to 8 stages"), true);
+        stepper.start(&start);
+        let momentum = |stepper: &VpdSpace| {
+            so::conjugate(&stepper.attitude().expect("carried"), &stepper.momentum())
+        };
+        let before = momentum(&stepper);
+        for _ in 0..10_000 {
+            stepper.step(&body, step_s).expect("a solvable step");
+        }
+        let lost = (momentum(&stepper) - before).amax();
+        println!("{stages} stages, {step_s} s: {lost:e}");
+        // Only what the reading of it rounds is left.
+        assert!(lost < 2e-15, "{stages} stages, {step_s} s: {lost:e}");
+    }
+}
+
+/// Newton's method makes the step that the sweeps make.
+#[test]
+fn newton_and_sweeps_agree_where_both_get_there() {
+    let (body, start) = dipole();
+    let rule = |rungs| StopRule { rungs, ..StopRule::default() };
+    for stages in [2, 3] {
+        let tableau = || Tableau::gauss(stages).expect("a few stages");
+        let steppers = |rungs| -> Vec<Box<dyn Stepper<3>>> {
+            vec![
+                Box::new(VpdSpace::new(tableau(), rule(rungs)).expect("a few stages")),
+                Box::new(Vpd::new(tableau(), rule(rungs))),
+                Box::new(VpdLagrangian::new(tableau(), rule(rungs))),
+                Box::new(Vrkmk::new(tableau(), rule(rungs))),
+            ]
+        };
+        let pairs = steppers(Rungs::FixedPoint).into_iter().zip(steppers(Rungs::Newton));
+        for (k, (mut sweeps, mut newton)) in pairs.enumerate() {
+            newton.start(&start);
+            let solved = newton.step(&body, 0.05).expect("a step of moderate size");
+            assert_eq!(solved.rung, Rung::Newton);
+            assert!(solved.iterations <= 8, "{} corrections", solved.iterations);
+            let newton = State {
+                attitude: newton.attitude().expect("carried"),
+                momentum: newton.momentum(),
+            };
+            let sweeps = advance(sweeps.as_mut(), &body, &start, &[0.05]);
+            let difference = (newton.attitude - sweeps.attitude).amax();
+            assert!(difference < 2e-15, "{k}: {difference:e}");
+            assert!((newton.momentum - sweeps.momentum).amax() < 2e-15, "{k}");
+        }
+    }
+}
+
+/// GL4 and GL6 at h = 0.125, 8 stages at h = 0.25: large steps are solved, and Newton's method takes few
+/// corrections.
+#[test]
+fn large_steps_are_solved() {
+    let (body, start) = dipole();
+    for (stages, h, steps, most) in
+        [(2, 0.125, 8_000, Some(5.0)), (3, 0.125, 8_000, Some(5.0)), (8, 0.25, 4_000, None)]
+    {
+        let tableau = || Tableau::gauss(stages).expect("a few stages");
+        for rungs in [Rungs::FixedPoint, Rungs::Newton] {
+            let rule = StopRule { rungs, ..StopRule::default() };
+            let mut stepper = VpdSpace::new(tableau(), rule).expect("a few stages");
+            stepper.start(&start);
+            let mut iterations = 0;
+            for step in 0..steps {
+                let solved = stepper.step(&body, h);
+                let solved =
+                    solved.unwrap_or_else(|failure| panic!("{stages}, {step}: {failure:?}"));
+                iterations += solved.iterations;
+            }
+            let mean = f64::from(iterations) / f64::from(steps);
+            println!("{stages} stages, h = {h}, {rungs:?}: {mean:.2} a step");
+            if let (Rungs::Newton, Some(most)) = (rungs, most) {
+                assert!(mean <= most, "{mean}");
+            }
+        }
+    }
+}
+
+/// The largest energy error of the dipole over so many steps of 0.1 with 8 stages.
+fn energy_error(stepper: &mut dyn Stepper<3>, steps: u32) -> f64 {
+    let (body, start) = dipole();
+    let initial = body.energy(&start.attitude, &start.momentum).total();
+    stepper.start(&start);
+    let mut largest = 0.0_f64;
+    for _ in 0..steps {
+        stepper.step(&body, 0.1).expect("a step of moderate size");
+        let attitude = stepper.attitude().expect("carried");
+        let error = body.energy(&attitude, &stepper.momentum()).total() - initial;
+        largest = largest.max(error.abs());
+    }
+    largest
+}
+
+#[test]
+fn carried_sums_leave_no_drift() {
+    let eight = || Tableau::gauss(8).expect("8 stages");
+    let long = energy_error(&mut in_lanes(&eight(), true), 100_000);
+    assert!(long <= 3e-14, "{long:e}");
+    // The matrices store the state as it is rounded.
+    let carried = energy_error(&mut in_lanes(&eight(), true), 10_000);
+    let rounded = energy_error(&mut Vpd::new(eight(), StopRule::default()), 10_000);
+    println!("1e5 steps: {long:e}; 1e4 steps: {carried:e}, without carry {rounded:e}");
+    assert!(3.0 * carried < rounded, "{carried:e} {rounded:e}");
+}
+
+/// Every member of an ensemble ends with the bits of its own run, or with its failure.
+#[test]
+fn members_are_their_own_runs_bit_for_bit() {
+    let (body, start) = dipole();
+    for (stages, h) in [(1, 0.02), (2, 0.05), (3, 0.1), (4, 0.1), (6, 0.15), (8, 0.2)] {
+        let mut numbers = Numbers(stages as u64 + 11);
+        // The last turns too fast for the step: it goes by itself, and fails.
+        let states: Vec<State<3>> = (0..7)
+            .map(|m| {
+                let size = if m == 6 { 60.0 } else { 0.1 };
+                let attitude = start.attitude * so::exp(&(numbers.skew() * 0.3));
+                State { attitude, momentum: numbers.skew() * size }
+            })
+            .collect();
+        let failures = together_and_alone(&body, &states, stages, h);
+        assert!(failures.iter().all(|(m, _)| *m == 6), "{failures:?}");
+    }
+}
+
+/// The same where sweeps solve a step that is refused: one member rests where it all but meets a charge, too weak to push
+/// it.
+#[test]
+fn a_member_that_is_solved_and_refused_is_refused_as_by_itself() {
+    let up = Vector::<3>::new(0.0, 0.0, 1.0);
+    let charge = Term { law: Law::PointSource { strength: 1e-60, body_point: up }, space: up };
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 });
+    let ball = RigidBody::new(Kinetic::Principal { weights }, vec![charge], 0.0);
+    for stages in 1..=4 {
+        let states: Vec<State<3>> = (0..8)
+            .map(|m| {
+                let (tilt, spin) = if m == 3 { (1e-9, 0.0) } else { (0.1, 0.1 * f64::from(m)) };
+                State {
+                    attitude: so::exp(&so::hat(&[tilt, 0.0, 0.0])),
+                    momentum: so::hat(&[0.0, 0.0, spin]),
+                }
+            })
+            .collect();
+        let failures = together_and_alone(&ball, &states, stages, 0.1);
+        assert_eq!(Vec::from_iter(failures), [(3, "potential_singularity")]);
+    }
+}
+
+/// A hundred steps of the members together and of each by itself, without lanes: who fails, and how. Who has failed tries
+/// again for a while, and then is left behind.
+fn together_and_alone(
+    body: &RigidBody<3>,
+    states: &[State<3>],
+    stages: usize,
+    h: f64,
+) -> BTreeSet<(usize, &'static str)> {
+    let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
+    let mut ensemble = VpdEnsemble::new(&tableau, StopRule::default()).expect("1 to 8 stages");
+    ensemble.start(states);
+    let mut going: Vec<usize> = (0..states.len()).collect();
+    let mut together = Vec::new();
+    let mut alone: Vec<VpdSpace> = states
+        .iter()
+        .map(|state| {
+            let mut stepper = in_lanes(&tableau, true).on_level(None);
+            stepper.start(state);
+            stepper
+        })
+        .collect();
+    // Looked at after each step, and by another at times only: between them its lanes are ahead of its members.
+    let mut unseen = ensemble.clone();
+    let mut failures = BTreeSet::new();
+    for step in 0..100 {
+        unseen.step(body, h, &going, &mut |_, _| {});
+        ensemble.step(body, h, &going, &mut |m, result| together.push((m, result)));
+        assert_eq!(together.len(), going.len());
+        for (m, result) in together.drain(..) {
+            let own = alone[m].step(body, h).map_err(|failure| failure.code);
+            let result = result.map_err(|failure| failure.code);
+            assert_eq!(own, result, "{stages} stages, step {step}, member {m}");
+            failures.extend(result.err().map(|code| (m, code.as_str())));
+        }
+        if step == 50 {
+            going.retain(|m| failures.iter().all(|(failed, _)| failed != m));
+        }
+        let looked_at = [Some(&mut ensemble), (step % 7 == 1).then_some(&mut unseen)];
+        for ensemble in looked_at.into_iter().flatten() {
+            for (m, stepper) in alone.iter().enumerate() {
+                let member = ensemble.member(m);
+                assert_eq!(
+                    stepper.attitude().as_ref().map(bits),
+                    member.attitude().as_ref().map(bits)
+                );
+                assert_eq!(bits(&stepper.momentum()), bits(&member.momentum()));
+                assert_eq!(stepper.sigma_min(), member.sigma_min());
+            }
+        }
+    }
+    println!("{stages} stages, h = {h}: {failures:?}");
+    failures
+}

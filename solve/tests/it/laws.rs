@@ -1,0 +1,509 @@
+//! Laws of the group, the potential and the step, for n = 2 to 8.
+
+use nalgebra::{DMatrix, Matrix3, Vector3};
+use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use vpd_solve::nonlinear::StopRule;
+use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::vpd::Vpd;
+use vpd_solve::tableau::Tableau;
+use vpd_solve::trajectory::State;
+
+use crate::given::Numbers;
+
+/// A body with one term of each kind.
+pub(crate) fn body<const N: usize>(numbers: &mut Numbers) -> RigidBody<N> {
+    let weights =
+        Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (2.0 + 0.2 * (i + j) as f64) });
+    let far = |numbers: &mut Numbers| numbers.vector::<N>() + Vector::<N>::repeat(2.0);
+    let term = |law, space| Term { law, space };
+    let terms = vec![
+        term(Law::Uniform { weight: 0.7, body_point: numbers.vector() }, numbers.vector()),
+        term(Law::PointSource { strength: 0.5, body_point: numbers.vector() }, far(numbers)),
+        term(
+            Law::Spring { stiffness: 0.8, rest_length: 0.4, body_point: numbers.vector() },
+            far(numbers),
+        ),
+        term(
+            Law::Spring { stiffness: 0.3, rest_length: 0.0, body_point: numbers.vector() },
+            numbers.vector(),
+        ),
+        term(
+            Law::GravityGradient { strength: 0.6, matrix: so::symmetric_part(&numbers.matrix()) },
+            numbers.vector(),
+        ),
+    ];
+    RigidBody::new(Kinetic::Principal { weights }, terms, 0.0)
+}
+
+/// Takes steps of the given sizes.
+pub(crate) fn advance<const N: usize>(
+    stepper: &mut dyn Stepper<N>,
+    body: &RigidBody<N>,
+    start: &State<N>,
+    steps: &[f64],
+) -> State<N> {
+    stepper.start(start);
+    for &h in steps {
+        stepper.step(body, h).expect("a step that can be solved");
+    }
+    let attitude = stepper.attitude().expect("a scheme with an attitude");
+    State { attitude, momentum: stepper.momentum() }
+}
+
+/// Runs a generic law for each of the sizes.
+macro_rules! for_sizes {
+    ($law:ident) => {
+        $law::<2>();
+        $law::<3>();
+        $law::<4>();
+        $law::<5>();
+        $law::<8>();
+    };
+}
+
+#[test]
+fn coordinates_and_pairing() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(1);
+        let (x, y) = (numbers.skew::<N>(), numbers.skew::<N>());
+        let (vx, vy) = (so::vee(&x), so::vee(&y));
+        assert_eq!(vx.len(), so::dimension(N));
+        assert_eq!(so::hat::<N>(&vx), x);
+        let dot: f64 = vx.iter().zip(&vy).map(|(a, b)| a * b).sum();
+        assert!((so::inner(&x, &y) - dot).abs() < 1e-15);
+        // <X, asym(A)> = tr(X A^T)
+        let a = numbers.matrix::<N>();
+        assert!((so::inner(&x, &so::asym(&a)) - x.dot(&a)).abs() < 1e-14);
+    }
+    for_sizes!(law);
+    let (v, w) = (Vector3::new(1.0, 2.0, 3.0), Vector3::new(-0.5, 0.25, 4.0));
+    assert_eq!(so::hat::<3>(v.as_slice()) * w, v.cross(&w));
+}
+
+#[test]
+fn frequencies_label_the_orbit() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(13);
+        let (x, g) = (numbers.skew::<N>(), numbers.rotation::<N>());
+        let (here, there) = (so::frequencies(&x), so::frequencies(&so::conjugate(&g, &x)));
+        assert!(here.iter().zip(&there).all(|(a, b)| (a - b).abs() < 1e-14), "n = {N}");
+        // Twice <X, X> is the sum of their squares.
+        let sum: f64 = here.iter().map(|frequency| frequency * frequency).sum();
+        assert!((sum - 2.0 * so::inner(&x, &x)).abs() < 1e-14, "n = {N}");
+        assert_eq!(here.len(), N);
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn the_smallest_eigenvalue_of_a_symmetric_matrix() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(12);
+        // The second one is as near as that.
+        for gap in [0.0, 1e-15, 1e-9, 1e-5, 1e-3, 0.1, 2.0] {
+            for size in [0.0, 1e-200, 1e-30, 1e-16, 1e-5, 1.0, 1e9] {
+                let r = numbers.rotation::<N>();
+                let smallest = numbers.next() - 1.0;
+                let values = Vector::<N>::from_fn(|i, _| {
+                    size * (smallest + [0.0, gap, 1.0 + gap][i.min(2)])
+                });
+                let p = so::product(&r, &(Mat::from_diagonal(&values) * r.transpose()));
+                let found = so::smallest_eigenvalue(&((p + p.transpose()) * 0.5));
+                let error = (found - values[0]).abs();
+                assert!(error <= 1e-11 * p.amax(), "n = {N}, {gap:e}, {size:e}: {error:e}");
+            }
+        }
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn polar_factor() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(2);
+        for _ in 0..20 {
+            let q = numbers.rotation::<N>();
+            let a = Mat::identity() + numbers.matrix() * 0.4;
+            let u = so::polar(&a).expect("near the identity");
+            assert!(so::orthogonality_error(&u) < 2e-15, "n = {N}");
+            let p = Mat::identity() + so::stretch_excess(&u, &(a - Mat::identity()));
+            let defect: Mat<N> = u * p - a;
+            assert!(defect.amax() < 1e-14);
+            assert!(so::smallest_eigenvalue(&p) > 0.0);
+            // polar(R) = R and polar(Q A) = Q polar(A)
+            assert!((so::polar(&q).expect("regular") - q).amax() < 1e-15);
+            assert!((so::polar(&(q * a)).expect("regular") - q * u).amax() < 1e-14);
+        }
+        assert_eq!(so::polar(&Mat::<N>::zeros()), None);
+        assert_eq!(so::polar(&Mat::<N>::repeat(f64::NAN)), None);
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn tangent_map_of_the_polar_factor_and_its_adjoint() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(3);
+        let a = Mat::<N>::identity() + numbers.matrix() * 0.3;
+        let (b, s) = (numbers.matrix::<N>(), numbers.skew::<N>());
+        let u = so::polar(&a).expect("regular");
+        let p = so::symmetric_part(&u.tr_mul(&a));
+        let tangent = so::polar_tangent(&u, &p, &b).expect("regular");
+        let e = 1e-5;
+        let ahead = so::polar(&(a + b * e)).expect("regular");
+        let behind = so::polar(&(a - b * e)).expect("regular");
+        let difference = u.transpose() * (ahead - behind) / (2.0 * e);
+        assert!((difference - tangent).amax() < 1e-9, "n = {N}");
+        // tr(dP*(S) B^T) = <S, dP(B)>
+        let adjoint = so::polar_tangent_adjoint(&u, &p, &s).expect("regular");
+        assert!((adjoint.dot(&b) - so::inner(&s, &tangent)).abs() < 1e-13);
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn lyapunov_equations() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(4);
+        for spread in [1e-6, 0.1, 0.6] {
+            let c = numbers.skew::<N>();
+            let root = Mat::<N>::identity() + numbers.matrix() * (spread / N as f64);
+            let p = root * root.transpose();
+            let x = so::lyapunov(&p, &c, &Mat::zeros()).expect("positive definite");
+            assert!((p * x + x * p - c).amax() < 1e-14, "n = {N}, spread {spread}");
+            assert_eq!(x, -x.transpose());
+            // The multiplier's equation, with a rotation for M.
+            let f = so::retraction(&(numbers.skew::<N>() * (2.0 * spread / N as f64)))
+                .expect("defined");
+            let x = so::lyapunov(&f, &c, &Mat::zeros()).expect("less than a quarter turn");
+            assert!((f * x + x * f.transpose() - c).amax() < 1e-14, "n = {N}, spread {spread}");
+        }
+    }
+    for_sizes!(law);
+    // Half a turn: eigenvalues i and -i sum to zero.
+    let quarter = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    let half = quarter * quarter;
+    assert_eq!(so::lyapunov(&half, &so::hat(&[1.0, 0.0, 0.0]), &Mat::zeros()), None);
+    let four = Mat::<4>::from_fn(|i, j| {
+        [[0.0, -1.0], [1.0, 0.0]][i % 2][j % 2] * f64::from(u8::from(i / 2 == j / 2))
+    });
+    assert_eq!(so::lyapunov(&four, &Numbers(5).skew::<4>(), &Mat::zeros()), None);
+}
+
+#[test]
+fn retraction_and_its_inverse() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(6);
+        for size in [1e-8, 0.1, 0.5] {
+            let omega = numbers.skew::<N>() * size;
+            let u = so::retraction(&omega).expect("defined everywhere");
+            assert!(so::orthogonality_error(&u) < 2e-15);
+            let back = so::inverse_retraction(&u).expect("within a quarter turn");
+            assert!((back - omega).amax() < 1e-14, "n = {N}: {:e}", (back - omega).amax());
+            // Rigidity: P(I + Omega) = I + Omega + O(Omega^2).
+            let second_order = 2.0 * omega.norm_squared() + 1e-15;
+            assert!((u - Mat::identity() - omega).amax() < second_order);
+        }
+    }
+    for_sizes!(law);
+    let half_turn = Matrix3::from_diagonal(&Vector3::new(-1.0, -1.0, 1.0));
+    assert_eq!(so::inverse_retraction(&half_turn), None);
+}
+
+#[test]
+fn the_exponential() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(12);
+        for size in [1e-9, 1e-3, 0.099, 0.101, 1.0, 30.0] {
+            let x = numbers.skew::<N>() * size;
+            let u = so::exp(&x);
+            assert!(so::orthogonality_error(&u) < 4e-15, "n = {N}");
+            let round_off = 1e-15 * (4.0 + N as f64 * size);
+            let back = so::exp(&-x);
+            assert!((u.transpose() - back).amax() < round_off, "n = {N}, {size}");
+            let twice = so::exp(&(x * 2.0));
+            assert!((u * u - twice).amax() < round_off, "n = {N}, {size}");
+            // exp(A X A^T) = A exp(X) A^T
+            let a = numbers.rotation::<N>();
+            let turned = so::exp(&so::conjugate(&a, &x));
+            assert!((so::conjugate(&a, &u) - turned).amax() < round_off, "n = {N}, {size}");
+        }
+        // A rotation of each plane (2 k, 2 k + 1) by its own angle.
+        let angle = |i: usize| 0.3 + 0.5 * (i / 2) as f64;
+        let pair = |i: usize, j: usize| i / 2 == j / 2 && i.max(j) | 1 < N;
+        let x = Mat::<N>::from_fn(|i, j| match (pair(i, j), i == j) {
+            (true, false) => angle(i) * if i > j { 1.0 } else { -1.0 },
+            _ => 0.0,
+        });
+        let expected = Mat::<N>::from_fn(|i, j| match (pair(i, j), i == j) {
+            (true, true) => libm::cos(angle(i)),
+            (true, false) => libm::sin(angle(i)) * if i > j { 1.0 } else { -1.0 },
+            (false, same) => f64::from(u8::from(same)),
+        });
+        assert!((so::exp(&x) - expected).amax() < 1e-15, "n = {N}");
+        assert!(so::exp(&Mat::<N>::repeat(f64::NAN)).iter().all(|x| x.is_nan()));
+        assert!(so::exp(&Mat::<N>::repeat(f64::INFINITY)).iter().all(|x| x.is_nan()));
+        assert!(so::exp(&(numbers.skew::<N>() * 1e9)).iter().all(|x| x.is_nan()));
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn the_exponential_is_the_sum_of_its_series() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(31);
+        for size in [0.0, 1e-9, 1e-3, 0.2, 0.49, 0.51, 2.0, 40.0] {
+            let x = numbers.skew::<N>() * size;
+            let e = so::exp(&x);
+            assert!(so::orthogonality_error(&e) < 2e-15 * (1.0 + size), "n = {N}, {size}");
+            if size <= 2.0 {
+                let mut term = Mat::<N>::identity();
+                let mut sum = term;
+                for k in 1..40 {
+                    term = term * x / f64::from(k);
+                    sum += term;
+                }
+                assert!((e - sum).amax() < 3e-15, "n = {N}, {size}: {:e}", (e - sum).amax());
+            }
+        }
+        assert!(!so::exp(&Mat::<N>::repeat(f64::INFINITY)).iter().all(|x| x.is_finite()));
+    }
+    law::<2>();
+    law::<3>();
+    law::<4>();
+    law::<5>();
+    law::<8>();
+}
+
+#[test]
+fn the_gradient_is_the_derivative_of_the_energy() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(7);
+        let body = body::<N>(&mut numbers);
+        let g0 = numbers.rotation::<N>();
+        let u = numbers.rotation::<N>();
+        let mut seen = Vec::new();
+        body.seen_from(&g0, &mut seen);
+        let gradient = body.gradient(&u, &seen);
+        let potential = |turn: &Mat<N>| {
+            let attitude = g0 * u * so::retraction(turn).expect("small");
+            body.energy(&attitude, &Mat::zeros()).potential
+        };
+        for _ in 0..10 {
+            let eta = numbers.skew::<N>();
+            // Five points, fourth order: e^4 and round-off over e balance near 1e-3.
+            let e = 1e-3;
+            let at = |k: f64| potential(&(eta * (k * e)));
+            let difference = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * e);
+            assert!((difference - so::inner(&gradient, &eta)).abs() < 1e-10, "n = {N}");
+        }
+        // The same from the other side.
+        let g = g0 * u;
+        let difference = so::conjugate(&g, &gradient) - body.spatial_gradient(&g);
+        assert!(difference.amax() < 1e-14 * N as f64, "n = {N}: {:e}", difference.amax());
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn kinetic_energy_of_an_inertia_tensor() {
+    let mut numbers = Numbers(8);
+    let root = Matrix3::identity() + numbers.matrix::<3>() * 0.2;
+    let inertia = root * root.transpose();
+    let inverse = inertia.try_inverse().expect("regular");
+    let body = RigidBody::new(Kinetic::Tensor { inertia, inverse }, Vec::new(), 0.25);
+    let mu = numbers.vector::<3>();
+    let momentum = so::hat::<3>(mu.as_slice());
+    let omega = so::vee(&body.velocity(&momentum));
+    assert!((Vector3::from_column_slice(&omega) - inverse * mu).amax() < 1e-15);
+    let energy = body.energy(&Mat::identity(), &momentum);
+    assert!((energy.kinetic - 0.5 * mu.dot(&(inverse * mu))).abs() < 1e-15);
+    assert_eq!(energy.potential, 0.25);
+    assert!((body.momentum(&body.velocity(&momentum)) - momentum).amax() < 1e-15);
+}
+
+#[test]
+fn conserved_directions_are_those_the_potential_leaves_free() {
+    let point = |space: [f64; 4]| Term {
+        law: Law::PointSource { strength: 1.0, body_point: Vector::<4>::new(0.0, 0.0, 1.0, 0.0) },
+        space: Vector::<4>::from(space),
+    };
+    let body =
+        |terms| RigidBody::<4>::new(Kinetic::Principal { weights: Mat::repeat(1.0) }, terms, 0.0);
+    let rank =
+        |terms| body(terms).conserved_directions().map(|q: Mat<4>| q.trace().round() as usize);
+    assert_eq!(rank(vec![]), Some(4));
+    assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0])]), Some(3));
+    assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0]), point([0.0, -3.0, 0.0, 0.0])]), Some(3));
+    assert_eq!(rank(vec![point([0.0, 2.0, 0.0, 0.0]), point([1.0, 2.0, 0.0, 0.0])]), Some(2));
+    assert_eq!(
+        rank(vec![
+            point([0.0, 2.0, 0.0, 0.0]),
+            point([1.0, 2.0, 0.0, 0.0]),
+            point([0.0, 0.0, 1.0, 1.0])
+        ]),
+        None
+    );
+}
+
+/// Paper, (vih), by its own maps and with its nested inverse of phi~*: an oracle for one step, written
+/// without the rearrangement and without the product's solver.
+fn step_of_the_paper<const N: usize>(
+    body: &RigidBody<N>,
+    tableau: &Tableau,
+    h: f64,
+    state: &State<N>,
+) -> State<N> {
+    let s = tableau.stages();
+    let (g0, p0) = (state.attitude, state.momentum);
+    let polar = |a: &Mat<N>| {
+        // (newtoniterate), often enough.
+        (0..30).fold(*a, |u, _| (u + u.try_inverse().expect("regular").transpose()) * 0.5)
+    };
+    // Lyap(M, C): the dense system for M X + X M^T = C.
+    let lyapunov = |m: &Mat<N>, c: &Mat<N>| {
+        let identity = DMatrix::<f64>::identity(N, N);
+        let m = DMatrix::from_column_slice(N, N, m.as_slice());
+        let system = identity.kronecker(&m) + m.kronecker(&identity);
+        let rhs = nalgebra::DVector::from_column_slice(c.as_slice());
+        Mat::<N>::from_column_slice(system.lu().solve(&rhs).expect("regular").as_slice())
+    };
+    let gradient = |u: &Mat<N>| {
+        let mut seen = Vec::new();
+        body.seen_from(&Mat::identity(), &mut seen);
+        body.gradient(u, &seen)
+    };
+    let mut mu = vec![p0; s];
+    let mut u = vec![g0; s];
+    let mut g1 = g0;
+    let mut lambda = -p0 * 0.5;
+    for _ in 0..200 {
+        let omega: Vec<Mat<N>> = mu.iter().map(|mu| body.velocity(mu)).collect();
+        let internal = |i: usize, u: &[Mat<N>]| {
+            (0..s).fold(g0, |a, j| a + u[j] * omega[j] * (h * tableau.a(i, j)))
+        };
+        let a: Vec<Mat<N>> = (0..s).map(|i| internal(i, &u)).collect();
+        let next_u: Vec<Mat<N>> = a.iter().map(polar).collect();
+        let end = (0..s).fold(g0, |e, j| e + u[j] * omega[j] * (h * tableau.b(j)));
+        let next_g1 = polar(&end);
+        // b_i F_i, F_i = dH/dU - asym(U_i^T g1 Lambda Omega_i^T)
+        let force: Vec<Mat<N>> = (0..s)
+            .map(|i| {
+                let f = gradient(&u[i])
+                    - so::asym(&(u[i].transpose() * g1 * lambda * omega[i].transpose()));
+                f * tableau.b(i)
+            })
+            .collect();
+        // (f1): S_j - asym(h U_j^T sum_l a_lj dP*_l(S_l) Omega_j^T) = b_j F_j, by its own iteration.
+        let adjoint = |l: usize, s_l: &Mat<N>| {
+            let p = so::symmetric_part(&(next_u[l].transpose() * a[l]));
+            next_u[l] * lyapunov(&p, s_l)
+        };
+        let mut stack = force.clone();
+        for _ in 0..100 {
+            let images: Vec<Mat<N>> = (0..s).map(|l| adjoint(l, &stack[l])).collect();
+            stack = (0..s)
+                .map(|j| {
+                    let sum = (0..s).fold(Mat::zeros(), |sum, l| sum + images[l] * tableau.a(l, j));
+                    force[j] + so::asym(&(u[j].transpose() * sum * omega[j].transpose())) * h
+                })
+                .collect();
+        }
+        let images: Vec<Mat<N>> = (0..s).map(|l| adjoint(l, &stack[l])).collect();
+        // (vih1): (f2) with the weights of the sum inside the stack.
+        mu = (0..s)
+            .map(|k| {
+                let sum = (0..s).fold(Mat::zeros(), |sum, l| sum + images[l] * tableau.a(l, k));
+                so::asym(&(u[k].transpose() * sum)) * (h / tableau.b(k))
+                    - so::asym(&(u[k].transpose() * g1 * lambda))
+            })
+            .collect();
+        // (vih4): asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_l(S_l))
+        let sum = images.iter().fold(Mat::zeros(), |sum, image| sum + image);
+        let rhs = -p0 + so::asym(&(g0.transpose() * sum)) * h;
+        lambda = lyapunov(&(g0.transpose() * g1), &rhs);
+        (u, g1) = (next_u, next_g1);
+    }
+    let end = (0..s).fold(g0, |e, j| e + u[j] * body.velocity(&mu[j]) * (h * tableau.b(j)));
+    // (vih5)
+    let momentum = so::asym(&(g1.transpose() * end * lambda.transpose()));
+    State { attitude: g1, momentum }
+}
+
+#[test]
+fn the_rearranged_step_is_the_papers() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(9);
+        let body = body::<N>(&mut numbers);
+        let state = State { attitude: numbers.rotation(), momentum: numbers.skew() };
+        let tableaux =
+            [Tableau::gauss(1), Tableau::gauss(2), Tableau::gauss(3), Some(Tableau::rk3())];
+        for tableau in tableaux.into_iter().flatten() {
+            let oracle = step_of_the_paper(&body, &tableau, 0.05, &state);
+            let ours = advance(&mut Vpd::new(tableau, StopRule::default()), &body, &state, &[0.05]);
+            let difference = (ours.attitude - oracle.attitude)
+                .amax()
+                .max((ours.momentum - oracle.momentum).amax());
+            assert!(difference < 3e-15, "n = {N}: {difference:e}");
+        }
+    }
+    law::<2>();
+    law::<3>();
+    law::<4>();
+    law::<5>();
+}
+
+#[test]
+fn a_free_body_keeps_its_spatial_momentum() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(10);
+        let weights =
+            Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (1.0 + 0.3 * (i + j) as f64) });
+        let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+        let start = State { attitude: numbers.rotation::<N>(), momentum: numbers.skew() };
+        let spatial = so::conjugate(&start.attitude, &start.momentum);
+        let mut stepper = Vpd::new(Tableau::gauss(2).expect("2 stages"), StopRule::default());
+        stepper.start(&start);
+        let (mut drift, mut orthogonality) = (0.0_f64, 0.0_f64);
+        for _ in 0..10_000 {
+            stepper.step(&body, 0.02).expect("a small step");
+            let g = stepper.attitude().expect("carried");
+            drift = drift.max((so::conjugate(&g, &stepper.momentum()) - spatial).amax());
+            orthogonality = orthogonality.max(so::orthogonality_error(&g));
+        }
+        assert!(drift <= 1e-13, "n = {N}: drift {drift:e}");
+        assert!(orthogonality <= 1e-15 * N as f64, "n = {N}: orthogonality {orthogonality:e}");
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn the_midpoint_step_is_its_own_reverse() {
+    // With more stages the scheme leans on g0 and is symmetric to its order only.
+    let mut numbers = Numbers(11);
+    let body = body::<3>(&mut numbers);
+    let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
+    let mut stepper = Vpd::new(Tableau::gauss(1).expect("1 stage"), StopRule::default());
+    let end = advance(&mut stepper, &body, &start, &[0.1, 0.1, 0.1, -0.1, -0.1, -0.1]);
+    let defect = (end.attitude - start.attitude).amax().max((end.momentum - start.momentum).amax());
+    assert!(defect < 1e-14, "{defect:e}");
+}
+
+#[test]
+fn a_failed_step_leaves_the_state_alone() {
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 100.0 });
+    let body = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+    let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, -0.2, 0.5]) };
+    for stages in [1, 2, 4] {
+        let mut stepper =
+            Vpd::new(Tableau::gauss(stages).expect("1 to 8 stages"), StopRule::default());
+        stepper.start(&start);
+        let failure = stepper.step(&body, 1.0).expect_err("60 radians in a step");
+        assert_eq!(
+            (stepper.attitude(), stepper.momentum()),
+            (Some(start.attitude), start.momentum)
+        );
+        assert!(failure.smaller_step(1.0) < 1.0, "{failure:?}");
+    }
+}

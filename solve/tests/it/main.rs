@@ -1,0 +1,13 @@
+//! The mathematics, one binary: laws of the group and the step, every method in one table, and references.
+
+// A test may say what it measured.
+#![allow(clippy::print_stdout)]
+
+mod forms;
+mod given;
+mod growth;
+mod lanes;
+mod laws;
+mod methods;
+mod verification;
+mod vrkmk;

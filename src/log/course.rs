@@ -1,0 +1,157 @@
+//! What charts of a log show over time, kept while it is written or read.
+//!
+//! Invariant: memory is bounded, every extreme is kept, and a log and its writer give the same points.
+
+use std::path::Path;
+
+use super::LogError;
+use super::reader::{Message, read_samples};
+use super::resume::Seen;
+
+/// What is drawn of a log over time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogChart {
+    /// The error of the energy.
+    Energy,
+    /// The distance of the attitude from the group.
+    Orthogonality,
+    /// The drift of the momentum that the scene conserves.
+    Momentum,
+}
+
+impl LogChart {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Energy, Self::Orthogonality, Self::Momentum];
+
+    /// The name of its file.
+    pub const fn file(self) -> &'static str {
+        match self {
+            Self::Energy => "energy.svg",
+            Self::Orthogonality => "orthogonality.svg",
+            Self::Momentum => "momentum.svg",
+        }
+    }
+}
+
+/// What the charts of a log are drawn from, gathered in bounded memory: from the log, or while it is written. Both
+/// give the same charts to the byte.
+#[derive(Clone, Debug, Default)]
+pub struct Course {
+    start_ns: Option<u64>,
+    /// In the order of [`LogChart::ALL`].
+    series: [Series; 3],
+}
+
+impl Course {
+    /// Reads it from a log.
+    ///
+    /// # Errors
+    /// If the log cannot be read.
+    pub fn of(log: &Path) -> Result<Self, LogError> {
+        let mut course = Self::default();
+        read_samples(log, |time_ns, message| course.note_message(time_ns, &message))?;
+        Ok(course)
+    }
+
+    /// Takes note of what a log that is taken up held.
+    pub fn note_seen(&mut self, seen: &Seen<'_>) {
+        if let Seen::Message(time_ns, message) = seen {
+            self.note_message(*time_ns, message);
+        }
+    }
+
+    /// Takes note of a message of the log.
+    pub fn note_message(&mut self, time_ns: u64, message: &Message) {
+        match message {
+            Message::Energy(message) => self.note(time_ns, LogChart::Energy, message.error),
+            Message::Orthogonality(message) => {
+                self.note(time_ns, LogChart::Orthogonality, message.error);
+            }
+            Message::Momentum(message) => {
+                if let Some(drift) = message.drift {
+                    self.note(time_ns, LogChart::Momentum, drift);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes note of what a chart shows at a log time; the first time is its zero.
+    pub fn note(&mut self, time_ns: u64, which: LogChart, value: f64) {
+        let since_ns = time_ns.saturating_sub(*self.start_ns.get_or_insert(time_ns));
+        self.series[which as usize].push((since_ns as f64 * 1e-9, value));
+    }
+
+    /// Whether a chart would show a line.
+    pub fn has_line(&self, which: LogChart) -> bool {
+        let points = self.points(which);
+        points.first().zip(points.last()).is_some_and(|(first, last)| first.0 < last.0)
+    }
+
+    /// The points of a chart: seconds since the first sample, and what is drawn.
+    pub fn points(&self, which: LogChart) -> &[(f64, f64)] {
+        &self.series[which as usize].points
+    }
+}
+
+/// Points over time in bounded memory: once there are too many, the larger of two neighbours stays.
+#[derive(Clone, Debug)]
+struct Series {
+    points: Vec<(f64, f64)>,
+    /// Samples behind a point.
+    each: usize,
+    /// Samples behind the last point.
+    held: usize,
+}
+
+impl Default for Series {
+    fn default() -> Self {
+        Self { points: Vec::new(), each: 1, held: 1 }
+    }
+}
+
+impl Series {
+    const LIMIT: usize = 1 << 16;
+
+    fn push(&mut self, point: (f64, f64)) {
+        if self.held < self.each {
+            self.held += 1;
+            if let Some(last) = self.points.last_mut() {
+                *last = larger(*last, point);
+            }
+            return;
+        }
+        if self.points.len() == Self::LIMIT {
+            self.points = self.points.chunks(2).map(|pair| larger(pair[0], pair[1])).collect();
+            self.each *= 2;
+        }
+        self.held = 1;
+        self.points.push(point);
+    }
+}
+
+/// The point with the larger size.
+fn larger(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    if b.1.abs() > a.1.abs() { b } else { a }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Series;
+
+    #[test]
+    fn a_long_series_keeps_its_extremes_in_bounded_memory() {
+        let mut series = Series::default();
+        let value = |k: usize| if k == 777_777 { -5.0 } else { (k % 7) as f64 * 1e-3 };
+        for k in 0..1_000_000 {
+            series.push((k as f64, value(k)));
+        }
+        let points = &series.points;
+        assert!(points.len() <= Series::LIMIT && points.len() > Series::LIMIT / 2);
+        assert!(points.contains(&(777_777.0, -5.0)));
+        assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0));
+        // What a point stands for is never far away.
+        assert!(points.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 2.0 * series.each as f64));
+        assert!(points.last().is_some_and(|point| point.0 >= 1e6 - 2.0 * series.each as f64));
+    }
+}
