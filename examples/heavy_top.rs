@@ -5,8 +5,8 @@
 use std::error::Error;
 use std::io::Write;
 
+use vpd::advise;
 use vpd::log::reader::{Message, read_samples};
-use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, execute};
 use vpd::scenario::Scenario;
 
@@ -29,13 +29,13 @@ const TOP: &str = r#"{
 fn main() -> Result<(), Box<dyn Error>> {
     let mut out = std::io::stdout();
     let scenario = Scenario::from_json(TOP.as_bytes())?;
-    let plan = Plan::new(&scenario)?;
+    let plan = advise::plan(&scenario)?;
     writeln!(out, "{} steps, about {} bytes of log", plan.steps, plan.log_bytes)?;
 
     // Another thread may read the progress of `control`, or set it to stop the run.
     let control = Control::default();
     let log = std::env::temp_dir().join("heavy-top.mcap");
-    let summary = execute(&scenario, &JobContext { log: &log, control: &control })?;
+    let summary = execute(&plan, &JobContext { log: &log, control: &control })?;
     writeln!(out, "{}: {} steps", summary.outcome.as_str(), summary.steps)?;
     if let Some(diagnosis) = &summary.diagnosis {
         writeln!(out, "{diagnosis}")?;

@@ -11,6 +11,7 @@
 //!
 //! Invariant: the choice is a function of the scenario alone: the same scenario, the same bytes.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::plan::{Advice, Counts, Plan};
@@ -148,32 +149,70 @@ impl From<Unsettled> for ScenarioError {
 }
 
 /// The plan of any scenario: an accuracy is turned into a method and a step first. Takes as long as that takes; who
-/// must be able to stop it calls [`settled`] and [`plan_of`].
+/// must be able to stop it calls [`Settled::new`].
 ///
 /// # Errors
 /// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
-    let (settled, advice) = settled(scenario, &Watch::default())?;
-    plan_of(&settled, advice)
+    Settled::new(scenario, &Watch::default())?.plan()
 }
 
-/// The plan of a scenario with a method and a step, and with it how they were chosen. Its first steps are made, a few
-/// milliseconds of them at most as counted, for what they tell of the cost of the others.
-///
-/// # Errors
-/// Those of [`Plan::new`].
-pub fn plan_of(settled: &Scenario, advice: Option<Advice>) -> Result<Plan, ScenarioError> {
-    let mut plan = Plan::new(settled)?;
-    plan.estimate(settled.log.compression, work_of_step(settled, &plan)?);
-    if advice.is_some() {
-        plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
+/// A scenario with all that only runs tell of it: a method and a step for its accuracy, the work of its first steps. What is
+/// kept of it is enough to plan it again without any run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settled {
+    /// As it was asked for.
+    asked: Scenario,
+    /// With the method and the step that were chosen for its accuracy, and how.
+    choice: Option<(Scenario, Advice)>,
+    /// The work of a step; absent where the first fails.
+    step: Option<Counts>,
+}
+
+impl Settled {
+    /// Makes the runs. Another thread may stop them by `watch`, which may also allow them less work than they take by
+    /// themselves.
+    ///
+    /// # Errors
+    /// If they were stopped, or no method is known to reach the accuracy.
+    pub fn new(scenario: &Scenario, watch: &Watch) -> Result<Self, Unsettled> {
+        let asked = scenario.clone();
+        let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
+        let mut settled = Self { asked, choice, step: None };
+        settled.step = work_of_step(&settled.plan().map_err(Unsettled::Refused)?)
+            .map_err(Unsettled::Refused)?;
+        Ok(settled)
     }
-    plan.advice = advice;
-    Ok(plan)
+
+    /// What a record of an older build holds: how an accuracy was settled.
+    #[cfg(feature = "serve")]
+    pub(crate) fn chosen(asked: Scenario, settled: Scenario, advice: Advice) -> Self {
+        Self { asked, choice: Some((settled, advice)), step: None }
+    }
+
+    /// The plan. No run is made.
+    ///
+    /// # Errors
+    /// Those of [`Plan::new`].
+    pub fn plan(&self) -> Result<Plan, ScenarioError> {
+        let Some((settled, advice)) = &self.choice else {
+            let mut plan = Plan::new(&self.asked)?;
+            plan.estimate(self.step);
+            return Ok(plan);
+        };
+        let mut plan = Plan::new(settled)?;
+        plan.estimate(self.step);
+        plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
+        plan.advice = Some(advice.clone());
+        plan.asked = self.asked.clone();
+        Ok(plan)
+    }
 }
 
-/// The work of a step at the start of the run; `None` if the first fails, for then there are no others.
-fn work_of_step(settled: &Scenario, plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
+/// The work of a step at the start of the run; `None` if the first fails, for then there are no others. A few milliseconds at
+/// most, as counted.
+fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
+    let settled = &plan.settled;
     let most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
     let probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
@@ -188,24 +227,6 @@ fn work_of_step(settled: &Scenario, plan: &Plan) -> Result<Option<Counts>, Scena
     }))
 }
 
-/// The scenario with a method and a step, and how they were chosen if it came with an accuracy. Another thread may stop
-/// it by `watch`, which may also allow it less work than it takes by itself.
-///
-/// # Errors
-/// If it was stopped, or no method is known to reach the accuracy.
-pub fn settled(
-    scenario: &Scenario,
-    watch: &Watch,
-) -> Result<(Scenario, Option<Advice>), Unsettled> {
-    match scenario.accuracy {
-        None => Ok((scenario.clone(), None)),
-        Some(asked) => {
-            let (settled, advice) = settle(scenario, asked, watch)?;
-            Ok((settled, Some(advice)))
-        }
-    }
-}
-
 /// The error at the end of a run, as well as a reference tells it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ErrorAtEnd {
@@ -215,16 +236,17 @@ pub enum ErrorAtEnd {
     Below(f64),
 }
 
-/// The error at the end of the run of a scenario with a method and a step, against a reference at that time. The run is
+/// The error at the end of a planned run, against a reference at that time. The run is
 /// made once more, in memory.
 ///
 /// # Errors
 /// If there is no such reference, or the run fails.
-pub fn error_at_end(scenario: &Scenario) -> Result<ErrorAtEnd, StudyError> {
+pub fn error_at_end(plan: &Plan) -> Result<ErrorAtEnd, StudyError> {
     /// A larger error is the size of the motion.
     const LARGEST: f64 = 1e-2;
     let watch = Watch::default();
-    let Plan { step_s, steps, .. } = Plan::new(scenario)?;
+    let Plan { step_s, steps, settled: scenario, .. } = plan;
+    let (step_s, steps) = (*step_s, *steps);
     let time_s = step_s * steps as f64;
     let scales = Scales::of(scenario, time_s, &watch)?;
     let reference = Reference::known_to(scenario, time_s, LARGEST, &scales, &watch)?;

@@ -25,7 +25,7 @@ use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{Scenario, ScenarioError};
 #[cfg(feature = "serve")]
 use crate::serve::{ServeError, apart};
-use crate::study::{StudyError, Watch};
+use crate::study::StudyError;
 use crate::verify::{self, VerifyError};
 
 #[cfg(feature = "serve")]
@@ -176,10 +176,9 @@ enum CliError {
 impl CliError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Read { .. }
-            | Self::Scenario { .. }
-            | Self::Study(StudyError::Scenario(_))
-            | Self::Run(RunError::Scenario(_)) => ExitCode::from(2),
+            Self::Read { .. } | Self::Scenario { .. } | Self::Study(StudyError::Scenario(_)) => {
+                ExitCode::from(2)
+            }
             #[cfg(feature = "chart")]
             Self::Mixed => ExitCode::from(2),
             #[cfg(feature = "serve")]
@@ -215,15 +214,8 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// A scenario as it was asked for and as it is run, with a method and a step.
-struct Planned {
-    asked: Scenario,
-    settled: Scenario,
-    plan: Plan,
-}
-
 /// Reads a scenario, applies the changes and plans it.
-fn planned(args: &ScenarioArgs) -> Result<Planned, CliError> {
+fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     let path = &args.scenario;
     let wrong = |source| CliError::Scenario { path: path.clone(), source };
     let mut text =
@@ -233,11 +225,7 @@ fn planned(args: &ScenarioArgs) -> Result<Planned, CliError> {
         Scenario::from_json(&text).map_err(wrong)?;
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
-    let asked = Scenario::from_json(&text).map_err(wrong)?;
-    let (settled, advice) = advise::settled(&asked, &Watch::default())
-        .map_err(|unsettled| wrong(ScenarioError::from(unsettled)))?;
-    let plan = advise::plan_of(&settled, advice).map_err(wrong)?;
-    Ok(Planned { asked, settled, plan })
+    Scenario::from_json(&text).and_then(|scenario| advise::plan(&scenario)).map_err(wrong)
 }
 
 /// The text of a scenario with some fields replaced or added.
@@ -266,11 +254,11 @@ fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
 }
 
 fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
-    let Planned { asked: scenario, settled, plan } = planned(&args.scenario)?;
+    let plan = planned(&args.scenario)?;
     let log = args.output.clone().unwrap_or_else(|| {
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
-    let mut summary = watched(&scenario, &plan, &log)?;
+    let mut summary = watched(&plan, &log)?;
     if args.layouts {
         let place = log.parent().unwrap_or(Path::new(""));
         for viewer in ["foxglove", "lichtblick"] {
@@ -279,7 +267,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         }
     }
     if args.error && summary.outcome == Outcome::Succeeded {
-        match advise::error_at_end(&settled)? {
+        match advise::error_at_end(&plan)? {
             advise::ErrorAtEnd::About(error) => summary.error = Some(error),
             advise::ErrorAtEnd::Below(bound) => summary.error_below = Some(bound),
         }
@@ -296,11 +284,11 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
 }
 
 /// Runs on a thread of its own while a progress bar with the time left follows, if somebody looks.
-fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunError> {
+fn watched(plan: &Plan, log: &Path) -> Result<Summary, RunError> {
     let control = Control::default();
     let context = JobContext { log, control: &control };
     if !io::stderr().is_terminal() {
-        return run::execute_planned(scenario, plan, &context);
+        return run::execute(plan, &context);
     }
     let style = ProgressStyle::with_template(
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
@@ -308,9 +296,9 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
     .expect("the template is fixed and valid");
     let bar = ProgressBar::new(plan.total_steps())
         .with_style(style)
-        .with_message(scenario.name().to_owned());
+        .with_message(plan.asked.name().to_owned());
     thread::scope(|scope| {
-        let worker = scope.spawn(|| run::execute_planned(scenario, plan, &context));
+        let worker = scope.spawn(|| run::execute(plan, &context));
         while !worker.is_finished() {
             bar.set_position(control.steps_done.load(Ordering::Relaxed));
             thread::sleep(Duration::from_millis(50));
@@ -321,11 +309,11 @@ fn watched(scenario: &Scenario, plan: &Plan, log: &Path) -> Result<Summary, RunE
 }
 
 fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
-    let Planned { asked: scenario, plan, .. } = planned(&args.scenario)?;
+    let plan = planned(&args.scenario)?;
     if args.json {
         print_json(&plan)?;
     } else {
-        io::stdout().write_all(text::plan(scenario.name(), &plan).as_bytes())?;
+        io::stdout().write_all(text::plan(plan.asked.name(), &plan).as_bytes())?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -21,7 +21,7 @@ mod model;
 mod problem;
 mod terms;
 
-pub(crate) use cost::Counts;
+pub use cost::Counts;
 pub(crate) use model::{Model, ModelKinetic};
 use model::{
     attitude, inertia_matrix, kinetic, momentum, space_vector, tableau, tableau_choice, with_matrix,
@@ -58,7 +58,7 @@ pub struct Plan {
     /// Estimated size of the log in bytes.
     pub log_bytes: u64,
     /// Estimated cost of a step in nanoseconds, on one core of a common machine: by the sweeps of the first steps
-    /// where they were made, see [`crate::advise::plan_of`].
+    /// where they were made, see [`crate::advise::Settled`].
     pub step_ns: f64,
     /// Estimated time of the run on one core in seconds, samples included.
     pub run_s: f64,
@@ -70,6 +70,12 @@ pub struct Plan {
     /// How method and step were chosen for an accuracy; see [`crate::advise`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<Advice>,
+    /// The scenario as it was asked for: an accuracy may stand in the place of method and step.
+    #[serde(skip)]
+    pub asked: Scenario,
+    /// The scenario with method and step.
+    #[serde(skip)]
+    pub settled: Scenario,
     #[serde(skip)]
     pub(crate) model: Model,
 }
@@ -196,7 +202,8 @@ impl EnsemblePlan {
 }
 
 impl Plan {
-    /// Plans a scenario.
+    /// Plans a scenario with a method and a step, without any run: the estimates are those of a usual one. [`crate::advise::plan`]
+    /// plans any.
     ///
     /// # Errors
     /// Where the numbers make no body, no rotation or no tableau, with the pointer of the field.
@@ -229,6 +236,8 @@ impl Plan {
             memory_bytes: 0,
             ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
             advice: None,
+            asked: scenario.clone(),
+            settled: scenario.clone(),
             model: Model {
                 kinetic,
                 terms: Vec::new(),
@@ -256,7 +265,7 @@ impl Plan {
             }
         }
         plan.free_directions = free_directions(n, &plan.model.terms);
-        plan.estimate(scenario.log.compression, None);
+        plan.estimate(None);
         Ok(plan)
     }
 

@@ -1,4 +1,4 @@
-//! 3 · The one door: scenario → plan → body and stepper → samples → log.
+//! 3 · The one door: plan → body and stepper → samples → log.
 //!
 //! Invariant: a numerical failure is a [`Summary`] with a [`Diagnosis`] and a finished log; only the log
 //! itself can make a run an error.
@@ -14,7 +14,6 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::advise;
 use crate::assemble::{Assembly, Task, assembled};
 #[cfg(feature = "live")]
 use crate::live::{Live, Show};
@@ -25,7 +24,6 @@ use crate::log::schema::Channel;
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
-use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::trajectory::{
     self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
 };
@@ -124,9 +122,6 @@ impl Control {
 /// Why a run has no result.
 #[derive(Debug, Error)]
 pub enum RunError {
-    /// The scenario cannot be planned.
-    #[error(transparent)]
-    Scenario(#[from] ScenarioError),
     /// The log could not be written.
     #[error(transparent)]
     Log(LogError),
@@ -139,7 +134,6 @@ impl RunError {
     /// The failure code of a job that ends so.
     pub fn code(&self) -> &'static str {
         match self {
-            Self::Scenario(_) => "invalid_input",
             Self::Log(error) => error.code(),
             Self::Interrupted => "interrupted",
         }
@@ -155,32 +149,18 @@ impl From<LogError> for RunError {
     }
 }
 
-/// Plans a scenario, runs it to its end and writes its log; the log of a run that was interrupted is taken up where
-/// it ended, with the same bytes in the end. Blocks.
+/// Runs a plan to its end and writes its log; the log of a run that was interrupted is resumed where it ended, with the
+/// same bytes in the end. Blocks.
 ///
 /// # Errors
-/// If the scenario cannot be planned or the log cannot be written: no log is left then, unless the file system may
-/// take it later. If the run is interrupted: then an unfinished one is.
-pub fn execute(scenario: &Scenario, context: &JobContext<'_>) -> Result<Summary, RunError> {
-    let plan = advise::plan(scenario)?;
-    execute_planned(scenario, &plan, context)
-}
-
-/// The same with the plan that was made of the scenario.
-///
-/// # Errors
-/// Those of [`execute`].
-pub fn execute_planned(
-    scenario: &Scenario,
-    plan: &Plan,
-    context: &JobContext<'_>,
-) -> Result<Summary, RunError> {
-    assembled(plan, Run { scenario, plan, context })
+/// If the log cannot be written: no log is left then, unless the file system may take it later. If the run is
+/// interrupted: then an unfinished one is.
+pub fn execute(plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunError> {
+    assembled(plan, Run { plan, context })
 }
 
 /// A run that writes its log.
 struct Run<'a> {
-    scenario: &'a Scenario,
     plan: &'a Plan,
     context: &'a JobContext<'a>,
 }
@@ -189,18 +169,17 @@ impl Task for Run<'_> {
     type Output = Result<Summary, RunError>;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
-        let Self { scenario, plan, context } = self;
-        match (&scenario.ensemble, &plan.ensemble) {
+        let Self { plan, context } = self;
+        match (&plan.asked.ensemble, &plan.ensemble) {
             (Some(asked), Some(planned)) => {
-                Ensemble { scenario, plan, asked, planned, context }.run(assembly)
+                Ensemble { plan, asked, planned, context }.run(assembly)
             }
-            _ => run(scenario, plan, assembly, context),
+            _ => run(plan, assembly, context),
         }
     }
 }
 
 fn run<const N: usize>(
-    scenario: &Scenario,
     plan: &Plan,
     mut assembly: Assembly<N>,
     context: &JobContext<'_>,
@@ -209,7 +188,7 @@ fn run<const N: usize>(
     let begun = Instant::now();
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let control = context.control;
-    let (mut recorder, checkpoint) = Recorder::<N>::open(context, &header(scenario, plan))?;
+    let (mut recorder, checkpoint) = Recorder::<N>::open(context, &header(plan))?;
     let resumed_step = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.step);
     control.resumed_step.store(resumed_step, Ordering::Relaxed);
     let integrating = Instant::now();
@@ -255,7 +234,7 @@ fn run<const N: usize>(
     let Recorder { writer, figures, course, .. } = recorder;
     let energy = EnergySeen::at_the_ends(body, initial, &reached.state());
     let end = End { outcome, reached, diagnosis, ensemble: None, energy };
-    let summary = finish(scenario, plan, context.log, writer, (&figures, &course), end)?;
+    let summary = finish(plan, context.log, writer, (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,
         ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
@@ -374,7 +353,8 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
 }
 
 /// What the log says of the job before its first sample.
-fn header(scenario: &Scenario, plan: &Plan) -> LogHeader {
+fn header(plan: &Plan) -> LogHeader {
+    let scenario = &plan.asked;
     let job = BTreeMap::from([
         ("vpd_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         ("vpd_build".to_owned(), env!("VPD_BUILD").to_owned()),

@@ -12,6 +12,7 @@ use std::thread;
 use serde::Serialize;
 use thiserror::Error;
 
+use crate::advise;
 use crate::log::reader::{self, Item};
 use crate::log::schema::Channel;
 use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT};
@@ -97,7 +98,8 @@ pub fn verify(log: &Path) -> Result<Verification, VerifyError> {
     }
     let place = tempfile::tempdir()?;
     let again = place.path().join("again.mcap");
-    run::execute(&scenario, &JobContext { log: &again, control: &control })?;
+    let plan = advise::plan(&scenario)?;
+    run::execute(&plan, &JobContext { log: &again, control: &control })?;
     let (messages, difference) = compare(log, &again)?;
     let builds = [build, env!("VPD_BUILD").to_owned()];
     Ok(Verification { same: difference.is_none(), messages, state, difference, builds })

@@ -1,5 +1,27 @@
-//! The one nonlinear solver: repeats a sweep until its increments are round-off, goes to Newton's method where that
-//! does not get on, or says why not.
+//! The one nonlinear solver: repeats a sweep until its increments are round-off, turns to Newton's method where sweeps
+//! converge slowly or not at all, or reports why there is no solution.
+//!
+//! # When it stops
+//!
+//! `d_k` is the increment of sweep `k`, relative to the size of the unknowns; `q` the contraction, the worse of
+//! `d_k / d_(k-1)` and the one before. The first line that holds decides.
+//!
+//! | after sweep k | what it means | result |
+//! |---|---|---|
+//! | `d_k` is not finite | overflow | [`FailureCode::NonFinite`] |
+//! | `d_k <= tolerance` | solved | converged |
+//! | `q <= FAST` and `q d_k <= FORESEEN tolerance` | the next sweep would change nothing that counts | converged, if the rule allows it ([`StopRule::foresee`]) |
+//! | `d_k` grew once, and `d_k <= ROUND_OFF` | the last digit | converged |
+//! | `d_k` grew twice in a row, and `d_k <= ROUND_OFF_FLOOR` | the last digits | converged |
+//! | no new smallest increment for `CYCLE` sweeps, `d_k <= ROUND_OFF_FLOOR` | a limit cycle of rounding | converged |
+//! | grew `PATIENCE` times in a row, `d_k <= 1000 ROUND_OFF_FLOOR` | rounding of large intermediate values | [`FailureCode::Stalled`] |
+//! | grew `PATIENCE` times in a row | sweeps diverge | [`FailureCode::Diverged`] |
+//! | `k = TRIAL`, and `d_k > SLOW d_(k - TRIAL_SPAN)` | sweeps converge slowly | Newton's method, if the rule allows it |
+//! | `k = max_iterations` | sweeps run out | [`FailureCode::MaxIterations`] |
+//!
+//! Newton's method has the same first two lines and the last, at a tolerance of at least 1e-15; a correction that does not
+//! reduce the residual is halved up to `HALVINGS` times, and then it has diverged. A failure of the method that was turned to
+//! is reported as the failure of the sweeps before, which is plainer.
 //!
 //! Invariant: an iteration ends at its tolerance, at the round-off floor, or with a [`Failure`]; it never
 //! runs out silently. Every decision depends on computed floats alone, so it repeats to the bit.
@@ -21,13 +43,13 @@ pub struct StopRule {
     pub max_iterations: u32,
     /// What may be tried.
     pub rungs: Rungs,
-    /// Whether a sweep is spared that would change next to nothing. What is left out leans to one side.
+    /// Whether a sweep is spared that would change next to nothing. What is left out is biased.
     pub foresee: bool,
 }
 
 impl StopRule {
-    /// A rule that goes to round-off, to the last digit that sweeps find: what they leave at its tolerance leans to one
-    /// side, and would add up to a line. One with a tolerance of its own stays as it is.
+    /// A rule that goes to round-off, to the last digit that sweeps find: what they leave at its tolerance is biased, and would
+    /// add up to a line. One with a tolerance of its own stays as it is.
     pub fn to_the_floor(self) -> Self {
         let round_off = Self::default().tolerance;
         if self.tolerance > round_off {
@@ -41,7 +63,7 @@ impl StopRule {
 /// The rungs of the solver that may be tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rungs {
-    /// Sweeps, and Newton's method where they do not get on.
+    /// Sweeps, and Newton's method where they converge slowly or not at all.
     Both,
     /// Sweeps alone.
     FixedPoint,
@@ -62,10 +84,9 @@ const ROUND_OFF: f64 = 4e-15;
 const ROUND_OFF_FLOOR: f64 = 1e-12;
 /// A contraction that can be relied upon to go on.
 const FAST: f64 = 0.1;
-/// A sweep is spared if it would change less than this part of the tolerance: what is left out leans to one side,
-/// and a tenth of the tolerance at each step shows as a drift of the energy.
+/// A sweep is spared if it would change less than this part of the tolerance: what is left out is biased, and a tenth of the tolerance at each step shows as a drift of the energy.
 const FORESEEN: f64 = 1e-2;
-/// After so many sweeps it is judged whether they get on: over the last so many ...
+/// After so many sweeps it is judged whether they converge: over the last so many ...
 const TRIAL: u32 = 16;
 const TRIAL_SPAN: usize = 4;
 /// ... the increment must have fallen to this part. Slower than that Newton's method is quicker.
@@ -144,7 +165,7 @@ pub trait Equations {
     /// Appends the unknowns, in units that make them about one in size.
     fn unknowns(&self, values: &mut Vec<f64>);
 
-    /// Takes the unknowns up, in the order and the units of [`Equations::unknowns`].
+    /// Sets the unknowns, in the order and the units of [`Equations::unknowns`].
     fn set(&mut self, values: &[f64]);
 }
 
@@ -192,7 +213,7 @@ impl Solver {
                 Err(stopped) if stopped.code == FailureCode::Stopped => Err(stopped),
                 // If nothing gets there, the sweeps tell why more plainly.
                 stuck => {
-                    // Sweeps that got on, but ran out, stand near a solution.
+                    // Sweeps that converged, but ran out, stand near a solution.
                     if let Err(Failure { code: FailureCode::MaxIterations, .. }) = stuck
                         && let Ok(convergence) = self.newton.solve(self.rule, equations)
                     {
@@ -221,7 +242,7 @@ pub fn fixed_point(
         .map(|solved| solved.expect("a fixed point is not left half-way"))
 }
 
-/// [`fixed_point`] from its beginning; `None` if it is to be left where it gets on too slowly.
+/// [`fixed_point`] from its beginning; `None` where it converges too slowly.
 fn swept(
     mut progress: Progress,
     mut sweep: impl FnMut() -> Result<f64, Failure>,
@@ -236,7 +257,7 @@ fn swept(
     }
 }
 
-/// What the increments of a fixed-point iteration tell.
+/// What the increments of a fixed-point iteration show.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Progress {
     rule: StopRule,
@@ -257,7 +278,7 @@ pub(super) enum Verdict {
     GoOn,
     /// The equations are solved.
     Converged(Convergence),
-    /// Sweeps get on too slowly.
+    /// Sweeps converge too slowly.
     Leave,
 }
 

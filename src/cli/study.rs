@@ -15,8 +15,7 @@ use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
-use super::{Change, CliError, Planned, ScenarioArgs, planned};
-use crate::advise;
+use super::{Change, CliError, ScenarioArgs, planned};
 use crate::chart;
 use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
 use crate::study::long_term::long_term;
@@ -61,11 +60,7 @@ struct StudyArgs {
 impl StudyArgs {
     fn scenario(&self, path: &Path) -> Result<Scenario, CliError> {
         let args = ScenarioArgs { scenario: path.to_owned(), changes: self.changes.clone() };
-        let Planned { asked: scenario, .. } = planned(&args)?;
-        let settled = advise::settled(&scenario, &Watch::default());
-        settled
-            .map(|(settled, _)| settled)
-            .map_err(|source| CliError::Scenario { path: path.to_owned(), source: source.into() })
+        Ok(planned(&args)?.settled)
     }
 
     fn entries(

@@ -8,7 +8,7 @@
 
 use std::sync::LazyLock;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
 use crate::log::schema::{Channel, bytes_per_member, dense_bytes_per_member};
@@ -17,13 +17,14 @@ use crate::scenario::{MethodName, PotentialTerm};
 use crate::solve::lanes::WIDTH;
 
 /// Work that was counted, or is expected.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Counts {
-    pub(crate) steps: f64,
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Counts {
+    /// Steps.
+    pub steps: f64,
     /// Those of Newton's method included; of a method without sweeps its steps.
-    pub(crate) sweeps: f64,
+    pub sweeps: f64,
     /// Gradients of the potential, each at one attitude.
-    pub(crate) gradients: f64,
+    pub gradients: f64,
 }
 
 /// What the parts of a method cost.
@@ -81,7 +82,8 @@ fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
 
 impl Plan {
     /// Fills in the estimates of size and time, by the work of a step if it was counted.
-    pub(crate) fn estimate(&mut self, compression: Compression, of_step: Option<Counts>) {
+    pub(crate) fn estimate(&mut self, of_step: Option<Counts>) {
+        let compression = self.settled.log.compression;
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
         let raw: u64 = self.channels.iter().map(|plan| plan.topic.bytes_per_sample(n)).sum();

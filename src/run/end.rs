@@ -17,7 +17,6 @@ use crate::log::course::LogChart;
 use crate::log::messages::Figures;
 use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
-use crate::scenario::Scenario;
 use crate::solve::trajectory::Checkpoint;
 
 /// How a run ended.
@@ -33,7 +32,6 @@ pub(super) struct End<const N: usize> {
 
 /// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
 pub(super) fn finish<const N: usize>(
-    scenario: &Scenario,
     plan: &Plan,
     log: &Path,
     mut writer: LogWriter<N>,
@@ -82,7 +80,7 @@ pub(super) fn finish<const N: usize>(
         warning,
         unmet: Vec::new(),
     };
-    if let Some(expect) = &scenario.expect {
+    if let Some(expect) = &plan.asked.expect {
         summary.unmet = summary::unmet(expect, &summary);
     }
     writer.finish(log_outcome(&summary, course))?;

@@ -23,7 +23,7 @@ use crate::log::resume::Seen;
 use crate::log::schema::Channel;
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::plan::{EnsemblePlan, Plan};
-use crate::scenario::{self, Scenario};
+use crate::scenario;
 use crate::solve::ensemble;
 use crate::solve::lanes::WIDTH;
 use crate::solve::so::Mat;
@@ -42,7 +42,6 @@ const SUCCEEDED: &str = "succeeded";
 /// A run of an ensemble that writes its log.
 #[derive(Clone, Copy)]
 pub(super) struct Ensemble<'a> {
-    pub(super) scenario: &'a Scenario,
     pub(super) plan: &'a Plan,
     pub(super) asked: &'a scenario::Ensemble,
     pub(super) planned: &'a EnsemblePlan,
@@ -55,9 +54,9 @@ impl Ensemble<'_> {
         mut assembly: Assembly<N>,
     ) -> Result<Summary, RunError> {
         let begun = Instant::now();
-        let Self { scenario, plan, asked, planned, context } = self;
+        let Self { plan, asked, planned, context } = self;
         let JobContext { log: path, control } = *context;
-        let header = header(scenario, plan);
+        let header = header(plan);
         let (mut log, mut ends, mut course) = open::<N>(context, &header)?;
         let resumed_step = ends.count() * plan.steps;
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
@@ -109,7 +108,7 @@ impl Ensemble<'_> {
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
         };
-        let summary = finish(scenario, plan, path, log, (&figures, &course), end)?;
+        let summary = finish(plan, path, log, (&figures, &course), end)?;
         control.steps_done.store(ends.steps(), Ordering::Relaxed);
         let made = ends.steps().saturating_sub(resumed_step);
         Ok(Summary {

@@ -13,7 +13,6 @@ use crate::log::resume::Resumed;
 use crate::log::resume::Seen;
 use crate::log::writer::LogWriter;
 use crate::plan::Plan;
-use crate::scenario::Scenario;
 use crate::solve::trajectory::Checkpoint;
 
 /// Why a job is run no more.
@@ -31,17 +30,11 @@ pub struct Reason<'a> {
 ///
 /// # Errors
 /// If the log cannot be written.
-pub fn give_up(
-    scenario: &Scenario,
-    plan: &Plan,
-    log: &Path,
-    reason: Reason<'_>,
-) -> Result<Summary, RunError> {
-    assembled(plan, GiveUp { scenario, plan, log, reason })
+pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, RunError> {
+    assembled(plan, GiveUp { plan, log, reason })
 }
 
 struct GiveUp<'a> {
-    scenario: &'a Scenario,
     plan: &'a Plan,
     log: &'a Path,
     reason: Reason<'a>,
@@ -51,8 +44,8 @@ impl Task for GiveUp<'_> {
     type Output = Result<Summary, RunError>;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
-        let Self { scenario, plan, log, reason } = self;
-        let header = header(scenario, plan);
+        let Self { plan, log, reason } = self;
+        let header = header(plan);
         let mut course = Course::default();
         let seen = |seen: Seen<'_>| course.note_seen(&seen);
         let (writer, figures, reached) = match LogWriter::<N>::resume(log, &header, seen, || false)?
@@ -96,7 +89,7 @@ impl Task for GiveUp<'_> {
         let diagnosis = Some(diagnosis);
         let energy = EnergySeen::at_the_ends(&assembly.body, &assembly.initial, &reached.state());
         let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None, energy };
-        let summary = finish(scenario, plan, log, writer, (&figures, &course), end)?;
+        let summary = finish(plan, log, writer, (&figures, &course), end)?;
         Ok(Summary { resumed_step, ..summary })
     }
 }

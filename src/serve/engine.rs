@@ -16,16 +16,17 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use futures_util::{StreamExt, stream};
-use serde_json::value::RawValue;
 use tokio::sync::Semaphore;
 use tokio::sync::mpsc;
 use uuid::Uuid;
 
-use super::errand::Task;
 use super::job::{Fault, Job, Phase, State, View};
 use super::metrics::Metrics;
-use super::store::{Ending, Found, Line, LogSum, Record, Size, Store, StoreError, Waiting};
+use super::store::{
+    Ending, Found, KeptPlan, Line, LogSum, Record, Size, Store, StoreError, Waiting,
+};
 use super::{Limits, ServeError, chain, give_way};
+use crate::advise::Settled;
 use crate::live::Live;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
@@ -384,10 +385,10 @@ impl Engine {
     pub(super) async fn submit(
         &self,
         scenario: Scenario,
-        plan: Option<Plan>,
+        planned: Option<(Settled, Plan)>,
         key: Option<Uuid>,
     ) -> Result<View, Refusal> {
-        if let Some(plan) = &plan {
+        if let Some((_, plan)) = &planned {
             self.0.limits.admit(plan)?;
         }
         let shared = self.0.clone();
@@ -396,19 +397,19 @@ impl Engine {
         let free_bytes = free_bytes.map_err(|_| Refusal::Stopping)??;
         let id = Uuid::now_v7();
         let text = scenario.to_json();
-        let log_bytes = plan.as_ref().map_or(0, |plan| plan.log_bytes);
+        let log_bytes = planned.as_ref().map_or(0, |(_, plan)| plan.log_bytes);
         let place = match self.reserve(id, key, log_bytes, free_bytes)? {
             Ok(place) => place,
             Err(earlier) => return self.submitted_before(earlier, &text).await,
         };
         to_the_end(async move {
             let job = Job { key, ..Job::new(scenario.name(), 0) };
-            let job = match &plan {
-                Some(plan) => job.planned(plan),
-                None => job,
+            let (job, kept) = match planned {
+                Some((settled, plan)) => (job.planned(&plan), Some(KeptPlan::new(settled, &plan)?)),
+                None => (job, None),
             };
             let store = &place.shared.store;
-            store.accept(id, key, text).await?;
+            store.accept(id, key, text, kept.as_ref()).await?;
             store.add_to_index(&Line::Waits(Waiting {
                 id,
                 name: job.name.clone(),
@@ -480,7 +481,7 @@ impl Engine {
             view.plan.clone_from(plan);
             view.record = Some(record);
         } else if view.plan.is_none() {
-            view.plan = self.plan(id).await;
+            view.plan = self.0.store.plan(id).await.ok().flatten();
             if let Some(job) = self.0.index().jobs.get_mut(&id)
                 && job.plan.is_none()
             {
@@ -488,15 +489,6 @@ impl Engine {
             }
         }
         Ok(view)
-    }
-
-    /// The plan of a job that waits since before the start, if method and step are settled.
-    async fn plan(&self, id: Uuid) -> Option<Box<RawValue>> {
-        let text = self.0.store.scenario(id).await.ok()?;
-        let task = Task::new(&text, self.0.store.settled(id).await.ok()?);
-        let planned = move || task.plan(&task.scenario()?);
-        let planned = tokio::task::spawn_blocking(planned).await;
-        serde_json::value::to_raw_value(&planned.ok()?.ok()??).ok()
     }
 
     /// One job, without a look at the disk.

@@ -10,21 +10,23 @@ use serde::{Deserialize, Serialize};
 
 use super::chain;
 use super::job::{Fault, Trouble};
-use super::store::{Settled, StoreError};
+use super::store::StoreError;
 use super::studies::{Answer, Question, Unanswered};
-use crate::advise;
-use crate::plan::Plan;
-use crate::run::{Control, JobContext, RunError, Summary, execute_planned, give_up};
-use crate::scenario::{Scenario, ScenarioError};
+use crate::advise::Settled;
+use crate::run::{Control, JobContext, RunError, Summary, execute, give_up};
+use crate::scenario::Scenario;
 
 /// Something to be done.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Errand {
-    /// Find a method and a step for an accuracy.
-    Settle(Task),
+    /// Find what only runs tell of a scenario: a method and a step for its accuracy, the work of its steps.
+    Settle {
+        /// The scenario, as accepted.
+        scenario: Box<Scenario>,
+    },
     /// Run a job to its end.
     Run {
-        task: Task,
+        settled: Box<Settled>,
         /// Where its log goes.
         log: PathBuf,
         /// Where the run leaves a note of each step.
@@ -32,7 +34,7 @@ pub(super) enum Errand {
     },
     /// Give the log of a job that is run no more an end.
     GiveUp {
-        task: Task,
+        settled: Box<Settled>,
         log: PathBuf,
         /// Why.
         fault: Fault,
@@ -44,17 +46,10 @@ pub(super) enum Errand {
     },
 }
 
-/// A scenario as accepted, and what its accuracy came to.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Task {
-    scenario: String,
-    settled: Option<Settled>,
-}
-
 /// What came of an errand.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Done {
-    Settled(Settled),
+    Settled(Box<Settled>),
     Ran(Box<Summary>),
     Studied(Answer),
 }
@@ -92,50 +87,22 @@ impl From<StoreError> for Broken {
     }
 }
 
-impl Task {
-    pub(super) fn new(scenario: &[u8], settled: Option<Settled>) -> Self {
-        Self { scenario: String::from_utf8_lossy(scenario).into_owned(), settled }
-    }
-
-    /// The scenario as accepted.
-    pub(super) fn scenario(&self) -> Result<Scenario, Fault> {
-        Scenario::from_json(self.scenario.as_bytes()).map_err(|error| Fault::rejected(&error))
-    }
-
-    /// The plan, if method and step are settled.
-    pub(super) fn plan(&self, scenario: &Scenario) -> Result<Option<Plan>, Fault> {
-        let planned = match (&scenario.accuracy, &self.settled) {
-            (None, _) => advise::plan_of(scenario, None),
-            (Some(_), None) => return Ok(None),
-            (Some(_), Some(settled)) => Scenario::from_json(settled.scenario())
-                .and_then(|scenario| advise::plan_of(&scenario, Some(settled.advice.clone()))),
-        };
-        planned.map(Some).map_err(|error| Fault::rejected(&error))
-    }
-
-    fn planned(&self) -> Result<(Scenario, Plan), Broken> {
-        let scenario = self.scenario()?;
-        let plan = match self.plan(&scenario)? {
-            Some(plan) => plan,
-            None => Plan::new(&scenario).map_err(|error| Fault::rejected(&error))?,
-        };
-        Ok((scenario, plan))
-    }
-}
-
 impl Errand {
     /// Does it.
     pub(super) fn carry_out(&self, control: &Control) -> Result<Done, Broken> {
         match self {
-            Self::Settle(task) => settle(task, control),
-            Self::Run { task, log, .. } => {
-                let (scenario, plan) = task.planned()?;
-                let ran = execute_planned(&scenario, &plan, &JobContext { log, control });
+            Self::Settle { scenario } => match Settled::new(scenario, &control.settling) {
+                Ok(settled) => Ok(Done::Settled(Box::new(settled))),
+                Err(error) => Err(Fault::unsettled(&error).map_or(Broken::Stopped, Broken::Fault)),
+            },
+            Self::Run { settled, log, .. } => {
+                let plan = settled.plan().map_err(|error| Fault::rejected(&error))?;
+                let ran = execute(&plan, &JobContext { log, control });
                 ran.map(|summary| Done::Ran(Box::new(summary))).map_err(|error| broken(&error))
             }
-            Self::GiveUp { task, log, fault } => {
-                let (scenario, plan) = task.planned()?;
-                let ended = give_up(&scenario, &plan, log, fault.reason());
+            Self::GiveUp { settled, log, fault } => {
+                let plan = settled.plan().map_err(|error| Fault::rejected(&error))?;
+                let ended = give_up(&plan, log, fault.reason());
                 ended.map(|summary| Done::Ran(Box::new(summary))).map_err(|error| broken(&error))
             }
             Self::Study { request } => {
@@ -160,15 +127,6 @@ impl Errand {
             _ => None,
         }
     }
-}
-
-fn settle(task: &Task, control: &Control) -> Result<Done, Broken> {
-    let scenario = task.scenario()?;
-    let (settled, advice) = advise::settled(&scenario, &control.settling)
-        .map_err(|error| Fault::unsettled(&error).map_or(Broken::Stopped, Broken::Fault))?;
-    let missing = || ScenarioError::invalid("/accuracy", "is missing: there is nothing to settle");
-    let settled = advice.and_then(|advice| Settled::new(&settled, advice).ok());
-    Ok(Done::Settled(settled.ok_or_else(|| Fault::rejected(&missing()))?))
 }
 
 fn broken(error: &RunError) -> Broken {

@@ -14,6 +14,7 @@ use prometheus_client::registry::Registry;
 
 use super::job::State;
 use super::store::Record;
+use crate::study::measure::runs;
 
 /// The type of the text.
 pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -49,6 +50,7 @@ pub(super) struct Metrics {
     jobs: Family<OfState, Gauge>,
     queue: Gauge,
     free_bytes: Gauge<u64, AtomicU64>,
+    pilot_runs: Gauge<u64, AtomicU64>,
 }
 
 impl Metrics {
@@ -68,6 +70,7 @@ impl Metrics {
             jobs: Family::default(),
             queue: Gauge::default(),
             free_bytes: Gauge::default(),
+            pilot_runs: Gauge::default(),
         };
         let registry = &mut metrics.registry;
         registry.register("jobs_accepted", "Jobs answered 202", metrics.accepted.clone());
@@ -97,6 +100,11 @@ impl Metrics {
             "disk_free_bytes",
             "Free bytes on the disk of the data directory",
             metrics.free_bytes.clone(),
+        );
+        registry.register(
+            "pilot_runs",
+            "Runs made to plan jobs and for studies, since the start",
+            metrics.pilot_runs.clone(),
         );
         metrics
     }
@@ -138,6 +146,7 @@ impl Metrics {
         }
         self.queue.set(queue as i64);
         self.free_bytes.set(free_bytes);
+        self.pilot_runs.set(runs());
         let mut text = String::new();
         // A String takes everything.
         let _ = encode(&mut text, &self.registry);

@@ -1,6 +1,6 @@
 //! The record of the jobs, on disk.
 //!
-//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, settled.json, cancel, attempt-1, …, log.mcap,
+//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, plan.json, cancel, attempt-1, …, log.mcap,
 //! result.json}`.
 //!
 //! Invariants: a job exists while its `scenario.json` or its `result.json` does. `attempt-N` and `result.json` are
@@ -31,6 +31,7 @@ use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use object_store::{Error, ObjectStore, ObjectStoreExt, PutMode, PutOptions};
 use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
@@ -41,13 +42,16 @@ use uuid::Uuid;
 use self::directory::{empty, own_directory, prefixes, throw_away};
 use super::job::State;
 use super::{ServeError, chain};
+use crate::advise::Settled;
 use crate::log::is_transient;
-use crate::plan::Advice;
+use crate::plan::{Advice, Plan};
 use crate::scenario::Scenario;
 
 const JOBS: &str = "jobs";
 const SCENARIO: &str = "scenario.json";
-const SETTLED: &str = "settled.json";
+const PLAN: &str = "plan.json";
+/// Of jobs that an older build took.
+const CHOSEN: &str = "settled.json";
 const RESULT: &str = "result.json";
 const CANCEL: &str = "cancel";
 const ATTEMPT: &str = "attempt-";
@@ -112,23 +116,25 @@ impl LogSum {
     }
 }
 
-/// What an accuracy came to, as it is kept with the job: the scenario with a method and a step, and how they were
-/// chosen.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Settled {
-    scenario: Box<RawValue>,
-    pub(super) advice: Advice,
+/// The plan of a job as it is kept: what only runs tell, and what people are shown.
+#[derive(Serialize, Deserialize)]
+pub(super) struct KeptPlan {
+    pub(super) settled: Settled,
+    plan: Box<RawValue>,
 }
 
-impl Settled {
-    pub(super) fn new(scenario: &Scenario, advice: Advice) -> serde_json::Result<Self> {
-        // In one line, as all that goes between processes.
-        Ok(Self { scenario: serde_json::value::to_raw_value(scenario)?, advice })
+impl KeptPlan {
+    pub(super) fn new(settled: Settled, plan: &Plan) -> Result<Self, StoreError> {
+        let plan = serde_json::value::to_raw_value(plan);
+        Ok(Self { settled, plan: plan.map_err(StoreError::new("write the plan"))? })
     }
+}
 
-    pub(super) fn scenario(&self) -> &[u8] {
-        self.scenario.get().as_bytes()
-    }
+/// What an older build kept of an accuracy.
+#[derive(Deserialize)]
+struct Chosen {
+    scenario: Scenario,
+    advice: Advice,
 }
 
 /// What the scan found of one job.
@@ -286,15 +292,19 @@ impl Store {
         Ok(u64::MAX)
     }
 
-    /// Keeps a new job, and the key under which the client sent it. The scenario goes last: before it
-    /// there is no job.
+    /// Keeps a new job, with its plan if there is one, and the key under which the client sent it. The scenario goes last:
+    /// before it there is no job.
     pub(super) async fn accept(
         &self,
         id: Uuid,
         key: Option<Uuid>,
         scenario: Vec<u8>,
+        plan: Option<&KeptPlan>,
     ) -> Result<(), StoreError> {
         let failed = "keep the scenario";
+        if let Some(plan) = plan {
+            self.keep_plan(id, plan).await?;
+        }
         if let Some(key) = key {
             let kept = self.create(id, &format!("{KEY}{key}"), Vec::new()).await;
             kept.map_err(StoreError::new(failed))?;
@@ -309,25 +319,56 @@ impl Store {
         unsealed(text).map_err(StoreError::new(failed))
     }
 
-    /// What the accuracy of a job came to; `None` if that is not known yet.
+    /// What runs have told of a job, for its plan; `None` if that is not known yet, or this build cannot use it.
     pub(super) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, StoreError> {
-        let failed = "read the settled scenario";
-        match self.read(id, SETTLED).await {
-            Ok(text) => {
-                let text = unsealed(text).map_err(StoreError::new(failed))?;
-                serde_json::from_slice(&text).map(Some).map_err(StoreError::new(failed))
-            }
-            Err(Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(StoreError::new(failed)(error)),
+        if let Some(KeptPlan { settled, .. }) = self.found(id, PLAN, "read the plan").await? {
+            return Ok(Some(settled));
         }
+        let Some(Chosen { scenario, advice }) =
+            self.found(id, CHOSEN, "read the settled scenario").await?
+        else {
+            return Ok(None);
+        };
+        let asked = Scenario::from_json(&self.scenario(id).await?).ok();
+        Ok(asked.map(|asked| Settled::chosen(asked, scenario, advice)))
     }
 
-    /// Keeps what the accuracy of a job came to; the first one stands.
-    pub(super) async fn settle(&self, id: Uuid, settled: &Settled) -> Result<(), StoreError> {
-        let failed = "keep the settled scenario";
-        let text = serde_json::to_vec(settled).map_err(StoreError::new(failed))?;
-        match self.create(id, SETTLED, sealed(text)).await {
-            Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
+    /// The plan of a job as people are shown it; `None` if there is none yet.
+    pub(super) async fn plan(&self, id: Uuid) -> Result<Option<Box<RawValue>>, StoreError> {
+        #[derive(Deserialize)]
+        struct Shown {
+            plan: Box<RawValue>,
+        }
+        let shown: Option<Shown> = self.found(id, PLAN, "read the plan").await?;
+        Ok(shown.map(|shown| shown.plan))
+    }
+
+    /// Keeps the plan of a job, in the place of one that this build cannot use.
+    pub(super) async fn keep_plan(&self, id: Uuid, plan: &KeptPlan) -> Result<(), StoreError> {
+        let failed = "keep the plan";
+        let text = serde_json::to_vec(plan).map_err(StoreError::new(failed))?;
+        // Never closed.
+        let _turn = self.writers.acquire().await;
+        let kept = self.objects.put(&key(id, PLAN), sealed(text).into()).await;
+        kept.map(drop).map_err(StoreError::new(failed))
+    }
+
+    /// What a file of a job says that can be made again; `None` if there is none, or none that this build can use.
+    async fn found<T: DeserializeOwned>(
+        &self,
+        id: Uuid,
+        name: &str,
+        failed: &'static str,
+    ) -> Result<Option<T>, StoreError> {
+        match self.read(id, name).await {
+            Ok(text) => {
+                let found = unsealed(text).and_then(|text| {
+                    serde_json::from_slice(&text).map_err(|error| error.to_string())
+                });
+                let unusable = |error: &String| tracing::warn!(job = %id, name, error, "unusable");
+                Ok(found.inspect_err(unusable).ok())
+            }
+            Err(Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(StoreError::new(failed)(error)),
         }
     }

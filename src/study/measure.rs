@@ -4,6 +4,7 @@
 
 use std::cell::Cell;
 use std::convert::Infallible;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use nalgebra::DMatrix;
@@ -165,6 +166,15 @@ pub(crate) fn variant(
     Plan::new(&scenario)
 }
 
+/// The runs that this process has made to measure them.
+static RUNS: AtomicU64 = AtomicU64::new(0);
+
+/// The runs made so far to choose a method, to estimate, or for a study.
+#[cfg(feature = "serve")]
+pub(crate) fn runs() -> u64 {
+    RUNS.load(Ordering::Relaxed)
+}
+
 /// Makes a run and measures it.
 ///
 /// # Errors
@@ -174,6 +184,7 @@ pub(crate) fn measure(
     probe: Probe<'_>,
     watch: &Watch,
 ) -> Result<Measured, ScenarioError> {
+    RUNS.fetch_add(1, Ordering::Relaxed);
     let plan = variant(scene, probe.method, probe.step_s, probe.steps)?;
     let sweep_ns = plan.sweep_cost_ns();
     let most_sweeps = (watch.left_ns() as f64 / sweep_ns).ceil() as u64;

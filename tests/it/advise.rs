@@ -1,8 +1,8 @@
 //! An accuracy in the place of a method and a step: the choice is cheap, the same each time, and kept.
 
 use serde_json::{Value, json};
-use vpd::advise::{self, ErrorAtEnd, Obstacle, Unsettled, error_at_end};
-use vpd::plan::Advice;
+use vpd::advise::{self, ErrorAtEnd, Obstacle, Settled, Unsettled, error_at_end};
+use vpd::plan::Plan;
 use vpd::run::Outcome;
 use vpd::scenario::{Scenario, ScenarioError};
 use vpd::study::Watch;
@@ -70,8 +70,7 @@ fn accuracies_are_kept_on_forty_scenes() {
                 continue;
             }
         };
-        let (settled, _) = advise::settled(&scenario, &Watch::default()).expect("it was planned");
-        let reached = match error_at_end(&settled) {
+        let reached = match error_at_end(&plan) {
             Ok(ErrorAtEnd::About(reached) | ErrorAtEnd::Below(reached)) => reached,
             Err(untold) => {
                 // Errors grow so that nobody can tell: not kept, then.
@@ -152,7 +151,7 @@ fn what_cannot_be_reached_is_refused() {
 #[test]
 fn what_stands_in_the_way_has_its_figure() {
     let asked = scenario(&accurate_dipole(1e-13, 50.0));
-    match advise::settled(&asked, &Watch::default()) {
+    match Settled::new(&asked, &Watch::default()) {
         Err(Unsettled::OutOfReach {
             asked,
             why: Obstacle::Untold { least, time_s, until_s, .. },
@@ -168,18 +167,15 @@ fn what_stands_in_the_way_has_its_figure() {
 #[test]
 fn a_choice_is_kept_to_the_bit() {
     let asked = scenario(&accurate_dipole(1e-6, 2.0));
-    let (settled, advice) = advise::settled(&asked, &Watch::default()).expect("a choice");
-    let kept = serde_json::to_vec(&advice).expect("JSON");
-    let read: Advice = serde_json::from_slice(&kept).expect("what was written");
-    assert_eq!(Some(&read), advice.as_ref());
-    let again = Scenario::from_json(&settled.to_json()).expect("what was written");
-    assert_eq!(again, settled);
-    let plan = |settled, advice| {
-        serde_json::to_string(&advise::plan_of(settled, advice).expect("a plan")).expect("JSON")
-    };
+    let settled = Settled::new(&asked, &Watch::default()).expect("a choice");
+    let kept = serde_json::to_vec(&settled).expect("JSON");
+    let read: Settled = serde_json::from_slice(&kept).expect("what was written");
+    assert_eq!(read, settled);
+    let plan =
+        |settled: &Settled| serde_json::to_string(&settled.plan().expect("a plan")).expect("JSON");
     let direct = serde_json::to_string(&advise::plan(&asked).expect("a plan")).expect("JSON");
-    assert_eq!(plan(&settled, advice), direct);
-    assert_eq!(plan(&again, Some(read)), direct);
+    assert_eq!(plan(&settled), direct);
+    assert_eq!(plan(&read), direct);
 }
 
 #[test]
@@ -187,20 +183,20 @@ fn a_choice_that_was_stopped_is_none() {
     let asked = scenario(&accurate_dipole(1e-6, 2.0));
     let watch = Watch::default();
     watch.cancelled.store(true, std::sync::atomic::Ordering::Relaxed);
-    assert_eq!(advise::settled(&asked, &watch), Err(Unsettled::Cancelled));
+    assert_eq!(Settled::new(&asked, &watch), Err(Unsettled::Cancelled));
 }
 
 #[test]
 fn a_search_may_cost_no_more_than_it_is_allowed() {
     let asked = scenario(&accurate_dipole(1e-10, 2.0));
     let allowing = |ns: u64| Watch { allowance_ns: Some(ns.into()), ..Watch::default() };
-    let short = advise::settled(&asked, &allowing(1_000_000));
+    let short = Settled::new(&asked, &allowing(1_000_000));
     let too_expensive = Obstacle::TooExpensive { allowed_s: 1e-3 };
     assert_eq!(short, Err(Unsettled::OutOfReach { asked: 1e-10, why: too_expensive }));
     let told = ScenarioError::from(short.expect_err("too expensive"));
     assert_eq!(told.pointer, "/accuracy/error");
     assert!(told.message.contains("give `method`"), "{told}");
-    assert!(advise::settled(&asked, &allowing(1_000_000_000)).is_ok());
+    assert!(Settled::new(&asked, &allowing(1_000_000_000)).is_ok());
 }
 
 /// The reference of this scene alone takes many seconds, its steps milliseconds.
@@ -220,7 +216,7 @@ fn a_long_choice_is_stopped_in_the_middle() {
     let watch = Watch::default();
     let stop = watch.cancelled.clone();
     let choice = std::thread::scope(|scope| {
-        let settling = scope.spawn(|| advise::settled(&asked, &watch));
+        let settling = scope.spawn(|| Settled::new(&asked, &watch));
         std::thread::sleep(std::time::Duration::from_millis(200));
         stop.store(true, std::sync::atomic::Ordering::Relaxed);
         settling.join().expect("no panic")
@@ -241,7 +237,7 @@ fn a_choice_that_cannot_be_run_is_none() {
         "duration_s": 2e9,
         "log": {"every": 1_000_000_000_000_u64},
     }));
-    match advise::settled(&asked, &Watch::default()) {
+    match Settled::new(&asked, &Watch::default()) {
         Err(Unsettled::OutOfReach { why, .. }) => println!("{why}"),
         other => panic!("{other:?}"),
     }
@@ -290,7 +286,7 @@ fn accuracies_of_long_runs_are_met_or_refused_with_their_time() {
             });
             let duration_s = known["duration_s"].as_f64().expect("a number");
             let grown = known["perturbation_grows_by"].as_f64().expect("a number");
-            match advise::settled(&scenario(&asked), &Watch::default()) {
+            match Settled::new(&scenario(&asked), &Watch::default()) {
                 Ok(_) => {
                     let summary = run(&asked.to_string(), &directory.path().join("log.mcap"));
                     let summary = serde_json::to_value(&summary).expect("JSON");
@@ -337,7 +333,7 @@ fn chaos_at_the_beginning_of_a_long_run_is_told_from_a_power() {
             "initial": {"angular_velocity": {"body": [0.2, 0.9, 0.4]}}
         },
     }));
-    match advise::settled(&asked, &Watch::default()) {
+    match Settled::new(&asked, &Watch::default()) {
         Err(Unsettled::OutOfReach { why: Obstacle::Untold { until_s, growth, .. }, .. }) => {
             assert!(matches!(growth, Growth::Exponential { .. }), "{growth}");
             assert!(until_s > 100.0 && until_s < 400.0, "{until_s}");
@@ -358,13 +354,12 @@ fn every_member_of_an_ensemble_keeps_the_accuracy() {
         "name": "members", "scene": scene, "accuracy": {"error": error}, "duration_s": 12.0,
         "ensemble": {"members": 24, "seed": 5, "attitude_spread_rad": 0.6, "momentum_spread": 0.6},
     });
-    let (settled, advice) =
-        advise::settled(&scenario(&asked), &Watch::default()).expect("within reach");
-    let advice = advice.expect("the choice is told");
+    let Plan { settled, advice, .. } = advise::plan(&scenario(&asked)).expect("within reach");
+    let advice = advice.expect("the choice is reported");
     // The nominal run alone is content with less.
     let mut alone = asked.clone();
     alone.as_object_mut().expect("an object").remove("ensemble");
-    let (nominal, _) = advise::settled(&scenario(&alone), &Watch::default()).expect("within reach");
+    let nominal = advise::plan(&scenario(&alone)).expect("within reach").settled;
     assert!(settled.steps > nominal.steps, "{:?} {:?}", settled.steps, nominal.steps);
     assert!(advice.expected_error <= error, "{:e}", advice.expected_error);
     // Half the step moves no member by more than what was asked.
@@ -389,11 +384,11 @@ fn every_member_of_an_ensemble_keeps_the_accuracy() {
 fn symplectic_keeps_to_symplectic_methods() {
     let mut asked = accurate_dipole(1e-6, 20.0);
     asked["accuracy"]["symplectic"] = json!(true);
-    let (_, advice) = advise::settled(&scenario(&asked), &Watch::default()).expect("within reach");
-    let tried = advice.expect("the choice is told").candidates;
-    assert!(tried.iter().all(|tried| !tried.method.is_explicit()), "{tried:?}");
-    let (_, advice) = advise::settled(&scenario(&accurate_dipole(1e-6, 20.0)), &Watch::default())
-        .expect("within reach");
-    let tried = advice.expect("the choice is told").candidates;
-    assert!(tried.iter().any(|tried| tried.method.is_explicit()), "{tried:?}");
+    let tried = |asked: &Value| {
+        let plan = advise::plan(&scenario(asked)).expect("within reach");
+        plan.advice.expect("the choice is reported").candidates
+    };
+    let (symplectic, any) = (tried(&asked), tried(&accurate_dipole(1e-6, 20.0)));
+    assert!(symplectic.iter().all(|tried| !tried.method.is_explicit()), "{symplectic:?}");
+    assert!(any.iter().any(|tried| tried.method.is_explicit()), "{any:?}");
 }

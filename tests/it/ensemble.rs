@@ -9,6 +9,7 @@ use std::thread;
 
 use prost::Message as _;
 use serde_json::{Value, json};
+use vpd::advise;
 use vpd::log::messages::{EnsembleStatistics, Member, State};
 use vpd::log::part_path;
 use vpd::log::reader::{self, Item};
@@ -39,7 +40,11 @@ fn checked(scenario: &Value) -> Scenario {
 }
 
 fn run(scenario: &Scenario, log: &Path) -> Summary {
-    execute(scenario, &JobContext { log, control: &Control::default() }).expect("a log")
+    execute(
+        &advise::plan(scenario).expect("a plan"),
+        &JobContext { log, control: &Control::default() },
+    )
+    .expect("a log")
 }
 
 /// What stands in the log of an ensemble.
@@ -245,8 +250,12 @@ fn an_ensemble_is_interrupted_and_cancelled_as_any_run() {
     let stop = |cancel: bool, after: u64| {
         let control = Control::default();
         thread::scope(|scope| {
-            let worker =
-                scope.spawn(|| execute(&scenario, &JobContext { log: &cut, control: &control }));
+            let worker = scope.spawn(|| {
+                execute(
+                    &advise::plan(&scenario).expect("a plan"),
+                    &JobContext { log: &cut, control: &control },
+                )
+            });
             while control.steps_done.load(Ordering::Relaxed) < after && !worker.is_finished() {
                 thread::yield_now();
             }

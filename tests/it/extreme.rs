@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde_json::{Value, json};
-use vpd::advise;
+use vpd::advise::{self, Settled};
 use vpd::log::reader::read_samples;
 use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, execute};
@@ -260,10 +260,8 @@ fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     // In CI a choice may cost a fraction of what it may otherwise.
     let allowance_ns = (super::faults::scale() == 1).then(|| 300_000_000.into());
     let watch = Watch { allowance_ns, ..Watch::default() };
-    let planned = Scenario::from_json(text.as_bytes()).and_then(|scenario| {
-        let (settled, advice) = advise::settled(&scenario, &watch)?;
-        advise::plan_of(&settled, advice)
-    });
+    let planned = Scenario::from_json(text.as_bytes())
+        .and_then(|scenario| Settled::new(&scenario, &watch)?.plan());
     let time_s = begun.elapsed().as_secs_f64();
     let of_choice = scenario.get("accuracy").is_some();
     if of_choice { &mut seen.choices_s } else { &mut seen.plans_s }.push((time_s, number));
@@ -292,7 +290,7 @@ fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     let path = directory.join("log.mcap");
     let control = Control::default();
     let begun = Instant::now();
-    let summary = execute(&short, &JobContext { log: &path, control: &control })
+    let summary = execute(&estimate, &JobContext { log: &path, control: &control })
         .unwrap_or_else(|error| panic!("{error}: {text}"));
     seen.run += 1;
     seen.runs_s.push((begun.elapsed().as_secs_f64(), number));

@@ -7,6 +7,7 @@ use std::sync::atomic::Ordering;
 use std::thread;
 
 use serde_json::{Value, json};
+use vpd::advise;
 use vpd::run::{Control, JobContext, Outcome, Summary, execute};
 use vpd::scenario::Scenario;
 use vpd::solve::failure::FailureCode;
@@ -273,7 +274,8 @@ fn a_search_ends_when_somebody_stops_the_run() {
     let control = Control::default();
     control.settling.cancelled.store(true, Ordering::Relaxed);
     let context = JobContext { log: &log, control: &control };
-    let summary = execute(&scenario, &context).expect("the log can be written");
+    let summary = execute(&advise::plan(&scenario).expect("a plan"), &context)
+        .expect("the log can be written");
     let diagnosis = summary.diagnosis.expect("the step is too large");
     assert_eq!(diagnosis.advised_step_s, None);
     assert!(diagnosis.advice.contains("much smaller step"), "{}", diagnosis.advice);

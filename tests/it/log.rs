@@ -8,6 +8,7 @@ use std::fs;
 
 use mcap::records::Record;
 use serde_json::{Value, json};
+use vpd::advise;
 use vpd::log::LogError;
 use vpd::log::inspect::inspect;
 use vpd::log::reader::{self, Message};
@@ -350,7 +351,7 @@ fn chunks_of_a_file_have_between_64_kib_and_a_mebibyte() {
     scenario["log"] = json!({ "every": 1 });
     let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
     let context = JobContext { log: &path, control: &Control::default() };
-    vpd::run::execute(&scenario, &context).expect("a log");
+    vpd::run::execute(&advise::plan(&scenario).expect("a plan"), &context).expect("a log");
     let bytes = fs::read(&path).expect("a log");
     let summary = mcap::Summary::read(&bytes).expect("an index").expect("a summary");
     let sizes: Vec<u64> =

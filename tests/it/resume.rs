@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use std::thread;
 
 use serde_json::{Value, json};
+use vpd::advise;
 use vpd::log::inspect::inspect;
 use vpd::log::part_path;
 use vpd::log::resume::last_checkpoint;
@@ -38,14 +39,23 @@ fn checked(scenario: &Value) -> Scenario {
 }
 
 fn run(scenario: &Scenario, log: &Path) -> Summary {
-    execute(scenario, &JobContext { log, control: &Control::default() }).expect("a log")
+    execute(
+        &advise::plan(scenario).expect("a plan"),
+        &JobContext { log, control: &Control::default() },
+    )
+    .expect("a log")
 }
 
 /// Runs until about `step`, or to the end if that comes first.
 fn run_until(scenario: &Scenario, log: &Path, step: u64) -> (Result<Summary, RunError>, Control) {
     let control = Control::default();
     let result = thread::scope(|scope| {
-        let worker = scope.spawn(|| execute(scenario, &JobContext { log, control: &control }));
+        let worker = scope.spawn(|| {
+            execute(
+                &advise::plan(scenario).expect("a plan"),
+                &JobContext { log, control: &control },
+            )
+        });
         while control.steps_done.load(Ordering::Relaxed) < step && !worker.is_finished() {
             thread::yield_now();
         }
@@ -160,7 +170,11 @@ fn a_run_that_fails_or_is_cancelled_after_an_interruption_ends_with_a_finished_l
     fs::rename(&log, part_path(&log)).expect("renamed");
     let control = Control::default();
     control.cancelled.store(true, Ordering::Relaxed);
-    let summary = execute(&scenario, &JobContext { log: &log, control: &control }).expect("a log");
+    let summary = execute(
+        &advise::plan(&scenario).expect("a plan"),
+        &JobContext { log: &log, control: &control },
+    )
+    .expect("a log");
     assert_eq!(summary.outcome, Outcome::Cancelled);
     assert!(summary.resumed_step > 0 && summary.steps == summary.resumed_step);
     let found = inspect(&log).expect("readable");

@@ -3,6 +3,7 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use vpd::advise;
 use vpd::chart::draw_log;
 use vpd::log::course::LogChart;
 use vpd::log::reader::Item;
@@ -13,7 +14,7 @@ pub(crate) fn run(text: &str, log: &Path) -> Summary {
     let scenario = Scenario::from_json(text.as_bytes()).expect("a good scenario");
     let control = Control::default();
     let context = JobContext { log, control: &control };
-    execute(&scenario, &context).expect("the log can be written")
+    execute(&advise::plan(&scenario).expect("a plan"), &context).expect("the log can be written")
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use mcap::records::Record;
+use vpd::advise;
 use vpd::run::{Control, JobContext, execute};
 use vpd::scenario::{Accuracy, Method, Scenario};
 use vpd::verify::{VerifyError, verify};
@@ -20,7 +21,8 @@ fn dipole(steps: u64) -> Scenario {
 
 fn log(scenario: &Scenario, at: &Path, control: &Control) -> PathBuf {
     let log = at.join("log.mcap");
-    execute(scenario, &JobContext { log: &log, control }).expect("a log");
+    execute(&advise::plan(scenario).expect("a plan"), &JobContext { log: &log, control })
+        .expect("a log");
     log
 }
 

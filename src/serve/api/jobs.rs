@@ -13,7 +13,7 @@ use uuid::Uuid;
 
 use super::App;
 use super::request::{JobId, is_plain_json, json_text};
-use crate::advise;
+use crate::advise::Settled;
 use crate::log::stretch::Stretch;
 use crate::scenario::{Scenario, ScenarioError};
 use crate::serve::engine::Refusal;
@@ -22,7 +22,7 @@ use crate::serve::page::{MAX_STRETCH, STRETCH};
 use crate::serve::problem::Problem;
 use crate::serve::view::{JobList, JobView, Reach};
 use crate::serve::{download, follow, store};
-use crate::study::scene_of;
+use crate::study::{Watch, scene_of};
 
 /// Jobs on a page of the list, unless the client says otherwise, and at most.
 const PAGE: usize = 50;
@@ -75,18 +75,22 @@ pub(super) async fn submit_job(
     let key = idempotency_key(&headers)?;
     let checked = move || {
         let scenario = Scenario::from_json(&body)?;
-        let plan = match scenario.accuracy {
-            None => Some(advise::plan_of(&scenario, None)?),
+        let planned = match scenario.accuracy {
+            None => {
+                let settled = Settled::new(&scenario, &Watch::default())?;
+                let plan = settled.plan()?;
+                Some((settled, plan))
+            }
             // A worker settles it; that there is a scene to settle it for is seen here.
             Some(_) => {
                 scene_of(&scenario)?;
                 None
             }
         };
-        Ok::<_, ScenarioError>((scenario, plan))
+        Ok::<_, ScenarioError>((scenario, planned))
     };
-    let (scenario, plan) = app.desk.check(checked).await??;
-    let view = app.engine.submit(scenario, plan, key).await?;
+    let (scenario, planned) = app.desk.check(checked).await??;
+    let view = app.engine.submit(scenario, planned, key).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
     Ok((status, location, Json(JobView::new(view, &reach))).into_response())

@@ -13,13 +13,15 @@ use std::time::{Duration, Instant};
 use uuid::Uuid;
 
 use super::{Identity, Index, Refusal, Shared};
+use crate::advise::Settled;
 use crate::plan::Plan;
 use crate::run::{Control, Outcome, Summary};
+use crate::scenario::Scenario;
 use crate::serve::apart;
 use crate::serve::chain;
-use crate::serve::errand::{Broken, Done, Errand, Task};
+use crate::serve::errand::{Broken, Done, Errand};
 use crate::serve::job::{Fault, Phase, State, Trouble};
-use crate::serve::store::{Ending, Line, LogSum, Record, Size, StoreError, Waiting};
+use crate::serve::store::{Ending, KeptPlan, Line, LogSum, Record, Size, StoreError, Waiting};
 
 /// So often a result is written anew before its job rests, and the pauses between, which double.
 const PUBLISHING: (u32, Duration) = (5, Duration::from_millis(100));
@@ -104,31 +106,33 @@ impl Shared {
         }
         wait.block_on(self.store.begin_attempt(*id, *attempt))?;
         let text = wait.block_on(self.store.scenario(*id))?;
-        let task = Task::new(&text, wait.block_on(self.store.settled(*id))?);
-        let scenario = task.scenario()?;
-        let Some(plan) = task.plan(&scenario)? else {
-            let Done::Settled(settled) = self.errand(turn, &Errand::Settle(task))? else {
+        let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
+        let kept = wait.block_on(self.store.settled(*id))?;
+        let planned = |settled: &Settled| settled.plan().map_err(|error| Fault::rejected(&error));
+        let Some(settled) = kept else {
+            let settle = Errand::Settle { scenario: Box::new(scenario) };
+            let Done::Settled(settled) = self.errand(turn, &settle)? else {
                 return Err(Fault::panicked().into());
             };
-            wait.block_on(self.store.settle(*id, &settled))?;
-            let plan = Task::new(&text, Some(settled)).plan(&scenario)?;
-            let plan = plan.ok_or_else(Fault::panicked)?;
+            let plan = planned(&settled)?;
+            wait.block_on(self.store.keep_plan(*id, &KeptPlan::new(*settled, &plan)?))?;
             return self.admitted(turn, plan).map(|plan| Carried::Settled(Box::new(plan)));
         };
         if self.index().jobs.get(id).is_none_or(|job| job.size.is_none()) {
+            let plan = planned(&settled)?;
             return self.admitted(turn, plan).map(|plan| Carried::Settled(Box::new(plan)));
         }
         self.store.reopen_log(*id)?;
         tracing::info!(job = %id, attempt, apart = turn.suspect, "job runs");
         let log = self.store.log_path(*id);
         let trace = turn.suspect.then(|| self.store.trace_path(*id));
-        let run = Errand::Run { task, log: log.clone(), trace };
+        let run = Errand::Run { settled: Box::new(settled), log, trace };
         match self.errand(turn, &run) {
             Ok(Done::Ran(summary)) => Ok(Carried::Ended(summary)),
             Ok(_) => Err(Fault::panicked().into()),
             Err(Broken::Fault(fault)) if fault.is_of_the_process() => {
-                let Errand::Run { task, .. } = run else { return Err(fault.into()) };
-                self.give_up(turn, task, fault)
+                let Errand::Run { settled, .. } = run else { return Err(fault.into()) };
+                self.give_up(turn, settled, fault)
             }
             Err(broken) => Err(broken),
         }
@@ -143,10 +147,11 @@ impl Shared {
     }
 
     /// Gives the log of a job that ends its process an end.
-    fn give_up(&self, turn: &Turn, task: Task, fault: Fault) -> Result<Carried, Broken> {
+    fn give_up(&self, turn: &Turn, settled: Box<Settled>, fault: Fault) -> Result<Carried, Broken> {
         let Turn { id, control, .. } = turn;
         tracing::warn!(job = %id, "job given up: its runs end the process");
-        let errand = Errand::GiveUp { task, log: self.store.log_path(*id), fault: fault.clone() };
+        let errand =
+            Errand::GiveUp { settled, log: self.store.log_path(*id), fault: fault.clone() };
         let ended = match &self.program {
             Some(program) => apart::carry_out(program, &errand, control, Some(MAX_GIVING_UP)),
             None => errand.carry_out(control),

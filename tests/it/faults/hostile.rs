@@ -149,6 +149,8 @@ fn a_start_plans_nothing() {
         );
         let job = service.job(&ids[count - 1]);
         assert_eq!((&job["state"], &job["plan"]), (&"queued".into(), &Value::Null), "{job}");
+        // Not even for the one that runs.
+        assert_eq!(pilot_runs(&service), 0);
         assert!(service.terminate().0.success());
     }
     let service = Service::start(folder.path(), &["--workers", "1"]);
@@ -157,9 +159,50 @@ fn a_start_plans_nothing() {
     let job = service.ended(&ids[0]);
     assert_eq!(job["state"], "succeeded", "{job}");
     assert!(job["plan"]["advice"]["expected_error"].as_f64() < Some(1e-8), "{job}");
-    // Settled once: what was found is kept with the job.
-    let kept = folder.path().join("data/jobs").join(&ids[0]).join("settled.json");
-    assert!(kept.is_file());
+    let digest = service.digest(&ids[0]);
+    assert!(service.terminate().0.success());
+    // Settled once: what was found is kept with the job, and enough to run it.
+    let jobs = folder.path().join("data/jobs");
+    let text = |name: &str| std::fs::read(jobs.join(&ids[0]).join(name)).expect("kept");
+    let (scenario, plan) = (text("scenario.json"), text("plan.json"));
+    let again = folder.path().join("again");
+    let jobs = again.join("data/jobs");
+    let add = |files: &[(&str, &[u8])]| {
+        let id = uuid::Uuid::now_v7().to_string();
+        std::fs::create_dir_all(jobs.join(&id)).expect("a directory");
+        for (name, text) in files {
+            std::fs::write(jobs.join(&id).join(name), text).expect("written");
+        }
+        id
+    };
+    let waiting: Vec<_> =
+        (0..50).map(|_| add(&[("scenario.json", &scenario), ("plan.json", &plan)])).collect();
+    // As the version before kept it.
+    let end = plan.len() - b"\ncrc32 00000000\n".len();
+    let kept: Value = serde_json::from_slice(&plan[..end]).expect("JSON");
+    let choice = &kept["settled"]["choice"];
+    let chosen = json!({ "scenario": choice[0], "advice": choice[1] }).to_string();
+    let chosen = format!("{chosen}\ncrc32 {:08x}\n", crc32fast::hash(chosen.as_bytes()));
+    let older = add(&[("scenario.json", &scenario), ("settled.json", chosen.as_bytes())]);
+    let service = Service::start(&again, &["--workers", "1"]);
+    assert_eq!(service.get("/readyz").status, 200);
+    assert_eq!(service.ended(&older)["state"], "succeeded");
+    for id in &waiting {
+        assert_eq!(service.ended(id)["state"], "succeeded");
+        assert_eq!(service.digest(id), digest);
+    }
+    assert_eq!(pilot_runs(&service), 0);
+    // One of which neither is kept is planned by a worker.
+    let unplanned = service.submit(&pendulum(1e-8, 30.0));
+    assert_eq!(service.ended(&unplanned)["state"], "succeeded");
+    assert!(pilot_runs(&service) > 0);
+}
+
+/// The runs that a service has made to plan jobs.
+fn pilot_runs(service: &Service) -> u64 {
+    let text = String::from_utf8(service.get("/metrics").body).expect("text");
+    let figure = text.lines().find_map(|line| line.strip_prefix("vpd_pilot_runs "));
+    figure.and_then(|figure| figure.parse().ok()).expect("a figure")
 }
 
 #[test]
@@ -212,8 +255,10 @@ fn memory_is_admitted_like_the_disk() {
     let ids = [service.submit(&ensemble), service.submit(&ensemble)];
     let mut most = 0;
     loop {
+        // Both at one moment: one after the other, the first may end and the second begin in between.
+        let running = service.get("/jobs?state=running").json();
+        most = most.max(running["jobs"].as_array().map_or(0, Vec::len));
         let states = ids.each_ref().map(|id| service.job(id)["state"].clone());
-        most = most.max(states.iter().filter(|state| **state == "running").count());
         if states.iter().all(|state| state == "succeeded") {
             break;
         }
