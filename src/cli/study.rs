@@ -179,7 +179,7 @@ fn list(paths: &[PathBuf]) -> io::Result<()> {
 fn orders(entries: &[Entry], study: &Precision) -> String {
     let reference = &study.reference;
     let mut text = format!(
-        "reference: t = {} s, known to {:.1e}; vrkmk meets vpd to {:.1e}\n",
+        "reference: t = {} s, known to {:.1e}; two methods agree to {:.1e}\n",
         reference.time_s, reference.error, reference.cross_check
     );
     for (line, entry) in entries.iter().enumerate() {

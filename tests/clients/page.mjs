@@ -133,7 +133,7 @@ await checks({
     await shoot(page, "page-error");
     await page.fill("#text", "{");
     await page.click("button[type=submit]");
-    await page.waitForFunction(() => /Not taken/.test(document.querySelector("#problem").textContent));
+    await page.waitForFunction(() => /Rejected/.test(document.querySelector("#problem").textContent));
     return words;
   },
   "a long job is followed by its events, and cancelled": async () => {
@@ -232,7 +232,7 @@ await checks({
     await keyed.context().close();
     return reached.join(" → ");
   },
-  "it can be read in light and dark, on a desk and on a phone": async () => {
+  "it can be read in light and dark, on a desktop and on a phone": async () => {
     const { id } = await submit(url, await shipped(url, "dipole"));
     await ended(url, id);
     const bad = [];

@@ -95,7 +95,7 @@ class Stage {
     const plain = [{ frame: "body", balls: [], boxes: [
       { position: [0, 0, 0], orientation: [1, 0, 0, 0], size: [1, 1, n > 2 ? 1 : 0.1], color: [0.62, 0.66, 0.72, 0.7] }],
       arrows: [axis([1, 0, 0, 0], [1, 0, 0, 1]), axis([h, 0, 0, h], [0, 1, 0, 1]), axis([h, 0, -h, 0], [0, 0, 1, 1])] }];
-    if (n !== 3) this.caption.textContent = `SO(${n}): the body's first axes, seen in the first directions of space.`;
+    if (n !== 3) this.caption.textContent = `SO(${n}): the first axes of the body, projected onto the first directions of space.`;
     const drawings = scene.length ? scene : plain;
     const reach = shape => Math.hypot(...shape.position) + 0.5 * Math.hypot(...shape.size);
     const far = drawings.flatMap(d => [...d.boxes.map(reach), ...d.balls.map(reach), ...d.arrows.map(a => a.size[0])]);
@@ -172,7 +172,7 @@ class Stage {
     }
     const step = (time_s.at(-1) - time_s[0]) / Math.max(1, time_s.length - 1);
     this.time.textContent = `t = ${time_s[k].toPrecision(4)} s`;
-    this.time.title = `${(step * 60 * Number(this.rate.value)).toPrecision(2)} s of simulated time a second`;
+    this.time.title = `${(step * 60 * Number(this.rate.value)).toPrecision(2)} s of simulated time per second`;
     if (document.activeElement !== this.seek) this.seek.value = time_s[k];
   }
 }

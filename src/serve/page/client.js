@@ -101,33 +101,33 @@ function span(seconds) {
 
 function standing({ state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
-  if (state === "queued") return trouble ? "waits for the disk" : "waits for a free worker";
-  if (state === "running" && steps === 0) return "looks for a method and a step";
+  if (state === "queued") return trouble ? "waiting for the disk" : "waiting for a free worker";
+  if (state === "running" && steps === 0) return "searching for a method and a step";
   if (state !== "running" && steps === 0) return "no steps";
   if (state !== "running") return `${count(steps_done)} of ${count(steps)} steps`;
-  return `${percent.toFixed(1)} %, ${eta_s == null ? "beginning" : `${span(eta_s)} left`}`;
+  return `${percent.toFixed(1)} %, ${eta_s == null ? "starting" : `${span(eta_s)} left`}`;
 }
 
 // What happened, in plain words.
 function outcome(job) {
   const { summary, state } = job;
-  if (state === "queued" && job.trouble) return `The job is kept and tried again: ${job.trouble.message}.`;
-  if (state === "queued") return "The job is kept and waits for a free worker.";
-  if (state === "running") return "The job is running. You may leave: it goes on without this page.";
+  if (state === "queued" && job.trouble) return `The job is stored and will be tried again: ${job.trouble.message}.`;
+  if (state === "queued") return "The job is stored and waits for a free worker.";
+  if (state === "running") return "The job is running. You may close this page: the job continues.";
   if (!summary) return state === "cancelled" ? "Stopped before it began." : "";
-  if (summary.steps === 0 && !summary.ensemble) return state === "failed" ? "It failed at its first step: the log holds the start alone." : "Stopped before its first step.";
+  if (summary.steps === 0 && !summary.ensemble) return state === "failed" ? "It failed at its first step: the log holds only the start." : "Stopped before its first step.";
   const made = `${count(summary.steps)} steps, to t = ${figure(summary.time_s)} s, in ${span(summary.wall_s)}`;
   const parts = [state === "succeeded" ? `Done: ${made}.` : state === "failed" ? `It failed after ${made}.` : `Stopped after ${made}.`];
   const { energy, orthogonality, momentum, ensemble } = summary;
   if (ensemble) {
     const failed = Object.entries(ensemble.failed ?? {}).map(([code, number]) => `, ${count(number)} ${code}`).join("");
-    parts[0] = `${count(ensemble.succeeded)} of ${count(ensemble.members)} members came to the end${failed}, in ${span(summary.wall_s)}. Member 0:`;
+    parts[0] = `${count(ensemble.succeeded)} of ${count(ensemble.members)} members finished${failed}, in ${span(summary.wall_s)}. Member 0:`;
   }
-  if (energy) parts.push(`The energy ${figure(energy.initial)} J was kept to ${figure(energy.max_abs_error)} J.`);
+  if (energy) parts.push(`The energy, ${figure(energy.initial)} J, is constant to ${figure(energy.max_abs_error)} J.`);
   if (orthogonality) parts.push(orthogonality.max < 1e-14
-    ? `The attitude stayed a rotation to rounding (${figure(orthogonality.max)}).`
-    : `The attitude left the rotations by ${figure(orthogonality.max)}.`);
-  if (momentum) parts.push(`What is conserved of the momentum drifted by ${figure(momentum.max_drift)} kg m²/s.`);
-  if (summary.warning) parts.push(`But ${summary.warning}.`);
+    ? `The attitude stayed a rotation to round-off (${figure(orthogonality.max)}).`
+    : `The attitude deviates from a rotation by ${figure(orthogonality.max)}.`);
+  if (momentum) parts.push(`The conserved part of the momentum drifted by ${figure(momentum.max_drift)} kg m²/s.`);
+  if (summary.warning) parts.push(`Warning: ${summary.warning}.`);
   return parts.join(" ");
 }

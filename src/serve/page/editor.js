@@ -41,7 +41,7 @@ function complain({ body, message }) {
   text.setAttribute("aria-invalid", "true");
   const spot = body?.pointer != null ? place(text.value, body.pointer.replace(/^\/scenario(?=\/|$)/, "")) : null;
   const line = spot && text.value.slice(0, spot[0]).split("\n").length;
-  $("problem").append(h("strong", {}, line ? `Line ${line}` : "Not taken"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
+  $("problem").append(h("strong", {}, line ? `Line ${line}` : "Rejected"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
   if (!spot) return;
   const [begin, end] = spot;
   const short = Math.min(end, begin + 200);
@@ -60,7 +60,7 @@ async function submit(path, body) {
 async function runJob(scenario) {
   const job = await submit("jobs", scenario);
   if (!job) return;
-  say(`Job ${job.name} taken`);
+  say(`Job ${job.name} accepted`);
   location.hash = `#/jobs/${job.id}`;
   await refresh();
 }

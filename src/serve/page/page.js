@@ -53,7 +53,7 @@ function fill(list, items, make, empty) {
   if (held) [...($(held)?.querySelectorAll("a, button") ?? [])].find(node => node.textContent === label)?.focus();
 }
 
-const showJobs = () => fill("jobs", jobs, jobItem, "None yet.");
+const showJobs = () => fill("jobs", jobs, jobItem, "No jobs yet.");
 
 function heard(job) {
   jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
@@ -88,7 +88,7 @@ async function refresh() {
 
 async function refreshStudies() {
   ({ studies } = await json("studies", { quiet: true }));
-  fill("studies", studies, studyItem, "None yet.");
+  fill("studies", studies, studyItem, "No studies yet.");
 }
 
 $("more").onclick = async () => {
@@ -157,7 +157,7 @@ function links(job) {
       to("Foxglove layout", own("layouts/foxglove.json").href, { download: "vpd-foxglove.json" }),
       to("Lichtblick layout", own("layouts/lichtblick.json").href, { download: "vpd-lichtblick.json" })),
     shell(fetching(log, "-o", `${fileName(job.name)}.mcap`)),
-    h("div", { className: "row" }, h("span", { className: "soft" }, "The same scenario again:"),
+    h("div", { className: "row" }, h("span", { className: "soft" }, "Run the same scenario again:"),
       h("button", { type: "button", className: "small", id: "edit", onclick: () => edit(job) }, "Edit a copy")),
     shell(`${fetching(job.links.scenario, "-o", "scenario.json")}\nvpd run scenario.json`),
   ];
@@ -195,15 +195,15 @@ function facts({ plan, summary, attempts }) {
     const { formulation } = plan;
     add("body", `SO(${plan.dimension})`);
     add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
-    add("why", formulation.why);
+    add("reason", formulation.why);
     add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
   }
   if (summary) {
-    add("solver", `${figure(summary.solver.iterations_per_step)} sweeps a step${summary.solver.kind ? ` (${summary.solver.kind})` : ""}`);
-    add("speed", `${count(Math.round(summary.ns_per_step))} ns a step`);
+    add("solver", `${figure(summary.solver.iterations_per_step)} iterations per step${summary.solver.kind ? ` (${summary.solver.kind})` : ""}`);
+    add("speed", `${count(Math.round(summary.ns_per_step))} ns per step`);
     add("samples", count(summary.samples));
   }
-  if (attempts > 1) add("runs", `${attempts}: taken up again where it was interrupted`);
+  if (attempts > 1) add("runs", `${attempts}: resumed where it was interrupted`);
   return h("dl", {}, rows);
 }
 
@@ -251,7 +251,7 @@ async function viewJob(id) {
     if (ended ? job.links.log : job.progress.durable_step > 0) await show(job);
     if (ended) {
       rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
-        job.plan ? h("h3", {}, "How it was done") : "", facts(job), h("div", { className: "row" }, forgetJob(job)));
+        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, forgetJob(job)));
     }
   };
   await update(job);
@@ -276,7 +276,7 @@ async function charts(job) {
   const drawn = await Promise.all(Object.entries(CHARTS).filter(([key]) => job.links.charts?.[key])
     .map(([key, alt]) => picture(job.links.charts[key], alt).catch(() => null)));
   const found = drawn.filter(Boolean);
-  return found.length ? [h("h3", {}, "How well"), h("div", { className: "charts" }, found)] : [];
+  return found.length ? [h("h3", {}, "Accuracy"), h("div", { className: "charts" }, found)] : [];
 }
 
 // ---- studies
@@ -339,10 +339,10 @@ async function route() {
     else {
       shown += 1;
       $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Choose a scenario and run it"),
-        h("p", { className: "soft" }, "You will see the body turn, how well energy and momentum were kept, and where to open the log.")));
+        h("p", { className: "soft" }, "You will see the body turn, charts of the energy and momentum errors, and links that open the log in a viewer.")));
     }
   } catch (error) {
-    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "There is no such thing here" : "That did not work"), h("p", {}, error.message)));
+    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message)));
   }
   if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
 }
@@ -354,7 +354,7 @@ async function start() {
     option.dataset.about = description ?? "";
     return option;
   });
-  $("shipped").replaceChildren(h("option", { value: "" }, "one of your own"), ...options);
+  $("shipped").replaceChildren(h("option", { value: "" }, "your own scenario"), ...options);
   if (!text.value) { $("shipped").value = "heavy-top"; await $("shipped").onchange(); }
   const api = await json("openapi.json").catch(() => ({ paths: {} }));
   if (api.paths["/studies"]?.get) {
