@@ -52,7 +52,7 @@ def run(name, tableau, h, steps, log=None, channel="/energy", every=1, tolerance
         }
         words = [word for key, value in fields.items() for word in ("--set", f"{key}={value}")]
         done = subprocess.run(
-            [VPD, "run", SCENE, *words, "--json", "-o", path], capture_output=True, text=True
+            [VPD, "run", SCENE, *words, "--json", "--force", "-o", path], capture_output=True, text=True
         )
         if not done.stdout:
             sys.exit(done.stderr)

@@ -7,7 +7,9 @@ use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
@@ -114,9 +116,12 @@ struct RunArgs {
     /// Write layouts for Foxglove and Lichtblick beside the log.
     #[arg(long)]
     layouts: bool,
-    /// Compute a reference afterwards and tell the error of the last state.
+    /// Compute a reference afterwards and report the error of the last state.
     #[arg(long)]
     error: bool,
+    /// Replace what stands in the place of the log: a finished log, or an unfinished one of something else.
+    #[arg(long)]
+    force: bool,
 }
 
 #[derive(Debug, Args)]
@@ -258,7 +263,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let log = args.output.clone().unwrap_or_else(|| {
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
-    let mut summary = watched(&plan, &log)?;
+    let mut summary = watched(&plan, &log, args.force)?;
     if args.layouts {
         let place = log.parent().unwrap_or(Path::new(""));
         for viewer in ["foxglove", "lichtblick"] {
@@ -283,26 +288,49 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     })
 }
 
-/// Runs on a thread of its own while a progress bar with the time left follows, if somebody looks.
-fn watched(plan: &Plan, log: &Path) -> Result<Summary, RunError> {
-    let control = Control::default();
-    let context = JobContext { log, control: &control };
-    if !io::stderr().is_terminal() {
-        return run::execute(plan, &context);
-    }
+/// Runs on a thread of its own. If somebody looks, a progress bar with the time left follows; ctrl-c ends the run with a log
+/// that the same command resumes.
+fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
+    let control = Arc::new(Control { replaces_nothing: !force, ..Control::default() });
+    let interrupted = control.clone();
+    // Where there can be none, ctrl-c ends the process; the log is resumed all the same.
+    let _ = ctrlc::set_handler(move || interrupted.interrupt());
     let style = ProgressStyle::with_template(
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
     )
     .expect("the template is fixed and valid");
-    let bar = ProgressBar::new(plan.total_steps())
-        .with_style(style)
-        .with_message(plan.asked.name().to_owned());
-    thread::scope(|scope| {
-        let worker = scope.spawn(|| run::execute(plan, &context));
-        while !worker.is_finished() {
-            bar.set_position(control.steps_done.load(Ordering::Relaxed));
-            thread::sleep(Duration::from_millis(50));
+    let bar = if io::stderr().is_terminal() {
+        ProgressBar::new(plan.total_steps())
+            .with_style(style)
+            .with_message(plan.asked.name().to_owned())
+    } else {
+        ProgressBar::hidden()
+    };
+    let mut from = 0;
+    let mut follow = || {
+        let resumed = control.resumed_step.load(Ordering::Relaxed);
+        if resumed > from {
+            from = resumed;
+            bar.suspend(|| {
+                let _ = writeln!(io::stderr(), "resuming at step {resumed}");
+            });
+            // The time left is judged by the steps of this run.
+            bar.set_position(resumed);
+            bar.reset_eta();
         }
+        bar.set_position(control.steps_done.load(Ordering::Relaxed).max(resumed));
+    };
+    thread::scope(|scope| {
+        let context = JobContext { log, control: &control };
+        let (running, ended) = mpsc::channel::<()>();
+        let worker = scope.spawn(move || {
+            let _running = running;
+            run::execute(plan, &context)
+        });
+        while ended.recv_timeout(Duration::from_millis(50)) == Err(RecvTimeoutError::Timeout) {
+            follow();
+        }
+        follow();
         bar.finish_and_clear();
         worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })

@@ -85,8 +85,16 @@ pub enum LogError {
         /// The sample's step.
         step: u64,
     },
+    /// What stands at its place is to be kept: a finished log, or what another job has left unfinished.
+    #[error("{} is there already{}; --force replaces it", path.display(), if *finished { "" } else { ", of another scenario or another build, unfinished" })]
+    Exists {
+        /// The file.
+        path: PathBuf,
+        /// Whether it is a finished log.
+        finished: bool,
+    },
     /// Somebody stopped the reading of what an earlier run left; nothing was changed.
-    #[error("taking up the log {} was interrupted", path.display())]
+    #[error("resuming the log {} was interrupted", path.display())]
     Interrupted {
         /// The file.
         path: PathBuf,
@@ -108,6 +116,7 @@ impl LogError {
             Self::Format { .. } => "log_format",
             Self::Time { .. } => "log_time",
             Self::NotFinite { .. } => "log_not_finite",
+            Self::Exists { .. } => "log_exists",
             Self::Interrupted { .. } => "interrupted",
             Self::GivenUp { .. } => "log_given_up",
         }
@@ -119,6 +128,11 @@ impl LogError {
             Self::StorageFull { source, .. } | Self::Storage { source, .. } => is_transient(source),
             _ => false,
         }
+    }
+
+    /// Whether another process writes the log.
+    pub fn is_busy(&self) -> bool {
+        matches!(self, Self::Storage { source, .. } if source.get_ref().is_some_and(|inner| inner.is::<part::Busy>()))
     }
 
     fn io(path: &Path, action: &'static str, source: io::Error) -> Self {

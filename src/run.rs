@@ -69,6 +69,8 @@ pub struct Control {
     pub cancelled: AtomicBool,
     /// Whether it is to end there with a log that a later run goes on from: see [`Control::interrupt`].
     pub interrupted: AtomicBool,
+    /// Whether a log that stands in the place of this one stays, and the run is refused; otherwise it is replaced.
+    pub replaces_nothing: bool,
     /// How the search for a method and a step is stopped.
     pub settling: Watch,
     /// The run is cancelled at this step, as if somebody had set `cancelled` there.
@@ -125,8 +127,8 @@ pub enum RunError {
     /// The log could not be written.
     #[error(transparent)]
     Log(LogError),
-    /// Somebody interrupted it; the next run goes on from its log.
-    #[error("the run was interrupted")]
+    /// Somebody interrupted it; the next run resumes its log.
+    #[error("the run was interrupted; the same command resumes it from its log")]
     Interrupted,
 }
 
@@ -282,7 +284,7 @@ impl<'a, const N: usize> Recorder<'a, N> {
             }
             None => {
                 course = Course::default();
-                (LogWriter::create(log, header)?, Figures::default(), None)
+                (begin_log(context, header)?, Figures::default(), None)
             }
         };
         let epoch_ns = header.epoch_ns;
@@ -338,6 +340,18 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
 fn show(control: &Control, header: &LogHeader) -> Option<Show> {
     let announce = |live: &Arc<Live>| live.announce(header.epoch_ns, header.scene.clone());
     control.live.as_ref().map(announce)
+}
+
+/// Begins a log, over what stands in its place if that may go.
+fn begin_log<const N: usize>(
+    context: &JobContext<'_>,
+    header: &LogHeader,
+) -> Result<LogWriter<N>, LogError> {
+    if context.control.replaces_nothing {
+        LogWriter::create_new(context.log, header)
+    } else {
+        LogWriter::create(context.log, header)
+    }
 }
 
 /// Takes note of a sample for the charts.

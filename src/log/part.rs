@@ -36,9 +36,12 @@ enum Mode {
 }
 
 impl Part {
-    /// An empty file, over any file of that name; what is no file, or a link to one, is left alone.
+    /// An empty file, over any file of that name; what is no file, or a link to one, is left alone, and so is what another
+    /// process writes.
     pub(super) fn create(path: &Path) -> io::Result<Self> {
-        let file = own(path, OpenOptions::new().write(true).create(true).truncate(true))?;
+        // Emptied once it is locked.
+        let file = own(path, OpenOptions::new().write(true).create(true).truncate(false))?;
+        file.set_len(0)?;
         Ok(Self::new(Mode::Writing(BufWriter::new(file))))
     }
 
@@ -85,11 +88,12 @@ impl Part {
         self.inner().position
     }
 
-    /// Everything to the disk, and the file closed.
-    pub(super) fn close(&self) -> io::Result<()> {
+    /// Everything to the disk, and the file given back: it is locked until that is dropped.
+    pub(super) fn close(&self) -> io::Result<File> {
         match std::mem::replace(&mut self.inner().mode, Mode::Left) {
             Mode::Writing(buffer) => {
-                buffer.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()
+                let file = buffer.into_inner().map_err(io::IntoInnerError::into_error)?;
+                file.sync_all().map(|()| file)
             }
             _ => Err(io::Error::other("the file was left")),
         }
@@ -167,8 +171,8 @@ impl Seek for Part {
     }
 }
 
-/// Opens a file that is one: a link that somebody put in its place would have its target written over, and what is
-/// read from a pipe may never come.
+/// Opens and locks a file that is one: a link that somebody put in its place would have its target written over, and what
+/// is read from a pipe may never come.
 fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(
@@ -176,7 +180,50 @@ fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
         (rustix::fs::OFlags::NOFOLLOW | rustix::fs::OFlags::NONBLOCK).bits().cast_signed(),
     );
     let file = options.open(path)?;
-    if file.metadata()?.is_file() { Ok(file) } else { Err(io::Error::other("this is no file")) }
+    if !file.metadata()?.is_file() {
+        return Err(io::Error::other("this is no file"));
+    }
+    lock(&file, path)?;
+    Ok(file)
+}
+
+/// Another process writes the file.
+#[derive(Debug, thiserror::Error)]
+#[error("another process{} writes it", holder.map_or_else(String::new, |pid| format!(" ({pid})")))]
+pub(super) struct Busy {
+    holder: Option<u32>,
+}
+
+/// Locks a file for as long as it is open: two writers would leave what is no log.
+#[cfg(unix)]
+fn lock(file: &File, path: &Path) -> io::Result<()> {
+    use std::fs::TryLockError;
+    use std::os::unix::fs::MetadataExt;
+    let busy = |holder| Err(io::Error::new(io::ErrorKind::ResourceBusy, Busy { holder }));
+    let place = |found: std::fs::Metadata| (found.dev(), found.ino());
+    match file.try_lock() {
+        // Finished since it was opened: by now it has another name.
+        Ok(()) if place(file.metadata()?) != place(path.symlink_metadata()?) => busy(None),
+        Err(TryLockError::WouldBlock) => busy(holder(file.metadata()?.ino())),
+        // A file system without locks.
+        Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
+    }
+}
+
+#[cfg(not(unix))]
+fn lock(_: &File, _: &Path) -> io::Result<()> {
+    Ok(())
+}
+
+/// The process that has locked a file, where the system says it: lines of `1: FLOCK ADVISORY WRITE pid major:minor:inode ..`.
+#[cfg(unix)]
+fn holder(inode: u64) -> Option<u32> {
+    let locks = std::fs::read_to_string("/proc/locks").ok()?;
+    locks.lines().find_map(|line| {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let own = words.get(5)?.rsplit(':').next()?.parse() == Ok(inode);
+        if own && words.get(1) == Some(&"FLOCK") { words.get(4)?.parse().ok() } else { None }
+    })
 }
 
 /// A place in the log: the step of a checkpoint, and the bytes of the file up to its end.

@@ -154,6 +154,30 @@ impl<const N: usize> LogWriter<N> {
         Ok(log)
     }
 
+    /// The same, but what stands there is left alone: a finished log, or one that this job did not leave unfinished.
+    ///
+    /// # Errors
+    /// Those of [`LogWriter::create`], and [`LogError::Exists`].
+    pub fn create_new(path: &Path, header: &LogHeader) -> Result<Self, LogError> {
+        let exists =
+            |path: &Path, finished| Err(LogError::Exists { path: path.to_owned(), finished });
+        if path.symlink_metadata().is_ok() {
+            return exists(path, true);
+        }
+        let part = super::part_path(path);
+        match Part::compare(&part) {
+            Ok(file) if Self::begin(path, header, file.clone()).is_err() && file.differs() => {
+                return exists(&part, false);
+            }
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(LogError::io(path, "resume", source));
+            }
+            // None, or one of this job that ended before its first checkpoint.
+            _ => {}
+        }
+        Self::create(path, header)
+    }
+
     /// Writes what comes before the first message.
     pub(super) fn begin(
         path: &Path,
@@ -307,7 +331,8 @@ impl<const N: usize> LogWriter<N> {
         self.attempt(|file| file.finish().map(drop))?;
 
         let synced = self.syncer.settle().and_then(|()| self.part_file.close());
-        synced.map_err(|source| self.refused("sync", source))?;
+        // Locked until it has its name.
+        let _file = synced.map_err(|source| self.refused("sync", source))?;
         let renamed = fs::rename(&self.part, &self.path);
         renamed.map_err(|source| self.refused("rename", source))?;
         self.part = PathBuf::new();

@@ -14,7 +14,9 @@ use std::time::Instant;
 
 use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{Control, End, JobContext, RunError, finish, header, json, note, observables};
+use super::{
+    Control, End, JobContext, RunError, begin_log, finish, header, json, note, observables,
+};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::LogError;
 use crate::log::course::Course;
@@ -442,7 +444,7 @@ fn open<const N: usize>(
     {
         return Ok((log, ends, course));
     }
-    Ok((LogWriter::create(context.log, header)?, Ends::default(), Course::default()))
+    Ok((begin_log(context, header)?, Ends::default(), Course::default()))
 }
 
 /// Where member 0 came to, from `initial`.

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::Value;
+use vpd::log::resume::last_checkpoint;
 
 use crate::bad_scenarios::{self, Bad};
 
@@ -174,4 +175,93 @@ fn verify_says_yes_or_no_and_layouts_lie_beside_the_log() {
     let verified = vpd(at, &["verify", "vpd-foxglove.json"]);
     assert_eq!(verified.status.code(), Some(1));
     assert!(text(&verified.stderr).contains("not finished"), "{}", text(&verified.stderr));
+}
+
+/// The dipole with so many steps, each in the log.
+fn every_step(steps: &str) -> Vec<String> {
+    let steps = format!("/steps={steps}");
+    ["run", &scenario("dipole"), "-o", "it.mcap", "--set", &steps, "--set", "/log/every=1"]
+        .into_iter()
+        .chain(["--set", "/expect=null"])
+        .map(str::to_owned)
+        .collect()
+}
+
+fn begun(at: &Path, arguments: &[String]) -> std::process::Child {
+    let child = Command::new(env!("CARGO_BIN_EXE_vpd"))
+        .current_dir(at)
+        .args(arguments)
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("the binary starts");
+    let logged = || last_checkpoint(&at.join("it.mcap")).ok().flatten();
+    while logged().is_none() {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child
+}
+
+#[cfg(unix)]
+#[test]
+fn a_log_that_is_being_written_is_locked() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let first = begun(at, &every_step("400000"));
+    let (mut again, words) = (every_step("1000"), ["--force".to_owned()]);
+    again.extend(words);
+    let again: Vec<&str> = again.iter().map(String::as_str).collect();
+    let second = vpd(at, &again);
+    assert_eq!(second.status.code(), Some(2), "{}", text(&second.stderr));
+    let holder = format!("another process ({}) writes it", first.id());
+    assert!(text(&second.stderr).contains(&holder), "{}", text(&second.stderr));
+    let ended = first.wait_with_output().expect("a child");
+    assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));
+    assert_eq!(vpd(at, &["verify", "it.mcap"]).status.code(), Some(0));
+}
+
+#[test]
+fn a_log_is_replaced_by_force_alone() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = scenario("heavy-top");
+    let short = ["run", &top, "-o", "it.mcap", "--set", "/duration_s=0.5"];
+    assert_eq!(vpd(at, &short).status.code(), Some(0));
+    let kept = std::fs::read(at.join("it.mcap")).expect("a log");
+    // One that would fail at its first step.
+    let fails = ["run", &top, "-o", "it.mcap", "--set", "/step_s=5"];
+    for arguments in [&short[..], &fails[..]] {
+        let refused = vpd(at, arguments);
+        assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+        assert!(text(&refused.stderr).contains("--force"), "{}", text(&refused.stderr));
+        assert_eq!(std::fs::read(at.join("it.mcap")).expect("a log"), kept);
+    }
+    let forced = vpd(at, &[&fails[..], &["--force"]].concat());
+    assert_eq!(forced.status.code(), Some(1), "{}", text(&forced.stderr));
+    assert_ne!(std::fs::read(at.join("it.mcap")).expect("a log"), kept);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_resumes_and_nothing_else_takes_its_place() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let whole = every_step("400000");
+    let child = begun(at, &whole);
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().expect("kill").success());
+    let stopped = child.wait_with_output().expect("a child");
+    assert_eq!(stopped.status.code(), Some(130), "{}", text(&stopped.stderr));
+    assert!(text(&stopped.stderr).contains("the same command resumes it"));
+    let part = std::fs::read(at.join("it.mcap.part")).expect("an unfinished log");
+    let other = every_step("1000");
+    let other: Vec<&str> = other.iter().map(String::as_str).collect();
+    let refused = vpd(at, &other);
+    assert_eq!(refused.status.code(), Some(2), "{}", text(&refused.stderr));
+    assert_eq!(std::fs::read(at.join("it.mcap.part")).expect("as before"), part);
+    let whole: Vec<&str> = whole.iter().map(String::as_str).collect();
+    let resumed = vpd(at, &whole);
+    assert_eq!(resumed.status.code(), Some(0), "{}", text(&resumed.stderr));
+    assert!(text(&resumed.stderr).contains("resuming at step "), "{}", text(&resumed.stderr));
+    assert_eq!(vpd(at, &["verify", "it.mcap"]).status.code(), Some(0));
 }
