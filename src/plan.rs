@@ -9,9 +9,8 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::log::schema::Channel;
-use crate::scenario::{
-    Ensemble, MethodName, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
-};
+use crate::method::Integrator;
+use crate::scenario::{Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice};
 use crate::solve::composition::Composition;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
@@ -106,7 +105,7 @@ pub struct Advice {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Its name in a scenario.
-    pub method: MethodName,
+    pub method: Integrator,
     /// Its tableau, or the order of a composition.
     pub tableau: String,
     /// The largest step that was found to reach the accuracy, in seconds; absent if none did.
@@ -121,7 +120,7 @@ pub struct Candidate {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Formulation {
     /// Its name in a scenario.
-    pub method: MethodName,
+    pub method: Integrator,
     /// The tableau's name, or `custom`; absent for a composition.
     pub tableau: Option<String>,
     /// Number of stages, of a composition of substeps.
@@ -288,42 +287,38 @@ impl Plan {
     /// Chooses the integrator.
     fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
         let free = self.model.terms.is_empty();
-        let asked = scenario.method.name;
-        if asked == MethodName::VpdReduced && !free {
+        let asked = scenario.method.name.integrator();
+        if let Some(method) = asked.filter(|method| method.needs_free() && !free) {
             let term =
                 self.potential.iter().find(|term| term.kept).map_or("", |term| &term.pointer);
-            let message =
-                format!("vpd_reduced is for free bodies, but {term} depends on the attitude");
+            let name = method.as_str();
+            let message = format!("{name} is for free bodies, but {term} depends on the attitude");
             return Err(ScenarioError::invalid("/method/name", message));
         }
         let (method, why) = match asked {
+            Some(method) => (method, "asked for"),
             // Whoever names a tableau wants its scheme.
-            MethodName::Auto
-                if free && self.dimension == 3 && scenario.method.tableau.is_none() =>
-            {
-                (
-                    MethodName::Splitting,
-                    "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
-                )
-            }
-            MethodName::Auto if free => (
-                MethodName::VpdReduced,
+            None if free && self.dimension == 3 && scenario.method.tableau.is_none() => (
+                Integrator::Splitting,
+                "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
+            ),
+            None if free => (
+                Integrator::VpdReduced,
                 "no term depends on the attitude, so the momentum moves by itself",
             ),
-            MethodName::Auto => (
-                MethodName::Vpd,
+            None => (
+                Integrator::Vpd,
                 "symplectic, on the group to round-off, of the tableau's order, for any potential",
             ),
-            method => (method, "asked for"),
         };
         let shown = [Channel::State, Channel::Orthogonality, Channel::Tf];
         // Members are compared by where they end, attitude included.
-        let carries_attitude = method != MethodName::VpdReduced
+        let carries_attitude = !method.needs_free()
             || shown.into_iter().any(|channel| self.logs(channel))
             || self.ensemble.is_some();
         let tableau = &self.model.tableau;
         // A free body needs no more than one part.
-        let usual = if asked == MethodName::Auto { 2 } else { 4 };
+        let usual = if asked.is_none() { 2 } else { 4 };
         let (name, stages, order) = match (scenario.method.order.unwrap_or(usual), method) {
             (order, method) if method.is_composition() => (
                 None,
@@ -340,14 +335,14 @@ impl Plan {
     }
 
     /// What the motion is from the start that is given; members of an ensemble have others.
-    fn motion(&self, method: MethodName, stages: usize) -> Motion {
+    fn motion(&self, method: Integrator, stages: usize) -> Motion {
         if self.ensemble.is_some() {
             return Motion::General;
         }
         if self.model.is_at_rest() {
             return Motion::AtRest;
         }
-        let quicker = method == MethodName::Vpd && stages <= VpdPlane::MOST_STAGES;
+        let quicker = method.has_plane() && stages <= VpdPlane::MOST_STAGES;
         if self.dimension == 3 && quicker && !self.model.terms.is_empty() {
             let (body, start) = self.model.problem::<3>();
             if Plane::of(&body, &start).is_some() {

@@ -13,7 +13,8 @@ use serde::Deserialize;
 use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
 use crate::log::schema::{Channel, bytes_per_member, dense_bytes_per_member};
 use crate::log::writer::Compression;
-use crate::scenario::{MethodName, PotentialTerm};
+use crate::method::Integrator;
+use crate::scenario::PotentialTerm;
 use crate::solve::lanes::WIDTH;
 
 /// Work that was counted, or is expected.
@@ -38,7 +39,7 @@ struct Scheme {
 
 #[derive(Debug, Deserialize)]
 struct SchemeRow {
-    method: MethodName,
+    method: Integrator,
     stages: usize,
     n: usize,
     #[serde(flatten)]
@@ -132,16 +133,9 @@ impl Plan {
 
     /// The work of a step whose sweeps nobody has counted.
     fn usual_work(&self) -> Counts {
-        use MethodName as M;
-        let stages = self.formulation.stages as f64;
-        let sweeps = match self.formulation.method {
-            M::VpdReduced if self.dimension == 3 => 1.0,
-            M::VpdReduced => 3.0,
-            M::Auto | M::Vpd | M::VpdLagrangian | M::Vrkmk | M::VrkmkProjected => 5.0,
-            M::QuaternionGauss => 5.0,
-            M::Rkmk | M::Rk | M::RkProjected | M::Splitting | M::Lgvi => 1.0,
-        };
-        Counts { steps: 1.0, sweeps, gradients: sweeps * stages }
+        let Formulation { method, stages, .. } = self.formulation;
+        let sweeps = method.usual_sweeps(self.dimension);
+        Counts { steps: 1.0, sweeps, gradients: sweeps * stages as f64 }
     }
 
     /// About what one sweep over all stages costs with all that belongs to it, in nanoseconds: of a method without sweeps
@@ -154,15 +148,10 @@ impl Plan {
 
     /// What the method's parts cost with so many stages, in this dimension.
     fn scheme(&self) -> Scheme {
-        use MethodName as M;
         let Formulation { method, stages, .. } = self.formulation;
-        let method = match method {
-            M::Auto => M::Vpd,
-            M::VrkmkProjected => M::Vrkmk,
-            method => method,
-        };
         // More stages than lanes go the way of general n.
-        let general = matches!(method, M::Vpd | M::VpdReduced) && stages > WIDTH;
+        let general = method.has_lanes() && stages > WIDTH;
+        let method = method.costs_as();
         let rows: Vec<&SchemeRow> = TABLE
             .schemes
             .iter()
@@ -264,4 +253,18 @@ fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
     const MOST_S: f64 = 3.0;
     let in_time = (MOST_S / sample_s) as u64;
     (USUAL_BYTES / sample_bytes.max(1)).min(in_time).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TABLE;
+    use crate::method::Integrator;
+
+    #[test]
+    fn each_method_has_its_costs() {
+        for method in Integrator::ALL.iter().map(|method| method.costs_as()) {
+            let has_row = TABLE.schemes.iter().any(|row| row.method == method);
+            assert!(has_row, "{}: cargo bench --bench costs", method.as_str());
+        }
+    }
 }

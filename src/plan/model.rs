@@ -4,9 +4,10 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use super::terms::ROUNDED;
+use crate::method::{Integrator, Takes};
 use crate::scenario::{
-    Attitude, Entry, Framed, Inertia, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
-    SolverKind, TableauChoice, TableauName,
+    Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError, SolverKind,
+    TableauChoice, TableauName,
 };
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::{Rungs, StopRule};
@@ -226,7 +227,8 @@ pub(super) fn momentum(
 
 /// The tableau asked for, or the method's own.
 pub(super) fn tableau_choice(method: &Method) -> TableauChoice {
-    let usual = if method.name.is_explicit() { TableauName::Rk4 } else { TableauName::Gauss2 };
+    let is_explicit = method.name.integrator().is_some_and(Integrator::is_explicit);
+    let usual = if is_explicit { TableauName::Rk4 } else { TableauName::Gauss2 };
     method.tableau.clone().unwrap_or(TableauChoice::Named(usual))
 }
 
@@ -235,36 +237,24 @@ pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau
     let tableau = coefficients(choice)?;
     let name = method.name.as_str();
     let wrong = |message| Err(ScenarioError::invalid("/method/tableau", message));
-    if method.name.is_explicit() && !tableau.is_explicit() {
+    let takes = method.name.integrator().map_or(Takes::Tableau, Integrator::takes);
+    if takes == Takes::Explicit && !tableau.is_explicit() {
         return wrong(format!(
             "{name} is explicit; it takes rk3, rk4, rk8 or explicit coefficients"
         ));
     }
-    let partner = if method.name.is_explicit() { Ok(()) } else { tableau.partnered() };
+    let partner = if takes == Takes::Explicit { Ok(()) } else { tableau.partnered() };
     partner.map_err(|error| refused(choice, &error))?;
     let gauss = Tableau::gauss(tableau.stages());
-    if method.name == MethodName::QuaternionGauss && gauss.as_ref() != Some(&tableau) {
+    if takes == Takes::Gauss && gauss.as_ref() != Some(&tableau) {
         return wrong(format!("{name} takes gauss1 to gauss8"));
     }
     Ok(tableau)
 }
 
 fn coefficients(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
-    let named = |name: TableauName| match name {
-        TableauName::Gauss1 => Tableau::gauss(1),
-        TableauName::Gauss2 => Tableau::gauss(2),
-        TableauName::Gauss3 => Tableau::gauss(3),
-        TableauName::Gauss4 => Tableau::gauss(4),
-        TableauName::Gauss5 => Tableau::gauss(5),
-        TableauName::Gauss6 => Tableau::gauss(6),
-        TableauName::Gauss7 => Tableau::gauss(7),
-        TableauName::Gauss8 => Tableau::gauss(8),
-        TableauName::Rk3 => Some(Tableau::rk3()),
-        TableauName::Rk4 => Some(Tableau::rk4()),
-        TableauName::Rk8 => Some(Tableau::rk8()),
-    };
     match choice {
-        TableauChoice::Named(name) => named(*name).ok_or_else(|| {
+        TableauChoice::Named(name) => name.tableau().ok_or_else(|| {
             ScenarioError::invalid("/method/tableau", "this tableau cannot be made")
         }),
         TableauChoice::Custom(given) => {

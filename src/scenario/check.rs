@@ -6,6 +6,7 @@ use super::{
     Accuracy, Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError,
     SolverKind, TableauChoice,
 };
+use crate::method::Integrator;
 
 /// Largest n of SO(n) that the program is built for.
 pub(crate) const MAX_DIMENSION: usize = 16;
@@ -327,27 +328,27 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
 
 fn method(scenario: &Scenario, n: usize) -> Check {
     let method = &scenario.method;
-    let name = method.name;
-    ensure(n == 3 || !name.needs_three(), "/method/name", || {
-        format!("{} is for n = 3, this body has n = {n}", name.as_str())
+    let (name, asked) = (method.name.as_str(), method.name.integrator());
+    let is_composition = asked.is_some_and(Integrator::is_composition);
+    ensure(n == 3 || !asked.is_some_and(Integrator::needs_three), "/method/name", || {
+        format!("{name} is for n = 3, this body has n = {n}")
     })?;
-    ensure(method.order.is_none() || name.is_composition(), "/method/order", || {
-        format!(
-            "is for splitting and lgvi; the order of {} follows from its tableau",
-            name.as_str()
-        )
+    ensure(method.order.is_none() || is_composition, "/method/order", || {
+        let compositions = Integrator::names(Integrator::is_composition);
+        format!("is for {compositions}; the order of {name} follows from its tableau")
     })?;
     ensure(
         method.order.is_none_or(|order| matches!(order, 2 | 4 | 6 | 8)),
         "/method/order",
         || format!("{} given, 2, 4, 6 or 8 is needed", method.order.unwrap_or_default()),
     )?;
-    ensure(method.tableau.is_none() || !name.is_composition(), "/method/tableau", || {
-        format!("{} has no tableau; give its `order`", name.as_str())
+    ensure(method.tableau.is_none() || !is_composition, "/method/tableau", || {
+        format!("{name} has no tableau; give its `order`")
     })?;
     let solver = &method.solver;
-    ensure(solver.kind != SolverKind::Newton || name.has_newton(), "/method/solver/kind", || {
-        format!("\"newton\" given, {} is solved by fixed_point or auto", name.as_str())
+    let has_newton = asked.is_none_or(Integrator::has_newton);
+    ensure(solver.kind != SolverKind::Newton || has_newton, "/method/solver/kind", || {
+        format!("\"newton\" given, {name} is solved by fixed_point or auto")
     })?;
     let (low, high) = TOLERANCE_RANGE;
     ensure(
