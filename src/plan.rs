@@ -14,6 +14,7 @@ use crate::scenario::{Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, 
 use crate::solve::composition::Composition;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
+use crate::solve::trajectory::Observables;
 
 mod cost;
 mod model;
@@ -269,6 +270,12 @@ impl Plan {
         self.channels.iter().any(|plan| plan.topic == channel)
     }
 
+    /// What the logged channels need at a sample.
+    pub(crate) fn observables(&self) -> Observables {
+        let needs = self.channels.iter().map(|plan| plan.topic.observables());
+        needs.fold(Observables::default(), |all, needs| all | needs)
+    }
+
     /// Puts the terms together to those that have to be modelled.
     fn add_terms(&mut self, given: &[PotentialTerm], inertia: &DMatrix<f64>) {
         let given: Vec<PotentialTerm> =
@@ -311,10 +318,9 @@ impl Plan {
                 "symplectic, on the group to round-off, of the tableau's order, for any potential",
             ),
         };
-        let shown = [Channel::State, Channel::Orthogonality, Channel::Tf];
         // Members are compared by where they end, attitude included.
         let carries_attitude = !method.needs_free()
-            || shown.into_iter().any(|channel| self.logs(channel))
+            || self.channels.iter().any(|plan| plan.topic.shows_attitude())
             || self.ensemble.is_some();
         let tableau = &self.model.tableau;
         // A free body needs no more than one part.
@@ -364,33 +370,14 @@ fn tableau_name(scenario: &Scenario) -> Option<String> {
 }
 
 fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
-    use Channel as C;
-    let all = [
-        (C::State, "the state itself"),
-        (C::Energy, "kinetic and potential energy"),
-        (C::Orthogonality, "the spectral norm of g g^T - I"),
-        (C::Momentum, "the spatial momentum and the drift of its conserved part"),
-        (C::Solver, "the smallest singular value of the step's interpolated matrices"),
-        (C::Tf, "the attitude as a quaternion"),
-        (C::SceneBody, "the body's box and points, once"),
-        (C::SceneSources, "sources, anchors and directions, once"),
-        (C::EnsembleMembers, "start and end of each member"),
-        (C::EnsembleStatistics, "mean and spread of the members, at the start and at the end"),
-        (C::Log, "start, warnings, diagnosis"),
-    ];
     let three = scenario.dimension() == 3;
     let potential = !scenario.scene.potential.is_empty();
-    let has = |channel: C| match channel {
-        C::SceneSources => three && potential,
-        C::EnsembleMembers | C::EnsembleStatistics => scenario.ensemble.is_some(),
-        channel => three || !channel.needs_three(),
+    let has = |channel: &Channel| channel.exists(three, potential, scenario.ensemble.is_some());
+    let asked = |channel: &Channel| {
+        scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(channel))
     };
-    let asked =
-        |channel: C| scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(&channel));
-    all.into_iter()
-        .filter(|&(topic, _)| has(topic) && asked(topic))
-        .map(|(topic, computes)| ChannelPlan { topic, computes })
-        .collect()
+    let logged = Channel::all().into_iter().filter(|channel| has(channel) && asked(channel));
+    logged.map(|topic| ChannelPlan { topic, computes: topic.computes() }).collect()
 }
 
 /// n less the rank of the terms' space vectors.

@@ -20,8 +20,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::log::schema::Channel;
-use crate::log::writer::Compression;
+use crate::log::schema::{Channel, Compression};
 pub use crate::method::{MethodName, TableauName};
 
 /// A job: a scene, how to integrate it and for how long, and what to log.

@@ -11,11 +11,11 @@ use std::sync::LazyLock;
 use serde::Deserialize;
 
 use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
-use crate::log::schema::{Channel, bytes_per_member, dense_bytes_per_member};
-use crate::log::writer::Compression;
+use crate::log::schema::{Channel, Compression, bytes_per_member, dense_bytes_per_member};
 use crate::method::Integrator;
 use crate::scenario::PotentialTerm;
 use crate::solve::lanes::WIDTH;
+use crate::solve::trajectory::Observables;
 
 /// Work that was counted, or is expected.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -203,12 +203,12 @@ impl Plan {
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let eigenvalues = if self.dimension == 3 { 100.0 } else { 10.0 * n * n * n };
-        let of = |channel: Channel, count: f64| if self.logs(channel) { count } else { 0.0 };
-        let matrices = of(Channel::Orthogonality, 1.0)
-            + of(Channel::Solver, 1.0 + self.formulation.stages as f64);
+        let Observables { energy, orthogonality, momentum: _, sigma_min } = self.observables();
+        let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
+        let matrices = of(orthogonality, 1.0) + of(sigma_min, 1.0 + self.formulation.stages as f64);
         WRITTEN_BYTE_NS * raw as f64
             + matrices * eigenvalues
-            + of(Channel::Energy, 0.5) * self.terms_cost_ns()
+            + of(energy, 0.5) * self.terms_cost_ns()
     }
 
     /// What a run takes of the memory beside its members.
