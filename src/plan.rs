@@ -23,9 +23,7 @@ mod terms;
 
 pub(crate) use cost::Counts;
 pub(crate) use model::{Model, ModelKinetic};
-use model::{
-    attitude, inertia_matrix, kinetic, momentum, space_vector, tableau, tableau_choice, with_matrix,
-};
+use model::{attitude, inertia_matrix, kinetic, momentum, tableau, tableau_choice, with_matrix};
 use terms::{Extent, Terms};
 
 /// About what a log takes beside its samples: schemas, scenario, plan, index.
@@ -280,7 +278,7 @@ impl Plan {
     fn add_terms(&mut self, given: &[PotentialTerm], inertia: &DMatrix<f64>) {
         let given: Vec<PotentialTerm> =
             given.iter().map(|term| with_matrix(term, inertia)).collect();
-        let terms = Terms::new(&given, inertia);
+        let terms = Terms::new(&given);
         self.model.shown = terms.modelled().cloned().collect();
         let extent = Extent {
             duration_s: self.steps as f64 * self.step_s,
@@ -385,7 +383,7 @@ fn free_directions(n: usize, modelled: &[PotentialTerm]) -> usize {
     // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
     let mut taken: Vec<DVector<f64>> = Vec::new();
     for term in modelled {
-        let mut rest = terms::unit(&DVector::from_column_slice(space_vector(term)));
+        let mut rest = terms::unit(&DVector::from_column_slice(term.law().space_vector()));
         for direction in taken.iter().chain(&taken) {
             let part = direction.dot(&rest);
             rest.axpy(-part, direction, 1.0);

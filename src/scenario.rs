@@ -10,11 +10,14 @@
 mod check;
 mod ensemble;
 mod parse;
+mod term;
 
 pub(crate) use check::SMALLEST_STEP_S;
 pub use ensemble::Ensemble;
 #[cfg(feature = "serve")]
 pub(crate) use parse::{from_tree, tree as read_tree};
+pub(crate) use term::Drawn;
+pub use term::{GravityGradient, PointSource, PotentialTerm, Spring, Uniform};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -98,72 +101,6 @@ pub enum Inertia {
     Matrix(Vec<Vec<f64>>),
     /// Any n: the second moments d_i along the body axes; mu_ij = (d_i + d_j) Omega_ij.
     SecondMoments(Vec<f64>),
-}
-
-/// One term of the potential. `g` turns body coordinates into space coordinates.
-#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum PotentialTerm {
-    /// weight * direction . (g body_point)
-    Uniform(Uniform),
-    /// strength / |g body_point - position|
-    PointSource(PointSource),
-    /// stiffness / 2 * (|g body_point - position| - rest_length)^2
-    Spring(Spring),
-    /// strength / 2 * (g^T direction) . matrix (g^T direction)
-    GravityGradient(GravityGradient),
-}
-
-/// A uniform field that pulls at a body point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Uniform {
-    /// Weight.
-    pub weight: f64,
-    /// Point of the body, in body coordinates.
-    pub body_point: Vec<f64>,
-    /// Direction in space coordinates, against the pull; used as given, not normalised.
-    pub direction: Vec<f64>,
-}
-
-/// A point of space that attracts or repels a body point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PointSource {
-    /// Strength; positive repels.
-    pub strength: f64,
-    /// Point of the body, in body coordinates.
-    pub body_point: Vec<f64>,
-    /// Place of the source, in space coordinates.
-    pub position: Vec<f64>,
-}
-
-/// A spring from a body point to a point of space.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Spring {
-    /// Stiffness.
-    pub stiffness: f64,
-    /// Length at rest, at least 0.
-    #[serde(default)]
-    pub rest_length: f64,
-    /// Point of the body, in body coordinates.
-    pub body_point: Vec<f64>,
-    /// The anchor, in space coordinates.
-    pub position: Vec<f64>,
-}
-
-/// The gradient of a distant body's gravity over this one.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct GravityGradient {
-    /// Strength; 3 G M / r^3 for a body of mass M at distance r.
-    pub strength: f64,
-    /// Direction to the other body, in space coordinates; used as given, not normalised.
-    pub direction: Vec<f64>,
-    /// Symmetric matrix in body coordinates; the inertia matrix if absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub matrix: Option<Vec<Vec<f64>>>,
 }
 
 /// The state at t = 0.
