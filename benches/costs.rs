@@ -49,14 +49,14 @@ fn main() {
 fn measured() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
     let own = Integrator::ALL.iter().copied().filter(|method| method.costs_as() == *method);
     own.flat_map(|method| {
-        let tableaux = match method.takes() {
+        let tableaux = match method.facts().takes {
             _ if method == Integrator::VpdLagrangian => FEW,
             Takes::Tableau | Takes::Gauss => GAUSS,
             Takes::Explicit => EXPLICIT,
             Takes::Order => ORDERS,
         };
         let dimensions =
-            move || DIMENSIONS.into_iter().filter(move |n| !method.needs_three() || *n == 3);
+            move || DIMENSIONS.into_iter().filter(move |n| !method.facts().three || *n == 3);
         tableaux.iter().flat_map(move |tableau| dimensions().map(move |n| (method, *tableau, n)))
     })
 }
@@ -91,7 +91,7 @@ fn scheme(method: Integrator, tableau: &str, n: usize, terms: &[Value]) -> Value
     };
     let mut equations = Vec::new();
     for (count, turn) in RUNS {
-        let count = if method.needs_free() { 0 } else { count };
+        let count = if method.facts().free { 0 } else { count };
         let run = timed(method.as_str(), tableau, n, &KINDS, count, turn);
         let gradients = if count > 0 { run.gradients } else { 0.0 };
         let row = [1.0, run.sweeps, gradients * own(count)];
@@ -136,7 +136,7 @@ fn compare(asked: &[String]) {
             continue;
         }
         for (count, turn) in [(0, 0.1), (3, 0.1), (3, 0.5), (100, 0.1)] {
-            if method.needs_free() && count > 0 {
+            if method.facts().free && count > 0 {
                 continue;
             }
             let scene = scenario(name, tableau, n, &KINDS, count, turn);

@@ -135,23 +135,26 @@ pub(crate) enum Variant {
 }
 
 /// What is known of a method.
-struct Row {
-    takes: Takes,
-    symplectic: bool,
-    /// For n = 3 alone?
-    three: bool,
-    /// For free bodies alone? Their momentum moves by itself, the attitude only where somebody looks at it.
-    free: bool,
+#[derive(Clone, Copy, Debug)]
+pub struct Facts {
+    /// What it is made with.
+    pub takes: Takes,
+    /// Does its energy error stay at a level that the step fixes?
+    pub symplectic: bool,
+    /// Is it for n = 3 alone?
+    pub three: bool,
+    /// Is it for free bodies alone? Their momentum moves by itself, the attitude only where somebody looks at it.
+    pub free: bool,
     /// Has it Newton's method to go to?
-    newton: bool,
-    /// Is it computed in lanes for n = 3?
-    lanes: bool,
+    pub newton: bool,
+    /// Is it computed in lanes for n = 3? More stages than there are lanes go the way of general n.
+    pub(crate) lanes: bool,
     /// Is it computed for n = 2 where the motion stays in a plane?
-    plane: bool,
+    pub(crate) plane: bool,
     /// Sweeps of a step that nobody has counted: for n = 3, elsewhere. 1 of a method without sweeps.
-    sweeps: [f64; 2],
+    pub(crate) sweeps: [f64; 2],
     /// Methods of a family have one colour, and stand together in tables.
-    family: usize,
+    pub(crate) family: usize,
     /// Its lines in charts: few, so that they can be told apart.
     charted: &'static [Variant],
     /// Its rows in the map of stability, once for each solver if `solvers`.
@@ -171,69 +174,70 @@ pub(crate) struct Parts {
 }
 
 impl Integrator {
+    /// Its row.
     #[rustfmt::skip]
-    fn row(self) -> Row {
+    pub fn facts(self) -> Facts {
         use TableauName::{Gauss1, Gauss2, Gauss3, Gauss4, Gauss6, Gauss8, Rk3, Rk4, Rk8};
         use Variant::{Order as O, Tableau as T};
         const GAUSS: &[Variant] = &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss6), T(Gauss8)];
         const EXPLICIT: &[Variant] = &[T(Rk3), T(Rk4), T(Rk8)];
         match self {
-            Self::Vpd => Row {
+            Self::Vpd => Facts {
                 takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
                 lanes: true, plane: true, sweeps: [5.0, 5.0], family: 0,
                 charted: &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss8)],
                 mapped: &[T(Gauss1), T(Rk3), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss6), T(Gauss8)], solvers: true,
                 tried: (6, GAUSS),
             },
-            Self::VpdLagrangian => Row {
+            Self::VpdLagrangian => Facts {
                 takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 0,
                 charted: &[], mapped: &[T(Gauss2)], solvers: false, tried: (0, &[]),
             },
-            Self::VpdReduced => Row {
+            Self::VpdReduced => Facts {
                 takes: Takes::Tableau, symplectic: true, three: false, free: true, newton: true,
                 lanes: true, plane: false, sweeps: [1.0, 3.0], family: 0,
                 charted: &[T(Gauss4)], mapped: &[T(Gauss2)], solvers: false, tried: (5, GAUSS),
             },
-            Self::Vrkmk => Row {
+            Self::Vrkmk => Facts {
                 takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 1,
                 charted: &[T(Gauss2), T(Gauss4)],
                 mapped: &[T(Gauss1), T(Rk3), T(Gauss2), T(Gauss3), T(Gauss4)], solvers: false,
                 tried: (7, &[T(Gauss2), T(Gauss4)]),
             },
-            Self::VrkmkProjected => Row {
+            Self::VrkmkProjected => Facts {
                 takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 1,
                 charted: &[], mapped: &[T(Gauss2)], solvers: false, tried: (0, &[]),
             },
-            Self::Rkmk => Row {
+            Self::Rkmk => Facts {
                 takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 5,
                 charted: &[T(Rk4), T(Rk8)], mapped: EXPLICIT, solvers: false, tried: (2, &[T(Rk8)]),
             },
-            Self::Rk => Row {
+            Self::Rk => Facts {
                 takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 6,
                 charted: &[T(Rk4)], mapped: EXPLICIT, solvers: false, tried: (0, &[]),
             },
-            Self::RkProjected => Row {
+            Self::RkProjected => Facts {
                 takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 6,
                 charted: &[T(Rk8)], mapped: EXPLICIT, solvers: false, tried: (1, &[T(Rk4), T(Rk8)]),
             },
-            Self::Splitting => Row {
+            Self::Splitting => Facts {
                 takes: Takes::Order, symplectic: true, three: true, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 3,
                 charted: &[O(4), O(8)], mapped: &[O(2), O(4), O(6), O(8)], solvers: false,
                 tried: (0, &[O(2), O(4), O(6), O(8)]),
             },
-            Self::Lgvi => Row {
+            Self::Lgvi => Facts {
                 takes: Takes::Order, symplectic: true, three: true, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 4,
                 charted: &[O(4)], mapped: &[O(2), O(4), O(8)], solvers: false, tried: (4, &[O(4), O(8)]),
             },
-            Self::QuaternionGauss => Row {
+            Self::QuaternionGauss => Facts {
                 takes: Takes::Gauss, symplectic: true, three: true, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 2,
                 charted: &[T(Gauss4), T(Gauss8)],
@@ -287,39 +291,14 @@ impl Integrator {
         }
     }
 
-    /// What it is made with.
-    pub fn takes(self) -> Takes {
-        self.row().takes
-    }
-
     /// Is it a composition, with an order in the place of a tableau?
     pub fn is_composition(self) -> bool {
-        self.takes() == Takes::Order
+        self.facts().takes == Takes::Order
     }
 
     /// Does it take explicit tableaux only?
     pub fn is_explicit(self) -> bool {
-        self.takes() == Takes::Explicit
-    }
-
-    /// Does its energy error stay at a level that the step fixes?
-    pub fn is_symplectic(self) -> bool {
-        self.row().symplectic
-    }
-
-    /// Is it for bodies in space only?
-    pub fn needs_three(self) -> bool {
-        self.row().three
-    }
-
-    /// Is it for free bodies only?
-    pub fn needs_free(self) -> bool {
-        self.row().free
-    }
-
-    /// Has it Newton's method to go to?
-    pub fn has_newton(self) -> bool {
-        self.row().newton
+        self.facts().takes == Takes::Explicit
     }
 
     /// The method whose measured costs are its own, too.
@@ -330,51 +309,32 @@ impl Integrator {
         }
     }
 
-    /// Is it computed in lanes for n = 3? More stages than there are lanes go the way of general n.
-    pub(crate) fn has_lanes(self) -> bool {
-        self.row().lanes
-    }
-
-    /// Is it computed for n = 2 where the motion stays in a plane?
-    pub(crate) fn has_plane(self) -> bool {
-        self.row().plane
-    }
-
-    /// Sweeps of a step that nobody has counted.
-    pub(crate) fn usual_sweeps(self, n: usize) -> f64 {
-        self.row().sweeps[usize::from(n != 3)]
-    }
-
-    /// Number of its family, and so of its colour.
-    pub(crate) fn family(self) -> usize {
-        self.row().family
-    }
-
     /// All of them, family by family.
     fn by_family() -> Vec<Self> {
         let mut all = Self::ALL.to_vec();
-        all.sort_by_key(|method| method.family());
+        all.sort_by_key(|method| method.facts().family);
         all
     }
 
     /// The lines of charts.
     pub(crate) fn charted() -> impl Iterator<Item = (Self, Variant)> {
-        let variants = |method: Self| method.row().charted.iter().map(move |of| (method, *of));
+        let variants = |method: Self| method.facts().charted.iter().map(move |of| (method, *of));
         Self::by_family().into_iter().flat_map(variants)
     }
 
     /// The rows of the map of stability, and whether each solver has its own.
     pub(crate) fn mapped() -> impl Iterator<Item = (Self, &'static [Variant], bool)> {
-        let rows = |method: Self| (method, method.row().mapped, method.row().solvers);
+        let rows = |method: Self| (method, method.facts().mapped, method.facts().solvers);
         Self::by_family().into_iter().map(rows)
     }
 
     /// What is tried for an accuracy, in turn.
     pub(crate) fn tried(symplectic: bool) -> impl Iterator<Item = (Self, Variant)> {
         let mut all = Self::ALL.to_vec();
-        all.retain(|method| method.is_symplectic() || !symplectic);
-        all.sort_by_key(|method| method.row().tried.0);
-        all.into_iter().flat_map(|method| method.row().tried.1.iter().map(move |of| (method, *of)))
+        all.retain(|method| method.facts().symplectic || !symplectic);
+        all.sort_by_key(|method| method.facts().tried.0);
+        all.into_iter()
+            .flat_map(|method| method.facts().tried.1.iter().map(move |of| (method, *of)))
     }
 
     /// The names of those that are so, as a sentence has them: `a, b and c`.
@@ -439,7 +399,7 @@ mod tests {
     fn each_method_is_made_in_the_dimensions_of_its_row_and_has_a_row_in_the_tests() {
         for &method in Integrator::ALL {
             let name = method.as_str();
-            let usual = match method.takes() {
+            let usual = match method.facts().takes {
                 Takes::Explicit => TableauName::Rk4,
                 Takes::Tableau | Takes::Gauss | Takes::Order => TableauName::Gauss2,
             };
@@ -451,7 +411,7 @@ mod tests {
             };
             assert!(method.in_space(parts()).is_some(), "{name} in space");
             let elsewhere = method.in_any_dimension::<4>(parts()).is_some();
-            assert_eq!(elsewhere, !method.needs_three(), "{name} for n = 4");
+            assert_eq!(elsewhere, !method.facts().three, "{name} for n = 4");
             let row = format!("!(\"{name} ");
             assert!(TESTED.contains(&row), "{name} has no row in solve/tests/it/methods.rs");
         }

@@ -293,7 +293,7 @@ impl Plan {
     fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
         let free = self.model.terms.is_empty();
         let asked = scenario.method.name.integrator();
-        if let Some(method) = asked.filter(|method| method.needs_free() && !free) {
+        if let Some(method) = asked.filter(|method| method.facts().free && !free) {
             let term =
                 self.potential.iter().find(|term| term.kept).map_or("", |term| &term.pointer);
             let name = method.as_str();
@@ -317,7 +317,7 @@ impl Plan {
             ),
         };
         // Members are compared by where they end, attitude included.
-        let carries_attitude = !method.needs_free()
+        let carries_attitude = !method.facts().free
             || self.channels.iter().any(|plan| plan.topic.shows_attitude())
             || self.ensemble.is_some();
         let tableau = &self.model.tableau;
@@ -346,7 +346,7 @@ impl Plan {
         if self.model.is_at_rest() {
             return Motion::AtRest;
         }
-        let quicker = method.has_plane() && stages <= VpdPlane::MOST_STAGES;
+        let quicker = method.facts().plane && stages <= VpdPlane::MOST_STAGES;
         if self.dimension == 3 && quicker && !self.model.terms.is_empty() {
             let (body, start) = self.model.problem::<3>();
             if Plane::of(&body, &start).is_some() {

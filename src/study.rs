@@ -167,8 +167,9 @@ pub(crate) fn entries(
 
 fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entry> {
     let three = scene.dimension() == 3;
-    let fits =
-        |method: &Method| three || !method.name.integrator().is_some_and(Integrator::needs_three);
+    let fits = |method: &Method| {
+        three || !method.name.integrator().is_some_and(|named| named.facts().three)
+    };
     methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()
 }
 

@@ -120,7 +120,7 @@ pub fn long_term(
 
 /// A colour for each family of methods, a dash and a mark for each member of it.
 fn styles(entries: &[Entry], marked: bool) -> Vec<Style> {
-    let colors: Vec<usize> = entries.iter().map(|entry| entry.integrator.family()).collect();
+    let colors: Vec<usize> = entries.iter().map(|entry| entry.integrator.facts().family).collect();
     let before = |at: usize| colors[..at].iter().filter(|&&color| color == colors[at]).count();
     (0..colors.len()).map(|at| Style { color: colors[at], member: before(at), marked }).collect()
 }

@@ -134,7 +134,7 @@ impl Plan {
     /// The work of a step whose sweeps nobody has counted.
     fn usual_work(&self) -> Counts {
         let Formulation { method, stages, .. } = self.formulation;
-        let sweeps = method.usual_sweeps(self.dimension);
+        let sweeps = method.facts().sweeps[usize::from(self.dimension != 3)];
         Counts { steps: 1.0, sweeps, gradients: sweeps * stages as f64 }
     }
 
@@ -150,7 +150,7 @@ impl Plan {
     fn scheme(&self) -> Scheme {
         let Formulation { method, stages, .. } = self.formulation;
         // More stages than lanes go the way of general n.
-        let general = method.has_lanes() && stages > WIDTH;
+        let general = method.facts().lanes && stages > WIDTH;
         let method = method.costs_as();
         let rows: Vec<&SchemeRow> = TABLE
             .schemes

@@ -236,7 +236,7 @@ pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau
     let tableau = coefficients(choice)?;
     let name = method.name.as_str();
     let wrong = |message| Err(ScenarioError::invalid("/method/tableau", message));
-    let takes = method.name.integrator().map_or(Takes::Tableau, Integrator::takes);
+    let takes = method.name.integrator().map_or(Takes::Tableau, |method| method.facts().takes);
     if takes == Takes::Explicit && !tableau.is_explicit() {
         return wrong(format!(
             "{name} is explicit; it takes rk3, rk4, rk8 or explicit coefficients"

@@ -292,7 +292,7 @@ fn method(scenario: &Scenario, n: usize) -> Check {
     let method = &scenario.method;
     let (name, asked) = (method.name.as_str(), method.name.integrator());
     let is_composition = asked.is_some_and(Integrator::is_composition);
-    ensure(n == 3 || !asked.is_some_and(Integrator::needs_three), "/method/name", || {
+    ensure(n == 3 || !asked.is_some_and(|method| method.facts().three), "/method/name", || {
         format!("{name} is for n = 3, this body has n = {n}")
     })?;
     ensure(method.order.is_none() || is_composition, "/method/order", || {
@@ -308,7 +308,7 @@ fn method(scenario: &Scenario, n: usize) -> Check {
         format!("{name} has no tableau; give its `order`")
     })?;
     let solver = &method.solver;
-    let has_newton = asked.is_none_or(Integrator::has_newton);
+    let has_newton = asked.is_none_or(|method| method.facts().newton);
     ensure(solver.kind != SolverKind::Newton || has_newton, "/method/solver/kind", || {
         format!("\"newton\" given, {name} is solved by fixed_point or auto")
     })?;

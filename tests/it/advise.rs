@@ -391,9 +391,9 @@ fn symplectic_keeps_to_symplectic_methods() {
     asked["accuracy"]["symplectic"] = json!(true);
     let (_, advice) = advise::settled(&scenario(&asked), &Watch::default()).expect("within reach");
     let tried = advice.expect("the choice is told").candidates;
-    assert!(tried.iter().all(|tried| tried.method.is_symplectic()), "{tried:?}");
+    assert!(tried.iter().all(|tried| tried.method.facts().symplectic), "{tried:?}");
     let (_, advice) = advise::settled(&scenario(&accurate_dipole(1e-6, 20.0)), &Watch::default())
         .expect("within reach");
     let tried = advice.expect("the choice is told").candidates;
-    assert!(tried.iter().any(|tried| !tried.method.is_symplectic()), "{tried:?}");
+    assert!(tried.iter().any(|tried| !tried.method.facts().symplectic), "{tried:?}");
 }
