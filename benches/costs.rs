@@ -7,25 +7,14 @@ use std::io::Write;
 use nalgebra::{DMatrix, DVector};
 use serde_json::{Value, json};
 use vpd::advise;
+use vpd::method::{Integrator, Takes};
 use vpd::scenario::Scenario;
 use vpd::study::measure::{Effort, effort};
 
-/// Methods, whether each is for n = 3 alone, and its tableaux or orders.
-const METHODS: &[(&str, bool, &[&str])] = &[
-    ("vpd", false, GAUSS),
-    ("vpd_lagrangian", false, FEW),
-    ("vpd_reduced", false, GAUSS),
-    ("vrkmk", false, GAUSS),
-    ("rkmk", false, EXPLICIT),
-    ("rk", false, EXPLICIT),
-    ("rk_projected", false, EXPLICIT),
-    ("splitting", true, &["2", "4", "8"]),
-    ("lgvi", true, &["2", "4", "8"]),
-    ("quaternion_gauss", true, GAUSS),
-];
 const GAUSS: &[&str] = &["gauss1", "gauss2", "gauss3", "gauss4", "gauss5", "gauss6", "gauss8"];
 const FEW: &[&str] = &["gauss1", "gauss2", "gauss4"];
 const EXPLICIT: &[&str] = &["rk3", "rk4", "rk8"];
+const ORDERS: &[&str] = &["2", "4", "8"];
 const DIMENSIONS: [usize; 8] = [2, 3, 4, 5, 6, 8, 12, 16];
 const KINDS: [&str; 4] = ["uniform", "point_source", "spring", "gravity_gradient"];
 /// Terms in the two scenes by which the cost of a term is told.
@@ -44,12 +33,8 @@ fn main() {
     }
     let terms: Vec<Value> = DIMENSIONS.iter().map(|&n| terms_of(n)).collect();
     let mut schemes = Vec::new();
-    for &(method, three, tableaux) in METHODS {
-        for &tableau in tableaux {
-            for n in DIMENSIONS.into_iter().filter(|&n| !three || n == 3) {
-                schemes.push(scheme(method, tableau, n, &terms));
-            }
-        }
+    for (method, tableau, n) in measured() {
+        schemes.push(scheme(method, tableau, n, &terms));
     }
     let line = |row: &Value| format!("    {row}");
     let lines = |rows: &[Value]| rows.iter().map(line).collect::<Vec<_>>().join(",\n");
@@ -58,6 +43,22 @@ fn main() {
         lines(&terms),
         lines(&schemes)
     ));
+}
+
+/// The methods that have costs of their own, with tableaux or orders, in the dimensions where each runs.
+fn measured() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
+    let own = Integrator::ALL.iter().copied().filter(|method| method.costs_as() == *method);
+    own.flat_map(|method| {
+        let tableaux = match method.facts().takes {
+            _ if method == Integrator::VpdLagrangian => FEW,
+            Takes::Tableau | Takes::Gauss => GAUSS,
+            Takes::Explicit => EXPLICIT,
+            Takes::Order => ORDERS,
+        };
+        let dimensions =
+            move || DIMENSIONS.into_iter().filter(move |n| !method.facts().three || *n == 3);
+        tableaux.iter().flat_map(move |tableau| dimensions().map(move |n| (method, *tableau, n)))
+    })
 }
 
 fn say(line: &str) {
@@ -83,24 +84,24 @@ fn terms_of(n: usize) -> Value {
 }
 
 /// `t = step + sweeps sweep + gradients share (what their terms cost by themselves)`: least squares of the relative misses.
-fn scheme(method: &str, tableau: &str, n: usize, terms: &[Value]) -> Value {
+fn scheme(method: Integrator, tableau: &str, n: usize, terms: &[Value]) -> Value {
     let row = terms.iter().find(|row| row["n"] == n).expect("a row for each n");
     let own = |count: usize| -> f64 {
         (0..count).filter_map(|k| row[KINDS[k % KINDS.len()]].as_f64()).sum()
     };
     let mut equations = Vec::new();
     for (count, turn) in RUNS {
-        let count = if method == "vpd_reduced" { 0 } else { count };
-        let run = timed(method, tableau, n, &KINDS, count, turn);
+        let count = if method.facts().free { 0 } else { count };
+        let run = timed(method.as_str(), tableau, n, &KINDS, count, turn);
         let gradients = if count > 0 { run.gradients } else { 0.0 };
         let row = [1.0, run.sweeps, gradients * own(count)];
         equations.push(row.map(|part| part / run.step_ns));
     }
     let [step, sweep, share] = fitted(&equations);
-    let plan =
-        advise::plan(&scenario(method, tableau, n, &[], 0, SMALL_RAD)).expect("a good scene");
+    let plan = advise::plan(&scenario(method.as_str(), tableau, n, &[], 0, SMALL_RAD))
+        .expect("a good scene");
     json!({
-        "method": method, "stages": plan.formulation.stages, "n": n, "step_ns": rounded(step),
+        "method": method.as_str(), "stages": plan.formulation.stages, "n": n, "step_ns": rounded(step),
         "sweep_ns": rounded(sweep), "terms": rounded(share),
     })
 }
@@ -129,25 +130,22 @@ fn fitted(rows: &[[f64; 3]]) -> [f64; 3] {
 /// Prints estimates beside what is measured.
 fn compare(asked: &[String]) {
     say("method,tableau,n,terms,turn_rad,ns,sweeps,estimate_ns,ratio");
-    for &(method, three, tableaux) in METHODS {
-        if !asked.iter().any(|asked| method.contains(asked.as_str())) {
+    for (method, tableau, n) in measured() {
+        let name = method.as_str();
+        if !asked.iter().any(|asked| name.contains(asked.as_str())) {
             continue;
         }
-        for &tableau in tableaux {
-            for n in DIMENSIONS.into_iter().filter(|&n| !three || n == 3) {
-                for (count, turn) in [(0, 0.1), (3, 0.1), (3, 0.5), (100, 0.1)] {
-                    if method == "vpd_reduced" && count > 0 {
-                        continue;
-                    }
-                    let scene = scenario(method, tableau, n, &KINDS, count, turn);
-                    let Effort { step_ns, sweeps, .. } = effort(&scene).expect("a good scene");
-                    let estimate = advise::plan(&scene).expect("a good scene").step_ns;
-                    let ratio = estimate / step_ns;
-                    say(&format!(
-                        "{method},{tableau},{n},{count},{turn},{step_ns:.0},{sweeps:.2},{estimate:.0},{ratio:.2}"
-                    ));
-                }
+        for (count, turn) in [(0, 0.1), (3, 0.1), (3, 0.5), (100, 0.1)] {
+            if method.facts().free && count > 0 {
+                continue;
             }
+            let scene = scenario(name, tableau, n, &KINDS, count, turn);
+            let Effort { step_ns, sweeps, .. } = effort(&scene).expect("a good scene");
+            let estimate = advise::plan(&scene).expect("a good scene").step_ns;
+            let ratio = estimate / step_ns;
+            say(&format!(
+                "{name},{tableau},{n},{count},{turn},{step_ns:.0},{sweeps:.2},{estimate:.0},{ratio:.2}"
+            ));
         }
     }
 }

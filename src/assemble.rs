@@ -2,25 +2,13 @@
 //!
 //! Invariant: the only place that turns runtime n into const N.
 
-use crate::plan::{Formulation, Motion, Plan};
-use crate::scenario::MethodName;
+use crate::method::Parts;
+use crate::plan::{Motion, Plan};
 use crate::solve::ensemble::{Apart, Members};
 use crate::solve::hamiltonian::RigidBody;
-use crate::solve::lanes::WIDTH;
 use crate::solve::stepper::Stepper;
 use crate::solve::stepper::at_rest::AtRest;
-use crate::solve::stepper::lgvi::Lgvi;
-use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
-use crate::solve::stepper::rk::Rk;
-use crate::solve::stepper::rkmk::Rkmk;
-use crate::solve::stepper::splitting::Splitting;
-use crate::solve::stepper::vpd::Vpd;
-use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
-use crate::solve::stepper::vpd_reduced::VpdReduced;
-use crate::solve::stepper::vpd_space::VpdSpace;
-use crate::solve::stepper::vpd_space::ensemble::VpdEnsemble;
-use crate::solve::stepper::vrkmk::Vrkmk;
 use crate::solve::trajectory::State;
 
 /// What a plan is made of once its size is known.
@@ -75,61 +63,33 @@ fn perform<const N: usize, T: Task>(
     task.perform(Assembly { body, stepper: stepper(), initial, members })
 }
 
-/// Members side by side, where that is quicker than one after the other; `None` elsewhere. (Free bodies go one after the
-/// other: each step begins where that member's steps before lead.)
-fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
-    match plan.formulation.method {
-        MethodName::Auto | MethodName::Vpd => {
-            Some(Box::new(VpdEnsemble::new(&plan.model.tableau, plan.model.stop)?))
-        }
-        _ => None,
+/// What the stepper of the plan's method is made from.
+fn parts(plan: &Plan) -> Parts {
+    Parts {
+        tableau: plan.model.tableau.clone(),
+        order: plan.formulation.order,
+        stop: plan.model.stop,
+        carries_attitude: plan.formulation.carries_attitude,
     }
+}
+
+fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
+    plan.formulation.method.side_by_side(&parts(plan))
 }
 
 /// The stepper that the plan chose, of those for any n; `None` for the others.
 fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> {
-    let Formulation { method, carries_attitude, .. } = plan.formulation;
-    let (tableau, stop) = (plan.model.tableau.clone(), plan.model.stop);
-    Some(match method {
-        MethodName::Auto | MethodName::Vpd => Box::new(Vpd::new(tableau, stop)),
-        MethodName::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
-        MethodName::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
-        MethodName::Vrkmk => Box::new(Vrkmk::new(tableau, stop)),
-        MethodName::VrkmkProjected => Box::new(Vrkmk::new(tableau, stop).projected()),
-        MethodName::Rkmk => Box::new(Rkmk::new(tableau)?),
-        MethodName::Rk => Box::new(Rk::new(tableau, false)?),
-        MethodName::RkProjected => Box::new(Rk::new(tableau, true)?),
-        MethodName::Splitting | MethodName::Lgvi | MethodName::QuaternionGauss => return None,
-    })
+    plan.formulation.method.in_any_dimension(parts(plan))
 }
 
 /// The stepper that the plan chose, for n = 3.
 fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let stepper = out_of_plane(plan)?;
+    let stepper = plan.formulation.method.in_space(parts(plan))?;
     let (body, start) = plan.model.problem::<3>();
     let plane = Plane::of(&body, &start).filter(|_| plan.formulation.motion == Motion::InPlane);
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
     Some(match plane {
         Some(plane) => Box::new(VpdPlane::new(plane, tableau.clone(), stop, stepper)),
         None => stepper,
-    })
-}
-
-/// The same wherever the body goes.
-fn out_of_plane(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let Formulation { method, order, stages, carries_attitude, .. } = plan.formulation;
-    let (tableau, stop) = (&plan.model.tableau, plan.model.stop);
-    Some(match method {
-        // As many stages as there are lanes; more of them go the way of general n.
-        MethodName::Auto | MethodName::Vpd if stages <= WIDTH => {
-            Box::new(VpdSpace::new(tableau.clone(), stop)?)
-        }
-        MethodName::VpdReduced if stages <= WIDTH => {
-            Box::new(VpdSpace::new(tableau.clone(), stop)?.reduced(carries_attitude))
-        }
-        MethodName::Splitting => Box::new(Splitting::new(order)?),
-        MethodName::Lgvi => Box::new(Lgvi::new(order, stop)?),
-        MethodName::QuaternionGauss => Box::new(QuaternionGauss::new(stages, stop)?),
-        _ => return in_any_dimension(plan),
     })
 }

@@ -10,6 +10,7 @@
 //!
 //! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
 
+pub mod method;
 pub mod scenario;
 pub mod plan;
 mod assemble;

@@ -9,12 +9,12 @@ use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
 use crate::log::schema::Channel;
-use crate::scenario::{
-    Ensemble, MethodName, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
-};
+use crate::method::Integrator;
+use crate::scenario::{Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice};
 use crate::solve::composition::Composition;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
+use crate::solve::trajectory::Observables;
 
 mod cost;
 mod model;
@@ -23,9 +23,7 @@ mod terms;
 
 pub use cost::Counts;
 pub(crate) use model::{Model, ModelKinetic};
-use model::{
-    attitude, inertia_matrix, kinetic, momentum, space_vector, tableau, tableau_choice, with_matrix,
-};
+use model::{attitude, inertia_matrix, kinetic, momentum, tableau, tableau_choice, with_matrix};
 use terms::{Extent, Terms};
 
 /// About what a log takes beside its samples: schemas, scenario, plan, index.
@@ -112,7 +110,7 @@ pub struct Advice {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Its name in a scenario.
-    pub method: MethodName,
+    pub method: Integrator,
     /// Its tableau, or the order of a composition.
     pub tableau: String,
     /// The largest step that was found to reach the accuracy, in seconds; absent if none did.
@@ -127,7 +125,7 @@ pub struct Candidate {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Formulation {
     /// Its name in a scenario.
-    pub method: MethodName,
+    pub method: Integrator,
     /// The tableau's name, or `custom`; absent for a composition.
     pub tableau: Option<String>,
     /// Number of stages, of a composition of substeps.
@@ -279,11 +277,17 @@ impl Plan {
         self.channels.iter().any(|plan| plan.topic == channel)
     }
 
+    /// What the logged channels need at a sample.
+    pub(crate) fn observables(&self) -> Observables {
+        let needs = self.channels.iter().map(|plan| plan.topic.observables());
+        needs.fold(Observables::default(), |all, needs| all | needs)
+    }
+
     /// Puts the terms together to those that have to be modelled.
     fn add_terms(&mut self, given: &[PotentialTerm], inertia: &DMatrix<f64>) {
         let given: Vec<PotentialTerm> =
             given.iter().map(|term| with_matrix(term, inertia)).collect();
-        let terms = Terms::new(&given, inertia);
+        let terms = Terms::new(&given);
         self.model.shown = terms.modelled().cloned().collect();
         let extent = Extent {
             duration_s: self.steps as f64 * self.step_s,
@@ -297,42 +301,37 @@ impl Plan {
     /// Chooses the integrator.
     fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
         let free = self.model.terms.is_empty();
-        let asked = scenario.method.name;
-        if asked == MethodName::VpdReduced && !free {
+        let asked = scenario.method.name.integrator();
+        if let Some(method) = asked.filter(|method| method.facts().free && !free) {
             let term =
                 self.potential.iter().find(|term| term.kept).map_or("", |term| &term.pointer);
-            let message =
-                format!("vpd_reduced is for free bodies, but {term} depends on the attitude");
+            let name = method.as_str();
+            let message = format!("{name} is for free bodies, but {term} depends on the attitude");
             return Err(ScenarioError::invalid("/method/name", message));
         }
         let (method, why) = match asked {
+            Some(method) => (method, "asked for"),
             // Whoever names a tableau wants its scheme.
-            MethodName::Auto
-                if free && self.dimension == 3 && scenario.method.tableau.is_none() =>
-            {
-                (
-                    MethodName::Splitting,
-                    "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
-                )
-            }
-            MethodName::Auto if free => (
-                MethodName::VpdReduced,
+            None if free && self.dimension == 3 && scenario.method.tableau.is_none() => (
+                Integrator::Splitting,
+                "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
+            ),
+            None if free => (
+                Integrator::VpdReduced,
                 "no term depends on the attitude, so the momentum moves by itself",
             ),
-            MethodName::Auto => (
-                MethodName::Vpd,
+            None => (
+                Integrator::Vpd,
                 "symplectic, on the group to round-off, of the tableau's order, for any potential",
             ),
-            method => (method, "asked for"),
         };
-        let shown = [Channel::State, Channel::Orthogonality, Channel::Tf];
         // Members are compared by where they end, attitude included.
-        let carries_attitude = method != MethodName::VpdReduced
-            || shown.into_iter().any(|channel| self.logs(channel))
+        let carries_attitude = !method.facts().free
+            || self.channels.iter().any(|plan| plan.topic.shows_attitude())
             || self.ensemble.is_some();
         let tableau = &self.model.tableau;
         // A free body needs no more than one part.
-        let usual = if asked == MethodName::Auto { 2 } else { 4 };
+        let usual = if asked.is_none() { 2 } else { 4 };
         let (name, stages, order) = match (scenario.method.order.unwrap_or(usual), method) {
             (order, method) if method.is_composition() => (
                 None,
@@ -349,14 +348,14 @@ impl Plan {
     }
 
     /// What the motion is from the start that is given; members of an ensemble have others.
-    fn motion(&self, method: MethodName, stages: usize) -> Motion {
+    fn motion(&self, method: Integrator, stages: usize) -> Motion {
         if self.ensemble.is_some() {
             return Motion::General;
         }
         if self.model.is_at_rest() {
             return Motion::AtRest;
         }
-        let quicker = method == MethodName::Vpd && stages <= VpdPlane::MOST_STAGES;
+        let quicker = method.facts().plane && stages <= VpdPlane::MOST_STAGES;
         if self.dimension == 3 && quicker && !self.model.terms.is_empty() {
             let (body, start) = self.model.problem::<3>();
             if Plane::of(&body, &start).is_some() {
@@ -378,33 +377,14 @@ fn tableau_name(scenario: &Scenario) -> Option<String> {
 }
 
 fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
-    use Channel as C;
-    let all = [
-        (C::State, "the state itself"),
-        (C::Energy, "kinetic and potential energy"),
-        (C::Orthogonality, "the spectral norm of g g^T - I"),
-        (C::Momentum, "the spatial momentum and the drift of its conserved part"),
-        (C::Solver, "the smallest singular value of the step's interpolated matrices"),
-        (C::Tf, "the attitude as a quaternion"),
-        (C::SceneBody, "the body's box and points, once"),
-        (C::SceneSources, "sources, anchors and directions, once"),
-        (C::EnsembleMembers, "start and end of each member"),
-        (C::EnsembleStatistics, "mean and spread of the members, at the start and at the end"),
-        (C::Log, "start, warnings, diagnosis"),
-    ];
     let three = scenario.dimension() == 3;
     let potential = !scenario.scene.potential.is_empty();
-    let has = |channel: C| match channel {
-        C::SceneSources => three && potential,
-        C::EnsembleMembers | C::EnsembleStatistics => scenario.ensemble.is_some(),
-        channel => three || !channel.needs_three(),
+    let has = |channel: &Channel| channel.exists(three, potential, scenario.ensemble.is_some());
+    let asked = |channel: &Channel| {
+        scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(channel))
     };
-    let asked =
-        |channel: C| scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(&channel));
-    all.into_iter()
-        .filter(|&(topic, _)| has(topic) && asked(topic))
-        .map(|(topic, computes)| ChannelPlan { topic, computes })
-        .collect()
+    let logged = Channel::all().into_iter().filter(|channel| has(channel) && asked(channel));
+    logged.map(|topic| ChannelPlan { topic, computes: topic.computes() }).collect()
 }
 
 /// n less the rank of the terms' space vectors.
@@ -412,7 +392,7 @@ fn free_directions(n: usize, modelled: &[PotentialTerm]) -> usize {
     // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
     let mut taken: Vec<DVector<f64>> = Vec::new();
     for term in modelled {
-        let mut rest = terms::unit(&DVector::from_column_slice(space_vector(term)));
+        let mut rest = terms::unit(&DVector::from_column_slice(term.law().space_vector()));
         for direction in taken.iter().chain(&taken) {
             let part = direction.dot(&rest);
             rest.axpy(-part, direction, 1.0);

@@ -20,12 +20,11 @@ use crate::live::{Live, Show};
 use crate::log::course::{Course, LogChart};
 use crate::log::messages::Figures;
 use crate::log::resume::{Resumed, Seen};
-use crate::log::schema::Channel;
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
+    self, Checkpoint, Ending, Origin, Sample, Schedule, Sink, Trajectory,
 };
 use crate::study::Watch;
 
@@ -199,7 +198,7 @@ fn run<const N: usize>(
         stepper.as_mut(),
         Origin { initial, checkpoint: checkpoint.as_ref() },
         schedule,
-        observables(plan),
+        plan.observables(),
         &mut recorder,
         |steps| control.go_on(steps),
     );
@@ -243,16 +242,6 @@ fn run<const N: usize>(
         wall_s: begun.elapsed().as_secs_f64(),
         ..summary
     })
-}
-
-/// What the asked channels need at a sample.
-fn observables(plan: &Plan) -> Observables {
-    Observables {
-        energy: plan.logs(Channel::Energy),
-        orthogonality: plan.logs(Channel::Orthogonality),
-        momentum: plan.logs(Channel::Momentum),
-        sigma_min: plan.logs(Channel::Solver),
-    }
 }
 
 /// Passes samples to the log, keeps their figures, and measures the time that is not the integrator's.

@@ -10,18 +10,21 @@
 mod check;
 mod ensemble;
 mod parse;
+mod term;
 
 pub(crate) use check::SMALLEST_STEP_S;
 pub use ensemble::Ensemble;
 #[cfg(feature = "serve")]
 pub(crate) use parse::{from_tree, tree as read_tree};
+pub(crate) use term::Drawn;
+pub use term::{GravityGradient, PointSource, PotentialTerm, Spring, Uniform};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::log::schema::Channel;
-use crate::log::writer::Compression;
+use crate::log::schema::{Channel, Compression};
+pub use crate::method::{MethodName, TableauName};
 
 /// A job: a scene, how to integrate it and for how long, and what to log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -100,72 +103,6 @@ pub enum Inertia {
     SecondMoments(Vec<f64>),
 }
 
-/// One term of the potential. `g` turns body coordinates into space coordinates.
-#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
-#[serde(tag = "kind", rename_all = "snake_case")]
-pub enum PotentialTerm {
-    /// weight * direction . (g body_point)
-    Uniform(Uniform),
-    /// strength / |g body_point - position|
-    PointSource(PointSource),
-    /// stiffness / 2 * (|g body_point - position| - rest_length)^2
-    Spring(Spring),
-    /// strength / 2 * (g^T direction) . matrix (g^T direction)
-    GravityGradient(GravityGradient),
-}
-
-/// A uniform field that pulls at a body point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Uniform {
-    /// Weight.
-    pub weight: f64,
-    /// Point of the body, in body coordinates.
-    pub body_point: Vec<f64>,
-    /// Direction in space coordinates, against the pull; used as given, not normalised.
-    pub direction: Vec<f64>,
-}
-
-/// A point of space that attracts or repels a body point.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct PointSource {
-    /// Strength; positive repels.
-    pub strength: f64,
-    /// Point of the body, in body coordinates.
-    pub body_point: Vec<f64>,
-    /// Place of the source, in space coordinates.
-    pub position: Vec<f64>,
-}
-
-/// A spring from a body point to a point of space.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Spring {
-    /// Stiffness.
-    pub stiffness: f64,
-    /// Length at rest, at least 0.
-    #[serde(default)]
-    pub rest_length: f64,
-    /// Point of the body, in body coordinates.
-    pub body_point: Vec<f64>,
-    /// The anchor, in space coordinates.
-    pub position: Vec<f64>,
-}
-
-/// The gradient of a distant body's gravity over this one.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct GravityGradient {
-    /// Strength; 3 G M / r^3 for a body of mass M at distance r.
-    pub strength: f64,
-    /// Direction to the other body, in space coordinates; used as given, not normalised.
-    pub direction: Vec<f64>,
-    /// Symmetric matrix in body coordinates; the inertia matrix if absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub matrix: Option<Vec<Vec<f64>>>,
-}
-
 /// The state at t = 0.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -241,85 +178,6 @@ pub struct Method {
     pub solver: Solver,
 }
 
-/// The integrators.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum MethodName {
-    /// The plan chooses.
-    #[default]
-    Auto,
-    /// Variational polar decomposition, Hamiltonian form.
-    Vpd,
-    /// Variational polar decomposition, Lagrangian form: the same map, from the Lagrangian.
-    VpdLagrangian,
-    /// Variational polar decomposition, reduced to the momentum: free bodies.
-    VpdReduced,
-    /// Variational Runge-Kutta-Munthe-Kaas: symplectic, on the group but for what rounding adds up.
-    Vrkmk,
-    /// The same, projected to the group after each step.
-    VrkmkProjected,
-    /// Explicit Runge-Kutta-Munthe-Kaas: on the group, not symplectic.
-    Rkmk,
-    /// Explicit Runge-Kutta in n x n matrices: leaves the group.
-    Rk,
-    /// The same, projected to the group after each step.
-    RkProjected,
-    /// Exact free top and potential kicks, composed; n = 3.
-    Splitting,
-    /// Lie group variational integrator of Lee, Leok and McClamroch, composed; n = 3.
-    Lgvi,
-    /// Canonical Gauss collocation on unit quaternions; n = 3.
-    QuaternionGauss,
-}
-
-impl MethodName {
-    /// The name in a scenario.
-    pub fn as_str(self) -> &'static str {
-        match self {
-            Self::Auto => "auto",
-            Self::Vpd => "vpd",
-            Self::VpdLagrangian => "vpd_lagrangian",
-            Self::VpdReduced => "vpd_reduced",
-            Self::Vrkmk => "vrkmk",
-            Self::VrkmkProjected => "vrkmk_projected",
-            Self::Rkmk => "rkmk",
-            Self::Rk => "rk",
-            Self::RkProjected => "rk_projected",
-            Self::Splitting => "splitting",
-            Self::Lgvi => "lgvi",
-            Self::QuaternionGauss => "quaternion_gauss",
-        }
-    }
-
-    /// Is the method for bodies in space only?
-    pub fn needs_three(self) -> bool {
-        matches!(self, Self::Splitting | Self::Lgvi | Self::QuaternionGauss)
-    }
-
-    /// Is the method a composition, with an order in the place of a tableau?
-    pub fn is_composition(self) -> bool {
-        matches!(self, Self::Splitting | Self::Lgvi)
-    }
-
-    /// Has the method Newton's method to go to?
-    pub fn has_newton(self) -> bool {
-        matches!(
-            self,
-            Self::Auto
-                | Self::Vpd
-                | Self::VpdLagrangian
-                | Self::VpdReduced
-                | Self::Vrkmk
-                | Self::VrkmkProjected
-        )
-    }
-
-    /// Does the method take explicit tableaux only?
-    pub fn is_explicit(self) -> bool {
-        matches!(self, Self::Rkmk | Self::Rk | Self::RkProjected)
-    }
-}
-
 /// A Butcher tableau, by name or by its coefficients.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(untagged)]
@@ -328,25 +186,6 @@ pub enum TableauChoice {
     Named(TableauName),
     /// A tableau by its coefficients.
     Custom(Coefficients),
-}
-
-/// The named tableaux: Gauss with 1 to 8 stages (order twice that), Kutta's third and fourth order, and the twelve
-/// stages of eighth order of Dormand and Prince, for explicit methods alone.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-#[allow(missing_docs)]
-pub enum TableauName {
-    Gauss1,
-    Gauss2,
-    Gauss3,
-    Gauss4,
-    Gauss5,
-    Gauss6,
-    Gauss7,
-    Gauss8,
-    Rk3,
-    Rk4,
-    Rk8,
 }
 
 /// The coefficients of a tableau.

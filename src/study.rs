@@ -11,10 +11,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
 
+use crate::method::{Integrator, Variant};
 use crate::plan::Plan;
-use crate::scenario::{
-    Method, MethodName, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName,
-};
+use crate::scenario::{Method, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName};
 
 pub mod long_term;
 pub mod measure;
@@ -102,6 +101,8 @@ pub(crate) fn scene_of(scene: &Scenario) -> Result<(), ScenarioError> {
 pub struct Entry {
     /// The method with its tableau or order.
     pub method: Method,
+    /// The integrator that it names.
+    pub integrator: Integrator,
     /// Its tableau, or `order 4`, for tables and charts.
     pub tableau: String,
     /// Its order.
@@ -116,14 +117,15 @@ impl Entry {
     pub fn new(scene: &Scenario, method: Method) -> Result<Self, ScenarioError> {
         let formulation = measure::variant(scene, &method, 1.0, 1)?.formulation;
         let tableau = formulation.tableau.unwrap_or_else(|| format!("order {}", formulation.order));
-        let (name, order) = (formulation.method, formulation.order);
-        let method = Method { name, order: name.is_composition().then_some(order), ..method };
-        Ok(Self { method, tableau, order })
+        let (integrator, order) = (formulation.method, formulation.order);
+        let of_parts = integrator.is_composition().then_some(order);
+        let method = Method { name: integrator.into(), order: of_parts, ..method };
+        Ok(Self { method, integrator, tableau, order })
     }
 
     /// `vpd gauss2`, and the solver where it was asked for.
     pub fn label(&self) -> String {
-        let name = self.method.name.as_str();
+        let name = self.integrator.as_str();
         match self.method.solver.kind {
             SolverKind::Auto => format!("{name} {}", self.tableau),
             kind => format!("{name} {}, {}", self.tableau, solver_word(kind)),
@@ -140,86 +142,55 @@ pub(crate) fn solver_word(kind: SolverKind) -> &'static str {
     }
 }
 
-/// The solvers that the VPD methods take by name.
+/// The solvers that have rows of their own in the map of stability.
 const SOLVERS: &[SolverKind] = &[SolverKind::FixedPoint, SolverKind::Newton];
 
-pub(crate) fn with_tableau(name: MethodName, tableau: TableauName) -> Method {
-    Method { name, tableau: Some(TableauChoice::Named(tableau)), ..Method::default() }
+pub(crate) fn with_tableau(integrator: Integrator, tableau: TableauName) -> Method {
+    variant(integrator, Variant::Tableau(tableau))
 }
 
-pub(crate) fn with_order(name: MethodName, order: u32) -> Method {
-    Method { name, order: Some(order), ..Method::default() }
+fn variant(integrator: Integrator, of: Variant) -> Method {
+    let (tableau, order) = match of {
+        Variant::Tableau(name) => (Some(TableauChoice::Named(name)), None),
+        Variant::Order(order) => (None, Some(order)),
+    };
+    Method { name: integrator.into(), tableau, order, ..Method::default() }
 }
 
 /// Those of the methods that run on the scene.
-pub(crate) fn entries(scene: &Scenario, methods: Vec<Method>) -> Vec<Entry> {
+pub(crate) fn entries(
+    scene: &Scenario,
+    methods: impl Iterator<Item = (Integrator, Variant)>,
+) -> Vec<Entry> {
+    runnable(scene, methods.map(|(integrator, of)| variant(integrator, of)))
+}
+
+fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entry> {
     let three = scene.dimension() == 3;
-    methods
-        .into_iter()
-        .filter(|method| three || !method.name.needs_three())
-        .filter_map(|method| Entry::new(scene, method).ok())
-        .collect()
+    let fits = |method: &Method| {
+        three || !method.name.integrator().is_some_and(|named| named.facts().three)
+    };
+    methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()
 }
 
 /// The methods of a chart: a few of each family, so that its lines can be told apart.
 pub fn usual_methods(scene: &Scenario) -> Vec<Entry> {
-    use MethodName as M;
-    use TableauName as T;
-    entries(
-        scene,
-        vec![
-            with_tableau(M::Vpd, T::Gauss1),
-            with_tableau(M::Vpd, T::Gauss2),
-            with_tableau(M::Vpd, T::Gauss3),
-            with_tableau(M::Vpd, T::Gauss4),
-            with_tableau(M::Vpd, T::Gauss8),
-            with_tableau(M::VpdReduced, T::Gauss4),
-            with_tableau(M::Vrkmk, T::Gauss2),
-            with_tableau(M::Vrkmk, T::Gauss4),
-            with_tableau(M::QuaternionGauss, T::Gauss4),
-            with_tableau(M::QuaternionGauss, T::Gauss8),
-            with_order(M::Splitting, 4),
-            with_order(M::Splitting, 8),
-            with_order(M::Lgvi, 4),
-            with_tableau(M::Rkmk, T::Rk4),
-            with_tableau(M::Rkmk, T::Rk8),
-            with_tableau(M::Rk, T::Rk4),
-            with_tableau(M::RkProjected, T::Rk8),
-        ],
-    )
+    entries(scene, Integrator::charted())
 }
 
 /// Every method and tableau worth a row of the stability map, the VPD methods with each solver.
 pub fn all_methods(scene: &Scenario) -> Vec<Entry> {
-    use MethodName as M;
-    use TableauName as T;
-    let mut methods = Vec::new();
-    for &kind in SOLVERS {
-        for tableau in [T::Gauss1, T::Rk3, T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss6, T::Gauss8] {
-            let mut method = with_tableau(M::Vpd, tableau);
-            method.solver.kind = kind;
-            methods.push(method);
-        }
-    }
-    methods.extend([
-        with_tableau(M::VpdLagrangian, T::Gauss2),
-        with_tableau(M::VpdReduced, T::Gauss2),
-        with_tableau(M::Vrkmk, T::Gauss1),
-        with_tableau(M::Vrkmk, T::Rk3),
-        with_tableau(M::Vrkmk, T::Gauss2),
-        with_tableau(M::Vrkmk, T::Gauss3),
-        with_tableau(M::Vrkmk, T::Gauss4),
-        with_tableau(M::VrkmkProjected, T::Gauss2),
-    ]);
-    for tableau in [T::Gauss1, T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss8] {
-        methods.push(with_tableau(M::QuaternionGauss, tableau));
-    }
-    methods.extend([2, 4, 6, 8].map(|order| with_order(M::Splitting, order)));
-    methods.extend([2, 4, 8].map(|order| with_order(M::Lgvi, order)));
-    for name in [M::Rkmk, M::Rk, M::RkProjected] {
-        methods.extend([T::Rk3, T::Rk4, T::Rk8].map(|tableau| with_tableau(name, tableau)));
-    }
-    entries(scene, methods)
+    let rows = |(integrator, variants, each_solver): (Integrator, &'static [Variant], bool)| {
+        let kinds = if each_solver { SOLVERS } else { &[SolverKind::Auto] };
+        kinds.iter().flat_map(move |&kind| {
+            variants.iter().map(move |&of| {
+                let mut method = variant(integrator, of);
+                method.solver.kind = kind;
+                method
+            })
+        })
+    };
+    runnable(scene, Integrator::mapped().flat_map(rows))
 }
 
 /// A time and a length over which to study a scene.
@@ -243,7 +214,7 @@ impl Scales {
         const MOST_STEPS: f64 = 5000.0;
         /// Angle of a step that a method of eighth order takes easily, rad.
         const EASY_TURN_RAD: f64 = 0.25;
-        let method = with_tableau(MethodName::Vpd, TableauName::Gauss4);
+        let method = with_tableau(Integrator::Vpd, TableauName::Gauss4);
         let rate = measure::initial_rate(scene)?.max(1.0 / time_s);
         let mut step_s = (EASY_TURN_RAD / rate).min(time_s);
         for _ in 0..40 {

@@ -14,7 +14,10 @@ use super::work::Work;
 
 mod frequency;
 mod plane;
+mod term;
 mod torque;
+
+pub use term::{Law, Term};
 
 /// Kinetic energy, a quadratic form on so(n)*.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,50 +33,6 @@ pub enum Kinetic<const N: usize> {
         inertia: Matrix3<f64>,
         /// J^-1.
         inverse: Matrix3<f64>,
-    },
-}
-
-/// One term of the potential, `x = g y` being the place of the body point y.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Term<const N: usize> {
-    /// The law and its strength.
-    pub law: Law<N>,
-    /// The space vector v: direction, source or anchor.
-    pub space: Vector<N>,
-}
-
-/// How a term depends on `q = g^T v`.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Law<const N: usize> {
-    /// `weight v . (g y) = weight y . q`
-    Uniform {
-        /// Weight.
-        weight: f64,
-        /// Body point y.
-        body_point: Vector<N>,
-    },
-    /// `strength / |g y - v| = strength / |y - q|`
-    PointSource {
-        /// Strength.
-        strength: f64,
-        /// Body point y.
-        body_point: Vector<N>,
-    },
-    /// `stiffness / 2 (|g y - v| - rest_length)^2`
-    Spring {
-        /// Stiffness.
-        stiffness: f64,
-        /// Length at rest.
-        rest_length: f64,
-        /// Body point y.
-        body_point: Vector<N>,
-    },
-    /// `strength / 2 q . M q`
-    GravityGradient {
-        /// Strength.
-        strength: f64,
-        /// The symmetric matrix M.
-        matrix: Mat<N>,
     },
 }
 
@@ -102,7 +61,7 @@ pub const CLOSEST_APPROACH: f64 = 1e-8;
 pub struct RigidBody<const N: usize> {
     kinetic: Kinetic<N>,
     terms: Vec<Term<N>>,
-    /// For each term `1 / (|y| + |v|)^2` where its law is singular at zero distance, else zero.
+    /// [`Term::reach`] of each.
     reaches: Vec<f64>,
     constant: f64,
     work: Work,
@@ -198,7 +157,7 @@ impl<const N: usize> RigidBody<N> {
         let mut sum = Mat::zeros();
         for (term, v) in self.terms.iter().zip(seen) {
             let q = u.tr_mul(v);
-            let slope = term.law.slope(&q);
+            let slope = term.law.slope(&q, 0.0, &mut 0.0);
             for j in 0..N {
                 for i in 0..N {
                     sum[(i, j)] += q[i] * slope[j] - slope[i] * q[j];
@@ -234,7 +193,7 @@ impl<const N: usize> RigidBody<N> {
         self.count(1);
         let mut sum = Mat::zeros();
         for Term { law, space } in &self.terms {
-            let slope = g * law.slope(&g.tr_mul(space));
+            let slope = g * law.slope(&g.tr_mul(space), 0.0, &mut 0.0);
             for j in 0..N {
                 for i in 0..N {
                     sum[(i, j)] += space[i] * slope[j] - slope[i] * space[j];
@@ -304,63 +263,6 @@ impl RigidBody<3> {
             )),
             Kinetic::Tensor { inverse, .. } => *inverse,
         }
-    }
-}
-
-impl<const N: usize> Law<N> {
-    /// U(q).
-    fn value(&self, q: &Vector<N>) -> f64 {
-        match self {
-            Self::Uniform { weight, body_point } => weight * body_point.dot(q),
-            Self::PointSource { strength, body_point } => strength / (body_point - q).norm(),
-            Self::Spring { stiffness, rest_length, body_point } => {
-                let stretch = (body_point - q).norm() - rest_length;
-                0.5 * stiffness * stretch * stretch
-            }
-            Self::GravityGradient { strength, matrix } => 0.5 * strength * q.dot(&(matrix * q)),
-        }
-    }
-
-    /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient).
-    fn slope(&self, q: &Vector<N>) -> Vector<N> {
-        match self {
-            Self::Uniform { weight, body_point } => body_point * *weight,
-            Self::PointSource { strength, body_point } => {
-                // strength (y - q) / r^3
-                let square = (body_point - q).norm_squared();
-                body_point * (strength / (square * square.sqrt()))
-            }
-            Self::Spring { stiffness, rest_length, body_point } => {
-                // -stiffness (1 - rest_length / r) (y - q)
-                let ratio =
-                    if *rest_length == 0.0 { 0.0 } else { rest_length / (body_point - q).norm() };
-                body_point * (-stiffness * (1.0 - ratio))
-            }
-            Self::GravityGradient { strength, matrix } => matrix * q * *strength,
-        }
-    }
-
-    /// `|y - q|` relative to the arms where the law is singular at zero distance.
-    fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
-        self.singular_point().map(|y| (y - q).norm() / (y.norm() + q.norm()))
-    }
-
-    /// The body point at which a law is singular, if it is.
-    fn singular_point(&self) -> Option<&Vector<N>> {
-        match self {
-            Self::PointSource { body_point, .. } => Some(body_point),
-            Self::Spring { rest_length, body_point, .. } if *rest_length > 0.0 => Some(body_point),
-            _ => None,
-        }
-    }
-}
-
-impl<const N: usize> Term<N> {
-    fn reach(&self) -> f64 {
-        self.law.singular_point().map_or(0.0, |y| {
-            let arms = y.norm() + self.space.norm();
-            1.0 / (arms * arms)
-        })
     }
 }
 

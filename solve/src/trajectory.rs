@@ -32,7 +32,7 @@ pub struct Schedule {
 }
 
 /// What is computed at a sample beside the state: what somebody asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observables {
     /// Kinetic and potential energy.
     pub energy: bool,
@@ -42,6 +42,21 @@ pub struct Observables {
     pub momentum: bool,
     /// The smallest singular value met in the step.
     pub sigma_min: bool,
+}
+
+impl std::ops::BitOr for Observables {
+    type Output = Self;
+
+    /// What one or the other asks for.
+    fn bitor(self, other: Self) -> Self {
+        let Self { energy, orthogonality, momentum, sigma_min } = other;
+        Self {
+            energy: self.energy | energy,
+            orthogonality: self.orthogonality | orthogonality,
+            momentum: self.momentum | momentum,
+            sigma_min: self.sigma_min | sigma_min,
+        }
+    }
 }
 
 /// One sample. What was not asked for is `None`.
@@ -70,6 +85,39 @@ pub struct Sample<const N: usize> {
     pub convergence: Option<Convergence>,
     /// Smallest singular value of the interpolated matrices of the step; `None` at the start.
     pub sigma_min: Option<f64>,
+}
+
+impl<const N: usize> Sample<N> {
+    /// Is every number of it finite?
+    pub fn is_finite(&self) -> bool {
+        let &Self {
+            step: _,
+            time_s,
+            ref attitude,
+            ref momentum,
+            energy,
+            energy_error,
+            orthogonality_error,
+            ref spatial_momentum,
+            momentum_drift,
+            convergence,
+            sigma_min,
+        } = self;
+        let figures = [
+            Some(time_s),
+            energy.map(|energy| energy.kinetic),
+            energy.map(|energy| energy.potential),
+            energy.map(|energy| energy.total()),
+            energy_error,
+            orthogonality_error,
+            momentum_drift,
+            convergence.map(|convergence| convergence.increment),
+            sigma_min,
+        ];
+        let matrices = [attitude.as_ref(), Some(momentum), spatial_momentum.as_ref()];
+        figures.into_iter().flatten().all(f64::is_finite)
+            && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
+    }
 }
 
 /// Where samples go: the MCAP log, a `Vec` in tests and studies.
@@ -345,16 +393,7 @@ impl<const N: usize> Observer<N> {
             convergence,
             sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
         };
-        let numbers = [
-            energy.map(|energy| energy.total()),
-            sample.orthogonality_error,
-            sample.momentum_drift,
-            sample.sigma_min,
-        ];
-        let spatial = sample.spatial_momentum.unwrap_or_else(Mat::zeros);
-        let finite = g.iter().chain(&momentum).chain(&spatial).all(|x| x.is_finite())
-            && numbers.into_iter().flatten().all(f64::is_finite);
-        if finite {
+        if sample.is_finite() {
             Ok(sample)
         } else {
             Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))

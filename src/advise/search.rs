@@ -2,11 +2,12 @@
 //!
 //! Invariant: the step that is taken was seen to get there as far as a reference reaches.
 
+use crate::method::Integrator;
 use crate::plan::Candidate;
-use crate::scenario::{Accuracy, MethodName, Scenario, TableauName};
+use crate::scenario::{Accuracy, Scenario};
 use crate::study::measure::{Measured, Probe, measure, variant};
 use crate::study::reference::{Growth, QUARTERS, Reference};
-use crate::study::{Entry, Scales, StudyError, Watch, entries, with_order, with_tableau};
+use crate::study::{Entry, Scales, StudyError, Watch, entries};
 
 use super::Obstacle;
 
@@ -30,19 +31,7 @@ const MEMBER_TRIES: u32 = 8;
 /// The methods that are tried, those first whose steps are cheap: what costs much more than one that gets there is not
 /// tried.
 fn methods(scene: &Scenario, asked: Accuracy) -> Vec<Entry> {
-    use MethodName as M;
-    use TableauName as T;
-    let mut methods: Vec<_> = [2, 4, 6, 8].map(|order| with_order(M::Splitting, order)).to_vec();
-    methods.extend([T::Rk4, T::Rk8].map(|tableau| with_tableau(M::RkProjected, tableau)));
-    methods.push(with_tableau(M::Rkmk, T::Rk8));
-    let gauss = [T::Gauss1, T::Gauss2, T::Gauss3, T::Gauss4, T::Gauss6, T::Gauss8];
-    methods.extend(gauss.map(|tableau| with_tableau(M::QuaternionGauss, tableau)));
-    methods.extend([4, 8].map(|order| with_order(M::Lgvi, order)));
-    methods.extend(gauss.map(|tableau| with_tableau(M::VpdReduced, tableau)));
-    methods.extend(gauss.map(|tableau| with_tableau(M::Vpd, tableau)));
-    methods.extend([T::Gauss2, T::Gauss4].map(|tableau| with_tableau(M::Vrkmk, tableau)));
-    methods.retain(|method| !(asked.symplectic && method.name.is_explicit()));
-    entries(scene, methods)
+    entries(scene, Integrator::tried(asked.symplectic))
 }
 
 /// The error to which a reference has to be known.
@@ -82,7 +71,7 @@ impl Contender {
     pub(super) fn told(&self) -> Candidate {
         let Self { entry, choice, least, .. } = self;
         Candidate {
-            method: entry.method.name,
+            method: entry.integrator,
             tableau: entry.tableau.clone(),
             step_s: choice.map(|choice| choice.step_s),
             expected_error: choice.map_or(*least, |choice| Some(choice.expected)),

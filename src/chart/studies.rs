@@ -2,7 +2,6 @@
 
 use super::plot::{Axis, Line, Plot, Scale, Style};
 use super::{ChartError, ENERGY, ORTHOGONALITY, over_time};
-use crate::scenario::MethodName;
 use crate::study::Entry;
 use crate::study::long_term::LongTerm;
 use crate::study::precision::Precision;
@@ -121,18 +120,7 @@ pub fn long_term(
 
 /// A colour for each family of methods, a dash and a mark for each member of it.
 fn styles(entries: &[Entry], marked: bool) -> Vec<Style> {
-    let family = |name: MethodName| match name {
-        MethodName::Auto | MethodName::Vpd | MethodName::VpdLagrangian | MethodName::VpdReduced => {
-            0
-        }
-        MethodName::Vrkmk | MethodName::VrkmkProjected => 1,
-        MethodName::QuaternionGauss => 2,
-        MethodName::Splitting => 3,
-        MethodName::Lgvi => 4,
-        MethodName::Rkmk => 5,
-        MethodName::Rk | MethodName::RkProjected => 6,
-    };
-    let colors: Vec<usize> = entries.iter().map(|entry| family(entry.method.name)).collect();
+    let colors: Vec<usize> = entries.iter().map(|entry| entry.integrator.facts().family).collect();
     let before = |at: usize| colors[..at].iter().filter(|&&color| color == colors[at]).count();
     (0..colors.len()).map(|at| Style { color: colors[at], member: before(at), marked }).collect()
 }

@@ -24,28 +24,56 @@ pub fn log10_size(x: f64) -> f64 {
     libm::log10(x.abs()).max(LOG10_FLOOR)
 }
 
-/// What a sample says on a channel, encoded; `None` if it says nothing there. `body_frame` is the name of the frame
-/// that turns with the body.
-pub fn of_sample<const N: usize>(
-    channel: Channel,
-    sample: &Sample<N>,
-    time_ns: u64,
-    body_frame: &str,
-) -> Option<Vec<u8>> {
-    match channel {
-        Channel::State => Some(State::of(sample).encode_to_vec()),
-        Channel::Energy => Energy::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Orthogonality => Orthogonality::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Momentum => Momentum::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Solver => Solver::of(sample).map(|message| message.encode_to_vec()),
-        Channel::Tf => frames(sample, time_ns, body_frame).map(|message| message.encode_to_vec()),
-        Channel::SceneBody
-        | Channel::SceneSources
-        | Channel::EnsembleMembers
-        | Channel::EnsembleStatistics
-        | Channel::Log => None,
-    }
+macro_rules! messages_of_samples {
+    ($($message:ident)*) => {
+        /// A message of our own that belongs to a sample, named by its channel.
+        #[derive(Clone, Debug, PartialEq)]
+        #[allow(missing_docs)]
+        pub enum Message {
+            $($message($message),)*
+        }
+
+        impl Message {
+            /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be
+            /// decoded.
+            pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
+                let channel = Channel::from_topic(topic)?;
+                if channel.schema_name() != schema {
+                    return None;
+                }
+                match channel {
+                    $(Channel::$message => $message::decode(data).ok().map(Self::$message),)*
+                    _ => None,
+                }
+            }
+        }
+
+        /// What a sample says on a channel, encoded; `None` if it says nothing there. `body_frame` is the name of the
+        /// frame that turns with the body.
+        pub fn of_sample<const N: usize>(
+            channel: Channel,
+            sample: &Sample<N>,
+            time_ns: u64,
+            body_frame: &str,
+        ) -> Option<Vec<u8>> {
+            match channel {
+                $(Channel::$message => {
+                    Option::from($message::of(sample)).map(|message: $message| message.encode_to_vec())
+                })*
+                Channel::Tf => {
+                    frames(sample, time_ns, body_frame).map(|message| message.encode_to_vec())
+                }
+                Channel::SceneBody
+                | Channel::SceneSources
+                | Channel::EnsembleMembers
+                | Channel::EnsembleStatistics
+                | Channel::Log => None,
+            }
+        }
+    };
 }
+
+messages_of_samples!(State Energy Orthogonality Momentum Solver);
 
 impl State {
     /// Attitude and momentum of a sample.

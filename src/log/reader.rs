@@ -14,10 +14,8 @@ use std::path::Path;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
-use prost::Message as _;
 
-use super::messages::{Energy, Momentum, Orthogonality, Solver, State};
-use super::schema::Channel;
+pub use super::messages::Message;
 use super::{CHECKPOINT_OPCODE, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
 
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
@@ -62,45 +60,6 @@ pub enum Item<'a> {
         /// The encoded [`super::messages::Checkpoint`].
         data: &'a [u8],
     },
-}
-
-/// A message of our own.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Message {
-    /// Of `/state`.
-    State(State),
-    /// Of `/energy`.
-    Energy(Energy),
-    /// Of `/orthogonality`.
-    Orthogonality(Orthogonality),
-    /// Of `/momentum`.
-    Momentum(Momentum),
-    /// Of `/solver`.
-    Solver(Solver),
-}
-
-impl Message {
-    /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be
-    /// decoded.
-    pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
-        let channel = Channel::from_topic(topic)?;
-        if channel.schema_name() != schema {
-            return None;
-        }
-        match channel {
-            Channel::State => State::decode(data).ok().map(Self::State),
-            Channel::Energy => Energy::decode(data).ok().map(Self::Energy),
-            Channel::Orthogonality => Orthogonality::decode(data).ok().map(Self::Orthogonality),
-            Channel::Momentum => Momentum::decode(data).ok().map(Self::Momentum),
-            Channel::Solver => Solver::decode(data).ok().map(Self::Solver),
-            Channel::Tf
-            | Channel::SceneBody
-            | Channel::SceneSources
-            | Channel::EnsembleMembers
-            | Channel::EnsembleStatistics
-            | Channel::Log => None,
-        }
-    }
 }
 
 /// What was found at the end of a log.

@@ -1,4 +1,6 @@
-//! The channels of a log: topic, message type and descriptor of each.
+//! The channels of a log, one row each: topic, message type, the scenes that have it, what it needs and what it takes.
+//!
+//! A new channel is its message in `vpd.proto`, its row here and what it says of a sample in [`super::messages`].
 //!
 //! Invariant: one channel per topic and one schema per message type; topics and names are fixed.
 
@@ -10,6 +12,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::solve::so;
+use crate::solve::trajectory::Observables;
 
 /// Descriptors of our own messages, written by `build.rs`.
 const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/vpd.descriptors"));
@@ -17,44 +20,103 @@ const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/vpd.descrip
 /// The encoding of every schema and message.
 pub(crate) const ENCODING: &str = "protobuf";
 
-/// A channel of the log, named by its topic.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
-)]
-pub enum Channel {
+/// How chunks are compressed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Compression {
+    /// Smallest.
+    #[default]
+    Zstd,
+    /// Fastest of the compressed ones.
+    Lz4,
+    /// Not at all.
+    None,
+}
+
+macro_rules! channels {
+    ($($(#[doc = $doc:literal])* $channel:ident = $topic:tt,)*) => {
+        /// A channel of the log, named by its topic.
+        #[derive(
+            Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+        )]
+        pub enum Channel {
+            $($(#[doc = $doc])* #[serde(rename = $topic)] $channel,)*
+        }
+
+        impl Channel {
+            /// Every channel, in the order in which logs list them.
+            pub const fn all() -> [Self; [$($topic),*].len()] {
+                [$(Self::$channel),*]
+            }
+
+            /// The topic.
+            pub const fn topic(self) -> &'static str {
+                match self {
+                    $(Self::$channel => $topic,)*
+                }
+            }
+        }
+    };
+}
+
+channels! {
     /// Attitude and body momentum.
-    #[serde(rename = "/state")]
-    State,
+    State = "/state",
     /// Energy and its error.
-    #[serde(rename = "/energy")]
-    Energy,
+    Energy = "/energy",
     /// Distance of the attitude from the group.
-    #[serde(rename = "/orthogonality")]
-    Orthogonality,
+    Orthogonality = "/orthogonality",
     /// Spatial momentum and the drift of its conserved part.
-    #[serde(rename = "/momentum")]
-    Momentum,
+    Momentum = "/momentum",
     /// How the steps were solved.
-    #[serde(rename = "/solver")]
-    Solver,
+    Solver = "/solver",
     /// The body's frame for viewers; n = 3.
-    #[serde(rename = "/tf")]
-    Tf,
+    Tf = "/tf",
     /// The body's box of inertia and its points, once; n = 3.
-    #[serde(rename = "/scene/body")]
-    SceneBody,
+    SceneBody = "/scene/body",
     /// Charges, anchors and directions in space, once; n = 3.
-    #[serde(rename = "/scene/sources")]
-    SceneSources,
+    SceneSources = "/scene/sources",
     /// How each member of an ensemble began and ended.
-    #[serde(rename = "/ensemble/members")]
-    EnsembleMembers,
+    EnsembleMembers = "/ensemble/members",
     /// Mean and spread of the members of an ensemble.
-    #[serde(rename = "/ensemble/statistics")]
-    EnsembleStatistics,
+    EnsembleStatistics = "/ensemble/statistics",
     /// Start, warnings, the diagnosis.
-    #[serde(rename = "/log")]
-    Log,
+    Log = "/log",
+}
+
+/// The scenes that have a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Scope {
+    All,
+    /// n = 3.
+    InSpace,
+    /// n = 3, and something in space to draw.
+    WithSources,
+    Ensembles,
+}
+
+/// Bytes of a message before compression.
+#[derive(Clone, Copy, Debug)]
+struct Bytes {
+    /// Of matrices and vectors, whose digits do not compress.
+    dense: usize,
+    rest: usize,
+}
+
+/// What is known of a channel.
+struct Row {
+    /// Full name of the message type.
+    schema: &'static str,
+    descriptors: fn() -> Cow<'static, [u8]>,
+    scope: Scope,
+    /// What is computed for it, in words.
+    computes: &'static str,
+    /// The figures that a sample must have for it.
+    needs: Observables,
+    /// Does it show the attitude?
+    attitude: bool,
+    /// Of the message of a sample, about; `None` if it is not written with every sample.
+    sample: Option<Bytes>,
 }
 
 /// The name and descriptor set of a message type.
@@ -66,38 +128,89 @@ pub struct Schema {
 }
 
 impl Channel {
-    /// Every channel, in the order in which logs list them.
-    pub const fn all() -> [Self; 11] {
-        use Channel::*;
-        [
-            State,
-            Energy,
-            Orthogonality,
-            Momentum,
-            Solver,
-            Tf,
-            SceneBody,
-            SceneSources,
-            EnsembleMembers,
-            EnsembleStatistics,
-            Log,
-        ]
-    }
-
-    /// The topic.
-    pub const fn topic(self) -> &'static str {
+    fn row(self, n: usize) -> Row {
+        // Tag and value; a list has its tag and length once.
+        const DOUBLE: usize = 9;
+        const LIST: usize = 4;
+        let nothing = Observables::default();
+        let ours = || Cow::Borrowed(DESCRIPTORS);
+        let momentum = 8 * so::dimension(n);
+        let plain = |schema, computes| Row {
+            schema,
+            descriptors: ours,
+            scope: Scope::All,
+            computes,
+            needs: nothing,
+            attitude: false,
+            sample: None,
+        };
+        let sample = |dense, rest| Some(Bytes { dense, rest });
         match self {
-            Self::State => "/state",
-            Self::Energy => "/energy",
-            Self::Orthogonality => "/orthogonality",
-            Self::Momentum => "/momentum",
-            Self::Solver => "/solver",
-            Self::Tf => "/tf",
-            Self::SceneBody => "/scene/body",
-            Self::SceneSources => "/scene/sources",
-            Self::EnsembleMembers => "/ensemble/members",
-            Self::EnsembleStatistics => "/ensemble/statistics",
-            Self::Log => "/log",
+            Self::State => Row {
+                attitude: true,
+                sample: sample(
+                    state_bytes(n) as usize,
+                    DOUBLE + 2 * LIST + if n == 3 { LIST } else { 0 },
+                ),
+                ..plain("vpd.State", "the state itself")
+            },
+            Self::Energy => Row {
+                needs: Observables { energy: true, ..nothing },
+                sample: sample(0, 5 * DOUBLE),
+                ..plain("vpd.Energy", "kinetic and potential energy")
+            },
+            Self::Orthogonality => Row {
+                needs: Observables { orthogonality: true, ..nothing },
+                attitude: true,
+                sample: sample(0, 2 * DOUBLE),
+                ..plain("vpd.Orthogonality", "the spectral norm of g g^T - I")
+            },
+            Self::Momentum => Row {
+                needs: Observables { momentum: true, ..nothing },
+                sample: sample(momentum, LIST + 2 * DOUBLE),
+                ..plain("vpd.Momentum", "the spatial momentum and the drift of its conserved part")
+            },
+            Self::Solver => Row {
+                needs: Observables { sigma_min: true, ..nothing },
+                sample: sample(0, 2 + 2 * DOUBLE + 13),
+                ..plain(
+                    "vpd.Solver",
+                    "the smallest singular value of the step's interpolated matrices",
+                )
+            },
+            Self::Tf => Row {
+                descriptors: well_known::<FrameTransforms>,
+                scope: Scope::InSpace,
+                attitude: true,
+                // Time stamp, two names, translation and four doubles, each part with tag and length.
+                sample: sample(0, 75),
+                ..plain("foxglove.FrameTransforms", "the attitude as a quaternion")
+            },
+            Self::SceneBody => Row {
+                descriptors: well_known::<SceneUpdate>,
+                scope: Scope::InSpace,
+                ..plain("foxglove.SceneUpdate", "the body's box and points, once")
+            },
+            Self::SceneSources => Row {
+                descriptors: well_known::<SceneUpdate>,
+                scope: Scope::WithSources,
+                ..plain("foxglove.SceneUpdate", "sources, anchors and directions, once")
+            },
+            Self::EnsembleMembers => Row {
+                scope: Scope::Ensembles,
+                ..plain("vpd.Member", "start and end of each member")
+            },
+            Self::EnsembleStatistics => Row {
+                scope: Scope::Ensembles,
+                ..plain(
+                    "vpd.EnsembleStatistics",
+                    "mean and spread of the members, at the start and at the end",
+                )
+            },
+            Self::Log => Row {
+                descriptors: well_known::<Log>,
+                ..plain("foxglove.Log", "start, warnings, diagnosis")
+            },
         }
     }
 
@@ -106,90 +219,72 @@ impl Channel {
         Self::all().into_iter().find(|channel| channel.topic() == topic)
     }
 
+    /// Whether a scene has the channel: one in space or not, with or without something there to draw, of an ensemble or
+    /// of one run.
+    pub(crate) fn exists(self, in_space: bool, sources: bool, ensemble: bool) -> bool {
+        match self.row(3).scope {
+            Scope::All => true,
+            Scope::InSpace => in_space,
+            Scope::WithSources => in_space && sources,
+            Scope::Ensembles => ensemble,
+        }
+    }
+
     /// Whether the channel is for bodies in space only.
-    pub const fn needs_three(self) -> bool {
-        matches!(self, Self::Tf | Self::SceneBody | Self::SceneSources)
+    pub fn needs_three(self) -> bool {
+        !self.exists(false, true, true)
     }
 
     /// Whether the channel is for ensembles only.
-    pub const fn needs_ensemble(self) -> bool {
-        matches!(self, Self::EnsembleMembers | Self::EnsembleStatistics)
+    pub fn needs_ensemble(self) -> bool {
+        !self.exists(true, true, false)
+    }
+
+    /// What is computed for it, in words.
+    pub(crate) fn computes(self) -> &'static str {
+        self.row(3).computes
+    }
+
+    /// The figures that a sample must have for it.
+    pub(crate) fn observables(self) -> Observables {
+        self.row(3).needs
+    }
+
+    /// Whether it shows the attitude.
+    pub(crate) fn shows_attitude(self) -> bool {
+        self.row(3).attitude
     }
 
     /// Whether a message of the channel belongs to a sample.
-    pub const fn is_sampled(self) -> bool {
-        self.bytes_per_sample(3) > 0
+    pub fn is_sampled(self) -> bool {
+        self.row(3).sample.is_some()
     }
 
     /// Name of the channel's message type.
-    pub const fn schema_name(self) -> &'static str {
-        match self {
-            Self::State => "vpd.State",
-            Self::Energy => "vpd.Energy",
-            Self::Orthogonality => "vpd.Orthogonality",
-            Self::Momentum => "vpd.Momentum",
-            Self::Solver => "vpd.Solver",
-            Self::Tf => "foxglove.FrameTransforms",
-            Self::SceneBody | Self::SceneSources => "foxglove.SceneUpdate",
-            Self::EnsembleMembers => "vpd.Member",
-            Self::EnsembleStatistics => "vpd.EnsembleStatistics",
-            Self::Log => "foxglove.Log",
-        }
+    pub fn schema_name(self) -> &'static str {
+        self.row(3).schema
     }
 
     /// The channel's message type with its descriptors.
     pub fn schema(self) -> Schema {
-        let descriptors = match self {
-            Self::State
-            | Self::Energy
-            | Self::Orthogonality
-            | Self::Momentum
-            | Self::Solver
-            | Self::EnsembleMembers
-            | Self::EnsembleStatistics => Cow::Borrowed(DESCRIPTORS),
-            Self::Tf => well_known::<FrameTransforms>(),
-            Self::SceneBody | Self::SceneSources => well_known::<SceneUpdate>(),
-            Self::Log => well_known::<Log>(),
-        };
-        Schema { name: self.schema_name(), descriptors }
+        let Row { schema: name, descriptors, .. } = self.row(3);
+        Schema { name, descriptors: descriptors() }
     }
 
     /// About how many bytes a sample takes on this channel before compression, message header and
     /// index included: for estimates of the size of a log and of its chunks. 0 for channels that
     /// are not written with every sample.
-    pub const fn bytes_per_sample(self, n: usize) -> u64 {
+    pub fn bytes_per_sample(self, n: usize) -> u64 {
         // Opcode, length, channel, sequence and two times; then an entry of the index.
         const HEADER: usize = 1 + 8 + 2 + 4 + 8 + 8;
         const INDEX: usize = 16;
-        // Tag and value; a list has its tag and length once.
-        const DOUBLE: usize = 9;
-        const LIST: usize = 4;
-        let momentum = LIST + 8 * so::dimension(n);
-        let quaternion = if n == 3 { LIST + 32 } else { 0 };
-        let payload = match self {
-            Self::State => DOUBLE + LIST + 8 * n * n + momentum + quaternion,
-            Self::Energy => 5 * DOUBLE,
-            Self::Orthogonality => 2 * DOUBLE,
-            Self::Momentum => momentum + 2 * DOUBLE,
-            Self::Solver => 2 + 2 * DOUBLE + 13,
-            // Time stamp, two names, translation and four doubles, each part with tag and length.
-            Self::Tf => 75,
-            Self::SceneBody
-            | Self::SceneSources
-            | Self::EnsembleMembers
-            | Self::EnsembleStatistics
-            | Self::Log => return 0,
-        };
-        (HEADER + INDEX + payload) as u64
+        let bytes = |Bytes { dense, rest }| (HEADER + INDEX + dense + rest) as u64;
+        self.row(n).sample.map_or(0, bytes)
     }
 
     /// Of these the bytes of matrices and vectors, whose digits do not compress.
-    pub const fn dense_bytes_per_sample(self, n: usize) -> u64 {
-        match self {
-            Self::State => state_bytes(n),
-            Self::Momentum => 8 * so::dimension(n) as u64,
-            _ => 0,
-        }
+    pub fn dense_bytes_per_sample(self, n: usize) -> u64 {
+        self.row(n).sample.map_or(0, |bytes| bytes.dense as u64)
     }
 }
 

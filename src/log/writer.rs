@@ -18,13 +18,11 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::PrivateRecordOptions;
 use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use super::messages::{self, EnsembleStatistics, Figures, Member, timestamp};
 use super::part::{Part, Syncer, folder, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
-use super::schema::{Channel, ENCODING, Topic};
+use super::schema::{Channel, Compression, ENCODING, Topic};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
     is_transient, resume,
@@ -33,19 +31,6 @@ use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
 /// Goes into the file's header; part of the bytes.
 const LIBRARY: &str = concat!("vpd/", env!("CARGO_PKG_VERSION"));
-
-/// How chunks are compressed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Compression {
-    /// Smallest.
-    #[default]
-    Zstd,
-    /// Fastest of the compressed ones.
-    Lz4,
-    /// Not at all.
-    None,
-}
 
 /// What a log starts with.
 #[derive(Clone, Debug)]
@@ -203,8 +188,7 @@ impl<const N: usize> LogWriter<N> {
             .map_err(|source| LogError::mcap(path, "create", source))?;
         let wanted = |channel: &Channel| {
             header.channels.contains(channel)
-                && (N == 3 || !channel.needs_three())
-                && (*channel != Channel::SceneSources || header.scene.has_sources())
+                && channel.exists(N == 3, header.scene.has_sources(), true)
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
         let sample_bytes: u64 = channels.iter().map(|channel| channel.bytes_per_sample(N)).sum();
@@ -452,7 +436,7 @@ impl<const N: usize> LogWriter<N> {
         if time_ns < self.last_ns {
             return Err(LogError::Time { time_s: sample.time_s, epoch_ns: self.epoch_ns });
         }
-        if !finite(sample) {
+        if !sample.is_finite() {
             return Err(LogError::NotFinite { step: sample.step });
         }
         if self.wants_checkpoint() {
@@ -525,21 +509,4 @@ impl<const N: usize> Drop for LogWriter<N> {
                 .and_then(|file| file.set_len(self.syncer.durable_bytes())),
         };
     }
-}
-
-/// Whether every number of a sample can be plotted.
-fn finite<const N: usize>(sample: &Sample<N>) -> bool {
-    let scalars = [
-        sample.energy.map(|energy| energy.kinetic),
-        sample.energy.map(|energy| energy.potential),
-        sample.energy.map(|energy| energy.total()),
-        sample.energy_error,
-        sample.orthogonality_error,
-        sample.momentum_drift,
-        sample.convergence.map(|convergence| convergence.increment),
-        sample.sigma_min,
-    ];
-    let state = sample.attitude.iter().flatten().chain(&sample.momentum);
-    let spatial = sample.spatial_momentum.iter().flatten();
-    scalars.iter().flatten().chain(state).chain(spatial).all(|x| x.is_finite())
 }

@@ -11,10 +11,11 @@ use std::sync::LazyLock;
 use serde::{Deserialize, Serialize};
 
 use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
-use crate::log::schema::{Channel, bytes_per_member, dense_bytes_per_member};
-use crate::log::writer::Compression;
-use crate::scenario::{MethodName, PotentialTerm};
+use crate::log::schema::{Channel, Compression, bytes_per_member, dense_bytes_per_member};
+use crate::method::Integrator;
+use crate::scenario::PotentialTerm;
 use crate::solve::lanes::WIDTH;
+use crate::solve::trajectory::Observables;
 
 /// Work that was counted, or is expected.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -39,7 +40,7 @@ struct Scheme {
 
 #[derive(Debug, Deserialize)]
 struct SchemeRow {
-    method: MethodName,
+    method: Integrator,
     stages: usize,
     n: usize,
     #[serde(flatten)]
@@ -134,16 +135,9 @@ impl Plan {
 
     /// The work of a step whose sweeps nobody has counted.
     fn usual_work(&self) -> Counts {
-        use MethodName as M;
-        let stages = self.formulation.stages as f64;
-        let sweeps = match self.formulation.method {
-            M::VpdReduced if self.dimension == 3 => 1.0,
-            M::VpdReduced => 3.0,
-            M::Auto | M::Vpd | M::VpdLagrangian | M::Vrkmk | M::VrkmkProjected => 5.0,
-            M::QuaternionGauss => 5.0,
-            M::Rkmk | M::Rk | M::RkProjected | M::Splitting | M::Lgvi => 1.0,
-        };
-        Counts { steps: 1.0, sweeps, gradients: sweeps * stages }
+        let Formulation { method, stages, .. } = self.formulation;
+        let sweeps = method.facts().sweeps[usize::from(self.dimension != 3)];
+        Counts { steps: 1.0, sweeps, gradients: sweeps * stages as f64 }
     }
 
     /// About what one sweep over all stages costs with all that belongs to it, in nanoseconds: of a method without sweeps
@@ -156,15 +150,10 @@ impl Plan {
 
     /// What the method's parts cost with so many stages, in this dimension.
     fn scheme(&self) -> Scheme {
-        use MethodName as M;
         let Formulation { method, stages, .. } = self.formulation;
-        let method = match method {
-            M::Auto => M::Vpd,
-            M::VrkmkProjected => M::Vrkmk,
-            method => method,
-        };
         // More stages than lanes go the way of general n.
-        let general = matches!(method, M::Vpd | M::VpdReduced) && stages > WIDTH;
+        let general = method.facts().lanes && stages > WIDTH;
+        let method = method.costs_as();
         let rows: Vec<&SchemeRow> = TABLE
             .schemes
             .iter()
@@ -216,12 +205,12 @@ impl Plan {
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let eigenvalues = if self.dimension == 3 { 100.0 } else { 10.0 * n * n * n };
-        let of = |channel: Channel, count: f64| if self.logs(channel) { count } else { 0.0 };
-        let matrices = of(Channel::Orthogonality, 1.0)
-            + of(Channel::Solver, 1.0 + self.formulation.stages as f64);
+        let Observables { energy, orthogonality, momentum: _, sigma_min } = self.observables();
+        let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
+        let matrices = of(orthogonality, 1.0) + of(sigma_min, 1.0 + self.formulation.stages as f64);
         WRITTEN_BYTE_NS * raw as f64
             + matrices * eigenvalues
-            + of(Channel::Energy, 0.5) * self.terms_cost_ns()
+            + of(energy, 0.5) * self.terms_cost_ns()
     }
 
     /// What a run takes of the memory beside its members.
@@ -266,4 +255,18 @@ fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
     const MOST_S: f64 = 3.0;
     let in_time = (MOST_S / sample_s) as u64;
     (USUAL_BYTES / sample_bytes.max(1)).min(in_time).max(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::TABLE;
+    use crate::method::Integrator;
+
+    #[test]
+    fn each_method_has_its_costs() {
+        for method in Integrator::ALL.iter().map(|method| method.costs_as()) {
+            let has_row = TABLE.schemes.iter().any(|row| row.method == method);
+            assert!(has_row, "{}: cargo bench --bench costs", method.as_str());
+        }
+    }
 }

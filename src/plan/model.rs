@@ -3,10 +3,10 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
-use super::terms::ROUNDED;
+use crate::method::{Integrator, Takes};
 use crate::scenario::{
-    Attitude, Entry, Framed, Inertia, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
-    SolverKind, TableauChoice, TableauName,
+    Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError, SolverKind,
+    TableauChoice, TableauName,
 };
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::{Rungs, StopRule};
@@ -44,7 +44,7 @@ impl Model {
     /// Refuses a body point that lies on its place at the start, where the law of the term is singular.
     pub(super) fn check_distances(&self, given: &[PotentialTerm]) -> Result<(), ScenarioError> {
         for (index, term) in given.iter().enumerate() {
-            let Some((body_point, position)) = singular_points(term) else { continue };
+            let Some((body_point, position)) = term.law().singular_points() else { continue };
             let (y, z) =
                 (DVector::from_column_slice(body_point), DVector::from_column_slice(position));
             let distance = (&y - self.attitude.tr_mul(&z)).norm();
@@ -226,7 +226,8 @@ pub(super) fn momentum(
 
 /// The tableau asked for, or the method's own.
 pub(super) fn tableau_choice(method: &Method) -> TableauChoice {
-    let usual = if method.name.is_explicit() { TableauName::Rk4 } else { TableauName::Gauss2 };
+    let is_explicit = method.name.integrator().is_some_and(Integrator::is_explicit);
+    let usual = if is_explicit { TableauName::Rk4 } else { TableauName::Gauss2 };
     method.tableau.clone().unwrap_or(TableauChoice::Named(usual))
 }
 
@@ -235,36 +236,24 @@ pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau
     let tableau = coefficients(choice)?;
     let name = method.name.as_str();
     let wrong = |message| Err(ScenarioError::invalid("/method/tableau", message));
-    if method.name.is_explicit() && !tableau.is_explicit() {
+    let takes = method.name.integrator().map_or(Takes::Tableau, |method| method.facts().takes);
+    if takes == Takes::Explicit && !tableau.is_explicit() {
         return wrong(format!(
             "{name} is explicit; it takes rk3, rk4, rk8 or explicit coefficients"
         ));
     }
-    let partner = if method.name.is_explicit() { Ok(()) } else { tableau.partnered() };
+    let partner = if takes == Takes::Explicit { Ok(()) } else { tableau.partnered() };
     partner.map_err(|error| refused(choice, &error))?;
     let gauss = Tableau::gauss(tableau.stages());
-    if method.name == MethodName::QuaternionGauss && gauss.as_ref() != Some(&tableau) {
+    if takes == Takes::Gauss && gauss.as_ref() != Some(&tableau) {
         return wrong(format!("{name} takes gauss1 to gauss8"));
     }
     Ok(tableau)
 }
 
 fn coefficients(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
-    let named = |name: TableauName| match name {
-        TableauName::Gauss1 => Tableau::gauss(1),
-        TableauName::Gauss2 => Tableau::gauss(2),
-        TableauName::Gauss3 => Tableau::gauss(3),
-        TableauName::Gauss4 => Tableau::gauss(4),
-        TableauName::Gauss5 => Tableau::gauss(5),
-        TableauName::Gauss6 => Tableau::gauss(6),
-        TableauName::Gauss7 => Tableau::gauss(7),
-        TableauName::Gauss8 => Tableau::gauss(8),
-        TableauName::Rk3 => Some(Tableau::rk3()),
-        TableauName::Rk4 => Some(Tableau::rk4()),
-        TableauName::Rk8 => Some(Tableau::rk8()),
-    };
     match choice {
-        TableauChoice::Named(name) => named(*name).ok_or_else(|| {
+        TableauChoice::Named(name) => name.tableau().ok_or_else(|| {
             ScenarioError::invalid("/method/tableau", "this tableau cannot be made")
         }),
         TableauChoice::Custom(given) => {
@@ -284,56 +273,6 @@ fn refused(choice: &TableauChoice, error: &TableauError) -> ScenarioError {
     ScenarioError::invalid(pointer, error.to_string())
 }
 
-/// The value of a term that does not depend on the attitude, and the reason; `None` if it does.
-pub(super) fn constant_part(
-    term: &PotentialTerm,
-    inertia: &DMatrix<f64>,
-) -> Option<(f64, &'static str)> {
-    let zero = |v: &[f64]| v.iter().all(|&x| x == 0.0);
-    let distance =
-        |y: &[f64], z: &[f64]| y.iter().zip(z).map(|(y, z)| (y - z) * (y - z)).sum::<f64>().sqrt();
-    const NOTHING: &str = "has no strength";
-    const FIXED: &str =
-        "is the same at every attitude: its body point or its place is the fixed point";
-    match term {
-        PotentialTerm::Uniform(t) if t.weight == 0.0 => Some((0.0, NOTHING)),
-        PotentialTerm::Uniform(t) if zero(&t.body_point) => Some((0.0, FIXED)),
-        PotentialTerm::PointSource(t) if t.strength == 0.0 => Some((0.0, NOTHING)),
-        PotentialTerm::PointSource(t) if zero(&t.body_point) || zero(&t.position) => {
-            Some((t.strength / distance(&t.body_point, &t.position), FIXED))
-        }
-        PotentialTerm::Spring(t) if t.stiffness == 0.0 => Some((0.0, NOTHING)),
-        PotentialTerm::Spring(t) if zero(&t.body_point) || zero(&t.position) => {
-            let stretch = distance(&t.body_point, &t.position) - t.rest_length;
-            Some((0.5 * t.stiffness * stretch * stretch, FIXED))
-        }
-        PotentialTerm::GravityGradient(t) if t.strength == 0.0 => Some((0.0, NOTHING)),
-        PotentialTerm::GravityGradient(t) => {
-            let m = t.matrix.as_ref().map_or_else(|| inertia.clone(), |given| rows(given));
-            let level = m[(0, 0)];
-            let off = (&m - DMatrix::identity(m.nrows(), m.nrows()) * level).amax();
-            let round = off <= ROUNDED * m.amax();
-            let square: f64 = t.direction.iter().map(|x| x * x).sum();
-            round.then_some((
-                0.5 * t.strength * level * square,
-                "is the same at every attitude: its matrix is a multiple of I, to rounding",
-            ))
-        }
-        _ => None,
-    }
-}
-
-/// Body point and place of a term whose law is singular where the two meet.
-fn singular_points(term: &PotentialTerm) -> Option<(&[f64], &[f64])> {
-    match term {
-        PotentialTerm::PointSource(t) if t.strength != 0.0 => Some((&t.body_point, &t.position)),
-        PotentialTerm::Spring(t) if t.stiffness != 0.0 && t.rest_length > 0.0 => {
-            Some((&t.body_point, &t.position))
-        }
-        _ => None,
-    }
-}
-
 pub(super) fn with_matrix(term: &PotentialTerm, inertia: &DMatrix<f64>) -> PotentialTerm {
     let mut term = term.clone();
     if let PotentialTerm::GravityGradient(t) = &mut term {
@@ -341,14 +280,4 @@ pub(super) fn with_matrix(term: &PotentialTerm, inertia: &DMatrix<f64>) -> Poten
         t.matrix.get_or_insert_with(rows);
     }
     term
-}
-
-/// The space vector through whose body image a term depends on the attitude.
-pub(crate) fn space_vector(term: &PotentialTerm) -> &[f64] {
-    match term {
-        PotentialTerm::Uniform(t) => &t.direction,
-        PotentialTerm::PointSource(t) => &t.position,
-        PotentialTerm::Spring(t) => &t.position,
-        PotentialTerm::GravityGradient(t) => &t.direction,
-    }
 }

@@ -1,6 +1,5 @@
 //! The planned model with its const size: the body, its potential, and the state at the start.
 
-use super::model::space_vector;
 use super::{Model, ModelKinetic};
 use crate::scenario::PotentialTerm;
 use crate::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
@@ -84,5 +83,5 @@ fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {
             Law::GravityGradient { strength: t.strength, matrix }
         }
     };
-    Term { law, space: point(space_vector(given)) }
+    Term { law, space: point(given.law().space_vector()) }
 }

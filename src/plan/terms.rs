@@ -17,14 +17,14 @@
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Dyn, OMatrix};
 
-use super::model::{constant_part, rows, space_vector};
+use super::model::rows;
 use super::{Model, TermPlan};
 use crate::scenario::{GravityGradient, PotentialTerm, Uniform};
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::space;
 
 /// What rounding may make of a number: a few units in its last place.
-pub(super) const ROUNDED: f64 = 8.0 * f64::EPSILON;
+const ROUNDED: f64 = 8.0 * f64::EPSILON;
 /// What moves the body by less than this part of what moves it, and by less than this in radians, is left out.
 const UNSEEN: f64 = 1e-16;
 
@@ -54,13 +54,13 @@ pub(super) struct Extent {
 
 impl Terms {
     /// Those of the scene, each with every default filled in; what does not depend on the attitude is left out.
-    pub(super) fn new(given: &[PotentialTerm], inertia: &DMatrix<f64>) -> Self {
+    pub(super) fn new(given: &[PotentialTerm]) -> Self {
         let mut terms = Self { left: Vec::new(), plans: Vec::new(), constant: 0.0 };
         for (index, term) in given.iter().enumerate() {
             let pointer = format!("/scene/potential/{index}");
             terms.plans.push(TermPlan { pointer, kept: true, why: DEPENDS.to_owned() });
             terms.left.push(Some(term.clone()));
-            if let Some((value, why)) = constant_part(term, inertia) {
+            if let Some((value, why)) = term.law().constant() {
                 terms.constant += value;
                 terms.leave_out(index, why.to_owned());
             }
@@ -356,7 +356,9 @@ impl Linear {
                     0.5 * t.stiffness * (direction.norm_squared() + point.norm_squared());
                 Some(Self { weight: -t.stiffness, direction, point, constant })
             }
-            _ => None,
+            PotentialTerm::PointSource(_)
+            | PotentialTerm::Spring(_)
+            | PotentialTerm::GravityGradient(_) => None,
         }
     }
 }
@@ -472,17 +474,21 @@ fn near(v: impl Iterator<Item = f64> + Clone, u: impl Iterator<Item = f64> + Clo
 /// The strength of `other` if it is the law of `term` between the same points.
 fn equal_strength(term: &PotentialTerm, other: &PotentialTerm) -> Option<f64> {
     let same = |v: &[f64], u: &[f64]| near(v.iter().copied(), u.iter().copied());
-    match (term, other) {
-        (PotentialTerm::PointSource(t), PotentialTerm::PointSource(o)) => {
+    match term {
+        PotentialTerm::PointSource(t) => {
+            let PotentialTerm::PointSource(o) = other else { return None };
             (same(&t.body_point, &o.body_point) && same(&t.position, &o.position))
                 .then_some(o.strength)
         }
-        (PotentialTerm::Spring(t), PotentialTerm::Spring(o)) => (t.rest_length > 0.0
-            && same(&[t.rest_length], &[o.rest_length])
-            && same(&t.body_point, &o.body_point)
-            && same(&t.position, &o.position))
-        .then_some(o.stiffness),
-        _ => None,
+        PotentialTerm::Spring(t) => {
+            let PotentialTerm::Spring(o) = other else { return None };
+            (t.rest_length > 0.0
+                && same(&[t.rest_length], &[o.rest_length])
+                && same(&t.body_point, &o.body_point)
+                && same(&t.position, &o.position))
+            .then_some(o.stiffness)
+        }
+        PotentialTerm::Uniform(_) | PotentialTerm::GravityGradient(_) => None,
     }
 }
 
@@ -495,7 +501,7 @@ fn matrix_of(term: &GravityGradient) -> DMatrix<f64> {
 /// `|y x F| <= |y| |F|` and, the force pointing from z to y, `|y x F| = |F| |y x z| / r`.
 fn largest_torque(term: &PotentialTerm) -> f64 {
     let size = |v: &[f64]| DVector::from_column_slice(v).norm();
-    let reach = size(space_vector(term));
+    let reach = size(term.law().space_vector());
     // The smallest distance, of points that stay apart.
     let apart = |y: f64| {
         let distance = (y - reach).abs();

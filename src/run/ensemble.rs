@@ -14,9 +14,7 @@ use std::time::Instant;
 
 use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{
-    Control, End, JobContext, RunError, begin_log, finish, header, json, note, observables,
-};
+use super::{Control, End, JobContext, RunError, begin_log, finish, header, json, note};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::LogError;
 use crate::log::course::Course;
@@ -155,7 +153,7 @@ impl Ensemble<'_> {
             Ok::<(), RunError>(())
         };
         let go_on = |steps| control.go_on(steps * numbers.len() as u64);
-        self.travel(assembly, numbers, observables(self.plan), record, go_on)
+        self.travel(assembly, numbers, self.plan.observables(), record, go_on)
     }
 
     /// Runs the members that have not ended yet.
@@ -406,7 +404,7 @@ impl Task for Worker<'_> {
         let Self { ensemble, queue, send } = self;
         let control: &Control = ensemble.context.control;
         // Nobody sees the singular values of a member that is not logged in full.
-        let observables = Observables { sigma_min: false, ..observables(ensemble.plan) };
+        let observables = Observables { sigma_min: false, ..ensemble.plan.observables() };
         let mut leaving = Leaving { queue, early: true };
         while let Some((place, group)) = queue.take() {
             let travelled = ensemble.travel(

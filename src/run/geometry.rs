@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::log::scene::{Marker, SceneGeometry, Sign};
 use crate::plan::{ModelKinetic, Plan};
-use crate::scenario::PotentialTerm;
+use crate::scenario::Drawn;
 
 /// The drawing of a scene; empty unless n = 3.
 pub(super) fn scene(plan: &Plan) -> SceneGeometry {
@@ -13,25 +13,18 @@ pub(super) fn scene(plan: &Plan) -> SceneGeometry {
     }
     let (box_size, box_axes) = inertia_box(&plan.model.kinetic);
     let mut scene = SceneGeometry { box_size, box_axes, ..SceneGeometry::default() };
-    let neutral = |position: &[f64]| Marker { position: three(position), sign: Sign::Neutral };
     let mut directions = Vec::new();
     for term in &plan.model.shown {
-        match term {
-            PotentialTerm::Uniform(term) => {
-                scene.body_points.push(neutral(&term.body_point));
-                directions.push(three(&term.direction));
-            }
-            PotentialTerm::PointSource(term) => {
-                let sign = if term.strength > 0.0 { Sign::Positive } else { Sign::Negative };
-                scene.body_points.push(Marker { position: three(&term.body_point), sign });
-                scene.space_points.push(Marker { position: three(&term.position), sign });
-            }
-            PotentialTerm::Spring(term) => {
-                scene.body_points.push(neutral(&term.body_point));
-                scene.space_points.push(neutral(&term.position));
-            }
-            PotentialTerm::GravityGradient(term) => directions.push(three(&term.direction)),
-        }
+        let Drawn { body_point, position, direction, charge } = term.law().drawn();
+        let sign = match charge {
+            0.0 => Sign::Neutral,
+            charge if charge > 0.0 => Sign::Positive,
+            _ => Sign::Negative,
+        };
+        let marker = |point: &[f64]| Marker { position: three(point), sign };
+        scene.body_points.extend(body_point.map(marker));
+        scene.space_points.extend(position.map(marker));
+        directions.extend(direction.map(three));
     }
     for direction in directions {
         if !scene.directions.contains(&direction) {

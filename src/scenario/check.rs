@@ -3,9 +3,10 @@
 use std::collections::HashSet;
 
 use super::{
-    Accuracy, Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError,
-    SolverKind, TableauChoice,
+    Accuracy, Attitude, Entry, Framed, Inertia, Method, Scenario, ScenarioError, SolverKind,
+    TableauChoice,
 };
+use crate::method::Integrator;
 
 /// Largest n of SO(n) that the program is built for.
 pub(crate) const MAX_DIMENSION: usize = 16;
@@ -55,7 +56,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
         format!("{} terms given, at most {MAX_TERMS} are allowed", terms.len())
     })?;
     for (index, term) in terms.iter().enumerate() {
-        potential_term(&format!("/scene/potential/{index}"), term, n)?;
+        term.law().check(&format!("/scene/potential/{index}"), n)?;
     }
     initial(scenario, n)?;
     method(scenario, n)?;
@@ -96,7 +97,7 @@ fn is_unseen(c: char) -> bool {
         | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}' | '\u{e0000}'..='\u{e0fff}')
 }
 
-fn number(pointer: &str, x: f64) -> Check {
+pub(super) fn number(pointer: &str, x: f64) -> Check {
     // JSON has no NaN; an infinite value cannot be written either.
     ensure(x.abs() <= MAX_SIZE, pointer, || {
         format!("{x:e} given, the size of a number is at most {MAX_SIZE:e}")
@@ -111,7 +112,7 @@ fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
 }
 
 /// A number that is zero, or not so small that what is made of it is lost.
-fn strength(pointer: &str, x: f64) -> Check {
+pub(super) fn strength(pointer: &str, x: f64) -> Check {
     number(pointer, x)?;
     ensure(x == 0.0 || x.abs() >= SMALLEST_STRENGTH, pointer, || {
         format!("{x:e} given, a size is 0 or at least {SMALLEST_STRENGTH:e}")
@@ -119,12 +120,12 @@ fn strength(pointer: &str, x: f64) -> Check {
 }
 
 /// The largest of them.
-fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
+pub(super) fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
     numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))
 }
 
 /// Refuses numbers that are not all zero, but all next to it.
-fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check {
+pub(super) fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check {
     let largest = largest(numbers);
     ensure(largest == 0.0 || largest >= SMALLEST_SIZE, pointer, || {
         format!(
@@ -133,12 +134,12 @@ fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check 
     })
 }
 
-fn point(pointer: &str, given: &[f64], n: usize) -> Check {
+pub(super) fn point(pointer: &str, given: &[f64], n: usize) -> Check {
     vector(pointer, given, n)?;
     size(pointer, given)
 }
 
-fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
+pub(super) fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
     vector(pointer, given, n)?;
     let largest = largest(given);
     ensure(largest >= SMALLEST_SIZE, pointer, || {
@@ -148,7 +149,7 @@ fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
     })
 }
 
-fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
+pub(super) fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
     ensure(given.len() == n, pointer, || {
         format!("{} rows given, n = {n} are needed", given.len())
     })?;
@@ -156,7 +157,7 @@ fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
 }
 
 /// `sign` +1: symmetric, -1: skew.
-fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
+pub(super) fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
     let size = largest(given.iter().flatten());
     for (i, row) in given.iter().enumerate() {
         for (j, &x) in row.iter().enumerate().take(i + 1) {
@@ -200,44 +201,6 @@ fn inertia(given: &Inertia) -> Check {
                 }
             }
             Ok(())
-        }
-    }
-}
-
-fn potential_term(pointer: &str, term: &PotentialTerm, n: usize) -> Check {
-    let field = |name: &str| format!("{pointer}/{name}");
-    match term {
-        PotentialTerm::Uniform(term) => {
-            strength(&field("weight"), term.weight)?;
-            point(&field("body_point"), &term.body_point, n)?;
-            direction(&field("direction"), &term.direction, n)
-        }
-        PotentialTerm::PointSource(term) => {
-            strength(&field("strength"), term.strength)?;
-            point(&field("body_point"), &term.body_point, n)?;
-            point(&field("position"), &term.position, n)
-        }
-        PotentialTerm::Spring(term) => {
-            strength(&field("stiffness"), term.stiffness)?;
-            number(&field("rest_length"), term.rest_length)?;
-            size(&field("rest_length"), [&term.rest_length])?;
-            ensure(term.rest_length >= 0.0, field("rest_length"), || {
-                format!("{} given, a length is at least 0", term.rest_length)
-            })?;
-            point(&field("body_point"), &term.body_point, n)?;
-            point(&field("position"), &term.position, n)
-        }
-        PotentialTerm::GravityGradient(term) => {
-            strength(&field("strength"), term.strength)?;
-            direction(&field("direction"), &term.direction, n)?;
-            match &term.matrix {
-                Some(rows) => {
-                    matrix(&field("matrix"), rows, n)?;
-                    size(&field("matrix"), rows.iter().flatten())?;
-                    symmetry(&field("matrix"), rows, 1.0, "symmetric")
-                }
-                None => Ok(()),
-            }
         }
     }
 }
@@ -327,27 +290,27 @@ fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
 
 fn method(scenario: &Scenario, n: usize) -> Check {
     let method = &scenario.method;
-    let name = method.name;
-    ensure(n == 3 || !name.needs_three(), "/method/name", || {
-        format!("{} is for n = 3, this body has n = {n}", name.as_str())
+    let (name, asked) = (method.name.as_str(), method.name.integrator());
+    let is_composition = asked.is_some_and(Integrator::is_composition);
+    ensure(n == 3 || !asked.is_some_and(|method| method.facts().three), "/method/name", || {
+        format!("{name} is for n = 3, this body has n = {n}")
     })?;
-    ensure(method.order.is_none() || name.is_composition(), "/method/order", || {
-        format!(
-            "is for splitting and lgvi; the order of {} follows from its tableau",
-            name.as_str()
-        )
+    ensure(method.order.is_none() || is_composition, "/method/order", || {
+        let compositions = Integrator::names(Integrator::is_composition);
+        format!("is for {compositions}; the order of {name} follows from its tableau")
     })?;
     ensure(
         method.order.is_none_or(|order| matches!(order, 2 | 4 | 6 | 8)),
         "/method/order",
         || format!("{} given, 2, 4, 6 or 8 is needed", method.order.unwrap_or_default()),
     )?;
-    ensure(method.tableau.is_none() || !name.is_composition(), "/method/tableau", || {
-        format!("{} has no tableau; give its `order`", name.as_str())
+    ensure(method.tableau.is_none() || !is_composition, "/method/tableau", || {
+        format!("{name} has no tableau; give its `order`")
     })?;
     let solver = &method.solver;
-    ensure(solver.kind != SolverKind::Newton || name.has_newton(), "/method/solver/kind", || {
-        format!("\"newton\" given, {} is solved by fixed_point or auto", name.as_str())
+    let has_newton = asked.is_none_or(|method| method.facts().newton);
+    ensure(solver.kind != SolverKind::Newton || has_newton, "/method/solver/kind", || {
+        format!("\"newton\" given, {name} is solved by fixed_point or auto")
     })?;
     let (low, high) = TOLERANCE_RANGE;
     ensure(

@@ -13,9 +13,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use serde_path_to_error::{Path, Segment};
 
+use super::term::Kind;
 use super::{
-    Coefficients, Entry, GravityGradient, PointSource, PotentialTerm, Scenario, ScenarioError,
-    ScenarioErrorKind, Spring, TableauChoice, TableauName, Uniform,
+    Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, TableauChoice,
+    TableauName,
 };
 
 /// Reads a scenario from JSON text.
@@ -215,15 +216,6 @@ impl<'de> Deserialize<'de> for PotentialTerm {
 
 struct TermVisitor;
 
-#[derive(Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum Kind {
-    Uniform,
-    PointSource,
-    Spring,
-    GravityGradient,
-}
-
 impl<'de> Visitor<'de> for TermVisitor {
     type Value = PotentialTerm;
 
@@ -238,15 +230,7 @@ impl<'de> Visitor<'de> for TermVisitor {
             _ => return Err(de::Error::missing_field("kind")),
         }
         let kind = access.next_value::<Kind>()?;
-        let fields = MapAccessDeserializer::new(access);
-        Ok(match kind {
-            Kind::Uniform => PotentialTerm::Uniform(Uniform::deserialize(fields)?),
-            Kind::PointSource => PotentialTerm::PointSource(PointSource::deserialize(fields)?),
-            Kind::Spring => PotentialTerm::Spring(Spring::deserialize(fields)?),
-            Kind::GravityGradient => {
-                PotentialTerm::GravityGradient(GravityGradient::deserialize(fields)?)
-            }
-        })
+        kind.read(MapAccessDeserializer::new(access))
     }
 }
 

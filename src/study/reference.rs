@@ -15,7 +15,8 @@ use thiserror::Error;
 
 use super::measure::{Measured, Point, Probe, measure};
 use super::{Scales, StudyError, Watch, with_tableau};
-use crate::scenario::{Method, MethodName, Scenario, TableauName};
+use crate::method::Integrator;
+use crate::scenario::{Method, Scenario, TableauName};
 
 /// Why a scene has no reference at a time.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -427,11 +428,11 @@ struct Family {
 /// The two families of a scene, the one to solve with first.
 fn families(scene: &Scenario) -> [Family; 2] {
     let family = |method, easy_steps| Family { method, easy_steps, is_rough: false };
-    let vpd = family(with_tableau(MethodName::Vpd, TableauName::Gauss8), 1.0);
+    let vpd = family(with_tableau(Integrator::Vpd, TableauName::Gauss8), 1.0);
     if scene.dimension() == 3 {
-        [vpd, family(with_tableau(MethodName::QuaternionGauss, TableauName::Gauss6), 2.0)]
+        [vpd, family(with_tableau(Integrator::QuaternionGauss, TableauName::Gauss6), 2.0)]
     } else {
-        let explicit = family(with_tableau(MethodName::RkProjected, TableauName::Rk8), 3.0);
+        let explicit = family(with_tableau(Integrator::RkProjected, TableauName::Rk8), 3.0);
         [Family { is_rough: true, ..explicit }, vpd]
     }
 }

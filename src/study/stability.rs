@@ -8,7 +8,8 @@ use super::long_term::trend;
 use super::measure::{End, Measured, Probe, measure};
 use super::table::{Row, Table};
 use super::{Entry, Scales, StudyError, Watch, usual_time, with_tableau};
-use crate::scenario::{MethodName, Scenario, TableauName};
+use crate::method::Integrator;
+use crate::scenario::{Scenario, TableauName};
 use crate::solve::failure::FailureCode;
 
 /// What became of a method at a step.
@@ -296,7 +297,7 @@ impl<'a> Judge<'a> {
         run: &Measured,
         watch: &Watch,
     ) -> Result<bool, StudyError> {
-        let exact = with_tableau(MethodName::Vpd, TableauName::Gauss8);
+        let exact = with_tableau(Integrator::Vpd, TableauName::Gauss8);
         let parts = (step_s / self.scales.easy_step_s).ceil().max(1.0) as u64;
         let made = run.points.len().saturating_sub(1);
         let spread = (0..CHECKED_STEPS).map(|k| k * made / CHECKED_STEPS);
@@ -464,7 +465,8 @@ fn swing_rad(run: &Measured) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::{CHECKED_STEPS, Judge, Probe, measure};
-    use crate::scenario::{MethodName, SHIPPED, Scenario, TableauName};
+    use crate::method::Integrator;
+    use crate::scenario::{SHIPPED, Scenario, TableauName};
     use crate::study::{Watch, with_tableau};
 
     #[test]
@@ -473,7 +475,7 @@ mod tests {
         let scene = Scenario::from_json(text.as_bytes()).expect("the dipole");
         let watch = Watch::default();
         let judge = Judge::of(&scene, &watch).expect("scales");
-        let method = with_tableau(MethodName::Vpd, TableauName::Gauss2);
+        let method = with_tableau(Integrator::Vpd, TableauName::Gauss2);
         let step_s = 0.05;
         let probe = Probe { every: 1, keep: true, ..Probe::of(&method, step_s, 400) };
         let mut run = measure(&scene, probe, &watch).expect("a run");

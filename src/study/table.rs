@@ -49,7 +49,7 @@ impl Row {
         };
         let any = (run.steps > 0).then_some(());
         Self {
-            method: entry.method.name.as_str().to_owned(),
+            method: entry.integrator.as_str().to_owned(),
             tableau: entry.tableau.clone(),
             order: entry.order,
             solver: run

@@ -389,6 +389,6 @@ fn symplectic_keeps_to_symplectic_methods() {
         plan.advice.expect("the choice is reported").candidates
     };
     let (symplectic, any) = (tried(&asked), tried(&accurate_dipole(1e-6, 20.0)));
-    assert!(symplectic.iter().all(|tried| !tried.method.is_explicit()), "{symplectic:?}");
-    assert!(any.iter().any(|tried| tried.method.is_explicit()), "{any:?}");
+    assert!(symplectic.iter().all(|tried| tried.method.facts().symplectic), "{symplectic:?}");
+    assert!(any.iter().any(|tried| !tried.method.facts().symplectic), "{any:?}");
 }

@@ -1,10 +1,8 @@
 //! dH/dg for n = 3, for the stages of a step side by side.
 
-use nalgebra::Vector3;
-
-use super::{Law, RigidBody};
-use crate::lanes::{Real, Stages, Whole};
-use crate::space::{Mat3, Vec3, cross, dot, minus, plus, scaled, transposed_product, vec3};
+use super::RigidBody;
+use crate::lanes::{Stages, Whole};
+use crate::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
 
 impl RigidBody<3> {
     /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient`] in lanes. Beside
@@ -25,43 +23,9 @@ impl RigidBody<3> {
         for ((term, reach), v) in self.terms.iter().zip(&self.reaches).zip(seen) {
             let v: Vec3<R> = vec3!(i => like.spread(like.stage(0).load(&v[i])));
             let q = transposed_product(u, &v);
-            let slope = match &term.law {
-                Law::Uniform { weight, body_point } => {
-                    scaled(&constant(like, body_point), like.constant(*weight))
-                }
-                Law::PointSource { strength, body_point } => {
-                    // strength (y - q) / r^3; the part along q has no torque.
-                    let y = constant(like, body_point);
-                    let d = minus(&y, &q);
-                    let square = dot(&d, &d);
-                    nearness = nearness.larger(square * -*reach);
-                    scaled(&y, like.constant(*strength) / (square * square.root()))
-                }
-                Law::Spring { stiffness, rest_length, body_point } => {
-                    // -stiffness (1 - rest_length / r) (y - q)
-                    let y = constant(like, body_point);
-                    let mut factor = like.constant(-*stiffness);
-                    if *rest_length != 0.0 {
-                        let d = minus(&y, &q);
-                        let square = dot(&d, &d);
-                        nearness = nearness.larger(square * -*reach);
-                        let ratio = like.constant(*rest_length) / square.root();
-                        factor = (ratio + -1.0) * *stiffness;
-                    }
-                    scaled(&y, factor)
-                }
-                Law::GravityGradient { strength, matrix } => {
-                    let m = matrix;
-                    vec3!(i => (q[0] * m[(i, 0)] + q[1] * m[(i, 1)] + q[2] * m[(i, 2)]) * *strength)
-                }
-            };
+            let slope = term.law.slope(&q, *reach, &mut nearness);
             torque = plus(&torque, &cross(&slope, &q));
         }
         (torque, nearness)
     }
-}
-
-#[inline(always)]
-fn constant<R: Real>(like: R, v: &Vector3<f64>) -> Vec3<R> {
-    vec3!(i => like.constant(v[i]))
 }

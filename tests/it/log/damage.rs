@@ -5,7 +5,8 @@ use std::fs;
 use vpd::log::inspect::inspect;
 use vpd::log::part_path;
 use vpd::log::resume::last_checkpoint;
-use vpd::log::writer::{Compression, Level, LogHeader, LogWriter};
+use vpd::log::schema::Compression;
+use vpd::log::writer::{Level, LogHeader, LogWriter};
 
 use super::fixture::*;
 use crate::faults::disk::Disk;

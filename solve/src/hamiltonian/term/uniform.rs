@@ -1,0 +1,13 @@
+//! A uniform field: `U = weight y . q`.
+
+use super::{Image, Vector};
+
+pub(super) fn value<const N: usize>(weight: f64, y: &Vector<N>, q: &Vector<N>) -> f64 {
+    weight * y.dot(q)
+}
+
+/// `dU/dq = weight y`.
+#[inline(always)]
+pub(super) fn slope<const N: usize, V: Image<N>>(weight: f64, y: &Vector<N>, q: &V) -> V {
+    q.vector(y).scaled(q.number(weight))
+}

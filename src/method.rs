@@ -1,0 +1,419 @@
+//! The methods: one row each, read by scenario, plan, assembly, studies, choice and charts.
+//!
+//! A new integrator is its stepper in `solve/stepper`, its row here (a name, facts, what makes it) and its row in the
+//! table of `solve/tests/it/methods.rs`.
+//!
+//! Invariant: `auto` is a scenario's word; an [`Integrator`] is one that runs.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::solve::ensemble::Members;
+use crate::solve::lanes::WIDTH;
+use crate::solve::nonlinear::StopRule;
+use crate::solve::stepper::Stepper;
+use crate::solve::stepper::lgvi::Lgvi;
+use crate::solve::stepper::quaternion_gauss::QuaternionGauss;
+use crate::solve::stepper::rk::Rk;
+use crate::solve::stepper::rkmk::Rkmk;
+use crate::solve::stepper::splitting::Splitting;
+use crate::solve::stepper::vpd::Vpd;
+use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
+use crate::solve::stepper::vpd_reduced::VpdReduced;
+use crate::solve::stepper::vpd_space::VpdSpace;
+use crate::solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use crate::solve::stepper::vrkmk::Vrkmk;
+use crate::solve::tableau::Tableau;
+
+macro_rules! names {
+    ($($(#[doc = $doc:literal])* $method:ident = $name:tt,)*) => {
+        /// The integrators.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+        pub enum MethodName {
+            /// The plan chooses.
+            #[default]
+            #[serde(rename = "auto")]
+            Auto,
+            $($(#[doc = $doc])* #[serde(rename = $name)] $method,)*
+        }
+
+        /// An integrator that runs.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        pub enum Integrator {
+            $($(#[doc = $doc])* #[serde(rename = $name)] $method,)*
+        }
+
+        impl MethodName {
+            /// The integrator that is asked for; `None` if the plan chooses.
+            pub fn integrator(self) -> Option<Integrator> {
+                match self {
+                    Self::Auto => None,
+                    $(Self::$method => Some(Integrator::$method),)*
+                }
+            }
+        }
+
+        impl From<Integrator> for MethodName {
+            fn from(integrator: Integrator) -> Self {
+                match integrator {
+                    $(Integrator::$method => Self::$method,)*
+                }
+            }
+        }
+
+        impl Integrator {
+            /// All of them.
+            pub const ALL: &[Self] = &[$(Self::$method),*];
+
+            /// The name in a scenario.
+            pub fn as_str(self) -> &'static str {
+                match self {
+                    $(Self::$method => $name,)*
+                }
+            }
+        }
+    };
+}
+
+names! {
+    /// Variational polar decomposition, Hamiltonian form.
+    Vpd = "vpd",
+    /// Variational polar decomposition, Lagrangian form: the same map, from the Lagrangian.
+    VpdLagrangian = "vpd_lagrangian",
+    /// Variational polar decomposition, reduced to the momentum: free bodies.
+    VpdReduced = "vpd_reduced",
+    /// Variational Runge-Kutta-Munthe-Kaas: symplectic, on the group but for what rounding adds up.
+    Vrkmk = "vrkmk",
+    /// The same, projected to the group after each step.
+    VrkmkProjected = "vrkmk_projected",
+    /// Explicit Runge-Kutta-Munthe-Kaas: on the group, not symplectic.
+    Rkmk = "rkmk",
+    /// Explicit Runge-Kutta in n x n matrices: leaves the group.
+    Rk = "rk",
+    /// The same, projected to the group after each step.
+    RkProjected = "rk_projected",
+    /// Exact free top and potential kicks, composed; n = 3.
+    Splitting = "splitting",
+    /// Lie group variational integrator of Lee, Leok and McClamroch, composed; n = 3.
+    Lgvi = "lgvi",
+    /// Canonical Gauss collocation on unit quaternions; n = 3.
+    QuaternionGauss = "quaternion_gauss",
+}
+
+impl MethodName {
+    /// The name in a scenario.
+    pub fn as_str(self) -> &'static str {
+        self.integrator().map_or("auto", Integrator::as_str)
+    }
+}
+
+impl Default for Integrator {
+    /// The one for any scene.
+    fn default() -> Self {
+        Self::Vpd
+    }
+}
+
+/// What a method is made with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Takes {
+    /// A tableau without zeros among its b_i.
+    Tableau,
+    /// A Gauss tableau.
+    Gauss,
+    /// An explicit tableau.
+    Explicit,
+    /// An order: it is a composition.
+    Order,
+}
+
+/// A method's tableau or order, in the lists of studies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Variant {
+    Tableau(TableauName),
+    Order(u32),
+}
+
+/// What is known of a method.
+#[derive(Clone, Copy, Debug)]
+pub struct Facts {
+    /// What it is made with.
+    pub takes: Takes,
+    /// Does its energy error stay at a level that the step fixes?
+    pub symplectic: bool,
+    /// Is it for n = 3 alone?
+    pub three: bool,
+    /// Is it for free bodies alone? Their momentum moves by itself, the attitude only where somebody looks at it.
+    pub free: bool,
+    /// Has it Newton's method to go to?
+    pub newton: bool,
+    /// Is it computed in lanes for n = 3? More stages than there are lanes go the way of general n.
+    pub(crate) lanes: bool,
+    /// Is it computed for n = 2 where the motion stays in a plane?
+    pub(crate) plane: bool,
+    /// Sweeps of a step that nobody has counted: for n = 3, elsewhere. 1 of a method without sweeps.
+    pub(crate) sweeps: [f64; 2],
+    /// Methods of a family have one colour, and stand together in tables.
+    pub(crate) family: usize,
+    /// Its lines in charts: few, so that they can be told apart.
+    charted: &'static [Variant],
+    /// Its rows in the map of stability, once for each solver if `solvers`.
+    mapped: &'static [Variant],
+    solvers: bool,
+    /// What is tried of it for an accuracy, and in which turn: methods first whose steps are cheap.
+    tried: (u8, &'static [Variant]),
+}
+
+/// What a stepper is made from.
+#[derive(Clone, Debug)]
+pub(crate) struct Parts {
+    pub(crate) tableau: Tableau,
+    pub(crate) order: u32,
+    pub(crate) stop: StopRule,
+    pub(crate) carries_attitude: bool,
+}
+
+impl Integrator {
+    /// Its row.
+    #[rustfmt::skip]
+    pub fn facts(self) -> Facts {
+        use TableauName::{Gauss1, Gauss2, Gauss3, Gauss4, Gauss6, Gauss8, Rk3, Rk4, Rk8};
+        use Variant::{Order as O, Tableau as T};
+        const GAUSS: &[Variant] = &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss6), T(Gauss8)];
+        const EXPLICIT: &[Variant] = &[T(Rk3), T(Rk4), T(Rk8)];
+        match self {
+            Self::Vpd => Facts {
+                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                lanes: true, plane: true, sweeps: [5.0, 5.0], family: 0,
+                charted: &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss8)],
+                mapped: &[T(Gauss1), T(Rk3), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss6), T(Gauss8)], solvers: true,
+                tried: (6, GAUSS),
+            },
+            Self::VpdLagrangian => Facts {
+                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                lanes: false, plane: false, sweeps: [5.0, 5.0], family: 0,
+                charted: &[], mapped: &[T(Gauss2)], solvers: false, tried: (0, &[]),
+            },
+            Self::VpdReduced => Facts {
+                takes: Takes::Tableau, symplectic: true, three: false, free: true, newton: true,
+                lanes: true, plane: false, sweeps: [1.0, 3.0], family: 0,
+                charted: &[T(Gauss4)], mapped: &[T(Gauss2)], solvers: false, tried: (5, GAUSS),
+            },
+            Self::Vrkmk => Facts {
+                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                lanes: false, plane: false, sweeps: [5.0, 5.0], family: 1,
+                charted: &[T(Gauss2), T(Gauss4)],
+                mapped: &[T(Gauss1), T(Rk3), T(Gauss2), T(Gauss3), T(Gauss4)], solvers: false,
+                tried: (7, &[T(Gauss2), T(Gauss4)]),
+            },
+            Self::VrkmkProjected => Facts {
+                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                lanes: false, plane: false, sweeps: [5.0, 5.0], family: 1,
+                charted: &[], mapped: &[T(Gauss2)], solvers: false, tried: (0, &[]),
+            },
+            Self::Rkmk => Facts {
+                takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
+                lanes: false, plane: false, sweeps: [1.0, 1.0], family: 5,
+                charted: &[T(Rk4), T(Rk8)], mapped: EXPLICIT, solvers: false, tried: (2, &[T(Rk8)]),
+            },
+            Self::Rk => Facts {
+                takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
+                lanes: false, plane: false, sweeps: [1.0, 1.0], family: 6,
+                charted: &[T(Rk4)], mapped: EXPLICIT, solvers: false, tried: (0, &[]),
+            },
+            Self::RkProjected => Facts {
+                takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
+                lanes: false, plane: false, sweeps: [1.0, 1.0], family: 6,
+                charted: &[T(Rk8)], mapped: EXPLICIT, solvers: false, tried: (1, &[T(Rk4), T(Rk8)]),
+            },
+            Self::Splitting => Facts {
+                takes: Takes::Order, symplectic: true, three: true, free: false, newton: false,
+                lanes: false, plane: false, sweeps: [1.0, 1.0], family: 3,
+                charted: &[O(4), O(8)], mapped: &[O(2), O(4), O(6), O(8)], solvers: false,
+                tried: (0, &[O(2), O(4), O(6), O(8)]),
+            },
+            Self::Lgvi => Facts {
+                takes: Takes::Order, symplectic: true, three: true, free: false, newton: false,
+                lanes: false, plane: false, sweeps: [1.0, 1.0], family: 4,
+                charted: &[O(4)], mapped: &[O(2), O(4), O(8)], solvers: false, tried: (4, &[O(4), O(8)]),
+            },
+            Self::QuaternionGauss => Facts {
+                takes: Takes::Gauss, symplectic: true, three: true, free: false, newton: false,
+                lanes: false, plane: false, sweeps: [5.0, 5.0], family: 2,
+                charted: &[T(Gauss4), T(Gauss8)],
+                mapped: &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss8)], solvers: false,
+                tried: (3, GAUSS),
+            },
+        }
+    }
+
+    /// The stepper for any n; `None` of a method for n = 3 alone, and where the tableau is none of its own.
+    pub(crate) fn in_any_dimension<const N: usize>(
+        self,
+        parts: Parts,
+    ) -> Option<Box<dyn Stepper<N>>> {
+        let Parts { tableau, stop, carries_attitude, .. } = parts;
+        Some(match self {
+            Self::Vpd => Box::new(Vpd::new(tableau, stop)),
+            Self::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
+            Self::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
+            Self::Vrkmk => Box::new(Vrkmk::new(tableau, stop)),
+            Self::VrkmkProjected => Box::new(Vrkmk::new(tableau, stop).projected()),
+            Self::Rkmk => Box::new(Rkmk::new(tableau)?),
+            Self::Rk => Box::new(Rk::new(tableau, false)?),
+            Self::RkProjected => Box::new(Rk::new(tableau, true)?),
+            Self::Splitting | Self::Lgvi | Self::QuaternionGauss => return None,
+        })
+    }
+
+    /// The stepper for n = 3, wherever the body goes.
+    pub(crate) fn in_space(self, parts: Parts) -> Option<Box<dyn Stepper<3>>> {
+        let in_lanes = parts.tableau.stages() <= WIDTH;
+        let Parts { tableau, order, stop, carries_attitude } = parts;
+        Some(match self {
+            Self::Vpd if in_lanes => Box::new(VpdSpace::new(tableau, stop)?),
+            Self::VpdReduced if in_lanes => {
+                Box::new(VpdSpace::new(tableau, stop)?.reduced(carries_attitude))
+            }
+            Self::Splitting => Box::new(Splitting::new(order)?),
+            Self::Lgvi => Box::new(Lgvi::new(order, stop)?),
+            Self::QuaternionGauss => Box::new(QuaternionGauss::new(tableau.stages(), stop)?),
+            _ => return self.in_any_dimension(Parts { tableau, order, stop, carries_attitude }),
+        })
+    }
+
+    /// Members of an ensemble side by side, where that is quicker than one after the other; `None` elsewhere. (Free
+    /// bodies go one after the other: each step begins where that member's steps before lead.)
+    pub(crate) fn side_by_side(self, parts: &Parts) -> Option<Box<dyn Members<3>>> {
+        match self {
+            Self::Vpd => Some(Box::new(VpdEnsemble::new(&parts.tableau, parts.stop)?)),
+            _ => None,
+        }
+    }
+
+    /// Is it a composition, with an order in the place of a tableau?
+    pub fn is_composition(self) -> bool {
+        self.facts().takes == Takes::Order
+    }
+
+    /// Does it take explicit tableaux only?
+    pub fn is_explicit(self) -> bool {
+        self.facts().takes == Takes::Explicit
+    }
+
+    /// The method whose measured costs are its own, too.
+    pub fn costs_as(self) -> Self {
+        match self {
+            Self::VrkmkProjected => Self::Vrkmk,
+            other => other,
+        }
+    }
+
+    /// All of them, family by family.
+    fn by_family() -> Vec<Self> {
+        let mut all = Self::ALL.to_vec();
+        all.sort_by_key(|method| method.facts().family);
+        all
+    }
+
+    /// The lines of charts.
+    pub(crate) fn charted() -> impl Iterator<Item = (Self, Variant)> {
+        let variants = |method: Self| method.facts().charted.iter().map(move |of| (method, *of));
+        Self::by_family().into_iter().flat_map(variants)
+    }
+
+    /// The rows of the map of stability, and whether each solver has its own.
+    pub(crate) fn mapped() -> impl Iterator<Item = (Self, &'static [Variant], bool)> {
+        let rows = |method: Self| (method, method.facts().mapped, method.facts().solvers);
+        Self::by_family().into_iter().map(rows)
+    }
+
+    /// What is tried for an accuracy, in turn.
+    pub(crate) fn tried(symplectic: bool) -> impl Iterator<Item = (Self, Variant)> {
+        let mut all = Self::ALL.to_vec();
+        all.retain(|method| method.facts().symplectic || !symplectic);
+        all.sort_by_key(|method| method.facts().tried.0);
+        all.into_iter()
+            .flat_map(|method| method.facts().tried.1.iter().map(move |of| (method, *of)))
+    }
+
+    /// The names of those that are so, as a sentence has them: `a, b and c`.
+    pub(crate) fn names(are: fn(Self) -> bool) -> String {
+        let all = Self::ALL.iter().filter(|&&method| are(method));
+        let names: Vec<&str> = all.map(|method| method.as_str()).collect();
+        match names.split_last() {
+            Some((last, [])) => (*last).to_owned(),
+            Some((last, others)) => format!("{} and {last}", others.join(", ")),
+            None => String::new(),
+        }
+    }
+}
+
+/// The named tableaux: Gauss with 1 to 8 stages (order twice that), Kutta's third and fourth order, and the twelve
+/// stages of eighth order of Dormand and Prince, for explicit methods alone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+#[allow(missing_docs)]
+pub enum TableauName {
+    Gauss1,
+    Gauss2,
+    Gauss3,
+    Gauss4,
+    Gauss5,
+    Gauss6,
+    Gauss7,
+    Gauss8,
+    Rk3,
+    Rk4,
+    Rk8,
+}
+
+impl TableauName {
+    /// Its coefficients.
+    pub(crate) fn tableau(self) -> Option<Tableau> {
+        match self {
+            Self::Gauss1 => Tableau::gauss(1),
+            Self::Gauss2 => Tableau::gauss(2),
+            Self::Gauss3 => Tableau::gauss(3),
+            Self::Gauss4 => Tableau::gauss(4),
+            Self::Gauss5 => Tableau::gauss(5),
+            Self::Gauss6 => Tableau::gauss(6),
+            Self::Gauss7 => Tableau::gauss(7),
+            Self::Gauss8 => Tableau::gauss(8),
+            Self::Rk3 => Some(Tableau::rk3()),
+            Self::Rk4 => Some(Tableau::rk4()),
+            Self::Rk8 => Some(Tableau::rk8()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Integrator, Parts, TableauName, Takes};
+    use crate::solve::nonlinear::StopRule;
+
+    /// The table of the mathematics' own tests: order, reversibility, failed steps.
+    const TESTED: &str = include_str!("../solve/tests/it/methods.rs");
+
+    #[test]
+    fn each_method_is_made_in_the_dimensions_of_its_row_and_has_a_row_in_the_tests() {
+        for &method in Integrator::ALL {
+            let name = method.as_str();
+            let usual = match method.facts().takes {
+                Takes::Explicit => TableauName::Rk4,
+                Takes::Tableau | Takes::Gauss | Takes::Order => TableauName::Gauss2,
+            };
+            let parts = || Parts {
+                tableau: usual.tableau().expect("a tableau by name"),
+                order: 4,
+                stop: StopRule::default(),
+                carries_attitude: true,
+            };
+            assert!(method.in_space(parts()).is_some(), "{name} in space");
+            let elsewhere = method.in_any_dimension::<4>(parts()).is_some();
+            assert_eq!(elsewhere, !method.facts().three, "{name} for n = 4");
+            let row = format!("!(\"{name} ");
+            assert!(TESTED.contains(&row), "{name} has no row in solve/tests/it/methods.rs");
+        }
+    }
+}

@@ -1,0 +1,64 @@
+//! The gradient of gravity.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::check::{Check, direction, largest, matrix, size, strength, symmetry};
+use super::{Drawn, Law, NO_STRENGTH};
+
+/// The gradient of a distant body's gravity over this one.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct GravityGradient {
+    /// Strength; 3 G M / r^3 for a body of mass M at distance r.
+    pub strength: f64,
+    /// Direction to the other body, in space coordinates; used as given, not normalised.
+    pub direction: Vec<f64>,
+    /// Symmetric matrix in body coordinates; the inertia matrix if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub matrix: Option<Vec<Vec<f64>>>,
+}
+
+impl Law for GravityGradient {
+    fn check(&self, at: &str, n: usize) -> Check {
+        strength(&format!("{at}/strength"), self.strength)?;
+        direction(&format!("{at}/direction"), &self.direction, n)?;
+        let Some(rows) = &self.matrix else { return Ok(()) };
+        let at = format!("{at}/matrix");
+        matrix(&at, rows, n)?;
+        size(&at, rows.iter().flatten())?;
+        symmetry(&at, rows, 1.0, "symmetric")
+    }
+
+    /// `strength / 2 |direction|^2 c` where the matrix, which the plan has filled in, is c I.
+    fn constant(&self) -> Option<(f64, &'static str)> {
+        /// What rounding may make of a number: a few units in its last place.
+        const ROUNDED: f64 = 8.0 * f64::EPSILON;
+        const ROUND: &str =
+            "is the same at every attitude: its matrix is a multiple of I, to rounding";
+        if self.strength == 0.0 {
+            return Some((0.0, NO_STRENGTH));
+        }
+        let m = self.matrix.as_ref()?;
+        let level = m[0][0];
+        let off: Vec<f64> = (0..m.len())
+            .flat_map(|i| (0..m.len()).map(move |j| (i, j)))
+            .map(|(i, j)| if i == j { m[i][j] - level } else { m[i][j] })
+            .collect();
+        let square: f64 = self.direction.iter().map(|x| x * x).sum();
+        (largest(&off) <= ROUNDED * largest(m.iter().flatten()))
+            .then_some((0.5 * self.strength * level * square, ROUND))
+    }
+
+    fn singular_points(&self) -> Option<(&[f64], &[f64])> {
+        None
+    }
+
+    fn space_vector(&self) -> &[f64] {
+        &self.direction
+    }
+
+    fn drawn(&self) -> Drawn<'_> {
+        Drawn { direction: Some(&self.direction), ..Drawn::default() }
+    }
+}

@@ -1,0 +1,52 @@
+//! A charge in space.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::check::{Check, point, strength};
+use super::{Drawn, FIXED, Law, NO_STRENGTH, distance, is_zero};
+
+/// A point of space that attracts or repels a body point.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PointSource {
+    /// Strength; positive repels.
+    pub strength: f64,
+    /// Point of the body, in body coordinates.
+    pub body_point: Vec<f64>,
+    /// Place of the source, in space coordinates.
+    pub position: Vec<f64>,
+}
+
+impl Law for PointSource {
+    fn check(&self, at: &str, n: usize) -> Check {
+        strength(&format!("{at}/strength"), self.strength)?;
+        point(&format!("{at}/body_point"), &self.body_point, n)?;
+        point(&format!("{at}/position"), &self.position, n)
+    }
+
+    fn constant(&self) -> Option<(f64, &'static str)> {
+        if self.strength == 0.0 {
+            return Some((0.0, NO_STRENGTH));
+        }
+        let fixed = is_zero(&self.body_point) || is_zero(&self.position);
+        fixed.then(|| (self.strength / distance(&self.body_point, &self.position), FIXED))
+    }
+
+    fn singular_points(&self) -> Option<(&[f64], &[f64])> {
+        (self.strength != 0.0).then_some((&self.body_point, &self.position))
+    }
+
+    fn space_vector(&self) -> &[f64] {
+        &self.position
+    }
+
+    fn drawn(&self) -> Drawn<'_> {
+        Drawn {
+            body_point: Some(&self.body_point),
+            position: Some(&self.position),
+            charge: self.strength,
+            ..Drawn::default()
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! A spring.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::super::check::{Check, ensure, number, point, size, strength};
+use super::{Drawn, FIXED, Law, NO_STRENGTH, distance, is_zero};
+
+/// A spring from a body point to a point of space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Spring {
+    /// Stiffness.
+    pub stiffness: f64,
+    /// Length at rest, at least 0.
+    #[serde(default)]
+    pub rest_length: f64,
+    /// Point of the body, in body coordinates.
+    pub body_point: Vec<f64>,
+    /// The anchor, in space coordinates.
+    pub position: Vec<f64>,
+}
+
+impl Law for Spring {
+    fn check(&self, at: &str, n: usize) -> Check {
+        let length = format!("{at}/rest_length");
+        strength(&format!("{at}/stiffness"), self.stiffness)?;
+        number(&length, self.rest_length)?;
+        size(&length, [&self.rest_length])?;
+        ensure(self.rest_length >= 0.0, length, || {
+            format!("{} given, a length is at least 0", self.rest_length)
+        })?;
+        point(&format!("{at}/body_point"), &self.body_point, n)?;
+        point(&format!("{at}/position"), &self.position, n)
+    }
+
+    fn constant(&self) -> Option<(f64, &'static str)> {
+        if self.stiffness == 0.0 {
+            return Some((0.0, NO_STRENGTH));
+        }
+        let stretch = distance(&self.body_point, &self.position) - self.rest_length;
+        let fixed = is_zero(&self.body_point) || is_zero(&self.position);
+        fixed.then_some((0.5 * self.stiffness * stretch * stretch, FIXED))
+    }
+
+    fn singular_points(&self) -> Option<(&[f64], &[f64])> {
+        let bent = self.stiffness != 0.0 && self.rest_length > 0.0;
+        bent.then_some((&self.body_point, &self.position))
+    }
+
+    fn space_vector(&self) -> &[f64] {
+        &self.position
+    }
+
+    fn drawn(&self) -> Drawn<'_> {
+        Drawn {
+            body_point: Some(&self.body_point),
+            position: Some(&self.position),
+            ..Drawn::default()
+        }
+    }
+}
