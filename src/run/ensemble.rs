@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{Control, End, JobContext, RunError, finish, header, json, note, observables};
+use super::{Asked, Control, End, JobContext, RunError, finish, header, json, note, observables};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::LogError;
 use crate::log::course::Course;
@@ -104,12 +104,13 @@ impl Ensemble<'_> {
         let first = first.unwrap_or_else(|| reached.state());
         let end = End {
             outcome,
-            energy: EnergySeen::at_the_ends(&assembly.body, &first, &reached.state()),
+            energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached,
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
         };
-        let summary = finish(scenario, plan, path, log, (&figures, &course), end)?;
+        let asked = Asked::of(scenario, plan);
+        let summary = finish(asked, path, log, (&figures, &course), end)?;
         control.steps_done.store(ends.steps(), Ordering::Relaxed);
         let made = ends.steps().saturating_sub(resumed_step);
         Ok(Summary {

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::summary::EnergySeen;
-use super::{Diagnosis, End, Outcome, RunError, Summary, finish, header};
+use super::{Asked, Diagnosis, End, Outcome, RunError, Summary, finish, header};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::course::Course;
 use crate::log::messages::Figures;
@@ -95,8 +95,10 @@ impl Task for GiveUp<'_> {
         let resumed_step = reached.step;
         let diagnosis = Some(diagnosis);
         let energy = EnergySeen::at_the_ends(&assembly.body, &assembly.initial, &reached.state());
+        let energy = Some(energy);
         let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None, energy };
-        let summary = finish(scenario, plan, log, writer, (&figures, &course), end)?;
+        let asked = Asked::of(scenario, plan);
+        let summary = finish(asked, log, writer, (&figures, &course), end)?;
         Ok(Summary { resumed_step, ..summary })
     }
 }
