@@ -8,6 +8,41 @@
 //! POST /jobs → store (durable) → engine → worker thread → run → store (finished log) → GET /jobs/{id}/log.mcap
 //! ```
 //!
+//! A scenario is run to a log, and the log is read:
+//!
+//! ```
+//! use vpd::log::reader::{Message, read_samples};
+//! use vpd::run::{Control, JobContext, Outcome, execute};
+//! use vpd::scenario::{Inertia, Scenario, Scene};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // Or from JSON: Scenario::from_json(text).
+//! let mut scene = Scene::free(Inertia::Principal([1.0, 2.0, 3.0]));
+//! scene.initial = serde_json::from_str(r#"{ "momentum": { "body": [0.01, 2, 0.01] } }"#)?;
+//! let scenario = Scenario::of("free-body", scene, 0.01, 1000)?;
+//! let folder = tempfile::tempdir()?;
+//! let log = folder.path().join("free-body.mcap");
+//! let summary = execute(&scenario, &JobContext { log: &log, control: &Control::default() })?;
+//! assert_eq!(summary.outcome, Outcome::Succeeded);
+//!
+//! let mut largest = 0.0_f64;
+//! read_samples(&log, |_time_ns, message| {
+//!     if let Message::Energy(energy) = message {
+//!         largest = largest.max(energy.error.abs());
+//!     }
+//! })?;
+//! assert!(largest < 1e-8);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! | what you have | where it goes in |
+//! |---|---|
+//! | a scenario, as JSON or made in Rust | [`scenario::Scenario`], [`run::execute`] |
+//! | a potential, a Hamiltonian or a Lagrangian of your own | [`solve`], [`run::Recording`], [`study::own`] |
+//! | a log | [`log::reader`], [`log::inspect`], `chart`, [`verify`] |
+//! | an accuracy instead of a method | [`advise`] |
+//!
 //! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
 
 pub mod method;

@@ -279,8 +279,7 @@ impl Plan {
 
     /// What the logged channels need at a sample.
     pub(crate) fn observables(&self) -> Observables {
-        let needs = self.channels.iter().map(|plan| plan.topic.observables());
-        needs.fold(Observables::default(), |all, needs| all | needs)
+        Channel::observables(self.channels.iter().map(|plan| plan.topic))
     }
 
     /// Puts the terms together to those that have to be modelled.

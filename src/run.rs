@@ -1,4 +1,5 @@
-//! 3 · The one door: plan → body and stepper → samples → log.
+//! 3 · The one door: plan → body and stepper → samples → log. [`Recording`] is a door for a system that no scenario
+//! describes: system and stepper → samples → log.
 //!
 //! Invariant: a numerical failure is a [`Summary`] with a [`Diagnosis`] and a finished log; only the log
 //! itself can make a run an error.
@@ -33,12 +34,14 @@ mod end;
 pub(crate) mod ensemble;
 mod geometry;
 mod give_up;
+mod record;
 mod summary;
 
 use advice::{Broken, Patience};
-use end::{End, finish};
+use end::{Asked, End, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
+pub use record::Recording;
 use summary::EnergySeen;
 pub use summary::{
     Diagnosis, EnergySummary, EnsembleSummary, FinalState, MomentumSummary, OrthogonalitySummary,
@@ -233,9 +236,9 @@ fn run<const N: usize>(
         diagnosis => (outcome, diagnosis),
     };
     let Recorder { writer, figures, course, .. } = recorder;
-    let energy = EnergySeen::at_the_ends(body, initial, &reached.state());
+    let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
     let end = End { outcome, reached, diagnosis, ensemble: None, energy };
-    let summary = finish(plan, context.log, writer, (&figures, &course), end)?;
+    let summary = finish(Asked::of(plan), context.log, writer, (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,
         ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
@@ -276,18 +279,27 @@ impl<'a, const N: usize> Recorder<'a, N> {
                 (begin_log(context, header)?, Figures::default(), None)
             }
         };
-        let epoch_ns = header.epoch_ns;
-        let recorder = Self {
+        Ok((Self::of(writer, figures, course, control, header), checkpoint))
+    }
+
+    /// Goes on with a writer, what its samples have shown so far, and the header of its log.
+    fn of(
+        writer: LogWriter<N>,
+        figures: Figures,
+        course: Course,
+        control: &'a Control,
+        header: &LogHeader,
+    ) -> Self {
+        Self {
             writer,
             figures,
             course,
-            epoch_ns,
+            epoch_ns: header.epoch_ns,
             elsewhere: Duration::ZERO,
             control,
             #[cfg(feature = "live")]
             show: show(control, header),
-        };
-        Ok((recorder, checkpoint))
+        }
     }
 }
 
@@ -371,7 +383,7 @@ fn header(plan: &Plan) -> LogHeader {
         members: plan.ensemble.as_ref().map_or(vec![0], |ensemble| ensemble.in_full.clone()),
         compression: scenario.log.compression,
         samples_per_chunk: plan.samples_per_chunk,
-        scenario_json: scenario.to_json(),
+        scenario_json: Some(scenario.to_json()),
         job,
         scene: geometry::scene(plan),
     }

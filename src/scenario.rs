@@ -91,6 +91,13 @@ pub struct Scene {
     pub initial: Initial,
 }
 
+impl Scene {
+    /// A free body of an inertia, at rest in the attitude of the identity.
+    pub fn free(inertia: Inertia) -> Self {
+        Self { inertia, potential: Vec::new(), initial: Initial::default() }
+    }
+}
+
 /// Inertia of the body, in SI units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -351,6 +358,69 @@ fn shortened(text: String, most: usize) -> String {
 }
 
 impl Scenario {
+    /// A scenario without JSON: `scene` under `name`, with steps of `step_s` seconds, `steps` of them, and all else as
+    /// in a scenario that does not say. Further fields are set on what is returned, and checked by [`Scenario::check`].
+    ///
+    /// ```
+    /// use vpd::plan::Plan;
+    /// use vpd::scenario::{
+    ///     Attitude, AxisAngle, Entry, Framed, Inertia, Initial, MethodName, PotentialTerm, Scenario, Scene,
+    ///     Uniform,
+    /// };
+    ///
+    /// let weight = Uniform {
+    ///     weight: 4.905,
+    ///     body_point: vec![0.0, 0.0, 0.1],
+    ///     direction: vec![0.0, 0.0, 1.0],
+    /// };
+    /// let tilt = AxisAngle { axis: [1.0, 0.0, 0.0], angle_rad: 0.3 };
+    /// let spin = [0.0, 0.0, 40.0].map(Entry::Number).to_vec();
+    /// let top = Scene {
+    ///     potential: vec![PotentialTerm::Uniform(weight)],
+    ///     initial: Initial {
+    ///         attitude: Some(Attitude::AxisAngle(tilt)),
+    ///         angular_velocity: Some(Framed::Body(spin)),
+    ///         ..Initial::default()
+    ///     },
+    ///     ..Scene::free(Inertia::Principal([0.02, 0.02, 0.01]))
+    /// };
+    /// let mut scenario = Scenario::of("heavy-top", top, 0.002, 1000)?;
+    /// scenario.method.name = MethodName::VpdLagrangian;
+    /// scenario.check()?;
+    /// assert_eq!(Plan::new(&scenario)?.steps, 1000);
+    /// # Ok::<(), vpd::scenario::ScenarioError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// The first thing wrong with it, with the pointer of its field.
+    pub fn of(
+        name: impl Into<String>,
+        scene: Scene,
+        step_s: f64,
+        steps: u64,
+    ) -> Result<Self, ScenarioError> {
+        let scenario = Self {
+            name: name.into(),
+            description: String::new(),
+            scene,
+            method: Method::default(),
+            step_s: Some(step_s),
+            accuracy: None,
+            steps: Some(steps),
+            duration_s: None,
+            ensemble: None,
+            log: LogOptions::default(),
+            expect: None,
+        };
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    /// The log time of t = 0 of a scenario that does not say, in nanoseconds since 1970.
+    pub(crate) fn default_epoch_ns() -> u64 {
+        check::epoch_ns(&Epoch::default().0).unwrap_or_default()
+    }
+
     /// Reads and checks a scenario.
     ///
     /// # Errors
@@ -361,8 +431,11 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Checks form and range of every field: of what the program has put together itself, too.
-    pub(crate) fn check(&self) -> Result<(), ScenarioError> {
+    /// Checks form and range of every field, once more after fields were set: [`crate::run::execute`] does so, too.
+    ///
+    /// # Errors
+    /// The first thing wrong with it, with the pointer of its field.
+    pub fn check(&self) -> Result<(), ScenarioError> {
         check::check(self)
     }
 

@@ -2,7 +2,8 @@
 //!
 //! Which method, which step: [`precision`] measures error and work against the step, [`long_term`] the energy
 //! and the distance from the group over a long run, [`stability`] where each method fails. All measure with
-//! [`measure`] and against a [`reference::Reference`] that the program computes itself.
+//! [`measure`] and against a [`reference::Reference`] that the program computes itself. [`own`] is work and precision on
+//! a system that no scenario describes.
 //!
 //! Invariant: a study repeats to the bit but for its times; it ends early only if it is cancelled.
 
@@ -17,6 +18,7 @@ use crate::scenario::{Method, Scenario, ScenarioError, SolverKind, TableauChoice
 
 pub mod long_term;
 pub mod measure;
+pub mod own;
 pub mod precision;
 pub mod reference;
 pub mod stability;

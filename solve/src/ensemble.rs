@@ -67,6 +67,7 @@ pub fn integrate<const N: usize, E>(
     mut go_on: impl FnMut(u64) -> bool,
 ) -> Result<Vec<Trajectory<N>>, E> {
     let Schedule { step_s, steps, every } = schedule;
+    let every = every.max(1);
     members.start(initial);
     let mut books: Vec<Books<N>> =
         initial.iter().map(|state| Books::new(body, state, step_s, observables)).collect();

@@ -93,7 +93,8 @@ impl fmt::Display for FailureCode {
 }
 
 /// A step that could not be made. The state before it is untouched.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{code}: {}", code.cause())]
 pub struct Failure {
     /// What happened.
     pub code: FailureCode,

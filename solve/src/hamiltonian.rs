@@ -1,8 +1,8 @@
-//! The rotating body: H(g, mu) = T(mu) + U(g) on T*SO(n), left-trivialised.
+//! Hamiltonians on T*SO(n), left-trivialised, and the one that is built in, the rotating body: H(g, mu) = T(mu) + U(g).
 //!
 //! Every potential term depends on the attitude through the body images `g^T v` of a few space vectors v
-//! alone (a direction, a source, an anchor). In the frame of g0, where a step works, the same formulas
-//! hold with `g0^T v` in the place of v: see [`RigidBody::seen_from`].
+//! alone (a direction, a source, an anchor; of a [`Potential`] of one's own the axes of space). In the frame of g0, where
+//! a step works, the same formulas hold with `g0^T v` in the place of v: see [`RigidBody::seen_from`].
 //!
 //! Invariant: [`RigidBody::gradient`] is the derivative of [`RigidBody::energy`].
 
@@ -10,14 +10,42 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
 use super::so::{Mat, Vector};
+use super::system::{System, free_directions};
 use super::work::Work;
 
 mod frequency;
 mod plane;
+mod potential;
 mod term;
 mod torque;
 
+use potential::Own;
+pub use potential::Potential;
 pub use term::{Law, Term};
+
+/// A Hamiltonian H(g, mu) by its two derivatives, for [`crate::stepper::vpd::Vpd`].
+///
+/// It need not fall into kinetic and potential energy. The equations are
+///
+/// ```text
+/// g' = g Omega,    mu' = [mu, Omega] - dH/dg,    Omega = dH/dmu
+/// ```
+///
+/// with the attitude `g` (body to space, n x n) and the momentum `mu` in the body frame (skew n x n, kg m^2/s).
+pub trait Hamiltonian<const N: usize>: System<N> {
+    /// dH/dmu at `g` and `mu`: the body angular velocity, skew n x n, in rad/s, with
+    /// `<velocity, nu> = d/de H(g, mu + e nu)` and `<X, Y> = tr(X Y^T) / 2`.
+    fn velocity(&self, g: &Mat<N>, mu: &Mat<N>) -> Mat<N>;
+
+    /// dH/dg at `g` and a fixed body momentum `mu`, left-trivialised and skew, n x n, in J, in the body frame:
+    /// `<gradient, eta> = d/de H(g exp(e eta), mu)`; minus the torque.
+    fn gradient(&self, g: &Mat<N>, mu: &Mat<N>) -> Mat<N>;
+
+    /// The system as a rigid body, if it is one: a step then looks at its potential once from where it begins.
+    fn as_body(&self) -> Option<&RigidBody<N>> {
+        None
+    }
+}
 
 /// Kinetic energy, a quadratic form on so(n)*.
 #[derive(Clone, Debug, PartialEq)]
@@ -64,6 +92,8 @@ pub struct RigidBody<const N: usize> {
     /// [`Term::reach`] of each.
     reaches: Vec<f64>,
     constant: f64,
+    /// Potentials that are no terms.
+    own: Own<N>,
     work: Work,
 }
 
@@ -79,7 +109,7 @@ impl<const N: usize> RigidBody<N> {
             "an inertia tensor is for n = 3"
         );
         let reaches = terms.iter().map(Term::reach).collect();
-        Self { kinetic, terms, reaches, constant, work: Work::default() }
+        Self { kinetic, terms, reaches, constant, own: Own::default(), work: Work::default() }
     }
 
     /// dH/dmu: the body angular velocity `Omega`, skew.
@@ -134,18 +164,18 @@ impl<const N: usize> RigidBody<N> {
 
     /// Is H independent of the attitude?
     pub fn is_free(&self) -> bool {
-        self.terms.is_empty()
+        self.terms.is_empty() && self.own.is_empty()
     }
 
-    /// The space vectors of the potential, one a term.
+    /// The space vectors of the potential: one a term, and the axes if there is a potential of one's own.
     pub fn space_vectors(&self) -> impl Iterator<Item = &Vector<N>> {
-        self.terms.iter().map(|term| &term.space)
+        self.terms.iter().map(|term| &term.space).chain(&self.own.axes)
     }
 
     /// The space vectors of the potential in the frame of `g0`, `g0^T v`, written to `seen`.
     pub fn seen_from(&self, g0: &Mat<N>, seen: &mut Vec<Vector<N>>) {
         seen.clear();
-        seen.extend(self.terms.iter().map(|term| g0.tr_mul(&term.space)));
+        seen.extend(self.space_vectors().map(|v| g0.tr_mul(v)));
     }
 
     /// dH/dg at `g = g0 u`, left-trivialised and skew, given the space vectors `seen` from g0.
@@ -164,7 +194,15 @@ impl<const N: usize> RigidBody<N> {
                 }
             }
         }
+        if self.has_own() {
+            sum += self.own.gradient(&self.attitude_of(u, seen));
+        }
         sum
+    }
+
+    /// `g = g0 u`, as the potentials of one's own see it.
+    fn attitude_of(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
+        Own::attitude(u, seen.get(self.terms.len()..).unwrap_or_default())
     }
 
     /// dH/dg at `g`, left-trivialised and skew.
@@ -200,6 +238,9 @@ impl<const N: usize> RigidBody<N> {
                 }
             }
         }
+        if self.has_own() {
+            sum += super::so::conjugate(g, &self.own.gradient(g));
+        }
         sum
     }
 
@@ -207,7 +248,7 @@ impl<const N: usize> RigidBody<N> {
     /// meaning.
     ///
     /// # Errors
-    /// [`FailureCode::PotentialSingularity`] with the relative distance and its limit.
+    /// [`FailureCode::PotentialSingularity`] with the relative distance and its limit; those of [`Potential::check`].
     pub fn check_distances(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Result<(), Failure> {
         for (term, v) in self.terms.iter().zip(seen) {
             if let Some(distance) = term.law.relative_distance(&u.tr_mul(v))
@@ -217,7 +258,7 @@ impl<const N: usize> RigidBody<N> {
                 return Err(Failure::new(code, None, distance, CLOSEST_APPROACH));
             }
         }
-        Ok(())
+        if self.has_own() { self.own.check(&self.attitude_of(u, seen)) } else { Ok(()) }
     }
 
     /// Kinetic and potential energy at an attitude and a body momentum.
@@ -226,29 +267,47 @@ impl<const N: usize> RigidBody<N> {
         let kinetic = 0.5 * super::so::inner(momentum, &self.velocity(momentum));
         let terms: f64 =
             self.terms.iter().map(|term| term.law.value(&attitude.tr_mul(&term.space))).sum();
-        Energy { kinetic, potential: terms + self.constant }
+        Energy { kinetic, potential: self.own.energy(terms + self.constant, attitude) }
     }
 
     /// The projection `Q` onto the space directions that the potential leaves free: rotations of that
     /// subspace are symmetries, so by Noether `Q m Q` is conserved, m the spatial momentum. `None` if
     /// fewer than two directions are free.
     pub fn conserved_directions(&self) -> Option<Mat<N>> {
-        // Gram and Schmidt, twice for round-off, over the space vectors of the terms.
-        let mut q = Mat::<N>::identity();
-        let mut free = N;
-        for term in &self.terms {
-            let rest = q * (q * term.space);
-            let size = rest.norm();
-            if size > 1e-12 * term.space.norm() {
-                let direction = rest / size;
-                q -= direction * direction.transpose();
-                free -= 1;
-            }
-            if free < 2 {
-                return None;
-            }
-        }
-        Some(q)
+        let own = self.own.space_vectors();
+        free_directions(self.terms.iter().map(|term| &term.space).chain(&own))
+    }
+}
+
+impl<const N: usize> System<N> for RigidBody<N> {
+    fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy {
+        self.energy(g, mu)
+    }
+
+    fn conserved_directions(&self) -> Option<Mat<N>> {
+        self.conserved_directions()
+    }
+
+    fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
+        self.check_distances_at(g)
+    }
+
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        self.work.begin_sweep()
+    }
+}
+
+impl<const N: usize> Hamiltonian<N> for RigidBody<N> {
+    fn velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Mat<N> {
+        self.velocity(mu)
+    }
+
+    fn gradient(&self, g: &Mat<N>, _mu: &Mat<N>) -> Mat<N> {
+        self.gradient_at(g)
+    }
+
+    fn as_body(&self) -> Option<&RigidBody<N>> {
+        Some(self)
     }
 }
 

@@ -5,35 +5,34 @@
 
 use nalgebra::DMatrix;
 
-use super::hamiltonian::RigidBody;
+use super::hamiltonian::{Energy, RigidBody};
 use super::so::{self, Mat};
+use super::system::System;
 
-/// A Lagrangian by its two derivatives.
-pub trait Lagrangian<const N: usize> {
-    /// dL/dOmega at attitude `g` and body velocity `omega`: the body momentum, skew.
+/// A Lagrangian L(g, Omega), for [`crate::stepper::vpd_lagrangian::VpdLagrangian`]: the steps ask for its two derivatives,
+/// [`energy`] for its value.
+///
+/// The attitude `g` turns body into space coordinates; `omega` is the angular velocity in the body frame, skew n x n, in
+/// rad/s, with `g' = g omega`. Pairings are `<X, Y> = tr(X Y^T) / 2`.
+pub trait Lagrangian<const N: usize>: System<N> {
+    /// L in J.
+    fn value(&self, g: &Mat<N>, omega: &Mat<N>) -> f64;
+
+    /// dL/dOmega at attitude `g` and body velocity `omega`: the body momentum, skew, in kg m^2/s. Its derivative in
+    /// Omega must be invertible (the Lagrangian is hyperregular).
     fn momentum(&self, g: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
-    /// dL/dg at `g` and `omega`, left-trivialised and skew.
+    /// dL/dg at `g` and a fixed `omega`, left-trivialised and skew, in J, in the body frame:
+    /// `<force, eta> = d/de L(g exp(e eta), omega)`.
     fn force(&self, g: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
-
-    /// Refuses an attitude at which the Lagrangian has lost its meaning.
-    ///
-    /// # Errors
-    /// The failure to report.
-    fn check(&self, _g: &Mat<N>) -> Result<(), super::failure::Failure> {
-        Ok(())
-    }
-
-    /// Takes note of a sweep that begins.
-    ///
-    /// # Errors
-    /// If it is not to begin: see [`super::work`].
-    fn begin_sweep(&self) -> Result<(), super::failure::Failure> {
-        Ok(())
-    }
 }
 
 impl<const N: usize> Lagrangian<N> for RigidBody<N> {
+    fn value(&self, g: &Mat<N>, omega: &Mat<N>) -> f64 {
+        let Energy { kinetic, potential } = self.energy(g, &self.momentum(omega));
+        kinetic - potential
+    }
+
     fn momentum(&self, _g: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         self.momentum(omega)
     }
@@ -42,13 +41,22 @@ impl<const N: usize> Lagrangian<N> for RigidBody<N> {
         // L = T - U
         -self.gradient_at(g)
     }
+}
 
-    fn check(&self, g: &Mat<N>) -> Result<(), super::failure::Failure> {
-        self.check_distances_at(g)
-    }
-
-    fn begin_sweep(&self) -> Result<(), super::failure::Failure> {
-        self.work().begin_sweep()
+/// The energy `<mu, Omega> - L` of a Lagrangian at a state, for its [`System::energy`]: `-L(g, 0)` is the potential part
+/// and what is left the kinetic one, as of `L = T - U`. NaN where the momentum `mu` has no velocity.
+pub fn energy<const N: usize>(
+    lagrangian: &(impl Lagrangian<N> + ?Sized),
+    g: &Mat<N>,
+    mu: &Mat<N>,
+) -> Energy {
+    let potential = -lagrangian.value(g, &Mat::zeros());
+    match velocity_of_momentum(lagrangian, g, mu, &Mat::zeros()) {
+        Some(omega) => {
+            let total = so::inner(mu, &omega) - lagrangian.value(g, &omega);
+            Energy { kinetic: total - potential, potential }
+        }
+        None => Energy { kinetic: f64::NAN, potential },
     }
 }
 
@@ -57,7 +65,7 @@ impl<const N: usize> Lagrangian<N> for RigidBody<N> {
 ///
 /// `None` if it is singular: the Lagrangian is not hyperregular there.
 pub fn inverse_hessian<const N: usize>(
-    lagrangian: &dyn Lagrangian<N>,
+    lagrangian: &(impl Lagrangian<N> + ?Sized),
     g: &Mat<N>,
     omega: &Mat<N>,
 ) -> Option<DMatrix<f64>> {
@@ -83,7 +91,7 @@ pub fn inverse_hessian<const N: usize>(
 ///
 /// `None` if the method does not converge.
 pub fn velocity_of_momentum<const N: usize>(
-    lagrangian: &dyn Lagrangian<N>,
+    lagrangian: &(impl Lagrangian<N> + ?Sized),
     g: &Mat<N>,
     mu: &Mat<N>,
     guess: &Mat<N>,

@@ -80,6 +80,12 @@ pub trait Whole: Real {
     fn load(self, plain: &Self::Plain) -> Self;
     /// To memory.
     fn store(self, plain: &mut Self::Plain);
+    /// Lanes: of one number one, else as many as there are members.
+    const LANES: usize;
+    /// The number in a lane.
+    fn lane(self, lane: usize) -> f64;
+    /// From the numbers of the lanes.
+    fn of_lanes(self, lanes: &Row) -> Self;
 }
 
 /// What belongs to the stages of a step: a number for each.
@@ -104,6 +110,11 @@ pub trait Stages: Real {
     fn combined(self, columns: &[Row; WIDTH]) -> Self;
     /// The largest over the stages.
     fn largest(self) -> Self::Whole;
+    /// What a law that knows no lanes makes of three rows of three numbers, lane by lane.
+    fn lane_by_lane(
+        numbers: [[Self; 3]; 3],
+        law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
+    ) -> [Self; 4];
 }
 
 impl Real for f64 {
@@ -144,6 +155,18 @@ impl Whole for f64 {
     #[inline(always)]
     fn store(self, plain: &mut f64) {
         *plain = self;
+    }
+
+    const LANES: usize = 1;
+
+    #[inline(always)]
+    fn lane(self, _lane: usize) -> f64 {
+        self
+    }
+
+    #[inline(always)]
+    fn of_lanes(self, lanes: &Row) -> Self {
+        lanes[0]
     }
 }
 
@@ -259,6 +282,21 @@ macro_rules! stage_lanes {
                 }
                 largest
             }
+
+            #[inline(always)]
+            fn lane_by_lane(
+                numbers: [[Self; 3]; 3],
+                law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
+            ) -> [Self; 4] {
+                let mut made = [Row::splat(0.0); 4];
+                for lane in 0..$lanes {
+                    let found = law(numbers.map(|row| row.map(|x| x[lane])));
+                    for (row, x) in made.iter_mut().zip(found) {
+                        row[lane] = x;
+                    }
+                }
+                made.map(|row| numbers[0][0].row(&row))
+            }
         }
     };
 }
@@ -369,6 +407,18 @@ impl<S: Simd> Whole for f64x8<S> {
     fn store(self, plain: &mut Row) {
         self.store_slice(&mut plain.0);
     }
+
+    const LANES: usize = WIDTH;
+
+    #[inline(always)]
+    fn lane(self, lane: usize) -> f64 {
+        self[lane]
+    }
+
+    #[inline(always)]
+    fn of_lanes(self, lanes: &Row) -> Self {
+        Whole::load(self, lanes)
+    }
 }
 
 /// So many stages, what belongs to the step as a whole, and the stages as they lie in memory.
@@ -436,6 +486,27 @@ macro_rules! stages_in_turn {
                     largest = Real::larger(largest, *other);
                 }
                 largest
+            }
+
+            #[inline(always)]
+            fn lane_by_lane(
+                numbers: [[Self; 3]; 3],
+                law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
+            ) -> [Self; 4] {
+                let mut made = [numbers[0][0]; 4];
+                for k in 0..$stages {
+                    let mut lanes = [Row::splat(0.0); 4];
+                    for lane in 0..<$whole as Whole>::LANES {
+                        let found = law(numbers.map(|row| row.map(|x| x.0[k].lane(lane))));
+                        for (row, x) in lanes.iter_mut().zip(found) {
+                            row[lane] = x;
+                        }
+                    }
+                    for (stages, lanes) in made.iter_mut().zip(&lanes) {
+                        stages.0[k] = stages.0[k].of_lanes(lanes);
+                    }
+                }
+                made
             }
         }
     };

@@ -1,5 +1,9 @@
 //! 4 · The mathematics: rotating bodies on SO(n) and the integrators that carry them forward.
 //!
+#![doc = include_str!("../README.md")]
+//!
+//! # Inside
+//!
 //! Pure: no I/O, clock, threads, serialisation or logging, and nothing of ours outside this module.
 //! Runtime sizes are const `N` here; symbols follow the paper and are listed in NOTATION.md.
 //!
@@ -17,6 +21,7 @@ pub mod so;
 pub mod so3;
 pub mod space;
 pub mod stepper;
+pub mod system;
 pub mod tableau;
 pub mod trajectory;
 pub mod work;

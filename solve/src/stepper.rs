@@ -23,19 +23,19 @@ pub mod splitting;
 pub mod lgvi;
 pub mod quaternion_gauss;
 
-/// A scheme that carries a state of T*SO(n) forward.
-pub trait Stepper<const N: usize> {
+/// A scheme that carries a state of T*SO(n) forward, along systems of the type `S`.
+pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// Order of the scheme.
     fn order(&self) -> u32;
 
     /// Takes up a state; whatever was there before is forgotten.
     fn start(&mut self, state: &State<N>);
 
-    /// Carries the state forward by `h`.
+    /// Carries the state forward by `h` seconds.
     ///
     /// # Errors
     /// Any failure; the state is then untouched.
-    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure>;
+    fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure>;
 
     /// The attitude g; `None` from a scheme that carries none.
     fn attitude(&self) -> Option<Mat<N>>;
@@ -60,15 +60,15 @@ const FAR: [f64; 2] = [1.0, 0.5];
 ///
 /// # Errors
 /// [`FailureCode::SecondRoot`] with the distance.
-fn check_root<const N: usize>(
+fn check_root<const N: usize, S: ?Sized>(
     solved: Convergence,
-    mut halves: impl Stepper<N>,
-    body: &RigidBody<N>,
+    mut halves: impl Stepper<N, S>,
+    system: &S,
     h: f64,
     end: &Mat<N>,
 ) -> Result<(), Failure> {
     for _ in 0..2 {
-        match halves.step(body, 0.5 * h) {
+        match halves.step(system, 0.5 * h) {
             Ok(_) => {}
             Err(stopped) if stopped.code == FailureCode::Stopped => return Err(stopped),
             // Where these are not solved either, nothing is known.

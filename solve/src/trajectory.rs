@@ -6,10 +6,11 @@
 //! holds, so that a trajectory which is taken up there is, to the bit, the one that was not interrupted.
 
 use super::failure::{Failure, FailureCode};
-use super::hamiltonian::{Energy, RigidBody};
+use super::hamiltonian::Energy;
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
 use super::stepper::Stepper;
+use super::system::System;
 
 /// A point of T*SO(n), left-trivialised: `g' = g Omega`.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,7 +28,7 @@ pub struct Schedule {
     pub step_s: f64,
     /// Number of steps.
     pub steps: u64,
-    /// A sample is taken every so many steps, at the start and at the end.
+    /// A sample is taken every so many steps (0: as 1), at the start and at the end.
     pub every: u64,
 }
 
@@ -205,16 +206,16 @@ pub struct Trajectory<const N: usize> {
     pub reached: Checkpoint<N>,
 }
 
-/// Carries a state forward along `schedule` and gives the samples to `sink`: the first at the start,
+/// Carries a state of any system forward along `schedule` by a stepper for it and gives the samples to `sink`: the first at the start,
 /// then one every `schedule.every` steps, and the last accepted state whatever happens. A trajectory
 /// that is taken up at a checkpoint gives the samples after it.
 /// `go_on(steps_done)` is asked before each step.
 ///
 /// # Errors
 /// Those of the sink. A step that fails is not an error but an [`Ending`].
-pub fn integrate<'a, const N: usize, S: Sink<N>>(
-    body: &RigidBody<N>,
-    stepper: &mut dyn Stepper<N>,
+pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
+    system: &Y,
+    stepper: &mut dyn Stepper<N, Y>,
     origin: impl Into<Origin<'a, N>>,
     schedule: Schedule,
     observables: Observables,
@@ -222,8 +223,9 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
     mut go_on: impl FnMut(u64) -> bool,
 ) -> Result<Trajectory<N>, S::Error> {
     let Schedule { step_s, steps, every } = schedule;
+    let every = every.max(1);
     let Origin { initial, checkpoint } = origin.into();
-    let mut books = Books::new(body, initial, step_s, observables);
+    let mut books = Books::new(system, initial, step_s, observables);
     match checkpoint {
         None => stepper.start(initial),
         Some(found) => {
@@ -235,7 +237,7 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
         let step = books.reached.step;
         let over = step == steps || !books.goes_on();
         if over || step % every == 0 {
-            books.sample(body, stepper, |sample| sink.record(sample))?;
+            books.sample(system, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && books.goes_on() && sink.wants_checkpoint() {
                 sink.checkpoint(&books.reached)?;
@@ -246,7 +248,7 @@ pub fn integrate<'a, const N: usize, S: Sink<N>>(
             break;
         }
         if go_on(step) {
-            books.stepped(stepper.step(body, step_s));
+            books.stepped(stepper.step(system, step_s));
         } else {
             books.cancelled();
         }
@@ -266,8 +268,8 @@ pub(super) struct Books<const N: usize> {
 }
 
 impl<const N: usize> Books<N> {
-    pub(super) fn new(
-        body: &RigidBody<N>,
+    pub(super) fn new<Y: System<N> + ?Sized>(
+        system: &Y,
         initial: &State<N>,
         step_s: f64,
         observables: Observables,
@@ -280,7 +282,7 @@ impl<const N: usize> Books<N> {
             iterations: 0,
             convergence: None,
         };
-        let observer = Observer::new(body, initial, observables);
+        let observer = Observer::new(system, initial, observables);
         Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
     }
 
@@ -312,10 +314,10 @@ impl<const N: usize> Books<N> {
 
     /// Gives the sample of the state that was reached to `record`, unless that has it. A sample that cannot be
     /// taken ends the trajectory: it is good up to the sample before, and all that is reported ends there.
-    pub(super) fn sample<E>(
+    pub(super) fn sample<Y: System<N> + ?Sized, E>(
         &mut self,
-        body: &RigidBody<N>,
-        stepper: &dyn Stepper<N>,
+        system: &Y,
+        stepper: &dyn Stepper<N, Y>,
         record: impl FnOnce(&Sample<N>) -> Result<(), E>,
     ) -> Result<(), E> {
         let Self { observer, step_s, ending, reached, sampled } = self;
@@ -324,7 +326,7 @@ impl<const N: usize> Books<N> {
             return Ok(());
         }
         let time_s = step as f64 * *step_s;
-        match observer.sample(body, stepper, step, time_s, reached.convergence) {
+        match observer.sample(system, stepper, step, time_s, reached.convergence) {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
                 reached.samples += 1;
@@ -354,19 +356,23 @@ struct Observer<const N: usize> {
 }
 
 impl<const N: usize> Observer<N> {
-    fn new(body: &RigidBody<N>, initial: &State<N>, observables: Observables) -> Self {
+    fn new<Y: System<N> + ?Sized>(
+        system: &Y,
+        initial: &State<N>,
+        observables: Observables,
+    ) -> Self {
         Self {
             observables,
             initial: initial.clone(),
-            initial_energy: body.energy(&initial.attitude, &initial.momentum).total(),
-            conserved: body.conserved_directions(),
+            initial_energy: system.energy(&initial.attitude, &initial.momentum).total(),
+            conserved: system.conserved_directions(),
         }
     }
 
-    fn sample(
+    fn sample<Y: System<N> + ?Sized>(
         &self,
-        body: &RigidBody<N>,
-        stepper: &dyn Stepper<N>,
+        system: &Y,
+        stepper: &dyn Stepper<N, Y>,
         step: u64,
         time_s: f64,
         convergence: Option<Convergence>,
@@ -375,7 +381,7 @@ impl<const N: usize> Observer<N> {
         let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
         // A scheme without an attitude serves free bodies, whose energy needs none.
         let g = attitude.unwrap_or_else(Mat::identity);
-        let energy = asked.energy.then(|| body.energy(&g, &momentum));
+        let energy = asked.energy.then(|| system.energy(&g, &momentum));
         let sample = Sample {
             step,
             time_s,

@@ -245,9 +245,10 @@ impl Channel {
         self.row(3).computes
     }
 
-    /// The figures that a sample must have for it.
-    pub(crate) fn observables(self) -> Observables {
-        self.row(3).needs
+    /// The figures that a sample must have for all of `channels`.
+    pub(crate) fn observables(channels: impl IntoIterator<Item = Self>) -> Observables {
+        let needs = channels.into_iter().map(|channel| channel.row(3).needs);
+        needs.fold(Observables::default(), |all, needs| all | needs)
     }
 
     /// Whether it shows the attitude.

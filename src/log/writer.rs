@@ -46,8 +46,8 @@ pub struct LogHeader {
     /// A chunk is closed, and so is safe from a kill, every so many samples; fewer where the chunk
     /// would outgrow [`MAX_CHUNK_BYTES`].
     pub samples_per_chunk: u64,
-    /// The scenario, as attachment.
-    pub scenario_json: Vec<u8>,
+    /// The scenario, as attachment; `None` if there is none: such a log cannot be run again from itself.
+    pub scenario_json: Option<Vec<u8>>,
     /// Entries of the record [`JOB_RECORD`].
     pub job: BTreeMap<String, String>,
     /// What viewers draw.
@@ -221,7 +221,9 @@ impl<const N: usize> LogWriter<N> {
         let start = log.time(0.0)?;
         let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job.clone() };
         log.attempt(|file| file.write_metadata(&job))?;
-        log.attach(start, SCENARIO_ATTACHMENT, "application/json", &header.scenario_json)?;
+        if let Some(scenario) = &header.scenario_json {
+            log.attach(start, SCENARIO_ATTACHMENT, "application/json", scenario)?;
+        }
         Ok(log)
     }
 

@@ -17,6 +17,7 @@ use crate::log::course::LogChart;
 use crate::log::messages::Figures;
 use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
+use crate::scenario::Expect;
 use crate::solve::trajectory::Checkpoint;
 
 /// How a run ended.
@@ -26,31 +27,56 @@ pub(super) struct End<const N: usize> {
     pub(super) reached: Checkpoint<N>,
     pub(super) diagnosis: Option<Diagnosis>,
     pub(super) ensemble: Option<EnsembleSummary>,
-    /// Of a run whose log does not tell.
-    pub(super) energy: EnergySeen,
+    /// Of a run whose log does not tell; `None` if nobody knows how much of the energy moves.
+    pub(super) energy: Option<EnergySeen>,
+}
+
+/// What was to be run.
+#[derive(Clone, Copy)]
+pub(super) struct Asked<'a> {
+    step_s: f64,
+    steps: u64,
+    /// Of an ensemble.
+    members: Option<u64>,
+    expect: Option<&'a Expect>,
+}
+
+impl<'a> Asked<'a> {
+    /// By a plan.
+    pub(super) fn of(plan: &'a Plan) -> Self {
+        let members = plan.ensemble.as_ref().map(|planned| planned.members);
+        let Plan { step_s, steps, .. } = *plan;
+        Self { step_s, steps, members, expect: plan.asked.expect.as_ref() }
+    }
+
+    /// So many steps of one trajectory.
+    pub(super) fn steps(step_s: f64, steps: u64) -> Self {
+        Self { step_s, steps, members: None, expect: None }
+    }
 }
 
 /// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
 pub(super) fn finish<const N: usize>(
-    plan: &Plan,
+    asked: Asked<'_>,
     log: &Path,
     mut writer: LogWriter<N>,
     (figures, course): (&Figures, &Course),
     end: End<N>,
 ) -> Result<Summary, RunError> {
     let End { outcome, reached, diagnosis, ensemble, energy } = end;
-    let time_s = reached.step as f64 * plan.step_s;
+    let time_s = reached.step as f64 * asked.step_s;
     // Member 0 may have failed long before the others came to the end.
-    let last_s = if ensemble.is_some() { plan.steps as f64 * plan.step_s } else { time_s };
-    let warning = summary::warning(EnergySeen::at_samples(figures).unwrap_or(energy));
+    let last_s = if ensemble.is_some() { asked.steps as f64 * asked.step_s } else { time_s };
+    let seen = energy.map(|ends| EnergySeen::at_samples(figures).unwrap_or(ends));
+    let warning = seen.and_then(summary::warning);
     if let Some(warning) = &warning {
         writer.message(Level::Warning, last_s, warning)?;
     }
     let word = outcome.as_str();
-    let (level, text) = match (plan.ensemble.as_ref().zip(ensemble.as_ref()), &diagnosis) {
-        (Some((planned, ends)), _) => (
+    let (level, text) = match (asked.members.zip(ensemble.as_ref()), &diagnosis) {
+        (Some((members, ends)), _) => (
             if ends.failed.is_empty() { Level::Info } else { Level::Warning },
-            format!("{word}: {} of {} members succeeded", ends.succeeded, planned.members),
+            format!("{word}: {} of {members} members succeeded", ends.succeeded),
         ),
         (None, Some(diagnosis)) => (Level::Error, diagnosis.to_string()),
         (None, None) => (Level::Info, format!("{word}: step {}", reached.step)),
@@ -80,7 +106,7 @@ pub(super) fn finish<const N: usize>(
         warning,
         unmet: Vec::new(),
     };
-    if let Some(expect) = &plan.asked.expect {
+    if let Some(expect) = asked.expect {
         summary.unmet = summary::unmet(expect, &summary);
     }
     writer.finish(log_outcome(&summary, course))?;

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{Control, End, JobContext, RunError, begin_log, finish, header, json, note};
+use super::{Asked, Control, End, JobContext, RunError, begin_log, finish, header, json, note};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::LogError;
 use crate::log::course::Course;
@@ -103,12 +103,12 @@ impl Ensemble<'_> {
         let first = first.unwrap_or_else(|| reached.state());
         let end = End {
             outcome,
-            energy: EnergySeen::at_the_ends(&assembly.body, &first, &reached.state()),
+            energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached,
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
         };
-        let summary = finish(plan, path, log, (&figures, &course), end)?;
+        let summary = finish(Asked::of(plan), path, log, (&figures, &course), end)?;
         control.steps_done.store(ends.steps(), Ordering::Relaxed);
         let made = ends.steps().saturating_sub(resumed_step);
         Ok(Summary {

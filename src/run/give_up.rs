@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use super::summary::EnergySeen;
-use super::{Diagnosis, End, Outcome, RunError, Summary, finish, header};
+use super::{Asked, Diagnosis, End, Outcome, RunError, Summary, finish, header};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::course::Course;
 use crate::log::messages::Figures;
@@ -88,8 +88,9 @@ impl Task for GiveUp<'_> {
         let resumed_step = reached.step;
         let diagnosis = Some(diagnosis);
         let energy = EnergySeen::at_the_ends(&assembly.body, &assembly.initial, &reached.state());
+        let energy = Some(energy);
         let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None, energy };
-        let summary = finish(plan, log, writer, (&figures, &course), end)?;
+        let summary = finish(Asked::of(plan), log, writer, (&figures, &course), end)?;
         Ok(Summary { resumed_step, ..summary })
     }
 }

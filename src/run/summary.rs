@@ -280,6 +280,8 @@ pub(super) enum Advised {
     },
     /// There is none.
     NoneWorks,
+    /// A guess: nothing was tried.
+    Untried { step_s: f64 },
 }
 
 /// How far a step was tried.
@@ -328,6 +330,13 @@ pub(super) fn diagnosis(
             format!(
                 "try a much smaller step than {}, or look at the scene there: none was found in the time that there is to try",
                 written(tried_s)
+            ),
+            None,
+        ),
+        Advised::Untried { step_s } => (
+            format!(
+                "try a step of {} s, or look at the law there; none was tried",
+                written(step_s)
             ),
             None,
         ),

@@ -34,7 +34,8 @@ pub struct Point {
 }
 
 impl Point {
-    fn of<const N: usize>(attitude: &Mat<N>, momentum: &Mat<N>) -> Self {
+    /// Of a state.
+    pub(super) fn of<const N: usize>(attitude: &Mat<N>, momentum: &Mat<N>) -> Self {
         let sized = |m: &Mat<N>| DMatrix::from_fn(N, N, |i, j| m[(i, j)]);
         Self { attitude: sized(attitude), momentum: sized(momentum) }
     }

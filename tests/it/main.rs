@@ -17,6 +17,7 @@ mod gallery;
 #[path = "../../solve/tests/it/given.rs"]
 mod given;
 mod log;
+mod open;
 mod plan_sees;
 mod resume;
 mod scenarios;

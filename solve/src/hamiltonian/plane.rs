@@ -11,6 +11,10 @@ impl RigidBody<3> {
     /// is a principal one and every term by itself pulls along the plane alone, at every attitude about the axis: then a
     /// momentum along the axis stays along it.
     pub fn across(&self, k: usize, frame: &Mat<3>) -> Option<RigidBody<2>> {
+        // Of a potential of one's own nothing is known.
+        if self.has_own() {
+            return None;
+        }
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);
         let is_axis = |m: &Mat<3>| [m[(i, k)], m[(j, k)], m[(k, i)], m[(k, j)]] == [0.0; 4];
         let weight = match &self.kinetic {

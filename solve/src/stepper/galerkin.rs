@@ -37,8 +37,9 @@ pub(super) trait Dynamics<const N: usize> {
     /// The velocity Omega_k of stage `k` at `u`, given its momentum `mu` and the `omega` before.
     fn velocity(&mut self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
-    /// dH/dg = -dL/dg at `u`, left-trivialised; `None` if it is zero everywhere.
-    fn gradient(&self, u: &Mat<N>, omega: &Mat<N>) -> Option<Mat<N>>;
+    /// dH/dg = -dL/dg at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for, and the
+    /// velocity `omega`; `None` if it is zero everywhere.
+    fn gradient(&self, u: &Mat<N>, mu: impl FnOnce() -> Mat<N>, omega: &Mat<N>) -> Option<Mat<N>>;
 
     /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
     fn begin_sweep(&self) -> Result<(), Failure>;
@@ -193,7 +194,7 @@ impl<const N: usize> GalerkinStep<N> {
         for (k, stage) in self.stages.iter().enumerate() {
             let weight = h * self.tableau.b(k);
             d += stage.u_omega * weight;
-            if let Some(gradient) = dynamics.gradient(&stage.u, &stage.omega) {
+            if let Some(gradient) = dynamics.gradient(&stage.u, || stage.mu, &stage.omega) {
                 impulse -= so::conjugate(&stage.u, &gradient) * weight;
             }
         }
@@ -368,8 +369,11 @@ fn sweep<const N: usize>(
         let stage = &mut stages[k];
         let mut load =
             -so::asym(&so::product(&so::transposed_product(&stage.u, &stage.v), &stage.omega));
-        if let Some(gradient) = dynamics.gradient(&stage.u, &stage.omega) {
-            load -= gradient * (h * tableau.b(k));
+        let weight = h * tableau.b(k);
+        // Of the unknowns, not of the sweep before.
+        let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
+        if let Some(gradient) = dynamics.gradient(&stage.u, mu, &stage.omega) {
+            load -= gradient * weight;
         }
         stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;
         stage.u_x = so::product(&stage.u, &stage.x);

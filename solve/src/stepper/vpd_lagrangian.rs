@@ -16,6 +16,8 @@
 //!
 //! Invariant: nothing is asked of the system but the derivatives of its Lagrangian.
 
+use std::marker::PhantomData;
+
 use nalgebra::DMatrix;
 
 use super::galerkin::{Dynamics, GalerkinStep};
@@ -29,14 +31,15 @@ use crate::space;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper: the shared step and the state.
+/// The stepper: the shared step and the state. It takes any [`Lagrangian`] `S`, a rigid body if none is named.
 #[derive(Clone, Debug)]
-pub struct VpdLagrangian<const N: usize> {
+pub struct VpdLagrangian<const N: usize, S: ?Sized = RigidBody<N>> {
     step: GalerkinStep<N>,
     state: State<N>,
     attitude: Sum<N>,
     /// In space.
     momentum: Sum<N>,
+    system: PhantomData<fn(&S)>,
 }
 
 /// A sum, and what rounding has taken off it.
@@ -60,34 +63,44 @@ impl<const N: usize> Sum<N> {
     }
 }
 
-impl<const N: usize> VpdLagrangian<N> {
+impl<const N: usize, S: ?Sized> VpdLagrangian<N, S> {
     /// A stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         let (attitude, momentum) = (Sum::new(state.attitude), Sum::new(state.momentum));
-        Self { step: GalerkinStep::new(tableau, stop.to_the_floor()), state, attitude, momentum }
+        let step = GalerkinStep::new(tableau, stop.to_the_floor());
+        Self { step, state, attitude, momentum, system: PhantomData }
     }
 
-    /// Carries the state forward by `h` along any Lagrangian.
+    /// The same again.
+    fn copied(&self) -> Self {
+        let Self { step, state, attitude, momentum, .. } = self;
+        let (state, system) = (state.clone(), PhantomData);
+        let (attitude, momentum) = (attitude.clone(), momentum.clone());
+        Self { step: step.clone(), state, attitude, momentum, system }
+    }
+}
+
+impl<const N: usize, S: Lagrangian<N> + ?Sized> VpdLagrangian<N, S> {
+    /// Carries the state forward by `h`, by any root.
     ///
-    /// # Errors
-    /// Any failure; the state is then untouched. [`FailureCode::Diverged`] also where the momentum has no
-    /// velocity: the Lagrangian is not hyperregular there.
-    pub fn advance(
-        &mut self,
-        lagrangian: &dyn Lagrangian<N>,
-        h: f64,
-    ) -> Result<Convergence, Failure> {
-        let Self { step, state, attitude, momentum } = self;
-        let singular = || Failure::new(FailureCode::Diverged, None, f64::INFINITY, f64::MAX);
-        let g0 = state.attitude;
-        let zero = Mat::zeros();
+    fn advance(&mut self, lagrangian: &S, h: f64) -> Result<Convergence, Failure> {
+        let Self { step, state, attitude, momentum, .. } = self;
+        let (g0, zero) = (state.attitude, Mat::zeros());
+        let singular = || {
+            let has_values = is_finite(&lagrangian.momentum(&g0, &zero));
+            let code = if has_values { FailureCode::Diverged } else { FailureCode::NonFinite };
+            Failure::new(code, None, f64::INFINITY, f64::MAX)
+        };
         let omega =
             velocity_of_momentum(lagrangian, &g0, &state.momentum, &zero).ok_or_else(singular)?;
         let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
         let mut dynamics = Euler { lagrangian, g0, inverse };
         let convergence = step.solve(&mut dynamics, h, &state.momentum, &omega)?;
         let (turn, impulse) = step.changes(&dynamics, h);
+        if !(is_finite(&turn) && is_finite(&impulse)) {
+            return Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX));
+        }
         momentum.add(&skew(&so::conjugate(&g0, &impulse)));
         // What is carried turns along, and what g^T g lacks of one is added.
         let lack = (Mat::<N>::identity() - so::transposed_product(&g0, &g0)) * 0.5;
@@ -103,20 +116,24 @@ fn skew<const N: usize>(x: &Mat<N>) -> Mat<N> {
     so::asym(x) * 0.5
 }
 
+fn is_finite<const N: usize>(x: &Mat<N>) -> bool {
+    x.iter().all(|x| x.is_finite())
+}
+
 /// (vil1) and the force, in the frame of g0.
-struct Euler<'a, const N: usize> {
-    lagrangian: &'a dyn Lagrangian<N>,
+struct Euler<'a, const N: usize, S: ?Sized> {
+    lagrangian: &'a S,
     g0: Mat<N>,
     inverse: DMatrix<f64>,
 }
 
-impl<const N: usize> Dynamics<N> for Euler<'_, N> {
+impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
     fn velocity(&mut self, _k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let residual = self.lagrangian.momentum(&(self.g0 * u), omega) - mu;
         omega - corrected(&self.inverse, &residual)
     }
 
-    fn gradient(&self, u: &Mat<N>, omega: &Mat<N>) -> Option<Mat<N>> {
+    fn gradient(&self, u: &Mat<N>, _mu: impl FnOnce() -> Mat<N>, omega: &Mat<N>) -> Option<Mat<N>> {
         // dH/dg = -dL/dg
         Some(-self.lagrangian.force(&(self.g0 * u), omega))
     }
@@ -130,7 +147,7 @@ impl<const N: usize> Dynamics<N> for Euler<'_, N> {
     }
 }
 
-impl<const N: usize> Stepper<N> for VpdLagrangian<N> {
+impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<N, S> {
     fn order(&self) -> u32 {
         self.step.order()
     }
@@ -141,12 +158,16 @@ impl<const N: usize> Stepper<N> for VpdLagrangian<N> {
         self.momentum = Sum::new(skew(&so::conjugate(&state.attitude, &state.momentum)));
     }
 
-    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
-        let before = self.clone();
-        let convergence = self.advance(body, h)?;
+    /// # Errors
+    /// Any failure; [`FailureCode::Diverged`] also where the momentum has no velocity: the Lagrangian is not hyperregular
+    /// there.
+    fn step(&mut self, lagrangian: &S, h: f64) -> Result<Convergence, Failure> {
+        let before = self.copied();
+        let convergence = self.advance(lagrangian, h)?;
         if convergence.rung == Rung::Newton {
-            let halves = Self { step: before.step.by_sweeps(), ..before.clone() };
-            if let Err(failure) = check_root(convergence, halves, body, h, &self.state.attitude) {
+            let halves = Self { step: before.step.by_sweeps(), ..before.copied() };
+            let root = check_root(convergence, halves, lagrangian, h, &self.state.attitude);
+            if let Err(failure) = root {
                 *self = before;
                 return Err(failure);
             }

@@ -50,7 +50,12 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
         self.0.velocity(mu)
     }
 
-    fn gradient(&self, _u: &Mat<N>, _omega: &Mat<N>) -> Option<Mat<N>> {
+    fn gradient(
+        &self,
+        _u: &Mat<N>,
+        _mu: impl FnOnce() -> Mat<N>,
+        _omega: &Mat<N>,
+    ) -> Option<Mat<N>> {
         None
     }
 

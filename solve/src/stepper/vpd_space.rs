@@ -404,6 +404,12 @@ impl VpdSpace {
         solved: Convergence,
     ) -> Result<Convergence, Failure> {
         self.check(body).map_err(|failure| self.turned(body, h, failure))?;
+        // What a law of one's own answers after the last sweep, nobody has looked at.
+        let Unknowns { kick, gain, .. } = &self.unknowns;
+        if body.has_own() && !kick.iter().chain(gain).all(|x| x.is_finite()) {
+            let failure = Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX);
+            return Err(self.turned(body, h, failure));
+        }
         let before = self.state;
         self.advance();
         if solved.rung == Rung::Newton

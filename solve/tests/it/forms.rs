@@ -1,7 +1,7 @@
 //! The forms of VPD against each other: Hamiltonian, Lagrangian, reduced.
 
-use vpd_solve::hamiltonian::{Kinetic, RigidBody};
-use vpd_solve::lagrangian::{Lagrangian, velocity_of_momentum};
+use vpd_solve::hamiltonian::{Energy, Kinetic, RigidBody};
+use vpd_solve::lagrangian::{self, Lagrangian, velocity_of_momentum};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
 use vpd_solve::stepper::Stepper;
@@ -9,6 +9,7 @@ use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{self, Observables, Sample, Schedule, Sink, State};
 
@@ -206,13 +207,19 @@ fn without_need_no_attitude_is_computed() {
 /// A body with quartic kinetic energy in a magnetic field A: no Hamiltonian is written down for it.
 ///
 /// `L = <J Omega, Omega> / 2 + c <Omega, Omega>^2 / 4 + <g^T A g, Omega> - U(g)`
-struct Charged<const N: usize> {
-    body: RigidBody<N>,
-    quartic: f64,
-    field: Mat<N>,
+pub(crate) struct Charged<const N: usize> {
+    pub(crate) body: RigidBody<N>,
+    pub(crate) quartic: f64,
+    pub(crate) field: Mat<N>,
 }
 
-impl<const N: usize> Charged<N> {
+impl<const N: usize> System<N> for Charged<N> {
+    fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy {
+        lagrangian::energy(self, g, mu)
+    }
+}
+
+impl<const N: usize> Lagrangian<N> for Charged<N> {
     fn value(&self, g: &Mat<N>, omega: &Mat<N>) -> f64 {
         let square = so::inner(omega, omega);
         let potential = self.body.energy(g, &Mat::zeros()).potential;
@@ -221,9 +228,7 @@ impl<const N: usize> Charged<N> {
             + so::inner(&(g.transpose() * self.field * g), omega)
             - potential
     }
-}
 
-impl<const N: usize> Lagrangian<N> for Charged<N> {
     fn momentum(&self, g: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         self.body.momentum(omega)
             + omega * (self.quartic * so::inner(omega, omega))
@@ -236,7 +241,7 @@ impl<const N: usize> Lagrangian<N> for Charged<N> {
     }
 }
 
-fn charged<const N: usize>(numbers: &mut Numbers) -> Charged<N> {
+pub(crate) fn charged<const N: usize>(numbers: &mut Numbers) -> Charged<N> {
     Charged { body: body(numbers), quartic: 0.7, field: numbers.skew() }
 }
 
@@ -282,16 +287,13 @@ fn the_lagrangian_form_needs_no_hamiltonian() {
             g += (g1 + (g2 + g3) * 2.0 + g4) * (h / 6.0);
             p += (p1 + (p2 + p3) * 2.0 + p4) * (h / 6.0);
         }
-        let energy = |g: &Mat<N>, p: &Mat<N>| {
-            let omega = velocity(g, p);
-            so::inner(p, &omega) - charged.value(g, &omega)
-        };
+        let energy = |g: &Mat<N>, p: &Mat<N>| charged.energy(g, p).total();
         let error = |steps: usize| {
             let gauss = Tableau::gauss(2).expect("2 stages");
             let mut stepper = VpdLagrangian::new(gauss, StopRule::default());
             stepper.start(&start);
             for _ in 0..steps {
-                stepper.advance(&charged, 0.5 / steps as f64).expect("a small step");
+                stepper.step(&charged, 0.5 / steps as f64).expect("a small step");
             }
             let end = stepper.attitude().expect("carried");
             let drift =

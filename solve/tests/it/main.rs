@@ -3,11 +3,13 @@
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
 
+mod examples;
 mod forms;
 mod given;
 mod growth;
 mod lanes;
 mod laws;
 mod methods;
+mod open;
 mod verification;
 mod vrkmk;

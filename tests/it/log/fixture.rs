@@ -61,7 +61,7 @@ pub(super) fn header() -> LogHeader {
         members: vec![0],
         compression: Compression::Zstd,
         samples_per_chunk: 10,
-        scenario_json: b"{\"name\":\"dipole\"}".to_vec(),
+        scenario_json: Some(b"{\"name\":\"dipole\"}".to_vec()),
         job: BTreeMap::from([("name".to_owned(), "dipole".to_owned())]),
         scene: SceneGeometry {
             box_size: [0.2, 0.2, 2.0],

@@ -1,0 +1,124 @@
+//! A potential of one's own, beside the built-in terms.
+
+use std::fmt::Debug;
+use std::sync::Arc;
+
+use super::RigidBody;
+use crate::failure::Failure;
+use crate::so::{self, Mat, Vector};
+
+/// A potential energy U(g) by its value and its derivative.
+///
+/// `g` turns body coordinates into space coordinates, `x = g y`. It is on the group to rounding, but in the stages of
+/// [`crate::stepper::rk::Rk`], which leaves the group; while an iteration diverges it may hold NaN. A law that has no
+/// value answers NaN: the step then fails by name.
+///
+/// ```
+/// use vpd_solve::hamiltonian::Potential;
+/// use vpd_solve::so::{self, Mat};
+///
+/// /// `U = stiffness / 2 g_33^2`: the axis e_3 of the body is drawn to the plane across e_3 of space.
+/// #[derive(Debug)]
+/// struct Hinge { stiffness: f64 }
+///
+/// impl Potential<3> for Hinge {
+///     fn energy(&self, g: &Mat<3>) -> f64 {
+///         0.5 * self.stiffness * g[(2, 2)] * g[(2, 2)]
+///     }
+///
+///     fn gradient(&self, g: &Mat<3>) -> Mat<3> {
+///         // D = dU/dg entry by entry, then asym(g^T D).
+///         let mut d = Mat::zeros();
+///         d[(2, 2)] = self.stiffness * g[(2, 2)];
+///         so::asym(&(g.transpose() * d))
+///     }
+/// }
+/// ```
+pub trait Potential<const N: usize>: Debug + Send + Sync {
+    /// U(g) in J.
+    fn energy(&self, g: &Mat<N>) -> f64;
+
+    /// dU/dg in J (per radian), left-trivialised and skew, n x n, in the body frame:
+    /// `<gradient, eta> = d/de U(g exp(e eta))` for every skew eta, with `<X, Y> = tr(X Y^T) / 2`. It is minus the torque
+    /// on the body, and `asym(g^T D)` for the matrix `D_ij = dU/dg_ij`. Only its skew part is used.
+    fn gradient(&self, g: &Mat<N>) -> Mat<N>;
+
+    /// Space vectors v through whose body images `g^T v` alone U depends on g: rotations of space that keep them are
+    /// symmetries. Unless it says otherwise a potential depends on all axes, and has none.
+    fn space_vectors(&self) -> Vec<Vector<N>> {
+        axes().collect()
+    }
+
+    /// Refuses an attitude at which the potential has lost its meaning.
+    ///
+    /// # Errors
+    /// The failure to report: [`crate::failure::FailureCode::PotentialSingularity`] is meant for this.
+    fn check(&self, _g: &Mat<N>) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+/// The axes of space.
+pub(super) fn axes<const N: usize>() -> impl Iterator<Item = Vector<N>> {
+    (0..N).map(|k| Vector::from_fn(|i, _| if i == k { 1.0 } else { 0.0 }))
+}
+
+/// The potentials that are no built-in terms. They see the attitude through the axes of space.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Own<const N: usize> {
+    laws: Vec<Arc<dyn Potential<N>>>,
+    /// The axes of space, if there is a law.
+    pub(super) axes: Vec<Vector<N>>,
+}
+
+impl<const N: usize> Own<N> {
+    pub(super) fn push(&mut self, law: Arc<dyn Potential<N>>) {
+        self.laws.push(law);
+        self.axes = axes().collect();
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.laws.is_empty()
+    }
+
+    pub(super) fn space_vectors(&self) -> Vec<Vector<N>> {
+        self.laws.iter().flat_map(|law| law.space_vectors()).collect()
+    }
+
+    /// `start` and the energies of the laws.
+    pub(super) fn energy(&self, start: f64, g: &Mat<N>) -> f64 {
+        self.laws.iter().fold(start, |sum, law| sum + law.energy(g))
+    }
+
+    pub(super) fn gradient(&self, g: &Mat<N>) -> Mat<N> {
+        let sum = self.laws.iter().fold(Mat::zeros(), |sum, law| sum + law.gradient(g));
+        // Of what is skew to the bit, itself.
+        so::asym(&sum) * 0.5
+    }
+
+    pub(super) fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
+        self.laws.iter().try_for_each(|law| law.check(g))
+    }
+
+    /// `g = g0 u`, given the axes as they are seen from g0: row i of g is `u^T (g0^T e_i)`.
+    pub(super) fn attitude(u: &Mat<N>, axes: &[Vector<N>]) -> Mat<N> {
+        let mut g = Mat::<N>::zeros();
+        for (i, axis) in axes.iter().enumerate().take(N) {
+            g.set_row(i, &u.tr_mul(axis).transpose());
+        }
+        g
+    }
+}
+
+impl<const N: usize> RigidBody<N> {
+    /// The same body in a potential more, of one's own.
+    pub fn with_potential(mut self, potential: Arc<dyn Potential<N>>) -> Self {
+        self.own.push(potential);
+        self
+    }
+
+    /// Is there a potential that is no built-in term?
+    pub(crate) fn has_own(&self) -> bool {
+        !self.own.is_empty()
+    }
+}

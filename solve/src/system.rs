@@ -1,0 +1,62 @@
+//! What the time loop asks of a system, whatever the law by which it moves.
+//!
+//! A system has its energy here and its law in one of two forms: [`crate::hamiltonian::Hamiltonian`] or
+//! [`crate::lagrangian::Lagrangian`]. A body with built-in terms, [`crate::hamiltonian::RigidBody`], has both.
+
+use super::failure::Failure;
+use super::hamiltonian::Energy;
+use super::so::{Mat, Vector};
+
+/// A system on T*SO(n). States are left-trivialised: the attitude `g` turns body coordinates into space coordinates
+/// (n x n, on the group to rounding), the momentum `mu` is the skew n x n matrix in the body frame, in kg m^2/s.
+pub trait System<const N: usize> {
+    /// Energy at a state, in J. A system that does not fall into kinetic and potential energy gives H as the kinetic
+    /// part and zero for the other. Where there is no energy the answer is NaN: the run then ends with a named failure.
+    fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy;
+
+    /// The projection `Q` (symmetric, n x n, in space) onto directions whose rotations leave the system as it is, two or
+    /// more: then `Q m Q` is conserved, `m = g mu g^T`. `None` if there are none, or none are known. See
+    /// [`free_directions`].
+    fn conserved_directions(&self) -> Option<Mat<N>> {
+        None
+    }
+
+    /// Refuses an attitude at which the law has lost its meaning.
+    ///
+    /// # Errors
+    /// The failure to report.
+    fn check(&self, _g: &Mat<N>) -> Result<(), Failure> {
+        Ok(())
+    }
+
+    /// Takes note of a sweep of the nonlinear solver that begins.
+    ///
+    /// # Errors
+    /// If it is not to begin: see [`super::work`].
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        Ok(())
+    }
+}
+
+/// The projection onto the space directions across all of `vectors`, for [`System::conserved_directions`] of a system
+/// that depends on the attitude through their body images `g^T v` alone. `None` if fewer than two are left.
+pub fn free_directions<'a, const N: usize>(
+    vectors: impl IntoIterator<Item = &'a Vector<N>>,
+) -> Option<Mat<N>> {
+    // Gram and Schmidt, twice for round-off.
+    let mut q = Mat::<N>::identity();
+    let mut free = N;
+    for vector in vectors {
+        let rest = q * (q * vector);
+        let size = rest.norm();
+        if size > 1e-12 * vector.norm() {
+            let direction = rest / size;
+            q -= direction * direction.transpose();
+            free -= 1;
+        }
+        if free < 2 {
+            return None;
+        }
+    }
+    Some(q)
+}

@@ -1,0 +1,186 @@
+//! A system of one's own, a stepper for it and a start → samples → log.
+//!
+//! Invariant: such a log is as sound as that of a scenario; only that it cannot be run again from itself, and that a run
+//! that is cut off is not taken up, for nobody knows whether the law is still the same.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+use super::end::{Asked, End, finish};
+use super::summary::{self, Advised};
+use super::{JobContext, Outcome, Recorder, RunError, Summary};
+use crate::log::course::Course;
+use crate::log::messages::Figures;
+use crate::log::scene::SceneGeometry;
+use crate::log::schema::{Channel, Compression};
+use crate::log::writer::{LogHeader, LogWriter};
+use crate::scenario::Scenario;
+use crate::solve::stepper::Stepper;
+use crate::solve::system::System;
+use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
+
+/// A chunk of the log is closed, and so is safe from a kill, every so many samples.
+const SAMPLES_PER_CHUNK: u64 = 1000;
+
+/// What the log of a system of one's own says of it, and how it is written.
+///
+/// ```
+/// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// use std::sync::Arc;
+/// use vpd::run::{Control, JobContext, Recording};
+/// use vpd::solve::hamiltonian::{Kinetic, Potential, RigidBody};
+/// use vpd::solve::nonlinear::StopRule;
+/// use vpd::solve::so::{self, Mat};
+/// use vpd::solve::stepper::vpd_space::VpdSpace;
+/// use vpd::solve::tableau::Tableau;
+/// use vpd::solve::trajectory::{Schedule, State};
+///
+/// /// `U = g_33^2 / 2`
+/// #[derive(Debug)]
+/// struct Hinge;
+/// impl Potential<3> for Hinge {
+///     fn energy(&self, g: &Mat<3>) -> f64 {
+///         0.5 * g[(2, 2)] * g[(2, 2)]
+///     }
+///     fn gradient(&self, g: &Mat<3>) -> Mat<3> {
+///         let mut slope = Mat::zeros();
+///         slope[(2, 2)] = g[(2, 2)];
+///         so::asym(&(g.transpose() * slope))
+///     }
+/// }
+///
+/// let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 });
+/// let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+///     .with_potential(Arc::new(Hinge));
+/// let tableau = Tableau::gauss(2).ok_or("1 to 8 stages")?;
+/// let mut stepper = VpdSpace::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
+/// let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, 0.0, 1.0]) };
+/// let schedule = Schedule { step_s: 0.05, steps: 200, every: 1 };
+///
+/// let folder = tempfile::tempdir()?;
+/// let log = folder.path().join("hinge.mcap");
+/// let context = JobContext { log: &log, control: &Control::default() };
+/// let summary =
+///     Recording::new("hinge").run(&body, &mut stepper, &start, schedule, &context)?;
+/// assert!(summary.energy.is_some_and(|energy| energy.max_abs_error < 1e-4));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// A short name.
+    pub name: String,
+    /// What else there is to say of the system: further entries of the record `vpd.job`. Those that this program writes
+    /// itself (`name`, `vpd_version`, `vpd_build`, `dimension`, `order`, `step_s`, `steps`, `every`) are not replaced.
+    pub notes: BTreeMap<String, String>,
+    /// What is logged, and computed for it. At first all that is of a single run.
+    pub channels: Vec<Channel>,
+    /// Log time of t = 0, in nanoseconds since 1970. At first that of a scenario.
+    pub epoch_ns: u64,
+    /// How chunks are compressed.
+    pub compression: Compression,
+    /// What viewers draw; at first nothing but the axes of the body. n = 3.
+    pub scene: SceneGeometry,
+}
+
+impl Recording {
+    /// All channels under a name.
+    pub fn new(name: impl Into<String>) -> Self {
+        let single = |channel: &Channel| !channel.needs_ensemble();
+        Self {
+            name: name.into(),
+            notes: BTreeMap::new(),
+            channels: Channel::all().into_iter().filter(single).collect(),
+            epoch_ns: Scenario::default_epoch_ns(),
+            compression: Compression::default(),
+            scene: SceneGeometry::default(),
+        }
+    }
+
+    /// Carries `initial` along `schedule` by `stepper` and writes the log, with charts of the energy and of the distance
+    /// from the group in it. Blocks; [`super::Control`] follows and stops it. Over whatever an earlier run left there.
+    ///
+    /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis. Momentum drift is given
+    /// as far as the system says what is conserved. A warning that the run means little is not given: how much of the
+    /// energy of the system moves is not known.
+    ///
+    /// # Errors
+    /// If the log cannot be written, or the run is interrupted: no log is left then, unless the file system may take it
+    /// later.
+    pub fn run<const N: usize, Y: System<N> + ?Sized>(
+        &self,
+        system: &Y,
+        stepper: &mut dyn Stepper<N, Y>,
+        initial: &State<N>,
+        schedule: Schedule,
+        context: &JobContext<'_>,
+    ) -> Result<Summary, RunError> {
+        let begun = Instant::now();
+        let JobContext { log, control } = *context;
+        let header = self.header::<N>(schedule, stepper.order());
+        let writer = LogWriter::create(log, &header)?;
+        let (figures, course) = (Figures::default(), Course::default());
+        let mut recorder = Recorder::of(writer, figures, course, control, &header);
+        let integrating = Instant::now();
+        let Trajectory { ending, reached } = trajectory::integrate(
+            system,
+            stepper,
+            initial,
+            schedule,
+            Channel::observables(self.channels.iter().copied()),
+            &mut recorder,
+            |steps| control.go_on(steps),
+        )?;
+        let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
+        control.steps_done.store(reached.step, Ordering::Relaxed);
+        let Schedule { step_s, steps, .. } = schedule;
+        let (outcome, diagnosis) = match &ending {
+            Ending::Completed => (Outcome::Succeeded, None),
+            Ending::Cancelled if !control.cancelled.load(Ordering::Relaxed) => {
+                return Err(RunError::Interrupted);
+            }
+            Ending::Cancelled => (Outcome::Cancelled, None),
+            Ending::Failed(failure) => {
+                let guess = Advised::Untried { step_s: failure.smaller_step(step_s) };
+                let told = summary::diagnosis(failure, None, reached.step, step_s, guess);
+                (Outcome::Failed, Some(told))
+            }
+        };
+        let steps_done = reached.step;
+        let Recorder { writer, figures, course, .. } = recorder;
+        let end = End { outcome, reached, diagnosis, ensemble: None, energy: None };
+        let asked = Asked::steps(step_s, steps);
+        let summary = finish(asked, log, writer, (&figures, &course), end)?;
+        Ok(Summary {
+            ns_per_step: inside.as_nanos() as f64 / steps_done.max(1) as f64,
+            wall_s: begun.elapsed().as_secs_f64(),
+            ..summary
+        })
+    }
+
+    fn header<const N: usize>(&self, schedule: Schedule, order: u32) -> LogHeader {
+        let Schedule { step_s, steps, every } = schedule;
+        let mut job = self.notes.clone();
+        job.extend([
+            ("vpd_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+            ("vpd_build".to_owned(), env!("VPD_BUILD").to_owned()),
+            ("name".to_owned(), self.name.clone()),
+            ("dimension".to_owned(), N.to_string()),
+            ("order".to_owned(), order.to_string()),
+            ("step_s".to_owned(), super::json(&step_s)),
+            ("steps".to_owned(), steps.to_string()),
+            ("every".to_owned(), every.to_string()),
+        ]);
+        LogHeader {
+            epoch_ns: self.epoch_ns,
+            channels: self.channels.clone(),
+            members: vec![0],
+            compression: self.compression,
+            samples_per_chunk: SAMPLES_PER_CHUNK,
+            scenario_json: None,
+            job,
+            scene: self.scene.clone(),
+        }
+    }
+}

@@ -1,0 +1,247 @@
+//! Work and precision on a system of one's own: steppers, one table.
+//!
+//! What it does not do: gradients are not counted (their column is 0), there is no stability map and no search for an
+//! accuracy; for these a scene is needed, of which the plan knows the cost and the speed.
+//!
+//! Invariant: all figures but the times repeat to the bit.
+
+use std::convert::Infallible;
+use std::time::Instant;
+
+use super::StudyError;
+use super::Watch;
+use super::measure::Point;
+use super::reference::ReferenceError;
+use super::table::{Row, Table};
+use crate::solve::nonlinear::Rung;
+use crate::solve::so;
+use crate::solve::stepper::Stepper;
+use crate::solve::system::System;
+use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
+
+/// A method that takes part.
+pub struct Candidate<'a, const N: usize, Y: ?Sized> {
+    /// Its name, for the table.
+    pub name: &'a str,
+    /// Its tableau, for the table.
+    pub tableau: &'a str,
+    /// Makes the stepper.
+    pub stepper: &'a dyn Fn() -> Box<dyn Stepper<N, Y>>,
+}
+
+/// A system, where it starts, and how it is studied.
+pub struct Question<'a, const N: usize, Y: ?Sized> {
+    /// The system.
+    pub system: &'a Y,
+    /// The state at t = 0.
+    pub initial: &'a State<N>,
+    /// The end of all runs, in seconds.
+    pub time_s: f64,
+    /// Steps of the first run of each candidate, at least 1: it should turn by about a radian in one.
+    pub first_steps: u64,
+    /// How often the step is halved at most.
+    pub halvings: u32,
+}
+
+/// What was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnPrecision {
+    /// The state at the end, to `error`.
+    pub reference: Point,
+    /// How far two solutions of the reference's family, or its last and the nearest of the other, are apart: the larger.
+    pub error: f64,
+    /// One row a run: each candidate with its steps from the largest down.
+    pub table: Table,
+}
+
+/// Errors of a reference above this tell nothing.
+const USELESS: f64 = 1e-6;
+/// Solutions this near are the same.
+const AGREED: f64 = 1e-13;
+/// Turns in which times are measured.
+const REPEATS: u32 = 3;
+
+/// Runs each candidate with a step that is halved, and measures errors against a reference: the first of `families`,
+/// its step halved until two solutions agree, which the second must meet. Errors are of the attitude (for n = 3 the
+/// spectral norm) plus of the body momentum in parts of its size at the end.
+///
+/// # Errors
+/// If there is no reference to be trusted, or the study is cancelled.
+pub fn precision<const N: usize, Y: System<N> + ?Sized>(
+    question: Question<'_, N, Y>,
+    families: [&Candidate<'_, N, Y>; 2],
+    candidates: &[Candidate<'_, N, Y>],
+    watch: &Watch,
+) -> Result<OwnPrecision, StudyError> {
+    let Question { time_s, halvings, .. } = question;
+    let first_steps = question.first_steps.max(1);
+    let no_step = || StudyError::from(ReferenceError::NoStep { time_s });
+    let (reference, own) = solved(&question, families[0], None, watch)?.ok_or_else(no_step)?;
+    let (_, other) =
+        solved(&question, families[1], Some(&reference), watch)?.ok_or_else(no_step)?;
+    let error = own.max(other);
+    if !(error <= USELESS) {
+        let allowed = USELESS;
+        return Err(ReferenceError::Disagree { time_s, difference: error, allowed }.into());
+    }
+    let mut table = Table::default();
+    for candidate in candidates {
+        for halving in 0..=halvings {
+            let Some(steps) = first_steps.checked_shl(halving) else { break };
+            let run = run(&question, candidate, steps, REPEATS, watch)?;
+            let row = run.row(candidate, time_s / steps as f64, &reference);
+            let found = row.error;
+            table.rows.push(row);
+            if found.is_some_and(|found| found <= 3.0 * error.max(f64::EPSILON)) {
+                break;
+            }
+        }
+    }
+    Ok(OwnPrecision { reference, error, table })
+}
+
+/// The solution of a family and how far its last two are apart, or how near they come to another's. `None` if no two
+/// runs succeed.
+fn solved<const N: usize, Y: System<N> + ?Sized>(
+    question: &Question<'_, N, Y>,
+    family: &Candidate<'_, N, Y>,
+    other: Option<&Point>,
+    watch: &Watch,
+) -> Result<Option<(Point, f64)>, StudyError> {
+    let (mut before, mut best): (Option<Point>, Option<(Point, f64)>) = (None, None);
+    for halving in 0..=question.halvings {
+        let Some(steps) = question.first_steps.max(1).checked_shl(halving) else { break };
+        let run = run(question, family, steps, 0, watch)?;
+        let end = (run.outcome == "succeeded").then_some(run.end);
+        if let (Some(end), Some(near)) = (&end, other.or(before.as_ref())) {
+            let apart = distance(near, end);
+            if best.as_ref().is_none_or(|(_, least)| apart < *least) {
+                best = Some((end.clone(), apart));
+            }
+            if apart <= AGREED {
+                break;
+            }
+        }
+        before = end;
+    }
+    Ok(best)
+}
+
+fn distance(of: &Point, point: &Point) -> f64 {
+    let size = (0.5 * of.momentum.norm_squared()).sqrt();
+    let scale = if size > 0.0 { size } else { 1.0 };
+    of.attitude_distance(point) + of.momentum_distance(point) / scale
+}
+
+/// A run that was made.
+struct Run {
+    end: Point,
+    steps: u64,
+    energy_error: f64,
+    orthogonality_error: f64,
+    iterations: u64,
+    rung: Option<Rung>,
+    order: u32,
+    ns_per_step: f64,
+    outcome: &'static str,
+}
+
+impl Run {
+    fn row<const N: usize, Y: ?Sized>(
+        &self,
+        candidate: &Candidate<'_, N, Y>,
+        step_s: f64,
+        reference: &Point,
+    ) -> Row {
+        let succeeded = self.outcome == "succeeded";
+        let any = self.steps > 0;
+        Row {
+            method: candidate.name.to_owned(),
+            tableau: candidate.tableau.to_owned(),
+            order: self.order,
+            solver: self.rung.map_or("", Rung::as_str).to_owned(),
+            step_s,
+            steps: self.steps,
+            error: succeeded.then(|| distance(reference, &self.end)),
+            energy_error: any.then_some(self.energy_error),
+            orthogonality_error: any.then_some(self.orthogonality_error),
+            iterations_per_step: any.then(|| self.iterations as f64 / self.steps as f64),
+            force_evaluations: 0,
+            ns_per_step: Some(self.ns_per_step).filter(|ns| ns.is_finite()),
+            outcome: self.outcome.to_owned(),
+            failed_step: (!succeeded).then_some(self.steps + 1),
+        }
+    }
+}
+
+/// Keeps the largest errors.
+#[derive(Default)]
+struct Largest {
+    energy: f64,
+    orthogonality: f64,
+}
+
+impl<const N: usize> Sink<N> for Largest {
+    type Error = Infallible;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Infallible> {
+        self.energy = self.energy.max(sample.energy_error.unwrap_or_default().abs());
+        let off = sample.attitude.map_or(0.0, |g| so::orthogonality_error(&g));
+        self.orthogonality = self.orthogonality.max(off);
+        Ok(())
+    }
+}
+
+fn run<const N: usize, Y: System<N> + ?Sized>(
+    question: &Question<'_, N, Y>,
+    candidate: &Candidate<'_, N, Y>,
+    steps: u64,
+    repeats: u32,
+    watch: &Watch,
+) -> Result<Run, StudyError> {
+    watch.expect(1);
+    let Question { system, initial, time_s, .. } = *question;
+    let step_s = time_s / steps as f64;
+    let mut stepper = (candidate.stepper)();
+    let schedule = Schedule { step_s, steps, every: steps.div_ceil(1000) };
+    let observables =
+        Observables { energy: true, orthogonality: false, momentum: false, sigma_min: false };
+    let mut largest = Largest::default();
+    let Ok(end) = trajectory::integrate(
+        system,
+        stepper.as_mut(),
+        initial,
+        schedule,
+        observables,
+        &mut largest,
+        |_| !watch.is_cancelled(),
+    );
+    watch.advance(1)?;
+    let outcome = match &end.ending {
+        Ending::Completed => "succeeded",
+        Ending::Cancelled => "cancelled",
+        Ending::Failed(failure) => failure.code.as_str(),
+    };
+    let mut ns_per_step = f64::INFINITY;
+    for _ in 0..if outcome == "succeeded" { repeats } else { 0 } {
+        stepper.start(initial);
+        let begun = Instant::now();
+        let made = (0..steps)
+            .take_while(|_| !watch.is_cancelled() && stepper.step(system, step_s).is_ok());
+        if made.count() as u64 == steps {
+            ns_per_step = ns_per_step.min(begun.elapsed().as_nanos() as f64 / steps as f64);
+        }
+    }
+    let State { attitude, momentum } = end.reached.state();
+    Ok(Run {
+        end: Point::of(&attitude, &momentum),
+        steps: end.reached.step,
+        energy_error: largest.energy,
+        orthogonality_error: largest.orthogonality,
+        iterations: end.reached.iterations,
+        rung: end.reached.convergence.map(|solved| solved.rung),
+        order: stepper.order(),
+        ns_per_step,
+        outcome,
+    })
+}

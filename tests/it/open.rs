@@ -1,0 +1,190 @@
+//! Systems of a user's own through the program's doors: the examples, their logs, and what goes wrong.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+
+use vpd::chart::draw_logs;
+use vpd::log::inspect::inspect;
+use vpd::run::{Control, JobContext, Outcome, Recording};
+use vpd::scenario::{Inertia, Scenario, Scene};
+use vpd::solve::hamiltonian::{Energy, Hamiltonian};
+use vpd::solve::nonlinear::StopRule;
+use vpd::solve::so::{self, Mat};
+use vpd::solve::stepper::Stepper;
+use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::system::System;
+use vpd::solve::tableau::Tableau;
+use vpd::solve::trajectory::{Schedule, State};
+use vpd::study::Watch;
+use vpd::study::own::{self, Candidate, Question};
+use vpd::verify::verify;
+
+#[path = "../../examples/custom_lagrangian.rs"]
+mod custom_lagrangian;
+#[path = "../../examples/custom_potential.rs"]
+mod custom_potential;
+#[path = "../../examples/read_a_log.rs"]
+mod read_a_log;
+
+#[test]
+fn a_potential_of_ones_own_has_a_log_and_charts() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let summary = custom_potential::run(folder.path()).expect("a run");
+    assert_eq!(summary.outcome, Outcome::Succeeded);
+    let energy = summary.energy.expect("logged");
+    assert!(energy.max_abs_error > 0.0 && energy.max_abs_error < 1e-5, "{energy:?}");
+    assert!(summary.orthogonality.expect("logged").max < 1e-14);
+    assert!(summary.momentum.is_none(), "nothing was said to be conserved");
+
+    let log = folder.path().join("cubic.mcap");
+    let (states, error) = read_a_log::read(&log).expect("a finished log");
+    assert_eq!((states, error), (1001, energy.max_abs_error));
+    let sum = inspect(&log).expect("readable");
+    assert!(sum.finished);
+    assert_eq!(sum.job.expect("a record")["name"], "cubic");
+    assert!(sum.topics.iter().any(|topic| topic.topic == "/tf"));
+    let drawn =
+        draw_logs(std::slice::from_ref(&log), &folder.path().join("charts")).expect("drawn");
+    assert_eq!(drawn.len(), 2, "energy and orthogonality");
+    assert!(folder.path().join("energy.svg").exists());
+    let refused = verify(&log).expect_err("no scenario").to_string();
+    assert_eq!(refused, "the log holds no scenario");
+}
+
+#[test]
+fn a_lagrangian_of_ones_own_has_a_log() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let summary = custom_lagrangian::run(folder.path()).expect("a run");
+    assert_eq!((summary.outcome, summary.samples), (Outcome::Succeeded, 201));
+    let energy = summary.energy.expect("logged");
+    assert!(energy.max_abs_error > 0.0 && energy.max_abs_error < 1e-6, "{energy:?}");
+    assert!(summary.orthogonality.expect("logged").max < 1e-14);
+    let sum = inspect(&folder.path().join("charged.mcap")).expect("readable");
+    assert!(sum.finished);
+    let job = sum.job.expect("a record");
+    assert_eq!(job["dimension"], "4");
+    assert_eq!(job["system"], "quartic kinetic energy, field A");
+}
+
+/// A free body whose law is lost once it has turned by a right angle.
+struct Lost;
+
+impl System<3> for Lost {
+    fn energy(&self, _g: &Mat<3>, mu: &Mat<3>) -> Energy {
+        Energy { kinetic: 0.5 * so::inner(mu, mu), potential: 0.0 }
+    }
+}
+
+impl Hamiltonian<3> for Lost {
+    fn velocity(&self, g: &Mat<3>, mu: &Mat<3>) -> Mat<3> {
+        if g[(0, 0)] > 0.0 { *mu } else { mu * f64::NAN }
+    }
+
+    fn gradient(&self, _g: &Mat<3>, _mu: &Mat<3>) -> Mat<3> {
+        Mat::zeros()
+    }
+}
+
+#[test]
+fn what_goes_wrong_is_said_in_a_finished_log() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("lost.mcap");
+    let stepper = || Vpd::new(Tableau::gauss(2).expect("2 stages"), StopRule::default());
+    let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.0, 0.0, 1.0]) };
+    let schedule = Schedule { step_s: 0.1, steps: 100, every: 0 };
+    let recording = Recording {
+        notes: BTreeMap::from([("name".to_owned(), "not the name".to_owned())]),
+        ..Recording::new("lost")
+    };
+    let control = Control::default();
+    let context = JobContext { log: &log, control: &control };
+    let summary = recording.run(&Lost, &mut stepper(), &start, schedule, &context).expect("a log");
+    assert_eq!(summary.outcome, Outcome::Failed);
+    let diagnosis = summary.diagnosis.expect("a reason");
+    assert_eq!((diagnosis.step, summary.samples), (summary.steps + 1, summary.steps + 1));
+    assert!((15..=16).contains(&diagnosis.step), "{diagnosis}");
+    assert!(diagnosis.advice.contains("none was tried"), "{diagnosis}");
+    let sum = inspect(&log).expect("readable");
+    assert!(sum.finished);
+    assert_eq!(sum.outcome.expect("a record")["state"], "failed");
+    assert_eq!(sum.job.expect("a record")["name"], "lost");
+
+    // Cancelled, a run has a log; interrupted it has none, and leaves none.
+    control.cancelled.store(true, Ordering::Relaxed);
+    let summary = recording.run(&Lost, &mut stepper(), &start, schedule, &context).expect("a log");
+    assert_eq!((summary.outcome, summary.steps), (Outcome::Cancelled, 0));
+    std::fs::remove_file(&log).expect("it was there");
+    let control = Control::default();
+    control.interrupt();
+    let context = JobContext { log: &log, control: &control };
+    recording.run(&Lost, &mut stepper(), &start, schedule, &context).expect_err("interrupted");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
+}
+
+/// Of order 2, 4 and 6 by the table, against a reference that both forms of VPD agree on.
+#[test]
+fn work_and_precision_of_a_system_of_ones_own() {
+    struct Field(Mat<3>);
+    impl Field {
+        fn seen(&self, g: &Mat<3>) -> Mat<3> {
+            g.transpose() * self.0 * g
+        }
+    }
+    impl System<3> for Field {
+        fn energy(&self, g: &Mat<3>, mu: &Mat<3>) -> Energy {
+            let nu = mu - self.seen(g);
+            Energy { kinetic: 0.5 * so::inner(&nu, &nu), potential: 0.0 }
+        }
+    }
+    impl Hamiltonian<3> for Field {
+        fn velocity(&self, g: &Mat<3>, mu: &Mat<3>) -> Mat<3> {
+            mu - self.seen(g)
+        }
+
+        fn gradient(&self, g: &Mat<3>, mu: &Mat<3>) -> Mat<3> {
+            let (b, omega) = (self.seen(g), self.velocity(g, mu));
+            b * omega - omega * b
+        }
+    }
+    let vpd = |stages: usize| {
+        move || -> Box<dyn Stepper<3, Field>> {
+            Box::new(Vpd::new(Tableau::gauss(stages).expect("1 to 8"), StopRule::default()))
+        }
+    };
+    let (one, two, three, six, eight) = (vpd(1), vpd(2), vpd(3), vpd(6), vpd(8));
+    let candidate = |tableau, stepper| Candidate { name: "vpd", tableau, stepper };
+    let initial = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, 0.5, 1.0]) };
+    let question = Question {
+        system: &Field(so::hat(&[0.4, 0.0, 0.7])),
+        initial: &initial,
+        time_s: 2.0,
+        first_steps: 4,
+        halvings: 5,
+    };
+    let found = own::precision(
+        question,
+        [&candidate("gauss8", &eight), &candidate("gauss6", &six)],
+        &[candidate("gauss1", &one), candidate("gauss2", &two), candidate("gauss3", &three)],
+        &Watch::default(),
+    )
+    .expect("a reference");
+    assert!(found.error < 1e-12, "{:e}", found.error);
+    for order in [2, 4, 6] {
+        let rows = found.table.rows.iter().filter(|row| row.order == order);
+        let errors: Vec<f64> = rows.filter_map(|row| row.error).collect();
+        let measured = (errors[1] / errors[3]).log2() / 2.0;
+        assert!((measured - f64::from(order)).abs() < 0.4, "order {order}: {measured}");
+    }
+    assert!(found.table.rows.iter().all(|row| row.ns_per_step.is_some()));
+    assert!(found.table.to_csv().lines().count() == found.table.rows.len() + 1);
+}
+
+#[test]
+fn a_scenario_needs_no_json() {
+    let inertia = Inertia::Principal([1.0, 2.0, 3.0]);
+    let scenario = Scenario::of("free", Scene::free(inertia.clone()), 0.01, 100).expect("one");
+    let text = scenario.to_json();
+    assert_eq!(Scenario::from_json(&text).expect("the same"), scenario);
+    let refused = Scenario::of("free", Scene::free(inertia), -0.01, 100).expect_err("a step");
+    assert_eq!(refused.pointer, "/step_s");
+}
