@@ -1,6 +1,6 @@
 //! What the parts of a step cost: `cargo bench --bench costs > src/plan/costs.json` makes the table that plans are
 //! estimated and methods are chosen by. Takes a few minutes on a machine that does nothing else; a word after `--` keeps
-//! to the methods whose name has it and prints their estimates beside what was measured.
+//! to the methods whose name has it and prints their estimates next to what was measured.
 
 use std::io::Write;
 
@@ -17,7 +17,7 @@ const EXPLICIT: &[&str] = &["rk3", "rk4", "rk8"];
 const ORDERS: &[&str] = &["2", "4", "8"];
 const DIMENSIONS: [usize; 8] = [2, 3, 4, 5, 6, 8, 12, 16];
 const KINDS: [&str; 4] = ["uniform", "point_source", "spring", "gravity_gradient"];
-/// Terms in the two scenes by which the cost of a term is told.
+/// Terms in the two scenes by which the cost of a term is found.
 const TERMS: [usize; 2] = [2, 16];
 /// A step that few sweeps solve, in radians.
 const SMALL_RAD: f64 = 0.02;
@@ -127,7 +127,7 @@ fn fitted(rows: &[[f64; 3]]) -> [f64; 3] {
     best.0
 }
 
-/// Prints estimates beside what is measured.
+/// Prints estimates next to what is measured.
 fn compare(asked: &[String]) {
     say("method,tableau,n,terms,turn_rad,ns,sweeps,estimate_ns,ratio");
     for (method, tableau, n) in measured() {

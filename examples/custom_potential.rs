@@ -13,7 +13,7 @@ use vpd::run::{Control, JobContext, Recording, Summary};
 use vpd::solve::hamiltonian::{Kinetic, Law, Potential, RigidBody, Term};
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat, Vector};
-use vpd::solve::stepper::vpd_space::VpdSpace;
+use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::{Schedule, State};
 
@@ -50,7 +50,7 @@ pub(crate) fn run(folder: &Path) -> Result<Summary, Box<dyn Error>> {
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.02, 0.05, 0.1]) };
 
     let tableau = Tableau::gauss(2).ok_or("1 to 8 stages")?;
-    let mut stepper = VpdSpace::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
+    let mut stepper = VpdSo3::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
     let schedule = Schedule { step_s: 0.005, steps: 4000, every: 4 };
     let log = folder.join("cubic.mcap");
     let context = JobContext { log: &log, control: &Control::default() };

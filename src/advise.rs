@@ -66,11 +66,11 @@ pub enum Obstacle {
         "{growth}, doubles reach it until t = {until_s:.3} s, and {least:.1e} at t = {time_s:.3e} s; ask for less time, or for more error"
     )]
     Untold {
-        /// The least error that can be told.
+        /// The least error that can be measured.
         least: f64,
         /// The time of the reference.
         time_s: f64,
-        /// Until when what is asked can be told.
+        /// Until when what is asked can be measured.
         until_s: f64,
         /// How errors grow.
         growth: Growth,
@@ -138,7 +138,7 @@ impl Unsettled {
     }
 }
 
-/// What is told of a scenario that came without a method and keeps none: the accuracy is the field at fault.
+/// What is reported of a scenario that came without a method and keeps none: the accuracy is the field at fault.
 impl From<Unsettled> for ScenarioError {
     fn from(unsettled: Unsettled) -> Self {
         match unsettled {
@@ -154,10 +154,12 @@ impl From<Unsettled> for ScenarioError {
 /// # Errors
 /// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
+    // One that was built in Rust was not checked yet.
+    scenario.check()?;
     Settled::new(scenario, &Watch::default())?.plan()
 }
 
-/// A scenario with all that only runs tell of it: a method and a step for its accuracy, the work of its first steps. What is
+/// A scenario with all that only runs show of it: a method and a step for its accuracy, the work of its first steps. What is
 /// kept of it is enough to plan it again without any run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settled {
@@ -227,7 +229,7 @@ fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
     }))
 }
 
-/// The error at the end of a run, as well as a reference tells it.
+/// The error at the end of a run, as well as a reference shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ErrorAtEnd {
     /// Known to a third of itself.
@@ -265,13 +267,13 @@ fn settle(
 ) -> Result<(Scenario, Advice), Unsettled> {
     let out_of_reach = |why| Unsettled::OutOfReach { asked: asked.error, why };
     let allowed_ns = watch.left_ns().min(SETTLING_NS);
-    let told = |error| Unsettled::of(error, asked, allowed_ns);
+    let reported = |error| Unsettled::of(error, asked, allowed_ns);
     let allowance_ns = Some(allowed_ns.into());
     let watch = &Watch { cancelled: watch.cancelled.clone(), allowance_ns, ..Watch::default() };
     let duration_s = scenario.duration_s.unwrap_or_default();
-    let scales = Scales::of(scenario, duration_s, watch).map_err(told)?;
+    let scales = Scales::of(scenario, duration_s, watch).map_err(reported)?;
     let known = |time_s: f64| {
-        Reference::known_to(scenario, time_s, needed(asked), &scales, watch).map_err(told)
+        Reference::known_to(scenario, time_s, needed(asked), &scales, watch).map_err(reported)
     };
     let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
     let left_ns = watch.left_ns();
@@ -282,8 +284,8 @@ fn settle(
     let far = if far_s > pilot_s { known(far_s)? } else { near.clone() };
     let trial = Trial { scenario, asked, duration_s, scales, near, far };
     trial.carried().map_err(out_of_reach)?;
-    let mut contenders = trial.contenders(watch).map_err(told)?;
-    trial.decide(&mut contenders, watch).map_err(told)?;
+    let mut contenders = trial.contenders(watch).map_err(reported)?;
+    trial.decide(&mut contenders, watch).map_err(reported)?;
     // The sort is stable: of equals the first in the list.
     contenders.sort_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
     let least = contenders.iter().filter_map(|tried| tried.least).min_by(f64::total_cmp);
@@ -291,7 +293,7 @@ fn settle(
         return Err(out_of_reach(Obstacle::NoMethod { least }));
     };
     *choice = trial.every_member(entry, *choice, watch).map_err(|unmet| match unmet {
-        Unmet::Study(error) => told(error),
+        Unmet::Study(error) => reported(error),
         Unmet::Obstacle(why) => out_of_reach(why),
     })?;
     let choice = *choice;
@@ -314,7 +316,7 @@ fn settle(
         margin: asked.error / choice.expected.max(ROUND_OFF),
         pilot_time_s: trial.far.time_s,
         reference_error: trial.far.error,
-        candidates: contenders.iter().map(Contender::told).collect(),
+        candidates: contenders.iter().map(Contender::reported).collect(),
     };
     Ok((settled, advice))
 }

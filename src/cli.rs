@@ -113,7 +113,7 @@ struct RunArgs {
     /// Print one JSON summary on stdout.
     #[arg(long)]
     json: bool,
-    /// Write layouts for Foxglove and Lichtblick beside the log.
+    /// Write layouts for Foxglove and Lichtblick next to the log.
     #[arg(long)]
     layouts: bool,
     /// Compute a reference afterwards and report the error of the last state.

@@ -11,6 +11,7 @@
 //! A scenario is run to a log, and the log is read:
 //!
 //! ```
+//! use vpd::advise;
 //! use vpd::log::reader::{Message, read_samples};
 //! use vpd::run::{Control, JobContext, Outcome, execute};
 //! use vpd::scenario::{Inertia, Scenario, Scene};
@@ -22,7 +23,9 @@
 //! let scenario = Scenario::of("free-body", scene, 0.01, 1000)?;
 //! let folder = tempfile::tempdir()?;
 //! let log = folder.path().join("free-body.mcap");
-//! let summary = execute(&scenario, &JobContext { log: &log, control: &Control::default() })?;
+//! // Method and step are as given, or chosen for an accuracy.
+//! let plan = advise::plan(&scenario)?;
+//! let summary = execute(&plan, &JobContext { log: &log, control: &Control::default() })?;
 //! assert_eq!(summary.outcome, Outcome::Succeeded);
 //!
 //! let mut largest = 0.0_f64;
@@ -38,7 +41,7 @@
 //!
 //! | what you have | where it goes in |
 //! |---|---|
-//! | a scenario, as JSON or made in Rust | [`scenario::Scenario`], [`run::execute`] |
+//! | a scenario, as JSON or made in Rust | [`scenario::Scenario`], [`advise::plan`], [`run::execute`] |
 //! | a potential, a Hamiltonian or a Lagrangian of your own | [`solve`], [`run::Recording`], [`study::own`] |
 //! | a log | [`log::reader`], [`log::inspect`], `chart`, [`verify`] |
 //! | an accuracy instead of a method | [`advise`] |

@@ -1,7 +1,7 @@
-//! 5 · The live view: the samples of a running job, for whoever looks on.
+//! 5 · The live view: the samples of a running job, for whoever follows.
 //!
 //! Invariant: a viewer changes nothing about a run. At most one run is on show, and of its samples no more
-//! than viewers draw; the log has them all. A run hands a sample over once, however many look on, and never waits:
+//! than viewers draw; the log has them all. A run hands a sample over once, however many follow, and never waits:
 //! who takes it too late misses it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -20,8 +20,8 @@ use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
-use crate::solve::stepper::vpd_space::VpdSpace;
-use crate::solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use crate::solve::stepper::vpd_so3::VpdSo3;
+use crate::solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use crate::solve::stepper::vrkmk::Vrkmk;
 use crate::solve::tableau::Tableau;
 
@@ -271,9 +271,9 @@ impl Integrator {
         let in_lanes = parts.tableau.stages() <= WIDTH;
         let Parts { tableau, order, stop, carries_attitude } = parts;
         Some(match self {
-            Self::Vpd if in_lanes => Box::new(VpdSpace::new(tableau, stop)?),
+            Self::Vpd if in_lanes => Box::new(VpdSo3::new(tableau, stop)?),
             Self::VpdReduced if in_lanes => {
-                Box::new(VpdSpace::new(tableau, stop)?.reduced(carries_attitude))
+                Box::new(VpdSo3::new(tableau, stop)?.reduced(carries_attitude))
             }
             Self::Splitting => Box::new(Splitting::new(order)?),
             Self::Lgvi => Box::new(Lgvi::new(order, stop)?),

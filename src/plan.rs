@@ -26,7 +26,7 @@ pub(crate) use model::{Model, ModelKinetic};
 use model::{attitude, inertia_matrix, kinetic, momentum, tableau, tableau_choice, with_matrix};
 use terms::{Extent, Terms};
 
-/// About what a log takes beside its samples: schemas, scenario, plan, index.
+/// About what a log takes in addition to its samples: schemas, scenario, plan, index.
 pub(crate) const LOG_FIXED_BYTES: u64 = 50_000;
 
 /// What a job will do, for people and for [`crate::run`].
@@ -40,7 +40,7 @@ pub struct Plan {
     pub step_s: f64,
     /// Number of steps.
     pub steps: u64,
-    /// A sample is taken every so many steps.
+    /// A sample is taken every k steps.
     pub every: u64,
     /// Number of samples of a run that ends well.
     pub samples: u64,
@@ -136,7 +136,7 @@ pub struct Formulation {
     pub carries_attitude: bool,
     /// Why it was chosen.
     pub why: &'static str,
-    /// What is made use of beside: a body at rest, a motion in a plane.
+    /// What is made use of in addition: a body at rest, a motion in a plane.
     #[serde(skip_serializing_if = "Motion::is_general")]
     pub motion: Motion,
 }

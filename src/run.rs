@@ -80,7 +80,7 @@ pub struct Control {
     /// Where the run writes each of its steps, eight bytes: for whoever finds its process dead and asks whether it
     /// always dies at the same place. It costs a call of the system each, so only suspects are traced.
     pub trace: Option<File>,
-    /// Where viewers look on.
+    /// Where viewers follow.
     #[cfg(feature = "live")]
     pub live: Option<Arc<Live>>,
 }
@@ -261,7 +261,7 @@ struct Recorder<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Recorder<'a, N> {
-    /// Takes up the log of an interrupted run, or begins one.
+    /// Resumes the log of an interrupted run, or begins one.
     fn open(
         context: &JobContext<'a>,
         header: &LogHeader,

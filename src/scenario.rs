@@ -244,7 +244,7 @@ impl Default for Solver {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SolverKind {
-    /// Fixed-point sweeps, and Newton's method in the steps where they do not get on.
+    /// Fixed-point sweeps, and Newton's method in the steps where they do not converge.
     #[default]
     Auto,
     /// Fixed-point sweeps alone.
@@ -257,7 +257,7 @@ pub enum SolverKind {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LogOptions {
-    /// A sample every so many steps, beside the start and the end. By default at most 60 samples per
+    /// A sample every k steps, in addition to the start and the end. By default at most 60 samples per
     /// second of simulated time, which is what viewers like.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub every: Option<u64>,
@@ -472,7 +472,7 @@ impl Scenario {
         }
     }
 
-    /// A sample is taken every so many steps.
+    /// A sample is taken every k steps.
     pub fn sample_every(&self) -> u64 {
         const VIEWER_RATE_HZ: f64 = 60.0;
         self.log.every.unwrap_or_else(|| {

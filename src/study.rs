@@ -212,7 +212,7 @@ impl Scales {
     /// # Errors
     /// If the scene cannot be planned, or no step works.
     pub fn of(scene: &Scenario, time_s: f64, watch: &Watch) -> Result<Self, StudyError> {
-        /// A run longer than this tells no more.
+        /// A run longer than this shows no more.
         const MOST_STEPS: f64 = 5000.0;
         /// Angle of a step that a method of eighth order takes easily, rad.
         const EASY_TURN_RAD: f64 = 0.25;

@@ -60,10 +60,10 @@ pub enum VerifyError {
         /// What is wrong with its end.
         damage: String,
     },
-    /// It lacks the scenario or the outcome.
+    /// The scenario or the outcome is missing.
     #[error("the log holds no {what}")]
     Missing {
-        /// What it lacks.
+        /// What is missing.
         what: &'static str,
     },
     /// This build does not take the scenario.

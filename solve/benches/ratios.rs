@@ -1,4 +1,4 @@
-//! Speed beside accuracy, as ratios in one run: `cargo bench --bench ratios`; a part alone by its name, as in
+//! Speed next to accuracy, as ratios in one run: `cargo bench --bench ratios`; a part alone by its name, as in
 //! `cargo bench --bench ratios -- largest_steps`.
 //!
 //! All on the dipole of the scenarios unless said otherwise; errors are |g - g_ref| + |p - p_ref|. Times are the least of
@@ -15,8 +15,8 @@ use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
-use vpd_solve::stepper::vpd_space::VpdSpace;
-use vpd_solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
+use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
@@ -67,9 +67,9 @@ fn gauss(stages: usize) -> Tableau {
     Tableau::gauss(stages).expect("1 to 8 stages")
 }
 
-fn in_lanes(stages: usize, rungs: Rungs) -> VpdSpace {
+fn in_lanes(stages: usize, rungs: Rungs) -> VpdSo3 {
     let stop = StopRule { rungs, ..StopRule::default() };
-    VpdSpace::new(gauss(stages), stop).expect("at most 8 stages")
+    VpdSo3::new(gauss(stages), stop).expect("at most 8 stages")
 }
 
 /// The end after `steps` of `h`, and the iterations of a step; `None` if one fails.
@@ -227,8 +227,8 @@ fn one_trajectory() {
         (8, 0.25, 1e-15),
     ] {
         let stop = StopRule { tolerance, ..StopRule::default() };
-        let mut stepper = VpdSpace::new(gauss(stages), stop).expect("at most 8 stages");
-        let at = |stepper: &mut VpdSpace, t: f64| {
+        let mut stepper = VpdSo3::new(gauss(stages), stop).expect("at most 8 stages");
+        let at = |stepper: &mut VpdSo3, t: f64| {
             let steps = (t / h).round() as usize;
             // A step that does not divide the time has no error there.
             ((steps as f64 * h - t).abs() < 1e-9).then(|| end(stepper, &scene, h, steps)).flatten()
@@ -369,7 +369,7 @@ fn ensemble_on_all_cores() {
     ));
     for tolerance in [1e-15, 1e-13, 1e-12] {
         let stop = StopRule { tolerance, ..StopRule::default() };
-        let mut alone = VpdSpace::new(gauss(8), stop).expect("8 stages");
+        let mut alone = VpdSo3::new(gauss(8), stop).expect("8 stages");
         let error = end(&mut alone, &scene, h, 1).expect("solvable").0;
         let error = difference(&error, &known("/points/0.5"));
         let group = || {

@@ -1,6 +1,6 @@
 //! Nanoseconds of a step, and of what a step is made of: `cargo bench --bench steps`.
 //!
-//! For a speed beside the accuracy it is reached at: `cargo bench --bench ratios`.
+//! For a speed next to the accuracy it is reached at: `cargo bench --bench ratios`.
 
 use divan::{Bencher, black_box};
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
@@ -8,7 +8,7 @@ use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
-use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
 
@@ -46,7 +46,7 @@ fn bench_steps<const N: usize>(bencher: Bencher, mut stepper: impl Stepper<N>) {
 #[divan::bench(args = 1..=8)]
 fn step_in_space(bencher: Bencher, stages: usize) {
     let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
-    let stepper = VpdSpace::new(tableau, StopRule::default()).expect("at most 8 stages");
+    let stepper = VpdSo3::new(tableau, StopRule::default()).expect("at most 8 stages");
     bench_steps(bencher, stepper);
 }
 

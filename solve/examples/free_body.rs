@@ -8,7 +8,7 @@ use vpd_solve::hamiltonian::{Kinetic, RigidBody};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
 use vpd_solve::stepper::Stepper;
-use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
 
@@ -21,7 +21,7 @@ pub(crate) fn run() -> Result<(f64, f64), Box<dyn Error>> {
     // About the middle axis, the unstable one.
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.01, 2.0, 0.01]) };
     let tableau = Tableau::gauss(2).ok_or("1 to 8 stages")?;
-    let stepper = VpdSpace::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
+    let stepper = VpdSo3::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
     let mut stepper = stepper.reduced(true);
 
     stepper.start(&start);

@@ -82,15 +82,15 @@ impl Sum {
         }
     }
 
-    /// `q1 = q0 + q0 (f - 1)`, and what its length lacks of one.
+    /// `q1 = q0 + q0 (f - 1)`, and the deficit of its length from one.
     fn turn(&mut self, turn: &Quaternion<f64>) {
         let Self { top: Top { attitude, .. }, carry: Top { attitude: carry, .. } } = self;
         // Of the two quaternions of a rotation that next to one, with 1 - w = |v|^2 / (1 + w).
         let turn = turn * 1.0_f64.copysign(turn.w);
         let v = turn.vector();
         let small = Quaternion::from_parts(-v.norm_squared() / (1.0 + turn.w), v.into_owned());
-        let lack = 0.5 - 0.5 * attitude.norm_squared();
-        let change = *attitude * small + (*carry + *carry * small + *attitude * lack);
+        let deficit = 0.5 - 0.5 * attitude.norm_squared();
+        let change = *attitude * small + (*carry + *carry * small + *attitude * deficit);
         for i in 0..4 {
             let (sum, left) = space::sum(attitude.coords[i], change.coords[i]);
             (attitude.coords[i], carry.coords[i]) = (sum, left);

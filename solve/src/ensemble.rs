@@ -1,6 +1,6 @@
 //! Members of an ensemble, carried forward together.
 //!
-//! Invariant: a member makes the steps of its own run, to the bit, whoever goes beside it; one that fails stays where
+//! Invariant: a member makes the steps of its own run, to the bit, whoever goes next to it; one that fails stays where
 //! it was, and the others go on.
 
 use super::failure::Failure;
@@ -12,10 +12,10 @@ use super::trajectory::{Books, Observables, Sample, Schedule, State, Trajectory}
 
 /// A few members of an ensemble that take each step together.
 pub trait Members<const N: usize> {
-    /// Takes up the states, at most [`WIDTH`] of them.
+    /// Begins at the states, at most [`WIDTH`] of them.
     fn start(&mut self, states: &[State<N>]);
 
-    /// Carries the members of `going` forward by `h`; what became of each is told to `stepped`.
+    /// Carries the members of `going` forward by `h`; what became of each is given to `stepped`.
     fn step(
         &mut self,
         body: &RigidBody<N>,

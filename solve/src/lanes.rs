@@ -1,7 +1,7 @@
 //! Numbers in lanes: one formula for one number, for the stages of a step side by side, and for the members of
 //! an ensemble side by side.
 //!
-//! A lane holds the same bits whatever runs beside it and whatever instruction set runs it: there are only
+//! A lane holds the same bits whatever runs next to it and whatever instruction set runs it: there are only
 //! additions, multiplications, divisions and square roots, each rounded by itself, in an order that is written
 //! down here.
 //!

@@ -211,7 +211,7 @@ impl Solver {
             Rungs::Both => match swept(Progress::new(self.rule, true), sweep) {
                 Ok(Some(convergence)) => Ok(convergence),
                 Err(stopped) if stopped.code == FailureCode::Stopped => Err(stopped),
-                // If nothing gets there, the sweeps tell why more plainly.
+                // If nothing gets there, the sweeps show why more plainly.
                 stuck => {
                     // Sweeps that converged, but ran out, stand near a solution.
                     if let Err(Failure { code: FailureCode::MaxIterations, .. }) = stuck

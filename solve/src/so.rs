@@ -101,7 +101,7 @@ fn coordinate_places<const N: usize>() -> impl Iterator<Item = (usize, usize, f6
     three.into_iter().chain(above.filter(|_| N != 3))
 }
 
-/// The orthogonal polar factor `U` of `A = U P`, by Newton's iteration (paper, newtoniterate)
+/// The orthogonal polar factor `U` of `A = U P`, by Newton's iteration (paper, 4 newtoniterate)
 /// `U <- (U + U^-T) / 2` from `U = A`.
 ///
 /// `None` if `A` is singular or not finite. The sign of det A is kept: for det A < 0 the result is in
@@ -156,7 +156,7 @@ pub fn stretch_excess<const N: usize>(u: &Mat<N>, d: &Mat<N>) -> Mat<N> {
     symmetric_part(&(f + d + transposed_product(&f, d)))
 }
 
-/// Tangent map of the polar factor (paper, dP): the skew `Omega` with `dU = U Omega` for a change
+/// Tangent map of the polar factor (paper, 6 dP): the skew `Omega` with `dU = U Omega` for a change
 /// `da` of `A = U P`, that is `P Omega + Omega P = asym(U^T dA)`.
 ///
 /// `None` where the Lyapunov operator is singular.
@@ -177,7 +177,7 @@ pub fn retraction<const N: usize>(omega: &Mat<N>) -> Option<Mat<N>> {
     polar(&(Mat::identity() + omega))
 }
 
-/// The inverse of [`retraction`] (paper, pinverse): the skew `Omega` with
+/// The inverse of [`retraction`] (paper, 5 pinverse): the skew `Omega` with
 /// `U^T Omega + Omega U = U - U^T`.
 ///
 /// `None` where some plane of `U` turns by a quarter or more: the retraction does not reach there.
@@ -282,7 +282,7 @@ fn series_of_exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
 /// Solves `M X + X M^T = C` for skew `X`, given skew `C`.
 ///
 /// This is the Lyapunov equation of the paper: with `M = P` symmetric positive definite the polar
-/// tangent map, with `M = g0^T g1` the multiplier equation (vih4). `guess` starts the iteration of
+/// tangent map, with `M = g0^T g1` the multiplier equation (24d, vih4). `guess` starts the iteration of
 /// general n and is not used where there is a closed form (n = 2, 3).
 ///
 /// `None` where the operator is singular to working precision.

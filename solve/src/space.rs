@@ -169,15 +169,15 @@ impl<T: Real> Turn<T> {
         Self { w: half[0].constant(1.0), v: *half }.normalised()
     }
 
-    /// `self (1 + half)`, of length one to the fourth order of `half` and the second of what `self` lacks of it.
+    /// `self (1 + half)`, of length one to the fourth order of `half` and the second of the deficit of `self`.
     #[inline(always)]
     pub fn turned(&self, half: &Vec3<T>) -> Self {
-        // What the length lacks by rounding goes to w rather than to v, which holds the angle: (1 + v^2) w^2 + v^2 v^2
+        // The deficit of the length by rounding goes to w rather than to v, which holds the angle: (1 + v^2) w^2 + v^2 v^2
         // = 1. A common factor near one lies on one side of it more often than on the other, and the energy of a run
         // with it.
         let square = dot(&self.v, &self.v);
-        let lack = ((-self.w + 1.0) * (self.w + 1.0) - square) * 0.5;
-        let (for_w, for_v) = (lack * (square + 1.0), lack * square);
+        let deficit = ((-self.w + 1.0) * (self.w + 1.0) - square) * 0.5;
+        let (for_w, for_v) = (deficit * (square + 1.0), deficit * square);
         let w = self.w + self.w * for_w;
         let v: Vec3<T> = vec3!(i => self.v[i] + self.v[i] * for_v);
         // |q (1 + a)|^2 = |q|^2 + |a|^2, and 1 / sqrt(1 + e) = 1 - e / 2 to second order.
@@ -201,7 +201,7 @@ impl<T: Real> Turn<T> {
         self.w * self.w + dot(&self.v, &self.v)
     }
 
-    /// Of length one, to second order of what the square lacks of it.
+    /// Of length one, to second order in the deficit of the square.
     #[inline(always)]
     pub fn lengthened(&self) -> Self {
         // 1 / sqrt(1 + e) = 1 - e / 2

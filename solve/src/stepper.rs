@@ -13,7 +13,7 @@ mod galerkin;
 pub mod vpd;
 pub mod vpd_lagrangian;
 pub mod vpd_reduced;
-pub mod vpd_space;
+pub mod vpd_so3;
 pub mod vpd_plane;
 pub mod at_rest;
 pub mod vrkmk;
@@ -28,7 +28,7 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// Order of the scheme.
     fn order(&self) -> u32;
 
-    /// Takes up a state; whatever was there before is forgotten.
+    /// Begins at a state; whatever was there before is forgotten.
     fn start(&mut self, state: &State<N>);
 
     /// Carries the state forward by `h` seconds.

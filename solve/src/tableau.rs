@@ -9,7 +9,7 @@ use thiserror::Error;
 mod gauss;
 
 /// Coefficients `a_ij`, `b_j` of a Runge-Kutta method, as the internal points and the end point of the
-/// VPD discrete Lagrangian use them (paper, internal and restrict).
+/// VPD discrete Lagrangian use them (paper, 8 internal and restrict).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tableau {
     a: Vec<Vec<f64>>,

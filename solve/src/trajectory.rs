@@ -3,7 +3,7 @@
 //!
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of
 //! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
-//! holds, so that a trajectory which is taken up there is, to the bit, the one that was not interrupted.
+//! holds, so that a trajectory which is resumed there is, to the bit, the one that was not interrupted.
 
 use super::failure::{Failure, FailureCode};
 use super::hamiltonian::Energy;
@@ -28,11 +28,11 @@ pub struct Schedule {
     pub step_s: f64,
     /// Number of steps.
     pub steps: u64,
-    /// A sample is taken every so many steps (0: as 1), at the start and at the end.
+    /// A sample is taken every k steps (0: as 1), at the start and at the end.
     pub every: u64,
 }
 
-/// What is computed at a sample beside the state: what somebody asked for.
+/// What is computed at a sample in addition to the state: what somebody asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observables {
     /// Kinetic and potential energy.
@@ -146,7 +146,7 @@ pub trait Sink<const N: usize> {
     }
 }
 
-/// Where a trajectory is at a sample: all that it needs, beside where it began, to go on from there.
+/// Where a trajectory is at a sample: all that it needs, in addition to where it began, to go on from there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint<const N: usize> {
     /// Steps made.
@@ -171,7 +171,7 @@ impl<const N: usize> Checkpoint<N> {
     }
 }
 
-/// Where a trajectory begins, and where it is taken up if it was interrupted.
+/// Where a trajectory begins, and where it resumes if it was interrupted.
 #[derive(Clone, Copy, Debug)]
 pub struct Origin<'a, const N: usize> {
     /// The state at t = 0: drifts and errors are measured against it.
@@ -208,7 +208,7 @@ pub struct Trajectory<const N: usize> {
 
 /// Carries a state of any system forward along `schedule` by a stepper for it and gives the samples to `sink`: the first at the start,
 /// then one every `schedule.every` steps, and the last accepted state whatever happens. A trajectory
-/// that is taken up at a checkpoint gives the samples after it.
+/// that resumes at a checkpoint gives the samples after it.
 /// `go_on(steps_done)` is asked before each step.
 ///
 /// # Errors
@@ -230,7 +230,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
         None => stepper.start(initial),
         Some(found) => {
             stepper.start(&found.state());
-            books.take_up(found);
+            books.resume_job(found);
         }
     }
     loop {
@@ -256,7 +256,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
     Ok(books.end())
 }
 
-/// The books of one trajectory: how far it came, and its samples.
+/// The progress record of one trajectory: how far it came, and its samples.
 pub(super) struct Books<const N: usize> {
     observer: Observer<N>,
     step_s: f64,
@@ -286,7 +286,7 @@ impl<const N: usize> Books<N> {
         Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
     }
 
-    fn take_up(&mut self, found: &Checkpoint<N>) {
+    fn resume_job(&mut self, found: &Checkpoint<N>) {
         self.reached = found.clone();
         self.sampled = Some(found.step);
     }
@@ -347,7 +347,7 @@ impl<const N: usize> Books<N> {
     }
 }
 
-/// Computes what a sample holds beside the state, measured against the start.
+/// Computes what a sample holds in addition to the state, measured against the start.
 struct Observer<const N: usize> {
     observables: Observables,
     initial: State<N>,

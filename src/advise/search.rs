@@ -67,8 +67,8 @@ impl Contender {
         self.choice.map_or(f64::INFINITY, |choice| choice.cost_ns)
     }
 
-    /// What the plan tells of it.
-    pub(super) fn told(&self) -> Candidate {
+    /// What the plan says of it.
+    pub(super) fn reported(&self) -> Candidate {
         let Self { entry, choice, least, .. } = self;
         Candidate {
             method: entry.integrator,

@@ -17,7 +17,7 @@ const RIGHT: i32 = 130;
 /// Energy errors, in parts of the energy that moves, at the two ends of the colours, as powers of ten.
 const DECADES: (f64, f64) = (-16.0, 0.0);
 /// Cividis (Nunez, Anderton, Renslow 2018) from its bright end, read by eye at five places: even in lightness,
-/// so that it also tells in grey and to the colour-blind.
+/// so that it can also be read in grey and to the colour-blind.
 const CIVIDIS: [(f64, f64, f64); 5] = [
     (254.0, 232.0, 56.0),
     (187.0, 173.0, 108.0),
@@ -115,7 +115,7 @@ fn draw_window(root: &Area<'_>, (from, to, below): (i32, i32, i32)) -> Drawn {
 
 const CIVIDIS_MIDDLE: RGBColor = RGBColor(124, 123, 120);
 
-/// The classes that the map shows beside `stable`, each once.
+/// The classes that the map shows in addition to `stable`, each once.
 fn classes(map: &Map) -> Vec<Class> {
     let mut classes = Vec::new();
     for class in map.cells.iter().flatten().map(|cell| cell.class) {

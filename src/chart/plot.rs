@@ -1,6 +1,6 @@
 //! Lines on two axes, each linear or logarithmic.
 //!
-//! Invariant: nothing is drawn over the data: title above, names beside.
+//! Invariant: nothing is drawn over the data: title above, names at the side.
 
 use std::ops::Range;
 
@@ -29,7 +29,7 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// The look of a line: its colour tells the family of the method, dash and marker the member.
+/// The look of a line: its colour shows the family of the method, dash and marker the member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Style {
     /// Number of the colour.
@@ -221,7 +221,7 @@ impl Plot<'_> {
         self.lines.len() > 1 || !self.guides.is_empty()
     }
 
-    /// Room for the names beside the chart, if there is more than one line.
+    /// Room for the names at the side of the chart, if there is more than one line.
     fn legend_width(&self) -> u32 {
         let labels = self.lines.iter().map(|line| &line.label).chain([&self.guide_label]);
         let longest = labels.map(|label| label.chars().count() as u32).max().unwrap_or(0);

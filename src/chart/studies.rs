@@ -29,7 +29,7 @@ pub fn precision(
         let lines = entries.iter().zip(&study.lines).zip(&styles).map(|((entry, range), style)| {
             let rows = study.table.rows[range.clone()].iter();
             let points = rows.filter_map(|row| place(row).zip(row.error));
-            // Errors beyond the size of the state tell nothing.
+            // Errors beyond the size of the state show nothing.
             let points = points.filter(|&(_, error)| error < 10.0).collect();
             Line { label: entry.label(), points, style: *style }
         });
@@ -58,7 +58,7 @@ pub fn precision(
     Ok(drawn)
 }
 
-/// A line of the slope of each order, beside the first method that shows it, and their name.
+/// A line of the slope of each order, next to the first method that shows it, and their name.
 fn slopes(entries: &[Entry], study: &Precision) -> (Vec<[(f64, f64); 2]>, String) {
     let mut orders: Vec<u32> = Vec::new();
     let mut guides = Vec::new();

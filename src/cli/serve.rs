@@ -37,7 +37,7 @@ pub(super) struct ServeArgs {
     /// Address under which viewers reach the service, if it is not the one that clients use.
     #[arg(long, env = "VPD_PUBLIC_URL", value_name = "URL")]
     public_url: Option<String>,
-    /// Names under which clients may call the service, beside localhost and its addresses.
+    /// Names under which clients may call the service, in addition to localhost and its addresses.
     #[arg(long = "host", env = "VPD_HOSTS", value_name = "NAME", value_delimiter = ',')]
     hosts: Vec<String>,
     /// File with lines of SCOPE TOKEN; the scopes are read, submit, admin. Or the lines in VPD_TOKENS.
@@ -156,12 +156,12 @@ fn program() -> Option<PathBuf> {
 
 /// Says in the service's own log how many of its lines nobody took in time, each time there are more.
 async fn tell_of_lost_lines(lost: ErrorCounter) {
-    let mut told = 0;
+    let mut reported = 0;
     loop {
         tokio::time::sleep(LOST_LINES_PAUSE).await;
         let lines = lost.dropped_lines();
-        if lines > told {
-            told = lines;
+        if lines > reported {
+            reported = lines;
             tracing::warn!(lines, "lines of this log are lost: they were not read in time");
         }
     }

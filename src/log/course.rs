@@ -53,7 +53,7 @@ impl Course {
         Ok(course)
     }
 
-    /// Takes note of what a log that is taken up held.
+    /// Takes note of what a resumed log held.
     pub fn note_seen(&mut self, seen: &Seen<'_>) {
         if let Seen::Message(time_ns, message) = seen {
             self.note_message(*time_ns, message);

@@ -1,6 +1,6 @@
 //! The messages of a log: our own, generated from `vpd.proto`, and how a sample fills them.
 //!
-//! Invariant: a message depends on its sample alone, so that a job that is run again, or taken up
+//! Invariant: a message depends on its sample alone, so that a job that is run again, or resumed
 //! in the middle, writes the same bytes.
 
 use prost::Message as _;

@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
-/// Bytes compared at once when a log is taken up again.
+/// Bytes compared at once when a log is resumed.
 const COMPARED: usize = 64 << 10;
 
 /// A handle on the file; the MCAP layer writes through a copy of it.
@@ -162,7 +162,7 @@ impl Write for Part {
 }
 
 impl Seek for Part {
-    /// Tells the position; the MCAP layer is set up to go nowhere else.
+    /// Gives the position; the MCAP layer is set up to go nowhere else.
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         match to {
             SeekFrom::Current(0) => Ok(self.inner().position),

@@ -77,7 +77,7 @@ pub struct Ending {
 
 /// Reads `path` and shows its parts to `visit`, until that breaks off.
 ///
-/// Damage is no error: it ends the reading and is told in the [`Ending`]. What was shown before it
+/// Damage is no error: it ends the reading and is reported in the [`Ending`]. What was shown before it
 /// is sound.
 ///
 /// # Errors
@@ -268,7 +268,7 @@ impl Walk {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// What a file lacks that was read to its end.
+    /// What is missing in a file that was read to its end.
     fn missing(&self) -> Option<String> {
         if !self.data_ended {
             Some(damaged("its data has no end record"))

@@ -1,4 +1,4 @@
-//! Takes up a log that was left unfinished.
+//! Resumes a log that was left unfinished.
 //!
 //! The chunks that are whole are fed to a new writer, whose bytes must be those of the file: then the
 //! writer stands where the old one stood, with all that it will say in its index, and goes on behind the
@@ -22,7 +22,7 @@ use super::{LogError, part_path};
 use crate::solve::so::Mat;
 use crate::solve::trajectory::Checkpoint;
 
-/// Where a log was taken up.
+/// Where a log was resumed.
 #[derive(Clone, Debug)]
 pub struct Resumed<const N: usize> {
     /// The trajectory goes on from here.
@@ -49,10 +49,10 @@ struct Pending {
 }
 
 impl<const N: usize> LogWriter<N> {
-    /// Takes up the unfinished log of `path` behind its last checkpoint. `None` if there is none that
+    /// Resumes the unfinished log of `path` behind its last checkpoint. `None` if there is none that
     /// this build would write for this job, or none with a checkpoint; nothing is changed then.
     ///
-    /// `seen` is shown what stands before the checkpoint; also if the log is not taken up in the end. The reading
+    /// `seen` is shown what stands before the checkpoint; also if the log is not resumed in the end. The reading
     /// ends once `stopped`, and the file stays as it is.
     ///
     /// # Errors

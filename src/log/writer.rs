@@ -4,7 +4,7 @@
 //! or not at all. After an error nothing more is written. A writer that is dropped before
 //! [`LogWriter::finish`] takes its `.part` file with it, unless the file system refused something that it may do
 //! later; that, [`LogWriter::leave`] and a killed process leave one behind. Every chunk but the last ends with a
-//! checkpoint, from which such a file can be taken up ([`LogWriter::resume`]).
+//! checkpoint, from which such a file can be resumed ([`LogWriter::resume`]).
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -127,7 +127,7 @@ impl<const N: usize> LogWriter<N> {
             let _ = fs::remove_file(&part);
         })?;
         log.part = part;
-        // For those who look on: the first chunk may take a while.
+        // For those who follow: the first chunk may take a while.
         log.part_file.flush().map_err(|source| LogError::io(path, "write", source))?;
         let start = log.time(0.0)?;
         log.put(Channel::SceneBody, start, &header.scene.body(start))?;
@@ -295,7 +295,7 @@ impl<const N: usize> LogWriter<N> {
         requested.map_err(|source| self.refused("sync", source))
     }
 
-    /// Leaves the log unfinished, to be taken up by [`LogWriter::resume`].
+    /// Leaves the log unfinished, to be resumed by [`LogWriter::resume`].
     pub fn leave(mut self) {
         self.part_file.leave();
         self.part = PathBuf::new();

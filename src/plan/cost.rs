@@ -32,7 +32,7 @@ pub struct Counts {
 #[derive(Clone, Copy, Debug, Deserialize)]
 struct Scheme {
     step_ns: f64,
-    /// Beside the terms of the potential.
+    /// Without the terms of the potential.
     sweep_ns: f64,
     /// What a term costs here, in parts of what it costs in [`Table::terms`].
     terms: f64,
@@ -213,7 +213,7 @@ impl Plan {
             + of(energy, 0.5) * self.terms_cost_ns()
     }
 
-    /// What a run takes of the memory beside its members.
+    /// What a run takes of the memory in addition to its members.
     fn memory(&self, sample_bytes: u64) -> f64 {
         let n = self.dimension as f64;
         // The program with its charts and the two parts of a chunk, before and after compression.

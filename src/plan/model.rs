@@ -128,7 +128,7 @@ pub(super) fn kinetic(
                     format!("is not positive definite: its smallest eigenvalue is {smallest:e}");
                 return Err(ScenarioError::invalid(pointer, message));
             }
-            // Beside its two moments such a product of inertia is rounding.
+            // Relative to its two moments such a product of inertia is rounding.
             let none = |i: usize, j: usize| {
                 matrix[(i, j)].abs() <= f64::EPSILON * (matrix[(i, i)] * matrix[(j, j)]).sqrt()
             };

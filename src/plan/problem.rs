@@ -51,7 +51,7 @@ impl Model {
     }
 }
 
-/// A size into which every body fits: what it lacks of it is zero.
+/// A size into which every body fits: the rest of it is zero.
 const LARGEST: usize = 16;
 
 /// Terms, and nothing that moves, in whatever dimension.

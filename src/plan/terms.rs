@@ -83,7 +83,7 @@ impl Terms {
         self
     }
 
-    /// What is modelled, the constant beside it, and what became of each term.
+    /// What is modelled, the constant next to it, and what became of each term.
     pub(super) fn into_parts(self) -> (Vec<PotentialTerm>, f64, Vec<TermPlan>) {
         (self.left.into_iter().flatten().collect(), self.constant, self.plans)
     }

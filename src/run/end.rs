@@ -27,7 +27,7 @@ pub(super) struct End<const N: usize> {
     pub(super) reached: Checkpoint<N>,
     pub(super) diagnosis: Option<Diagnosis>,
     pub(super) ensemble: Option<EnsembleSummary>,
-    /// Of a run whose log does not tell; `None` if nobody knows how much of the energy moves.
+    /// Of a run whose log does not show it; `None` if nobody knows how much of the energy moves.
     pub(super) energy: Option<EnergySeen>,
 }
 

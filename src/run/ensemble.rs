@@ -1,7 +1,7 @@
 //! An ensemble: the members whose samples are logged, side by side, then all others on as many threads as there are
 //! cores, then what they are together.
 //!
-//! Invariant: the log depends neither on the threads nor on who goes beside whom. The end of each member stands in it
+//! Invariant: the log depends neither on the threads nor on who goes next to whom. The end of each member stands in it
 //! once, and one whose end is in a whole chunk is not run again.
 
 use std::collections::BTreeMap;
@@ -426,7 +426,7 @@ impl Task for Worker<'_> {
     }
 }
 
-/// Takes up the log of an interrupted run with the ends that it holds and what its charts show, or begins one.
+/// Resumes the log of an interrupted run with the ends that it holds and what its charts show, or begins one.
 fn open<const N: usize>(
     context: &JobContext<'_>,
     header: &LogHeader,

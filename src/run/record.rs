@@ -32,7 +32,7 @@ const SAMPLES_PER_CHUNK: u64 = 1000;
 /// use vpd::solve::hamiltonian::{Kinetic, Potential, RigidBody};
 /// use vpd::solve::nonlinear::StopRule;
 /// use vpd::solve::so::{self, Mat};
-/// use vpd::solve::stepper::vpd_space::VpdSpace;
+/// use vpd::solve::stepper::vpd_so3::VpdSo3;
 /// use vpd::solve::tableau::Tableau;
 /// use vpd::solve::trajectory::{Schedule, State};
 ///
@@ -54,7 +54,7 @@ const SAMPLES_PER_CHUNK: u64 = 1000;
 /// let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
 ///     .with_potential(Arc::new(Hinge));
 /// let tableau = Tableau::gauss(2).ok_or("1 to 8 stages")?;
-/// let mut stepper = VpdSpace::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
+/// let mut stepper = VpdSo3::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
 /// let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, 0.0, 1.0]) };
 /// let schedule = Schedule { step_s: 0.05, steps: 200, every: 1 };
 ///
@@ -143,8 +143,8 @@ impl Recording {
             Ending::Cancelled => (Outcome::Cancelled, None),
             Ending::Failed(failure) => {
                 let guess = Advised::Untried { step_s: failure.smaller_step(step_s) };
-                let told = summary::diagnosis(failure, None, reached.step, step_s, guess);
-                (Outcome::Failed, Some(told))
+                let reported = summary::diagnosis(failure, None, reached.step, step_s, guess);
+                (Outcome::Failed, Some(reported))
             }
         };
         let steps_done = reached.step;

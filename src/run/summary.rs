@@ -1,4 +1,4 @@
-//! What a run leaves behind beside its log: figures, the last state, and why it failed if it did.
+//! What a run leaves in addition to its log: figures, the last state, and why it failed if it did.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -35,7 +35,7 @@ impl Outcome {
     }
 }
 
-/// What a run leaves behind, beside its log.
+/// What a run leaves in addition to its log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// How it ended.

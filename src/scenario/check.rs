@@ -235,7 +235,7 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
     ensure(
         initial.momentum.is_none() || initial.angular_velocity.is_none(),
         format!("{at}/angular_velocity"),
-        || "is given beside `momentum`; give one of the two".into(),
+        || "is given together with `momentum`; give one of the two".into(),
     )?;
     if let Some(momentum) = &initial.momentum {
         framed(&format!("{at}/momentum"), momentum, n)?;
@@ -344,7 +344,7 @@ fn accuracy(scenario: &Scenario, error: f64) -> Check {
         format!("{error:e} given, it lies from {low:e} to {high:e}")
     })?;
     let beside = |given: bool, pointer: &str| {
-        ensure(!given, pointer, || "is given beside `accuracy`, which chooses it".into())
+        ensure(!given, pointer, || "is given together with `accuracy`, which chooses it".into())
     };
     beside(scenario.method != Method::default(), "/method")?;
     beside(scenario.step_s.is_some(), "/step_s")?;
@@ -376,7 +376,7 @@ fn duration(scenario: &Scenario) -> Check {
         (Some(_), Some(_)) => {
             return Err(ScenarioError::invalid(
                 "/duration_s",
-                "is given beside `steps`; give one of the two",
+                "is given together with `steps`; give one of the two",
             ));
         }
         (None, None) => {

@@ -25,7 +25,7 @@ pub struct Ensemble {
     /// Standard deviation of each component of the body momentum, in kg m^2/s.
     #[serde(default)]
     pub momentum_spread: f64,
-    /// Members whose whole motion is logged beside that of member 0: at most seven.
+    /// Members whose whole motion is logged in addition to that of member 0: at most seven.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub in_full: Vec<u64>,
 }
@@ -33,7 +33,7 @@ pub struct Ensemble {
 impl Ensemble {
     /// The most members.
     pub const MOST: u64 = 100_000;
-    /// The most members logged in full beside member 0: with it, as many as go side by side.
+    /// The most members logged in full in addition to member 0: with it, as many as go side by side.
     pub const MOST_IN_FULL: usize = 7;
 
     /// Checks its form, for runs of `steps`.
@@ -70,7 +70,7 @@ impl Ensemble {
         })?;
         ensure(in_full.len() <= Self::MOST_IN_FULL, "/ensemble/in_full", || {
             format!(
-                "{} members given, at most {} are allowed beside member 0",
+                "{} members given, at most {} are allowed in addition to member 0",
                 in_full.len(),
                 Self::MOST_IN_FULL
             )

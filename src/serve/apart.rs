@@ -27,7 +27,7 @@ use crate::run::Control;
 /// The subcommand of the program that carries out an errand.
 pub(crate) const SUBCOMMAND: &str = "apart";
 
-/// How often the two sides tell each other something.
+/// How often the two sides exchange something.
 const BEAT: Duration = Duration::from_millis(50);
 
 /// An errand that ends its process at the same step so many times in a row is given up.

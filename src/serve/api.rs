@@ -49,7 +49,7 @@ pub(super) struct App {
     studies: Studies,
     pictures: Pictures,
     public_url: Option<String>,
-    /// Where viewers look on while a job runs.
+    /// Where viewers follow while a job runs.
     live: Option<SocketAddr>,
     /// Where there are tokens.
     links: Option<LinkKey>,

@@ -1,4 +1,4 @@
-//! What the service is told at its start: where, for whom, and how much.
+//! What the service is given at its start: where, for whom, and how much.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -27,14 +27,14 @@ pub struct ServeConfig {
     /// Address under which viewers reach the service, as `https://example.org/vpd`; absent: the one
     /// that the client used.
     pub public_url: Option<String>,
-    /// Names under which clients may call the service, beside `localhost`, addresses and the name in
+    /// Names under which clients may call the service, in addition to `localhost`, addresses and the name in
     /// `public_url`. Any other name is a sign of DNS rebinding.
     pub hosts: Vec<String>,
     /// Who may do what; without any token, everybody everything.
     pub tokens: Tokens,
     /// Whether to serve other machines without tokens.
     pub insecure: bool,
-    /// Address on which viewers look on while a job runs; port 0 for any.
+    /// Address on which viewers follow while a job runs; port 0 for any.
     pub live: Option<SocketAddr>,
     /// The `vpd` program, which runs in a process of its own what may have ended this one; absent: there is none, and
     /// such jobs run within.

@@ -53,7 +53,7 @@ pub(super) enum Refusal {
         "the run is expected to take {estimate} bytes of memory, more than the {limit} allowed here: fewer members, or a smaller n"
     )]
     TooMuchMemory { estimate: u64, limit: u64 },
-    #[error("the disk has no room for the log of this job beside those that were accepted before")]
+    #[error("the disk has no room for the log of this job next to those that were accepted before")]
     DiskFull,
     #[error("this Idempotency-Key came with another scenario before")]
     KeyReused,
@@ -190,7 +190,7 @@ impl Index {
     }
 }
 
-/// What tells a file from one that was changed since.
+/// What distinguishes a file from one that was changed since.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Identity {
     bytes: u64,
@@ -249,7 +249,7 @@ impl Shared {
 #[derive(Clone, Debug)]
 pub(super) struct Engine(Arc<Shared>);
 
-/// Tells when everything that was going on at the stop has come to its end.
+/// Reports when everything that was going on at the stop has come to its end.
 #[derive(Debug)]
 pub(super) struct Drained(mpsc::Receiver<()>);
 
@@ -296,7 +296,7 @@ impl Drop for Place {
 }
 
 impl Engine {
-    /// Takes up the jobs of the store and starts the workers.
+    /// Resumes the jobs of the store and starts the workers.
     pub(super) async fn start(
         store: Store,
         workers: usize,
@@ -312,7 +312,7 @@ impl Engine {
         };
         let (found, aside) = scanned.map_err(unreadable)?;
         let jobs: BTreeMap<_, _> = stream::iter(found)
-            .map(|found| take_up(&store, found))
+            .map(|found| resume_job(&store, found))
             .buffered(SCAN_WIDTH)
             .collect()
             .await;
@@ -713,7 +713,7 @@ impl Shared {
 }
 
 /// A job of the store: one that ended, or one that waits.
-async fn take_up(store: &Store, found: Found) -> (Uuid, Job) {
+async fn resume_job(store: &Store, found: Found) -> (Uuid, Job) {
     let Found { id, key, attempts, cancelled, ended, .. } = found;
     if ended {
         let job = match found.line {

@@ -19,7 +19,7 @@ use crate::scenario::Scenario;
 /// Something to be done.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Errand {
-    /// Find what only runs tell of a scenario: a method and a step for its accuracy, the work of its steps.
+    /// Find what only runs show of a scenario: a method and a step for its accuracy, the work of its steps.
     Settle {
         /// The scenario, as accepted.
         scenario: Box<Scenario>,
@@ -77,11 +77,11 @@ impl From<Fault> for Broken {
 
 impl From<StoreError> for Broken {
     fn from(error: StoreError) -> Self {
-        let told = chain(&error);
+        let reported = chain(&error);
         if error.is_transient() {
             Self::Trouble(Trouble::new(error.code(), format!("the service {error}")))
         } else {
-            tracing::error!(error = told, "record unusable");
+            tracing::error!(error = reported, "record unusable");
             Self::Aside(Fault::damaged(Some(&error)))
         }
     }

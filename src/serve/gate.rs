@@ -182,7 +182,7 @@ fn called(request: &Request) -> Option<Authority> {
     host.filter(|_| hosts.next().is_none())
 }
 
-/// The origin of the page that asks, if one does and it is not our own; empty if the browser does not tell it.
+/// The origin of the page that asks, if one does and it is not our own; empty if the browser does not send it.
 fn foreign_page(request: &Request, is_own: impl Fn(&str) -> bool) -> Option<&str> {
     let header = |name| request.headers().get(name).map(|value| value.to_str().unwrap_or_default());
     match header(SEC_FETCH_SITE) {
@@ -241,7 +241,7 @@ pub(super) async fn whole_body(request: Request, next: Next) -> Result<Response,
     }
     let (parts, body) = request.into_parts();
     let announced = parts.headers.get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()?.parse().ok());
-    // A client that asks first is told before it sends.
+    // A client that asks first gets the answer before it sends.
     if announced.is_some_and(|n: usize| n > MAX_BODY) && parts.headers.contains_key(EXPECT) {
         return Err(Problem::too_large());
     }

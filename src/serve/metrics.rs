@@ -139,7 +139,7 @@ impl Metrics {
         }
     }
 
-    /// The text, with what is known at this moment beside the counters.
+    /// The text, with what is known at this moment in addition to the counters.
     pub(super) fn text(&self, jobs: &[(State, usize)], queue: usize, free_bytes: u64) -> String {
         for (state, count) in jobs {
             self.jobs.get_or_create(&OfState { state: *state }).set(*count as i64);

@@ -116,7 +116,7 @@ impl Problem {
 
     /// One viewer too many.
     pub(super) fn no_seat() -> Self {
-        let detail = "as many viewers look on as can: try again later";
+        let detail = "as many viewers follow as can: try again later";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_viewers", detail).retry(RETRY_S)
     }
 

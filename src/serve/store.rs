@@ -8,10 +8,10 @@
 //! has written is on the disk when the call returns, under a checksum. A file named `log.mcap` is finished, and
 //! it is the job's log once `result.json` stands, which holds its checksum. No name that a client sent becomes part of
 //! a path. Nothing is removed but what somebody forgot (`trash`) and what an answer that was never given left; what is
-//! not understood is told and left alone.
+//! not understood is reported and left alone.
 //!
 //! `index.jsonl` repeats of each job what lists show, so that a start need not read them all. It is no
-//! record: what it lacks, or holds damaged, is read from the job.
+//! record: what is missing there, or damaged, is read from the job.
 
 mod directory;
 mod studies;
@@ -116,7 +116,7 @@ impl LogSum {
     }
 }
 
-/// The plan of a job as it is kept: what only runs tell, and what people are shown.
+/// The plan of a job as it is kept: what only runs show, and what people are shown.
 #[derive(Serialize, Deserialize)]
 pub(super) struct KeptPlan {
     pub(super) settled: Settled,
@@ -319,7 +319,7 @@ impl Store {
         unsealed(text).map_err(StoreError::new(failed))
     }
 
-    /// What runs have told of a job, for its plan; `None` if that is not known yet, or this build cannot use it.
+    /// What runs have shown of a job, for its plan; `None` if that is not known yet, or this build cannot use it.
     pub(super) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, StoreError> {
         if let Some(KeptPlan { settled, .. }) = self.found(id, PLAN, "read the plan").await? {
             return Ok(Some(settled));

@@ -1,4 +1,4 @@
-//! Studies over HTTP: one at a time, on a thread of their own, beside the jobs.
+//! Studies over HTTP: one at a time, on a thread of their own, next to the jobs.
 //!
 //! Invariants: all state sits behind one std mutex, held for moments; a study runs without it. What was asked is
 //! on the disk before the answer, and what was found before it is shown; a study without a result is made again
@@ -142,7 +142,7 @@ pub(super) enum StudyRefusal {
 }
 
 impl Studies {
-    /// Takes up the studies of the store and starts the thread that makes them; it ends after [`Studies::stop`].
+    /// Resumes the studies of the store and starts the thread that makes them; it ends after [`Studies::stop`].
     pub(super) async fn start(
         store: StudyStore,
         program: Option<PathBuf>,
@@ -153,7 +153,7 @@ impl Studies {
         tracing::info!(studies = found.len(), aside, "record of the studies read");
         for found in found {
             let id = found.id;
-            let Some(study) = take_up(found) else { continue };
+            let Some(study) = resume_job(found) else { continue };
             if matches!(study.phase, Phase::Queued) {
                 index.queue.push_back(id);
             }
@@ -277,7 +277,7 @@ impl Studies {
 }
 
 /// A study of the store: one that ended, or one to be made (again). None if nobody knows what it was.
-fn take_up(found: FoundStudy) -> Option<Study> {
+fn resume_job(found: FoundStudy) -> Option<Study> {
     let FoundStudy { id, attempts, request, result } = found;
     let damaged = |error: &dyn std::error::Error| {
         tracing::error!(study = %id, error = chain(error), "record of a study unreadable");

@@ -75,7 +75,7 @@ async fn come_in(
     Ok(upgrade.on_upgrade(move |socket| Viewer::new(socket, house.live).look_on(house.stop, seat)))
 }
 
-/// What viewers are told first.
+/// What viewers are sent first.
 static WELCOME: LazyLock<[String; 2]> = LazyLock::new(|| {
     let channels: Vec<Value> = Channel::all().into_iter().zip(0..).map(advertised).collect();
     let info = json!({ "op": "serverInfo", "name": "vpd", "capabilities": ["time"] });

@@ -66,7 +66,7 @@ pub(crate) struct Probe<'a> {
     pub(crate) method: &'a Method,
     pub(crate) step_s: f64,
     pub(crate) steps: u64,
-    /// A sample every so many steps.
+    /// A sample every k steps.
     pub(crate) every: u64,
     /// The run is stopped once |H - H0| is above this.
     pub(crate) energy_limit: f64,

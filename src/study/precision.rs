@@ -59,7 +59,7 @@ pub fn precision(
             if !run.completed() {
                 continue;
             }
-            // At the reference's own error, or where round-off takes over, a smaller step tells nothing.
+            // At the reference's own error, or where round-off takes over, a smaller step shows nothing.
             if error <= 3.0 * floor || (error < 1e-11 && error > 0.5 * least) {
                 break;
             }

@@ -5,7 +5,7 @@
 //! is Dormand and Prince's eighth order, projected, whose steps cost a twentieth there, and VPD must meet it.
 //!
 //! Where errors grow with time no step brings two solutions closer than round-off has grown: that distance is
-//! then the error of the reference, and nothing below it can be told. How it grew shows whether the motion is chaotic.
+//! then the error of the reference, and nothing below it can be measured. How it grew shows whether the motion is chaotic.
 //!
 //! Invariant: a [`Reference`] is met by two families of methods to within its stated error.
 
@@ -44,9 +44,9 @@ pub enum ReferenceError {
         time_s: f64,
         /// By how much they differ.
         difference: f64,
-        /// The error they had to tell.
+        /// The error they had to show.
         asked: f64,
-        /// Until when they tell it.
+        /// Until when they know it.
         until_s: f64,
         /// How it came.
         growth: Growth,
@@ -101,7 +101,7 @@ pub struct Reference {
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
     pub momentum_scale: f64,
     /// How far the last two solutions of the first family are apart, or a hundredth of how far the second is if that is
-    /// more; no error below it can be told.
+    /// more; no error below it can be measured.
     pub error: f64,
     /// How far the second family is from the first.
     pub cross_check: f64,
@@ -192,7 +192,7 @@ impl Reference {
         };
         let [first, second] = families(scene);
         let mut reference = solve([first.clone(), second.clone()])?;
-        // The explicit scheme has more round-off: what it does not tell VPD may.
+        // The explicit scheme has more round-off: what it does not show VPD may.
         if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
             reference = solve([second, first])?;
         }
@@ -202,7 +202,7 @@ impl Reference {
         Ok(reference)
     }
 
-    /// The solution of one family to round-off, or until it tells an error of `asked` no better.
+    /// The solution of one family to round-off, or until it knows an error of `asked` no better.
     fn solved(
         scene: &Scenario,
         member: u64,
@@ -244,7 +244,7 @@ impl Reference {
         Ok(best.ok_or(ReferenceError::NoStep { time_s })?)
     }
 
-    /// What is said of a reference that does not tell an error of `asked`.
+    /// What is said of a reference that does not know an error of `asked`.
     pub(crate) fn chaotic(&self, asked: f64) -> ReferenceError {
         ReferenceError::Chaotic {
             time_s: self.time_s,
@@ -448,7 +448,7 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
     (slope, points.iter().map(|p| missed(p) * missed(p)).sum())
 }
 
-/// The end of a run in so many steps, with the states at so many points on its way; `None` if it fails.
+/// The end of a run in `steps` steps, with the states at `points` points on its way; `None` if it fails.
 fn solution(
     scene: &Scenario,
     member: u64,

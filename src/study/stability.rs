@@ -117,7 +117,7 @@ const RUN_STEPS: u64 = 4000;
 const LONGER: u64 = 4;
 /// By at least so much: by [`LONGER`] if it is steady; on the dipole by 1.9 to 5, and by 1.2 at most where it swings.
 const GOES_ON: f64 = 1.5;
-/// Steps of each run that are held against where they should have ended, beside the one that begins fastest.
+/// Steps of each run that are held against where they should have ended, in addition to the one that begins fastest.
 const CHECKED_STEPS: usize = 8;
 /// The step beyond the border is at most so many times the largest usable one.
 const BORDER_RATIO: f64 = 1.05;
@@ -139,7 +139,7 @@ const AIMED: f64 = 2e-3;
 const ABOUT: [f64; 9] = [0.955, 0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03, 1.045];
 /// An energy error so many times that of the steps on either side is a resonance.
 const STANDS_OUT: f64 = 3.0;
-/// Samples from which the strongest swing is told.
+/// Samples from which the strongest swing is found.
 const SWING_SAMPLES: usize = 1024;
 
 /// Sweeps the step for each method and bisects the border of what is usable.
@@ -287,7 +287,7 @@ impl<'a> Judge<'a> {
         Ok(!longer.completed() || self.drifts(&longer) && late(&longer) / late(run) > GOES_ON)
     }
 
-    /// Does a step end where it should not? Told by a solution of order 16 in steps that are known to work.
+    /// Does a step end where it should not? Decided by a solution of order 16 in steps that are known to work.
     ///
     /// Each step is followed from its own start: by how much the run has strayed before, in phase or because errors
     /// grow on the scene, does not count.
@@ -455,7 +455,7 @@ fn swing_rad(run: &Measured) -> Option<f64> {
     let spectrum: Vec<f64> = (0..=SWING_SAMPLES / 2).map(strength).collect();
     // The lines next to zero are what the window makes of the mean.
     let line = (2..SWING_SAMPLES / 2).max_by(|&a, &b| spectrum[a].total_cmp(&spectrum[b]))?;
-    // Of Hann's window two lines tell the place between them (Grandke 1983).
+    // Of Hann's window two lines give the place between them (Grandke 1983).
     let (left, peak, right) = (spectrum[line - 1], spectrum[line], spectrum[line + 1]);
     let (next, side) = if right > left { (right, 1.0) } else { (left, -1.0) };
     let ratio = next / peak;

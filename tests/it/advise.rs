@@ -80,7 +80,7 @@ fn accuracies_are_kept_on_forty_scenes() {
             }
         };
         let chosen = &plan.formulation;
-        let advice = plan.advice.expect("the choice is told");
+        let advice = plan.advice.expect("the choice is reported");
         println!(
             "{number}: {error:.0e} asked, {reached:.1e} reached, {:.1e} expected; {} {:?} order {}, step {:.3}, to {duration_s} ({:.0})",
             advice.expected_error,
@@ -129,7 +129,7 @@ fn a_run_with_an_accuracy_chooses_once_and_for_all() {
 #[test]
 fn the_choice_is_the_cheapest_of_those_tried() {
     let plan = advise::plan(&scenario(&accurate_dipole(1e-6, 2.0))).expect("a choice");
-    let advice = plan.advice.expect("the choice is told");
+    let advice = plan.advice.expect("the choice is reported");
     let costs: Vec<f64> = advice.candidates.iter().filter_map(|tried| tried.cost_us).collect();
     assert!(costs.len() >= 2 && costs.is_sorted(), "{costs:?}");
     assert_eq!(advice.candidates[0].method, plan.formulation.method);
@@ -193,9 +193,9 @@ fn a_search_may_cost_no_more_than_it_is_allowed() {
     let short = Settled::new(&asked, &allowing(1_000_000));
     let too_expensive = Obstacle::TooExpensive { allowed_s: 1e-3 };
     assert_eq!(short, Err(Unsettled::OutOfReach { asked: 1e-10, why: too_expensive }));
-    let told = ScenarioError::from(short.expect_err("too expensive"));
-    assert_eq!(told.pointer, "/accuracy/error");
-    assert!(told.message.contains("give `method`"), "{told}");
+    let reported = ScenarioError::from(short.expect_err("too expensive"));
+    assert_eq!(reported.pointer, "/accuracy/error");
+    assert!(reported.message.contains("give `method`"), "{reported}");
     assert!(Settled::new(&asked, &allowing(1_000_000_000)).is_ok());
 }
 

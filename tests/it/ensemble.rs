@@ -122,9 +122,9 @@ fn every_member_ends_once_and_those_in_full_end_where_their_samples_do() {
         assert_eq!(distinct.len(), 20);
         let [start, end] = statistics.as_slice() else { panic!("two of them: {statistics:?}") };
         assert_eq!((start.members, end.members, end.failed), (21, 21, 0));
-        let told = summary.ensemble.expect("of an ensemble");
-        assert_eq!((told.members, told.succeeded), (21, 21));
-        assert_eq!(told.attitude_spread_rad, end.attitude_spread_rad);
+        let reported = summary.ensemble.expect("of an ensemble");
+        assert_eq!((reported.members, reported.succeeded), (21, 21));
+        assert_eq!(reported.attitude_spread_rad, end.attitude_spread_rad);
     }
 }
 
@@ -193,13 +193,13 @@ fn a_member_that_fails_is_told_and_the_others_go_on() {
     scenario["ensemble"]["momentum_spread"] = json!(0.15);
     let summary = run(&checked(&scenario), &log);
     let members = contents(&log).members;
-    let told = summary.ensemble.expect("of an ensemble");
-    println!("{told:?}");
+    let reported = summary.ensemble.expect("of an ensemble");
+    println!("{reported:?}");
     let (arrived, failed): (Vec<&Member>, Vec<&Member>) =
         members.iter().partition(|end| end.outcome == "succeeded");
     assert!(!failed.is_empty() && !arrived.is_empty(), "{} failed", failed.len());
     assert_eq!(summary.outcome, Outcome::Succeeded);
-    assert_eq!(told.failed.values().sum::<u64>(), failed.len() as u64);
+    assert_eq!(reported.failed.values().sum::<u64>(), failed.len() as u64);
     for end in failed {
         let diagnosis: Value = serde_json::from_str(&end.diagnosis).expect("a diagnosis");
         assert_eq!(diagnosis["code"], json!(end.outcome));

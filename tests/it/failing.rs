@@ -15,7 +15,7 @@ use vpd::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd::solve::nonlinear::{Rung, Rungs, StopRule};
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::stepper::Stepper;
-use vpd::solve::stepper::vpd_space::VpdSpace;
+use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::State;
 
@@ -321,7 +321,7 @@ fn a_second_root_is_refused() {
     let vpd = |stages: usize, rungs: Rungs, start: &State<3>| {
         let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
         let stop = StopRule { rungs, ..StopRule::default() };
-        let mut stepper = VpdSpace::new(tableau, stop).expect("at most 8 stages");
+        let mut stepper = VpdSo3::new(tableau, stop).expect("at most 8 stages");
         stepper.start(start);
         stepper
     };

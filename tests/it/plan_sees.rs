@@ -11,7 +11,7 @@ use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::stepper::Stepper;
 use vpd::solve::stepper::vpd::Vpd;
-use vpd::solve::stepper::vpd_space::VpdSpace;
+use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::State;
 
@@ -369,7 +369,7 @@ fn what_the_plan_sees_is_said_and_changes_no_result() {
         let gauss = Tableau::gauss(stages).expect("a tableau");
         // To the last digit: with one stage a sweep that is spared shows as 1e-13.
         let stop = StopRule { tolerance: 1e-16, foresee: false, ..StopRule::default() };
-        let mut stepper = VpdSpace::new(gauss, stop).expect("few stages");
+        let mut stepper = VpdSo3::new(gauss, stop).expect("few stages");
         let (attitude, momentum) = carried(&body, &mut stepper, &start);
         let (got, got_momentum, energy) = planned::<3>(&text);
         let scale = so::inner(&start.momentum, &start.momentum).sqrt().max(1.0);

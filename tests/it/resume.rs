@@ -67,7 +67,7 @@ fn run_until(scenario: &Scenario, log: &Path, step: u64) -> (Result<Summary, Run
 
 /// What a kill leaves is a beginning of the whole log: whatever beginning it is, the run that takes it up
 /// ends with the whole.
-fn take_up(scenario: &Value, cuts: &[f64]) {
+fn resume_job(scenario: &Value, cuts: &[f64]) {
     let folder = tempfile::tempdir().expect("a folder");
     let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
     let scenario = checked(scenario);
@@ -111,27 +111,27 @@ fn every_method_goes_on_to_the_same_bytes() {
     ];
     for method in methods {
         println!("{method}");
-        take_up(&dipole(&method), &[0.4, 0.9]);
+        resume_job(&dipole(&method), &[0.4, 0.9]);
     }
 }
 
 #[test]
 fn every_dimension_and_compression_goes_on_to_the_same_bytes() {
-    take_up(&shipped(include_str!("../../scenarios/so4-free.json"), 4000), &[0.9]);
-    take_up(&shipped(include_str!("../../scenarios/so5-spring.json"), 3000), &[0.9]);
+    resume_job(&shipped(include_str!("../../scenarios/so4-free.json"), 4000), &[0.9]);
+    resume_job(&shipped(include_str!("../../scenarios/so5-spring.json"), 3000), &[0.9]);
     for compression in ["lz4", "none"] {
         let mut scenario = dipole(&json!({ "name": "vpd" }));
         scenario["log"]["compression"] = json!(compression);
-        take_up(&scenario, &[0.01, 0.3, 0.6, 0.9, 0.995, 1.0]);
+        resume_job(&scenario, &[0.01, 0.3, 0.6, 0.9, 0.995, 1.0]);
     }
     // The steps before are no part of a checkpoint.
     let mut free = shipped(include_str!("../../scenarios/free-body.json"), 60_000);
     free["method"] = json!({ "name": "vpd_reduced" });
-    take_up(&free, &[0.4, 0.9]);
+    resume_job(&free, &[0.4, 0.9]);
     // No attitude is carried, no state logged.
     let mut free = shipped(include_str!("../../scenarios/so4-free.json"), 60_000);
     free["log"]["channels"] = json!(["/energy", "/momentum"]);
-    take_up(&free, &[0.9]);
+    resume_job(&free, &[0.9]);
 }
 
 #[test]

@@ -15,7 +15,7 @@ impl<const N: usize> RigidBody<N> {
     pub fn fastest_frequency(&self, g: &Mat<N>) -> f64 {
         /// To a few percent, unless the two fastest are that near each other; then it is between them.
         const ROUNDS: u32 = 30;
-        /// Short beside a turn, long beside rounding.
+        /// Short relative to a turn, long relative to rounding.
         const APART: f64 = 1e-5;
         if self.is_free() {
             return 0.0;

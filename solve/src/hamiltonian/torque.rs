@@ -7,7 +7,7 @@ use crate::so3;
 use crate::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
 
 impl RigidBody<3> {
-    /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient`] in lanes. Beside
+    /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient`] in lanes. Next to
     /// it the nearness, minus the square of the smallest relative distance to a point of the potential; -1 if
     /// there is none; [`RigidBody::check_distances`] refuses from `-CLOSEST_APPROACH^2` on. The caller
     /// counts the evaluations: not every lane is a stage.

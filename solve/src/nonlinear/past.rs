@@ -39,7 +39,7 @@ pub trait Continued: Equations {
     /// Appends the numbers that do.
     fn keep(&self, numbers: &mut Vec<f64>);
 
-    /// Takes up numbers in the order of [`Continued::keep`] as a first guess; returns how many sweeps that took.
+    /// Takes numbers in the order of [`Continued::keep`] as a first guess; returns how many sweeps that took.
     ///
     /// # Errors
     /// Those of a sweep.
@@ -147,7 +147,7 @@ impl Solver {
     }
 }
 
-/// What the increments of a step tell.
+/// What the increments of a step show.
 #[derive(Debug)]
 struct Seen {
     /// The first of them.

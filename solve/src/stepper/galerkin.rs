@@ -5,13 +5,13 @@
 //! frame of g0 (U_i here is the paper's g0^T U_i, f = g0^T g1):
 //!
 //! ```text
-//! U_i P_i = I + h sum_j a_ij U_j Omega_j                                            (vih3)
-//! f  P_e  = I + h sum_j b_j U_j Omega_j                                             (vih2)
+//! U_i P_i = I + h sum_j a_ij U_j Omega_j                                            (24c, vih3)
+//! f  P_e  = I + h sum_j b_j U_j Omega_j                                             (24b, vih2)
 //! V_k  = h b_k f Lambda + h sum_i a_ik U_i X_i
-//! P_k X_k + X_k P_k = asym(U_k^T V_k Omega_k^T) - h b_k dH/dg(U_k)                  (f1), (fff1)
-//! asym(f Lambda) = -p0 - asym(sum_i U_i X_i)                                        (vih4)
-//! mu_k = -asym(U_k^T V_k) / (h b_k)                                                 (vih1)
-//! p1 = -(P_e Lambda + Lambda P_e),    g1 = g0 f                                     (vih5)
+//! P_k X_k + X_k P_k = asym(U_k^T V_k Omega_k^T) - h b_k dH/dg(U_k)                  (17a, f1), (19a, fff1)
+//! asym(f Lambda) = -p0 - asym(sum_i U_i X_i)                                        (24d, vih4)
+//! mu_k = -asym(U_k^T V_k) / (h b_k)                                                 (24a, vih1)
+//! p1 = -(P_e Lambda + Lambda P_e),    g1 = g0 f                                     (24e, vih5)
 //! ```
 //!
 //! In words: a symplectic partitioned Runge-Kutta method for g and the embedded momentum -V_k / (h b_k),
@@ -20,7 +20,7 @@
 //! and in the gradient: that is [`Dynamics`].
 //!
 //! Nothing of g0 remains but through the gradient. For a free body the step is therefore the reduced
-//! Lie-Poisson integrator (lp) as it stands, with f_0 = f and Theta_i = U_i^T f.
+//! Lie-Poisson integrator (25, lp) as it stands, with f_0 = f and Theta_i = U_i^T f.
 //!
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
 
@@ -55,7 +55,7 @@ pub(super) trait Dynamics<const N: usize> {
 pub(super) struct GalerkinStep<const N: usize> {
     tableau: Tableau,
     solver: Solver,
-    /// The steps before, if they tell where the next one leads.
+    /// The steps before, if they show where the next one leads.
     past: Option<Past>,
     stages: Vec<Stage<N>>,
     end: End<N>,
@@ -174,7 +174,7 @@ impl<const N: usize> GalerkinStep<N> {
         &self.end.f
     }
 
-    /// The body momentum at the end of the step (vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for
+    /// The body momentum at the end of the step (24e, vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for
     /// skew Lambda.
     pub(super) fn momentum(&self) -> Mat<N> {
         let End { e, lambda, .. } = &self.end;
@@ -188,7 +188,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// pi1 - p0 = -h sum_k b_k U_k dH/dg(U_k) U_k^T,      p1 = f^T pi1 f
     /// ```
     ///
-    /// which is (vih4) and (vih5) with the equations of the stages summed: everything but the forces cancels.
+    /// which is (24d, vih4) and (24e, vih5) with the equations of the stages summed: everything but the forces cancels.
     pub(super) fn changes(&self, dynamics: &impl Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
         let (mut d, mut impulse) = (Mat::zeros(), Mat::zeros());
         for (k, stage) in self.stages.iter().enumerate() {
@@ -231,7 +231,7 @@ impl<const N: usize> GalerkinStep<N> {
         self.check_dynamics(dynamics)
     }
 
-    /// A determinant is blind past half a turn: continuity from node to node is what tells.
+    /// A determinant is blind past half a turn: continuity from node to node is what decides.
     fn check_continuity(&self) -> Result<(), Failure> {
         // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
         let limit = N as f64 - 2.0;

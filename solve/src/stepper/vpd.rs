@@ -1,5 +1,5 @@
 //! VPD in Hamiltonian form: the variational polar decomposition integrator of Shen, Tran, Leok (2022),
-//! equations (vih).
+//! equations (24, vih).
 //!
 //! Invariant: on success the state has moved by one step of the tableau's order and its attitude is on the
 //! group to round-off; on failure it has not moved. No sine, cosine or exponential is used.
@@ -34,7 +34,7 @@ impl<const N: usize, S: ?Sized> Vpd<N, S> {
     }
 }
 
-/// (vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0.
+/// (24f, vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0.
 struct Canonical<'a, const N: usize, S: ?Sized> {
     system: &'a S,
     g0: &'a Mat<N>,

@@ -1,6 +1,6 @@
-//! VPD in Lagrangian form: Shen, Tran, Leok (2022), equations (vil).
+//! VPD in Lagrangian form: Shen, Tran, Leok (2022), equations (22, vil).
 //!
-//! (vil1) gives the momentum that each stage must have, `dL/dOmega(U_k, Omega_k) = mu_k`, and is implicit for
+//! (22a, vil1) gives the momentum that each stage must have, `dL/dOmega(U_k, Omega_k) = mu_k`, and is implicit for
 //! Omega_k. Each sweep makes one Newton correction of it,
 //!
 //! ```text
@@ -8,10 +8,10 @@
 //! ```
 //!
 //! with the second derivative of the beginning of the step, so that the sweeps converge to the
-//! solution of (vil1) whatever the Lagrangian. For a hyperregular one this is the map of the Hamiltonian form.
+//! solution of (22a, vil1) whatever the Lagrangian. For a hyperregular one this is the map of the Hamiltonian form.
 //!
-//! The state is the attitude and the momentum in space. A step adds to each what is small beside it, and what rounding
-//! takes off a sum is carried to the next step, as in [`super::vpd_space`]: in space the momentum is what forces make of
+//! The state is the attitude and the momentum in space. A step adds to each what is small relative to it, and what rounding
+//! takes off a sum is carried to the next step, as in [`super::vpd_so3`]: in space the momentum is what forces make of
 //! it and nothing else.
 //!
 //! Invariant: nothing is asked of the system but the derivatives of its Lagrangian.
@@ -102,9 +102,9 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> VpdLagrangian<N, S> {
             return Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX));
         }
         momentum.add(&skew(&so::conjugate(&g0, &impulse)));
-        // What is carried turns along, and what g^T g lacks of one is added.
-        let lack = (Mat::<N>::identity() - so::transposed_product(&g0, &g0)) * 0.5;
-        attitude.add(&(so::product(&g0, &(turn + lack)) + so::product(&attitude.carry, &turn)));
+        // What is carried turns along, and the deficit of g^T g from one is added.
+        let deficit = (Mat::<N>::identity() - so::transposed_product(&g0, &g0)) * 0.5;
+        attitude.add(&(so::product(&g0, &(turn + deficit)) + so::product(&attitude.carry, &turn)));
         state.attitude = attitude.value;
         state.momentum = skew(&so::conjugate(&attitude.value.transpose(), &momentum.value));
         Ok(convergence)
@@ -120,7 +120,7 @@ fn is_finite<const N: usize>(x: &Mat<N>) -> bool {
     x.iter().all(|x| x.is_finite())
 }
 
-/// (vil1) and the force, in the frame of g0.
+/// (22a, vil1) and the force, in the frame of g0.
 struct Euler<'a, const N: usize, S: ?Sized> {
     lagrangian: &'a S,
     g0: Mat<N>,

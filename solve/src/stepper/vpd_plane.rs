@@ -3,7 +3,7 @@
 //!
 //! Across the axis e the skew matrices are `i` times a number, the stretches numbers, and all of them commute. With
 //! `u_j` the turn of stage j from the start, `w_j = h b_j i omega_j u_j` and `e_ij = a_ij / b_j` the equations of
-//! [`super::vpd_space`] become
+//! [`super::vpd_so3`] become
 //!
 //! ```text
 //! u_i P_i = 1 + sum_j e_ij w_j                    f P_e = 1 + sum_j w_j
@@ -168,9 +168,9 @@ impl VpdPlane {
         // f - 1, with 1 - cos = sin^2 / (1 + cos)
         let change = Complex::new(-f.im * f.im / (1.0 + f.re), f.im);
         let (carried, of_momentum) = self.carry;
-        // What the length lacks of one; what is carried turns along.
-        let lack = 0.5 * (1.0 - self.turn.norm_sqr());
-        let change = self.turn * change + (carried * f + self.turn * lack);
+        // The deficit of the length from one; what is carried turns along.
+        let deficit = 0.5 * (1.0 - self.turn.norm_sqr());
+        let change = self.turn * change + (carried * f + self.turn * deficit);
         let (re, lost_re) = space::sum(self.turn.re, change.re);
         let (im, lost_im) = space::sum(self.turn.im, change.im);
         let (momentum, lost) = space::sum(self.momentum, kick + of_momentum);

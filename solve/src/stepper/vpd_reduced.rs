@@ -1,8 +1,8 @@
-//! VPD for a free body, reduced to the Lie-Poisson equations on so(n)*: Shen, Tran, Leok (2022), (lp) with
-//! the reduced adjoint maps (nf), (nnf).
+//! VPD for a free body, reduced to the Lie-Poisson equations on so(n)*: Shen, Tran, Leok (2022), (25, lp) with
+//! the reduced adjoint maps (26, nf), (27, nnf).
 //!
 //! The shared step in the frame of g0 is that integrator: with f_0 = f and Theta_i = U_i^T f nothing of g0
-//! remains. (The paper's (nnf2) slips an index: the reduced phi~ map has weight 1, as in (fff2).) The body
+//! remains. (The paper's (27b, nnf2) slips an index: the reduced phi~ map has weight 1, as in (19b, fff2).) The body
 //! momentum is all the state there is; the attitude is put together from the rotations of the steps,
 //! g_{k+1} = g_k f_k, only if it is asked for. Nothing pushes, so a step begins where those before it lead
 //! ([`crate::nonlinear::Past`]).
@@ -42,7 +42,7 @@ impl<const N: usize> VpdReduced<N> {
     }
 }
 
-/// (lp6): `Omega = dh/dmu`; nothing depends on the attitude.
+/// (25f, lp6): `Omega = dh/dmu`; nothing depends on the attitude.
 struct Free<'a, const N: usize>(&'a RigidBody<N>);
 
 impl<const N: usize> Dynamics<N> for Free<'_, N> {
@@ -64,10 +64,10 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     }
 }
 
-/// `f^T p f - p` for skew p, by which (lp) moves the momentum, exact for a rotation that is f to rounding.
+/// `f^T p f - p` for skew p, by which (25, lp) moves the momentum, exact for a rotation that is f to rounding.
 ///
-/// With `f = I + F` it is `asym(p F) + F^T p F`. What f lacks of a rotation is a drift of the Casimirs, so it is
-/// taken off F first: all that is rounded then is small beside p.
+/// With `f = I + F` it is `asym(p F) + F^T p F`. The deficit of f from a rotation is a drift of the Casimirs, so it is
+/// taken off F first: all that is rounded then is small relative to p.
 fn coadjoint_change<const N: usize>(f: &Mat<N>, p: &Mat<N>) -> Mat<N> {
     let small = f - Mat::<N>::identity();
     // f^T f - I

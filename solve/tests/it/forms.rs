@@ -8,7 +8,7 @@ use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
-use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{self, Observables, Sample, Schedule, Sink, State};
@@ -152,7 +152,7 @@ fn the_reduced_form_begins_where_the_steps_before_lead() {
     let stop = StopRule::default;
     let gauss = |stages| Tableau::gauss(stages).expect("1 to 8 stages");
     for stages in 1..=4 {
-        let full = || VpdSpace::new(gauss(stages), stop()).expect("few stages");
+        let full = || VpdSo3::new(gauss(stages), stop()).expect("few stages");
         for with_attitude in [true, false] {
             law::<3>(&mut full(), &mut full().reduced(with_attitude), 0.4);
         }

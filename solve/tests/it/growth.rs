@@ -18,7 +18,7 @@ use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::splitting::Splitting;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
-use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
@@ -33,11 +33,11 @@ fn gauss(stages: usize) -> Tableau {
 }
 
 fn vpd(stages: usize) -> Box<dyn Stepper<3>> {
-    Box::new(VpdSpace::new(gauss(stages), StopRule::default()).expect("at most 8 stages"))
+    Box::new(VpdSo3::new(gauss(stages), StopRule::default()).expect("at most 8 stages"))
 }
 
 fn vpd_reduced(stages: usize) -> Box<dyn Stepper<3>> {
-    let stepper = VpdSpace::new(gauss(stages), StopRule::default()).expect("at most 8 stages");
+    let stepper = VpdSo3::new(gauss(stages), StopRule::default()).expect("at most 8 stages");
     Box::new(stepper.reduced(true))
 }
 

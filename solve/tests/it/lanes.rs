@@ -12,8 +12,8 @@ use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
-use vpd_solve::stepper::vpd_space::VpdSpace;
-use vpd_solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
+use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
@@ -26,8 +26,8 @@ fn tableaux() -> Vec<Tableau> {
     gauss.chain([Tableau::rk3(), Tableau::rk4()]).collect()
 }
 
-fn in_lanes(tableau: &Tableau, with_attitude: bool) -> VpdSpace {
-    let full = VpdSpace::new(tableau.clone(), StopRule::default()).expect("at most 8 stages");
+fn in_lanes(tableau: &Tableau, with_attitude: bool) -> VpdSo3 {
+    let full = VpdSo3::new(tableau.clone(), StopRule::default()).expect("at most 8 stages");
     if with_attitude { full } else { full.reduced(false) }
 }
 
@@ -83,8 +83,7 @@ fn the_reduced_form_stays_on_its_orbit() {
     for stages in [1, 2, 4, 8] {
         let mut stepper = in_lanes(&Tableau::gauss(stages).expect("a few stages"), false);
         stepper.start(&State { attitude: Mat::identity(), momentum: numbers.skew() });
-        let length =
-            |stepper: &VpdSpace| so::inner(&stepper.momentum(), &stepper.momentum()).sqrt();
+        let length = |stepper: &VpdSo3| so::inner(&stepper.momentum(), &stepper.momentum()).sqrt();
         let before = length(&stepper);
         for _ in 0..100_000 {
             stepper.step(&body, 0.02).expect("a small step");
@@ -139,7 +138,7 @@ fn a_free_body_keeps_its_spatial_momentum() {
     for (stages, step_s) in [(3, 0.02), (8, 0.02), (8, 0.03)] {
         let mut stepper = in_lanes(&Tableau::gauss(stages).expect("up to 8 stages"), true);
         stepper.start(&start);
-        let momentum = |stepper: &VpdSpace| {
+        let momentum = |stepper: &VpdSo3| {
             so::conjugate(&stepper.attitude().expect("carried"), &stepper.momentum())
         };
         let before = momentum(&stepper);
@@ -162,7 +161,7 @@ fn newton_and_sweeps_agree_where_both_get_there() {
         let tableau = || Tableau::gauss(stages).expect("a few stages");
         let steppers = |rungs| -> Vec<Box<dyn Stepper<3>>> {
             vec![
-                Box::new(VpdSpace::new(tableau(), rule(rungs)).expect("a few stages")),
+                Box::new(VpdSo3::new(tableau(), rule(rungs)).expect("a few stages")),
                 Box::new(Vpd::new(tableau(), rule(rungs))),
                 Box::new(VpdLagrangian::new(tableau(), rule(rungs))),
                 Box::new(Vrkmk::new(tableau(), rule(rungs))),
@@ -197,7 +196,7 @@ fn large_steps_are_solved() {
         let tableau = || Tableau::gauss(stages).expect("a few stages");
         for rungs in [Rungs::FixedPoint, Rungs::Newton] {
             let rule = StopRule { rungs, ..StopRule::default() };
-            let mut stepper = VpdSpace::new(tableau(), rule).expect("a few stages");
+            let mut stepper = VpdSo3::new(tableau(), rule).expect("a few stages");
             stepper.start(&start);
             let mut iterations = 0;
             for step in 0..steps {
@@ -297,7 +296,7 @@ fn together_and_alone(
     ensemble.start(states);
     let mut going: Vec<usize> = (0..states.len()).collect();
     let mut together = Vec::new();
-    let mut alone: Vec<VpdSpace> = states
+    let mut alone: Vec<VpdSo3> = states
         .iter()
         .map(|state| {
             let mut stepper = in_lanes(&tableau, true).on_level(None);

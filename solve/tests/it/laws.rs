@@ -347,7 +347,7 @@ fn conserved_directions_are_those_the_potential_leaves_free() {
     );
 }
 
-/// Paper, (vih), by its own maps and with its nested inverse of phi~*: an oracle for one step, written
+/// Paper, (24, vih), by its own maps and with its nested inverse of phi~*: an oracle for one step, written
 /// without the rearrangement and without the product's solver.
 fn step_of_the_paper<const N: usize>(
     body: &RigidBody<N>,
@@ -395,7 +395,7 @@ fn step_of_the_paper<const N: usize>(
                 f * tableau.b(i)
             })
             .collect();
-        // (f1): S_j - asym(h U_j^T sum_l a_lj dP*_l(S_l) Omega_j^T) = b_j F_j, by its own iteration.
+        // (17a, f1): S_j - asym(h U_j^T sum_l a_lj dP*_l(S_l) Omega_j^T) = b_j F_j, by its own iteration.
         let adjoint = |l: usize, s_l: &Mat<N>| {
             let p = so::symmetric_part(&(next_u[l].transpose() * a[l]));
             next_u[l] * lyapunov(&p, s_l)
@@ -411,7 +411,7 @@ fn step_of_the_paper<const N: usize>(
                 .collect();
         }
         let images: Vec<Mat<N>> = (0..s).map(|l| adjoint(l, &stack[l])).collect();
-        // (vih1): (f2) with the weights of the sum inside the stack.
+        // (24a, vih1): (17b, f2) with the weights of the sum inside the stack.
         mu = (0..s)
             .map(|k| {
                 let sum = (0..s).fold(Mat::zeros(), |sum, l| sum + images[l] * tableau.a(l, k));
@@ -419,14 +419,14 @@ fn step_of_the_paper<const N: usize>(
                     - so::asym(&(u[k].transpose() * g1 * lambda))
             })
             .collect();
-        // (vih4): asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_l(S_l))
+        // (24d, vih4): asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_l(S_l))
         let sum = images.iter().fold(Mat::zeros(), |sum, image| sum + image);
         let rhs = -p0 + so::asym(&(g0.transpose() * sum)) * h;
         lambda = lyapunov(&(g0.transpose() * g1), &rhs);
         (u, g1) = (next_u, next_g1);
     }
     let end = (0..s).fold(g0, |e, j| e + u[j] * body.velocity(&mu[j]) * (h * tableau.b(j)));
-    // (vih5)
+    // (24e, vih5)
     let momentum = so::asym(&(g1.transpose() * end * lambda.transpose()));
     State { attitude: g1, momentum }
 }

@@ -18,8 +18,8 @@ use vpd_solve::stepper::rkmk::Rkmk;
 use vpd_solve::stepper::splitting::Splitting;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
-use vpd_solve::stepper::vpd_space::VpdSpace;
-use vpd_solve::stepper::vpd_space::ensemble::VpdEnsemble;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
+use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
@@ -126,7 +126,7 @@ fn in_any_dimension<const N: usize>() -> Steppers<N> {
 }
 
 fn in_space() -> Steppers<3> {
-    let lanes = |stages| Box::new(VpdSpace::new(gauss(stages), stop()).expect("few stages"));
+    let lanes = |stages| Box::new(VpdSo3::new(gauss(stages), stop()).expect("few stages"));
     let mut steppers = in_any_dimension::<3>();
     steppers.extend([
         ("vpd in lanes gauss1", lanes(1) as Box<dyn Stepper<3>>),
@@ -253,7 +253,7 @@ fn members_of_an_ensemble_see_a_potential_of_ones_own() {
             });
         }
         for (m, state) in states.iter().enumerate() {
-            let mut own = VpdSpace::new(gauss(stages), stop()).expect("few stages");
+            let mut own = VpdSo3::new(gauss(stages), stop()).expect("few stages");
             own.start(state);
             for _ in 0..20 {
                 own.step(&body, 0.05).expect("a small step");

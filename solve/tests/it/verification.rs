@@ -4,7 +4,7 @@ use vpd_solve::hamiltonian::RigidBody;
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
 use vpd_solve::stepper::vpd::Vpd;
-use vpd_solve::stepper::vpd_space::VpdSpace;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
 
@@ -110,7 +110,7 @@ fn a_long_trajectory_keeps_ten_digits() {
         let mut errors: Vec<f64> = (middle - 10..=middle + 10)
             .map(|steps| {
                 let tableau = Tableau::gauss(8).expect("1 to 8 stages");
-                let stepper = VpdSpace::new(tableau, StopRule::default());
+                let stepper = VpdSo3::new(tableau, StopRule::default());
                 let mut stepper = stepper.expect("at most 8 stages");
                 let steps = vec![50.0 / steps as f64; steps];
                 distance(&laws::advance(&mut stepper, &body, &start, &steps), &reference)

@@ -354,7 +354,7 @@ impl Shared {
 }
 
 impl Index {
-    /// Whether there is memory for the next job beside those that run. One alone always fits: it was admitted.
+    /// Whether there is memory for the next job next to those that run. One alone always fits: it was admitted.
     fn fits(&self, memory_bytes: u64) -> bool {
         let Some(next) = self.queue.front().and_then(|id| self.jobs.get(id)) else { return false };
         let taken: u64 = self.running().map(super::Job::memory_bytes).sum();

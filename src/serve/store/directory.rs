@@ -95,10 +95,10 @@ impl Prefix {
     }
 }
 
-/// The prefixes below a directory by their ids, and how many things there are none of ours: these are told.
+/// The prefixes below a directory by their ids, and how many things there are none of ours: these are reported.
 pub(in crate::serve) fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid, Prefix>, usize)> {
     let (mut found, mut aside) = (BTreeMap::new(), 0);
-    let mut told = |path: &Path, why: &dyn std::fmt::Display| {
+    let mut reported = |path: &Path, why: &dyn std::fmt::Display| {
         aside += 1;
         tracing::error!(path = %path.display(), why = %why, "set aside: nothing of it is read or removed");
     };
@@ -106,7 +106,7 @@ pub(in crate::serve) fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid,
         let entry = match entry {
             Ok(entry) => entry,
             Err(error) => {
-                told(directory, &error);
+                reported(directory, &error);
                 continue;
             }
         };
@@ -116,8 +116,8 @@ pub(in crate::serve) fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid,
             (Some(id), Ok(prefix)) => {
                 found.insert(id, prefix);
             }
-            (Some(_), Err(error)) => told(&path, &error),
-            (None, _) => told(&path, &"its name is no id"),
+            (Some(_), Err(error)) => reported(&path, &error),
+            (None, _) => reported(&path, &"its name is no id"),
         }
     }
     Ok((found, aside))

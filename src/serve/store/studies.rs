@@ -1,4 +1,4 @@
-//! The record of the studies, on disk, beside that of the jobs and under the same rules.
+//! The record of the studies, on disk, next to that of the jobs and under the same rules.
 //!
 //! A study is a prefix: `studies/<uuid v7>/{request.json, attempt-1, …, result.json}`.
 //!

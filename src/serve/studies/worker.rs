@@ -57,7 +57,7 @@ impl Shared {
                     self.postpone(&turn);
                     continue;
                 }
-                Ok(Err(broken)) => (State::Failed, Some(told(&broken)), Answer::default()),
+                Ok(Err(broken)) => (State::Failed, Some(reported(&broken)), Answer::default()),
                 Err(_) => {
                     let error = "the study failed; the service's log says why".to_owned();
                     (State::Failed, Some(error), Answer::default())
@@ -195,7 +195,7 @@ impl Shared {
 }
 
 /// Why a study has no answer, for a person.
-fn told(broken: &Broken) -> String {
+fn reported(broken: &Broken) -> String {
     match broken {
         Broken::Unanswered(message) => message.clone(),
         Broken::Fault(fault) | Broken::Aside(fault) => fault.to_string(),
@@ -204,7 +204,7 @@ fn told(broken: &Broken) -> String {
     }
 }
 
-/// Cancels a study that takes too long, unless the sender is dropped before; tells whether it did.
+/// Cancels a study that takes too long, unless the sender is dropped before; says whether it did.
 fn limited(control: &Arc<Control>) -> (mpsc::Sender<()>, JoinHandle<bool>) {
     let (ended, end) = mpsc::channel();
     let control = control.clone();

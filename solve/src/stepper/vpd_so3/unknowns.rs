@@ -13,7 +13,7 @@ const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 4, linear_at_first: 6
 /// Up to here stages are few.
 pub(super) const FEW_STAGES: usize = 4;
 
-/// From here on a step is short of nothing but its last digits, and what it lacks of them leans to one side: its end is
+/// From here on a step is short of nothing but its last digits, and the deficit is biased: its end is
 /// brought up to the newest sweep.
 const FINISHED_STAGES: usize = 3;
 
@@ -217,7 +217,7 @@ impl Unknowns<Row, f64> {
         numbers.extend_from_slice(&end.v);
     }
 
-    /// Takes up what [`Unknowns::keep`] gave, or what it will give.
+    /// Takes what [`Unknowns::keep`] gave, or what it will give.
     pub(super) fn continue_from<const L: usize>(&mut self, numbers: &[f64]) {
         let Self { attitude, momentum, x, end, .. } = self;
         let Some((numbers, v)) = numbers.split_last_chunk::<3>() else { return };

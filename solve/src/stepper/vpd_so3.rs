@@ -2,7 +2,7 @@
 //! [`super::vpd_reduced`], computed in vectors and quaternions with the stages side by side in SIMD lanes.
 //!
 //! The state is the attitude as a unit quaternion and the momentum, in space and in the body. A step adds to each what is
-//! small beside it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
+//! small relative to it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
 //! takes off a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
 //! McLachlan, Razakarivony 2008, BIT 48). In space the momentum is what torques make of it and nothing else. In the body
 //! it is `g^T pi`; but many stages are there for the last digits, and with torques the small momentum about a thin axis, of
@@ -64,11 +64,11 @@ macro_rules! in_lanes {
 
 /// The stepper: the tableau in lanes, the state, and the unknowns of the last step.
 #[derive(Clone, Debug)]
-pub struct VpdSpace {
+pub struct VpdSo3 {
     tableau: Tableau,
     lanes: LaneTableau,
     solver: Solver,
-    /// The steps before, if they tell where the next one leads.
+    /// The steps before, if they show where the next one leads.
     past: Option<Past>,
     /// The instruction set; without one, one number at a time.
     level: Option<Level>,
@@ -87,7 +87,7 @@ enum Carried {
     Reduced { momentum: Sum<f64, 3>, square: f64 },
 }
 
-impl VpdSpace {
+impl VpdSo3 {
     /// A stepper for `tableau` that solves each step until `stop`. `None` if the tableau has more stages than there are
     /// lanes.
     pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
@@ -338,7 +338,7 @@ impl Continued for InLanes<'_> {
     }
 }
 
-impl Stepper<3> for VpdSpace {
+impl Stepper<3> for VpdSo3 {
     fn order(&self) -> u32 {
         self.tableau.order()
     }
@@ -387,7 +387,7 @@ impl Stepper<3> for VpdSpace {
     }
 }
 
-impl VpdSpace {
+impl VpdSo3 {
     /// The space vectors of the potential from where the step begins.
     fn look(&mut self, body: &RigidBody<3>) {
         match &self.state {
@@ -451,8 +451,8 @@ impl VpdSpace {
                 let carried = transposed_product(&small, carry);
                 // Back onto the orbit, off which only rounding takes it.
                 let defect = dot(value, value) / *square - 1.0;
-                let lack = if *square > 0.0 { -0.5 * defect } else { 0.0 };
-                let change = vec3!(i => change[i] + (carried[i] + lack * value[i]));
+                let deficit = if *square > 0.0 { -0.5 * defect } else { 0.0 };
+                let change = vec3!(i => change[i] + (carried[i] + deficit * value[i]));
                 momentum.add(&change);
             }
         }

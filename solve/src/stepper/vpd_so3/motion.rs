@@ -16,7 +16,7 @@ pub(super) struct Sum<P, const K: usize> {
 }
 
 impl<P: Copy, const K: usize> Sum<P, K> {
-    /// Begins with `value`, from which nothing is lacking.
+    /// Begins with `value`, without a deficit.
     pub(super) fn new(value: [P; K], zero: P) -> Self {
         Self { value, carry: [zero; K] }
     }
@@ -90,13 +90,13 @@ impl<P: Copy> Motion<P> {
         // What is carried turns along.
         let carried = load_turn(like, &self.attitude.carry).times(&change);
         let change = start.times(&change);
-        // What the length lacks of one.
-        let lack = (-start.square() + 1.0) * 0.5;
+        // The deficit of the length from one.
+        let deficit = (-start.square() + 1.0) * 0.5;
         self.attitude.add(&[
-            change.w + (carried.w + lack * start.w),
-            change.v[0] + (carried.v[0] + lack * start.v[0]),
-            change.v[1] + (carried.v[1] + lack * start.v[1]),
-            change.v[2] + (carried.v[2] + lack * start.v[2]),
+            change.w + (carried.w + deficit * start.w),
+            change.v[0] + (carried.v[0] + deficit * start.v[0]),
+            change.v[1] + (carried.v[1] + deficit * start.v[1]),
+            change.v[2] + (carried.v[2] + deficit * start.v[2]),
         ]);
     }
 
@@ -126,9 +126,9 @@ impl Motion<f64> {
         let seen = transposed_product(&now.matrix(), &self.momentum.value);
         let Sum { value, carry } = &mut self.body_momentum;
         let square = dot(value, value);
-        let lack = if square > 0.0 { 0.5 * (dot(&seen, &seen) / square - 1.0) } else { 0.0 };
+        let deficit = if square > 0.0 { 0.5 * (dot(&seen, &seen) / square - 1.0) } else { 0.0 };
         for (carry, p) in carry.iter_mut().zip(&*value) {
-            *carry += lack * p;
+            *carry += deficit * p;
         }
         let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
         let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);

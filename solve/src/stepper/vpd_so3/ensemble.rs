@@ -1,8 +1,8 @@
 //! Up to eight members of an ensemble side by side, one in each lane.
 //!
-//! A lane goes through the sweeps of [`VpdSpace`] with the same bits; its solution is taken when its own iteration has
+//! A lane goes through the sweeps of [`VpdSo3`] with the same bits; its solution is taken when its own iteration has
 //! converged, whatever the others still do, and it holds what the member is until somebody asks for that. A member
-//! whose sweeps do not get on makes that step by itself, with Newton's method where that helps. Without AVX2, and with
+//! whose sweeps do not converge makes that step by itself, with Newton's method where that helps. Without AVX2, and with
 //! more than four stages, which fill the lanes of one member, this would gain nothing: then every member goes by
 //! itself. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
 //! arithmetic itself is the limit.)
@@ -14,7 +14,7 @@ use fearless_simd::{Level, f64x8, prelude::*};
 use super::motion::Motion;
 use super::sweep;
 use super::unknowns::{Inertia, Start, Unknowns};
-use super::{Carried, VpdSpace};
+use super::{Carried, VpdSo3};
 use crate::ensemble::Members;
 use crate::failure::Failure;
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
@@ -53,9 +53,9 @@ macro_rules! in_member_lanes {
 /// The members, each with its lane.
 #[derive(Clone, Debug)]
 pub struct VpdEnsemble {
-    members: Vec<VpdSpace>,
+    members: Vec<VpdSo3>,
     /// What each member starts from.
-    blank: VpdSpace,
+    blank: VpdSo3,
     lanes: Lanes,
     /// Whose lane is ahead of the member, which is written when it is asked for.
     ahead: [bool; WIDTH],
@@ -97,14 +97,14 @@ enum Swept {
     Made(Convergence),
     /// The step is solved, and to be looked at more closely.
     Doubtful(Convergence),
-    /// The sweeps do not get on.
+    /// The sweeps do not converge.
     Stuck,
 }
 
 impl VpdEnsemble {
     /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
-        let blank = VpdSpace::new(tableau.clone(), stop)?;
+        let blank = VpdSo3::new(tableau.clone(), stop)?;
         let lanes = match tableau.stages() {
             _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
             1 => Lanes::One(Side::blank()),
@@ -128,7 +128,7 @@ impl VpdEnsemble {
     fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
         let mut swept = [Swept::Stuck; WIDTH];
         let Self { blank, lanes, ahead, motion, seen, iterations, .. } = self;
-        let VpdSpace { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
+        let VpdSo3 { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
             return swept;
         };
         let inertia = Inertia::of(body);
@@ -203,7 +203,7 @@ impl VpdEnsemble {
     }
 
     /// Member `m`, level with its lane.
-    fn written(&mut self, m: usize) -> &mut VpdSpace {
+    fn written(&mut self, m: usize) -> &mut VpdSo3 {
         let Self { members, lanes, ahead, motion, .. } = self;
         let stepper = &mut members[m];
         if std::mem::take(&mut ahead[m]) {
@@ -220,7 +220,7 @@ impl VpdEnsemble {
     }
 }
 
-/// Below zero where [`VpdSpace::check`] finds nothing at first sight: by Gershgorin's discs, the turns from stage to
+/// Below zero where [`VpdSo3::check`] finds nothing at first sight: by Gershgorin's discs, the turns from stage to
 /// stage in the order of their times, and the distances. Not a number where the solution is none.
 #[inline(always)]
 fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
@@ -256,9 +256,9 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
         }
         let [xx, yy, zz, yz, xz, xy] = e;
         let [yz, xz, xy] = [yz.size(), xz.size(), xy.size()];
-        for lack in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
-            doubt = doubt.larger(lack + -0.5);
-            total = total + lack;
+        for deficit in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
+            doubt = doubt.larger(deficit + -0.5);
+            total = total + deficit;
         }
         let cosine = before.w * turn.w + dot(&before.v, &turn.v);
         doubt = doubt.larger(cosine * cosine * -4.0 + 2.0);
@@ -279,8 +279,7 @@ impl Members<3> for VpdEnsemble {
         }
         *ahead = [false; WIDTH];
         // Lanes of nobody repeat the others.
-        for (lane, own) in
-            members.iter().filter_map(VpdSpace::motion).cycle().take(WIDTH).enumerate()
+        for (lane, own) in members.iter().filter_map(VpdSo3::motion).cycle().take(WIDTH).enumerate()
         {
             motion.take(lane, own);
         }

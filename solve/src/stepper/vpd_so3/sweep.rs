@@ -12,7 +12,7 @@
 //! pi_k = -vee asym(W_k U_k^T)                       Omega_k = J^-1 U_k^T pi_k
 //! ```
 //!
-//! The second line is (vih4) and (vih5) solved exactly: summing the equations of the stages, everything but the
+//! The second line is (24d, vih4) and (24e, vih5) solved exactly: summing the equations of the stages, everything but the
 //! torques cancels. So the spatial momentum changes by the torques alone, and a free body keeps it to the bit.
 //!
 //! The stiff coupling, J^-1 times the momentum, sits in the kinematics (first line and last): they are repeated
@@ -44,8 +44,8 @@ use crate::space::{
     vee_asym, with_one,
 };
 
-/// What the square of a quaternion may lack of one in the last round of the first guess.
-const MOST_LACK: f64 = 0.1;
+/// What the square of a quaternion may differ from one in the last round of the first guess.
+const MOST_DEFICIT: f64 = 0.1;
 
 /// [`sweep`] for members, with the increment of each in memory.
 #[inline(always)]
@@ -90,7 +90,7 @@ pub(super) fn guess<R: Stages>(
     let (torque, _) = start.body.torque(&u, start.seen);
     let pushed = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, pushed);
-    let mut lack = like.constant(0.0);
+    let mut deficit = like.constant(0.0);
     for round in 0..*rounds {
         let u = attitude.matrix();
         if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
@@ -102,23 +102,24 @@ pub(super) fn guess<R: Stages>(
         let rate = attitude.rate(&scaled(&inertia.divides(&mu), weight * 0.5));
         let next =
             Turn { w: rate.w.combined(columns) + 1.0, v: vec3!(i => rate.v[i].combined(columns)) };
-        lack = (next.square() + -1.0).size();
+        deficit = (next.square() + -1.0).size();
         attitude = next.lengthened();
     }
     // Rounds that went astray are worse than none.
-    let last_lack = lack.largest();
-    let lack = like.spread(last_lack);
-    let attitude = attitude.within(lack, MOST_LACK, &turned);
+    let last_deficit = deficit.largest();
+    let deficit = like.spread(last_deficit);
+    let attitude = attitude.within(deficit, MOST_DEFICIT, &turned);
     let u = attitude.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
     let kick = scaled(&product(&u, &torque), weight);
-    let momentum = vec3!(i => (-kick[i].combined(columns)).within(lack, MOST_LACK, pushed[i]));
+    let momentum =
+        vec3!(i => (-kick[i].combined(columns)).within(deficit, MOST_DEFICIT, pushed[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
     let omega = inertia.divides(&mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Turn { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
     let kept_on = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
-    let end = end.normalised().within(last_lack, MOST_LACK, &kept_on);
+    let end = end.normalised().within(last_deficit, MOST_DEFICIT, &kept_on);
     // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
     let c = cross(&mu, &omega);
     let weight = weight * 0.5;
@@ -209,7 +210,7 @@ pub(super) fn sweep<R: Stages>(
 }
 
 /// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
-/// after a sweep they are one behind, and what they lack leans to one side.
+/// after a sweep they are one behind, and the deficit is biased.
 ///
 /// `p1 - p0 = (pi1 - p0) + D_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers. If
 /// the tableau is its own partner, `e_ij + e_ji = 1`, then `D_f = sum_k w_k - f E_e` and
