@@ -43,7 +43,8 @@ fn a_potential_of_ones_own_has_a_log_and_charts() {
     assert!(sum.finished);
     assert_eq!(sum.job.expect("a record")["name"], "cubic");
     assert!(sum.topics.iter().any(|topic| topic.topic == "/tf"));
-    let drawn = draw_logs(std::slice::from_ref(&log), &folder.path().join("charts")).expect("drawn");
+    let drawn =
+        draw_logs(std::slice::from_ref(&log), &folder.path().join("charts")).expect("drawn");
     assert_eq!(drawn.len(), 2, "energy and orthogonality");
     assert!(folder.path().join("energy.svg").exists());
     let refused = verify(&log).expect_err("no scenario").to_string();
