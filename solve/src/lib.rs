@@ -4,7 +4,8 @@
 //!
 //! # Inside
 //!
-//! Pure: no I/O, clock, threads, serialisation or logging, and nothing of ours outside this module.
+//! Pure: no I/O, clock, threads, serialisation or logging. A tag such as (24c, vih3) is an equation of the paper: its number
+//! in print, and its label in the source of the paper.
 //! Runtime sizes are const `N` here; symbols follow the paper and are listed in NOTATION.md.
 //!
 //! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).

@@ -1,7 +1,7 @@
 //! A system of one's own, a stepper for it and a start → samples → log.
 //!
 //! Invariant: such a log is as sound as that of a scenario; only that it cannot be run again from itself, and that a run
-//! that is cut off is not taken up, for nobody knows whether the law is still the same.
+//! that is cut off does not resume, for nobody knows whether the law is still the same.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -9,12 +9,12 @@ use std::time::Instant;
 
 use super::end::{Asked, End, finish};
 use super::summary::{self, Advised};
-use super::{JobContext, Outcome, Recorder, RunError, Summary};
+use super::{JobContext, Outcome, Recorder, RunError, Summary, begin_log};
 use crate::log::course::Course;
 use crate::log::messages::Figures;
 use crate::log::scene::SceneGeometry;
 use crate::log::schema::{Channel, Compression};
-use crate::log::writer::{LogHeader, LogWriter};
+use crate::log::writer::LogHeader;
 use crate::scenario::Scenario;
 use crate::solve::stepper::Stepper;
 use crate::solve::system::System;
@@ -99,7 +99,7 @@ impl Recording {
     }
 
     /// Carries `initial` along `schedule` by `stepper` and writes the log, with charts of the energy and of the distance
-    /// from the group in it. Blocks; [`super::Control`] follows and stops it. Over whatever an earlier run left there.
+    /// from the group in it. Blocks; [`super::Control`] follows and stops it. Over what an earlier run left there, unless [`super::Control::replaces_nothing`].
     ///
     /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis. Momentum drift is given
     /// as far as the system says what is conserved. A warning that the run means little is not given: how much of the
@@ -119,7 +119,7 @@ impl Recording {
         let begun = Instant::now();
         let JobContext { log, control } = *context;
         let header = self.header::<N>(schedule, stepper.order());
-        let writer = LogWriter::create(log, &header)?;
+        let writer = begin_log(context, &header)?;
         let (figures, course) = (Figures::default(), Course::default());
         let mut recorder = Recorder::of(writer, figures, course, control, &header);
         let integrating = Instant::now();

@@ -54,7 +54,7 @@ pub struct OwnPrecision {
     pub table: Table,
 }
 
-/// Errors of a reference above this tell nothing.
+/// Errors of a reference above this mean nothing.
 const USELESS: f64 = 1e-6;
 /// Solutions this near are the same.
 const AGREED: f64 = 1e-13;

@@ -1,4 +1,4 @@
-//! A potential of one's own, beside the built-in terms.
+//! A potential of one's own, next to the built-in terms.
 
 use std::fmt::Debug;
 use std::sync::Arc;
