@@ -1,6 +1,7 @@
 //! The command line: arguments → one call each. Errors go to stderr, data to stdout.
 //!
-//! Exit codes: 0 ok, 1 the run failed (its log is kept and finished), 2 bad input.
+//! Exit codes: 0 ok, 1 the run failed (its log is kept and finished), 2 bad input or a log that is not to be replaced, 130
+//! interrupted.
 
 use std::fs;
 use std::io::{self, IsTerminal, Write};
@@ -184,6 +185,11 @@ impl CliError {
             Self::Read { .. } | Self::Scenario { .. } | Self::Study(StudyError::Scenario(_)) => {
                 ExitCode::from(2)
             }
+            Self::Run(RunError::Log(error)) if error.is_busy() || error.code() == "log_exists" => {
+                ExitCode::from(2)
+            }
+            // As a shell reports a program that SIGINT ended.
+            Self::Run(RunError::Interrupted) => ExitCode::from(130),
             #[cfg(feature = "chart")]
             Self::Mixed => ExitCode::from(2),
             #[cfg(feature = "serve")]

@@ -69,8 +69,7 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> 
     let mut m = axes.0.map(|axis| mu[axis]);
     let constants = Constants::new(axes.0.map(|axis| inverse[axis]), m);
     let [a, b] = constants.squares;
-    // The sum keeps a NaN, a maximum would not.
-    let longest = h.abs() * (a + b).sqrt();
+    let longest = constants.length(h);
     if !(longest <= MAX_PIECES * LONGEST_PIECE) || !size.is_finite() {
         return None;
     }
@@ -108,6 +107,14 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> 
     let turn = Quaternion::from_parts(libm::cos(half), direction * libm::sin(half));
     let (start, end) = (pole.to(mu, size), pole.to(&(mu + gain), size));
     Some(Drift { turn: (start * turn * end.conjugate()).normalize(), gain })
+}
+
+/// The pieces in which [`flow`] computes a motion, of a body given by its inverse principal moments and its momentum: what it
+/// costs is about proportional to them.
+pub fn pieces(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> f64 {
+    let axes = Axes::new(inverse);
+    let constants = Constants::new(axes.0.map(|axis| inverse[axis]), axes.0.map(|axis| mu[axis]));
+    (constants.length(h) / LONGEST_PIECE).ceil().clamp(1.0, MAX_PIECES)
 }
 
 /// Puts `mu + gain` back to where the size of the momentum and the energy are those of `mu`.
@@ -165,6 +172,13 @@ impl Constants {
         let middle = alpha * gamma * y * y;
         let squares = [middle - alpha * beta * z * z, middle - beta * gamma * x * x];
         Self { rates: [alpha, beta, gamma], squares }
+    }
+
+    /// How far the argument u goes in `h`.
+    fn length(&self, h: f64) -> f64 {
+        let [a, b] = self.squares;
+        // The sum keeps a NaN, a maximum would not.
+        h.abs() * (a + b).sqrt()
     }
 
     /// `S^2(s t) / (s t)^2` as a polynomial in s^2: with `p = a + b`, `q = a b`,

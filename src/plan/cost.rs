@@ -14,6 +14,8 @@ use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
 use crate::log::schema::{Channel, Compression, bytes_per_member, dense_bytes_per_member};
 use crate::method::Integrator;
 use crate::scenario::PotentialTerm;
+use crate::solve::composition::Composition;
+use crate::solve::free_top;
 use crate::solve::lanes::WIDTH;
 use crate::solve::trajectory::Observables;
 
@@ -129,8 +131,24 @@ impl Plan {
             Motion::General => 1.0,
         };
         let Scheme { step_ns, sweep_ns, terms } = self.scheme();
+        let step_ns = step_ns + self.turning_ns();
         let gradient_ns = terms * self.terms_cost_ns();
         part * (work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns)
+    }
+
+    /// What the free parts of a step of `splitting` cost beyond the first piece of each: the faster the body turns, the more
+    /// pieces there are.
+    fn turning_ns(&self) -> f64 {
+        const PIECE_NS: f64 = 70.0;
+        let Formulation { method: Integrator::Splitting, order, .. } = self.formulation else {
+            return 0.0;
+        };
+        let (inverse, momentum) = self.model.in_principal_axes();
+        let spread = self.asked.ensemble.as_ref().map_or(0.0, |members| members.momentum_spread);
+        let momentum = momentum.map(|x| x.abs() + spread);
+        let pieces = |part: &f64| free_top::pieces(&inverse, &momentum, part * self.step_s) - 1.0;
+        let parts = Composition::new(order);
+        PIECE_NS * parts.map_or(0.0, |composition| composition.parts().iter().map(pieces).sum())
     }
 
     /// The work of a step whose sweeps nobody has counted.

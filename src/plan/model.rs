@@ -60,6 +60,23 @@ impl Model {
     }
 }
 
+impl Model {
+    /// n = 3: the inverse principal moments of inertia, and the momentum at the start along their axes.
+    pub(super) fn in_principal_axes(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let m = &self.momentum;
+        let momentum = Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)]);
+        match &self.kinetic {
+            ModelKinetic::Principal { weights: w } => {
+                (Vector3::new(w[(2, 1)], w[(0, 2)], w[(1, 0)]), momentum)
+            }
+            ModelKinetic::Tensor { inertia } => {
+                let eigen = inertia.symmetric_eigen();
+                (eigen.eigenvalues.map(|moment| 1.0 / moment), eigen.eigenvectors.tr_mul(&momentum))
+            }
+        }
+    }
+}
+
 impl ModelKinetic {
     /// A bound on the velocity that a momentum of one makes.
     pub(super) fn mobility(&self) -> f64 {

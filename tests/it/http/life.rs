@@ -117,7 +117,7 @@ fn a_job_whose_process_died_runs_again() {
     assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
     let mut files = names(&directory);
     files.retain(|name| !name.starts_with("attempt-"));
-    assert_eq!(files, ["log.mcap", "result.json", "scenario.json"]);
+    assert_eq!(files, ["log.mcap", "plan.json", "result.json", "scenario.json"]);
 }
 
 #[test]
