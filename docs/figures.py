@@ -18,7 +18,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 VPD = ROOT / "target/release/vpd"
 SCENE = ROOT / "scenarios/dipole.json"
-REFERENCE = json.loads((ROOT / "tests/data/dipole-reference.json").read_text())["points"]["0.5"]
+REFERENCE = json.loads((ROOT / "solve/tests/data/dipole-reference.json").read_text())["points"]["0.5"]
 
 COMPOSED = ("splitting", "lgvi")
 PAIR = ("vpd", "vrkmk")
