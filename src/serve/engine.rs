@@ -409,7 +409,13 @@ impl Engine {
                 None => (job, None),
             };
             let store = &place.shared.store;
-            store.accept(id, key, text, kept.as_ref()).await?;
+            store.accept(id, key, text).await?;
+            // From here on there is a job. Without its plan on the disk a worker makes it again.
+            if let Some(kept) = kept
+                && let Err(error) = store.keep_plan(id, &kept).await
+            {
+                tracing::warn!(job = %id, error = chain(&error), "plan not kept");
+            }
             store.add_to_index(&Line::Waits(Waiting {
                 id,
                 name: job.name.clone(),

@@ -292,19 +292,14 @@ impl Store {
         Ok(u64::MAX)
     }
 
-    /// Keeps a new job, with its plan if there is one, and the key under which the client sent it. The scenario goes last:
-    /// before it there is no job.
+    /// Keeps a new job, and the key under which the client sent it. The scenario goes last: before it there is no job.
     pub(super) async fn accept(
         &self,
         id: Uuid,
         key: Option<Uuid>,
         scenario: Vec<u8>,
-        plan: Option<&KeptPlan>,
     ) -> Result<(), StoreError> {
         let failed = "keep the scenario";
-        if let Some(plan) = plan {
-            self.keep_plan(id, plan).await?;
-        }
         if let Some(key) = key {
             let kept = self.create(id, &format!("{KEY}{key}"), Vec::new()).await;
             kept.map_err(StoreError::new(failed))?;
