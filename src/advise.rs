@@ -154,8 +154,6 @@ impl From<Unsettled> for ScenarioError {
 /// # Errors
 /// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
-    // One that was built in Rust was not checked yet.
-    scenario.check()?;
     Settled::new(scenario, &Watch::default())?.plan()
 }
 
@@ -178,6 +176,8 @@ impl Settled {
     /// # Errors
     /// If they were stopped, or no method is known to reach the accuracy.
     pub fn new(scenario: &Scenario, watch: &Watch) -> Result<Self, Unsettled> {
+        // One that was built in Rust was not checked yet.
+        scenario.check().map_err(Unsettled::Refused)?;
         let asked = scenario.clone();
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
         let mut settled = Self { asked, choice, step: None };

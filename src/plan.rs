@@ -200,8 +200,8 @@ impl EnsemblePlan {
 }
 
 impl Plan {
-    /// Plans a scenario with a method and a step, without any run: the estimates are those of a usual one. [`crate::advise::plan`]
-    /// plans any.
+    /// Plans a scenario that was checked ([`Scenario::check`]), with a method and a step, without any run: the estimates are
+    /// those of a usual one. [`crate::advise::plan`] plans any.
     ///
     /// # Errors
     /// Where the numbers make no body, no rotation or no tableau, with the pointer of the field.
