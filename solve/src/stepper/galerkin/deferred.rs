@@ -416,6 +416,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.first_symmetric_parts();
         let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
         let mut evaluations = Rounds::new(expected, self.order(stages) * self.size);
+        let mut lacking = 0.0;
         for evaluation in 1..=MOST_ROUNDS {
             rounds += 1;
             self.end_point(1);
@@ -427,14 +428,16 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             let jump = self.defects();
             let momenta = self.momenta_from_space();
-            let left = evaluations.left(jump);
+            // What attitudes lacked when the defect was evaluated is in it, times the turn.
+            let left = evaluations.left(jump).max(turn * lacking);
             // An error of a momentum turns the end by its product with the turn of the step.
             let goal = ROUND_OFF * self.size / turn;
-            let [_, increment] = self.pass_until(momenta, 0.3 * left.max(goal))?;
+            let passed = self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
+            lacking = passed.left;
             self.gradients()?;
             // Of few stages the first evaluation is not yet sure of its order.
             if left <= 10.0 * goal && (stages >= 4 || evaluation > 1) {
-                let increment = self.finish(increment, goal)?;
+                let increment = self.finish(passed.last, goal)?;
                 return Ok(self.judged(rounds, increment / self.size));
             }
             if !jump.is_finite() {
@@ -453,7 +456,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn finish(&mut self, mut before: f64, goal: f64) -> Result<f64, Stuck> {
         let mut rounds = Rounds::new(FORCES_CONTRACTION, before);
         for _ in 0..MOST_ROUNDS {
-            let [first, increment] = self.pass_until(before, goal)?;
+            let Passed { first, last: increment, .. } = self.pass_until(before, goal)?;
             if rounds.left(first) <= goal || matches!(self.forces, Forces::None { .. }) {
                 self.velocities_in_space();
                 self.transport();
@@ -490,9 +493,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
-    /// Passes over attitudes and momenta, the defect's slow part kept, until what is left of the momenta is `goal`. Returns
-    /// what the first and the last changed.
-    fn pass_until(&mut self, before: f64, goal: f64) -> Result<[f64; 2], Stuck> {
+    /// Passes over attitudes and momenta, the defect's slow part kept, until what is left of the momenta is `goal`.
+    fn pass_until(&mut self, before: f64, goal: f64) -> Result<Passed, Stuck> {
         /// Below this part of the momentum a change that no longer falls is rounding.
         const FLOOR: f64 = 1e-14;
         let mut rounds = Rounds::new((0.15 * self.turn).clamp(0.01, 0.3), before);
@@ -510,8 +512,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let momenta = self.momenta_from_space();
             let jump = if sees { momenta } else { momenta.max(self.turned()) };
             let first = *first.get_or_insert(jump);
-            if rounds.left(jump) <= goal || (jump >= last && jump <= FLOOR * self.size) {
-                return Ok([first, jump]);
+            let left = rounds.left(jump);
+            if left <= goal || (jump >= last && jump <= FLOOR * self.size) {
+                return Ok(Passed { first, last: jump, left });
             }
             if !jump.is_finite() {
                 break;
@@ -933,6 +936,14 @@ fn polar_factor<R: Stored, D: Dimension>(
     stack.add_half_defect(c, f, room);
     stack.plus_product(f, d, f, k);
     stack.difference(d, k, c);
+}
+
+/// What passes over attitudes and momenta changed, in units of momenta.
+struct Passed {
+    first: f64,
+    last: f64,
+    /// What is left of an error.
+    left: f64,
 }
 
 /// How rounds converge.
