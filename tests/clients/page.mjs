@@ -151,6 +151,36 @@ await checks({
     assert.equal((await ended(url, id)).state, "cancelled");
     return words;
   },
+  "a press of a person finds its button while events arrive": async () => {
+    const pressed = await open();
+    const press = async selector => {
+      const { x, y, width, height } = await pressed.locator(selector).boundingBox();
+      await pressed.mouse.move(x + width / 2, y + height / 2);
+      await pressed.mouse.down();
+      await pressed.waitForTimeout(150);
+      await pressed.mouse.up();
+    };
+    // How often the list has been told of its jobs: no press counts that no event fell into.
+    const value = id => pressed.evaluate(id => document.querySelector(`#job-${id} progress`).value, id);
+    const ids = [];
+    for (let k = 0; k < 3; k += 1) {
+      const { id } = await submit(url, await long());
+      const other = await submit(url, await long());
+      ids.push(id);
+      await pressed.waitForFunction(ids => ids.every(id => document.querySelector(`#job-${id} progress`)?.value > 0), [id, other.id]);
+      const before = await value(id);
+      await press(`#job-${id} a`);
+      await pressed.waitForFunction(id => location.hash.endsWith(id), id, { timeout: 2000 });
+      await pressed.waitForFunction(([id, before]) => document.querySelector(`#job-${id} progress`).value > before, [id, before]);
+      await press(k === 1 ? "#view button:text('Cancel')" : `#job-${id} button:text('Cancel')`);
+      await state(pressed, "cancelled");
+      await press(`#job-${other.id} button:text('Cancel')`);
+      assert.equal((await ended(url, other.id)).state, "cancelled");
+    }
+    assert.deepEqual(pressed.wrong, []);
+    await pressed.context().close();
+    return `${3 * ids.length} presses of 150 ms`;
+  },
   "a running job is linked to the live view": async () => {
     const live = await open(shown.url);
     const { id } = await submit(shown.url, await long());

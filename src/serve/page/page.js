@@ -6,54 +6,69 @@ let studies = null;
 
 // ---- lists
 
-function bar(job) {
-  const { percent } = job.progress;
-  return h("progress", { max: 100, value: job.state === "queued" ? 0 : percent, ariaLabel: `Progress of ${job.name}` });
-}
-
 async function act(path, options, word) {
   try { await call(path, options); say(word); } catch (error) { say(error.message); }
   await refresh();
 }
 
-const cancel = job => h("button", { type: "button", className: "small", ariaLabel: `Cancel ${job.name}`,
-  onclick: () => act(`jobs/${job.id}/cancel`, { method: "POST" }, "Job cancelled") }, "Cancel");
+const cancel = job => act(`jobs/${job.id}/cancel`, { method: "POST" }, "Job cancelled");
 
-const forgetJob = job => h("button", { type: "button", className: "small", ariaLabel: `Delete ${job.name}`, onclick: async () => {
+async function forgetJob(job) {
   if (!confirm(`Delete the job ${job.name} and its log?`)) return;
   await act(`jobs/${job.id}`, { method: "DELETE" }, "Job deleted");
   if (location.hash.endsWith(job.id)) location.hash = "#/";
-} }, "Delete");
-
-function jobItem(job) {
-  const ended = ENDED.includes(job.state);
-  const here = location.hash === `#/jobs/${job.id}`;
-  const link = h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed");
-  if (here) link.setAttribute("aria-current", "page");
-  const created = job.created ? new Date(job.created).toLocaleTimeString() : "";
-  return h("li", { id: `job-${job.id}`, className: here ? "here" : "" },
-    h("div", { className: "row" }, link, h("span", { className: `state ${job.state}` }, job.state)),
-    ended ? null : bar(job),
-    h("div", { className: "row soft" }, `${standing(job)}${ended ? ` · ${created}` : ""}`, ended ? forgetJob(job) : cancel(job)));
 }
+
+// A row of a list, made once: `update` puts what is new into it, so that a press that begins on a button ends on it.
+function jobRow({ id }) {
+  const name = h("a", { href: `#/jobs/${id}` });
+  const state = h("span"), progress = h("progress", { max: 100 }), words = h("span");
+  let job;
+  const stop = h("button", { type: "button", className: "small", onclick: () => cancel(job) }, "Cancel");
+  const remove = h("button", { type: "button", className: "small", onclick: () => forgetJob(job) }, "Delete");
+  const node = h("li", { id: `job-${id}` }, h("div", { className: "row" }, name, state), progress,
+    h("div", { className: "row soft" }, words, stop, remove));
+  const update = fresh => {
+    job = fresh;
+    const ended = ENDED.includes(job.state);
+    point(node, name);
+    put(name, job.name || "unnamed");
+    put(state, job.state);
+    state.className = `state ${job.state}`;
+    progress.hidden = stop.hidden = ended;
+    remove.hidden = !ended;
+    progress.value = job.state === "queued" ? 0 : job.progress.percent;
+    put(words, ended ? `${standing(job)} · ${when(job.created)}` : standing(job));
+    for (const [node, what] of [[progress, "Progress of"], [stop, "Cancel"], [remove, "Delete"]]) node.ariaLabel = `${what} ${job.name}`;
+  };
+  return { node, update };
+}
+
+// Marks the row of what is shown.
+function point(node, link) {
+  const here = location.hash === link.getAttribute("href");
+  node.className = here ? "here" : "";
+  if (here) link.setAttribute("aria-current", "page"); else link.removeAttribute("aria-current");
+}
+
+// A text that stays as it is leaves its node alone.
+function put(node, text) { if (node.textContent !== text) node.textContent = text; }
 
 const lists = new Map();
 
-// Replaces only what changed, so that the focus stays.
+// Shows a row for each item by its id: rows stay, and move only if others come between.
 function fill(list, items, make, empty) {
   const old = lists.get(list) ?? new Map();
-  const fresh = new Map(items.map(item => {
-    const key = JSON.stringify([item, location.hash]);
-    return [key, old.get(key) ?? make(item)];
-  }));
-  const held = document.activeElement?.closest?.(`#${list} li`)?.id;
-  const label = document.activeElement?.textContent;
-  lists.set(list, fresh);
-  $(list).replaceChildren(...(fresh.size ? fresh.values() : [h("li", { className: "soft" }, empty)]));
-  if (held) [...($(held)?.querySelectorAll("a, button") ?? [])].find(node => node.textContent === label)?.focus();
+  const rows = new Map(items.map(item => [item.id, old.get(item.id) ?? make(item)]));
+  items.forEach(item => rows.get(item.id).update(item));
+  lists.set(list, rows);
+  const nodes = rows.size ? [...rows.values()].map(row => row.node) : [h("li", { className: "soft" }, empty)];
+  const wanted = new Set(nodes);
+  for (const node of [...$(list).children]) if (!wanted.has(node)) node.remove();
+  nodes.forEach((node, at) => { if ($(list).children[at] !== node) $(list).insertBefore(node, $(list).children[at] ?? null); });
 }
 
-const showJobs = () => fill("jobs", jobs, jobItem, "No jobs yet.");
+const showJobs = () => fill("jobs", jobs, jobRow, "No jobs yet.");
 
 function heard(job) {
   jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
@@ -88,7 +103,7 @@ async function refresh() {
 
 async function refreshStudies() {
   ({ studies } = await json("studies", { quiet: true }));
-  fill("studies", studies, studyItem, "No studies yet.");
+  fill("studies", studies, studyRow, "No studies yet.");
 }
 
 $("more").onclick = async () => {
@@ -240,7 +255,8 @@ async function viewJob(id) {
       head.replaceChildren(
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
         h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
-        ended ? "" : h("div", { className: "row" }, bar(job), h("span", { className: "soft", id: "standing" }), cancel(job)));
+        ended ? "" : h("div", { className: "row" }, h("progress", { max: 100, ariaLabel: "Progress" }), h("span", { className: "soft", id: "standing" }),
+          h("button", { type: "button", className: "small", onclick: () => cancel(job) }, "Cancel")));
       rest.replaceChildren(...(job.state === "running" ? liveLinks(job).filter(Boolean) : []));
       if (ended) say(`Job ${job.name} ${job.state}`);
     }
@@ -251,7 +267,7 @@ async function viewJob(id) {
     if (ended ? job.links.log : job.progress.durable_step > 0) await show(job);
     if (ended) {
       rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
-        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, forgetJob(job)));
+        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, h("button", { type: "button", className: "small", onclick: () => forgetJob(job) }, "Delete")));
     }
   };
   await update(job);
@@ -283,23 +299,36 @@ async function charts(job) {
 
 const KINDS = { precision: "speed against accuracy", stability: "stability map", long_term: "long-term energy" };
 
-const forgetStudy = study => h("button", { type: "button", className: "small", ariaLabel: `Delete the study of ${study.name}`, onclick: async () => {
+async function forgetStudy(study) {
   if (!confirm(`Delete the study of ${study.name}?`)) return;
   await act(`studies/${study.id}`, { method: "DELETE" }, "Study deleted");
   if (location.hash.endsWith(study.id)) location.hash = "#/";
-} }, "Delete");
+}
 
-function studyItem(study) {
-  const here = location.hash === `#/studies/${study.id}`;
-  return h("li", { id: `study-${study.id}`, className: here ? "here" : "" },
-    h("div", { className: "row" }, h("a", { href: `#/studies/${study.id}` }, `${study.name}: ${KINDS[study.kind] ?? study.kind}`),
-      h("span", { className: `state ${study.state}` }, study.state)),
-    ENDED.includes(study.state) ? h("div", { className: "row soft" }, `${count(study.runs_done)} runs`, forgetStudy(study)) : [
-      h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: `Progress of ${study.name}` }),
-        h("div", { className: "row soft" }, `${count(study.runs_done)} of ${count(study.runs)} runs`,
-          h("button", { type: "button", className: "small", ariaLabel: `Cancel the study of ${study.name}`,
-            onclick: () => act(`studies/${study.id}/cancel`, { method: "POST" }, "Study cancelled") }, "Cancel")),
-    ]);
+function studyRow({ id, name, kind }) {
+  const link = h("a", { href: `#/studies/${id}` }, `${name}: ${KINDS[kind] ?? kind}`);
+  const state = h("span"), words = h("span");
+  let study;
+  const progress = h("progress", { ariaLabel: `Progress of ${name}` });
+  const stop = h("button", { type: "button", className: "small", ariaLabel: `Cancel the study of ${name}`,
+    onclick: () => act(`studies/${id}/cancel`, { method: "POST" }, "Study cancelled") }, "Cancel");
+  const remove = h("button", { type: "button", className: "small", ariaLabel: `Delete the study of ${name}`,
+    onclick: () => forgetStudy(study) }, "Delete");
+  const node = h("li", { id: `study-${id}` }, h("div", { className: "row" }, link, state), progress,
+    h("div", { className: "row soft" }, words, stop, remove));
+  const update = fresh => {
+    study = fresh;
+    const ended = ENDED.includes(study.state);
+    point(node, link);
+    put(state, study.state);
+    state.className = `state ${study.state}`;
+    progress.hidden = stop.hidden = ended;
+    remove.hidden = !ended;
+    progress.max = study.runs || 1;
+    progress.value = study.runs_done;
+    put(words, `${count(study.runs_done)}${ended ? "" : ` of ${count(study.runs)}`} runs`);
+  };
+  return { node, update };
 }
 
 async function viewStudy(id) {
