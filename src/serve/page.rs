@@ -37,11 +37,16 @@ pub(super) const MAX_POINTS: usize = 5000;
 /// Logs that are read at once for charts, and as many for attitudes: a long log keeps a thread busy for seconds.
 const READERS: usize = 2;
 
-const STYLE: &str = include_str!("page/style.css");
+const STYLE: &str = concat!(include_str!("page/uplot/uplot.css"), include_str!("page/style.css"));
 const SCRIPT: &str = concat!(
     include_str!("page/body.js"),
+    include_str!("page/uplot/uplot.js"),
+    "\n",
     include_str!("page/client.js"),
+    include_str!("page/chart.js"),
     include_str!("page/editor.js"),
+    include_str!("page/form.js"),
+    include_str!("page/list.js"),
     include_str!("page/page.js"),
 );
 
