@@ -4,7 +4,7 @@
 //! of the samples behind it, so no peak is lost.
 
 use std::fs::File;
-use std::ops::ControlFlow;
+use std::ops::{ControlFlow, Range};
 use std::path::Path;
 
 use prost::Message as _;
@@ -108,7 +108,7 @@ impl Curve {
 }
 
 /// The angular velocity of a momentum, both in body coordinates.
-pub type Velocity<'a> = &'a dyn Fn(&[f64]) -> Vec<f64>;
+pub type Velocity<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 
 /// A part of a log in time, and in how many points.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -143,6 +143,12 @@ pub struct Samples {
     held: u64,
 }
 
+/// Messages of a log from which on several threads read it: each a part of the time.
+const LONG: u64 = 50_000;
+
+/// Threads that read one log, at most.
+const MOST_THREADS: usize = 4;
+
 /// Reads the course of a quantity, of an ensemble that of member 0. Of an unfinished log what stands in whole chunks.
 /// `None` if `stopped` said so on the way.
 ///
@@ -153,55 +159,114 @@ pub fn read_course(
     curve: Curve,
     window: Window,
     velocity: Velocity<'_>,
-    stopped: impl Fn() -> bool,
+    stopped: &(dyn Fn() -> bool + Sync),
 ) -> Result<Option<Samples>, LogError> {
     let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
-    let mut samples = Samples::new(curve);
-    let topic = curve.channel().topic();
-    let mut seen = 0_u32;
-    let mut enough = || {
-        seen = seen.wrapping_add(1);
-        seen.is_multiple_of(1 << 10) && stopped()
+    // Saturating; the end belongs to the window.
+    let nanos = |seconds: f64| (seconds * 1e9).round() as u64;
+    let whole = nanos(window.from_s)..nanos(window.to_s).saturating_add(1);
+    let reading = |span, points| Reading {
+        samples: Samples::new(curve),
+        span,
+        points,
+        velocity,
+        stopped,
+        seen: 0,
     };
-    let mut broken_off = false;
-    let mut note = |since_ns: u64, data: &[u8]| {
-        let time_s = since_ns as f64 * 1e-9;
-        if time_s >= window.from_s && time_s <= window.to_s {
-            samples.push(time_s, &curve.values(data, velocity), window.points);
-        }
-        broken_off = enough();
-        if broken_off || time_s > window.to_s {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
-    };
-    let mut end_s = None;
     // A log that grows ends nowhere in particular: what its end looks like means nothing.
-    if let Ok(Some(summary)) = summary(&mut file) {
-        let (start_ns, end_ns) = start_and_end(&summary);
-        end_s = Some((end_ns - start_ns) as f64 * 1e-9);
-        let from_ns = start_ns.saturating_add((window.from_s * 1e9) as u64);
-        let read = messages(&mut file, &summary, &[topic], from_ns, |time_ns, data| {
-            note(time_ns.saturating_sub(start_ns), data)
-        });
-        read.map_err(|source| LogError::mcap(path, "read", source))?;
-    } else {
-        let mut start_ns = None;
-        reader::read(path, |item| match item {
-            Item::Message { topic: found, time_ns, data, .. } => {
-                // Whatever comes first is of the start.
-                let start_ns = *start_ns.get_or_insert(time_ns);
-                if found == topic {
-                    note(time_ns.saturating_sub(start_ns), data)
-                } else {
-                    ControlFlow::Continue(())
-                }
+    let Ok(Some(summary)) = summary(&mut file) else {
+        let mut reading = reading(whole, window.points);
+        let (mut start_ns, mut stop) = (None, Ok(()));
+        reader::read(path, |item| {
+            let Item::Message { topic, time_ns, data, .. } = item else {
+                return ControlFlow::Continue(());
+            };
+            // Whatever comes first is of the start.
+            let start_ns = *start_ns.get_or_insert(time_ns);
+            if topic != curve.channel().topic() {
+                return ControlFlow::Continue(());
             }
-            _ => ControlFlow::Continue(()),
+            stop = reading.note(time_ns.saturating_sub(start_ns), data);
+            if stop.is_err() || reading.is_over(time_ns.saturating_sub(start_ns)) {
+                return ControlFlow::Break(());
+            }
+            ControlFlow::Continue(())
         })?;
+        return Ok(stop.ok().map(|()| reading.samples));
+    };
+    let (start_ns, end_ns) = start_and_end(&summary);
+    let whole = whole.start..whole.end.min((end_ns - start_ns).saturating_add(1));
+    let length = whole.end.saturating_sub(whole.start);
+    let threads = match summary.stats.as_ref().map_or(0, |stats| stats.message_count) {
+        LONG.. => std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS),
+        _ => 1,
+    };
+    let threads = threads.min(window.points / 2).max(1);
+    let border = |k: usize| whole.start + (u128::from(length) * k as u128 / threads as u128) as u64;
+    let one = |k: usize| {
+        let mut reading = reading(border(k)..border(k + 1), window.points / threads);
+        let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
+        let (from_ns, mut stop) = (start_ns.saturating_add(reading.span.start), Ok(()));
+        messages(&mut file, &summary, &[curve.channel().topic()], from_ns, |time_ns, data| {
+            let since_ns = time_ns.saturating_sub(start_ns);
+            stop = reading.note(since_ns, data);
+            if stop.is_err() || reading.is_over(since_ns) {
+                return ControlFlow::Break(());
+            }
+            ControlFlow::Continue(())
+        })
+        .map_err(|source| LogError::mcap(path, "read", source))?;
+        Ok(stop.ok().map(|()| reading.samples))
+    };
+    let parts: Vec<Result<Option<Samples>, LogError>> = std::thread::scope(|scope| {
+        let others: Vec<_> = (1..threads).map(|k| scope.spawn(move || one(k))).collect();
+        let first = one(0);
+        let joined = others.into_iter().map(|other| match other.join() {
+            Ok(part) => part,
+            Err(panic) => std::panic::resume_unwind(panic),
+        });
+        std::iter::once(first).chain(joined).collect()
+    });
+    let mut all = Samples::new(curve);
+    for part in parts {
+        let Some(part) = part? else { return Ok(None) };
+        all.append(part);
     }
-    Ok((!broken_off).then_some(Samples { end_s, ..samples }))
+    Ok(Some(Samples { end_s: Some((end_ns - start_ns) as f64 * 1e-9), ..all }))
+}
+
+/// One part of a log on its way into points.
+struct Reading<'a> {
+    samples: Samples,
+    /// In nanoseconds since the start.
+    span: Range<u64>,
+    points: usize,
+    velocity: Velocity<'a>,
+    stopped: &'a (dyn Fn() -> bool + Sync),
+    seen: u64,
+}
+
+/// Nobody waits any more.
+struct Stopped;
+
+impl Reading<'_> {
+    /// Takes a message of the channel at a time since the start.
+    fn note(&mut self, since_ns: u64, data: &[u8]) -> Result<(), Stopped> {
+        self.seen += 1;
+        if self.seen.is_multiple_of(1 << 10) && (self.stopped)() {
+            return Err(Stopped);
+        }
+        if self.span.contains(&since_ns) {
+            let values = self.samples.channel.values(data, self.velocity);
+            self.samples.push(since_ns as f64 * 1e-9, &values, self.points);
+        }
+        Ok(())
+    }
+
+    /// Whether nothing of the part comes at or after a time.
+    fn is_over(&self, since_ns: u64) -> bool {
+        since_ns >= self.span.end
+    }
 }
 
 impl Samples {
@@ -215,6 +280,19 @@ impl Samples {
             each: 1,
             end_s: None,
             held: 1,
+        }
+    }
+
+    /// Takes the points of the part that follows.
+    fn append(&mut self, part: Self) {
+        if self.time_s.is_empty() {
+            *self = part;
+            return;
+        }
+        self.each = self.each.max(part.each);
+        self.time_s.extend(part.time_s);
+        for (mine, others) in [(&mut self.low, part.low), (&mut self.high, part.high)] {
+            mine.iter_mut().zip(others).for_each(|(mine, other)| mine.extend(other));
         }
     }
 

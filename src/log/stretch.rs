@@ -143,6 +143,10 @@ pub(super) fn messages(
     from_ns: u64,
     mut visit: impl FnMut(u64, &[u8]) -> ControlFlow<()>,
 ) -> Result<(), McapError> {
+    // To the reader no topic is every topic.
+    if !summary.channels.values().any(|channel| topics.contains(&channel.topic.as_str())) {
+        return Ok(());
+    }
     let options = IndexedReaderOptions::default()
         .with_order(ReadOrder::File)
         .include_topics(topics.iter().copied())

@@ -228,7 +228,7 @@ impl Pictures {
                 }
                 file => file?,
             };
-            read_course(file, curve, window, &velocity, || waits.strong_count() == 0)
+            read_course(file, curve, window, &velocity, &|| waits.strong_count() == 0)
         });
         let read = read.await.map_err(|error| Problem::unreadable(&error))?;
         drop(waiting);

@@ -204,6 +204,24 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     let part = numbers(&ask("?from_s=50&to_s=50.25&points=10")["time_s"]);
     assert_eq!(part, [50.0, 50.1, 50.2]);
 
+    // A log so long that several threads read it.
+    let mut scenario = short();
+    scenario["steps"] = json!(20_000);
+    scenario["log"]["every"] = json!(1);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let dense = server.get(&format!("/jobs/{id}/samples?points=100")).json();
+    let (low, high) = (numbers(&dense["low"][0]), numbers(&dense["high"][0]));
+    assert!((50..=100).contains(&low.len()) && high.len() == low.len());
+    // Of these samples those above are a tenth.
+    assert!(least(&low) <= least(&whole) && most(&high) >= most(&whole));
+    let times = numbers(&dense["time_s"]);
+    let step = dense["each"].as_u64().expect("a number") as f64 * 0.01;
+    assert!(times.windows(2).all(|pair| pair[0] < pair[1] && pair[1] - pair[0] < step + 1e-6));
+    assert!(times[0] == 0.0 && times[times.len() - 1] > 200.0 - step - 1e-6);
+    let all = server.get(&format!("/jobs/{id}/samples?points=5000&from_s=100&to_s=130")).json();
+    assert_eq!((numbers(&all["time_s"]).len(), &all["each"]), (3001, &json!(1)));
+
     // What the momentum at the start is in each quantity: J w = m, and g m = (0, 0, -0.01) turned by g.
     let first = |channel: &str| -> Vec<f64> {
         let answer = ask(&format!("?to_s=0&channel={channel}"));
@@ -238,7 +256,16 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     scenario["log"]["channels"] = json!(["/state"]);
     let id = server.submit(&scenario);
     server.wait(&id, "succeeded");
-    server.get(&format!("/jobs/{id}/samples?channel=energy_error")).problem(404, "not_found");
+    for channel in ["energy_error", "orthogonality_error", "momentum_drift", "spatial_momentum"] {
+        let path = format!("/jobs/{id}/samples?channel={channel}");
+        server.get(&path).problem(404, "not_found");
+    }
+    let mut scenario = short();
+    scenario["log"]["channels"] = json!(["/energy"]);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let none = server.get(&format!("/jobs/{id}/attitudes.json")).json();
+    assert_eq!(none["time_s"], json!([]));
 }
 
 #[test]
