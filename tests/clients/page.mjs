@@ -263,6 +263,13 @@ await checks({
     await list.click("#older");
     await showing(2, "Other 3");
     assert.match(await list.textContent("#jobs li:first-child"), /\d\d:\d\d/);
+    const day = past => { const at = new Date(Date.now() - past * 864e5); return [at.getFullYear(), at.getMonth() + 1, at.getDate()].map(x => String(x).padStart(2, "0")).join("-"); };
+    await list.fill("#find-until", day(1));
+    await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
+    await list.fill("#find-until", day(0));
+    await showing(20, "Other 63");
+    await list.fill("#find-until", "");
+    await showing(20, "Other 63");
     await list.selectOption("#find-state", "failed");
     await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
     await list.selectOption("#find-state", "succeeded");

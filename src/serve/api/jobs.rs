@@ -30,7 +30,7 @@ use crate::study::{Watch, scene_of};
 const PAGE: usize = 50;
 const MAX_PAGE: usize = 500;
 
-/// Longest part of a name to look for, bytes: no name is longer.
+/// Longest part of a name to look for, characters: no name is longer.
 const MAX_NAME: usize = 200;
 
 /// Longest idempotency key, bytes.
@@ -46,7 +46,7 @@ pub(super) struct Limit(#[schemars(range(min = 1, max = 500))] usize);
 #[derive(JsonSchema)]
 #[schemars(transparent)]
 #[allow(dead_code, reason = "only its schema is used")]
-pub(super) struct Name(#[schemars(length(max = 50))] String);
+pub(super) struct Name(#[schemars(length(max = 200))] String);
 
 /// A number of points.
 #[derive(JsonSchema)]
@@ -135,8 +135,8 @@ pub(super) async fn list_jobs(
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(Problem::bad_query(format!("limit is 1 to {MAX_PAGE}")));
     }
-    if name.as_ref().is_some_and(|name| name.len() > MAX_NAME) {
-        return Err(Problem::bad_query(format!("name has at most {MAX_NAME} bytes")));
+    if name.as_ref().is_some_and(|name| name.chars().count() > MAX_NAME) {
+        return Err(Problem::bad_query(format!("name has at most {MAX_NAME} characters")));
     }
     let unusable = || Problem::bad_query("cursor is not one that this list gave");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
@@ -273,7 +273,7 @@ pub(super) async fn get_samples(
     if !(from_s >= 0.0 && from_s.is_finite()) {
         return refuse("/from_s", "is not a time in seconds, 0 or more".to_owned());
     }
-    if !(to_s >= from_s) {
+    if !(to_s >= from_s && to_s.is_finite()) {
         return refuse("/to_s", format!("is not a time of from_s ({from_s} s) or later"));
     }
     let view = app.engine.brief(id)?;

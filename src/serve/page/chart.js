@@ -188,6 +188,8 @@ class Chart {
     else if (event.key === "Enter" && this.reading !== null) this.seek(this.reading);
     else return;
     if (step) u.setCursor({ left: u.valToPos(this.reading, "x"), top: 10 }, false);
+    // Who reads with the keys may be listening.
+    this.words.ariaLive = "polite";
     event.preventDefault();
   }
 

@@ -75,7 +75,7 @@ function fill(list, items, make, empty) {
   nodes.forEach((node, at) => { if ($(list).children[at] !== node) $(list).insertBefore(node, $(list).children[at] ?? null); });
 }
 
-const showJobs = () => fill("jobs", jobs, jobRow, sought.name || sought.state ? "No job matches." : "No jobs yet.");
+const showJobs = () => fill("jobs", jobs, jobRow, sought.name || sought.state || sought.cursors[0] ? "No job matches." : "No jobs yet.");
 
 function heard(job) {
   jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
@@ -132,8 +132,16 @@ async function refreshStudies() {
 
 // ---- looking for jobs
 
+// Where the jobs begin that are no newer than a day: ids begin with their time in milliseconds.
+function upTo(day) {
+  if (!day) return null;
+  const [year, month, date] = day.split("-").map(Number);
+  const digits = new Date(year, month - 1, date + 1).getTime().toString(16).padStart(12, "0");
+  return `${digits.slice(0, 8)}-${digits.slice(8)}-7000-8000-000000000000`;
+}
+
 async function seek(change) {
-  Object.assign(sought, { cursors: [null] }, change);
+  Object.assign(sought, { cursors: [upTo($("find-until").value)] }, change);
   chosen?.clear();
   showChosen();
   await refresh();
@@ -142,6 +150,7 @@ async function seek(change) {
 let typing = 0;
 $("find").oninput = () => { clearTimeout(typing); typing = setTimeout(() => seek({ name: $("find").value.trim() }), 200); };
 $("find-state").onchange = () => seek({ state: $("find-state").value });
+$("find-until").onchange = () => seek({});
 $("older").onclick = () => { if (sought.next) { sought.cursors.push(sought.next); refresh(); } };
 $("newer").onclick = () => { if (sought.cursors.length > 1) { sought.cursors.pop(); refresh(); } };
 
@@ -159,7 +168,7 @@ $("choose").onclick = () => { chosen = new Set(); showChosen(); $("choose-all").
 $("choose-end").onclick = () => { chosen = null; showChosen(); $("choose").focus(); };
 $("choose-all").onclick = async () => {
   try {
-    for (let cursor = null; ;) {
+    for (let cursor = sought.cursors[0]; ;) {
       const page = await json(question(500, cursor));
       page.jobs.filter(job => ENDED.includes(job.state)).forEach(job => chosen?.add(job.id));
       cursor = page.next_cursor;

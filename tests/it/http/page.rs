@@ -246,6 +246,7 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
         ("?points=5001", "/points"),
         ("?from_s=-1", "/from_s"),
         ("?from_s=2&to_s=1", "/to_s"),
+        ("?to_s=inf", "/to_s"),
     ] {
         let problem = server.get(&format!("{path}{query}")).problem(422, "invalid_input");
         assert_eq!(problem["pointer"], pointer);
