@@ -105,7 +105,7 @@ class Chart {
         const name = [many ? (PARTS[samples.channel] ?? (k => samples.low.length === 3 ? "xyz"[k] : String(k + 1)))(part) : "", good.length > 1 ? job.name : ""].filter(Boolean).join(" · ") || CURVES[samples.channel];
         const stroke = hues[(good.length > 1 && !many ? k : part) % hues.length];
         const line = { label: name, stroke, width: 1.5, spanGaps: true, points: { show: samples.time_s.length < 40 }, dash: many && k ? [6, 3 * k] : [] };
-        this.lines.push({ name, stroke, dashed: line.dash.length > 0, low, high: samples.high[part], time: samples.time_s });
+        this.lines.push({ name, stroke, dashed: line.dash.length > 0, low, high: samples.high[part], time: samples.time_s, end: samples.end_s ?? samples.time_s.at(-1) });
         if (log) {
           lines.push(low.map((x, i) => Math.max(Math.abs(x), Math.abs(samples.high[part][i])) || null));
           series.push(line);
@@ -153,7 +153,7 @@ class Chart {
       return;
     }
     const at = ({ time }) => { let [a, b] = [0, time.length - 1]; while (a < b) { const m = (a + b + 1) >> 1; if (time[m] <= t) a = m; else b = m - 1; } return a; };
-    const value = line => { const k = at(line); const [low, high] = [line.low[k], line.high[k]]; return `${line.name} ${low === high ? figure(low) : `${figure(low)} … ${figure(high)}`}`; };
+    const value = line => { const k = at(line); const [low, high] = [line.low[k], line.high[k]]; if (t > line.end) return `${line.name} has ended`; return `${line.name} ${low === high ? figure(low) : `${figure(low)} … ${figure(high)}`}`; };
     put(this.words, `t = ${figure(t)} s: ${this.lines.map(value).join(", ")}${this.unit ? ` ${this.unit}` : ""}`);
   }
 
