@@ -1,4 +1,5 @@
-//! Gauss collocation on unit quaternions, in canonical variables of T*S^3, for n = 3.
+//! Gauss collocation on unit quaternions, in canonical variables of T*S^3, for n = 3; its stages side by side in SIMD
+//! lanes.
 //!
 //! With `pi = 2 q mu` (mu as the quaternion (0, mu)) and H extended to all of T*R^4:
 //!
@@ -14,160 +15,146 @@
 //! T*S^3, and on SO(3). The quaternion form of the equations: Betsch and Siebert (2009), International Journal
 //! for Numerical Methods in Engineering 79.
 //!
-//! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
-//! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j (1/2 + s_ij)` and s skew to the last bit it is, however b
-//! and s are rounded. What rounding takes off the state is carried to the next step.
+//! mu is bilinear in q and pi, and of what is bilinear a Gauss method makes the quadrature of its rate at the stages
+//! (the same theorem). So the state is q and the body momentum p, and a step adds to each what is small:
 //!
-//! Invariant: symplectic, symmetric, order 2 s; |q| = 1 and q . pi = 0 to round-off, without projection.
+//! ```text
+//! q1 = q0 + q0 sum_k h b_k u_k Omega_k / 2            Q_k = q0 u_k
+//! p1 = p0 + sum_k h b_k (mu_k x Omega_k - tau_k)      tau = vee(dH/dg)
+//! ```
+//!
+//! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
+//! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j e_ij` and `e_ij + e_ji = 1` to the last bit it is, however b
+//! and e are rounded. What rounding takes off the state is carried to the next step, and the sweeps stop where what they
+//! leave is smaller than it.
+//!
+//! Invariant: symplectic, symmetric, order 2 s; |q| = 1 to round-off, without projection; the same bits on every
+//! instruction set.
 
-use nalgebra::{Matrix3, Quaternion, Vector3, Vector4};
+use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
+use nalgebra::Quaternion;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::lanes::{Rows, WIDTH};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
 use crate::so3::{self, Top};
+use crate::space::{Turn, Vec3, sum, vec3};
 use crate::stepper::Stepper;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper: a Gauss tableau, a stop rule and its scratch.
+mod stages;
+
+use stages::{End, LaneTableau, Stages, Start};
+
+/// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
+macro_rules! in_lanes {
+    ($work:ident, $level:expr, $count:expr, $start:expr, $stages:expr) => {
+        match ($level, $count) {
+            (Some(level), 1) => {
+                dispatch!(level, _simd => stages::$work(Rows([0.0; 1]), $start, $stages))
+            }
+            (Some(level), 2) => {
+                dispatch!(level, simd => stages::$work(f64x2::splat(simd, 0.0), $start, $stages))
+            }
+            (Some(level), 3 | 4) => {
+                dispatch!(level, simd => stages::$work(f64x4::splat(simd, 0.0), $start, $stages))
+            }
+            (Some(level), _) => {
+                dispatch!(level, simd => stages::$work(f64x8::splat(simd, 0.0), $start, $stages))
+            }
+            (None, 1) => stages::$work(Rows([0.0; 1]), $start, $stages),
+            (None, 2) => stages::$work(Rows([0.0; 2]), $start, $stages),
+            (None, 3) => stages::$work(Rows([0.0; 3]), $start, $stages),
+            (None, 4) => stages::$work(Rows([0.0; 4]), $start, $stages),
+            (None, _) => stages::$work(Rows([0.0; 8]), $start, $stages),
+        }
+    };
+}
+
+/// The stepper: a Gauss tableau in lanes, a stop rule, the state and the stages of the last step.
 #[derive(Clone, Debug)]
 pub struct QuaternionGauss {
     tableau: Tableau,
-    /// b.
-    weights: Vec<f64>,
-    /// `s_ij = a_ij / b_j - 1/2`, skew to the last bit.
-    skew: Vec<Vec<f64>>,
+    lanes: LaneTableau,
     stop: StopRule,
-    now: Point,
-    /// What is still to be added to `now`.
-    carry: Point,
-    stages: Vec<Stage>,
-    seen: Vec<Vector<3>>,
+    /// The instruction set; without one, one number at a time.
+    level: Option<Level>,
+    /// q, as (w, v).
+    attitude: Carried<4>,
+    /// p.
+    momentum: Carried<3>,
+    stages: Stages,
+    seen: Vec<Vec3<f64>>,
 }
 
-/// A point of T*R^4, or a change of one.
+/// A number of the state, and what rounding has taken off it.
 #[derive(Clone, Copy, Debug)]
-struct Point {
-    q: Quaternion<f64>,
-    pi: Quaternion<f64>,
+struct Carried<const K: usize> {
+    value: [f64; K],
+    carry: [f64; K],
 }
 
-const ZERO: Quaternion<f64> = Quaternion { coords: Vector4::new(0.0, 0.0, 0.0, 0.0) };
-
-#[derive(Clone, Copy, Debug)]
-struct Stage {
-    at: Point,
-    /// `h b_i (q', pi')`.
-    change: Point,
-}
-
-impl Point {
-    fn zero() -> Self {
-        Self { q: ZERO, pi: ZERO }
+impl<const K: usize> Carried<K> {
+    /// Begins with `value`, of which zeros lose their sign: a lane of no stage adds a zero of either.
+    fn new(value: [f64; K]) -> Self {
+        Self { value: value.map(|x| x + 0.0), carry: [0.0; K] }
     }
 
-    /// The body momentum.
-    fn momentum(&self) -> Vector3<f64> {
-        Vector3::from((self.q.conjugate() * self.pi).vector()) * 0.5
-    }
-
-    fn q_is_finite(&self) -> bool {
-        self.q.coords.iter().all(|x| x.is_finite())
+    /// With `change` and what was carried.
+    fn plus(&self, change: &[f64; K]) -> Self {
+        let mut next = *self;
+        for i in 0..K {
+            (next.value[i], next.carry[i]) = sum(self.value[i], change[i] + self.carry[i]);
+        }
+        next
     }
 
     fn is_finite(&self) -> bool {
-        self.q_is_finite() && self.pi.coords.iter().all(|x| x.is_finite())
+        self.value.iter().all(|x| x.is_finite())
     }
 }
 
 impl QuaternionGauss {
     /// A stepper with 1 to 8 stages that solves each step until `stop`; `None` for any other number.
     pub fn new(stages: usize, stop: StopRule) -> Option<Self> {
-        let stage = Stage { at: Point::zero(), change: Point::zero() };
-        let tableau = Tableau::gauss(stages)?;
-        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        let skew = (0..stages)
-            .map(|i| (0..stages).map(|j| 0.5 * (part(i, j) - part(j, i))).collect())
-            .collect();
+        let tableau = Tableau::gauss(stages).filter(|_| stages <= WIDTH)?;
         Some(Self {
-            weights: (0..stages).map(|j| tableau.b(j)).collect(),
+            lanes: LaneTableau::new(&tableau),
             tableau,
-            skew,
-            stop: stop.to_the_floor(),
-            now: Point { q: Quaternion::identity(), pi: ZERO },
-            carry: Point::zero(),
-            stages: vec![stage; stages],
+            // What a sweep leaves at this tolerance is a fiftieth of it, and the last pass a tenth of that: going on to the
+            // last digit changes the energy by no less. To spare a sweep that is foreseen saves nothing.
+            stop: StopRule { foresee: false, ..stop },
+            level: Some(Level::new()),
+            attitude: Carried::new([1.0, 0.0, 0.0, 0.0]),
+            momentum: Carried::new([0.0; 3]),
+            stages: Stages::blank(),
             seen: Vec::new(),
         })
     }
 
-    /// Starts the stages from the velocity at the beginning of the step, kept constant.
-    fn guess(&mut self, inverse: &Matrix3<f64>, h: f64) {
-        let mu = self.now.momentum();
-        let omega = inverse * mu;
-        for (i, stage) in self.stages.iter_mut().enumerate() {
-            let turn = Quaternion::from_parts(1.0, omega * (0.5 * h * self.tableau.c(i)));
-            let turn = turn.normalize();
-            stage.at = Point { q: self.now.q * turn, pi: self.now.pi * turn };
-            let half = so3::pure(&(omega * (0.5 * h * self.weights[i])));
-            stage.change = Point { q: stage.at.q * half, pi: stage.at.pi * half };
-        }
+    /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
+    pub fn on_level(self, level: Option<Level>) -> Self {
+        Self { level, ..self }
     }
-}
 
-/// One sweep over all stages, each variable from the newest of the others; returns the largest change of a
-/// stage relative to the largest momentum, or to |q| = 1.
-fn sweep(
-    (b, skew): (&[f64], &[Vec<f64>]),
-    body: &RigidBody<3>,
-    inverse: &Matrix3<f64>,
-    seen: &[Vector<3>],
-    h: f64,
-    (now, carry): (&Point, &Point),
-    stages: &mut [Stage],
-) -> f64 {
-    let s = stages.len();
-    let (mut turned, mut change, mut size) = (0.0_f64, 0.0_f64, now.pi.norm());
-    let middle = carry.q + stages.iter().fold(ZERO, |sum, stage| sum + stage.change.q) * 0.5;
-    for i in 0..s {
-        let sum = (0..s).fold(middle, |sum, j| sum + stages[j].change.q * skew[i][j]);
-        let q = now.q + sum;
-        turned = larger(turned, (q - stages[i].at.q).coords.amax());
-        stages[i].at.q = q;
+    fn quaternion(&self) -> Quaternion<f64> {
+        let [w, x, y, z] = self.attitude.value;
+        Quaternion::new(w, x, y, z)
     }
-    for (stage, b) in stages.iter_mut().zip(b) {
-        let Point { q, pi } = stage.at;
-        let omega = so3::pure(&(inverse * stage.at.momentum()));
-        let torque = so3::vector(&body.gradient(&so3::rotation(&q), seen));
-        let rate = pi * omega * 0.5 - q * so3::pure(&(torque * (2.0 / q.norm_squared())));
-        stage.change.pi = rate * (h * b);
-    }
-    let middle = carry.pi + stages.iter().fold(ZERO, |sum, stage| sum + stage.change.pi) * 0.5;
-    for i in 0..s {
-        let sum = (0..s).fold(middle, |sum, j| sum + stages[j].change.pi * skew[i][j]);
-        let pi = now.pi + sum;
-        change = larger(change, (pi - stages[i].at.pi).coords.amax());
-        size = larger(size, pi.norm());
-        stages[i].at.pi = pi;
-    }
-    for (stage, b) in stages.iter_mut().zip(b) {
-        let omega = so3::pure(&(inverse * stage.at.momentum()));
-        stage.change.q = stage.at.q * omega * (0.5 * h * b);
-    }
-    larger(turned, if change == 0.0 { 0.0 } else { change / size })
-}
 
-/// The larger of two sizes; unlike a plain maximum it keeps a NaN.
-fn larger(a: f64, b: f64) -> f64 {
-    if b <= a { a } else { b }
-}
-
-/// `at + change`, and what rounding left over.
-fn add(at: &Quaternion<f64>, change: &Quaternion<f64>) -> (Quaternion<f64>, Quaternion<f64>) {
-    let sum = at + change;
-    (sum, (at - sum) + change)
+    /// Refuses stages too close to a point of the potential.
+    fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+        let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
+        let turns = (0..self.tableau.stages()).map(|k| (k, self.stages.turn(k)));
+        // An iterate that is not finite has met nothing.
+        turns.filter(|(_, u)| u.coords.iter().all(|x| x.is_finite())).try_for_each(|(k, u)| {
+            body.check_distances(&so3::rotation(&u), &seen)
+                .map_err(|met| Failure { stage: Some(k), ..met })
+        })
+    }
 }
 
 impl Stepper<3> for QuaternionGauss {
@@ -176,47 +163,52 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn start(&mut self, state: &State<3>) {
-        let Top { attitude, momentum } = Top::from_state(state);
-        self.now = Point { q: attitude, pi: attitude * so3::pure(&momentum) * 2.0 };
-        self.carry = Point::zero();
+        let Top { attitude: q, momentum } = Top::from_state(state);
+        self.attitude = Carried::new([q.w, q.i, q.j, q.k]);
+        self.momentum = Carried::new(momentum.into());
     }
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
-        body.seen_from(&Mat::identity(), &mut self.seen);
-        let inverse = body.inverse_inertia();
-        self.guess(&inverse, h);
-        let Self { weights, skew, stop, now, carry, stages, seen, .. } = self;
+        let g = so3::rotation(&self.quaternion());
+        self.seen.clear();
+        self.seen.extend(body.space_vectors().map(|v| <[f64; 3]>::from(g.tr_mul(v))));
+        let Self { tableau, lanes, stop, level, momentum, stages, seen, .. } = self;
+        let (level, count) = (*level, tableau.stages());
+        let start = &Start::new(lanes, body, seen, h, momentum.value);
+        in_lanes!(guess, level, count, start, stages);
+        let mut torques = lanes.torques_of_guess();
         let solved = fixed_point(*stop, || {
             body.work().begin_sweep()?;
-            Ok(sweep((weights, skew), body, &inverse, seen, h, (now, carry), stages))
+            torques += 1;
+            Ok(in_lanes!(sweep, level, count, start, stages))
         });
-        // A charge met explains non-finite values and divergence better than they do; an iterate that is
-        // not finite itself has met nothing.
-        for (i, stage) in stages.iter().enumerate().filter(|(_, stage)| stage.at.q_is_finite()) {
-            body.check_distances(&so3::rotation(&stage.at.q), seen)
-                .map_err(|met| Failure { stage: Some(i), ..met })?;
+        let End { turn, gain } = in_lanes!(end, level, count, start, stages);
+        body.count(torques * count as u64);
+        // A charge met explains non-finite values and divergence better than they do. What is not a number is looked at,
+        // too.
+        if !(solved.is_ok() && self.stages.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH) {
+            self.check_distances(body)?;
         }
         let convergence = solved?;
-        let mut change = *carry;
-        for stage in stages.iter() {
-            change.q += stage.change.q;
-            change.pi += stage.change.pi;
-        }
-        let (q, q_left) = add(&now.q, &change.q);
-        let (pi, pi_left) = add(&now.pi, &change.pi);
-        let end = Point { q, pi };
-        if !end.is_finite() {
+        // What is carried turns along.
+        let of = |[w, x, y, z]: [f64; 4]| Turn { w, v: [x, y, z] };
+        let change = of(self.attitude.value).times(&turn);
+        let carried = of(self.attitude.carry).times(&turn);
+        let v = vec3!(i => change.v[i] + carried.v[i]);
+        let attitude = self.attitude.plus(&[change.w + carried.w, v[0], v[1], v[2]]);
+        let momentum = self.momentum.plus(&gain);
+        if !(attitude.is_finite() && momentum.is_finite()) {
             return Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX));
         }
-        (*now, *carry) = (end, Point { q: q_left, pi: pi_left });
+        (self.attitude, self.momentum) = (attitude, momentum);
         Ok(convergence)
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        Some(so3::rotation(&self.now.q))
+        Some(so3::rotation(&self.quaternion()))
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.now.momentum())
+        so3::skew(&self.momentum.value.into())
     }
 }
