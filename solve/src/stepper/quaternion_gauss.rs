@@ -124,8 +124,7 @@ impl QuaternionGauss {
         Some(Self {
             lanes: LaneTableau::new(&tableau),
             tableau,
-            // What a sweep leaves at this tolerance is a fiftieth of it, and the last pass a tenth of that: going on to the
-            // last digit changes the energy by no less. To spare a sweep that is foreseen saves nothing.
+            // On the dipole the energy moves no less with sweeps to the last digit; to foresee the last sweep saves nothing.
             stop: StopRule { foresee: false, ..stop },
             level: Some(Level::new()),
             attitude: Carried::new([1.0, 0.0, 0.0, 0.0]),
