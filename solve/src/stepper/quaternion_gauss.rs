@@ -16,12 +16,17 @@
 //! for Numerical Methods in Engineering 79.
 //!
 //! mu is bilinear in q and pi, and of what is bilinear a Gauss method makes the quadrature of its rate at the stages
-//! (the same theorem). So the state is q and the body momentum p, and a step adds to each what is small:
+//! (the same theorem). So is the momentum in space, m = vec(pi q*) / 2, the rate of which is -g(q / |q|) tau: with `q* q` in
+//! |q|^2 of the second equation the lengths of the stages cancel. So the state is q, m, and with many stages the body
+//! momentum p; a step adds to each what is small:
 //!
 //! ```text
 //! q1 = q0 + q0 sum_k h b_k u_k Omega_k / 2            Q_k = q0 u_k
-//! p1 = p0 + sum_k h b_k (mu_k x Omega_k - tau_k)      tau = vee(dH/dg)
+//! m1 = m0 - g0 sum_k h b_k g(u_k / |u_k|) tau_k       tau = vee(dH/dg)
+//! p1 = p0 + sum_k h b_k (mu_k x Omega_k - tau_k)      or g1^T m1, with up to four stages and of a free body
 //! ```
+//!
+//! VPD carries the same (`stepper/motion.rs`): in space the momentum is what torques make of it.
 //!
 //! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
 //! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j e_ij` and `e_ij + e_ji = 1` to the last bit it is, however b
@@ -39,15 +44,16 @@ use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Rows, WIDTH};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
-use crate::so3::{self, Top};
-use crate::space::{Turn, Vec3, sum, vec3};
+use crate::so3;
+use crate::space::{Turn, Vec3};
 use crate::stepper::Stepper;
+use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
 mod stages;
 
-use stages::{End, LaneTableau, Stages, Start};
+use stages::{End, FEW_STAGES, LaneTableau, Stages, Start};
 
 /// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
 macro_rules! in_lanes {
@@ -82,39 +88,9 @@ pub struct QuaternionGauss {
     stop: StopRule,
     /// The instruction set; without one, one number at a time.
     level: Option<Level>,
-    /// q, as (w, v).
-    attitude: Carried<4>,
-    /// p.
-    momentum: Carried<3>,
+    motion: Motion<f64>,
     stages: Stages,
     seen: Vec<Vec3<f64>>,
-}
-
-/// A number of the state, and what rounding has taken off it.
-#[derive(Clone, Copy, Debug)]
-struct Carried<const K: usize> {
-    value: [f64; K],
-    carry: [f64; K],
-}
-
-impl<const K: usize> Carried<K> {
-    /// Begins with `value`, of which zeros lose their sign: a lane of no stage adds a zero of either.
-    fn new(value: [f64; K]) -> Self {
-        Self { value: value.map(|x| x + 0.0), carry: [0.0; K] }
-    }
-
-    /// With `change` and what was carried.
-    fn plus(&self, change: &[f64; K]) -> Self {
-        let mut next = *self;
-        for i in 0..K {
-            (next.value[i], next.carry[i]) = sum(self.value[i], change[i] + self.carry[i]);
-        }
-        next
-    }
-
-    fn is_finite(&self) -> bool {
-        self.value.iter().all(|x| x.is_finite())
-    }
 }
 
 impl QuaternionGauss {
@@ -127,8 +103,7 @@ impl QuaternionGauss {
             // On the dipole the energy moves no less with sweeps to the last digit; to foresee the last sweep saves nothing.
             stop: StopRule { foresee: false, ..stop },
             level: Some(Level::new()),
-            attitude: Carried::new([1.0, 0.0, 0.0, 0.0]),
-            momentum: Carried::new([0.0; 3]),
+            motion: Motion::blank(0.0, 1.0),
             stages: Stages::blank(),
             seen: Vec::new(),
         })
@@ -137,11 +112,6 @@ impl QuaternionGauss {
     /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
     pub fn on_level(self, level: Option<Level>) -> Self {
         Self { level, ..self }
-    }
-
-    fn quaternion(&self) -> Quaternion<f64> {
-        let [w, x, y, z] = self.attitude.value;
-        Quaternion::new(w, x, y, z)
     }
 
     /// Refuses stages too close to a point of the potential.
@@ -162,18 +132,14 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn start(&mut self, state: &State<3>) {
-        let Top { attitude: q, momentum } = Top::from_state(state);
-        self.attitude = Carried::new([q.w, q.i, q.j, q.k]);
-        self.momentum = Carried::new(momentum.into());
+        self.motion = Motion::of(state);
     }
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
-        let g = so3::rotation(&self.quaternion());
-        self.seen.clear();
-        self.seen.extend(body.space_vectors().map(|v| <[f64; 3]>::from(g.tr_mul(v))));
-        let Self { tableau, lanes, stop, level, momentum, stages, seen, .. } = self;
+        let Self { tableau, lanes, stop, level, motion, stages, seen, .. } = self;
+        motion.look(0.0, body, seen);
         let (level, count) = (*level, tableau.stages());
-        let start = &Start::new(lanes, body, seen, h, momentum.value);
+        let start = &Start::new(lanes, body, seen, h, motion.body_momentum.value);
         in_lanes!(guess, level, count, start, stages);
         let mut torques = lanes.torques_of_guess();
         let solved = fixed_point(*stop, || {
@@ -181,7 +147,7 @@ impl Stepper<3> for QuaternionGauss {
             torques += 1;
             Ok(in_lanes!(sweep, level, count, start, stages))
         });
-        let End { turn, gain } = in_lanes!(end, level, count, start, stages);
+        let End { turn, kick, gain } = in_lanes!(end, level, count, start, stages);
         body.count(torques * count as u64);
         // A charge met explains non-finite values and divergence better than they do. What is not a number is looked at,
         // too.
@@ -189,25 +155,27 @@ impl Stepper<3> for QuaternionGauss {
             self.check_distances(body)?;
         }
         let convergence = solved?;
-        // What is carried turns along.
-        let of = |[w, x, y, z]: [f64; 4]| Turn { w, v: [x, y, z] };
-        let change = of(self.attitude.value).times(&turn);
-        let carried = of(self.attitude.carry).times(&turn);
-        let v = vec3!(i => change.v[i] + carried.v[i]);
-        let attitude = self.attitude.plus(&[change.w + carried.w, v[0], v[1], v[2]]);
-        let momentum = self.momentum.plus(&gain);
-        if !(attitude.is_finite() && momentum.is_finite()) {
+        let mut motion = self.motion;
+        motion.advance(0.0, &turn, &kick);
+        // As in VPD: a free body has the one in space to the bit.
+        if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
+            motion.gain(&gain);
+        } else {
+            motion.turn_momentum(0.0);
+        }
+        if !motion.is_finite() {
             return Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX));
         }
-        (self.attitude, self.momentum) = (attitude, momentum);
+        self.motion = motion;
         Ok(convergence)
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        Some(so3::rotation(&self.quaternion()))
+        let Turn { w, v: [x, y, z] } = self.motion.turn();
+        Some(so3::rotation(&Quaternion::new(w, x, y, z)))
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.momentum.value.into())
+        so3::skew(&self.motion.body_momentum.value.into())
     }
 }

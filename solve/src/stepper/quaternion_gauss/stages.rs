@@ -18,13 +18,13 @@ use nalgebra::Quaternion;
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{self, Real, Row, WIDTH};
 use crate::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, plus, scaled, symmetric_product, vec3,
-    with_one,
+    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, plus, product, scaled, symmetric_product,
+    vec3, with_one,
 };
 use crate::tableau::Tableau;
 
 /// Up to here stages are few: their steps are small, and need fewer rounds and passes.
-const FEW_STAGES: usize = 4;
+pub(super) const FEW_STAGES: usize = 4;
 /// So many rounds of the guess take the same torque.
 const TORQUE_EVERY: u32 = 3;
 /// What |u|^2 may differ from one after the last of them.
@@ -147,8 +147,10 @@ impl Stages {
 
 /// Where a step leads to.
 pub(super) struct End {
-    /// `q0* q1 - 1`
+    /// `q0* q1`
     pub(super) turn: Turn<f64>,
+    /// What the momentum in space changes by, in the frame of q0.
+    pub(super) kick: Vec3<f64>,
     /// `p1 - p0`
     pub(super) gain: Vec3<f64>,
 }
@@ -230,12 +232,18 @@ impl<'a, R: Lanes> Given<'a, R> {
     /// tau, the nearness and 1 / |u|^2.
     #[inline(always)]
     fn torque(&self, x: &Turn<R>) -> (Vec3<R>, R, R) {
+        let (u, shrink) = self.rotation(x);
+        let (torque, nearness) = self.start.body.torque(&u, self.start.seen);
+        (torque, nearness, shrink)
+    }
+
+    /// That of u / |u|, and 1 / |u|^2.
+    #[inline(always)]
+    fn rotation(&self, x: &Turn<R>) -> (Mat3<R>, R) {
         let u = Turn { w: x.w + 1.0, v: x.v };
         let shrink = x.w.constant(1.0) / u.square();
         let change = u.change();
-        let u: Mat3<R> = mat3!(i, j => change[i][j] * shrink);
-        let (torque, nearness) = self.start.body.torque(&with_one(&u), self.start.seen);
-        (torque, nearness, shrink)
+        (with_one(&mat3!(i, j => change[i][j] * shrink)), shrink)
     }
 }
 
@@ -311,14 +319,19 @@ pub(super) fn sweep<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -
 pub(super) fn end<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -> End {
     let given = Given::new(like, start);
     let push: Vec3<R> = vec3!(i => like.load(&stages.push[i]));
-    let (x, d) = given.pass(&load(like, &stages.x), &load(like, &stages.d), &push);
+    let old_x = load(like, &stages.x);
+    let (x, d) = given.pass(&old_x, &load(like, &stages.d), &push);
     let mu = given.body_momentum(&x, &d);
     let omega = given.velocity(&mu);
     let w = given.turning(&x, &scaled(&omega, given.weight * 0.5));
     let turned = cross(&mu, &omega);
-    let rate: Vec3<R> = vec3!(i => turned[i] - like.load(&stages.torque[i]));
+    let torque: Vec3<R> = vec3!(i => like.load(&stages.torque[i]));
+    let rate = minus(&turned, &torque);
+    // In the frame of q0, by the matrices that the torques are of: what a potential leaves alone in space stays as it is.
+    let pushed = product(&given.rotation(&old_x).0, &torque);
     End {
-        turn: Turn { w: w.w.sum(), v: vec3!(i => w.v[i].sum()) },
+        turn: Turn { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
+        kick: vec3!(i => -(given.weight * pushed[i]).sum()),
         gain: vec3!(i => (given.weight * rate[i]).sum()),
     }
 }

@@ -1,12 +1,15 @@
 //! What is carried from step to step: attitude and momentum, and what rounding has taken off each.
 //!
-//! Written for one body and for members side by side: `P` is a number in memory, or one for each member.
+//! Both VPD and Gauss collocation on quaternions carry it. Written for one body and for members side by side: `P` is a number
+//! in memory, or one for each member.
 //!
 //! Invariant: in space the momentum is what torques make of it and nothing else.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
-use crate::space::{Turn, Vec3, cross, dot, minus, product, scaled, sum, transposed_product, vec3};
+use crate::so3::Top;
+use crate::space::{Turn, Vec3, cross, dot, mat3, product, scaled, sum, transposed_product, vec3};
+use crate::trajectory::State;
 
 /// A sum, and what rounding has taken off it.
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +66,7 @@ impl<P: Copy> Motion<P> {
         body: &RigidBody<3>,
         seen: &mut Vec<Vec3<P>>,
     ) {
-        let g = load_turn(like, &self.attitude.value).matrix();
+        let g = load_turn(like, &self.attitude.value).rotation();
         seen.clear();
         for v in body.space_vectors() {
             let v = transposed_product(&g, &vec3!(i => like.constant(v[i])));
@@ -80,7 +83,7 @@ impl<P: Copy> Motion<P> {
     #[inline(always)]
     pub(super) fn advance<W: Whole<Plain = P>>(&mut self, like: W, end: &Turn<P>, kick: &Vec3<P>) {
         let start = load_turn(like, &self.attitude.value);
-        self.momentum.add(&product(&start.matrix(), &vec3!(i => like.load(&kick[i]))));
+        self.momentum.add(&product(&start.rotation(), &vec3!(i => like.load(&kick[i]))));
         // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
         let w = like.load(&end.w);
         let one = like.constant(1.0);
@@ -103,7 +106,7 @@ impl<P: Copy> Motion<P> {
     /// The momentum in the body is that in space, seen from it: `g^T pi`.
     #[inline(always)]
     pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, like: W) {
-        let g = load_turn(like, &self.attitude.value).matrix();
+        let g = load_turn(like, &self.attitude.value).rotation();
         let seen = transposed_product(&g, &vec3!(i => like.load(&self.momentum.value[i])));
         for i in 0..3 {
             seen[i].store(&mut self.body_momentum.value[i]);
@@ -112,28 +115,57 @@ impl<P: Copy> Motion<P> {
 }
 
 impl Motion<f64> {
+    /// Begins at `state`.
+    pub(super) fn of(state: &State<3>) -> Self {
+        let Top { attitude: q, momentum } = Top::from_state(state);
+        let g = mat3!(i, j => state.attitude[(i, j)]);
+        let begun = |numbers| Sum::new(unsigned_zeros(numbers), 0.0);
+        Self {
+            attitude: Sum::new(unsigned_zeros([q.w, q.i, q.j, q.k]), 0.0),
+            momentum: begun(product(&g, &momentum.into())),
+            body_momentum: begun(momentum.into()),
+        }
+    }
+
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { attitude, momentum, body_momentum } = self;
+        let numbers = attitude.value.iter().chain(&momentum.value).chain(&body_momentum.value);
+        numbers.into_iter().all(|x| x.is_finite())
+    }
+
     pub(super) fn turn(&self) -> Turn<f64> {
         load_turn(0.0, &self.attitude.value)
     }
 
-    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
-    /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
-    /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
-    /// The length of both is that of the momentum in space.
+    /// The momentum in the body gains `gain`. Rounding must not part it from that in space, which nothing but torques
+    /// changes: by what they differ, all carries included,
+    ///
+    /// ```text
+    /// d = (p + dp) - (g + dg)^T (pi + dpi) = (p - g^T pi) + (dp - g^T dpi) + theta x g^T pi          dg = g hat(theta)
+    /// ```
+    ///
+    /// p takes the length of pi, and the attitude is turned, for the direction of p is the more precise: `g <- g (I +
+    /// hat(phi))` with `phi = d x p / |p|^2`, and less where the step has added more than there is.
     pub(super) fn gain(&mut self, gain: &Vec3<f64>) {
         self.body_momentum.add(gain);
         let now = self.turn();
-        let seen = transposed_product(&now.matrix(), &self.momentum.value);
+        let g = now.rotation();
+        let seen = transposed_product(&g, &self.momentum.value);
+        let seen_carry = transposed_product(&g, &self.momentum.carry);
+        let [w, v @ ..] = self.attitude.carry;
+        let back = Turn { w: now.w, v: scaled(&now.v, -1.0) };
+        let theta = scaled(&back.times(&Turn { w, v }).v, 2.0);
+        let turned = cross(&theta, &seen);
         let Sum { value, carry } = &mut self.body_momentum;
-        let square = dot(value, value);
-        let deficit = if square > 0.0 { 0.5 * (dot(&seen, &seen) / square - 1.0) } else { 0.0 };
+        let d = vec3!(i => (value[i] - seen[i]) + ((carry[i] - seen_carry[i]) + turned[i]));
+        let square = dot(&seen, &seen);
+        let along = if square > 0.0 { dot(&d, &seen) / square } else { 0.0 };
         for (carry, p) in carry.iter_mut().zip(&*value) {
-            *carry += deficit * p;
+            *carry -= along * p;
         }
-        let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
-        let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);
+        let scale = 0.5 / (square + dot(gain, gain)).max(f64::MIN_POSITIVE);
         // Next to nothing: it is added at the next step.
-        let Turn { w, v: [x, y, z] } = now.rate(&half);
+        let Turn { w, v: [x, y, z] } = now.rate(&scaled(&cross(&d, &seen), scale));
         for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
             *carry += change;
         }
@@ -174,6 +206,11 @@ impl<const K: usize> Sum<Row, K> {
             carry: self.carry.each_ref().map(|row| row[lane]),
         }
     }
+}
+
+/// Without the sign of zeros: a lane of no stage adds a zero of either sign. What is summed to these has none, either.
+pub(super) fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
+    numbers.map(|x| x + 0.0)
 }
 
 #[inline(always)]
