@@ -358,6 +358,9 @@ fn energy(name: &str, stepper: &mut dyn Stepper<3>, h: f64) {
     ));
 }
 
+/// A method, its stepper, the steps, the error, the time and the sweeps.
+type Row = (&'static str, Box<dyn Stepper<3>>, usize, f64, f64, f64);
+
 /// Eight stages in lanes at an error of 1e-10 at t = 50: which step gets there, and its time.
 fn at_equal_error() {
     say("\n## Eight stages: error at t = 50 and time (us for a unit of time)\n");
@@ -368,9 +371,9 @@ fn at_equal_error() {
     say("| method | steps | h | error | us | ns a step | sweeps |\n|---|---|---|---|---|---|---|");
     let scene = dipole();
     let reference = known("/as_doubles/points/50");
-    let mut rows: Vec<(&str, Box<dyn Stepper<3>>, usize, f64, f64, f64)> = Vec::new();
+    let mut rows: Vec<Row> = Vec::new();
     for steps in [180, 190, 200, 210, 220, 230, 240, 250, 260, 280, 300, 340, 400] {
-        let pair: [(&str, Box<dyn Stepper<3>>); 2] = [
+        let pair: [(&'static str, Box<dyn Stepper<3>>); 2] = [
             ("vpd", Box::new(in_lanes(8, Rungs::Both))),
             ("quaternion_gauss", Box::new(on_quaternions(8))),
         ];

@@ -245,16 +245,6 @@ impl<T: Real> Turn<T> {
         with_one(&self.change())
     }
 
-    /// The rotation matrix of `q / |q|` for a length that rounding has taken off one: the matrix of q itself would stretch, and
-    /// the energy of a run lean.
-    #[inline(always)]
-    pub fn rotation(&self) -> Mat3<T> {
-        // 1 / (1 + e) = 1 - e
-        let shrink = -self.square() + 2.0;
-        let change = self.change();
-        with_one(&mat3!(i, j => change[i][j] * shrink))
-    }
-
     /// The rotation matrix less one, without cancellation.
     #[inline(always)]
     pub fn change(&self) -> Mat3<T> {

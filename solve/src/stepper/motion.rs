@@ -8,7 +8,9 @@
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
 use crate::so3::Top;
-use crate::space::{Turn, Vec3, cross, dot, mat3, product, scaled, sum, transposed_product, vec3};
+use crate::space::{
+    Turn, Vec3, cross, dot, mat3, minus, product, scaled, sum, transposed_product, vec3,
+};
 use crate::trajectory::State;
 
 /// A sum, and what rounding has taken off it.
@@ -66,7 +68,7 @@ impl<P: Copy> Motion<P> {
         body: &RigidBody<3>,
         seen: &mut Vec<Vec3<P>>,
     ) {
-        let g = load_turn(like, &self.attitude.value).rotation();
+        let g = load_turn(like, &self.attitude.value).matrix();
         seen.clear();
         for v in body.space_vectors() {
             let v = transposed_product(&g, &vec3!(i => like.constant(v[i])));
@@ -83,7 +85,7 @@ impl<P: Copy> Motion<P> {
     #[inline(always)]
     pub(super) fn advance<W: Whole<Plain = P>>(&mut self, like: W, end: &Turn<P>, kick: &Vec3<P>) {
         let start = load_turn(like, &self.attitude.value);
-        self.momentum.add(&product(&start.rotation(), &vec3!(i => like.load(&kick[i]))));
+        self.momentum.add(&product(&start.matrix(), &vec3!(i => like.load(&kick[i]))));
         // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
         let w = like.load(&end.w);
         let one = like.constant(1.0);
@@ -106,7 +108,7 @@ impl<P: Copy> Motion<P> {
     /// The momentum in the body is that in space, seen from it: `g^T pi`.
     #[inline(always)]
     pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, like: W) {
-        let g = load_turn(like, &self.attitude.value).rotation();
+        let g = load_turn(like, &self.attitude.value).matrix();
         let seen = transposed_product(&g, &vec3!(i => like.load(&self.momentum.value[i])));
         for i in 0..3 {
             seen[i].store(&mut self.body_momentum.value[i]);
@@ -137,35 +139,24 @@ impl Motion<f64> {
         load_turn(0.0, &self.attitude.value)
     }
 
-    /// The momentum in the body gains `gain`. Rounding must not part it from that in space, which nothing but torques
-    /// changes: by what they differ, all carries included,
-    ///
-    /// ```text
-    /// d = (p + dp) - (g + dg)^T (pi + dpi) = (p - g^T pi) + (dp - g^T dpi) + theta x g^T pi          dg = g hat(theta)
-    /// ```
-    ///
-    /// p takes the length of pi, and the attitude is turned, for the direction of p is the more precise: `g <- g (I +
-    /// hat(phi))` with `phi = d x p / |p|^2`, and less where the step has added more than there is.
+    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
+    /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
+    /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
+    /// The length of both is that of the momentum in space.
     pub(super) fn gain(&mut self, gain: &Vec3<f64>) {
         self.body_momentum.add(gain);
         let now = self.turn();
-        let g = now.rotation();
-        let seen = transposed_product(&g, &self.momentum.value);
-        let seen_carry = transposed_product(&g, &self.momentum.carry);
-        let [w, v @ ..] = self.attitude.carry;
-        let back = Turn { w: now.w, v: scaled(&now.v, -1.0) };
-        let theta = scaled(&back.times(&Turn { w, v }).v, 2.0);
-        let turned = cross(&theta, &seen);
+        let seen = transposed_product(&now.matrix(), &self.momentum.value);
         let Sum { value, carry } = &mut self.body_momentum;
-        let d = vec3!(i => (value[i] - seen[i]) + ((carry[i] - seen_carry[i]) + turned[i]));
-        let square = dot(&seen, &seen);
-        let along = if square > 0.0 { dot(&d, &seen) / square } else { 0.0 };
+        let square = dot(value, value);
+        let deficit = if square > 0.0 { 0.5 * (dot(&seen, &seen) / square - 1.0) } else { 0.0 };
         for (carry, p) in carry.iter_mut().zip(&*value) {
-            *carry -= along * p;
+            *carry += deficit * p;
         }
-        let scale = 0.5 / (square + dot(gain, gain)).max(f64::MIN_POSITIVE);
+        let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
+        let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);
         // Next to nothing: it is added at the next step.
-        let Turn { w, v: [x, y, z] } = now.rate(&scaled(&cross(&d, &seen), scale));
+        let Turn { w, v: [x, y, z] } = now.rate(&half);
         for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
             *carry += change;
         }
