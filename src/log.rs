@@ -2,7 +2,7 @@
 //!
 //! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
 //! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
-//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing, [`course`] keeps what charts show. [`resume`] resumes a
+//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing, [`samples`] a quantity over time, [`course`] keeps what charts show. [`resume`] resumes a
 //! log that was interrupted.
 //!
 //! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named `.mcap.part`, and each of
@@ -18,6 +18,7 @@ pub mod messages;
 mod part;
 pub mod reader;
 pub mod resume;
+pub mod samples;
 pub mod scene;
 pub mod schema;
 pub mod stretch;

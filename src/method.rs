@@ -239,7 +239,7 @@ impl Integrator {
             },
             Self::QuaternionGauss => Facts {
                 takes: Takes::Gauss, symplectic: true, three: true, free: false, newton: false,
-                lanes: false, plane: false, sweeps: [5.0, 5.0], family: 2,
+                lanes: true, plane: false, sweeps: [5.0, 5.0], family: 2,
                 charted: &[T(Gauss4), T(Gauss8)],
                 mapped: &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss8)], solvers: false,
                 tried: (3, GAUSS),

@@ -31,6 +31,9 @@ pub use crate::method::{MethodName, TableauName};
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct Scenario {
+    /// Where an editor finds the JSON Schema of scenarios; nothing here looks there.
+    #[serde(rename = "$schema", default, skip_serializing)]
+    pub(crate) schema: SchemaAddress,
     /// A short name: 1 to 200 bytes, printable.
     pub name: String,
     /// What the scene shows.
@@ -64,6 +67,10 @@ pub struct Scenario {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect: Option<Expect>,
 }
+
+/// An address that is read and forgotten.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct SchemaAddress;
 
 /// An accuracy in the place of a method and a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -400,6 +407,7 @@ impl Scenario {
         steps: u64,
     ) -> Result<Self, ScenarioError> {
         let scenario = Self {
+            schema: SchemaAddress,
             name: name.into(),
             description: String::new(),
             scene,

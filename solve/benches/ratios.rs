@@ -13,6 +13,7 @@ use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
@@ -320,32 +321,91 @@ fn free_body<const N: usize>(stages: usize, h: f64, mut steppers: [&mut dyn Step
     ));
 }
 
-/// The energy of the most accurate runs.
+fn on_quaternions(stages: usize) -> QuaternionGauss {
+    QuaternionGauss::new(stages, StopRule::default()).expect("1 to 8 stages")
+}
+
+/// The most accurate runs: what an error costs, and the energy.
 fn long_run() {
+    at_equal_error();
     say("\n## Energy over 1,000,000 steps, looked at after each\n");
     say(
-        "| tableau | h | largest error, 1e5 steps | 1e6 steps | at the end | sweeps a step |\n|---|---|---|---|---|---|",
+        "| method | h | largest error, 1e5 steps | 1e6 steps | at the end | sweeps a step |\n|---|---|---|---|---|---|",
     );
-    let (body, start) = dipole();
     for (stages, h) in [(6, 0.1), (8, 0.1), (8, 0.2)] {
-        let mut stepper = in_lanes(stages, Rungs::Both);
-        stepper.start(&start);
-        let initial = body.energy(&start.attitude, &start.momentum).total();
-        let (mut largest, mut early, mut last, mut sweeps) = (0.0_f64, 0.0, 0.0, 0_u64);
-        for step in 1..=1_000_000 {
-            sweeps += u64::from(stepper.step(&body, h).expect("solvable").iterations);
-            let attitude = stepper.attitude().expect("an attitude");
-            last = body.energy(&attitude, &stepper.momentum()).total() - initial;
-            largest = largest.max(last.abs());
-            if step == 100_000 {
-                early = largest;
+        energy(&format!("vpd gauss{stages}"), &mut in_lanes(stages, Rungs::Both), h);
+        energy(&format!("quaternion_gauss gauss{stages}"), &mut on_quaternions(stages), h);
+    }
+}
+
+fn energy(name: &str, stepper: &mut dyn Stepper<3>, h: f64) {
+    let (body, start) = dipole();
+    stepper.start(&start);
+    let initial = body.energy(&start.attitude, &start.momentum).total();
+    let (mut largest, mut early, mut last, mut sweeps) = (0.0_f64, 0.0, 0.0, 0_u64);
+    for step in 1..=1_000_000 {
+        sweeps += u64::from(stepper.step(&body, h).expect("solvable").iterations);
+        let attitude = stepper.attitude().expect("an attitude");
+        last = body.energy(&attitude, &stepper.momentum()).total() - initial;
+        largest = largest.max(last.abs());
+        if step == 100_000 {
+            early = largest;
+        }
+    }
+    say(&format!(
+        "| {name} | {h} | {early:.1e} | {largest:.1e} | {last:.1e} | {:.2} |",
+        sweeps as f64 / 1e6
+    ));
+}
+
+/// A method, its stepper, the steps, the error, the time and the sweeps.
+type Row = (&'static str, Box<dyn Stepper<3>>, usize, f64, f64, f64);
+
+/// Eight stages in lanes at an error of 1e-10 at t = 50: which step gets there, and its time.
+fn at_equal_error() {
+    say("\n## Eight stages: error at t = 50 and time (us for a unit of time)\n");
+    say(
+        "The error is the median of 41 runs, of twenty steps fewer to twenty steps more: rounding grows a million times. The \
+         ratio is that of the cheapest rows with at most 1e-10.\n",
+    );
+    say("| method | steps | h | error | us | ns a step | sweeps |\n|---|---|---|---|---|---|---|");
+    let scene = dipole();
+    let reference = known("/as_doubles/points/50");
+    let mut rows: Vec<Row> = Vec::new();
+    for steps in [180, 190, 200, 210, 220, 230, 240, 250, 260, 280, 300, 340, 400] {
+        let pair: [(&'static str, Box<dyn Stepper<3>>); 2] = [
+            ("vpd", Box::new(in_lanes(8, Rungs::Both))),
+            ("quaternion_gauss", Box::new(on_quaternions(8))),
+        ];
+        for (name, mut stepper) in pair {
+            let run = |count: usize| end(stepper.as_mut(), &scene, 50.0 / count as f64, count);
+            let ends: Vec<_> = (steps - 20..=steps + 20).filter_map(run).collect();
+            let mut errors: Vec<f64> =
+                ends.iter().map(|(state, _)| difference(state, &reference)).collect();
+            errors.sort_by(f64::total_cmp);
+            if errors.len() == 41 {
+                rows.push((name, stepper, steps, errors[20], f64::INFINITY, ends[20].1));
             }
         }
+    }
+    for _ in 0..40 {
+        for (_, stepper, steps, _, us, _) in &mut rows {
+            let once = seconds(stepper.as_mut(), &scene, 50.0 / *steps as f64, *steps);
+            *us = us.min(once * 1e6 / 50.0);
+        }
+    }
+    for (name, _, steps, error, us, sweeps) in &rows {
+        let (h, ns) = (50.0 / *steps as f64, us * 5e4 / *steps as f64);
         say(&format!(
-            "| gauss{stages} | {h} | {early:.1e} | {largest:.1e} | {last:.1e} | {:.2} |",
-            sweeps as f64 / 1e6
+            "| {name} | {steps} | {h:.4} | {error:.1e} | {us:.2} | {ns:.0} | {sweeps:.2} |"
         ));
     }
+    let cheapest = |of: &str| {
+        let reaching = rows.iter().filter(|(name, _, _, error, ..)| *name == of && *error <= 1e-10);
+        reaching.map(|row| row.4).fold(f64::INFINITY, f64::min)
+    };
+    let (ours, theirs) = (cheapest("vpd"), cheapest("quaternion_gauss"));
+    say(&format!("\nvpd {ours:.2}, quaternion_gauss {theirs:.2}: ratio {:.2}", ours / theirs));
 }
 
 /// Eight members that begin about where the dipole does.

@@ -10,6 +10,7 @@ use super::so::Mat;
 use super::trajectory::State;
 
 mod galerkin;
+mod motion;
 pub mod vpd;
 pub mod vpd_lagrangian;
 pub mod vpd_reduced;

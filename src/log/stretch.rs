@@ -33,6 +33,10 @@ pub struct Stretch {
     pub time_s: Vec<f64>,
     /// The n x n matrix from body to space coordinates of each sample, row by row.
     pub attitude: Vec<Vec<f64>>,
+    /// Angular momentum in body coordinates of each sample, in kg m^2/s, ordered as in the log.
+    pub body_momentum: Vec<Vec<f64>>,
+    /// Angular velocity in body coordinates of each sample, in rad/s; empty where the inertia is unknown.
+    pub angular_velocity: Vec<Vec<f64>>,
     /// Time of the last sample of the log in seconds; absent while it is being written.
     pub end_s: Option<f64>,
     /// What viewers draw; empty unless n = 3.
@@ -65,22 +69,33 @@ pub struct Shape {
     pub color: [f64; 4],
 }
 
-/// Reads at most `samples` attitudes from `from_s` seconds on; from the start if the log is unfinished.
+/// What is wanted of a log.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wanted {
+    /// Time of the first attitude in seconds, of a finished log.
+    pub from_s: f64,
+    /// The least time between two attitudes in seconds.
+    pub every_s: f64,
+    /// Attitudes, at most.
+    pub samples: usize,
+}
+
+/// Reads attitudes from a time on; from the start if the log is unfinished.
 ///
 /// # Errors
 /// If the file cannot be read, or its index is damaged.
-pub fn read_stretch(path: &Path, from_s: f64, samples: usize) -> Result<Stretch, LogError> {
+pub fn read_stretch(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
     let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
     let damaged = |source| LogError::mcap(path, "read", source);
     match summary(&mut file) {
-        Ok(Some(summary)) => finished(&mut file, &summary, from_s, samples).map_err(damaged),
+        Ok(Some(summary)) => finished(&mut file, &summary, wanted).map_err(damaged),
         // A log that grows ends nowhere in particular: what its end looks like means nothing.
-        Ok(None) | Err(_) => beginning(path, samples),
+        Ok(None) | Err(_) => beginning(path, wanted),
     }
 }
 
 /// The index at the end of a finished log.
-fn summary(file: &mut File) -> Result<Option<Summary>, McapError> {
+pub(super) fn summary(file: &mut File) -> Result<Option<Summary>, McapError> {
     let options = SummaryReaderOptions::default()
         .with_file_size(file.metadata()?.len())
         .with_record_length_limit(MAX_CHUNK_BYTES as usize);
@@ -97,34 +112,41 @@ fn summary(file: &mut File) -> Result<Option<Summary>, McapError> {
     Ok(reader.finish())
 }
 
-fn finished(
-    file: &mut File,
-    summary: &Summary,
-    from_s: f64,
-    samples: usize,
-) -> Result<Stretch, McapError> {
-    let mut stretch = Stretch::default();
+/// The log times of the first and of the last message.
+pub(super) fn start_and_end(summary: &Summary) -> (u64, u64) {
     let times = summary.stats.as_ref();
-    let (start_ns, end_ns) = times.map_or((0, 0), |s| (s.message_start_time, s.message_end_time));
-    stretch.end_s = Some((end_ns - start_ns.min(end_ns)) as f64 * 1e-9);
+    let (start, end) = times.map_or((0, 0), |s| (s.message_start_time, s.message_end_time));
+    (start.min(end), end)
+}
+
+fn finished(file: &mut File, summary: &Summary, wanted: Wanted) -> Result<Stretch, McapError> {
+    let mut stretch = Stretch::default();
+    let (start_ns, end_ns) = start_and_end(summary);
+    stretch.end_s = Some((end_ns - start_ns) as f64 * 1e-9);
     let scene = [Channel::SceneBody.topic(), Channel::SceneSources.topic()];
-    messages(file, summary, &scene, start_ns, |data| {
+    messages(file, summary, &scene, start_ns, |_, data| {
         stretch.draw(data);
         ControlFlow::Continue(())
     })?;
-    let from_ns = start_ns.saturating_add((from_s.max(0.0) * 1e9) as u64);
-    messages(file, summary, &[Channel::State.topic()], from_ns, |data| stretch.add(data, samples))?;
+    let from_ns = start_ns.saturating_add((wanted.from_s.max(0.0) * 1e9) as u64);
+    messages(file, summary, &[Channel::State.topic()], from_ns, |_, data| {
+        stretch.add(data, wanted)
+    })?;
     Ok(stretch)
 }
 
-/// Shows the messages of some topics from a time on, chunk by chunk, until `visit` has enough.
-fn messages(
+/// Shows the messages of some topics from a time on with their log times, chunk by chunk, until `visit` has enough.
+pub(super) fn messages(
     file: &mut File,
     summary: &Summary,
     topics: &[&str],
     from_ns: u64,
-    mut visit: impl FnMut(&[u8]) -> ControlFlow<()>,
+    mut visit: impl FnMut(u64, &[u8]) -> ControlFlow<()>,
 ) -> Result<(), McapError> {
+    // To the reader no topic is every topic.
+    if !summary.channels.values().any(|channel| topics.contains(&channel.topic.as_str())) {
+        return Ok(());
+    }
     let options = IndexedReaderOptions::default()
         .with_order(ReadOrder::File)
         .include_topics(topics.iter().copied())
@@ -140,8 +162,8 @@ fn messages(
                 file.read_exact(&mut chunk)?;
                 reader.insert_chunk_record_data(offset, &chunk)?;
             }
-            IndexedReadEvent::Message { data, .. } => {
-                if visit(data).is_break() {
+            IndexedReadEvent::Message { header, data } => {
+                if visit(header.log_time, data).is_break() {
                     break;
                 }
             }
@@ -151,12 +173,12 @@ fn messages(
 }
 
 /// The first samples of a log that is being written.
-fn beginning(path: &Path, samples: usize) -> Result<Stretch, LogError> {
+fn beginning(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
     let mut stretch = Stretch::default();
     reader::read(path, |item| {
         let Item::Message { topic, data, .. } = item else { return ControlFlow::Continue(()) };
         match Channel::from_topic(topic) {
-            Some(Channel::State) => return stretch.add(data, samples),
+            Some(Channel::State) => return stretch.add(data, wanted),
             Some(Channel::SceneBody | Channel::SceneSources) => stretch.draw(data),
             _ => {}
         }
@@ -167,11 +189,16 @@ fn beginning(path: &Path, samples: usize) -> Result<Stretch, LogError> {
 
 impl Stretch {
     /// Takes a message of `/state`, until there are enough; a state without attitude ends the stretch.
-    fn add(&mut self, data: &[u8], samples: usize) -> ControlFlow<()> {
+    fn add(&mut self, data: &[u8], wanted: Wanted) -> ControlFlow<()> {
+        // Times that differ by rounding are the same.
+        let next_s = self.time_s.last().map_or(0.0, |last| last + wanted.every_s * (1.0 - 1e-9));
         match State::decode(data) {
-            Ok(state) if !state.attitude.is_empty() && self.time_s.len() < samples => {
-                self.time_s.push(state.time_s);
-                self.attitude.push(state.attitude);
+            Ok(state) if !state.attitude.is_empty() && self.time_s.len() < wanted.samples => {
+                if self.time_s.is_empty() || state.time_s >= next_s {
+                    self.time_s.push(state.time_s);
+                    self.attitude.push(state.attitude);
+                    self.body_momentum.push(state.body_momentum);
+                }
                 ControlFlow::Continue(())
             }
             _ => ControlFlow::Break(()),

@@ -4,8 +4,10 @@
 //! first, so that the second, typed pass can choose the variant of a potential term before its fields and
 //! still know where it is.
 
+use std::borrow::Cow;
 use std::fmt;
 
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::DeserializeOwned;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{self, DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -15,8 +17,8 @@ use serde_path_to_error::{Path, Segment};
 
 use super::term::Kind;
 use super::{
-    Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, TableauChoice,
-    TableauName,
+    Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, SchemaAddress,
+    TableauChoice, TableauName,
 };
 
 /// Reads a scenario from JSON text.
@@ -205,6 +207,26 @@ impl<'de> DeserializeSeed<'de> for Unique<'_> {
             return Err(de::Error::custom(format!("duplicate key `{}`", self.key)));
         }
         Tree::deserialize(deserializer).map(|Tree(value)| value)
+    }
+}
+
+impl<'de> Deserialize<'de> for SchemaAddress {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        String::deserialize(deserializer).map(|_| Self)
+    }
+}
+
+impl JsonSchema for SchemaAddress {
+    fn schema_name() -> Cow<'static, str> {
+        "SchemaAddress".into()
+    }
+
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        String::json_schema(generator)
     }
 }
 

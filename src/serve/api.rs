@@ -31,6 +31,7 @@ use super::problem::{self, Problem};
 use super::studies::{Request as StudyRequest, Studies, StudyList, StudyView};
 use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, metrics};
+use crate::log::samples::{Curve, Samples};
 use crate::log::stretch::Stretch;
 use crate::scenario::{SHIPPED, Scenario, schema};
 
@@ -135,6 +136,7 @@ fn routes() -> Vec<Route> {
             Read,
             op("listJobs", "Jobs, newest first")
                 .query::<State>("state", "Only those in this state")
+                .query::<jobs::Name>("name", "Only those with this in their names, in any case")
                 .query::<jobs::Limit>("limit", "How many at most; 50 if absent")
                 .query::<Uuid>("cursor", "`next_cursor` of the page before")
                 .json::<JobList>(200, "A page"),
@@ -168,6 +170,13 @@ fn routes() -> Vec<Route> {
             Read,
             op("getJobScenario", "The scenario as accepted").json::<Scenario>(200, "The scenario"),
             get(jobs::get_job_scenario),
+        ),
+        Route::new(
+            "/jobs/{id}/sent.json",
+            Read,
+            op("getJobSent", "The scenario as it was sent; as accepted if that text is not kept")
+                .json::<Scenario>(200, "The scenario"),
+            get(jobs::get_job_sent),
         ),
         Route::new(
             "/jobs/{id}/events",
@@ -262,9 +271,21 @@ fn routes() -> Vec<Route> {
                     "from_s",
                     "Time of the first one in seconds; 0 while the job runs",
                 )
+                .query::<jobs::Time>("every_s", "The least time between two in seconds; 0 if absent")
                 .query::<jobs::Samples>("samples", "How many at most; 300 if absent")
                 .json::<Stretch>(200, "Attitudes"),
             get(jobs::get_attitudes),
+        ),
+        Route::new(
+            "/jobs/{id}/samples",
+            Read,
+            op("getSamples", "A quantity over time in few points that keep its extremes, also while the job runs")
+                .query::<Curve>("channel", "The quantity; energy_error if absent")
+                .query::<jobs::Points>("points", "How many at most; 500 if absent")
+                .query::<jobs::Time>("from_s", "Beginning in seconds; 0 if absent")
+                .query::<jobs::Time>("to_s", "End in seconds; that of the log if absent")
+                .json::<Samples>(200, "The smallest and the largest value behind each point"),
+            get(jobs::get_samples),
         ),
         Route::new(
             "/jobs/{id}/charts/{chart}",

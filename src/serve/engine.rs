@@ -387,6 +387,7 @@ impl Engine {
         scenario: Scenario,
         planned: Option<(Settled, Plan)>,
         key: Option<Uuid>,
+        sent: Vec<u8>,
     ) -> Result<View, Refusal> {
         if let Some((_, plan)) = &planned {
             self.0.limits.admit(plan)?;
@@ -409,7 +410,7 @@ impl Engine {
                 None => (job, None),
             };
             let store = &place.shared.store;
-            store.accept(id, key, text).await?;
+            store.accept(id, key, text, sent).await?;
             // From here on there is a job. Without its plan on the disk a worker makes it again.
             if let Some(kept) = kept
                 && let Err(error) = store.keep_plan(id, &kept).await
@@ -502,17 +503,25 @@ impl Engine {
         self.0.index().jobs.get(&id).map(|job| job.view(id)).ok_or(Refusal::UnknownJob)
     }
 
-    /// Jobs newest first, older than `cursor`; and the cursor for more of them, if there are more.
+    /// Jobs newest first, older than `cursor`, with `name` in their names in any case; and the cursor for more of them,
+    /// if there are more.
     pub(super) fn list(
         &self,
         state: Option<State>,
+        name: Option<&str>,
         limit: usize,
         cursor: Option<Uuid>,
     ) -> (Vec<View>, Option<Uuid>) {
         let index = self.0.index();
         let older =
             index.jobs.range((Bound::Unbounded, cursor.map_or(Bound::Unbounded, Bound::Excluded)));
-        let wanted = older.rev().filter(|(_, job)| state.is_none_or(|state| job.state() == state));
+        let name = name.map(str::to_lowercase);
+        let named = |job: &Job| {
+            name.as_ref().is_none_or(|name| job.name.to_lowercase().contains(name.as_str()))
+        };
+        let wanted = older
+            .rev()
+            .filter(|(_, job)| state.is_none_or(|state| job.state() == state) && named(job));
         let mut page: Vec<_> = wanted.take(limit + 1).map(|(id, job)| job.view(*id)).collect();
         let more = page.len() > limit;
         page.truncate(limit);
@@ -589,6 +598,12 @@ impl Engine {
     pub(super) async fn scenario(&self, id: Uuid) -> Result<axum::body::Bytes, Refusal> {
         self.brief(id)?;
         Ok(self.0.store.scenario(id).await?)
+    }
+
+    /// The scenario of a job, as it was sent.
+    pub(super) async fn sent(&self, id: Uuid) -> Result<axum::body::Bytes, Refusal> {
+        self.brief(id)?;
+        Ok(self.0.store.sent(id).await?)
     }
 
     /// Stops a job: a waiting one has ended when this returns, a running one ends at its next step.

@@ -21,21 +21,32 @@ use super::problem::Problem;
 use crate::chart::{ChartError, draw_log};
 use crate::log::LAYOUT;
 use crate::log::course::LogChart;
-use crate::log::stretch::{Stretch, read_stretch};
+use crate::log::samples::{Curve, Samples, Window, read_course};
+use crate::log::stretch::{self, Stretch};
 use crate::log::{LogError, part_path};
+use crate::scenario::Inertia;
 
 /// Attitudes in one answer, if the client does not say, and at most.
 pub(super) const STRETCH: usize = 300;
 pub(super) const MAX_STRETCH: usize = 2000;
 
+/// Points of one course, if the client does not say, and at most.
+pub(super) const POINTS: usize = 500;
+pub(super) const MAX_POINTS: usize = 5000;
+
 /// Logs that are read at once for charts, and as many for attitudes: a long log keeps a thread busy for seconds.
 const READERS: usize = 2;
 
-const STYLE: &str = include_str!("page/style.css");
+const STYLE: &str = concat!(include_str!("page/uplot/uplot.css"), include_str!("page/style.css"));
 const SCRIPT: &str = concat!(
     include_str!("page/body.js"),
+    include_str!("page/uplot/uplot.js"),
+    "\n",
     include_str!("page/client.js"),
+    include_str!("page/chart.js"),
     include_str!("page/editor.js"),
+    include_str!("page/form.js"),
+    include_str!("page/list.js"),
     include_str!("page/page.js"),
 );
 
@@ -179,17 +190,84 @@ impl Pictures {
         &self,
         log: PathBuf,
         finished: bool,
-        from_s: f64,
-        samples: usize,
+        wanted: stretch::Wanted,
     ) -> Result<Stretch, Problem> {
         let path = if finished { log } else { part_path(&log) };
         let _turn = self.stretches.acquire().await.map_err(|error| Problem::unreadable(&error))?;
-        let read = aside(move || read_stretch(own_file(&path)?, from_s, samples)).await;
+        let read = aside(move || stretch::read_stretch(own_file(&path)?, wanted)).await;
         match read.map_err(|error| Problem::unreadable(&error))? {
             Ok(stretch) => Ok(stretch),
             // Not begun yet, or finished at this moment.
             Err(_) if !finished => Ok(Stretch::default()),
             Err(error) => Err(Problem::unreadable(&error)),
+        }
+    }
+
+    /// The course of a quantity; `None` if there is no file. Who no longer waits ends the reading.
+    pub(super) async fn samples(
+        &self,
+        path: PathBuf,
+        curve: Curve,
+        window: Window,
+        inertia: Option<Inertia>,
+    ) -> Result<Option<Samples>, Problem> {
+        let _turn = self.stretches.acquire().await.map_err(|error| Problem::unreadable(&error))?;
+        let waiting = Arc::new(());
+        let waits = Arc::downgrade(&waiting);
+        let read = aside(move || {
+            let velocity = |momentum: &[f64]| {
+                inertia
+                    .as_ref()
+                    .map_or_else(Vec::new, |inertia| angular_velocity(inertia, momentum))
+            };
+            let file = match own_file(&path) {
+                Err(LogError::Storage { source, .. })
+                    if source.kind() == io::ErrorKind::NotFound =>
+                {
+                    return Ok(None);
+                }
+                file => file?,
+            };
+            read_course(file, curve, window, &velocity, &|| waits.strong_count() == 0)
+        });
+        let read = read.await.map_err(|error| Problem::unreadable(&error))?;
+        drop(waiting);
+        read.map_err(|error| Problem::unreadable(&error))
+    }
+}
+
+/// The angular velocity of a momentum, both in body coordinates: `J w = m` for n = 3, else `(d_i + d_j) w_ij = m_ij`.
+/// Nothing if the momentum is not of this body.
+pub(super) fn angular_velocity(inertia: &Inertia, momentum: &[f64]) -> Vec<f64> {
+    let by = |moments: &[f64]| {
+        let parts = momentum.iter().zip(moments);
+        if momentum.len() == moments.len() {
+            parts.map(|(m, j)| m / j).collect()
+        } else {
+            Vec::new()
+        }
+    };
+    match inertia {
+        Inertia::Principal(moments) => by(moments),
+        // In space the vector stands for the planes in the order of the axes.
+        Inertia::SecondMoments(d) if d.len() == 3 => by(&[d[1] + d[2], d[0] + d[2], d[0] + d[1]]),
+        Inertia::SecondMoments(d) => {
+            let pairs = d.iter().enumerate();
+            let sums: Vec<_> =
+                pairs.flat_map(|(i, a)| d[i + 1..].iter().map(move |b| a + b)).collect();
+            by(&sums)
+        }
+        Inertia::Matrix(rows) => {
+            let row = |i: usize| rows.get(i).and_then(|row| <[f64; 3]>::try_from(&row[..]).ok());
+            let (Some(a), Some(b), Some(c)) = (row(0), row(1), row(2)) else { return Vec::new() };
+            let Ok(m) = <[f64; 3]>::try_from(momentum) else { return Vec::new() };
+            // Cramer's rule; the matrix is its own transpose.
+            let volume = |u: [f64; 3], v: [f64; 3], w: [f64; 3]| {
+                let minor = |i: usize, j: usize| v[i] * w[j] - v[j] * w[i];
+                u[0] * minor(1, 2) + u[1] * minor(2, 0) + u[2] * minor(0, 1)
+            };
+            let whole = volume(a, b, c);
+            vec![volume(m, b, c) / whole, volume(a, m, c) / whole, volume(a, b, m) / whole]
         }
     }
 }

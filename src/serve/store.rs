@@ -1,6 +1,6 @@
 //! The record of the jobs, on disk.
 //!
-//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, scenario.json, plan.json, cancel, attempt-1, …, log.mcap,
+//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, sent.json, scenario.json, plan.json, cancel, attempt-1, …, log.mcap,
 //! result.json}`.
 //!
 //! Invariants: a job exists while its `scenario.json` or its `result.json` does. `attempt-N` and `result.json` are
@@ -49,6 +49,8 @@ use crate::scenario::Scenario;
 
 const JOBS: &str = "jobs";
 const SCENARIO: &str = "scenario.json";
+/// The scenario as the client wrote it, for people who go on from it; jobs of older builds have none.
+const SENT: &str = "sent.json";
 const PLAN: &str = "plan.json";
 /// Of jobs that an older build took.
 const CHOSEN: &str = "settled.json";
@@ -292,16 +294,21 @@ impl Store {
         Ok(u64::MAX)
     }
 
-    /// Keeps a new job, and the key under which the client sent it. The scenario goes last: before it there is no job.
+    /// Keeps a new job, the text that was sent, and the key under which the client sent it. The scenario goes last: before it there is no job.
     pub(super) async fn accept(
         &self,
         id: Uuid,
         key: Option<Uuid>,
         scenario: Vec<u8>,
+        sent: Vec<u8>,
     ) -> Result<(), StoreError> {
         let failed = "keep the scenario";
         if let Some(key) = key {
             let kept = self.create(id, &format!("{KEY}{key}"), Vec::new()).await;
+            kept.map_err(StoreError::new(failed))?;
+        }
+        if sent != scenario {
+            let kept = self.create(id, SENT, sealed(sent)).await;
             kept.map_err(StoreError::new(failed))?;
         }
         self.create(id, SCENARIO, sealed(scenario)).await.map_err(StoreError::new(failed))
@@ -312,6 +319,15 @@ impl Store {
         let failed = "read the scenario";
         let text = self.read(id, SCENARIO).await.map_err(StoreError::new(failed))?;
         unsealed(text).map_err(StoreError::new(failed))
+    }
+
+    /// The scenario of a job as it was sent; as accepted if that text is not kept.
+    pub(super) async fn sent(&self, id: Uuid) -> Result<Bytes, StoreError> {
+        let kept = self.read(id, SENT).await.ok().map(unsealed);
+        match kept {
+            Some(Ok(text)) => Ok(text),
+            _ => self.scenario(id).await,
+        }
     }
 
     /// What runs have shown of a job, for its plan; `None` if that is not known yet, or this build cannot use it.

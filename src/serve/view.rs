@@ -82,6 +82,8 @@ struct Links {
     #[serde(rename = "self")]
     this: String,
     scenario: String,
+    /// The scenario as it was sent.
+    sent: String,
     events: String,
     /// The finished log. Where there are tokens this address, and each that opens a log in a viewer, is signed: who has
     /// it may read this log without a token, for a day.
@@ -93,6 +95,9 @@ struct Links {
     /// Attitudes and shapes of the scene, for drawing.
     #[serde(skip_serializing_if = "Option::is_none")]
     attitudes: Option<String>,
+    /// Quantities over time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    samples: Option<String>,
     /// Charts drawn from the finished log.
     #[serde(skip_serializing_if = "Option::is_none")]
     charts: Option<Charts>,
@@ -224,9 +229,11 @@ impl JobView {
             links: Links {
                 this: format!("/jobs/{id}"),
                 scenario: format!("/jobs/{id}/scenario.json"),
+                sent: format!("/jobs/{id}/sent.json"),
                 events: format!("/jobs/{id}/events"),
                 log: will_have_log.then_some(log),
                 attitudes: will_have_log.then(|| format!("/jobs/{id}/attitudes.json")),
+                samples: will_have_log.then(|| format!("/jobs/{id}/samples")),
                 charts: has_log.then(|| Charts::of(id)),
                 live: will_have_log.then(|| format!("/jobs/{id}/live.mcap{pass}")),
                 viewers,
@@ -309,7 +316,7 @@ impl LiveViewers {
 }
 
 /// Everything but RFC 3986's unreserved characters as `%XX`.
-fn percent_encoded(text: &str) -> String {
+pub(super) fn percent_encoded(text: &str) -> String {
     let encode = |byte: u8| match byte {
         b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => {
             char::from(byte).to_string()

@@ -30,7 +30,8 @@ async function open(to = url, options = {}) {
 
 const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: 30_000 });
 const shoot = async (page, name) => { if (shots) await page.screenshot({ path: `${shots}/${name}.png` }); };
-const turned = page => page.evaluate(() => document.querySelector(".body").style.transform);
+// The matrix that the body is painted with.
+const turned = page => page.evaluate(() => stage.g.flat());
 const long = async () => {
   const scenario = { ...await shipped(url, "dipole"), name: "long", steps: 50_000_000, log: { every: 10_000 } };
   delete scenario.expect;
@@ -78,19 +79,224 @@ await checks({
     assert.deepEqual(widths, [960, 960, 960]);
   },
   "the body turns as the log says": async () => {
-    await page.waitForSelector(".body .face");
+    await page.waitForFunction(() => stage?.g);
     const before = await turned(page);
-    await page.waitForFunction(before => document.querySelector(".body").style.transform !== before, before);
+    await page.waitForFunction(before => stage.g.flat().some((x, i) => x !== before[i]), before);
     await page.click(".play");
-    const matrix = (await turned(page)).match(/-?[\d.e-]+/g).slice(1).map(Number);
+    const matrix = await turned(page);
     const id = page.url().split("/").at(-1);
     const time = Number((await page.textContent(".time")).match(/[\d.]+/)[0]);
     const stretch = await (await fetch(`${url}/jobs/${id}/attitudes.json?from_s=${Math.max(0, time - 0.02)}&samples=5`)).json();
-    const near = g => Math.max(...[0, 1, 2].flatMap(i => [0, 1, 2].map(j => Math.abs(g[3 * i + j] - matrix[4 * j + i]))));
+    const near = g => Math.max(...[0, 1, 2].flatMap(i => [0, 1, 2].map(j => Math.abs(g[3 * i + j] - matrix[3 * i + j]))));
     const off = Math.min(...stretch.attitude.map(near));
-    // A style keeps six digits.
-    assert.ok(off < 2e-6, `off by ${off}`);
+    assert.ok(off < 1e-15, `off by ${off}`);
     return `off by ${off.toExponential(1)} at t = ${time} s`;
+  },
+  "real time is real, and what is too fast to see is slowed": async () => {
+    const body = await open();
+    const seconds = async () => Number((await body.textContent(".time")).match(/[\d.]+/)[0]);
+    const shows = async (name, change = x => x) => {
+      const { id } = await submit(url, change(await shipped(url, name)));
+      await ended(url, id);
+      await body.goto(`${url}/#/jobs/${id}`);
+      await body.waitForFunction(id => stage?.g && document.querySelector("#download")?.href.includes(id), id);
+      return id;
+    };
+    // As the pendulum turns, it can be seen.
+    await shows("pendulum");
+    assert.match(await body.textContent(".pace"), /^Real time: /);
+    assert.equal(await body.inputValue(".rate"), "1");
+    const measured = async () => {
+      const [t0, w0] = [await seconds(), await body.evaluate(() => performance.now())];
+      await body.waitForTimeout(2000);
+      return (await seconds() - t0) / ((await body.evaluate(() => performance.now()) - w0) / 1000);
+    };
+    const real = await measured();
+    assert.ok(Math.abs(real - 1) < 0.15, `${real} s in a second`);
+    // 40 rad/s: more than six turns in a second.
+    await shows("heavy-top");
+    assert.match(await body.textContent(".pace"), /^Slowed 10 times: it turns up to 6\.4 times a second/);
+    const slow = await measured();
+    assert.ok(Math.abs(slow - 0.1) < 0.03, `${slow} s in a second`);
+    await body.selectOption(".rate", "1");
+    assert.match(await body.textContent(".pace"), /^Real time/);
+    // Hours, in minutes.
+    await shows("satellite");
+    assert.match(await body.textContent(".pace"), /^200 times faster than real: one turn takes 2\.0 h or more/);
+    // A top whose inertia is that of a disc has no corners.
+    await shows("free-body", scenario => ({ ...scenario, name: "disc", scene: { ...scenario.scene, inertia: { principal: [1, 1, 2] } } }));
+    const corners = await body.evaluate(() => [...new Set(stage.parts.flatMap(part => part.points.length > 2 ? part.points : []).map(String))].length);
+    assert.ok(corners > 40, `${corners} corners`);
+    await body.click(".play");
+    // Nearer and farther: wheel, keys, buttons, two fingers.
+    const zoom = () => body.evaluate(() => stage.zoom);
+    const grows = async (act, sign) => { const before = await zoom(); await act(); const after = await zoom(); assert.ok(sign * (after - before) > 0.05, `${before} to ${after}`); };
+    await body.hover(".stage");
+    await grows(() => body.mouse.wheel(0, -300).then(() => body.waitForTimeout(100)), 1);
+    await grows(() => body.mouse.wheel(0, 300).then(() => body.waitForTimeout(100)), -1);
+    await body.focus(".stage");
+    await grows(() => body.keyboard.press("+"), 1);
+    await grows(() => body.keyboard.press("-"), -1);
+    await grows(() => body.click(".nearer"), 1);
+    await grows(() => body.evaluate(() => {
+      const stage = document.querySelector(".stage");
+      stage.setPointerCapture = () => {};
+      const finger = (kind, pointerId, clientX) => stage.dispatchEvent(new PointerEvent(kind, { pointerId, clientX, clientY: 300, bubbles: true }));
+      finger("pointerdown", 11, 700); finger("pointerdown", 12, 740); finger("pointermove", 12, 800);
+      finger("pointerup", 11, 700); finger("pointerup", 12, 800);
+    }), 1);
+    // Trail, arrows and labels are drawn, each as long as it is wanted.
+    await shows("dipole");
+    await body.click(".play");
+    const ink = () => body.evaluate(() => document.querySelector(".ink").toDataURL());
+    let before = await ink();
+    for (const box of ["trail", "velocity", "momentum", "labels"]) {
+      await body.click(`.drawn input[value=${box}]`);
+      const after = await ink();
+      assert.notEqual(after, before, box);
+      before = after;
+    }
+    assert.deepEqual(body.wrong, []);
+    await body.context().close();
+    return `${real.toFixed(3)} s in a second, slowed ${slow.toFixed(3)}`;
+  },
+  "a chart shows values, zooms, and follows the body": async () => {
+    const chart = await open();
+    const ids = [];
+    for (const step_s of [0.01, 0.02]) {
+      const { id } = await submit(url, { ...await shipped(url, "pendulum"), name: `pendulum-${step_s}`, step_s, expect: undefined });
+      await ended(url, id);
+      ids.push(id);
+    }
+    await chart.goto(`${url}/#/jobs/${ids[0]}`);
+    await chart.waitForSelector(".plot canvas");
+    await chart.click(".play");
+    const words = () => chart.textContent(".readout");
+    const { x, y, width, height } = await chart.locator(".plot .u-over").boundingBox();
+    await chart.mouse.move(x + width / 2, y + height / 2);
+    const read = await words();
+    assert.match(read, /^t = (59|60)(\.\d+)? s: Energy error -?[\d.e-]+ … -?[\d.e-]+ J$/);
+    // The chart says what the route says.
+    const asked = chart.asked.filter(to => to.includes("/samples")).at(-1);
+    const samples = await (await fetch(asked)).json();
+    const k = samples.time_s.findLastIndex(t => t <= Number(read.match(/[\d.]+/)[0]));
+    const said = read.match(/-?[\d.]+(e-?\d+)?(?= …)/)[0];
+    assert.ok(Math.abs(Number(said) - samples.low[0][k]) <= 0.06 * Math.abs(samples.low[0][k]), `${said} is not ${samples.low[0][k]}`);
+    // A drag shows a part of it, anew and finer.
+    await chart.mouse.down();
+    await chart.mouse.move(x + width / 2 + 100, y + height / 2, { steps: 4 });
+    const finer = chart.waitForRequest(/samples.*from_s=(59|60)/);
+    await chart.mouse.up();
+    await finer;
+    const whole = chart.waitForRequest(to => to.url().includes("/samples") && !to.url().includes("from_s"));
+    await chart.click(".chart button:text('Whole')");
+    await whole;
+    // A click moves the body, and the line.
+    const time = async () => Number((await chart.textContent(".time")).match(/[\d.]+/)[0]);
+    await chart.waitForTimeout(300);
+    await chart.mouse.click(x + width / 4, y + height / 2);
+    await chart.waitForFunction(() => Math.abs(Number(document.querySelector(".time").textContent.match(/[\d.]+/)[0]) - 30) < 1);
+    const line = await chart.evaluate(() => new DOMMatrix(document.querySelector(".now").style.transform).m41);
+    assert.ok(Math.abs(line - width / 4) < 5, `${line} of ${width}`);
+    await chart.click(".play");
+    await chart.waitForFunction(line => new DOMMatrix(document.querySelector(".now").style.transform).m41 > line + 2, line);
+    await chart.click(".play");
+    // Every quantity, and two jobs.
+    const names = await chart.$$eval(".chart select[aria-label=Quantity] option", options => options.map(option => option.value));
+    for (const name of names) {
+      const answer = chart.waitForResponse(answer => answer.url().includes(`channel=${name}`));
+      await chart.selectOption(".chart select[aria-label=Quantity]", name);
+      const found = await (await answer).json();
+      await chart.waitForFunction(() => document.querySelector(".plot canvas"));
+      assert.ok(found.low.length === (/error|drift/.test(name) ? 1 : 3) && found.time_s.length > 100, name);
+    }
+    await chart.focus(".plot");
+    await chart.keyboard.press("ArrowRight");
+    assert.match(await words(), /^t = .* s: axis 1 [\d.]+.*, axis 2 .*, axis 3 .* rad$/);
+    await chart.selectOption(".chart select[aria-label=Quantity]", "energy_error");
+    await chart.focus(".chart select[aria-label^=Compare]");
+    await chart.selectOption(".chart select[aria-label^=Compare]", ids[1]);
+    await chart.waitForSelector(".chart button:text('pendulum-0.02')");
+    await chart.waitForTimeout(300);
+    await chart.focus(".plot");
+    await chart.keyboard.press("ArrowRight");
+    const both = await words();
+    assert.match(both, /pendulum-0\.01 .*, pendulum-0\.02 /);
+    await shoot(chart, "page-chart");
+    await chart.click(".chart button:text('pendulum-0.02')");
+    // Of a job that runs it shows what is there, and goes on.
+    const { id } = await submit(url, { ...await long(), name: "grows", log: { every: 5, channels: ["/state", "/energy"] } });
+    await chart.goto(`${url}/#/jobs/${id}`);
+    await chart.waitForSelector(".plot canvas");
+    const end = () => chart.evaluate(() => chart.found[0].time_s.at(-1));
+    const before = await end();
+    await chart.waitForFunction(before => chart.found[0].time_s.at(-1) > before, before);
+    await chart.click("#view button:text('Cancel')");
+    await state(chart, "cancelled");
+    await chart.waitForSelector(".plot canvas");
+    await chart.selectOption(".chart select[aria-label=Quantity]", "momentum_drift");
+    await chart.waitForFunction(() => /does not hold/.test(document.querySelector(".plot").textContent));
+    assert.deepEqual(chart.wrong, []);
+    await chart.context().close();
+    return both;
+  },
+  "many jobs are found, turned over and deleted": async () => {
+    const many = await service(["--workers", "2"]);
+    const scenario = { ...await shipped(many.url, "free-body"), duration_s: 1, expect: undefined };
+    const ids = [];
+    for (let k = 0; k < 65; k += 1) ids.push((await submit(many.url, { ...scenario, name: k % 3 ? `spin ${k}` : `Other ${k}` })).id);
+    for (const id of ids) await ended(many.url, id);
+    const list = await open(many.url);
+    const names = () => list.$$eval("#jobs li a", links => links.map(link => link.textContent));
+    const showing = (count, first) => list.waitForFunction(([count, first]) => {
+      const links = [...document.querySelectorAll("#jobs li a")];
+      return links.length === count && (!first || links[0].textContent === first);
+    }, [count, first]);
+    await showing(20, "spin 64");
+    await list.click("#older");
+    await showing(20, "spin 44");
+    assert.equal(await list.textContent("#page-number"), "Page 2");
+    await list.click("#newer");
+    await showing(20, "spin 64");
+    await list.fill("#find", "OTHER");
+    await showing(20, "Other 63");
+    await list.click("#older");
+    await showing(2, "Other 3");
+    assert.match(await list.textContent("#jobs li:first-child"), /\d\d:\d\d/);
+    const day = past => { const at = new Date(Date.now() - past * 864e5); return [at.getFullYear(), at.getMonth() + 1, at.getDate()].map(x => String(x).padStart(2, "0")).join("-"); };
+    await list.fill("#find-until", day(1));
+    await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
+    await list.fill("#find-until", day(0));
+    await showing(20, "Other 63");
+    await list.fill("#find-until", "");
+    await showing(20, "Other 63");
+    await list.selectOption("#find-state", "failed");
+    await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
+    await list.selectOption("#find-state", "succeeded");
+    await showing(20, "Other 63");
+    await list.click("#job-" + ids[63] + " a");
+    await list.waitForFunction(() => document.title === "Other 63: succeeded – vpd");
+    await list.click("#choose");
+    await list.check(`#job-${ids[63]} input`);
+    assert.equal(await list.textContent("#delete-chosen"), "Delete 1 job");
+    await list.click("#choose-all");
+    await list.waitForFunction(() => document.querySelector("#delete-chosen").textContent === "Delete 22 jobs");
+    const asked = [];
+    list.on("dialog", dialog => { asked.push(dialog.message()); return asked.length === 1 ? dialog.dismiss() : dialog.accept(); });
+    await list.click("#delete-chosen");
+    await showing(20, "Other 63");
+    await list.click("#delete-chosen");
+    await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
+    assert.deepEqual(asked, Array(2).fill("Delete 22 jobs and their logs? This cannot be undone."));
+    await list.fill("#find", "");
+    await showing(20, "spin 64");
+    const left = (await (await fetch(`${many.url}/jobs?limit=500`)).json()).jobs;
+    assert.ok(left.length === 43 && left.every(job => job.name.startsWith("spin")), `${left.length} left`);
+    assert.equal(await list.title(), "vpd");
+    assert.deepEqual(list.wrong, []);
+    await list.context().close();
+    await many.stop();
+    return `${asked.length} questions`;
   },
   "the links are those of the viewers": async () => {
     const log = encodeURIComponent(`${url}/jobs/${page.url().split("/").at(-1)}/log.mcap`);
@@ -136,6 +342,121 @@ await checks({
     await page.waitForFunction(() => /Rejected/.test(document.querySelector("#problem").textContent));
     return words;
   },
+  "what is written is not lost": async () => {
+    const own = await open();
+    const value = () => own.inputValue("#text");
+    const holds = words => own.waitForFunction(words => document.querySelector("#text").value.includes(words), words);
+    await holds("heavy-top");
+    const shippedText = await value();
+    // An example that nobody changed goes without a word.
+    await own.selectOption("#shipped", "pendulum");
+    await holds("pendulum");
+    assert.ok(!await own.isVisible("#replaced"));
+    const name = own.locator("#text");
+    await name.fill((await value()).replace('"pendulum"', '"mine"'));
+    await own.selectOption("#shipped", "dipole");
+    await holds("Dipole on a stick");
+    assert.match(await own.textContent("#replaced"), /replaced by dipole/);
+    await own.click("#undo");
+    assert.match(await value(), /"mine"/);
+    assert.ok(!await own.isVisible("#replaced"));
+    // The keys go the same way back and forth, over typing too.
+    await own.selectOption("#shipped", "dipole");
+    await holds("Dipole on a stick");
+    await own.focus("#text");
+    await own.keyboard.press("Control+z");
+    assert.match(await value(), /"mine"/);
+    await own.keyboard.press("Control+Shift+z");
+    assert.match(await value(), /Dipole on a stick/);
+    await own.keyboard.press("Control+y");
+    for (let k = 0; k < 3; k += 1) await own.keyboard.press("Control+z");
+    assert.equal(await value(), shippedText);
+    for (let k = 0; k < 9; k += 1) await own.keyboard.press("Control+Shift+z");
+    await own.keyboard.press("Control+z");
+    await own.reload();
+    await holds('"mine"');
+    // A second tab begins with it, and keeps its own.
+    const second = await own.context().newPage();
+    await second.goto(`${url}/`);
+    await second.waitForFunction(() => document.querySelector("#text").value.includes('"mine"'));
+    await second.fill("#text", (await second.inputValue("#text")).replace('"mine"', '"theirs"'));
+    await own.reload();
+    await holds('"mine"');
+    await second.reload();
+    await second.waitForFunction(() => document.querySelector("#text").value.includes('"theirs"'));
+    assert.deepEqual(own.wrong, []);
+    await own.context().close();
+  },
+  "the short form and the text say the same": async () => {
+    const form = await open();
+    await form.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
+    const before = await form.inputValue("#text");
+    const text = () => form.inputValue("#text");
+    assert.deepEqual([await form.inputValue("#method"), await form.inputValue("#scheme"), await form.inputValue("#by-value"), await form.inputValue("#long-value")],
+      ["vpd", "gauss3", "0.002", "20"]);
+    await form.fill("#by-value", "1e-3");
+    await form.selectOption("#scheme", "gauss4");
+    // Nothing else of the text has changed.
+    assert.equal(await text(), before.replace('"step_s": 0.002', '"step_s": 1e-3').replace("gauss3", "gauss4"));
+    await form.selectOption("#method", "splitting");
+    assert.match(await text(), /"method": \{ "name": "splitting" \},\n/);
+    await form.selectOption("#scheme", "6");
+    assert.match(await text(), /"method": \{ "name": "splitting", "order": 6 \},\n/);
+    await form.selectOption("#long", "steps");
+    await form.fill("#long-value", "2000");
+    assert.match(await text(), /\n {2}"steps": 2000,\n/);
+    await form.click("#channels-word");
+    await form.uncheck("#channels input[value='/solver']");
+    assert.match(await text(), /"log": \{ "every": 10, "channels": \["\/state", .*\] \}/);
+    await form.check("#channels input[value='/solver']");
+    assert.match(await text(), /"log": \{ "every": 10 \},/);
+    // The other way round, and not while the text is no JSON.
+    await form.fill("#text", (await text()).replace('"steps": 2000', '"steps": 3000').replace("splitting", "lgvi"));
+    assert.deepEqual([await form.inputValue("#long-value"), await form.inputValue("#method")], ["3000", "lgvi"]);
+    await form.fill("#text", "{");
+    assert.ok(await form.isDisabled("#method"));
+    await form.focus("#text");
+    await form.keyboard.press("Control+z");
+    assert.ok(await form.isEnabled("#method"));
+    await form.selectOption("#by", "accuracy");
+    assert.match(await text(), /\n {2}"accuracy": \{ "error": 0.000001 \},\n {2}"duration_s": 3,\n/);
+    await form.fill("#by-value", "1e-4");
+    await form.focus("#text");
+    await form.keyboard.press("Control+Enter");
+    await state(form, "succeeded");
+    // What was sent comes back as it was sent.
+    const sent = await text();
+    await form.selectOption("#shipped", "pendulum");
+    await form.waitForFunction(() => document.querySelector("#text").value.includes("pendulum"));
+    await form.click("#edit");
+    await form.waitForFunction(sent => document.querySelector("#text").value === sent, sent);
+    assert.deepEqual(form.wrong, []);
+    await form.context().close();
+    return sent.match(/"accuracy".*/)[0];
+  },
+  "the address of a draft brings its text": async () => {
+    const from = await open();
+    await from.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+    await from.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
+    const text = (await from.inputValue("#text")).replace('"heavy-top"', '"Kreisel, schräg"');
+    await from.fill("#text", text);
+    await from.click("#share");
+    await from.waitForFunction(() => document.querySelector("#share").textContent === "Copied");
+    const link = await from.evaluate(() => navigator.clipboard.readText());
+    assert.ok(link.startsWith(`${url}/#/draft/`) && /^[\w-]+$/.test(link.split("/").at(-1)), link);
+    const to = await open();
+    await to.goto(link);
+    await to.waitForFunction(text => document.querySelector("#text").value === text, text);
+    await to.fill("#text", text.replace("schräg", "steil"));
+    await to.goto(link);
+    await to.waitForFunction(text => document.querySelector("#text").value === text, text);
+    await to.click("#undo");
+    assert.match(await to.inputValue("#text"), /steil/);
+    assert.deepEqual([...from.wrong, ...to.wrong], []);
+    await from.context().close();
+    await to.context().close();
+    return `${link.length} characters`;
+  },
   "a long job is followed by its events, and cancelled": async () => {
     const { id } = await submit(url, await long());
     await page.goto(`${url}/#/jobs/${id}`);
@@ -150,6 +471,37 @@ await checks({
     await state(page, "cancelled");
     assert.equal((await ended(url, id)).state, "cancelled");
     return words;
+  },
+  "a press of a person finds its button while events arrive": async () => {
+    const pressed = await open();
+    const press = async selector => {
+      await pressed.locator(selector).scrollIntoViewIfNeeded();
+      const { x, y, width, height } = await pressed.locator(selector).boundingBox();
+      await pressed.mouse.move(x + width / 2, y + height / 2);
+      await pressed.mouse.down();
+      await pressed.waitForTimeout(150);
+      await pressed.mouse.up();
+    };
+    // How often the list has been told of its jobs: no press counts that no event fell into.
+    const value = id => pressed.evaluate(id => document.querySelector(`#job-${id} progress`).value, id);
+    const ids = [];
+    for (let k = 0; k < 3; k += 1) {
+      const { id } = await submit(url, await long());
+      const other = await submit(url, await long());
+      ids.push(id);
+      await pressed.waitForFunction(ids => ids.every(id => document.querySelector(`#job-${id} progress`)?.value > 0), [id, other.id]);
+      const before = await value(id);
+      await press(`#job-${id} a`);
+      await pressed.waitForFunction(id => location.hash.endsWith(id), id, { timeout: 2000 });
+      await pressed.waitForFunction(([id, before]) => document.querySelector(`#job-${id} progress`).value > before, [id, before]);
+      await press(k === 1 ? "#view button:text('Cancel')" : `#job-${id} button:text('Cancel')`);
+      await state(pressed, "cancelled");
+      await press(`#job-${other.id} button:text('Cancel')`);
+      assert.equal((await ended(url, other.id)).state, "cancelled");
+    }
+    assert.deepEqual(pressed.wrong, []);
+    await pressed.context().close();
+    return `${3 * ids.length} presses of 150 ms`;
   },
   "a running job is linked to the live view": async () => {
     const live = await open(shown.url);
@@ -211,13 +563,13 @@ await checks({
     await page.goto(`${url}/#/jobs/${id}`);
     // The body of the job before may still be there.
     await page.waitForFunction(() => /SO\(4\)/.test(document.querySelector(".caption")?.textContent));
-    await page.waitForSelector(".body .face");
+    await page.waitForFunction(() => stage?.g);
   },
   "everything can be reached with the keyboard": async () => {
     const keyed = await open();
     await keyed.waitForFunction(() => document.querySelector("#text").value.length > 0);
     const reached = [];
-    for (let i = 0; i < 12; i += 1) {
+    for (let i = 0; i < 30; i += 1) {
       await keyed.keyboard.press("Tab");
       reached.push(await keyed.evaluate(() => document.activeElement.id || document.activeElement.className || document.activeElement.textContent));
       if (reached.at(-1) === "main") break;
@@ -226,9 +578,10 @@ await checks({
     await keyed.keyboard.press("Enter");
     await state(keyed, "succeeded");
     await keyed.focus(".stage");
-    const before = await keyed.evaluate(() => document.querySelector(".space").style.transform);
+    await keyed.waitForFunction(() => stage);
+    const before = await keyed.evaluate(() => stage.azimuth);
     await keyed.keyboard.press("ArrowLeft");
-    assert.notEqual(await keyed.evaluate(() => document.querySelector(".space").style.transform), before);
+    assert.notEqual(await keyed.evaluate(() => stage.azimuth), before);
     await keyed.context().close();
     return reached.join(" → ");
   },

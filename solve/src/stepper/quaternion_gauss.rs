@@ -1,4 +1,5 @@
-//! Gauss collocation on unit quaternions, in canonical variables of T*S^3, for n = 3.
+//! Gauss collocation on unit quaternions, in canonical variables of T*S^3, for n = 3; its stages side by side in SIMD
+//! lanes.
 //!
 //! With `pi = 2 q mu` (mu as the quaternion (0, mu)) and H extended to all of T*R^4:
 //!
@@ -14,160 +15,115 @@
 //! T*S^3, and on SO(3). The quaternion form of the equations: Betsch and Siebert (2009), International Journal
 //! for Numerical Methods in Engineering 79.
 //!
-//! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
-//! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j (1/2 + s_ij)` and s skew to the last bit it is, however b
-//! and s are rounded. What rounding takes off the state is carried to the next step.
+//! mu is bilinear in q and pi, and of what is bilinear a Gauss method makes the quadrature of its rate at the stages
+//! (the same theorem). So is the momentum in space, m = vec(pi q*) / 2, the rate of which is -g(q / |q|) tau: with `q* q` in
+//! |q|^2 of the second equation the lengths of the stages cancel. So the state is q, m, and with many stages the body
+//! momentum p; a step adds to each what is small:
 //!
-//! Invariant: symplectic, symmetric, order 2 s; |q| = 1 and q . pi = 0 to round-off, without projection.
+//! ```text
+//! q1 = q0 + q0 sum_k h b_k u_k Omega_k / 2            Q_k = q0 u_k
+//! m1 = m0 - g0 sum_k h b_k g(u_k / |u_k|) tau_k       tau = vee(dH/dg)
+//! p1 = p0 + sum_k h b_k (mu_k x Omega_k - tau_k)      or g1^T m1, with up to four stages and of a free body
+//! ```
+//!
+//! VPD carries the same (`stepper/motion.rs`): in space the momentum is what torques make of it.
+//!
+//! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
+//! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j e_ij` and `e_ij + e_ji = 1` to the last bit it is, however b
+//! and e are rounded. What rounding takes off the state is carried to the next step, and the sweeps stop where what they
+//! leave is smaller than it.
+//!
+//! Invariant: symplectic, symmetric, order 2 s; |q| = 1 to round-off, without projection; the same bits on every
+//! instruction set.
 
-use nalgebra::{Matrix3, Quaternion, Vector3, Vector4};
+use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
+use nalgebra::Quaternion;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::lanes::{Rows, WIDTH};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
-use crate::so3::{self, Top};
+use crate::so3;
+use crate::space::{Turn, Vec3};
 use crate::stepper::Stepper;
+use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper: a Gauss tableau, a stop rule and its scratch.
+mod stages;
+
+use stages::{End, FEW_STAGES, LaneTableau, Stages, Start};
+
+/// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
+macro_rules! in_lanes {
+    ($work:ident, $level:expr, $count:expr, $start:expr, $stages:expr) => {
+        match ($level, $count) {
+            (Some(level), 1) => {
+                dispatch!(level, _simd => stages::$work(Rows([0.0; 1]), $start, $stages))
+            }
+            (Some(level), 2) => {
+                dispatch!(level, simd => stages::$work(f64x2::splat(simd, 0.0), $start, $stages))
+            }
+            (Some(level), 3 | 4) => {
+                dispatch!(level, simd => stages::$work(f64x4::splat(simd, 0.0), $start, $stages))
+            }
+            (Some(level), _) => {
+                dispatch!(level, simd => stages::$work(f64x8::splat(simd, 0.0), $start, $stages))
+            }
+            (None, 1) => stages::$work(Rows([0.0; 1]), $start, $stages),
+            (None, 2) => stages::$work(Rows([0.0; 2]), $start, $stages),
+            (None, 3) => stages::$work(Rows([0.0; 3]), $start, $stages),
+            (None, 4) => stages::$work(Rows([0.0; 4]), $start, $stages),
+            (None, _) => stages::$work(Rows([0.0; 8]), $start, $stages),
+        }
+    };
+}
+
+/// The stepper: a Gauss tableau in lanes, a stop rule, the state and the stages of the last step.
 #[derive(Clone, Debug)]
 pub struct QuaternionGauss {
     tableau: Tableau,
-    /// b.
-    weights: Vec<f64>,
-    /// `s_ij = a_ij / b_j - 1/2`, skew to the last bit.
-    skew: Vec<Vec<f64>>,
+    lanes: LaneTableau,
     stop: StopRule,
-    now: Point,
-    /// What is still to be added to `now`.
-    carry: Point,
-    stages: Vec<Stage>,
-    seen: Vec<Vector<3>>,
-}
-
-/// A point of T*R^4, or a change of one.
-#[derive(Clone, Copy, Debug)]
-struct Point {
-    q: Quaternion<f64>,
-    pi: Quaternion<f64>,
-}
-
-const ZERO: Quaternion<f64> = Quaternion { coords: Vector4::new(0.0, 0.0, 0.0, 0.0) };
-
-#[derive(Clone, Copy, Debug)]
-struct Stage {
-    at: Point,
-    /// `h b_i (q', pi')`.
-    change: Point,
-}
-
-impl Point {
-    fn zero() -> Self {
-        Self { q: ZERO, pi: ZERO }
-    }
-
-    /// The body momentum.
-    fn momentum(&self) -> Vector3<f64> {
-        Vector3::from((self.q.conjugate() * self.pi).vector()) * 0.5
-    }
-
-    fn q_is_finite(&self) -> bool {
-        self.q.coords.iter().all(|x| x.is_finite())
-    }
-
-    fn is_finite(&self) -> bool {
-        self.q_is_finite() && self.pi.coords.iter().all(|x| x.is_finite())
-    }
+    /// The instruction set; without one, one number at a time.
+    level: Option<Level>,
+    motion: Motion<f64>,
+    stages: Stages,
+    seen: Vec<Vec3<f64>>,
 }
 
 impl QuaternionGauss {
     /// A stepper with 1 to 8 stages that solves each step until `stop`; `None` for any other number.
     pub fn new(stages: usize, stop: StopRule) -> Option<Self> {
-        let stage = Stage { at: Point::zero(), change: Point::zero() };
-        let tableau = Tableau::gauss(stages)?;
-        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        let skew = (0..stages)
-            .map(|i| (0..stages).map(|j| 0.5 * (part(i, j) - part(j, i))).collect())
-            .collect();
+        let tableau = Tableau::gauss(stages).filter(|_| stages <= WIDTH)?;
         Some(Self {
-            weights: (0..stages).map(|j| tableau.b(j)).collect(),
+            lanes: LaneTableau::new(&tableau),
             tableau,
-            skew,
-            stop: stop.to_the_floor(),
-            now: Point { q: Quaternion::identity(), pi: ZERO },
-            carry: Point::zero(),
-            stages: vec![stage; stages],
+            // On the dipole the energy moves no less with sweeps to the last digit; to foresee the last sweep saves nothing.
+            stop: StopRule { foresee: false, ..stop },
+            level: Some(Level::new()),
+            motion: Motion::blank(0.0, 1.0),
+            stages: Stages::blank(),
             seen: Vec::new(),
         })
     }
 
-    /// Starts the stages from the velocity at the beginning of the step, kept constant.
-    fn guess(&mut self, inverse: &Matrix3<f64>, h: f64) {
-        let mu = self.now.momentum();
-        let omega = inverse * mu;
-        for (i, stage) in self.stages.iter_mut().enumerate() {
-            let turn = Quaternion::from_parts(1.0, omega * (0.5 * h * self.tableau.c(i)));
-            let turn = turn.normalize();
-            stage.at = Point { q: self.now.q * turn, pi: self.now.pi * turn };
-            let half = so3::pure(&(omega * (0.5 * h * self.weights[i])));
-            stage.change = Point { q: stage.at.q * half, pi: stage.at.pi * half };
-        }
+    /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
+    pub fn on_level(self, level: Option<Level>) -> Self {
+        Self { level, ..self }
     }
-}
 
-/// One sweep over all stages, each variable from the newest of the others; returns the largest change of a
-/// stage relative to the largest momentum, or to |q| = 1.
-fn sweep(
-    (b, skew): (&[f64], &[Vec<f64>]),
-    body: &RigidBody<3>,
-    inverse: &Matrix3<f64>,
-    seen: &[Vector<3>],
-    h: f64,
-    (now, carry): (&Point, &Point),
-    stages: &mut [Stage],
-) -> f64 {
-    let s = stages.len();
-    let (mut turned, mut change, mut size) = (0.0_f64, 0.0_f64, now.pi.norm());
-    let middle = carry.q + stages.iter().fold(ZERO, |sum, stage| sum + stage.change.q) * 0.5;
-    for i in 0..s {
-        let sum = (0..s).fold(middle, |sum, j| sum + stages[j].change.q * skew[i][j]);
-        let q = now.q + sum;
-        turned = larger(turned, (q - stages[i].at.q).coords.amax());
-        stages[i].at.q = q;
+    /// Refuses stages too close to a point of the potential.
+    fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+        let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
+        let turns = (0..self.tableau.stages()).map(|k| (k, self.stages.turn(k)));
+        // An iterate that is not finite has met nothing.
+        turns.filter(|(_, u)| u.coords.iter().all(|x| x.is_finite())).try_for_each(|(k, u)| {
+            body.check_distances(&so3::rotation(&u), &seen)
+                .map_err(|met| Failure { stage: Some(k), ..met })
+        })
     }
-    for (stage, b) in stages.iter_mut().zip(b) {
-        let Point { q, pi } = stage.at;
-        let omega = so3::pure(&(inverse * stage.at.momentum()));
-        let torque = so3::vector(&body.gradient(&so3::rotation(&q), seen));
-        let rate = pi * omega * 0.5 - q * so3::pure(&(torque * (2.0 / q.norm_squared())));
-        stage.change.pi = rate * (h * b);
-    }
-    let middle = carry.pi + stages.iter().fold(ZERO, |sum, stage| sum + stage.change.pi) * 0.5;
-    for i in 0..s {
-        let sum = (0..s).fold(middle, |sum, j| sum + stages[j].change.pi * skew[i][j]);
-        let pi = now.pi + sum;
-        change = larger(change, (pi - stages[i].at.pi).coords.amax());
-        size = larger(size, pi.norm());
-        stages[i].at.pi = pi;
-    }
-    for (stage, b) in stages.iter_mut().zip(b) {
-        let omega = so3::pure(&(inverse * stage.at.momentum()));
-        stage.change.q = stage.at.q * omega * (0.5 * h * b);
-    }
-    larger(turned, if change == 0.0 { 0.0 } else { change / size })
-}
-
-/// The larger of two sizes; unlike a plain maximum it keeps a NaN.
-fn larger(a: f64, b: f64) -> f64 {
-    if b <= a { a } else { b }
-}
-
-/// `at + change`, and what rounding left over.
-fn add(at: &Quaternion<f64>, change: &Quaternion<f64>) -> (Quaternion<f64>, Quaternion<f64>) {
-    let sum = at + change;
-    (sum, (at - sum) + change)
 }
 
 impl Stepper<3> for QuaternionGauss {
@@ -176,47 +132,54 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn start(&mut self, state: &State<3>) {
-        let Top { attitude, momentum } = Top::from_state(state);
-        self.now = Point { q: attitude, pi: attitude * so3::pure(&momentum) * 2.0 };
-        self.carry = Point::zero();
+        self.motion = Motion::of(state);
     }
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
-        body.seen_from(&Mat::identity(), &mut self.seen);
-        let inverse = body.inverse_inertia();
-        self.guess(&inverse, h);
-        let Self { weights, skew, stop, now, carry, stages, seen, .. } = self;
+        let Self { tableau, lanes, stop, level, motion, stages, seen, .. } = self;
+        motion.look(0.0, body, seen);
+        let (level, count) = (*level, tableau.stages());
+        let start = &Start::new(lanes, body, seen, h, motion.body_momentum.value);
+        in_lanes!(guess, level, count, start, stages);
+        let mut torques = lanes.torques_of_guess();
         let solved = fixed_point(*stop, || {
             body.work().begin_sweep()?;
-            Ok(sweep((weights, skew), body, &inverse, seen, h, (now, carry), stages))
+            torques += 1;
+            Ok(in_lanes!(sweep, level, count, start, stages))
         });
-        // A charge met explains non-finite values and divergence better than they do; an iterate that is
-        // not finite itself has met nothing.
-        for (i, stage) in stages.iter().enumerate().filter(|(_, stage)| stage.at.q_is_finite()) {
-            body.check_distances(&so3::rotation(&stage.at.q), seen)
-                .map_err(|met| Failure { stage: Some(i), ..met })?;
+        let End { turn, kick, gain } = in_lanes!(end, level, count, start, stages);
+        body.count(torques * count as u64);
+        // A charge met explains non-finite values and divergence better than they do. What is not a number is looked at,
+        // too.
+        if !(solved.is_ok() && self.stages.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH) {
+            self.check_distances(body)?;
         }
-        let convergence = solved?;
-        let mut change = *carry;
-        for stage in stages.iter() {
-            change.q += stage.change.q;
-            change.pi += stage.change.pi;
+        let convergence = solved.map_err(|failure| match failure.code {
+            // The state is finite: an iterate that is not has grown out of all bounds.
+            FailureCode::NonFinite => Failure { code: FailureCode::Diverged, ..failure },
+            _ => failure,
+        })?;
+        let mut motion = self.motion;
+        motion.advance(0.0, &turn, &kick);
+        // As in VPD: a free body has the one in space to the bit.
+        if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
+            motion.gain(&gain);
+        } else {
+            motion.turn_momentum(0.0);
         }
-        let (q, q_left) = add(&now.q, &change.q);
-        let (pi, pi_left) = add(&now.pi, &change.pi);
-        let end = Point { q, pi };
-        if !end.is_finite() {
+        if !motion.is_finite() {
             return Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX));
         }
-        (*now, *carry) = (end, Point { q: q_left, pi: pi_left });
+        self.motion = motion;
         Ok(convergence)
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        Some(so3::rotation(&self.now.q))
+        let Turn { w, v: [x, y, z] } = self.motion.turn();
+        Some(so3::rotation(&Quaternion::new(w, x, y, z)))
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.now.momentum())
+        so3::skew(&self.motion.body_momentum.value.into())
     }
 }

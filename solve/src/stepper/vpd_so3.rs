@@ -13,23 +13,22 @@
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use super::galerkin::SMALLEST_SINGULAR_VALUE;
+use super::motion::{Motion, Sum, unsigned_zeros};
 use super::{Stepper, check_root};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Row, Rows, WIDTH, widest};
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
-use crate::so3::Top;
-use crate::space::{Mat3, Sym3, Turn, Vec3, dot, mat3, product, scaled, transposed_product, vec3};
+use crate::so3;
+use crate::space::{Sym3, Turn, Vec3, dot, scaled, transposed_product, vec3};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
 pub mod ensemble;
-mod motion;
 mod sweep;
 mod unknowns;
 
-use motion::{Motion, Sum};
 use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
 
 /// A free body that turns by less in a step takes half the passes of others.
@@ -348,21 +347,13 @@ impl Stepper<3> for VpdSo3 {
     }
 
     fn start(&mut self, state: &State<3>) {
-        let Top { attitude, momentum } = Top::from_state(state);
         if let Some(past) = &mut self.past {
             past.forget();
         }
         self.state = match self.state {
-            Carried::Full(_) => {
-                let in_space = product(&rows(&state.attitude), &momentum.into());
-                let attitude = [attitude.w, attitude.i, attitude.j, attitude.k];
-                Carried::Full(Motion {
-                    attitude: Sum::new(unsigned_zeros(attitude), 0.0),
-                    momentum: Sum::new(unsigned_zeros(in_space), 0.0),
-                    body_momentum: Sum::new(unsigned_zeros(momentum.into()), 0.0),
-                })
-            }
+            Carried::Full(_) => Carried::Full(Motion::of(state)),
             Carried::Reduced { .. } => {
+                let momentum = so3::vector(&state.momentum);
                 let square = momentum.norm_squared();
                 Carried::Reduced { momentum: Sum::new(momentum.into(), 0.0), square }
             }
@@ -481,13 +472,4 @@ impl VpdSo3 {
 /// The smallest eigenvalue of `P = I + E`.
 fn smallest_singular_value([xx, yy, zz, yz, xz, xy]: &Sym3<f64>) -> f64 {
     1.0 + so::smallest_eigenvalue(&Mat::<3>::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz))
-}
-
-/// Without the sign of zeros: a lane of no stage adds a zero of either sign. What is summed to these has none, either.
-fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
-    numbers.map(|x| x + 0.0)
-}
-
-fn rows(m: &Mat<3>) -> Mat3<f64> {
-    mat3!(i, j => m[(i, j)])
 }

@@ -1,5 +1,5 @@
-//! VPD for n = 3 in lanes: the same map as in matrices, the same bits on every instruction set; and the rungs of
-//! the solver.
+//! VPD for n = 3 in lanes: the same map as in matrices, the same bits on every instruction set (and those of Gauss
+//! collocation on quaternions); and the rungs of the solver.
 
 use std::collections::BTreeSet;
 
@@ -9,6 +9,7 @@ use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::{Rung, Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
+use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
@@ -121,6 +122,17 @@ fn every_instruction_set_makes_the_same_bits() {
             let without_lanes = end(&tableau, None);
             for level in levels.into_iter().flatten() {
                 assert_eq!(end(&tableau, Some(level)), without_lanes, "{level:?}");
+            }
+        }
+        let on_quaternions = |stages: usize, level: Option<Level>| {
+            let stepper = QuaternionGauss::new(stages, StopRule::default()).expect("1 to 8");
+            let end = advance(&mut stepper.on_level(level), &body, &start, &[0.03; 50]);
+            (bits(&end.attitude), bits(&end.momentum))
+        };
+        for stages in 1..=8 {
+            let without_lanes = on_quaternions(stages, None);
+            for level in levels.into_iter().flatten() {
+                assert_eq!(on_quaternions(stages, Some(level)), without_lanes, "{level:?}");
             }
         }
     }

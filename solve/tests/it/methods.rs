@@ -474,7 +474,11 @@ fn steppers_say_how_they_solved_the_step() {
         stepper.start(&start);
         let solved = stepper.step(&body, 0.01).expect("a small step");
         let explicit = ["rk", "splitting"].iter().any(|name| method.name.starts_with(name));
-        assert!((solved.iterations == 1) == explicit, "{}", method.name);
+        // The first guess of many stages leaves one sweep to do at a small step.
+        stepper.start(&start);
+        let larger = stepper.step(&body, 0.05).expect("not too large a step");
+        let most = solved.iterations.max(larger.iterations);
+        assert!((most == 1) == explicit, "{}", method.name);
         let rung = match method.name {
             _ if explicit => Rung::Explicit,
             name if name.starts_with("lgvi") => Rung::Newton,

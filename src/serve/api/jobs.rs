@@ -12,21 +12,26 @@ use serde::Deserialize;
 use uuid::Uuid;
 
 use super::App;
-use super::request::{JobId, is_plain_json, json_text};
+use super::request::{JobId, is_plain_json, json_text, off_thread};
 use crate::advise::Settled;
-use crate::log::stretch::Stretch;
-use crate::scenario::{Scenario, ScenarioError};
+use crate::log::part_path;
+use crate::log::samples::{Curve, Samples as CourseOf, Window};
+use crate::log::stretch::{Stretch, Wanted};
+use crate::scenario::{Inertia, Scenario, ScenarioError};
 use crate::serve::engine::Refusal;
 use crate::serve::job::State;
-use crate::serve::page::{MAX_STRETCH, STRETCH};
+use crate::serve::page::{MAX_POINTS, MAX_STRETCH, POINTS, STRETCH, angular_velocity};
 use crate::serve::problem::Problem;
-use crate::serve::view::{JobList, JobView, Reach};
+use crate::serve::view::{JobList, JobView, Reach, percent_encoded};
 use crate::serve::{download, follow, store};
 use crate::study::{Watch, scene_of};
 
 /// Jobs on a page of the list, unless the client says otherwise, and at most.
 const PAGE: usize = 50;
 const MAX_PAGE: usize = 500;
+
+/// Longest part of a name to look for, characters: no name is longer.
+const MAX_NAME: usize = 200;
 
 /// Longest idempotency key, bytes.
 const MAX_KEY: usize = 255;
@@ -36,6 +41,18 @@ const MAX_KEY: usize = 255;
 #[schemars(transparent)]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Limit(#[schemars(range(min = 1, max = 500))] usize);
+
+/// A part of a name.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Name(#[schemars(length(max = 200))] String);
+
+/// A number of points.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Points(#[schemars(range(min = 2, max = 5000))] usize);
 
 /// A time in seconds.
 #[derive(JsonSchema)]
@@ -59,6 +76,7 @@ pub(super) struct Samples(#[schemars(range(min = 1, max = 2000))] usize);
 #[serde(deny_unknown_fields)]
 pub(super) struct ListQuery {
     state: Option<State>,
+    name: Option<String>,
     limit: Option<usize>,
     cursor: Option<String>,
 }
@@ -73,6 +91,7 @@ pub(super) async fn submit_job(
         return Err(Problem::not_json());
     }
     let key = idempotency_key(&headers)?;
+    let sent = body.to_vec();
     let checked = move || {
         let scenario = Scenario::from_json(&body)?;
         let planned = match scenario.accuracy {
@@ -90,7 +109,7 @@ pub(super) async fn submit_job(
         Ok::<_, ScenarioError>((scenario, planned))
     };
     let (scenario, planned) = app.desk.check(checked).await??;
-    let view = app.engine.submit(scenario, planned, key).await?;
+    let view = app.engine.submit(scenario, planned, key, sent).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };
     Ok((status, location, Json(JobView::new(view, &reach))).into_response())
@@ -111,16 +130,22 @@ pub(super) async fn list_jobs(
     reach: Reach,
     query: Result<Query<ListQuery>, QueryRejection>,
 ) -> Result<Json<JobList>, Problem> {
-    let Query(ListQuery { state, limit, cursor }) = query?;
+    let Query(ListQuery { state, name, limit, cursor }) = query?;
     let limit = limit.unwrap_or(PAGE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(Problem::bad_query(format!("limit is 1 to {MAX_PAGE}")));
     }
+    if name.as_ref().is_some_and(|name| name.chars().count() > MAX_NAME) {
+        return Err(Problem::bad_query(format!("name has at most {MAX_NAME} characters")));
+    }
     let unusable = || Problem::bad_query("cursor is not one that this list gave");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
-    let (page, next) = app.engine.list(state, limit, cursor);
+    let (page, next) = app.engine.list(state, name.as_deref(), limit, cursor);
     let jobs = page.into_iter().map(|view| JobView::new(view, &reach)).collect();
-    let filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
+    let mut filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
+    if let Some(name) = name {
+        filter += &format!("name={}&", percent_encoded(&name));
+    }
     let link = next.map(|next| format!("/jobs?{filter}limit={limit}&cursor={next}"));
     Ok(Json(JobList::new(jobs, next, link)))
 }
@@ -179,6 +204,7 @@ pub(super) async fn get_events(
 #[serde(deny_unknown_fields)]
 pub(super) struct StretchQuery {
     from_s: Option<f64>,
+    every_s: Option<f64>,
     samples: Option<usize>,
 }
 
@@ -187,21 +213,88 @@ pub(super) async fn get_attitudes(
     JobId(id): JobId,
     query: Result<Query<StretchQuery>, QueryRejection>,
 ) -> Result<Json<Stretch>, Problem> {
-    let Query(StretchQuery { from_s, samples }) = query?;
+    let Query(StretchQuery { from_s, every_s, samples }) = query?;
     let samples = samples.unwrap_or(STRETCH);
     if !(1..=MAX_STRETCH).contains(&samples) {
         return Err(Problem::bad_query(format!("samples is 1 to {MAX_STRETCH}")));
     }
-    let from_s = from_s.unwrap_or(0.0);
-    if !(from_s >= 0.0 && from_s.is_finite()) {
-        return Err(Problem::bad_query("from_s is a time in seconds, not below 0"));
+    let (from_s, every_s) = (from_s.unwrap_or(0.0), every_s.unwrap_or(0.0));
+    for (name, time_s) in [("from_s", from_s), ("every_s", every_s)] {
+        if !(time_s >= 0.0 && time_s.is_finite()) {
+            return Err(Problem::bad_query(format!("{name} is a time in seconds, not below 0")));
+        }
     }
     let view = app.engine.brief(id)?;
     let log = match view.state.is_final() {
         true => app.engine.log(id).await?,
         false => app.engine.log_path(id),
     };
-    Ok(Json(app.pictures.attitudes(log, view.state.is_final(), from_s, samples).await?))
+    let wanted = Wanted { from_s, every_s, samples };
+    let mut stretch = app.pictures.attitudes(log, view.state.is_final(), wanted).await?;
+    if let Some(inertia) = inertia(&app, id).await {
+        let momenta = stretch.body_momentum.iter();
+        stretch.angular_velocity = momenta.map(|m| angular_velocity(&inertia, m)).collect();
+    }
+    Ok(Json(stretch))
+}
+
+/// The inertia of the body of a job; `None` if its scenario is none of this build.
+async fn inertia(app: &App, id: Uuid) -> Option<Inertia> {
+    let text = app.engine.scenario(id).await.ok()?;
+    off_thread(move || Scenario::from_json(&text).ok()).await.map(|scenario| scenario.scene.inertia)
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SamplesQuery {
+    channel: Option<String>,
+    points: Option<usize>,
+    from_s: Option<f64>,
+    to_s: Option<f64>,
+}
+
+pub(super) async fn get_samples(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+    query: Result<Query<SamplesQuery>, QueryRejection>,
+) -> Result<Json<CourseOf>, Problem> {
+    let Query(SamplesQuery { channel, points, from_s, to_s }) = query?;
+    let refuse = |pointer, message: String| Err(ScenarioError::invalid(pointer, message).into());
+    let name = channel.as_deref().unwrap_or(Curve::EnergyError.name());
+    let Some(curve) = Curve::ALL.into_iter().find(|curve| curve.name() == name) else {
+        let all = Curve::ALL.map(Curve::name).join(", ");
+        return refuse("/channel", format!("is none of {all}"));
+    };
+    let points = points.unwrap_or(POINTS);
+    if !(2..=MAX_POINTS).contains(&points) {
+        return refuse("/points", format!("{points} given, 2 to {MAX_POINTS} are allowed"));
+    }
+    let (from_s, to_s) = (from_s.unwrap_or(0.0), to_s.unwrap_or(f64::MAX));
+    if !(from_s >= 0.0 && from_s.is_finite()) {
+        return refuse("/from_s", "is not a time in seconds, 0 or more".to_owned());
+    }
+    if !(to_s >= from_s && to_s.is_finite()) {
+        return refuse("/to_s", format!("is not a time of from_s ({from_s} s) or later"));
+    }
+    let view = app.engine.brief(id)?;
+    let finished = view.state.is_final();
+    let log = match finished {
+        true => app.engine.log(id).await?,
+        false => part_path(&app.engine.log_path(id)),
+    };
+    let inertia = match curve {
+        Curve::AngularVelocity => inertia(&app, id).await,
+        _ => None,
+    };
+    let window = Window { from_s, to_s, points };
+    match app.pictures.samples(log, curve, window, inertia).await? {
+        Some(samples) if finished && samples.time_s.is_empty() && from_s == 0.0 => {
+            Err(Problem::not_found("channel in the log"))
+        }
+        Some(samples) => Ok(Json(samples)),
+        // Waits, or has ended at this moment.
+        None => Err(Refusal::LogUnfinished { eta_s: view.eta_s }.into()),
+    }
 }
 
 pub(super) async fn get_chart(
@@ -217,4 +310,11 @@ pub(super) async fn get_job_scenario(
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
     Ok(json_text(app.engine.scenario(id).await?))
+}
+
+pub(super) async fn get_job_sent(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+) -> Result<Response, Problem> {
+    Ok(json_text(app.engine.sent(id).await?))
 }

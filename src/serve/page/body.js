@@ -1,70 +1,137 @@
 "use strict";
-// The body in space: boxes, balls and arrows as CSS boxes, turned by matrix3d. Lengths in the log's units are
-// scaled to pixels here and nowhere else.
+// The body in space: faces, balls and arrows, painted from far to near. Lengths in the log's units are scaled to pixels
+// here and nowhere else.
 class Stage {
   constructor(template) {
     this.root = template.content.firstElementChild.cloneNode(true);
     const find = name => this.root.querySelector(`.${name}`);
-    [this.stage, this.space, this.body] = [find("stage"), find("space"), find("body")];
-    [this.play, this.seek, this.time, this.rate, this.caption] =
-      [find("play"), find("seek"), find("time"), find("rate"), find("caption")];
-    [this.azimuth, this.elevation] = [-0.6, 0.35];
-    this.balls = [];
-    this.frames = { time_s: [], attitude: [] };
-    [this.at, this.end, this.busy, this.playing] = [0, 0, false, false];
+    [this.stage, this.ink] = ["stage", "ink"].map(find);
+    [this.play, this.seek, this.time, this.rate, this.caption] = ["play", "seek", "time", "rate", "caption"].map(find);
+    this.drawn = Object.fromEntries([...this.root.querySelectorAll(".drawn input")].map(box => [box.value, box]));
+    [this.azimuth, this.elevation, this.zoom] = [-0.6, 0.35, 1];
+    [this.parts, this.labels] = [[], []];
+    this.frames = { time_s: [], attitude: [], body_momentum: [], angular_velocity: [] };
+    // The time that is shown, and seconds of it in a second.
+    [this.t, this.speed, this.end, this.busy, this.playing] = [0, 1, 0, false, false];
     this.play.onclick = () => this.run(!this.playing);
     this.seek.oninput = () => this.go(Number(this.seek.value));
-    this.stage.onpointerdown = event => this.stage.setPointerCapture(event.pointerId);
-    this.stage.onpointermove = event => {
-      if (this.stage.hasPointerCapture(event.pointerId)) this.look(-event.movementX * 0.01, event.movementY * 0.01);
-    };
+    this.rate.onchange = () => { this.setSpeed(Number(this.rate.value)); this.go(this.t); };
+    this.root.querySelector(".drawn").onchange = () => this.show();
+    for (const [name, by] of [["nearer", 1.25], ["farther", 0.8]]) find(name).onclick = () => this.magnify(by);
+    this.watchPointers();
     this.stage.onkeydown = event => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
       const turn = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
-      if (turn) { this.look(...turn); event.preventDefault(); }
-      if (event.key === " ") { this.run(!this.playing); event.preventDefault(); }
+      if (turn) this.look(...turn);
+      else if (event.key === " ") this.run(!this.playing);
+      else if (event.key === "+" || event.key === "=") this.magnify(1.25);
+      else if (event.key === "-") this.magnify(0.8);
+      else if (event.key === "0") this.magnify(1 / this.zoom);
+      else return;
+      event.preventDefault();
     };
+    this.sizes = new ResizeObserver(() => this.show());
+    this.sizes.observe(this.stage);
   }
 
-  // `load(from_s)` gives attitudes from a time on.
-  async open(load) {
+  // One finger or the mouse turns the view, two fingers or the wheel bring it nearer.
+  watchPointers() {
+    const fingers = new Map();
+    const apart = () => { const [a, b] = [...fingers.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
+    this.stage.onpointerdown = event => {
+      if (event.target.closest("button")) return;
+      this.stage.setPointerCapture(event.pointerId);
+      fingers.set(event.pointerId, [event.clientX, event.clientY]);
+    };
+    this.stage.onpointermove = event => {
+      const before = fingers.get(event.pointerId);
+      if (!before) return;
+      const far = fingers.size === 2 ? apart() : 0;
+      fingers.set(event.pointerId, [event.clientX, event.clientY]);
+      if (fingers.size === 2) this.magnify(apart() / Math.max(1, far));
+      else if (fingers.size === 1) this.look((before[0] - event.clientX) * 0.01, (event.clientY - before[1]) * 0.01);
+    };
+    this.stage.onpointerup = this.stage.onpointercancel = event => fingers.delete(event.pointerId);
+    this.stage.addEventListener("wheel", event => {
+      event.preventDefault();
+      this.magnify(Math.exp(-event.deltaY * (event.deltaMode === 1 ? 0.03 : 0.0015)));
+    }, { passive: false });
+  }
+
+  // `load(from_s, every_s)` gives attitudes from a time on; `terms` are those of the potential, for their labels.
+  async open(load, terms = []) {
     this.load = load;
     await this.fetch(0);
     if (this.frames.time_s.length === 0) return false;
     this.draw(this.first.scene);
-    this.show();
+    this.name(terms);
+    this.choosePace();
+    await this.go(0);
     this.run(!matchMedia("(prefers-reduced-motion: reduce)").matches);
     return true;
   }
+
+  // Real time, unless the body turns too fast to see, or too slowly to see it turn.
+  choosePace() {
+    const size = v => Math.hypot(...v);
+    this.fastest = Math.max(0, ...this.frames.angular_velocity.map(size));
+    this.most = Math.max(0, ...this.frames.body_momentum.map(size));
+    const turns = this.fastest / (2 * Math.PI);
+    const nice = [1, 2, 5].flatMap(x => [x, 10 * x, 100 * x, 1e3 * x, 1e4 * x, 1e5 * x]).sort((a, b) => a - b);
+    const slow = turns > 1 ? nice.find(x => x >= turns) ?? 1e6 : 1;
+    const fast = turns > 0 && turns < 1 / 120 ? nice.findLast(x => x * turns <= 1 / 15) ?? 1 : 1;
+    this.chosen = fast / slow;
+    const speeds = [...new Set([0.01, 0.1, 0.25, 0.5, 1, 2, 4, 10, 100, this.chosen, this.chosen / 2, this.chosen / 4, this.chosen * 2, this.chosen * 4])].sort((a, b) => a - b);
+    this.rate.replaceChildren(...speeds.map(speed => h("option", { value: speed }, speed === 1 ? "1 (real time)" : speed < 1 ? `1/${figure(1 / speed)}` : figure(speed))));
+    this.setSpeed(this.chosen);
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    this.rate.value = speed;
+    const turns = this.fastest / (2 * Math.PI);
+    const often = turns >= 1 ? `it turns up to ${figure(Number(turns.toPrecision(2)))} times a second` : `one turn takes ${span(1 / turns)} or more`;
+    const why = this.fastest > 0 ? `: ${often}` : "";
+    put(this.root.querySelector(".pace"), speed === 1 ? `Real time${why}.` : speed < 1 ? `Slowed ${figure(1 / speed)} times${why}.` : `${figure(speed)} times faster than real${why}.`);
+  }
+
+  // Attitudes as dense as the screen shows them.
+  every() { return this.speed / 60; }
 
   async fetch(from) {
     if (this.busy) return;
     this.busy = true;
     try {
-      const stretch = await this.load(from);
+      const stretch = await this.load(from, this.first ? this.every() : 0);
       this.first ??= stretch;
       this.end = stretch.end_s ?? stretch.time_s.at(-1) ?? 0;
       this.seek.max = this.end || 1;
-      const { time_s, attitude } = this.frames;
-      const last = time_s.at(-1) ?? -1;
+      const last = this.frames.time_s.at(-1) ?? -1;
       const fresh = stretch.time_s.findIndex(t => t > last);
       this.done = fresh < 0;
-      if (fresh >= 0) {
-        time_s.push(...stretch.time_s.slice(fresh));
-        attitude.push(...stretch.attitude.slice(fresh));
+      const old = Math.max(0, this.index() - 600);
+      for (const [name, kept] of Object.entries(this.frames)) {
+        if (fresh >= 0) kept.push(...stretch[name].slice(fresh));
+        kept.splice(0, old);
       }
-      const old = Math.max(0, Math.floor(this.at) - 600);
-      time_s.splice(0, old);
-      attitude.splice(0, old);
-      this.at -= old;
     } finally { this.busy = false; }
+  }
+
+  // The last sample at or before the time that is shown.
+  index() {
+    const times = this.frames.time_s;
+    let [low, high] = [0, times.length - 1];
+    while (low < high) { const middle = (low + high + 1) >> 1; if (times[middle] <= this.t) low = middle; else high = middle - 1; }
+    return Math.max(0, low);
   }
 
   // Jumps to a time.
   async go(time) {
     if (this.busy) { this.wanted = time; return; }
-    this.frames = { time_s: [], attitude: [] };
-    this.at = 0;
-    await this.fetch(time);
+    for (const kept of Object.values(this.frames)) kept.length = 0;
+    this.t = time;
+    // What was before it is the trail.
+    await this.fetch(Math.max(0, time - 200 * this.every()));
     this.show();
     if (this.wanted !== undefined) { const wanted = this.wanted; this.wanted = undefined; await this.go(wanted); }
   }
@@ -72,19 +139,21 @@ class Stage {
   run(on) {
     this.playing = on;
     this.play.textContent = on ? "Pause" : "Play";
+    // What stands still is a sample of the log.
+    if (!on) { this.t = this.frames.time_s[this.index()] ?? this.t; this.show(); return; }
     let before;
     const tick = now => {
       if (!this.playing || !this.root.isConnected) return;
-      // One sample at a sixtieth of a second: logs are made for that.
-      this.at += Math.min(now - (before ?? now), 100) * 0.06 * Number(this.rate.value);
+      const times = this.frames.time_s;
+      const last = times.at(-1) ?? 0;
+      if (!this.busy) this.t = Math.min(this.t + Math.min(now - (before ?? now), 2000) * 1e-3 * this.speed, last);
       before = now;
-      const count = this.frames.time_s.length;
-      if (this.at > count - 120 && !this.done && !this.busy) this.fetch(this.frames.time_s.at(-1) ?? 0).catch(() => this.run(false));
-      if (this.at >= count) { if (this.done) this.go(0); this.at = Math.max(0, count - 1); }
+      if (times.length - this.index() < 120 && !this.done && !this.busy) this.fetch(last).catch(() => this.run(false));
+      if (this.t >= last && this.done && !this.busy) this.go(0).catch(() => this.run(false));
       this.show();
       requestAnimationFrame(tick);
     };
-    if (on) requestAnimationFrame(tick);
+    requestAnimationFrame(tick);
   }
 
   // Shapes as they stand in their frames; for bodies that have none, a cube of the first three axes.
@@ -96,53 +165,18 @@ class Stage {
       { position: [0, 0, 0], orientation: [1, 0, 0, 0], size: [1, 1, n > 2 ? 1 : 0.1], color: [0.62, 0.66, 0.72, 0.7] }],
       arrows: [axis([1, 0, 0, 0], [1, 0, 0, 1]), axis([h, 0, 0, h], [0, 1, 0, 1]), axis([h, 0, -h, 0], [0, 0, 1, 1])] }];
     if (n !== 3) this.caption.textContent = `SO(${n}): the first axes of the body, projected onto the first directions of space.`;
+    for (const box of Object.values(this.drawn)) box.closest("label").hidden = n !== 3;
     const drawings = scene.length ? scene : plain;
     const reach = shape => Math.hypot(...shape.position) + 0.5 * Math.hypot(...shape.size);
     const far = drawings.flatMap(d => [...d.boxes.map(reach), ...d.balls.map(reach), ...d.arrows.map(a => a.size[0])]);
-    this.scale = 135 / Math.max(1e-9, ...far);
+    this.scale = 108 / Math.max(1e-9, ...far);
     for (const { frame, boxes, balls, arrows } of drawings) {
-      const parent = frame === "body" ? this.body : this.space;
-      boxes.forEach(box => this.box(parent, box));
-      arrows.forEach(arrow => this.arrow(parent, arrow));
-      balls.forEach(ball => this.balls.push({ ...ball, frame, node: this.node(this.space, "ball", ball.color, 1) }));
-    }
-  }
-
-  node(parent, kind, [r, g, b, a], light) {
-    const node = document.createElement("div");
-    node.className = `shape ${kind}`;
-    const part = x => Math.round(255 * Math.min(1, x * light));
-    node.style.background = `rgb(${part(r)} ${part(g)} ${part(b)} / ${a})`;
-    return parent.appendChild(node);
-  }
-
-  place(node, [x, y, z], turn, width, height) {
-    const s = this.scale;
-    Object.assign(node.style, { width: `${width * s}px`, height: `${height * s}px` });
-    node.style.transform = `${matrix3d(turn, [x * s, y * s, z * s])} translate(-50%, -50%)`;
-  }
-
-  box(parent, { position, orientation, size: [a, b, c], color }) {
-    const turn = rotation(orientation);
-    const face = (normal, u, v, half, light) => {
-      const at = position.map((p, i) => p + turn[i][normal] * half);
-      const columns = turn.map(row => [row[u], row[v], row[normal]]);
-      const [width, height] = [[a, b, c][u], [a, b, c][v]];
-      this.place(this.node(parent, "face", color, light), at, columns, width, height);
-    };
-    [[0, 1, 2, a, 0.85], [1, 0, 2, b, 1], [2, 0, 1, c, 1.2]].forEach(([n, u, v, edge, light]) => {
-      face(n, u, v, edge / 2, light);
-      face(n, u, v, -edge / 2, light * 0.9);
-    });
-  }
-
-  arrow(parent, { position, orientation, size: [length, thick], color }) {
-    const turn = rotation(orientation);
-    const middle = position.map((p, i) => p + turn[i][0] * length / 2);
-    // Two crossed planes: an arrow from every side.
-    for (const [u, w] of [[1, 2], [2, 1]]) {
-      const columns = turn.map(row => [row[0], row[u], row[w]]);
-      this.place(this.node(parent, "arrow", color, u === 1 ? 1 : 0.8), middle, columns, length, Math.max(4 * thick, length * 0.07));
+      for (const box of boxes) this.parts.push(...faces(box).map(face => ({ frame, color: box.color, ...face })));
+      for (const { position, size, color } of balls) this.parts.push({ frame, color, points: [position], radius: size[0] / 2 });
+      for (const { position, orientation, size: [length, thick], color } of arrows) {
+        const along = rotation(orientation).map(row => row[0] * length);
+        this.parts.push({ frame, color, points: [position, position.map((x, i) => x + along[i])], thick });
+      }
     }
   }
 
@@ -152,30 +186,196 @@ class Stage {
     this.show();
   }
 
-  // Puts everything where it is at sample `at`.
+  magnify(by) {
+    this.zoom = Math.max(0.2, Math.min(12, this.zoom * by));
+    this.show();
+  }
+
+  // What stands where: the points of the body and what acts on them.
+  name(terms) {
+    const add = (frame, at, text) => {
+      if (!at || at.length !== 3) return;
+      const same = this.labels.find(label => label.frame === frame && label.at.every((x, i) => Math.abs(x - at[i]) < 1e-9));
+      if (!same) this.labels.push({ frame, at, texts: [text] });
+      else if (!same.texts.includes(text)) same.texts.push(text);
+    };
+    const signed = x => `${x < 0 ? "−" : "+"}${figure(Math.abs(x))}`;
+    for (const { kind, weight, strength, stiffness, body_point: point, position } of terms) {
+      if (kind === "uniform") add("body", point, `weight ${figure(weight)} N`);
+      if (kind === "point_source") { add("body", point, `charge ${signed(strength)}`); add("space", position, "source"); }
+      if (kind === "spring") { add("body", point, `spring ${figure(stiffness)} N/m`); add("space", position, "anchor"); }
+    }
+    add("space", [0, 0, 0], "pivot");
+  }
+
+  // The attitude at the time that is shown: between two samples turned about one axis, as far as the velocity says.
+  now(k) {
+    const { time_s, attitude, angular_velocity: velocity } = this.frames;
+    const square = flat => {
+      const n = Math.round(Math.sqrt(flat.length));
+      return [0, 1, 2].map(i => [0, 1, 2].map(j => i < n && j < n ? flat[i * n + j] : Number(i === j)));
+    };
+    const g = square(attitude[k]);
+    const [dt, since] = [time_s[k + 1] - time_s[k], this.t - time_s[k]];
+    if (attitude[k].length !== 9 || !(since > 0) || !(dt > 0)) return g;
+    const next = square(attitude[k + 1]);
+    const r = [0, 1, 2].map(i => [0, 1, 2].map(j => g[0][i] * next[0][j] + g[1][i] * next[1][j] + g[2][i] * next[2][j]));
+    const twice = [r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]];
+    const sine = Math.hypot(...twice);
+    if (sine < 1e-9) return g;
+    const axis = twice.map(x => x / sine);
+    const angle = Math.atan2(sine, r[0][0] + r[1][1] + r[2][2] - 1);
+    const expected = velocity[k]?.length === 3 ? (velocity[k][0] * axis[0] + velocity[k][1] * axis[1] + velocity[k][2] * axis[2]) * dt : angle;
+    const whole = angle + 2 * Math.PI * Math.round((expected - angle) / (2 * Math.PI));
+    const half = 0.5 * whole * since / dt;
+    const turn = rotation([Math.cos(half), ...axis.map(x => x * Math.sin(half))]);
+    return g.map(row => [0, 1, 2].map(j => row[0] * turn[0][j] + row[1] * turn[1][j] + row[2] * turn[2][j]));
+  }
+
+  // Puts everything where it is at the time `t`.
   show() {
     const { time_s, attitude } = this.frames;
-    const k = Math.max(0, Math.min(Math.floor(this.at), time_s.length - 1));
-    const flat = attitude[k];
-    if (!flat || !this.scale) return;
-    const n = Math.round(Math.sqrt(flat.length));
-    const g = [0, 1, 2].map(i => [0, 1, 2].map(j => i < n && j < n ? flat[i * n + j] : Number(i === j)));
+    const k = this.index();
+    if (!attitude[k] || !this.scale) return;
+    const g = this.now(k);
     const [sa, ca, se, ce] = [Math.sin(this.azimuth), Math.cos(this.azimuth), Math.sin(this.elevation), Math.cos(this.elevation)];
     // Right, down and towards the eye, as CSS counts; z of space is up.
     const view = [[ca, sa, 0], [-sa * se, ca * se, -ce], [sa * ce, -ca * ce, se]];
-    this.space.style.transform = matrix3d(view, [0, 0, 0]);
-    this.body.style.transform = matrix3d(g, [0, 0, 0]);
-    for (const { node, position, frame, size } of this.balls) {
-      const at = frame === "body" ? times(g, position) : position;
-      // Turned to the eye by the inverse of the view.
-      this.place(node, at, view[0].map((_, i) => view.map(row => row[i])), size[0], size[1]);
+    this.g = g;
+    this.paint(view, g, k);
+    const shown = time_s[k + 1] === undefined ? time_s[k] : Math.max(this.t, time_s[k]);
+    this.time.textContent = `t = ${shown.toPrecision(4)} s`;
+    if (document.activeElement !== this.seek) this.seek.value = shown;
+    this.told?.(shown);
+  }
+
+  // Paints the scene, and on top of it the trail of the third axis, the arrows and the labels.
+  paint(view, g, k) {
+    const [width, height, dense] = [this.stage.clientWidth, this.stage.clientHeight, devicePixelRatio || 1];
+    if (this.ink.width !== Math.round(width * dense) || this.ink.height !== Math.round(height * dense)) {
+      [this.ink.width, this.ink.height] = [Math.round(width * dense), Math.round(height * dense)];
     }
-    const step = (time_s.at(-1) - time_s[0]) / Math.max(1, time_s.length - 1);
-    this.time.textContent = `t = ${time_s[k].toPrecision(4)} s`;
-    this.time.title = `${(step * 60 * Number(this.rate.value)).toPrecision(2)} s of simulated time per second`;
-    if (document.activeElement !== this.seek) this.seek.value = time_s[k];
+    const pen = this.ink.getContext("2d");
+    const style = getComputedStyle(this.stage);
+    const shade = name => style.getPropertyValue(name).trim();
+    pen.setTransform(dense, 0, 0, dense, 0, 0);
+    pen.clearRect(0, 0, width, height);
+    // To the eye, and onto the screen.
+    const seen = at => times(view, at).map(x => x * this.scale * this.zoom);
+    const near = z => EYE / Math.max(50, EYE - z);
+    const onto = ([x, y, z]) => [width / 2 + x * near(z), height / 2 + y * near(z)];
+    const spot = at => onto(seen(at));
+    const pointed = ([x, y], [ex, ey], color, thick) => {
+      const [length, angle, head] = [Math.hypot(ex - x, ey - y), Math.atan2(ey - y, ex - x), 3.2 * thick + 1.5];
+      pen.strokeStyle = pen.fillStyle = color;
+      pen.lineWidth = thick;
+      pen.save();
+      pen.translate(x, y);
+      pen.rotate(angle);
+      pen.beginPath();
+      pen.moveTo(0, 0);
+      pen.lineTo(Math.max(0, length - head), 0);
+      pen.stroke();
+      pen.beginPath();
+      pen.moveTo(length, 0);
+      pen.lineTo(length - head, 0.45 * head);
+      pen.lineTo(length - head, -0.45 * head);
+      pen.fill();
+      pen.restore();
+    };
+    const parts = this.parts.map(part => {
+      const points = part.points.map(at => seen(part.frame === "body" ? times(g, at) : at));
+      return { ...part, points, depth: points.reduce((sum, at) => sum + at[2], 0) / points.length };
+    });
+    for (const { points, color: [r, g, b, a], radius, thick, tone = 1 } of parts.sort((a, b) => a.depth - b.depth)) {
+      const lit = light => `rgb(${[r, g, b].map(x => Math.round(255 * Math.min(1, x * light))).join(" ")} / ${a})`;
+      pen.beginPath();
+      if (radius !== undefined) {
+        pen.arc(...onto(points[0]), Math.max(1, radius * this.scale * this.zoom * near(points[0][2])), 0, 7);
+        pen.fillStyle = lit(1);
+        pen.fill();
+      } else if (thick !== undefined) {
+        pointed(onto(points[0]), onto(points[1]), lit(1), Math.max(2, Math.min(6, thick * this.scale * this.zoom)));
+      } else {
+        const [u, v] = [1, 2].map(i => points[i].map((x, j) => x - points[0][j]));
+        const normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+        // Light from above, from the left, from behind the eye.
+        const facing = Math.abs(-0.35 * normal[0] - 0.6 * normal[1] + 0.72 * normal[2]) / Math.max(1e-9, Math.hypot(...normal));
+        points.map(onto).forEach(([x, y]) => pen.lineTo(x, y));
+        pen.closePath();
+        pen.fillStyle = lit(tone * (0.72 + 0.4 * facing));
+        pen.fill();
+      }
+    }
+    const { attitude, angular_velocity: velocity, body_momentum: momentum } = this.frames;
+    const n = Math.round(Math.sqrt(attitude[k].length));
+    const reach = 118 / this.scale;
+    if (this.drawn.trail.checked && n === 3) {
+      const tips = attitude.slice(Math.max(0, k - 300), k + 1).map(flat => [flat[2] * reach, flat[5] * reach, flat[8] * reach]);
+      tips.push(g.map(row => row[2] * reach));
+      pen.strokeStyle = pen.fillStyle = shade("--trail");
+      pen.lineWidth = 2;
+      tips.forEach((tip, i) => {
+        if (i === 0) return;
+        pen.globalAlpha = 0.15 + 0.85 * i / tips.length;
+        pen.beginPath();
+        pen.moveTo(...spot(tips[i - 1]));
+        pen.lineTo(...spot(tip));
+        pen.stroke();
+      });
+      pen.globalAlpha = 1;
+      pen.beginPath();
+      pen.arc(...spot(tips.at(-1)), 3.5, 0, 7);
+      pen.fill();
+    }
+    const words = [];
+    const arrow = (vector, longest, color, word) => {
+      if (!(vector?.length === 3) || !(longest > 0) || !(Math.hypot(...vector) > 1e-6 * longest)) return;
+      const end = spot(times(g, vector).map(x => x / longest * reach * 1.15));
+      pointed(spot([0, 0, 0]), end, shade(color), 3);
+      words.push([word, ...end, shade(color)]);
+    };
+    if (this.drawn.velocity.checked) arrow(velocity[k], this.fastest, "--velocity", "ω");
+    if (this.drawn.momentum.checked && n === 3) arrow(momentum[k], this.most, "--momentum", "L");
+    if (this.drawn.labels.checked && n === 3) {
+      for (const { frame, at, texts } of this.labels) words.push([texts.join(", "), ...spot(frame === "body" ? times(g, at) : at), shade("--ink")]);
+    }
+    pen.font = "600 13px system-ui, sans-serif";
+    pen.textBaseline = "middle";
+    pen.lineJoin = "round";
+    const boxes = [];
+    for (const [word, x, y, color] of words) {
+      const wide = pen.measureText(word).width;
+      // Beside its point, where nothing is written yet.
+      const inside = ([left, top]) => [Math.max(4, Math.min(left, width - wide - 4)), Math.max(10, Math.min(top, height - 10))];
+      const free = ([left, top]) => boxes.every(([l, t, w]) => Math.abs(t - top) >= 15 || left >= l + w || l >= left + wide);
+      const places = [0, 16, -16, 32, -32].flatMap(down => [[x + 8, y + down], [x - 8 - wide, y + down]]).map(inside);
+      const [left, top] = places.find(free) ?? places[0];
+      boxes.push([left, top, wide]);
+      if (Math.abs(top - y) > 20) {
+        pen.lineWidth = 1;
+        pen.strokeStyle = color;
+        pen.beginPath();
+        pen.moveTo(x, y);
+        pen.lineTo(left < x ? left + wide : left, top);
+        pen.stroke();
+      }
+      pen.lineWidth = 4;
+      pen.strokeStyle = shade("--stage");
+      pen.strokeText(word, left, top);
+      pen.fillStyle = color;
+      pen.fillText(word, left, top);
+    }
+  }
+
+  close() {
+    this.run(false);
+    this.sizes.disconnect();
   }
 }
+
+// How far the eye is from the middle of the scene, in pixels.
+const EYE = 1100;
 
 function times(matrix, v) {
   return matrix.map(row => row[0] * v[0] + row[1] * v[1] + row[2] * v[2]);
@@ -190,8 +390,29 @@ function rotation([w, x, y, z]) {
   ];
 }
 
-// CSS takes columns.
-function matrix3d(rows, [x, y, z]) {
-  const column = j => rows.map(row => row[j].toFixed(9)).join(",");
-  return `matrix3d(${column(0)},0,${column(1)},0,${column(2)},0,${x},${y},${z},1)`;
+// The faces of a box. Two equal edges and a third are the inertia of a cylinder or a disc, which is easier to know by its
+// shape: a^2 / 12 = r^2 / 4. Its quarters differ, so that one sees it turn.
+function faces({ position, orientation, size }) {
+  const turn = rotation(orientation);
+  const at = place => position.map((x, i) => x + turn[i][0] * place[0] + turn[i][1] * place[1] + turn[i][2] * place[2]);
+  const half = size.map(edge => edge / 2);
+  // A place by its coordinates along the axes k, k + 1, k + 2.
+  const around = (k, a, b, c) => { const place = [0, 0, 0]; [place[k], place[(k + 1) % 3], place[(k + 2) % 3]] = [a, b, c]; return at(place); };
+  const axis = [0, 1, 2].find(k => {
+    const [w, u, v] = [size[k], size[(k + 1) % 3], size[(k + 2) % 3]];
+    return Math.abs(u - v) < 1e-6 * u && Math.abs(u - w) > 1e-3 * u;
+  });
+  if (axis === undefined) {
+    return [0, 1, 2].flatMap(k => [1, -1].map(side => ({ points: [[1, 1], [1, -1], [-1, -1], [-1, 1]]
+      .map(([b, c]) => around(k, side * half[k], b * half[(k + 1) % 3], c * half[(k + 2) % 3])) })));
+  }
+  const [radius, sides] = [size[(axis + 1) % 3] / Math.sqrt(3), 48];
+  const rim = (k, side) => around(axis, side * half[axis], radius * Math.cos(2 * Math.PI * k / sides), radius * Math.sin(2 * Math.PI * k / sides));
+  const tone = k => Math.floor(4 * k / sides) % 2 ? 0.78 : 1;
+  const steps = Array.from({ length: sides }, (_, k) => k);
+  const mantle = steps.map(k => ({ tone: tone(k), points: [rim(k, 1), rim(k + 1, 1), rim(k + 1, -1), rim(k, -1)] }));
+  const quarter = sides / 4;
+  const ends = [1, -1].flatMap(side => [0, 1, 2, 3].map(q => ({ tone: tone(q * quarter),
+    points: [around(axis, side * half[axis], 0, 0), ...steps.slice(0, quarter + 1).map(k => rim(q * quarter + k, side))] })));
+  return [...mantle, ...ends];
 }

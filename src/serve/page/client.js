@@ -99,6 +99,14 @@ function span(seconds) {
   return seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${Math.round(seconds / 86400)} days`;
 }
 
+// The time of today, or the day.
+function when(created) {
+  if (!created) return "";
+  const at = new Date(created);
+  const time = at.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  return at.toDateString() === new Date().toDateString() ? time : `${at.toLocaleDateString([], { dateStyle: "medium" })}, ${time}`;
+}
+
 function standing({ state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
   if (state === "queued") return trouble ? "waiting for the disk" : "waiting for a free worker";

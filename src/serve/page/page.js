@@ -1,104 +1,5 @@
-// The page: the jobs, one job or study in full.
-let stage = null;
-let jobs = [];
-let cursor = null;
-let studies = null;
-
-// ---- lists
-
-function bar(job) {
-  const { percent } = job.progress;
-  return h("progress", { max: 100, value: job.state === "queued" ? 0 : percent, ariaLabel: `Progress of ${job.name}` });
-}
-
-async function act(path, options, word) {
-  try { await call(path, options); say(word); } catch (error) { say(error.message); }
-  await refresh();
-}
-
-const cancel = job => h("button", { type: "button", className: "small", ariaLabel: `Cancel ${job.name}`,
-  onclick: () => act(`jobs/${job.id}/cancel`, { method: "POST" }, "Job cancelled") }, "Cancel");
-
-const forgetJob = job => h("button", { type: "button", className: "small", ariaLabel: `Delete ${job.name}`, onclick: async () => {
-  if (!confirm(`Delete the job ${job.name} and its log?`)) return;
-  await act(`jobs/${job.id}`, { method: "DELETE" }, "Job deleted");
-  if (location.hash.endsWith(job.id)) location.hash = "#/";
-} }, "Delete");
-
-function jobItem(job) {
-  const ended = ENDED.includes(job.state);
-  const here = location.hash === `#/jobs/${job.id}`;
-  const link = h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed");
-  if (here) link.setAttribute("aria-current", "page");
-  const created = job.created ? new Date(job.created).toLocaleTimeString() : "";
-  return h("li", { id: `job-${job.id}`, className: here ? "here" : "" },
-    h("div", { className: "row" }, link, h("span", { className: `state ${job.state}` }, job.state)),
-    ended ? null : bar(job),
-    h("div", { className: "row soft" }, `${standing(job)}${ended ? ` · ${created}` : ""}`, ended ? forgetJob(job) : cancel(job)));
-}
-
-const lists = new Map();
-
-// Replaces only what changed, so that the focus stays.
-function fill(list, items, make, empty) {
-  const old = lists.get(list) ?? new Map();
-  const fresh = new Map(items.map(item => {
-    const key = JSON.stringify([item, location.hash]);
-    return [key, old.get(key) ?? make(item)];
-  }));
-  const held = document.activeElement?.closest?.(`#${list} li`)?.id;
-  const label = document.activeElement?.textContent;
-  lists.set(list, fresh);
-  $(list).replaceChildren(...(fresh.size ? fresh.values() : [h("li", { className: "soft" }, empty)]));
-  if (held) [...($(held)?.querySelectorAll("a, button") ?? [])].find(node => node.textContent === label)?.focus();
-}
-
-const showJobs = () => fill("jobs", jobs, jobItem, "No jobs yet.");
-
-function heard(job) {
-  jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
-  showJobs();
-}
-
-const followed = new Map();
-
-// Streams are few: a browser keeps six connections to a place.
-function followSome() {
-  for (const job of jobs.filter(job => !ENDED.includes(job.state)))
-    if (followed.size < 2 && !followed.has(job.id) && !document.hidden) {
-      const stop = new AbortController();
-      followed.set(job.id, stop);
-      follow(job.id, heard, stop.signal).finally(() => { followed.delete(job.id); });
-    }
-}
-
-async function refresh() {
-  try {
-    const page = await json("jobs?limit=20", { quiet: true });
-    const shown = new Set(page.jobs.map(job => job.id));
-    const oldest = page.jobs.at(-1)?.id ?? "";
-    jobs = [...page.jobs, ...jobs.filter(job => !shown.has(job.id) && job.id < oldest)];
-    if (jobs.length === page.jobs.length) cursor = page.next_cursor;
-    $("more").hidden = !cursor;
-    showJobs();
-    followSome();
-    if (studies) await refreshStudies();
-  } catch (error) { if (error.shut) askToken(); }
-}
-
-async function refreshStudies() {
-  ({ studies } = await json("studies", { quiet: true }));
-  fill("studies", studies, studyItem, "No studies yet.");
-}
-
-$("more").onclick = async () => {
-  const page = await json(`jobs?limit=20&cursor=${cursor}`);
-  jobs = [...jobs, ...page.jobs];
-  cursor = page.next_cursor;
-  $("more").hidden = !cursor;
-  showJobs();
-};
-
+// The page: one job or study in full, and the way between them.
+let stage = null, chart = null;
 // ---- one job
 
 async function picture(path, alt) {
@@ -124,7 +25,8 @@ function diagnosis(job) {
   const again = step && h("button", { type: "button", className: "main", id: "again", onclick: async () => {
     // As far in time as was asked for.
     const steps = Math.ceil(job.plan.steps * job.plan.step_s / step);
-    await edit(job, ({ duration_s, accuracy, ...scenario }) => ({ ...scenario, step_s: step, steps }));
+    await edit(job, source => ["duration_s", "accuracy"].reduce((source, key) => altered(source, [key], null),
+      altered(altered(source, ["step_s"], String(step)), ["steps"], String(steps))));
     await runJob(text.value);
   } }, `Run again with a step of ${step} s`);
   const where = found.step == null ? "" : ` at step ${count(found.step)}, t = ${figure(found.time_s)} s`;
@@ -179,12 +81,10 @@ function liveLinks(job) {
   ];
 }
 
-// Puts the scenario of a job into the editor.
-async function edit(job, change = scenario => scenario) {
-  const scenario = change(await json(`jobs/${job.id}/scenario.json`));
-  unmark();
-  text.value = JSON.stringify(scenario, null, 2);
-  $("shipped").value = $("about").textContent = "";
+// Puts the scenario of a job into the editor, as it was sent.
+async function edit(job, change = source => source) {
+  const source = await (await call(job.links.sent)).text();
+  replaceText(change(source), "", `the scenario of ${job.name}`);
   text.focus();
 }
 
@@ -207,6 +107,9 @@ function facts({ plan, summary, attempts }) {
   return h("dl", {}, rows);
 }
 
+// The title of the tab says what it shows.
+function title(name, state) { document.title = name ? `${name}: ${state} – vpd` : "vpd"; }
+
 let shown = 0;
 
 async function viewJob(id) {
@@ -218,8 +121,9 @@ async function viewJob(id) {
   if (!current()) return;
   const head = h("div");
   const looks = h("div", { id: "looks" });
+  const drawn = h("div", { id: "drawn" });
   const rest = h("div");
-  $("view").replaceChildren(h("article", { className: "card" }, head, looks, rest));
+  $("view").replaceChildren(h("article", { className: "card" }, head, looks, drawn, rest));
   let body = false, ended = false, before = "";
 
   // Once; what came to nothing while the job ran is tried again when it has ended.
@@ -231,6 +135,20 @@ async function viewJob(id) {
     if (!body && ended) await show(job);
   };
 
+  // From when there is a log on: now and then while it grows.
+  let asked = 0;
+  const showChart = async job => {
+    if (asked === Infinity || Date.now() < asked) return;
+    const begun = Date.now();
+    asked = Infinity;
+    if (!chart) {
+      chart = new Chart(job, t => stage?.go(t));
+      drawn.replaceChildren(h("h3", {}, "Over time"), chart.root);
+    }
+    if (ended || !chart.span) await chart.load();
+    asked = ended ? Infinity : Date.now() + Math.max(3000, 5 * (Date.now() - begun));
+  };
+
   const update = async job => {
     if (!current() || ended) return;
     ended = ENDED.includes(job.state);
@@ -240,18 +158,27 @@ async function viewJob(id) {
       head.replaceChildren(
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
         h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
-        ended ? "" : h("div", { className: "row" }, bar(job), h("span", { className: "soft", id: "standing" }), cancel(job)));
+        ended ? "" : h("div", { className: "row" }, h("progress", { max: 100, ariaLabel: "Progress" }), h("span", { className: "soft", id: "standing" }),
+          h("button", { type: "button", className: "small", onclick: () => cancel(job) }, "Cancel")));
       rest.replaceChildren(...(job.state === "running" ? liveLinks(job).filter(Boolean) : []));
       if (ended) say(`Job ${job.name} ${job.state}`);
     }
+    title(job.name, ended || job.state === "queued" ? job.state : `${Math.floor(job.progress.percent)} %`);
     if (!ended) {
       head.querySelector("progress").value = job.progress.percent;
       $("standing").textContent = standing(job);
     }
-    if (ended ? job.links.log : job.progress.durable_step > 0) await show(job);
+    if (ended ? job.links.log : job.progress.durable_step > 0) {
+      await show(job);
+      if (!current()) return;
+      if (ended) asked = 0;
+      const made = showChart(job);
+      if (ended) await made;
+    }
     if (ended) {
+      if (!current()) return;
       rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
-        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, forgetJob(job)));
+        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, h("button", { type: "button", className: "small", onclick: () => forgetJob(job) }, "Delete")));
     }
   };
   await update(job);
@@ -261,9 +188,11 @@ async function viewJob(id) {
 async function showBody(job, looks, current) {
   try {
     const player = new Stage($("stage"));
-    const load = from => json(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}`, { quiet: true });
+    const load = (from, every) => json(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}&every_s=${every}`, { quiet: true });
     looks.replaceChildren(player.root);
-    if (await player.open(load) && current()) { stage = player; return true; }
+    const { scene } = await json(job.links.scenario, { quiet: true });
+    player.told = t => chart?.follow(t);
+    if (await player.open(load, scene.potential) && current()) { stage = player; return true; }
   } catch { /* Nothing to show. */ }
   looks.replaceChildren();
   return false;
@@ -276,31 +205,10 @@ async function charts(job) {
   const drawn = await Promise.all(Object.entries(CHARTS).filter(([key]) => job.links.charts?.[key])
     .map(([key, alt]) => picture(job.links.charts[key], alt).catch(() => null)));
   const found = drawn.filter(Boolean);
-  return found.length ? [h("h3", {}, "Accuracy"), h("div", { className: "charts" }, found)] : [];
+  return found.length ? [h("details", {}, h("summary", {}, "Charts of the accuracy as pictures"), h("div", { className: "charts" }, found))] : [];
 }
 
 // ---- studies
-
-const KINDS = { precision: "speed against accuracy", stability: "stability map", long_term: "long-term energy" };
-
-const forgetStudy = study => h("button", { type: "button", className: "small", ariaLabel: `Delete the study of ${study.name}`, onclick: async () => {
-  if (!confirm(`Delete the study of ${study.name}?`)) return;
-  await act(`studies/${study.id}`, { method: "DELETE" }, "Study deleted");
-  if (location.hash.endsWith(study.id)) location.hash = "#/";
-} }, "Delete");
-
-function studyItem(study) {
-  const here = location.hash === `#/studies/${study.id}`;
-  return h("li", { id: `study-${study.id}`, className: here ? "here" : "" },
-    h("div", { className: "row" }, h("a", { href: `#/studies/${study.id}` }, `${study.name}: ${KINDS[study.kind] ?? study.kind}`),
-      h("span", { className: `state ${study.state}` }, study.state)),
-    ENDED.includes(study.state) ? h("div", { className: "row soft" }, `${count(study.runs_done)} runs`, forgetStudy(study)) : [
-      h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: `Progress of ${study.name}` }),
-        h("div", { className: "row soft" }, `${count(study.runs_done)} of ${count(study.runs)} runs`,
-          h("button", { type: "button", className: "small", ariaLabel: `Cancel the study of ${study.name}`,
-            onclick: () => act(`studies/${study.id}/cancel`, { method: "POST" }, "Study cancelled") }, "Cancel")),
-    ]);
-}
 
 async function viewStudy(id) {
   const turn = ++shown;
@@ -310,6 +218,7 @@ async function viewStudy(id) {
     const study = await json(`studies/${id}`);
     if (turn !== shown) return;
     const ended = ENDED.includes(study.state);
+    title(study.name, study.state);
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
     const pictures = ended ? await Promise.all(files.filter(link => link.endsWith(".svg"))
       .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
@@ -327,17 +236,23 @@ async function viewStudy(id) {
 
 // ---- the whole
 
+let ready = false;
+
 async function route() {
-  stage?.run(false);
-  stage = null;
+  if (!ready) return;
+  stage?.close();
+  chart?.close();
+  stage = chart = null;
   const [, kind, id] = location.hash.split("/");
-  document.body.classList.toggle("open", Boolean(id));
+  document.body.classList.toggle("open", Boolean(id) && kind !== "draft");
   showJobs();
   try {
-    if (kind === "jobs" && id) await viewJob(id);
+    if (kind === "draft" && id) await openDraft(id);
+    else if (kind === "jobs" && id) await viewJob(id);
     else if (kind === "studies" && id) await viewStudy(id);
     else {
       shown += 1;
+      title();
       $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Choose a scenario and run it"),
         h("p", { className: "soft" }, "You will see the body turn, charts of the energy and momentum errors, and links that open the log in a viewer.")));
     }
@@ -347,21 +262,38 @@ async function route() {
   if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
 }
 
+// A scenario that somebody sent as an address.
+async function openDraft(letters) {
+  const found = await shared(letters);
+  location.replace("#/");
+  if (found === null) say("The address holds no scenario");
+  else replaceText(found, "", "the one of the address");
+}
+
+// What the editor opens with: what was written last, or an example.
+async function firstText() {
+  const found = kept();
+  if (found) { draft = { ...draft, ...found }; showDraft(); return; }
+  $("shipped").value = "heavy-top";
+  await $("shipped").onchange();
+}
+
 async function start() {
-  const { scenarios } = await json("scenarios");
+  const [{ scenarios }] = await Promise.all([json("scenarios"), makeForm()]);
   const options = scenarios.map(({ name, description }) => {
     const option = h("option", { value: name }, name);
     option.dataset.about = description ?? "";
     return option;
   });
   $("shipped").replaceChildren(h("option", { value: "" }, "your own scenario"), ...options);
-  if (!text.value) { $("shipped").value = "heavy-top"; await $("shipped").onchange(); }
+  if (!text.value) await firstText();
   const api = await json("openapi.json").catch(() => ({ paths: {} }));
   if (api.paths["/studies"]?.get) {
     studies = [];
     $("study-row").hidden = $("studies-card").hidden = false;
   }
   await refresh();
+  ready = true;
   await route();
 }
 

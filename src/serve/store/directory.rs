@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use uuid::Uuid;
 
-use super::{KEY, ServeError, parse_id};
+use super::{KEY, SENT, ServeError, parse_id};
 
 /// The data directory is ours while this lives: two services on one record would run each other's jobs.
 #[derive(Debug)]
@@ -88,9 +88,9 @@ impl Prefix {
         self.files.contains(name) || self.odd.contains(name)
     }
 
-    /// Whether this is what is left of a request that was never answered: a key, or texts on their way.
+    /// Whether this is what is left of a request that was never answered: a key, what was sent, or texts on their way.
     pub(in crate::serve) fn is_unanswered(&self) -> bool {
-        let passing = |name: &String| name.starts_with(KEY) || name.contains('#');
+        let passing = |name: &String| name.starts_with(KEY) || name == SENT || name.contains('#');
         self.odd.is_empty() && self.files.iter().all(passing)
     }
 }

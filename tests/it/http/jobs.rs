@@ -42,6 +42,50 @@ fn a_job_is_taken_runs_and_says_how_it_ended() {
 }
 
 #[test]
+fn a_scenario_is_given_back_as_it_was_sent() {
+    let data = directory();
+    let server = service(&data).start();
+    let sent = format!("{{ \"$schema\": \"scenario.schema.json\",\n{}", &short().to_string()[1..]);
+    let answer = server.post("/jobs", sent.as_bytes());
+    assert_eq!(answer.status, 202, "{}", answer.text());
+    let job = answer.json();
+    let id = job["id"].as_str().expect("an id").to_owned();
+    let path = job["links"]["sent"].as_str().expect("a link").to_owned();
+    assert_eq!(server.get(&path).text(), sent);
+    // What runs is without it, and with every default.
+    let accepted = server.get(&format!("/jobs/{id}/scenario.json"));
+    assert!(accepted.json()["$schema"].is_null() && accepted.json()["log"]["epoch"].is_string());
+    server.wait(&id, "succeeded");
+    let text = super::record(&data, &id).join("sent.json");
+    std::fs::remove_file(text).expect("kept");
+    assert_eq!(server.get(&path).body, accepted.body, "as a job of an older build");
+    server.get("/jobs/no-id/sent.json").problem(404, "unknown_job");
+
+    let mut wrong = short();
+    wrong["$schema"] = json!(1);
+    let refused = server.post("/jobs", wrong.to_string().as_bytes());
+    assert_eq!(refused.problem(422, "invalid_input")["pointer"], "/$schema");
+}
+
+#[test]
+fn jobs_are_found_by_a_part_of_their_names() {
+    let data = directory();
+    let server = service(&data).start();
+    let named = |name: &str| {
+        let mut scenario = short();
+        scenario["name"] = json!(name);
+        server.submit(&scenario)
+    };
+    let ids = ["Große Spindel 1", "top", "große spindel 2"].map(named);
+    let page = server.get("/jobs?name=GRO%C3%9FE%20sp&limit=1").json();
+    assert_eq!(page["jobs"][0]["id"], ids[2]);
+    let next = server.get(page["links"]["next"].as_str().expect("more")).json();
+    assert_eq!((&next["jobs"][0]["id"], &next["links"]["next"]), (&json!(ids[0]), &json!(null)));
+    assert_eq!(server.get("/jobs?name=none").json()["jobs"], json!([]));
+    server.get(&format!("/jobs?name={}", "x".repeat(201))).problem(400, "bad_query");
+}
+
+#[test]
 fn an_ensemble_is_a_job_like_any_other() {
     let data = directory();
     let server = service(&data).start();

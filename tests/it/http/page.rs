@@ -151,13 +151,149 @@ fn attitudes_are_those_of_the_log_from_any_time_on() {
     assert_eq!(times(&late), [150.0, 150.1]);
     assert_eq!(times(&ask("?from_s=199.95&samples=9")), [200.0]);
     assert_eq!(times(&ask("?from_s=1e300")), Vec::<f64>::new());
+    // Not all of them, and what turns the body.
+    let sparse = ask("?from_s=10&every_s=0.25&samples=4");
+    assert_eq!(times(&sparse), [10.0, 10.3, 10.6, 10.9]);
+    for k in 0..4 {
+        let part = |name: &str, axis: usize| sparse[name][k][axis].as_f64().expect("a number");
+        for (axis, moment) in [1.01, 1.0, 0.01].into_iter().enumerate() {
+            let off = part("angular_velocity", axis) * moment - part("body_momentum", axis);
+            assert!(off.abs() < 1e-15, "{off}");
+        }
+    }
 
     let frames: Vec<_> = first["scene"].as_array().expect("drawings").iter().collect();
     assert_eq!((&frames[0]["frame"], &frames[1]["frame"]), (&json!("body"), &json!("space")));
     assert_eq!(frames[0]["balls"].as_array().map(Vec::len), Some(3));
-    for query in ["?samples=0", "?samples=2001", "?from_s=-1", "?from_s=inf", "?other=1"] {
+    for query in
+        ["?samples=0", "?samples=2001", "?from_s=-1", "?from_s=inf", "?every_s=-1", "?other=1"]
+    {
         server.get(&format!("{path}{query}")).problem(400, "bad_query");
     }
+}
+
+#[test]
+fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = short();
+    scenario["steps"] = json!(20_000);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let path = server.job(&id)["links"]["samples"].as_str().expect("a link").to_owned();
+    let ask = |query: &str| server.get(&format!("{path}{query}")).json();
+    let numbers = |list: &Value| -> Vec<f64> {
+        let list = list.as_array().expect("a list").iter();
+        list.map(|x| x.as_f64().expect("a number")).collect()
+    };
+
+    // Every sample is a point of its own.
+    let all = ask("?points=5000&channel=energy_error");
+    assert_eq!(
+        (&all["unit"], &all["each"], &all["end_s"]),
+        (&json!("J"), &json!(1), &json!(200.0))
+    );
+    let whole = numbers(&all["low"][0]);
+    assert_eq!((whole.len(), &all["low"]), (2001, &all["high"]));
+    let least = |values: &[f64]| values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = |values: &[f64]| values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let few = ask("?points=9");
+    let (low, high) = (numbers(&few["low"][0]), numbers(&few["high"][0]));
+    assert!((5..=9).contains(&low.len()) && high.len() == low.len());
+    assert_eq!((least(&low), most(&high)), (least(&whole), most(&whole)));
+    let part = numbers(&ask("?from_s=50&to_s=50.25&points=10")["time_s"]);
+    assert_eq!(part, [50.0, 50.1, 50.2]);
+
+    // A log so long that several threads read it.
+    let mut scenario = short();
+    scenario["steps"] = json!(20_000);
+    scenario["log"]["every"] = json!(1);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let dense = server.get(&format!("/jobs/{id}/samples?points=100")).json();
+    let (low, high) = (numbers(&dense["low"][0]), numbers(&dense["high"][0]));
+    assert!((50..=100).contains(&low.len()) && high.len() == low.len());
+    // Of these samples those above are a tenth.
+    assert!(least(&low) <= least(&whole) && most(&high) >= most(&whole));
+    let times = numbers(&dense["time_s"]);
+    let step = dense["each"].as_u64().expect("a number") as f64 * 0.01;
+    assert!(times.windows(2).all(|pair| pair[0] < pair[1] && pair[1] - pair[0] < step + 1e-6));
+    assert!(times[0] == 0.0 && times[times.len() - 1] > 200.0 - step - 1e-6);
+    let all = server.get(&format!("/jobs/{id}/samples?points=5000&from_s=100&to_s=130")).json();
+    assert_eq!((numbers(&all["time_s"]).len(), &all["each"]), (3001, &json!(1)));
+
+    // What the momentum at the start is in each quantity: J w = m, and g m = (0, 0, -0.01) turned by g.
+    let first = |channel: &str| -> Vec<f64> {
+        let answer = ask(&format!("?to_s=0&channel={channel}"));
+        assert_eq!(answer["channel"], *channel);
+        answer["low"].as_array().expect("lines").iter().map(|line| numbers(line)[0]).collect()
+    };
+    let near = |channel: &str, wanted: &[f64]| {
+        let found = first(channel);
+        let off = found.iter().zip(wanted).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max);
+        assert!(found.len() == wanted.len() && off < 1e-14, "{channel}: {found:?}");
+    };
+    near("body_momentum", &[0.0, 0.0, -0.01]);
+    near("angular_velocity", &[0.0, 0.0, -1.0]);
+    near("spatial_momentum", &[0.0, 0.01, 0.0]);
+    near("axis_angle", &[0.0, std::f64::consts::FRAC_PI_2, std::f64::consts::FRAC_PI_2]);
+    near("orthogonality_error", &[0.0]);
+    near("momentum_drift", &[0.0]);
+
+    for (query, pointer) in [
+        ("?channel=other", "/channel"),
+        ("?points=1", "/points"),
+        ("?points=5001", "/points"),
+        ("?from_s=-1", "/from_s"),
+        ("?from_s=2&to_s=1", "/to_s"),
+        ("?to_s=inf", "/to_s"),
+    ] {
+        let problem = server.get(&format!("{path}{query}")).problem(422, "invalid_input");
+        assert_eq!(problem["pointer"], pointer);
+    }
+    server.get(&format!("{path}?other=1")).problem(400, "bad_query");
+    server.get("/jobs/no-id/samples").problem(404, "unknown_job");
+    let mut scenario = short();
+    scenario["log"]["channels"] = json!(["/state"]);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    for channel in ["energy_error", "orthogonality_error", "momentum_drift", "spatial_momentum"] {
+        let path = format!("/jobs/{id}/samples?channel={channel}");
+        server.get(&path).problem(404, "not_found");
+    }
+    let mut scenario = short();
+    scenario["log"]["channels"] = json!(["/energy"]);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let none = server.get(&format!("/jobs/{id}/attitudes.json")).json();
+    assert_eq!(none["time_s"], json!([]));
+}
+
+#[test]
+fn a_running_job_shows_what_it_has_logged_and_a_waiting_one_nothing() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = long();
+    scenario["log"] = json!({ "every": 10, "channels": ["/state", "/energy"] });
+    scenario["steps"] = json!(100_000_000);
+    let id = server.submit(&scenario);
+    let waits = server.submit(&short());
+    let samples = until("a chunk on the disk", || {
+        let samples = server.get(&format!("/jobs/{id}/samples?points=100"));
+        Some(samples)
+            .filter(|samples| samples.status == 200)
+            .map(|samples| samples.json())
+            .filter(|samples| samples["time_s"][0].is_number())
+    });
+    assert_eq!((&samples["time_s"][0], &samples["end_s"]), (&json!(0.0), &Value::Null));
+    let none = server.get(&format!("/jobs/{waits}/samples"));
+    none.problem(409, "log_unfinished");
+    assert!(none.header("retry-after").parse::<u64>().is_ok());
+    server.post(&format!("/jobs/{waits}/cancel"), b"");
+    server.get(&format!("/jobs/{waits}/samples")).problem(404, "no_log");
+    server.post(&format!("/jobs/{id}/cancel"), b"");
+    server.wait(&id, "cancelled");
+    assert_eq!(server.get(&format!("/jobs/{id}/samples")).status, 200);
 }
 
 #[test]

@@ -11,7 +11,6 @@
 
 use fearless_simd::{Level, f64x8, prelude::*};
 
-use super::motion::Motion;
 use super::sweep;
 use super::unknowns::{Inertia, Start, Unknowns};
 use super::{Carried, VpdSo3};
@@ -22,6 +21,7 @@ use crate::lanes::{Real, Row, Rows, Stages, WIDTH, Whole, aligned_zero};
 use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
 use crate::space::{Turn, Vec3, dot};
 use crate::stepper::Stepper;
+use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 

@@ -1,12 +1,17 @@
 //! What is carried from step to step: attitude and momentum, and what rounding has taken off each.
 //!
-//! Written for one body and for members side by side: `P` is a number in memory, or one for each member.
+//! Both VPD and Gauss collocation on quaternions carry it. Written for one body and for members side by side: `P` is a number
+//! in memory, or one for each member.
 //!
 //! Invariant: in space the momentum is what torques make of it and nothing else.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
-use crate::space::{Turn, Vec3, cross, dot, minus, product, scaled, sum, transposed_product, vec3};
+use crate::so3::Top;
+use crate::space::{
+    Turn, Vec3, cross, dot, mat3, minus, product, scaled, sum, transposed_product, vec3,
+};
+use crate::trajectory::State;
 
 /// A sum, and what rounding has taken off it.
 #[derive(Clone, Copy, Debug)]
@@ -112,6 +117,24 @@ impl<P: Copy> Motion<P> {
 }
 
 impl Motion<f64> {
+    /// Begins at `state`.
+    pub(super) fn of(state: &State<3>) -> Self {
+        let Top { attitude: q, momentum } = Top::from_state(state);
+        let g = mat3!(i, j => state.attitude[(i, j)]);
+        let begun = |numbers| Sum::new(unsigned_zeros(numbers), 0.0);
+        Self {
+            attitude: Sum::new(unsigned_zeros([q.w, q.i, q.j, q.k]), 0.0),
+            momentum: begun(product(&g, &momentum.into())),
+            body_momentum: begun(momentum.into()),
+        }
+    }
+
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { attitude, momentum, body_momentum } = self;
+        let numbers = attitude.value.iter().chain(&momentum.value).chain(&body_momentum.value);
+        numbers.into_iter().all(|x| x.is_finite())
+    }
+
     pub(super) fn turn(&self) -> Turn<f64> {
         load_turn(0.0, &self.attitude.value)
     }
@@ -174,6 +197,11 @@ impl<const K: usize> Sum<Row, K> {
             carry: self.carry.each_ref().map(|row| row[lane]),
         }
     }
+}
+
+/// Without the sign of zeros: a lane of no stage adds a zero of either sign. What is summed to these has none, either.
+pub(super) fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
+    numbers.map(|x| x + 0.0)
 }
 
 #[inline(always)]

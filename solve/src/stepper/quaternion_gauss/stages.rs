@@ -1,0 +1,363 @@
+//! The stages of a step side by side in lanes, in the frame of q0.
+//!
+//! With `Q_k = q0 u_k`, `P_k = 2 q0 r_k` and `r_k = p0 u_k + d_k` the equations of the stages are
+//!
+//! ```text
+//! u_i = 1 + sum_j e_ij w_j               w_k = h b_k u_k Omega_k / 2                 Omega_k = J^-1 mu_k
+//! d_i = sum_j e_ij z_j                   z_k = h b_k (d_k Omega_k / 2 - u_k tau_k / |u_k|^2)
+//! mu_k = vec(u_k* r_k)                   tau_k = vee(dH/dg) at u_k / |u_k|
+//! ```
+//!
+//! d is what torques do, and zero of a free body. Small numbers are computed as such: u as `x = u - 1`, mu as p0 and what is
+//! added to it.
+//!
+//! Invariant: lanes beyond the stages stand at the beginning, and weigh nothing.
+
+use nalgebra::Quaternion;
+
+use crate::hamiltonian::RigidBody;
+use crate::lanes::{self, Real, Row, WIDTH};
+use crate::space::{
+    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, plus, product, scaled, symmetric_product,
+    vec3, with_one,
+};
+use crate::tableau::Tableau;
+
+/// Up to here stages are few: their steps are small, and need fewer rounds and passes.
+pub(super) const FEW_STAGES: usize = 4;
+/// So many rounds of the guess take the same torque.
+const TORQUE_EVERY: u32 = 3;
+/// What |u|^2 may differ from one after the last of them.
+const MOST_DEFICIT: f64 = 0.1;
+
+/// A Gauss tableau in lanes; what is beyond its stages is zero.
+#[derive(Clone, Debug)]
+pub(super) struct LaneTableau {
+    /// `e_ij = a_ij / b_j`, column by column.
+    columns: [Row; WIDTH],
+    weights: Row,
+    nodes: Row,
+    /// Of the guess.
+    rounds: u32,
+    /// Over the kinematics, in a sweep.
+    passes: u32,
+}
+
+impl LaneTableau {
+    pub(super) fn new(tableau: &Tableau) -> Self {
+        let zero = Row::splat(0.0);
+        let s = tableau.stages();
+        let (rounds, passes) = if s <= FEW_STAGES { (4, 2) } else { (s as u32 + 2, 3) };
+        let mut lanes = Self { columns: [zero; WIDTH], weights: zero, nodes: zero, rounds, passes };
+        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
+        for i in 0..s {
+            (lanes.weights.0[i], lanes.nodes.0[i]) = (tableau.b(i), tableau.c(i));
+            for j in 0..s {
+                // Of two that make one to the last bit the smaller is what the larger leaves.
+                lanes.columns[j].0[i] = match (i == j, part(i, j) < part(j, i)) {
+                    (true, _) => 0.5,
+                    (_, true) => 1.0 - part(j, i),
+                    (_, false) => part(i, j),
+                };
+            }
+        }
+        lanes
+    }
+
+    /// How often the guess takes the torque at the stages.
+    pub(super) fn torques_of_guess(&self) -> u64 {
+        2 + u64::from(self.rounds / TORQUE_EVERY)
+    }
+}
+
+/// What a step is made from.
+pub(super) struct Start<'a> {
+    tableau: &'a LaneTableau,
+    body: &'a RigidBody<3>,
+    /// J^-1.
+    inverse: Sym3<f64>,
+    /// Is it diagonal?
+    principal: bool,
+    /// The space vectors of the potential, from q0.
+    seen: &'a [Vec3<f64>],
+    step: f64,
+    momentum: Vec3<f64>,
+}
+
+impl<'a> Start<'a> {
+    pub(super) fn new(
+        tableau: &'a LaneTableau,
+        body: &'a RigidBody<3>,
+        seen: &'a [Vec3<f64>],
+        step: f64,
+        momentum: Vec3<f64>,
+    ) -> Self {
+        let m = body.inverse_inertia();
+        let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
+        let principal = inverse[3..] == [0.0; 3];
+        Self { tableau, body, inverse, principal, seen, step, momentum }
+    }
+}
+
+/// The stages, as they lie in memory.
+#[derive(Clone, Debug)]
+pub(super) struct Stages {
+    /// u - 1.
+    x: [Row; 4],
+    d: [Row; 4],
+    /// tau.
+    torque: [Row; 3],
+    /// `h b tau / |u|^2`
+    push: [Row; 3],
+    /// The largest, as [`RigidBody::torque`] gives it.
+    pub(super) nearness: f64,
+}
+
+impl Stages {
+    pub(super) fn blank() -> Self {
+        let zero = Row::splat(0.0);
+        Self { x: [zero; 4], d: [zero; 4], torque: [zero; 3], push: [zero; 3], nearness: -1.0 }
+    }
+
+    /// Stores what a sweep begins from.
+    #[inline(always)]
+    fn keep<R: Lanes>(
+        &mut self,
+        given: &Given<'_, R>,
+        x: &Turn<R>,
+        d: &Turn<R>,
+        torque: &Vec3<R>,
+        shrink: R,
+    ) {
+        store(x, &mut self.x);
+        store(d, &mut self.d);
+        let weight = given.weight * shrink;
+        for i in 0..3 {
+            torque[i].store(&mut self.torque[i]);
+            (torque[i] * weight).store(&mut self.push[i]);
+        }
+    }
+
+    /// u_k.
+    pub(super) fn turn(&self, k: usize) -> Quaternion<f64> {
+        let [w, x, y, z] = self.x.each_ref().map(|row| row.0[k]);
+        Quaternion::new(1.0 + w, x, y, z)
+    }
+}
+
+/// Where a step leads to.
+pub(super) struct End {
+    /// `q0* q1`
+    pub(super) turn: Turn<f64>,
+    /// What the momentum in space changes by, in the frame of q0.
+    pub(super) kick: Vec3<f64>,
+    /// `p1 - p0`
+    pub(super) gain: Vec3<f64>,
+}
+
+/// The stages in lanes, of one body.
+pub(super) trait Lanes: lanes::Stages<Whole = f64, Plain = Row> {}
+impl<R: lanes::Stages<Whole = f64, Plain = Row>> Lanes for R {}
+
+/// What is the same in all passes.
+struct Given<'a, R> {
+    start: &'a Start<'a>,
+    momentum: Vec3<R>,
+    /// h b
+    weight: R,
+    inverse: Sym3<R>,
+}
+
+impl<'a, R: Lanes> Given<'a, R> {
+    #[inline(always)]
+    fn new(like: R, start: &'a Start<'a>) -> Self {
+        let mut inverse = [like; 6];
+        for i in 0..6 {
+            inverse[i] = like.constant(start.inverse[i]);
+        }
+        Self {
+            start,
+            momentum: vec3!(i => like.constant(start.momentum[i])),
+            weight: like.row(&start.tableau.weights) * start.step,
+            inverse,
+        }
+    }
+
+    /// `J^-1 v`
+    #[inline(always)]
+    fn velocity(&self, v: &Vec3<R>) -> Vec3<R> {
+        if self.start.principal {
+            vec3!(i => self.inverse[i] * v[i])
+        } else {
+            symmetric_product(&self.inverse, v)
+        }
+    }
+
+    /// `mu = vec(u* r) = p0 + vec(y + x* r)` with `r = p0 + y`, `y = p0 x + d`.
+    #[inline(always)]
+    fn body_momentum(&self, x: &Turn<R>, d: &Turn<R>) -> Vec3<R> {
+        let p = &self.momentum;
+        let c = cross(p, &x.v);
+        let y: Vec3<R> = vec3!(i => (p[i] * x.w + c[i]) + d.v[i]);
+        let r_w = d.w - dot(p, &x.v);
+        let r = plus(p, &y);
+        let c = cross(&r, &x.v);
+        vec3!(i => p[i] + (y[i] + (x.w * r[i] - r_w * x.v[i] + c[i])))
+    }
+
+    /// w for h b Omega / 2.
+    #[inline(always)]
+    fn turning(&self, x: &Turn<R>, half: &Vec3<R>) -> Turn<R> {
+        let Turn { w, v } = x.rate(half);
+        Turn { w, v: plus(half, &v) }
+    }
+
+    /// `sum_j e_ij z_j`
+    #[inline(always)]
+    fn collocated(&self, z: &Turn<R>) -> Turn<R> {
+        let columns = &self.start.tableau.columns;
+        Turn { w: z.w.combined(columns), v: vec3!(i => z.v[i].combined(columns)) }
+    }
+
+    /// u and d from those before, with h b tau / |u|^2 as it is.
+    #[inline(always)]
+    fn pass(&self, x: &Turn<R>, d: &Turn<R>, push: &Vec3<R>) -> (Turn<R>, Turn<R>) {
+        let omega = self.velocity(&self.body_momentum(x, d));
+        let half = scaled(&omega, self.weight * 0.5);
+        let (turned, pushed) = (d.rate(&half), self.turning(x, push));
+        let z = Turn { w: turned.w - pushed.w, v: minus(&turned.v, &pushed.v) };
+        (self.collocated(&self.turning(x, &half)), self.collocated(&z))
+    }
+
+    /// tau, the nearness and 1 / |u|^2.
+    #[inline(always)]
+    fn torque(&self, x: &Turn<R>) -> (Vec3<R>, R, R) {
+        let (u, shrink) = self.rotation(x);
+        let (torque, nearness) = self.start.body.torque(&u, self.start.seen);
+        (torque, nearness, shrink)
+    }
+
+    /// That of u / |u|, and 1 / |u|^2.
+    #[inline(always)]
+    fn rotation(&self, x: &Turn<R>) -> (Mat3<R>, R) {
+        let u = Turn { w: x.w + 1.0, v: x.v };
+        let shrink = x.w.constant(1.0) / u.square();
+        let change = u.change();
+        (with_one(&mat3!(i, j => change[i][j] * shrink)), shrink)
+    }
+}
+
+/// The first guess: Gauss collocation in the body,
+///
+/// ```text
+/// mu_i = p0 + h sum_j a_ij (mu_j x Omega_j - tau_j),      u_i = 1 + h sum_j a_ij u_j Omega_j / 2
+/// ```
+///
+/// of which the momenta know the attitudes by the torques alone: however thin the body, its rounds contract by the angle
+/// that it turns. Its stages are those of the step but for terms of the order of the quadrature. The torque couples weakly:
+/// every third round takes it. A function of the state alone: a resumed run repeats it to the bit.
+#[inline(always)]
+pub(super) fn guess<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) {
+    let given = Given::new(like, start);
+    let LaneTableau { columns, nodes, rounds, .. } = start.tableau;
+    let p = given.momentum;
+    let half_weight = given.weight * 0.5;
+    let elapsed = like.row(nodes) * (0.5 * start.step);
+    let zero = like.constant(0.0);
+    let kept_on = Turn { w: zero, v: vec3!(i => elapsed * given.velocity(&p)[i]) };
+    let (mut x, mut mu) = (kept_on, p);
+    let (mut torque, _, mut shrink) = given.torque(&x);
+    for round in 1..=*rounds {
+        let omega = given.velocity(&mu);
+        let turned = cross(&mu, &omega);
+        mu = vec3!(i => p[i] + (given.weight * (turned[i] - torque[i])).combined(columns));
+        let half = scaled(&given.velocity(&mu), half_weight);
+        x = given.collocated(&given.turning(&x, &half));
+        if round % TORQUE_EVERY == 0 {
+            (torque, _, shrink) = given.torque(&x);
+        }
+    }
+    // d = u mu / |u|^2 - p0 u
+    let mu = scaled(&mu, shrink);
+    let (r, s) = (x.rate(&mu), cross(&p, &x.v));
+    let d_w = r.w + dot(&p, &x.v);
+    let d_v: Vec3<R> = vec3!(i => (mu[i] - p[i]) + (r.v[i] - (p[i] * x.w + s[i])));
+    // Rounds that went astray are worse than none.
+    let square = Turn { w: x.w + 1.0, v: x.v }.square();
+    let deficit = like.constant((square + -1.0).size().largest());
+    let x = x.within(deficit, MOST_DEFICIT, &kept_on);
+    let d = Turn { w: d_w, v: d_v }.within(deficit, MOST_DEFICIT, &Turn { w: zero, v: [zero; 3] });
+    let (torque, _, shrink) = given.torque(&x);
+    stages.keep(&given, &x, &d, &torque, shrink);
+}
+
+/// Passes over u and d with the torques as they are, then the torques: passes cost a third of them, for they couple the stages
+/// by J^-1. Returns by how much u has changed, or d relative to the momentum; not finite if an unknown is not.
+#[inline(always)]
+pub(super) fn sweep<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -> f64 {
+    let given = Given::new(like, start);
+    let (old_x, old_d) = (load(like, &stages.x), load(like, &stages.d));
+    let push: Vec3<R> = vec3!(i => like.load(&stages.push[i]));
+    let (mut x, mut d) = (old_x, old_d);
+    for _ in 0..start.tableau.passes {
+        (x, d) = given.pass(&x, &d, &push);
+    }
+    let (torque, nearness, shrink) = given.torque(&x);
+    stages.keep(&given, &x, &d, &torque, shrink);
+    let p = start.momentum[0].abs().larger(start.momentum[1].abs()).larger(start.momentum[2].abs());
+    let size = largest(&d).larger(like.constant(p.larger(f64::MIN_POSITIVE)));
+    let change = largest(&less(&x, &old_x)).larger(largest(&less(&d, &old_d)) / size);
+    // Zero where all is finite.
+    let total = (x.w + (x.v[0] + x.v[1]) + x.v[2]) + (d.w + (d.v[0] + d.v[1]) + d.v[2]);
+    stages.nearness = nearness.largest();
+    change.largest() + total.sum() * 0.0
+}
+
+/// The end of the step, from the newest stages: a last pass brings u and d up to the newest torques. What they lag behind
+/// would lean.
+#[inline(always)]
+pub(super) fn end<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -> End {
+    let given = Given::new(like, start);
+    let push: Vec3<R> = vec3!(i => like.load(&stages.push[i]));
+    let old_x = load(like, &stages.x);
+    let (x, d) = given.pass(&old_x, &load(like, &stages.d), &push);
+    let mu = given.body_momentum(&x, &d);
+    let omega = given.velocity(&mu);
+    let w = given.turning(&x, &scaled(&omega, given.weight * 0.5));
+    let turned = cross(&mu, &omega);
+    let torque: Vec3<R> = vec3!(i => like.load(&stages.torque[i]));
+    let rate = minus(&turned, &torque);
+    // In the frame of q0, by the matrices that the torques are of: what a potential leaves alone in space stays as it is.
+    let pushed = product(&given.rotation(&old_x).0, &torque);
+    End {
+        turn: Turn { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
+        kick: vec3!(i => -(given.weight * pushed[i]).sum()),
+        gain: vec3!(i => (given.weight * rate[i]).sum()),
+    }
+}
+
+#[inline(always)]
+fn less<R: Real>(a: &Turn<R>, b: &Turn<R>) -> Turn<R> {
+    Turn { w: a.w - b.w, v: minus(&a.v, &b.v) }
+}
+
+/// The largest component.
+#[inline(always)]
+fn largest<R: Real>(a: &Turn<R>) -> R {
+    let [x, y, z] = a.v;
+    (a.w.size().larger(x.size())).larger(y.size().larger(z.size()))
+}
+
+#[inline(always)]
+fn load<R: Lanes>(like: R, [w, x, y, z]: &[Row; 4]) -> Turn<R> {
+    Turn { w: like.load(w), v: [like.load(x), like.load(y), like.load(z)] }
+}
+
+#[inline(always)]
+fn store<R: Lanes>(value: &Turn<R>, plain: &mut [Row; 4]) {
+    let [w, v @ ..] = plain;
+    value.w.store(w);
+    for i in 0..3 {
+        value.v[i].store(&mut v[i]);
+    }
+}
