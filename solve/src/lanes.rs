@@ -203,8 +203,8 @@ impl Real for f64 {
 
 impl Stored for f64 {
     const LANES: usize = 1;
-    type Wide = f64;
-    const GROUP: usize = 1;
+    type Wide = Rows<f64, 4>;
+    const GROUP: usize = 4;
 
     #[inline(always)]
     fn get(self, from: &[f64]) -> Self {
@@ -217,23 +217,25 @@ impl Stored for f64 {
     }
 
     #[inline(always)]
-    fn get_wide(self, from: &[f64]) -> Self {
-        from[0]
+    fn get_wide(self, from: &[f64]) -> Self::Wide {
+        let from = &from[..4];
+        Rows([from[0], from[1], from[2], from[3]])
     }
 
     #[inline(always)]
-    fn put_wide(wide: Self, to: &mut [f64]) {
-        to[0] = wide;
+    fn put_wide(wide: Self::Wide, to: &mut [f64]) {
+        to[..4].copy_from_slice(&wide.0);
     }
 
     #[inline(always)]
-    fn repeated(self, from: &[f64]) -> Self {
-        from[0]
+    fn repeated(self, from: &[f64]) -> Self::Wide {
+        Rows([from[0]; 4])
     }
 
     #[inline(always)]
-    fn folded(wide: Self) -> Self {
-        wide
+    fn folded(wide: Self::Wide) -> Self {
+        let Rows([a, b, c, d]) = wide;
+        (a + c) + (b + d)
     }
 }
 

@@ -192,7 +192,9 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
                     2 => self.groups::<2, T>(s, a, b, c, i, 0),
                     3 => self.groups::<3, T>(s, a, b, c, i, 0),
                     4 => self.groups::<4, T>(s, a, b, c, i, 0),
-                    _ => self.groups::<5, T>(s, a, b, c, i, 0),
+                    8 => self.groups::<8, T>(s, a, b, c, i, 0),
+                    5 => self.groups::<5, T>(s, a, b, c, i, 0),
+                    _ => self.groups::<16, T>(s, a, b, c, i, 0),
                 }
                 group = groups;
             } else {
@@ -335,8 +337,25 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `A` times a number for each lane.
     #[inline(always)]
     pub fn scale(self, x: R, a: &mut [f64]) {
-        for entry in a[..self.len()].chunks_exact_mut(R::LANES) {
+        let wide = R::GROUP * R::LANES;
+        let mut once = [0.0; WIDTH];
+        x.put(&mut once);
+        let x_wide = self.like.repeated(&once);
+        let mut groups = a[..self.len()].chunks_exact_mut(wide);
+        for group in &mut groups {
+            R::put_wide(x_wide * self.like.get_wide(group), group);
+        }
+        for entry in groups.into_remainder().chunks_exact_mut(R::LANES) {
             (x * self.like.get(entry)).put(entry);
+        }
+    }
+
+    /// `C_ij = A_ij B_ij`
+    #[inline(always)]
+    pub fn entrywise_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
+        for e in 0..self.len() {
+            c[e] = a[e] * b[e];
         }
     }
 

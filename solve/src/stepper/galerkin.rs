@@ -24,6 +24,8 @@
 //!
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
 
+use fearless_simd::Level;
+
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
@@ -167,6 +169,14 @@ impl<const N: usize> GalerkinStep<N> {
         if let Some(past) = &mut self.past {
             past.forget();
         }
+    }
+
+    /// The same on an older instruction set, or without lanes.
+    pub(super) fn on_level(mut self, level: Option<Level>) -> Self {
+        if let Some(collocation) = &mut self.collocation {
+            collocation.level = level;
+        }
+        self
     }
 
     /// Order of the scheme.

@@ -6,6 +6,8 @@
 
 use std::marker::PhantomData;
 
+use fearless_simd::Level;
+
 use super::galerkin::{Dynamics, GalerkinStep, Motion};
 use super::{Stepper, check_root};
 use crate::failure::Failure;
@@ -31,6 +33,11 @@ impl<const N: usize, S: ?Sized> Vpd<N, S> {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         let step = GalerkinStep::new(tableau, stop);
         Self { step, motion: Motion::new(&state), seen: Vec::new(), system: PhantomData }
+    }
+
+    /// The same stepper on an older instruction set, or without lanes: a test compares the bits.
+    pub fn on_level(self, level: Option<Level>) -> Self {
+        Self { step: self.step.on_level(level), ..self }
     }
 }
 

@@ -136,6 +136,9 @@ impl Coefficients {
 /// The unknowns of the stages, and room to work: n x n matrices in lanes, row by row. Skew and symmetric ones are whole.
 #[derive(Clone, Debug)]
 struct Unknowns {
+    /// p0, and the weights of a body, in every lane.
+    p0: Numbers,
+    inertia: Numbers,
     omega: Numbers,
     mu: Numbers,
     c: Numbers,
@@ -165,6 +168,8 @@ impl Unknowns {
     fn new(n: usize, lanes: usize) -> Self {
         let zeros = || Numbers::zeros(n * n * lanes);
         Self {
+            p0: zeros(),
+            inertia: zeros(),
             omega: zeros(),
             mu: zeros(),
             c: zeros(),
@@ -222,7 +227,8 @@ pub(super) struct Solved {
 #[derive(Clone, Debug)]
 pub(super) struct Collocation {
     coefficients: Coefficients,
-    level: Level,
+    /// The instruction set; without one, one number at a time.
+    pub(super) level: Option<Level>,
     /// 1, 2, 4 or 8.
     lanes: usize,
     unknowns: Unknowns,
@@ -246,7 +252,7 @@ impl Collocation {
             room: [zeros(), zeros()],
         };
         let unknowns = Unknowns::new(n, lanes);
-        Some(Self { coefficients, level: Level::new(), lanes, unknowns, end })
+        Some(Self { coefficients, level: Some(Level::new()), lanes, unknowns, end })
     }
 
     /// Solves a step.
@@ -259,14 +265,23 @@ impl Collocation {
         source: Source<'a>,
     ) -> Result<Solved, Stuck> {
         let Self { coefficients, level, lanes, unknowns: u, end } = self;
-        match lanes {
-            1 => solve_any(Rows([0.0; 1]), coefficients, start, source, u, end),
-            2 => widest!(*level, f64x2, like => solve(like, coefficients, start, source, u, end),
-                else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end)),
-            4 => widest!(*level, f64x4, like => solve(like, coefficients, start, source, u, end),
-                else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end)),
-            _ => widest!(*level, f64x8, like => solve(like, coefficients, start, source, u, end),
-                else solve_any(Rows([0.0; 8]), coefficients, start, source, u, end)),
+        match (lanes, *level) {
+            (1, _) => solve_any(Rows([0.0; 1]), coefficients, start, source, u, end),
+            (2, Some(level)) => {
+                widest!(level, f64x2, like => solve(like, coefficients, start, source, u, end),
+                else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end))
+            }
+            (2, None) => solve_any(Rows([0.0; 2]), coefficients, start, source, u, end),
+            (4, Some(level)) => {
+                widest!(level, f64x4, like => solve(like, coefficients, start, source, u, end),
+                else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
+            }
+            (4, None) => solve_any(Rows([0.0; 4]), coefficients, start, source, u, end),
+            (_, Some(level)) => {
+                widest!(level, f64x8, like => solve(like, coefficients, start, source, u, end),
+                else solve_any(Rows([0.0; 8]), coefficients, start, source, u, end))
+            }
+            (_, None) => solve_any(Rows([0.0; 8]), coefficients, start, source, u, end),
         }
     }
 
@@ -311,6 +326,8 @@ fn solve<'a, R: Stages<Whole = f64>>(
     match start.n {
         4 => Step::new(like, Known::<4>, coefficients, start, source, unknowns, end).solve(),
         5 => Step::new(like, Known::<5>, coefficients, start, source, unknowns, end).solve(),
+        8 => Step::new(like, Known::<8>, coefficients, start, source, unknowns, end).solve(),
+        16 => Step::new(like, Known::<16>, coefficients, start, source, unknowns, end).solve(),
         _ => solve_any(like, coefficients, start, source, unknowns, end),
     }
 }
@@ -432,7 +449,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let left = evaluations.left(jump).max(turn * lacking);
             // An error of a momentum turns the end by its product with the turn of the step.
             let goal = ROUND_OFF * self.size / turn;
-            let passed = self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
+            let passed =
+                self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
             lacking = passed.left;
             self.gradients()?;
             // Of few stages the first evaluation is not yet sure of its order.
@@ -549,15 +567,18 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     in_lanes! {
     /// The velocity of the beginning, kept constant.
     fn guess(&mut self) {
-        let Self { stack, start, coefficients, u, end, .. } = self;
+        let Self { stack, start, coefficients, u, end, forces, .. } = self;
         let (n, like) = (stack.n(), stack.like);
         let angle = like.row(&coefficients.nodes) * start.h;
+        if let Forces::None { weights, .. } | Forces::Body { weights, .. } = forces {
+            stack.spread(weights, &mut u.inertia);
+        }
         for i in 0..n {
             for j in 0..n {
                 let e = i * n + j;
                 let omega = like.spread(start.velocity[e]);
                 stack.put(&mut u.omega, i, j, omega);
-                stack.put(&mut u.mu, i, j, like.spread(start.momentum[e]));
+                stack.put(&mut u.p0, i, j, like.spread(start.momentum[e]));
                 let mut square = 0.0;
                 for k in 0..n {
                     square += start.velocity[i * n + k] * start.velocity[k * n + j];
@@ -567,6 +588,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 end.multiplier[e] = -0.5 * start.momentum[e];
             }
         }
+        u.mu.copy_from_slice(&u.p0);
         let Unknowns { k, f, e: excess, x, delta, gain, gradient, kappa, .. } = &mut **u;
         for matrices in [k, f, excess, x, delta, gain, gradient, kappa] {
             matrices.fill(0.0);
@@ -578,11 +600,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. Returns the largest change of a momentum.
     fn momenta_in_body(&mut self) -> f64 {
-        let Self { stack, coefficients, start, weights, u, .. } = self;
+        let Self { stack, coefficients, weights, u, .. } = self;
         let (n, len, like) = (stack.n(), stack.len(), stack.like);
-        let Unknowns { mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
+        let Unknowns { p0, mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
         let (mu, omega, gradient) = (&mut mu[..len], &omega[..len], &gradient[..len]);
-        let rate = &mut rate[..len];
+        let (p0, rate) = (&p0[..len], &mut rate[..len]);
         for i in 0..n {
             for j in i + 1..n {
                 // asym(mu Omega) = -asym(mu Omega^T)
@@ -595,7 +617,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         for i in 0..n {
             for j in i + 1..n {
                 let gain = R::combination(&rate[(i * n + j) * R::LANES..], &columns);
-                let now = like.spread(start.momentum[i * n + j]) + gain;
+                let now = stack.get(p0, i, j) + gain;
                 jump = jump.larger((now - stack.get(mu, i, j)).size());
                 stack.put_skew(mu, i, j, now);
             }
@@ -681,22 +703,20 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// `mu = U^T pi U`, as `p0 + (pi - p0) + asym(pi C) + C^T pi C`, and Omega. Returns the largest change of a momentum.
     fn momenta_from_space(&mut self) -> f64 {
-        let Self { stack, start, u, .. } = self;
+        let Self { stack, u, .. } = self;
         let (n, len, like) = (stack.n(), stack.len(), stack.like);
-        let Unknowns { mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
-        for (i, entry) in pi[..len].chunks_exact_mut(R::LANES).enumerate() {
-            (like.spread(start.momentum[i]) + like.get(&gain[i * R::LANES..])).put(entry);
-        }
+        let Unknowns { p0, mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
+        stack.sum(p0, gain, pi);
         stack.product(pi, c, turned);
         stack.transposed_product(c, turned, twice);
-        let (mu, gain) = (&mut mu[..len], &gain[..len]);
+        let (p0, mu, gain) = (&p0[..len], &mut mu[..len], &gain[..len]);
         let (turned, twice) = (&turned[..len], &twice[..len]);
         let mut jump = like.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
                 let once = stack.get(turned, i, j) - stack.get(turned, j, i);
                 let gain = stack.get(gain, i, j) + (once + stack.get(twice, i, j));
-                let now = like.spread(start.momentum[i * n + j]) + gain;
+                let now = stack.get(p0, i, j) + gain;
                 jump = jump.larger((now - stack.get(mu, i, j)).size());
                 stack.put_skew(mu, i, j, now);
             }
@@ -892,17 +912,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Omega. Returns by how much it is not yet what mu asks for, in units of mu.
     #[inline(always)]
     fn velocities(&mut self) -> f64 {
-        let Unknowns { c, mu, omega, .. } = &mut *self.u;
+        let Unknowns { inertia, c, mu, omega, .. } = &mut *self.u;
         match &mut self.forces {
-            Forces::None { weights, .. } | Forces::Body { weights, .. } => {
-                let len = self.stack.len();
-                let weights = &weights[..self.stack.n() * self.stack.n()];
-                let (mu, omega) = (&mu[..len], &mut omega[..len]);
-                for (i, weight) in weights.iter().enumerate() {
-                    let at = i * R::LANES..(i + 1) * R::LANES;
-                    let mu = self.stack.like.get(&mu[at.clone()]);
-                    (mu * *weight).put(&mut omega[at]);
-                }
+            Forces::None { .. } | Forces::Body { .. } => {
+                self.stack.entrywise_product(inertia, mu, omega);
                 0.0
             }
             Forces::Stages { system, stages } => {
