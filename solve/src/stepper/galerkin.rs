@@ -27,7 +27,7 @@
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::hamiltonian::{CLOSEST_APPROACH, Moment, RigidBody};
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
@@ -53,9 +53,15 @@ pub(super) trait Dynamics<const N: usize> {
     /// The velocity Omega_k of stage `k` at `u`, given its momentum `mu` and the `omega` before.
     fn velocity(&mut self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
-    /// dH/dg = -dL/dg at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for, and the
-    /// velocity `omega`; `None` if it is zero everywhere.
-    fn gradient(&self, u: &Mat<N>, mu: impl FnOnce() -> Mat<N>, omega: &Mat<N>) -> Option<Mat<N>>;
+    /// dH/dg = -dL/dg of stage `k` at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for,
+    /// and the velocity `omega`; less the torque, of a driven body; `None` if it is zero everywhere.
+    fn gradient(
+        &self,
+        k: usize,
+        u: &Mat<N>,
+        mu: impl FnOnce() -> Mat<N>,
+        omega: &Mat<N>,
+    ) -> Option<Mat<N>>;
 
     /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
     fn begin_sweep(&self) -> Result<(), Failure>;
@@ -65,8 +71,8 @@ pub(super) trait Dynamics<const N: usize> {
         None
     }
 
-    /// Refuses an attitude at which the dynamics have lost their meaning.
-    fn check(&self, _u: &Mat<N>) -> Result<(), Failure> {
+    /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
+    fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
     }
 }
@@ -303,6 +309,28 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
+    /// What a driven body's motion has put into its energy in a step of length `h`: `h sum_k b_k power_k`.
+    pub(super) fn work(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> f64 {
+        let mut work = 0.0;
+        for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
+            let (mu, omega) = match &self.collocation {
+                Some(collocation) if self.solution.collocated => (
+                    Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
+                    Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
+                ),
+                _ => (self.stages[k].mu, self.stages[k].omega),
+            };
+            let g = so::product(g0, &self.attitude(k));
+            work += h * self.tableau.b(k) * moment.power(&g, &mu, &omega);
+        }
+        work
+    }
+
+    /// The moments of a step of length `h` from `time`, of a driven body.
+    pub(super) fn moments(&self, body: &RigidBody<N>, time: f64, h: f64) -> Vec<Moment<N>> {
+        body.over(time, h, (0..self.stages.len()).map(|k| self.tableau.c(k)))
+    }
+
     /// The smallest singular value of the interpolated matrix of stage `k`, or of the end after the last.
     fn smallest_singular_value(&self, k: usize) -> f64 {
         match &self.collocation {
@@ -331,7 +359,7 @@ impl<const N: usize> GalerkinStep<N> {
         for (k, stage) in self.stages.iter().enumerate() {
             let weight = h * self.tableau.b(k);
             d += stage.u_omega * weight;
-            if let Some(gradient) = dynamics.gradient(&stage.u, || stage.mu, &stage.omega) {
+            if let Some(gradient) = dynamics.gradient(k, &stage.u, || stage.mu, &stage.omega) {
                 impulse -= so::conjugate(&stage.u, &gradient) * weight;
             }
         }
@@ -389,7 +417,7 @@ impl<const N: usize> GalerkinStep<N> {
     fn check_dynamics(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
         (0..self.stages.len()).try_for_each(|k| {
             dynamics
-                .check(&self.attitude(k))
+                .check(k, &self.attitude(k))
                 .map_err(|failure| Failure { stage: Some(k), ..failure })
         })
     }
@@ -416,9 +444,16 @@ impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
         self.0.begin_sweep()
     }
 
-    fn gradient(&mut self, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
+    fn gradient(
+        &mut self,
+        stage: usize,
+        c: &[f64],
+        mu: &[f64],
+        omega: &[f64],
+        gradient: &mut [f64],
+    ) {
         let u = Mat::identity() + of_rows(c);
-        match self.0.gradient(&u, || of_rows(mu), &of_rows(omega)) {
+        match self.0.gradient(stage, &u, || of_rows(mu), &of_rows(omega)) {
             Some(found) => rows(&found, gradient),
             None => gradient.fill(0.0),
         }
@@ -551,7 +586,7 @@ fn sweep<const N: usize>(
         let weight = h * tableau.b(k);
         // Of the unknowns, not of the sweep before.
         let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
-        if let Some(gradient) = dynamics.gradient(&stage.u, mu, &stage.omega) {
+        if let Some(gradient) = dynamics.gradient(k, &stage.u, mu, &stage.omega) {
             load -= gradient * weight;
         }
         stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;

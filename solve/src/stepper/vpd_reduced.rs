@@ -48,6 +48,7 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
 
     fn gradient(
         &self,
+        _k: usize,
         _u: &Mat<N>,
         _mu: impl FnOnce() -> Mat<N>,
         _omega: &Mat<N>,

@@ -60,7 +60,14 @@ pub(super) trait AtStage {
     /// Takes note of a round that begins, or refuses it.
     fn begin_sweep(&self) -> Result<(), Failure>;
     /// dH/dg.
-    fn gradient(&mut self, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
+    fn gradient(
+        &mut self,
+        stage: usize,
+        c: &[f64],
+        mu: &[f64],
+        omega: &[f64],
+        gradient: &mut [f64],
+    );
     /// `U X U^T`
     fn in_space(&self, c: &[f64], x: &[f64], turned: &mut [f64]);
     /// Improves Omega.
@@ -302,6 +309,16 @@ impl Collocation {
         } else {
             self.unknowns.c[e * self.lanes + k]
         }
+    }
+
+    /// Entry e of mu_k.
+    pub(super) fn momentum(&self, k: usize, e: usize) -> f64 {
+        self.unknowns.mu[e * self.lanes + k]
+    }
+
+    /// Entry e of Omega_k.
+    pub(super) fn velocity(&self, k: usize, e: usize) -> f64 {
+        self.unknowns.omega[e * self.lanes + k]
     }
 
     /// Entry e of `I - P_k^-1`, or of the end point after the last stage.
@@ -556,7 +573,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 let mut of_stage = vec![0.0; self.start.n * self.start.n];
                 for k in 0..*stages {
                     let [c, mu, omega] = [&*c, &*mu, &*omega].map(|m| lane(m, k, R::LANES));
-                    system.gradient(&c, &mu, &omega, &mut of_stage);
+                    system.gradient(k, &c, &mu, &omega, &mut of_stage);
                     set_lane(gradient, k, R::LANES, &of_stage);
                 }
                 Ok(())
