@@ -23,7 +23,9 @@ mod terms;
 
 pub use cost::Counts;
 pub(crate) use model::{Model, ModelKinetic};
-use model::{attitude, inertia_matrix, kinetic, momentum, tableau, tableau_choice, with_matrix};
+use model::{
+    attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
+};
 use terms::{Extent, Terms};
 
 /// About what a log takes in addition to its samples: schemas, scenario, plan, index.
@@ -241,6 +243,9 @@ impl Plan {
                 terms: Vec::new(),
                 shown: Vec::new(),
                 constant: 0.0,
+                driven: scenario.scene.driven.clone(),
+                torques: scenario.scene.torques.clone(),
+                wheels: scenario.scene.wheels.as_deref().map(skew),
                 attitude,
                 momentum,
                 tableau,
@@ -255,6 +260,7 @@ impl Plan {
         plan.samples = 1 + plan.steps.div_ceil(plan.every);
         plan.model.check_distances(&scenario.scene.potential)?;
         plan.add_terms(&scenario.scene.potential, &inertia);
+        plan.add_driven(&inertia);
         plan.formulation = plan.formulate(scenario)?;
         if !plan.formulation.carries_attitude {
             let momentum = plan.channels.iter_mut().find(|plan| plan.topic == Channel::Momentum);
@@ -297,9 +303,26 @@ impl Plan {
             terms.put_together(&extent, &self.model).into_parts();
     }
 
+    /// Takes the terms that change with time, and the torques, as they are.
+    fn add_driven(&mut self, inertia: &DMatrix<f64>) {
+        for (index, driven) in self.model.driven.iter_mut().enumerate() {
+            driven.term = with_matrix(&driven.term, inertia);
+            self.model.shown.push(driven.term.clone());
+            let pointer = format!("/scene/driven/{index}");
+            let why = "changes with time".to_owned();
+            self.potential.push(TermPlan { pointer, kept: true, why });
+        }
+        for index in 0..self.model.torques.len() {
+            let pointer = format!("/scene/torques/{index}");
+            let why = "a torque that is no potential's".to_owned();
+            self.potential.push(TermPlan { pointer, kept: true, why });
+        }
+    }
+
     /// Chooses the integrator.
     fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
-        let free = self.model.terms.is_empty();
+        let driven = self.model.is_driven();
+        let free = self.model.terms.is_empty() && !driven;
         let asked = scenario.method.name.integrator();
         if let Some(method) = asked.filter(|method| method.facts().free && !free) {
             let term =
@@ -308,10 +331,14 @@ impl Plan {
             let message = format!("{name} is for free bodies, but {term} depends on the attitude");
             return Err(ScenarioError::invalid("/method/name", message));
         }
+        if let Some(method) = asked {
+            self.model.allows(method)?;
+        }
+        let spins = self.model.wheels.is_some();
         let (method, why) = match asked {
             Some(method) => (method, "asked for"),
             // Whoever names a tableau wants its scheme.
-            None if free && self.dimension == 3 && scenario.method.tableau.is_none() => (
+            None if free && !spins && self.dimension == 3 && scenario.method.tableau.is_none() => (
                 Integrator::Splitting,
                 "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
             ),
@@ -351,6 +378,9 @@ impl Plan {
         if self.ensemble.is_some() {
             return Motion::General;
         }
+        if self.model.is_driven() || self.model.wheels.is_some() {
+            return Motion::General;
+        }
         if self.model.is_at_rest() {
             return Motion::AtRest;
         }
@@ -377,7 +407,7 @@ fn tableau_name(scenario: &Scenario) -> Option<String> {
 
 fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     let three = scenario.dimension() == 3;
-    let potential = !scenario.scene.potential.is_empty();
+    let potential = !(scenario.scene.potential.is_empty() && scenario.scene.driven.is_empty());
     let has = |channel: &Channel| channel.exists(three, potential, scenario.ensemble.is_some());
     let asked = |channel: &Channel| {
         scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(channel))

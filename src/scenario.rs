@@ -8,11 +8,16 @@
 //! pointer of the field at fault.
 
 mod check;
+mod driven;
 mod ensemble;
 mod parse;
 mod term;
 
 pub(crate) use check::SMALLEST_STEP_S;
+pub use driven::{
+    DrivenTerm, Factor, Harmonic, OfMomentum, Orbit, Path, Table, Torque, TorqueTable, Turning,
+    Viscous,
+};
 pub use ensemble::Ensemble;
 #[cfg(feature = "serve")]
 pub(crate) use parse::{from_tree, tree as read_tree};
@@ -93,6 +98,16 @@ pub struct Scene {
     /// The terms of the potential; none for a free body.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub potential: Vec<PotentialTerm>,
+    /// Terms of the potential that change with time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub driven: Vec<DrivenTerm>,
+    /// Torques that are no potential's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub torques: Vec<Torque>,
+    /// The angular momentum of wheels relative to the body, constant in body coordinates, in kg m^2/s: the momentum is
+    /// that of the body plus this. 3 numbers or a skew matrix.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wheels: Option<Vec<Entry>>,
     /// Attitude and momentum at the start.
     #[serde(default)]
     pub initial: Initial,
@@ -101,7 +116,14 @@ pub struct Scene {
 impl Scene {
     /// A free body of an inertia, at rest in the attitude of the identity.
     pub fn free(inertia: Inertia) -> Self {
-        Self { inertia, potential: Vec::new(), initial: Initial::default() }
+        Self {
+            inertia,
+            potential: Vec::new(),
+            driven: Vec::new(),
+            torques: Vec::new(),
+            wheels: None,
+            initial: Initial::default(),
+        }
     }
 }
 

@@ -328,6 +328,10 @@ impl<const N: usize> System<N> for RigidBody<N> {
         self.conserved_directions()
     }
 
+    fn angular_velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
+        Some(self.velocity(mu))
+    }
+
     fn energy_at(&self, t: f64, g: &Mat<N>, mu: &Mat<N>) -> Energy {
         if self.is_driven() { self.at(t).energy(g, mu) } else { self.energy(g, mu) }
     }

@@ -19,6 +19,11 @@ pub trait System<const N: usize> {
         self.energy(g, mu)
     }
 
+    /// dH/dmu, the body angular velocity, for those who look on; `None` of a system that does not name it.
+    fn angular_velocity(&self, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
+        None
+    }
+
     /// Does the energy change with time, or by torques that are no potential's? Then what the stepper says of
     /// [`super::stepper::Stepper::work`] counts.
     fn is_driven(&self) -> bool {

@@ -71,6 +71,8 @@ pub struct Sample<const N: usize> {
     pub attitude: Option<Mat<N>>,
     /// The body momentum mu, skew.
     pub momentum: Mat<N>,
+    /// The body angular velocity Omega, skew; `None` of a system that does not name it.
+    pub angular_velocity: Option<Mat<N>>,
     /// Energy H = T + U.
     pub energy: Option<Energy>,
     /// Energy now minus energy at the start, and of a driven system minus what was put in since.
@@ -96,6 +98,7 @@ impl<const N: usize> Sample<N> {
             time_s,
             ref attitude,
             ref momentum,
+            ref angular_velocity,
             energy,
             energy_error,
             orthogonality_error,
@@ -115,7 +118,12 @@ impl<const N: usize> Sample<N> {
             convergence.map(|convergence| convergence.increment),
             sigma_min,
         ];
-        let matrices = [attitude.as_ref(), Some(momentum), spatial_momentum.as_ref()];
+        let matrices = [
+            attitude.as_ref(),
+            Some(momentum),
+            angular_velocity.as_ref(),
+            spatial_momentum.as_ref(),
+        ];
         figures.into_iter().flatten().all(f64::is_finite)
             && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
     }
@@ -397,6 +405,7 @@ impl<const N: usize> Observer<N> {
             time_s,
             attitude,
             momentum,
+            angular_velocity: system.angular_velocity(&g, &momentum),
             energy,
             energy_error: energy.map(|now| now.total() - self.initial_energy - work),
             orthogonality_error: attitude

@@ -78,7 +78,11 @@ messages_of_samples!(State Energy Orthogonality Momentum Solver);
 impl State {
     /// Attitude and momentum of a sample.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Self {
-        Self::at(sample.time_s, sample.attitude.as_ref(), &sample.momentum)
+        let velocity = sample.angular_velocity.as_ref();
+        Self {
+            angular_velocity: velocity.map_or_else(Vec::new, so::vee),
+            ..Self::at(sample.time_s, sample.attitude.as_ref(), &sample.momentum)
+        }
     }
 
     /// An attitude, where there is one, and a momentum at a time.
@@ -89,6 +93,7 @@ impl State {
             attitude: attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
             body_momentum: so::vee(momentum),
             quaternion: attitude.and_then(quaternion).map_or_else(Vec::new, |q| q.to_vec()),
+            angular_velocity: Vec::new(),
         }
     }
 

@@ -149,8 +149,8 @@ impl Channel {
             Self::State => Row {
                 attitude: true,
                 sample: sample(
-                    state_bytes(n) as usize,
-                    DOUBLE + 2 * LIST + if n == 3 { LIST } else { 0 },
+                    state_bytes(n) as usize + momentum,
+                    DOUBLE + 3 * LIST + if n == 3 { LIST } else { 0 },
                 ),
                 ..plain("vpd.State", "the state itself")
             },

@@ -103,7 +103,7 @@ impl Ensemble<'_> {
         let first = first.unwrap_or_else(|| reached.state());
         let end = End {
             outcome,
-            energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
+            energy: EnergySeen::at_the_ends(&assembly.body, &first, &reached.state()),
             reached,
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
@@ -231,6 +231,7 @@ impl Ensemble<'_> {
             momentum: Mat::<N>::zeros(),
             iterations: 0,
             convergence: None,
+            work: 0.0,
         };
         log.checkpoint(&checkpoint, Figures::default())?;
         self.context.control.durable_step.store(log.durable_step(), Ordering::Relaxed);
@@ -269,7 +270,7 @@ impl Ensemble<'_> {
         let ends = trajectories.iter().zip(figures).enumerate();
         let ends = ends.map(|(m, (end, figures))| {
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
-            let Checkpoint { step, samples, attitude, momentum, iterations, convergence } =
+            let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
                 &end.reached;
             let time_s = *step as f64 * self.plan.step_s;
             Member {
@@ -456,5 +457,6 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         momentum,
         iterations: nominal.map_or(0, |end| end.iterations),
         convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
+        work: 0.0,
     }
 }

@@ -157,8 +157,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         body.seen_from(&Mat::identity(), &mut self.space);
         let Self { tableau, solver, beta, attitude, momentum, space, unknowns, clock, .. } = self;
         let nodes = (0..tableau.stages()).map(|k| tableau.c(k));
-        let moments =
-            if body.is_driven() { body.over(clock.time, h, nodes) } else { Vec::new() };
+        let moments = if body.is_driven() { body.over(clock.time, h, nodes) } else { Vec::new() };
         let step = Step { tableau, beta, body, moments: &moments, space, h, g0: attitude };
         let (convergence, (g1, m1)) = match unknowns {
             Unknowns::Vector(stages) => step.solve(solver, momentum, stages)?,
