@@ -50,6 +50,12 @@ pub struct Plan {
     pub potential: Vec<TermPlan>,
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved.
     pub free_directions: usize,
+    /// What is kept, and logged as the energy error, of a scene that changes with time, is pushed or has wheels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub balance: Option<String>,
+    /// What somebody should know before the run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
     /// Samples in a chunk of the log: half a mebibyte, or what is estimated to take 3 s if that is less. An interrupted
@@ -228,6 +234,8 @@ impl Plan {
             samples: 0,
             potential: Vec::new(),
             free_directions: n,
+            balance: None,
+            warnings: Vec::new(),
             channels: channels(scenario),
             samples_per_chunk: 0,
             log_bytes: 0,
@@ -268,7 +276,9 @@ impl Plan {
                 channel.computes = "how far the body momentum leaves its coadjoint orbit";
             }
         }
-        plan.free_directions = free_directions(n, &plan.model.terms);
+        plan.free_directions = plan.model.free_directions(n);
+        plan.balance = plan.model.balance();
+        plan.warnings.extend(no_body(&inertia));
         plan.estimate(None);
         Ok(plan)
     }
@@ -416,12 +426,34 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     logged.map(|topic| ChannelPlan { topic, computes: topic.computes() }).collect()
 }
 
-/// n less the rank of the terms' space vectors.
-fn free_directions(n: usize, modelled: &[PotentialTerm]) -> usize {
+/// What is said of an inertia that no rigid body has: a moment is the sum of two second moments, none of which is
+/// negative, so none of the three is more than the other two.
+fn no_body(inertia: &DMatrix<f64>) -> Option<String> {
+    /// What decimal text may make of a flat body.
+    const ROUNDED: f64 = 1e-9;
+    let n = inertia.nrows();
+    // J = tr(D) I - D
+    let second = inertia.trace() / (n as f64 - 1.0);
+    let moments = inertia.symmetric_eigenvalues();
+    let largest = moments.max();
+    (n > 2 && largest - second > ROUNDED * largest).then(|| {
+        let least = second - largest;
+        let words = if n == 3 {
+            let others = inertia.trace() - largest;
+            format!("{largest} is more than the sum of the other two, {others}")
+        } else {
+            format!("the least second moment is {least}, below zero")
+        };
+        format!("no rigid body has this inertia: {words}; the equations hold all the same")
+    })
+}
+
+/// n less the rank of space vectors.
+fn free_directions<'a>(n: usize, vectors: impl Iterator<Item = &'a [f64]>) -> usize {
     // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
     let mut taken: Vec<DVector<f64>> = Vec::new();
-    for term in modelled {
-        let mut rest = terms::unit(&DVector::from_column_slice(term.law().space_vector()));
+    for vector in vectors {
+        let mut rest = terms::unit(&DVector::from_column_slice(vector));
         for direction in taken.iter().chain(&taken) {
             let part = direction.dot(&rest);
             rest.axpy(-part, direction, 1.0);

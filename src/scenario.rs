@@ -527,10 +527,12 @@ pub fn schema() -> serde_json::Value {
 /// The shipped scenarios: name and JSON text.
 pub const SHIPPED: &[(&str, &str)] = &[
     ("dipole", include_str!("../scenarios/dipole.json")),
+    ("dual-spin", include_str!("../scenarios/dual-spin.json")),
     ("free-body", include_str!("../scenarios/free-body.json")),
     ("heavy-top", include_str!("../scenarios/heavy-top.json")),
     ("pendulum", include_str!("../scenarios/pendulum.json")),
     ("satellite", include_str!("../scenarios/satellite.json")),
+    ("satellite-elliptic", include_str!("../scenarios/satellite-elliptic.json")),
     ("satellite-ensemble", include_str!("../scenarios/satellite-ensemble.json")),
     ("so4-free", include_str!("../scenarios/so4-free.json")),
     ("so5-spring", include_str!("../scenarios/so5-spring.json")),

@@ -5,8 +5,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use crate::method::{Integrator, Takes};
 use crate::scenario::{
-    Attitude, DrivenTerm, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError,
-    SolverKind, TableauChoice, TableauName, Torque,
+    Attitude, DrivenTerm, Entry, Framed, Inertia, Method, Path, PotentialTerm, Scenario,
+    ScenarioError, SolverKind, TableauChoice, TableauName, Torque,
 };
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::{Rungs, StopRule};
@@ -66,6 +66,48 @@ impl Model {
 }
 
 impl Model {
+    /// Directions of space that rotations of the potential leave free at all times; none under torques.
+    pub(super) fn free_directions(&self, n: usize) -> usize {
+        if !self.torques.is_empty() {
+            return 0;
+        }
+        let of_path = |driven: &'_ DrivenTerm| -> Vec<Vec<f64>> {
+            let own = driven.term.law().space_vector().to_vec();
+            match &driven.path {
+                None => vec![own],
+                Some(Path::Turning(turning)) => {
+                    vec![own, turning.from.clone(), turning.towards.clone()]
+                }
+                Some(Path::Orbit(orbit)) => vec![own, orbit.towards.clone()],
+            }
+        };
+        let moving: Vec<Vec<f64>> = self.driven.iter().flat_map(of_path).collect();
+        let fixed = self.terms.iter().map(|term| term.law().space_vector());
+        super::free_directions(n, fixed.chain(moving.iter().map(Vec::as_slice)))
+    }
+
+    /// What is kept of a scene that changes with time, is pushed or has wheels; `None` of any other, which keeps its energy.
+    pub(super) fn balance(&self) -> Option<String> {
+        let mut parts = Vec::new();
+        if !self.driven.is_empty() {
+            parts.push("what the changing terms put in (H + p_t)");
+        }
+        if !self.torques.is_empty() {
+            parts.push("the work of the torques");
+        }
+        let wheels = "; the momentum is that of body and wheels";
+        let spins = if self.wheels.is_some() { wheels } else { "" };
+        if parts.is_empty() {
+            return self.wheels.as_ref().map(|_| format!("the energy of the body{spins}"));
+        }
+        let structure = if self.torques.is_empty() {
+            "; a symplectic method keeps it to a level that the step fixes"
+        } else {
+            "; under torques that are no potential's no method is symplectic"
+        };
+        Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
+    }
+
     /// Refuses a method that cannot run a scene that changes with time, is pushed or has wheels.
     pub(super) fn allows(&self, method: Integrator) -> Result<(), ScenarioError> {
         let facts = method.facts();

@@ -28,6 +28,7 @@ use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, Moment, RigidBody};
+use crate::lanes::Real;
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
@@ -35,7 +36,7 @@ use crate::tableau::Tableau;
 mod deferred;
 mod motion;
 
-use deferred::{AtStage, Collocation, Solved, Source, Start, Stuck};
+use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck};
 pub(super) use motion::{Motion, Sum};
 
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
@@ -426,17 +427,22 @@ impl<const N: usize> GalerkinStep<N> {
 /// A system at one stage, for [`Collocation`].
 struct OneStage<'a, D, const N: usize>(&'a mut D);
 
-/// The stages' own form of matrices: row by row.
-fn rows<const N: usize>(matrix: &Mat<N>, rows: &mut [f64]) {
+/// The matrix of a stage.
+fn of_stage<const N: usize>(matrices: &[f64], Place { stage, lanes }: Place) -> Mat<N> {
+    Mat::from_fn(|i, j| matrices[(i * N + j) * lanes + stage])
+}
+
+fn to_stage<const N: usize>(matrix: &Mat<N>, matrices: &mut [f64], at: Place) {
     for i in 0..N {
         for j in 0..N {
-            rows[i * N + j] = matrix[(i, j)];
+            matrices[(i * N + j) * at.lanes + at.stage] = matrix[(i, j)];
         }
     }
 }
 
-fn of_rows<const N: usize>(rows: &[f64]) -> Mat<N> {
-    Mat::from_row_slice(rows)
+/// U of U - I.
+fn attitude_of<const N: usize>(c: &[f64], at: Place) -> Mat<N> {
+    Mat::identity() + of_stage(c, at)
 }
 
 impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
@@ -444,28 +450,23 @@ impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
         self.0.begin_sweep()
     }
 
-    fn gradient(
-        &mut self,
-        stage: usize,
-        c: &[f64],
-        mu: &[f64],
-        omega: &[f64],
-        gradient: &mut [f64],
-    ) {
-        let u = Mat::identity() + of_rows(c);
-        match self.0.gradient(stage, &u, || of_rows(mu), &of_rows(omega)) {
-            Some(found) => rows(&found, gradient),
-            None => gradient.fill(0.0),
-        }
+    fn gradient(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
+        let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
+        let found = self.0.gradient(at.stage, &u, || of_stage(mu, at), &omega);
+        to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
     }
 
-    fn in_space(&self, c: &[f64], x: &[f64], turned: &mut [f64]) {
-        rows(&so::conjugate(&(Mat::<N>::identity() + of_rows(c)), &of_rows(x)), turned);
+    fn in_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]) {
+        to_stage(&so::conjugate(&attitude_of::<N>(c, at), &of_stage(x, at)), turned, at);
     }
 
-    fn velocity(&mut self, stage: usize, c: &[f64], mu: &[f64], omega: &mut [f64]) {
-        let u = Mat::<N>::identity() + of_rows(c);
-        rows(&self.0.velocity(stage, &u, &of_rows(mu), &of_rows(omega)), omega);
+    fn velocity(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2] {
+        let before = of_stage(omega, at);
+        let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
+        to_stage(&now, omega, at);
+        // Of what is no number the change is none either.
+        let change = (now - before).iter().fold(0.0, |most: f64, x| Real::larger(most, x.abs()));
+        [change, now.amax()]
     }
 }
 

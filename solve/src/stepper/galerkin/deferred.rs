@@ -55,23 +55,23 @@ pub(super) enum Source<'a> {
     Stages(&'a mut dyn AtStage),
 }
 
-/// A system at one stage. Matrices are n x n, row by row; `c` is U - I.
+/// A system at one stage, whose matrices stand among those of the others.
 pub(super) trait AtStage {
     /// Takes note of a round that begins, or refuses it.
     fn begin_sweep(&self) -> Result<(), Failure>;
-    /// dH/dg.
-    fn gradient(
-        &mut self,
-        stage: usize,
-        c: &[f64],
-        mu: &[f64],
-        omega: &[f64],
-        gradient: &mut [f64],
-    );
+    /// dH/dg, c being U - I.
+    fn gradient(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
     /// `U X U^T`
-    fn in_space(&self, c: &[f64], x: &[f64], turned: &mut [f64]);
-    /// Improves Omega.
-    fn velocity(&mut self, stage: usize, c: &[f64], mu: &[f64], omega: &mut [f64]);
+    fn in_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]);
+    /// Improves Omega. Returns its largest change and its size.
+    fn velocity(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
+}
+
+/// Where the matrix of a stage stands: entry e is number `e * lanes + stage`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) stage: usize,
+    pub(super) lanes: usize,
 }
 
 /// What a step begins from.
@@ -570,11 +570,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             Forces::Stages { system, stages } => {
                 system.begin_sweep()?;
-                let mut of_stage = vec![0.0; self.start.n * self.start.n];
-                for k in 0..*stages {
-                    let [c, mu, omega] = [&*c, &*mu, &*omega].map(|m| lane(m, k, R::LANES));
-                    system.gradient(k, &c, &mu, &omega, &mut of_stage);
-                    set_lane(gradient, k, R::LANES, &of_stage);
+                for stage in 0..*stages {
+                    system.gradient(Place { stage, lanes: R::LANES }, c, mu, omega, gradient);
                 }
                 Ok(())
             }
@@ -695,11 +692,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             Forces::Body { torques, .. } => torques.in_space(c, slopes, kappa),
             Forces::Stages { system, stages } => {
-                let mut turned = vec![0.0; n * n];
-                for k in 0..*stages {
-                    let [c, gradient] = [&*c, &*gradient].map(|m| lane(m, k, R::LANES));
-                    system.in_space(&c, &gradient, &mut turned);
-                    set_lane(kappa, k, R::LANES, &turned);
+                for stage in 0..*stages {
+                    system.in_space(Place { stage, lanes: R::LANES }, c, gradient, kappa);
                 }
             }
         }
@@ -937,15 +931,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             Forces::Stages { system, stages } => {
                 let (mut change, mut size) = (0.0_f64, 0.0_f64);
-                for k in 0..*stages {
-                    let [c, mu, before] = [&*c, &*mu, &*omega].map(|m| lane(m, k, R::LANES));
-                    let mut now = before.clone();
-                    system.velocity(k, &c, &mu, &mut now);
-                    for (now, before) in now.iter().zip(&before) {
-                        change = Real::larger(change, (now - before).abs());
-                        size = size.max(now.abs());
-                    }
-                    set_lane(omega, k, R::LANES, &now);
+                for stage in 0..*stages {
+                    let at = Place { stage, lanes: R::LANES };
+                    let [changed, now] = system.velocity(at, c, mu, omega);
+                    (change, size) = (Real::larger(change, changed), size.max(now));
                 }
                 if change == 0.0 { 0.0 } else { change / size * self.size }
             }
@@ -999,16 +988,5 @@ impl Rounds {
         (self.last, self.first) = (change, false);
         // Of no change nothing is left.
         if change > 0.0 { change * contraction } else { change }
-    }
-}
-
-/// The matrix of a stage.
-fn lane(matrices: &[f64], k: usize, lanes: usize) -> Vec<f64> {
-    matrices.iter().skip(k).step_by(lanes).copied().collect()
-}
-
-fn set_lane(matrices: &mut [f64], k: usize, lanes: usize, matrix: &[f64]) {
-    for (number, entry) in matrices.iter_mut().skip(k).step_by(lanes).zip(matrix) {
-        *number = *entry;
     }
 }
