@@ -114,6 +114,11 @@ pub struct Scene {
 }
 
 impl Scene {
+    /// Does nothing change with time, push without being a potential, or spin in the body?
+    pub(crate) fn is_plain(&self) -> bool {
+        self.driven.is_empty() && self.torques.is_empty() && self.wheels.is_none()
+    }
+
     /// A free body of an inertia, at rest in the attitude of the identity.
     pub fn free(inertia: Inertia) -> Self {
         Self {

@@ -607,7 +607,6 @@ pub(crate) fn table() -> Vec<Bad> {
         "/scene/driven/2/factor/table/values/0",
         "/scene/torques/0/constant/body/2",
         "/scene/torques/1/table/table/values/2",
-        "/scene/torques/2/viscous/coefficients/1",
         "/scene/torques/3/of_momentum/rate_per_s",
         "/scene/wheels/2",
     ];
