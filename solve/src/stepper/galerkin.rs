@@ -42,7 +42,7 @@ pub(super) use motion::{Motion, Sum};
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
 pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 
-/// `n max |F|` up to which no singular value of an interpolated matrix is below a half.
+/// `n max |F|` up to which no singular value of an interpolated matrix is below two thirds.
 const MODEST_STRETCH: f64 = 0.5;
 /// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: there `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
 const MODEST_TURN: f64 = 1.0;
@@ -166,7 +166,7 @@ impl<const N: usize> GalerkinStep<N> {
         Self { past: Some(Past::default()), ..self }
     }
 
-    /// The same, solved by sweeps alone, with no step before.
+    /// The same without Newton's method, with no step before.
     pub(super) fn by_sweeps(&self) -> Self {
         Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
     }

@@ -17,8 +17,9 @@
 //! [defect]     delta_k = asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)
 //! ```
 //!
-//! Without the defect this is Gauss collocation, a matter of few products; and the defect is small: of order h^(s+1)
-//! in K and F, of order h^2 in every term. So collocation is solved first, and the defect is evaluated one to three times.
+//! Without the defect this is Gauss collocation, a matter of few products; and the defect is small: like K and F it is of
+//! order h^(s+1), to which its last two terms, of order h^2 each, cancel. So collocation is solved first, and the defect is
+//! evaluated one to three times up to a turn of 0.15 rad, four to eight times in larger steps.
 //!
 //! Everything is computed for all stages at once, in lanes. An operation carries the tag of what it computes.
 //!
@@ -482,7 +483,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
-    /// The size of the defect: `turn^(s+1) / (s+1)!`.
+    /// About the size of the defect, for the stop of collocation alone: `turn^(s+1) / (s+1)!`.
     fn order(&self, stages: usize) -> f64 {
         (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
     }
@@ -942,7 +943,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 }
 
-/// [F], [K] and [C]: Newton's method for the polar factor of `I + D`, one step from the F that there is.
+/// [F], [K] and [C]: one step of Newton's method for the polar factor of `I + D`, with the derivative at P = I, from the F
+/// that there is.
 #[inline(always)]
 fn polar_factor<R: Stored, D: Dimension>(
     stack: Stack<R, D>,
