@@ -85,11 +85,16 @@ impl Sweep {
     /// The first thing wrong with it, with the pointer of its field. What is wrong with a member alone is not: it is told in
     /// its line.
     pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
+        Self::from_tree(read_tree(text)?)
+    }
+
+    /// The same of a text that was read as JSON.
+    pub(crate) fn from_tree(tree: Value) -> Result<Self, ScenarioError> {
         let open = |_: &str| {
             let message = "is the path of a file; here the scenario itself is needed";
             Err(ScenarioError::invalid("/scenario", message))
         };
-        Self::new(from_tree(read_tree(text)?)?, open)
+        Self::new(from_tree(tree)?, open)
     }
 
     fn new(
@@ -176,6 +181,31 @@ impl Sweep {
         &self.columns
     }
 
+    /// About how long it takes on one core, in seconds, and the bytes of its table: by the first, the middle and the last
+    /// member, as far as they are runs.
+    ///
+    /// # Errors
+    /// If one of them asks for an accuracy: what that takes is not known before.
+    #[cfg(feature = "serve")]
+    pub(crate) fn estimate(&self) -> Result<(f64, u64), ScenarioError> {
+        /// Of a line, for each of its cells.
+        const CELL_BYTES: u64 = 20;
+        let looked_at = [0, self.members / 2, self.members - 1];
+        let mut seconds = Vec::with_capacity(looked_at.len());
+        for member in looked_at {
+            let Ok(scenario) = self.scenario(member) else { continue };
+            ensure(scenario.accuracy.is_none(), "/scenario/accuracy", || {
+                "is no part of a sweep of the service; give method and step".into()
+            })?;
+            seconds.extend(Plan::new(&scenario).map(|plan| plan.run_s));
+        }
+        // The shadow of a Lyapunov exponent takes as long as the run.
+        let runs = if self.file.has_exponent() { 2.0 } else { 1.0 };
+        let mean = seconds.iter().sum::<f64>() / seconds.len().max(1) as f64;
+        let bytes = self.members * self.columns.len() as u64 * CELL_BYTES;
+        Ok((runs * mean * self.members as f64, bytes))
+    }
+
     /// SHA-256 of all that the table depends on, in hexadecimal digits.
     pub fn digest(&self) -> String {
         let SweepFile { scenario, vary, combine, seed, scores, .. } = &self.file;
@@ -246,14 +276,17 @@ impl Sweep {
     /// # Errors
     /// Those of [`Sweep::scenario`] and [`Plan::new`].
     pub fn plan(&self, member: u64) -> Result<Plan, ScenarioError> {
-        member::plan(&self.scenario(member)?)
+        member::plan(&self.scenario(member)?, &Arc::default())
     }
 
     /// Runs a member: its line of the table, and why it was refused if it was. `None` if `stop` was set.
     fn line(&self, member: u64, stop: &Arc<AtomicBool>) -> Option<Line> {
         let values = self.values(member);
-        let outcome = match self.with(&values).and_then(|scenario| member::plan(&scenario)) {
+        let planned = self.with(&values).and_then(|scenario| member::plan(&scenario, stop));
+        let outcome = match planned {
             Ok(plan) => member::run(&plan, &self.file.scores, stop)?,
+            // What was stopped is not refused.
+            Err(_) if stop.load(Ordering::Relaxed) => return None,
             Err(error) => Outcome::Refused(error),
         };
         let mut cells = Vec::with_capacity(self.columns.len());

@@ -387,6 +387,12 @@ impl SweepFile {
         })
     }
 
+    /// Is a Lyapunov exponent asked for?
+    #[cfg(feature = "serve")]
+    pub(super) fn has_exponent(&self) -> bool {
+        self.scores.iter().any(|score| matches!(score.measure, Measure::LyapunovExponent(_)))
+    }
+
     /// How many members there are.
     pub(super) fn members(&self) -> Result<u64, ScenarioError> {
         let counts: Vec<u64> = self.vary.iter().map(|field| field.values.count()).collect();

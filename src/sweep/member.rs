@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::file::{Measure, Score};
 use super::score::{Shadow, Tally};
-use crate::advise;
+use crate::advise::Settled;
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::messages::{Figures, quaternion};
 use crate::plan::Plan;
@@ -20,6 +20,7 @@ use crate::solve::trajectory::{
     self, Checkpoint, Ending, Observables, Sample, Schedule, Sink, Trajectory,
 };
 use crate::solve::work::Work;
+use crate::study::Watch;
 use crate::study::measure::rate_at;
 
 /// What came of a member.
@@ -43,16 +44,20 @@ pub(super) struct Row {
     pub(super) scores: Vec<Option<f64>>,
 }
 
-/// The plan of a member: that of `vpd run`.
-pub(super) fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
+/// The plan of a member: that of `vpd run`. What `stop` ends is refused at its accuracy.
+pub(super) fn plan(scenario: &Scenario, stop: &Arc<AtomicBool>) -> Result<Plan, ScenarioError> {
     /// The plan of `vpd run` counts the work of the first steps, and where a step takes long makes its chunks shorter than
     /// half a mebibyte. That is looked up only where a run takes so long that it can matter.
     const LONG_S: f64 = 0.1;
+    let settled = || {
+        let watch = Watch { cancelled: stop.clone(), ..Watch::default() };
+        Settled::new(scenario, &watch).map_err(ScenarioError::from)?.plan()
+    };
     if scenario.accuracy.is_some() {
-        return advise::plan(scenario);
+        return settled();
     }
     let plan = Plan::new(scenario)?;
-    if plan.run_s > LONG_S { advise::plan(scenario) } else { Ok(plan) }
+    if plan.run_s > LONG_S { settled() } else { Ok(plan) }
 }
 
 /// Runs a planned member; `None` if `stop` was set before its end.
