@@ -432,9 +432,9 @@ pub struct Made {
     pub first_refused: Option<(u64, ScenarioError)>,
 }
 
-/// Runs a sweep, or goes on with what an interrupted run left in `table.part`: the table is the same, byte for byte. Blocks.
-/// `watch` counts members, and stops it. `finish` is called when all lines are there, before the table gets its name; it is given
-/// the members of this run.
+/// Runs a sweep, or goes on with what an interrupted run left in `table.part`: the table is the same, byte for byte.
+/// Blocks. `watch` counts members, and stops it. `finish` is called when all lines are there, before the table gets its
+/// name; it is given the members of this run.
 ///
 /// # Errors
 /// If the table cannot be written, something else stands in its place, or the run is interrupted; those of `finish`.
@@ -528,7 +528,7 @@ pub enum SweepError {
         source: io::Error,
     },
     /// What stands in the place of the table is to be kept.
-    #[error("{} is there already{}; --force replaces it", path.display(), if *finished { "" } else { ", of another sweep, another part or another build, unfinished" })]
+    #[error("{} is there already{}; --force replaces it", path.display(), unfinished(*finished))]
     Exists {
         /// The file.
         path: PathBuf,
@@ -600,6 +600,10 @@ impl SweepError {
             _ => true,
         }
     }
+}
+
+fn unfinished(finished: bool) -> &'static str {
+    if finished { "" } else { ", of another sweep, another part or another build, unfinished" }
 }
 
 /// `shard 2/4 is`, for a list of shards.

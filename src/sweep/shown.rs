@@ -78,7 +78,7 @@ pub(crate) enum Cell {
     Waiting,
     /// Its members were refused.
     Refused,
-    /// They failed, and left no value.
+    /// They failed.
     Failed,
     /// They ran, and have no value here.
     Empty,
@@ -148,10 +148,11 @@ impl Sweep {
             if values.iter().map(super::cell).ne(given) {
                 return Err(other());
             }
+            // What a run has shown until it failed is no value of the whole.
             let cell = match (cells[outcome].as_str(), cells[at].parse::<f64>()) {
-                (_, Ok(value)) if value.is_finite() => Cell::Value(value),
                 ("refused", _) => Cell::Refused,
                 ("failed", _) => Cell::Failed,
+                (_, Ok(value)) if value.is_finite() => Cell::Value(value),
                 _ => Cell::Empty,
             };
             shown.add(self, member, &values, cell);
