@@ -89,7 +89,7 @@ pub(in crate::serve) struct Request {
 #[derive(Clone, Debug)]
 pub(in crate::serve) enum Question {
     /// A study of methods.
-    Methods(Methods),
+    Methods(Box<Methods>),
     /// Many runs over fields of a scenario.
     Sweep(Box<Sweep>),
 }
@@ -108,7 +108,7 @@ impl Question {
     pub(in crate::serve) fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
         let tree = crate::scenario::read_tree(text)?;
         if tree["kind"] != "sweep" {
-            return Methods::from_tree(tree).map(Self::Methods);
+            return Ok(Self::Methods(Box::new(Methods::from_tree(tree)?)));
         }
         let sweep = Sweep::from_tree(tree)?;
         if sweep.kept_logs().is_empty() {
