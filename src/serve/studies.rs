@@ -23,10 +23,13 @@ use uuid::Uuid;
 use super::job::{State, created};
 use super::store::{FoundStudy, StoreError, StudyStore};
 use super::{Limits, ServeError, chain};
+use crate::chart;
 use crate::log::part_path;
 use crate::run::Control;
 use crate::scenario::ScenarioError;
-pub(super) use question::{Answer, Body, Kind, Question, TABLE, Unanswered};
+use crate::sweep::Sweep;
+pub(super) use question::{Answer, Body, Kind, Question, Unanswered};
+use question::{PICTURE, TABLE};
 
 /// Studies that may wait.
 const QUEUE: usize = 16;
@@ -80,6 +83,8 @@ struct Shared {
     work: Condvar,
     store: StudyStore,
     limits: Limits,
+    /// Held by who draws an unfinished sweep.
+    drawing: Mutex<()>,
     /// The program that carries out errands in a process of its own.
     program: Option<PathBuf>,
     runtime: Handle,
@@ -183,7 +188,15 @@ impl Studies {
         }
         let (index, work) = (Mutex::new(index), Condvar::new());
         let runtime = Handle::current();
-        let shared = Arc::new(Shared { index, work, store, limits, program, runtime });
+        let shared = Arc::new(Shared {
+            index,
+            work,
+            store,
+            limits,
+            drawing: Mutex::new(()),
+            program,
+            runtime,
+        });
         let worker = shared.clone();
         let thread = thread::Builder::new().name("studies".to_owned()).spawn(move || {
             super::give_way();
@@ -315,17 +328,20 @@ impl Studies {
 
     /// The scenario of a member of a sweep. Blocking.
     pub(super) fn member(&self, id: Uuid, member: u64) -> Result<Vec<u8>, StudyRefusal> {
+        let scenario = self.sweep(id)?.scenario(member).map_err(StudyRefusal::Member)?;
+        Ok(scenario.to_json())
+    }
+
+    /// What was asked of a sweep.
+    fn sweep(&self, id: Uuid) -> Result<Box<Sweep>, StudyRefusal> {
         if self.kind(id)? != Kind::Sweep {
             return Err(StudyRefusal::NoFile);
         }
         let request = self.0.runtime.block_on(self.0.store.request(id))?;
         match Question::from_json(&request) {
-            Ok(Question::Sweep(sweep)) => {
-                let scenario = sweep.scenario(member).map_err(StudyRefusal::Member)?;
-                Ok(scenario.to_json())
-            }
-            // Of another build.
-            Ok(_) => Err(StudyRefusal::NoFile),
+            Ok(Question::Sweep(sweep)) => Ok(sweep),
+            Ok(Question::Methods(_)) => Err(StudyRefusal::NoFile),
+            // This build does not take it.
             Err(error) => Err(StudyRefusal::Member(error)),
         }
     }
@@ -334,13 +350,26 @@ impl Studies {
         self.0.index().studies.get(&id).map(|study| study.kind).ok_or(StudyRefusal::Unknown)
     }
 
-    /// A table or a chart of a study.
+    /// A table or a chart of a study; the picture of a sweep that has not ended is drawn as far as it has come. Blocking.
     pub(super) fn file(&self, id: Uuid, name: &str) -> Result<String, StudyRefusal> {
         let index = self.0.index();
         let study = index.studies.get(&id).ok_or(StudyRefusal::Unknown)?;
-        let Phase::Ended(record) = &study.phase else { return Err(StudyRefusal::NoFile) };
-        let file = record.answer.files.iter().find(|(file, _)| *file == name);
-        file.map(|(_, text)| text.clone()).ok_or(StudyRefusal::NoFile)
+        if let Phase::Ended(record) = &study.phase
+            && let Some((_, text)) = record.answer.files.iter().find(|(file, _)| *file == name)
+        {
+            return Ok(text.clone());
+        }
+        let drawn = study.kind == Kind::Sweep && name == PICTURE;
+        drop(index);
+        if drawn { self.picture(id) } else { Err(StudyRefusal::NoFile) }
+    }
+
+    fn picture(&self, id: Uuid) -> Result<String, StudyRefusal> {
+        // One after the other: each reads a whole table.
+        let _turn = self.0.drawing.lock().unwrap_or_else(PoisonError::into_inner);
+        let TableOf::File { path, .. } = self.table(id)? else { return Err(StudyRefusal::NoFile) };
+        let shown = self.sweep(id)?.shown(&path, None).map_err(|_| StudyRefusal::NoFile)?;
+        chart::sweep(&shown).map_err(|_| StudyRefusal::NoFile)
     }
 }
 
@@ -441,8 +470,9 @@ impl Study {
             _ => None,
         };
         let answer = record.map(|record| &record.answer);
-        // A sweep has a table from its beginning on.
+        // A sweep has a picture and a table from its beginning on.
         let begun = self.kind == Kind::Sweep && !self.waits();
+        let unfinished = begun && answer.is_none_or(|answer| answer.files.is_empty());
         let link = |name: &str| match name.strip_suffix(".svg") {
             Some(_) => format!("/studies/{id}/charts/{name}"),
             None => format!("/studies/{id}/{name}"),
@@ -462,6 +492,7 @@ impl Study {
             links: answer
                 .into_iter()
                 .flat_map(|answer| answer.files.iter().map(|(name, _)| name.as_str()))
+                .chain(unfinished.then_some(PICTURE))
                 .chain(begun.then_some(TABLE))
                 .map(link)
                 .collect(),

@@ -87,6 +87,6 @@ pub(super) async fn get_study_chart(
     if !name.ends_with(".svg") {
         return Err(StudyRefusal::NoFile.into());
     }
-    let text = app.studies.file(id, &name)?;
+    let text = off_thread(move || app.studies.file(id, &name)).await?;
     Ok(([(CONTENT_TYPE, "image/svg+xml")], text).into_response())
 }

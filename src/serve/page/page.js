@@ -220,7 +220,8 @@ async function viewStudy(id) {
     const ended = ENDED.includes(study.state);
     title(study.name, study.state);
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
-    const pictures = ended ? await Promise.all(files.filter(link => link.endsWith(".svg"))
+    // Of a sweep the members so far.
+    const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
       .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
     card.replaceChildren(
       h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
@@ -231,7 +232,7 @@ async function viewStudy(id) {
         .map(link => h("a", { href: own(link).href, download: `${fileName(study.name)}.csv` }, "Table (CSV)"))),
       ended && study.kind === "sweep" ? memberForm(study) : "");
     if (ended) return;
-    await new Promise(later => setTimeout(later, 1000));
+    await new Promise(later => setTimeout(later, study.kind === "sweep" ? 5000 : 1000));
   }
 }
 

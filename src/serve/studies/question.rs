@@ -24,9 +24,9 @@ const MAX_METHODS: usize = 40;
 const MAX_STEPS: u64 = 1_000_000;
 
 /// The table of a study; that of a sweep is a file next to its record.
-pub(in crate::serve) const TABLE: &str = "table.csv";
+pub(super) const TABLE: &str = "table.csv";
 /// The picture of a sweep.
-const PICTURE: &str = "sweep.svg";
+pub(super) const PICTURE: &str = "sweep.svg";
 
 /// What is studied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

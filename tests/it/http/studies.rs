@@ -215,6 +215,8 @@ fn a_sweep_shows_its_lines_gives_way_and_goes_on_after_a_restart() {
         text.lines().count() - 1
     };
     let first = until("lines", || Some(lines(&server)).filter(|&lines| lines > 10));
+    let picture = server.get(&format!("{location}/charts/sweep.svg"));
+    assert!(picture.status == 200 && picture.text().contains("<circle"), "{}", picture.status);
     // It would take minutes; what is asked later is answered before it ends.
     let later = ask(
         &server,
