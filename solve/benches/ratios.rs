@@ -23,9 +23,10 @@ use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
 
 fn main() {
-    let parts: [(&str, fn()); 8] = [
+    let parts: [(&str, fn()); 9] = [
         ("against_vrkmk", against_vrkmk),
         ("one_trajectory", one_trajectory),
+        ("any_dimension", any_dimension),
         ("free_bodies", free_bodies),
         ("long_run", long_run),
         ("ensembles", ensembles),
@@ -276,6 +277,80 @@ fn free_bodies() {
     in_matrices::<4>(2, 0.05);
     in_matrices::<4>(4, 0.1);
     in_matrices::<5>(2, 0.01);
+}
+
+/// VPD and VRKMK with the same tableau, on two springs in n dimensions.
+fn any_dimension() {
+    say("\n## VPD against VRKMK in n dimensions: us a step, and the error at t = 1\n");
+    say(
+        "| n | tableau | h | vpd | rounds | error | vrkmk | error | ratio |\n|---|---|---|---|---|---|---|---|---|",
+    );
+    for (stages, h) in [(2, 0.02), (4, 0.1), (8, 0.2)] {
+        two_springs::<4>(stages, h);
+        two_springs::<5>(stages, h);
+        two_springs::<6>(stages, h);
+        two_springs::<8>(stages, h);
+        two_springs::<16>(stages, h);
+    }
+}
+
+fn two_springs<const N: usize>(stages: usize, h: f64) {
+    let weights =
+        Mat::<N>::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (2.0 + 0.2 * (i + j) as f64) });
+    let vector = |a: f64, b: f64| Vector::<N>::from_fn(|i, _| a + b * (i as f64 * 1.7).sin());
+    let spring = |stiffness, rest_length, body_point, space| Term {
+        law: Law::Spring { stiffness, rest_length, body_point },
+        space,
+    };
+    let terms = vec![
+        spring(0.8, 0.4, vector(0.1, 0.6), vector(1.0, -0.4)),
+        spring(0.5, 0.1, vector(-0.3, 0.5), vector(-1.2, 0.3)),
+    ];
+    let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
+    let above = Mat::<N>::from_fn(|i, j| if i < j { 1.0 / (1 + i + j) as f64 } else { 0.0 });
+    let momentum = above - above.transpose();
+    let omega = body.velocity(&momentum);
+    // One radian a second.
+    let momentum = momentum / so::inner(&omega, &omega).sqrt();
+    let start = State { attitude: Mat::identity(), momentum };
+    let ahead = |stepper: &mut dyn Stepper<N>, h: f64| {
+        stepper.start(&start);
+        for _ in 0..(1.0 / h).round() as usize {
+            stepper.step(&body, h).expect("solvable");
+        }
+        (stepper.attitude().expect("carried"), stepper.momentum())
+    };
+    let truth = ahead(&mut Vpd::new(gauss(8), StopRule::default()), 0.05);
+    let mut vpd = Vpd::new(gauss(stages), StopRule::default());
+    let mut vrkmk = Vrkmk::new(gauss(stages), StopRule::default());
+    let mut errors = [0.0; 2];
+    let mut least = [f64::INFINITY; 2];
+    let mut rounds = 0;
+    let steps = 20_000 / (N * N) + 20;
+    for _ in 0..7 {
+        for (k, stepper) in [&mut vpd as &mut dyn Stepper<N>, &mut vrkmk].into_iter().enumerate() {
+            let end = ahead(stepper, h);
+            errors[k] = (end.0 - truth.0).norm() + (end.1 - truth.1).norm();
+            stepper.start(&start);
+            let begun = Instant::now();
+            let mut count = 0;
+            for _ in 0..steps {
+                count += stepper.step(&body, h).expect("solvable").iterations;
+            }
+            least[k] = least[k].min(begun.elapsed().as_secs_f64());
+            rounds = if k == 0 { count } else { rounds };
+        }
+    }
+    let us = |k: usize| least[k] * 1e6 / steps as f64;
+    say(&format!(
+        "| {N} | gauss{stages} | {h} | {:.2} | {:.2} | {:.1e} | {:.1} | {:.1e} | {:.1} |",
+        us(0),
+        f64::from(rounds) / steps as f64,
+        errors[0],
+        us(1),
+        errors[1],
+        us(1) / us(0),
+    ));
 }
 
 fn in_matrices<const N: usize>(stages: usize, h: f64) {

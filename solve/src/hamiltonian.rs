@@ -22,6 +22,7 @@ mod torque;
 use potential::Own;
 pub use potential::Potential;
 pub use term::{Law, Term};
+pub(crate) use torque::{Terms, Torques};
 
 /// A Hamiltonian H(g, mu) by its two derivatives, for [`crate::stepper::vpd::Vpd`].
 ///
@@ -112,6 +113,14 @@ impl<const N: usize> RigidBody<N> {
         Self { kinetic, terms, reaches, constant, own: Own::default(), work: Work::default() }
     }
 
+    /// `w` of `Omega_ij = w_ij mu_ij`, in principal axes.
+    pub(crate) fn principal(&self) -> Option<&Mat<N>> {
+        match &self.kinetic {
+            Kinetic::Principal { weights } => Some(weights),
+            Kinetic::Tensor { .. } => None,
+        }
+    }
+
     /// dH/dmu: the body angular velocity `Omega`, skew.
     pub fn velocity(&self, mu: &Mat<N>) -> Mat<N> {
         match &self.kinetic {
@@ -187,7 +196,7 @@ impl<const N: usize> RigidBody<N> {
         let mut sum = Mat::zeros();
         for (term, v) in self.terms.iter().zip(seen) {
             let q = u.tr_mul(v);
-            let slope = term.law.slope(&q, 0.0, &mut 0.0);
+            let slope = term.law.numbers().slope(&q, 0.0, &mut 0.0);
             for j in 0..N {
                 for i in 0..N {
                     sum[(i, j)] += q[i] * slope[j] - slope[i] * q[j];
@@ -231,7 +240,7 @@ impl<const N: usize> RigidBody<N> {
         self.count(1);
         let mut sum = Mat::zeros();
         for Term { law, space } in &self.terms {
-            let slope = g * law.slope(&g.tr_mul(space), 0.0, &mut 0.0);
+            let slope = g * law.numbers().slope(&g.tr_mul(space), 0.0, &mut 0.0);
             for j in 0..N {
                 for i in 0..N {
                     sum[(i, j)] += space[i] * slope[j] - slope[i] * space[j];

@@ -49,6 +49,35 @@ impl IndexMut<usize> for Row {
     }
 }
 
+/// Does the work in lanes of a wide instruction set, compiled for it, if there is one; else the other.
+// Not of each that there is: a piece of work is compiled once for each.
+macro_rules! widest {
+    ($level:expr, $vector:ident, $like:ident => $work:expr, else $other:expr) => {{
+        macro_rules! on {
+            ($token:expr) => {{
+                let $like = $vector::splat($token, 0.0);
+                $token.vectorize(
+                    #[inline(always)]
+                    || $work,
+                )
+            }};
+        }
+        let level: fearless_simd::Level = $level;
+        match level {
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            fearless_simd::Level::Avx512(token) => on!(token),
+            #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]
+            fearless_simd::Level::Avx2(token) => on!(token),
+            #[cfg(target_arch = "aarch64")]
+            fearless_simd::Level::Neon(token) => on!(token),
+            #[allow(unreachable_patterns)]
+            _ => $other,
+        }
+    }};
+}
+
+pub(crate) use widest;
+
 /// A number, or one in each lane.
 pub trait Real:
     Copy
@@ -88,10 +117,32 @@ pub trait Whole: Real {
     fn of_lanes(self, lanes: &Row) -> Self;
 }
 
+/// A number, or one in each lane, that lies in memory lane by lane.
+pub trait Stored: Real {
+    /// Lanes.
+    const LANES: usize;
+    /// As many of them side by side as a register holds.
+    type Wide: Real;
+    /// How many that are.
+    const GROUP: usize;
+    /// From the beginning of a slice, like `self`.
+    fn get(self, from: &[f64]) -> Self;
+    /// To the beginning of a slice.
+    fn put(self, to: &mut [f64]);
+    /// A group from the beginning of a slice.
+    fn get_wide(self, from: &[f64]) -> Self::Wide;
+    /// To the beginning of a slice.
+    fn put_wide(wide: Self::Wide, to: &mut [f64]);
+    /// The same one, as often as a group has.
+    fn repeated(self, from: &[f64]) -> Self::Wide;
+    /// The sum over a group, by halves.
+    fn folded(wide: Self::Wide) -> Self;
+}
+
 /// What belongs to the stages of a step: a number for each.
-pub trait Stages: Real {
+pub trait Stages: Stored {
     /// What belongs to the step as a whole.
-    type Whole: Whole;
+    type Whole: Whole + Stored;
     /// As it lies in memory.
     type Plain: Copy;
     /// From memory, like `self`.
@@ -108,6 +159,12 @@ pub trait Stages: Real {
     fn sum(self) -> Self::Whole;
     /// `sum_j columns[j] self_j`, summed by halves.
     fn combined(self, columns: &[Row; WIDTH]) -> Self;
+    /// Rows of constants.
+    fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH];
+    /// `sum_j columns[j] x_j`, summed by halves, x at the beginning of a slice.
+    fn combination(x: &[f64], columns: &[Self; WIDTH]) -> Self;
+    /// Does some work, compiled for the instruction set.
+    fn vectorized<T>(self, work: impl FnOnce() -> T) -> T;
     /// The largest over the stages.
     fn largest(self) -> Self::Whole;
     /// What a law that knows no lanes makes of three rows of three numbers, lane by lane.
@@ -141,6 +198,44 @@ impl Real for f64 {
     #[inline(always)]
     fn within(self, measure: Self, limit: f64, other: Self) -> Self {
         if measure <= limit { self } else { other }
+    }
+}
+
+impl Stored for f64 {
+    const LANES: usize = 1;
+    type Wide = Rows<f64, 4>;
+    const GROUP: usize = 4;
+
+    #[inline(always)]
+    fn get(self, from: &[f64]) -> Self {
+        from[0]
+    }
+
+    #[inline(always)]
+    fn put(self, to: &mut [f64]) {
+        to[0] = self;
+    }
+
+    #[inline(always)]
+    fn get_wide(self, from: &[f64]) -> Self::Wide {
+        let from = &from[..4];
+        Rows([from[0], from[1], from[2], from[3]])
+    }
+
+    #[inline(always)]
+    fn put_wide(wide: Self::Wide, to: &mut [f64]) {
+        to[..4].copy_from_slice(&wide.0);
+    }
+
+    #[inline(always)]
+    fn repeated(self, from: &[f64]) -> Self::Wide {
+        Rows([from[0]; 4])
+    }
+
+    #[inline(always)]
+    fn folded(wide: Self::Wide) -> Self {
+        let Rows([a, b, c, d]) = wide;
+        (a + c) + (b + d)
     }
 }
 
@@ -192,7 +287,43 @@ macro_rules! by_halves {
 }
 
 macro_rules! stage_lanes {
-    ($vector:ident, $lanes:tt) => {
+    ($vector:ident, $lanes:tt, $group:literal, $repeated:expr, $folded:expr) => {
+        impl<S: Simd> Stored for $vector<S> {
+            const LANES: usize = $lanes;
+            type Wide = f64x8<S>;
+            const GROUP: usize = $group;
+
+            #[inline(always)]
+            fn get(self, from: &[f64]) -> Self {
+                Self::from_slice(self.simd, &from[..$lanes])
+            }
+
+            #[inline(always)]
+            fn put(self, to: &mut [f64]) {
+                self.store_slice(&mut to[..$lanes]);
+            }
+
+            #[inline(always)]
+            fn get_wide(self, from: &[f64]) -> f64x8<S> {
+                f64x8::from_slice(self.simd, &from[..8])
+            }
+
+            #[inline(always)]
+            fn put_wide(wide: f64x8<S>, to: &mut [f64]) {
+                wide.store_slice(&mut to[..8]);
+            }
+
+            #[inline(always)]
+            fn repeated(self, from: &[f64]) -> f64x8<S> {
+                $repeated(self.get(from))
+            }
+
+            #[inline(always)]
+            fn folded(wide: f64x8<S>) -> Self {
+                $folded(wide)
+            }
+        }
+
         impl<S: Simd> Real for $vector<S> {
             #[inline(always)]
             fn constant(self, value: f64) -> Self {
@@ -275,6 +406,31 @@ macro_rules! stage_lanes {
             }
 
             #[inline(always)]
+            fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH] {
+                let mut lanes = [self; WIDTH];
+                for k in 0..WIDTH {
+                    lanes[k] = self.row(&rows[k]);
+                }
+                lanes
+            }
+
+            #[inline(always)]
+            fn combination(x: &[f64], columns: &[Self; WIDTH]) -> Self {
+                let x = &x[..$lanes];
+                macro_rules! term {
+                    ($j:literal) => {
+                        columns[$j] * Self::splat(columns[0].simd, x[$j])
+                    };
+                }
+                by_halves!($lanes, term)
+            }
+
+            #[inline(always)]
+            fn vectorized<T>(self, work: impl FnOnce() -> T) -> T {
+                self.simd.vectorize(work)
+            }
+
+            #[inline(always)]
             fn largest(self) -> f64 {
                 let mut largest = self[0];
                 for k in 1..$lanes {
@@ -301,9 +457,25 @@ macro_rules! stage_lanes {
     };
 }
 
-stage_lanes!(f64x2, 2);
-stage_lanes!(f64x4, 4);
-stage_lanes!(f64x8, 8);
+stage_lanes!(
+    f64x2,
+    2,
+    4,
+    |x: Self| {
+        let four = x.combine(x);
+        four.combine(four)
+    },
+    |x: f64x8<S>| {
+        let (low, high) = x.split();
+        let (low, high) = (low + high).split();
+        low + high
+    }
+);
+stage_lanes!(f64x4, 4, 2, |x: Self| x.combine(x), |x: f64x8<S>| {
+    let (low, high) = x.split();
+    low + high
+});
+stage_lanes!(f64x8, 8, 1, |x: Self| x, |x: Self| x);
 
 /// The stages of a step one after the other, each of which is a number, or members of an ensemble side by side.
 #[derive(Clone, Copy, Debug)]
@@ -423,7 +595,69 @@ impl<S: Simd> Whole for f64x8<S> {
 
 /// So many stages, what belongs to the step as a whole, and the stages as they lie in memory.
 macro_rules! stages_in_turn {
-    ($stages:tt, $whole:ty, $plain:ty $(, $simd:ident)?) => {
+    ($stages:tt, $whole:ty, $plain:ty, $group:tt $(, $simd:ident)?) => {
+        impl$(<$simd: Simd>)? Stored for Rows<$whole, $stages> {
+            const LANES: usize = $stages * <$whole as Stored>::LANES;
+            type Wide = Rows<$whole, { $stages * $group }>;
+            const GROUP: usize = $group;
+
+            #[inline(always)]
+            fn get(self, from: &[f64]) -> Self {
+                let from = &from[..Self::LANES];
+                elementwise!(self, K = $stages, k => self.0[0].get(&from[k * <$whole as Stored>::LANES..]))
+            }
+
+            #[inline(always)]
+            fn put(self, to: &mut [f64]) {
+                let to = &mut to[..Self::LANES];
+                for k in 0..$stages {
+                    self.0[k].put(&mut to[k * <$whole as Stored>::LANES..]);
+                }
+            }
+
+            #[inline(always)]
+            fn get_wide(self, from: &[f64]) -> Self::Wide {
+                let from = &from[..$group * Self::LANES];
+                let mut wide = [self.0[0]; $stages * $group];
+                for k in 0..$stages * $group {
+                    wide[k] = self.0[0].get(&from[k * <$whole as Stored>::LANES..]);
+                }
+                Rows(wide)
+            }
+
+            #[inline(always)]
+            fn put_wide(wide: Self::Wide, to: &mut [f64]) {
+                let to = &mut to[..$group * Self::LANES];
+                for k in 0..$stages * $group {
+                    wide.0[k].put(&mut to[k * <$whole as Stored>::LANES..]);
+                }
+            }
+
+            #[inline(always)]
+            fn repeated(self, from: &[f64]) -> Self::Wide {
+                let one = self.get(from);
+                let mut wide = [self.0[0]; $stages * $group];
+                for k in 0..$stages * $group {
+                    wide[k] = one.0[k % $stages];
+                }
+                Rows(wide)
+            }
+
+            #[inline(always)]
+            fn folded(wide: Self::Wide) -> Self {
+                let (mut sums, mut count) = (wide.0, $group);
+                while count > 1 {
+                    count /= 2;
+                    for k in 0..$stages * count {
+                        sums[k] = sums[k] + sums[k + $stages * count];
+                    }
+                }
+                let mut whole = [sums[0]; $stages];
+                whole.copy_from_slice(&sums[..$stages]);
+                Self(whole)
+            }
+        }
+
         impl$(<$simd: Simd>)? Stages for Rows<$whole, $stages> {
             type Whole = $whole;
             type Plain = $plain;
@@ -480,6 +714,35 @@ macro_rules! stages_in_turn {
             }
 
             #[inline(always)]
+            fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH] {
+                let mut lanes = [self; WIDTH];
+                for k in 0..WIDTH {
+                    lanes[k] = self.row(&rows[k]);
+                }
+                lanes
+            }
+
+            #[inline(always)]
+            fn combination(x: &[f64], columns: &[Self; WIDTH]) -> Self {
+                let x = columns[0].get(x);
+                let mut rows = x.0;
+                for k in 0..$stages {
+                    macro_rules! term {
+                        ($j:literal) => {
+                            x.0[$j] * columns[$j].0[k]
+                        };
+                    }
+                    rows[k] = by_halves!($stages, term);
+                }
+                Self(rows)
+            }
+
+            #[inline(always)]
+            fn vectorized<T>(self, work: impl FnOnce() -> T) -> T {
+                work()
+            }
+
+            #[inline(always)]
             fn largest(self) -> $whole {
                 let mut largest = self.0[0];
                 for other in &self.0[1..] {
@@ -512,13 +775,13 @@ macro_rules! stages_in_turn {
     };
 }
 
-stages_in_turn!(1, f64x8<S>, [Row; 1], S);
-stages_in_turn!(2, f64x8<S>, [Row; 2], S);
-stages_in_turn!(3, f64x8<S>, [Row; 3], S);
-stages_in_turn!(4, f64x8<S>, [Row; 4], S);
+stages_in_turn!(1, f64x8<S>, [Row; 1], 1, S);
+stages_in_turn!(2, f64x8<S>, [Row; 2], 1, S);
+stages_in_turn!(3, f64x8<S>, [Row; 3], 1, S);
+stages_in_turn!(4, f64x8<S>, [Row; 4], 1, S);
 // One number at a time.
-stages_in_turn!(1, f64, Row);
-stages_in_turn!(2, f64, Row);
-stages_in_turn!(3, f64, Row);
-stages_in_turn!(4, f64, Row);
-stages_in_turn!(8, f64, Row);
+stages_in_turn!(1, f64, Row, 1);
+stages_in_turn!(2, f64, Row, 4);
+stages_in_turn!(3, f64, Row, 1);
+stages_in_turn!(4, f64, Row, 2);
+stages_in_turn!(8, f64, Row, 1);

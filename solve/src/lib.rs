@@ -21,6 +21,7 @@ pub mod nonlinear;
 pub mod so;
 pub mod so3;
 pub mod space;
+pub mod stack;
 pub mod stepper;
 pub mod system;
 pub mod tableau;

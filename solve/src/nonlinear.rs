@@ -182,6 +182,11 @@ impl Solver {
         Self { rule, newton: Newton::default() }
     }
 
+    /// The rule that it follows.
+    pub fn rule(&self) -> StopRule {
+        self.rule
+    }
+
     /// The same by sweeps alone.
     pub fn by_sweeps(&self) -> Self {
         Self::new(StopRule { rungs: Rungs::FixedPoint, ..self.rule })

@@ -5,7 +5,7 @@
 
 use super::super::lanes::Real;
 use super::super::so::{Mat, Vector};
-use super::super::space::{self, Vec3, vec3};
+use super::super::stack::Dimension;
 
 mod gravity_gradient;
 mod point_source;
@@ -73,20 +73,22 @@ impl<const N: usize> Law<N> {
         }
     }
 
-    /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular at zero
-    /// distance, `nearness` becomes at least `-reach` times the square of the distance.
-    #[inline(always)]
-    pub(super) fn slope<V: Image<N>>(&self, q: &V, reach: f64, nearness: &mut V::Number) -> V {
+    /// The law as its formulas see it.
+    pub(crate) fn numbers(&self) -> Numbers<'_> {
         match self {
-            Self::Uniform { weight, body_point } => uniform::slope(*weight, body_point, q),
+            Self::Uniform { weight, body_point } => {
+                Numbers::Uniform { weight: *weight, body_point: body_point.as_slice() }
+            }
             Self::PointSource { strength, body_point } => {
-                point_source::slope(*strength, body_point, q, reach, nearness)
+                Numbers::PointSource { strength: *strength, body_point: body_point.as_slice() }
             }
-            Self::Spring { stiffness, rest_length, body_point } => {
-                spring::slope(*stiffness, *rest_length, body_point, q, reach, nearness)
-            }
+            Self::Spring { stiffness, rest_length, body_point } => Numbers::Spring {
+                stiffness: *stiffness,
+                rest_length: *rest_length,
+                body_point: body_point.as_slice(),
+            },
             Self::GravityGradient { strength, matrix } => {
-                gravity_gradient::slope(*strength, matrix, q)
+                Numbers::GravityGradient { strength: *strength, matrix: matrix.as_slice() }
             }
         }
     }
@@ -118,21 +120,50 @@ impl<const N: usize> Term<N> {
     }
 }
 
-/// What a law is written in: the body image q of a space vector at one attitude, or for n = 3 at several in lanes.
-pub(super) trait Image<const N: usize> {
+/// A law as its formulas see it: vectors and matrices (column by column) by their numbers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Numbers<'a> {
+    Uniform { weight: f64, body_point: &'a [f64] },
+    PointSource { strength: f64, body_point: &'a [f64] },
+    Spring { stiffness: f64, rest_length: f64, body_point: &'a [f64] },
+    GravityGradient { strength: f64, matrix: &'a [f64] },
+}
+
+impl Numbers<'_> {
+    /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular at zero
+    /// distance, `nearness` becomes at least `-reach` times the square of the distance.
+    #[inline(always)]
+    pub(super) fn slope<V: Image>(&self, q: &V, reach: f64, nearness: &mut V::Number) -> V {
+        match *self {
+            Self::Uniform { weight, body_point } => uniform::slope(weight, body_point, q),
+            Self::PointSource { strength, body_point } => {
+                point_source::slope(strength, body_point, q, reach, nearness)
+            }
+            Self::Spring { stiffness, rest_length, body_point } => {
+                spring::slope(stiffness, rest_length, body_point, q, reach, nearness)
+            }
+            Self::GravityGradient { strength, matrix } => {
+                gravity_gradient::slope(strength, matrix, q)
+            }
+        }
+    }
+}
+
+/// What a law is written in: the body image q of a space vector at one attitude, or at several in lanes.
+pub(super) trait Image {
     type Number: Real;
     /// A number, in as many lanes.
     fn number(&self, value: f64) -> Self::Number;
     /// A body vector, in as many lanes.
-    fn vector(&self, y: &Vector<N>) -> Self;
+    fn vector(&self, y: &[f64]) -> Self;
     fn minus(&self, other: &Self) -> Self;
     fn square(&self) -> Self::Number;
     fn scaled(&self, c: Self::Number) -> Self;
     /// `m q`
-    fn times(&self, m: &Mat<N>) -> Self;
+    fn times(&self, m: &[f64]) -> Self;
 }
 
-impl<const N: usize> Image<N> for Vector<N> {
+impl<const N: usize> Image for Vector<N> {
     type Number = f64;
 
     #[inline(always)]
@@ -141,8 +172,8 @@ impl<const N: usize> Image<N> for Vector<N> {
     }
 
     #[inline(always)]
-    fn vector(&self, y: &Vector<N>) -> Self {
-        *y
+    fn vector(&self, y: &[f64]) -> Self {
+        Self::from_column_slice(y)
     }
 
     #[inline(always)]
@@ -161,41 +192,72 @@ impl<const N: usize> Image<N> for Vector<N> {
     }
 
     #[inline(always)]
-    fn times(&self, m: &Mat<N>) -> Self {
-        m * self
+    fn times(&self, m: &[f64]) -> Self {
+        Mat::from_column_slice(m) * self
     }
 }
 
-impl<R: Real> Image<3> for Vec3<R> {
+/// A vector in lanes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lanes<R: Copy, D: Dimension> {
+    pub(super) dimension: D,
+    pub(super) numbers: D::Vector<R>,
+}
+
+impl<R: Real, D: Dimension> Image for Lanes<R, D> {
     type Number = R;
 
     #[inline(always)]
     fn number(&self, value: f64) -> R {
-        self[0].constant(value)
+        self.numbers[0].constant(value)
     }
 
     #[inline(always)]
-    fn vector(&self, y: &Vector<3>) -> Self {
-        vec3!(i => self.number(y[i]))
+    fn vector(&self, y: &[f64]) -> Self {
+        let mut vector = *self;
+        for i in 0..self.dimension.n() {
+            vector.numbers[i] = self.number(y[i]);
+        }
+        vector
     }
 
     #[inline(always)]
     fn minus(&self, other: &Self) -> Self {
-        space::minus(self, other)
+        let mut difference = *self;
+        for i in 0..self.dimension.n() {
+            difference.numbers[i] = self.numbers[i] - other.numbers[i];
+        }
+        difference
     }
 
     #[inline(always)]
     fn square(&self) -> R {
-        space::dot(self, self)
+        let mut sum = self.numbers[0] * self.numbers[0];
+        for i in 1..self.dimension.n() {
+            sum = sum + self.numbers[i] * self.numbers[i];
+        }
+        sum
     }
 
     #[inline(always)]
     fn scaled(&self, c: R) -> Self {
-        space::scaled(self, c)
+        let mut scaled = *self;
+        for i in 0..self.dimension.n() {
+            scaled.numbers[i] = self.numbers[i] * c;
+        }
+        scaled
     }
 
     #[inline(always)]
-    fn times(&self, m: &Mat<3>) -> Self {
-        vec3!(i => self[0] * m[(i, 0)] + self[1] * m[(i, 1)] + self[2] * m[(i, 2)])
+    fn times(&self, m: &[f64]) -> Self {
+        let (mut image, n) = (*self, self.dimension.n());
+        for i in 0..n {
+            let mut sum = self.numbers[0] * m[i];
+            for j in 1..n {
+                sum = sum + self.numbers[j] * m[j * n + i];
+            }
+            image.numbers[i] = sum;
+        }
+        image
     }
 }

@@ -1,10 +1,12 @@
 //! dH/dg for n = 3, for the stages of a step side by side.
 
 use super::RigidBody;
+use super::term::{Lanes, Numbers};
 use crate::lanes::{Stages, Whole};
 use crate::so::Mat;
 use crate::so3;
 use crate::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
+use crate::stack::{Dimension, Known, Stack};
 
 impl RigidBody<3> {
     /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient`] in lanes. Next to
@@ -25,8 +27,9 @@ impl RigidBody<3> {
         for ((term, reach), v) in self.terms.iter().zip(&self.reaches).zip(seen) {
             let v: Vec3<R> = vec3!(i => like.spread(like.stage(0).load(&v[i])));
             let q = transposed_product(u, &v);
-            let slope = term.law.slope(&q, *reach, &mut nearness);
-            torque = plus(&torque, &cross(&slope, &q));
+            let q = Lanes { dimension: Known::<3>, numbers: q };
+            let slope = term.law.numbers().slope(&q, *reach, &mut nearness);
+            torque = plus(&torque, &cross(&slope.numbers, &q.numbers));
         }
         if self.has_own() {
             let (own, refused) = self.own_torque(u, seen);
@@ -56,5 +59,101 @@ impl RigidBody<3> {
             [torque.x, torque.y, torque.z, refused]
         });
         ([x, y, z], refused)
+    }
+}
+
+/// The terms of a rigid body's potential, of whatever n.
+pub(crate) trait Terms {
+    /// How many.
+    fn count(&self) -> usize;
+    /// A term's law, and [`Term::reach`] of it.
+    fn term(&self, i: usize) -> (Numbers<'_>, f64);
+}
+
+impl<const N: usize> Terms for RigidBody<N> {
+    fn count(&self) -> usize {
+        self.terms.len()
+    }
+
+    fn term(&self, i: usize) -> (Numbers<'_>, f64) {
+        (self.terms[i].law.numbers(), self.reaches[i])
+    }
+}
+
+/// The torques of a rigid body at the stages of a step side by side, at attitudes `g = g0 (I + C_k)`, in any dimension.
+///
+/// A term U(q) with `q = v + C^T v` has `dH/dg = q s^T - s q^T`, s its slope dU/dq; turned to the frame of g0 this is
+/// `v z^T - z v^T` with `z = s + C s`.
+pub(crate) struct Torques<'a, R: Stages, D: Dimension> {
+    stack: Stack<R, D>,
+    terms: &'a dyn Terms,
+    /// The space vectors of the potential, as seen from g0, one after the other.
+    seen: &'a [f64],
+    /// The largest nearness, as of [`RigidBody::torque`].
+    pub(crate) nearness: f64,
+}
+
+impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
+    pub(crate) fn new(stack: Stack<R, D>, terms: &'a dyn Terms, seen: &'a [f64]) -> Self {
+        Self { stack, terms, seen, nearness: -1.0 }
+    }
+
+    /// `dH/dg` at the stages; keeps the slopes of the terms, one after the other.
+    #[inline(never)]
+    pub(crate) fn gradient(&mut self, c: &[f64], slopes: &mut Vec<f64>, gradient: &mut [f64]) {
+        self.stack.like.vectorized(
+            #[inline(always)]
+            || self.gradient_in_lanes(c, slopes, gradient),
+        );
+    }
+
+    #[inline(always)]
+    fn gradient_in_lanes(&mut self, c: &[f64], slopes: &mut Vec<f64>, gradient: &mut [f64]) {
+        let Stack { like, dimension } = self.stack;
+        let (n, len) = (self.stack.n(), self.stack.len());
+        let (c, gradient) = (&c[..len], &mut gradient[..len]);
+        let mut nearness = like.constant(-1.0);
+        slopes.resize(self.terms.count() * n * R::LANES, 0.0);
+        let slopes = slopes.chunks_exact_mut(n * R::LANES);
+        for (i, (v, kept)) in self.seen.chunks_exact(n).zip(slopes).enumerate() {
+            let (law, reach) = self.terms.term(i);
+            let mut q = dimension.vector(like.constant(0.0));
+            for k in 0..n {
+                for i in 0..n {
+                    q[i] = q[i] + self.stack.get(c, k, i) * v[k];
+                }
+            }
+            for i in 0..n {
+                q[i] = q[i] + v[i];
+            }
+            let q = Lanes { dimension, numbers: q };
+            let slope = law.slope(&q, reach, &mut nearness).numbers;
+            self.stack.add_wedge(i == 0, &q.numbers, &slope, gradient);
+            for (i, kept) in kept.chunks_exact_mut(R::LANES).enumerate() {
+                slope[i].put(kept);
+            }
+        }
+        self.nearness = nearness.largest();
+    }
+
+    /// `U_k (dH/dg) U_k^T` at the stages, with the slopes as they were last.
+    #[inline(always)]
+    pub(crate) fn in_space(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
+        let Stack { like, dimension } = self.stack;
+        let (n, len) = (self.stack.n(), self.stack.len());
+        let (c, turned) = (&c[..len], &mut turned[..len]);
+        let slopes = slopes.chunks_exact(n * R::LANES);
+        for (i, (v, slope)) in self.seen.chunks_exact(n).zip(slopes).enumerate() {
+            let mut z = dimension.vector(like.constant(0.0));
+            let mut spread = z;
+            for i in 0..n {
+                for k in 0..n {
+                    z[i] = z[i] + self.stack.get(c, i, k) * like.get(&slope[k * R::LANES..]);
+                }
+                z[i] = z[i] + like.get(&slope[i * R::LANES..]);
+                spread[i] = like.constant(v[i]);
+            }
+            self.stack.add_wedge(i == 0, &spread, &z, turned);
+        }
     }
 }

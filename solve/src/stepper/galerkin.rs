@@ -24,13 +24,29 @@
 //!
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
 
+use fearless_simd::Level;
+
 use crate::failure::{Failure, FailureCode};
-use crate::nonlinear::{Continued, Convergence, Equations, Past, Solver, StopRule};
-use crate::so::{self, Mat};
+use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
+use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
+
+mod deferred;
+mod motion;
+
+use deferred::{AtStage, Collocation, Solved, Source, Start, Stuck};
+pub(super) use motion::{Motion, Sum};
 
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
 pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
+
+/// `n max |F|` up to which no singular value of an interpolated matrix is below a half.
+const MODEST_STRETCH: f64 = 0.5;
+/// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: there `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
+const MODEST_TURN: f64 = 1.0;
+/// Minus the square of the relative distance to a point of the potential that is near.
+const FAR_ENOUGH: f64 = -CLOSEST_APPROACH * CLOSEST_APPROACH;
 
 /// What a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
 pub(super) trait Dynamics<const N: usize> {
@@ -44,6 +60,11 @@ pub(super) trait Dynamics<const N: usize> {
     /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
     fn begin_sweep(&self) -> Result<(), Failure>;
 
+    /// The rigid body that moves, and the space vectors of its potential as seen from g0, if it is one.
+    fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
+        None
+    }
+
     /// Refuses an attitude at which the dynamics have lost their meaning.
     fn check(&self, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
@@ -55,10 +76,33 @@ pub(super) trait Dynamics<const N: usize> {
 pub(super) struct GalerkinStep<const N: usize> {
     tableau: Tableau,
     solver: Solver,
+    /// The quick way, of a tableau that has it.
+    collocation: Option<Collocation>,
     /// The steps before, if they show where the next one leads.
     past: Option<Past>,
     stages: Vec<Stage<N>>,
     end: End<N>,
+    solution: Solution<N>,
+    seen: Vec<f64>,
+}
+
+/// What a solved step changes, in the frame of g0, each small by itself.
+#[derive(Clone, Debug)]
+pub(super) struct Solution<const N: usize> {
+    /// f - I.
+    pub(super) turn: Mat<N>,
+    /// `pi1 - p0`, what the forces add to the momentum.
+    pub(super) impulse: Mat<N>,
+    /// Is it the collocation's?
+    collocated: bool,
+}
+
+impl<const N: usize> Solution<N> {
+    /// Refuses what is not a number.
+    fn checked(&self) -> Result<(), Failure> {
+        let finite = self.turn.iter().chain(&self.impulse).all(|x| x.is_finite());
+        if finite { Ok(()) } else { Err(not_finite(None)) }
+    }
 }
 
 /// The unknowns of one stage, in the frame of g0.
@@ -102,7 +146,11 @@ impl<const N: usize> GalerkinStep<N> {
             Stage { u, e: zero, mu: zero, omega: zero, u_omega: zero, x: zero, u_x: zero, v: zero };
         let end = End { f: u, e: zero, lambda: zero };
         let (stages, solver) = (vec![stage; tableau.stages()], Solver::new(stop));
-        Self { stages, end, tableau, solver, past: None }
+        let by_sweeps_alone = stop.rungs == Rungs::Newton;
+        let collocation = if by_sweeps_alone { None } else { Collocation::new(&tableau, N) };
+        let solution = Solution { turn: zero, impulse: zero, collocated: false };
+        let (past, seen) = (None, Vec::new());
+        Self { stages, end, tableau, solver, collocation, past, solution, seen }
     }
 
     /// The same for steps that follow one another smoothly: each begins where those before lead to, until
@@ -121,6 +169,14 @@ impl<const N: usize> GalerkinStep<N> {
         if let Some(past) = &mut self.past {
             past.forget();
         }
+    }
+
+    /// The same on an older instruction set, or without lanes.
+    pub(super) fn on_level(mut self, level: Option<Level>) -> Self {
+        if let Some(collocation) = &mut self.collocation {
+            collocation.level = level;
+        }
+        self
     }
 
     /// Order of the scheme.
@@ -153,10 +209,18 @@ impl<const N: usize> GalerkinStep<N> {
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
-        let Self { tableau, solver, past, stages, end } = self;
+        if let Some(solved) = self.collocated(dynamics, h, p0, omega)? {
+            return Ok(solved);
+        }
+        self.solution.collocated = false;
+        let Self { tableau, solver, past, stages, end, .. } = self;
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
         match solver.solve_after(past, &mut equations) {
-            Ok(convergence) => self.check(dynamics).map(|()| convergence),
+            Ok(convergence) => {
+                self.check(dynamics)?;
+                (self.solution.turn, self.solution.impulse) = self.changes(dynamics, h);
+                self.solution.checked().map(|()| convergence)
+            }
             // A charge that was met explains a failed iteration better than the iteration does.
             Err(failure) => Err(match self.check_dynamics(dynamics) {
                 Err(met) => Failure {
@@ -169,16 +233,89 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// The rotation of the step, f = g0^T g1.
-    pub(super) fn rotation(&self) -> &Mat<N> {
-        &self.end.f
+    /// Solves the step as collocation with a deferred defect; `None` where that leads nowhere, or to a solution that is not
+    /// beyond doubt.
+    fn collocated(
+        &mut self,
+        dynamics: &mut impl Dynamics<N>,
+        h: f64,
+        p0: &Mat<N>,
+        omega: &Mat<N>,
+    ) -> Result<Option<Convergence>, Failure> {
+        let Some(collocation) = &mut self.collocation else { return Ok(None) };
+        let (momentum, velocity) = (p0.transpose(), omega.transpose());
+        let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
+        let start = Start { n: N, h, momentum, velocity };
+        let mut one_stage;
+        let source = match dynamics.body() {
+            Some((body, seen)) if body.principal().is_some() && !body.has_own() => {
+                self.seen.clear();
+                seen.iter().for_each(|v| self.seen.extend(v.as_slice()));
+                let weights = body.principal().map_or(&[][..], |weights| weights.as_slice());
+                Source::Body { weights, terms: body, seen: &self.seen, work: body.work() }
+            }
+            _ => {
+                one_stage = OneStage(dynamics);
+                Source::Stages(&mut one_stage)
+            }
+        };
+        let solved = match collocation.solve(&start, source) {
+            Ok(solved) => solved,
+            Err(Stuck::Stopped(stopped)) => return Err(stopped),
+            Err(Stuck::Lost) => return Ok(None),
+        };
+        let allowed = solved.rounds <= self.solver.rule().max_iterations;
+        if !(allowed
+            && solved.stretch * (N as f64) <= MODEST_STRETCH
+            && solved.nearness <= FAR_ENOUGH)
+        {
+            return Ok(None);
+        }
+        self.solution = Solution {
+            turn: Mat::from_row_slice(collocation.turn()),
+            impulse: Mat::from_row_slice(collocation.impulse()),
+            collocated: true,
+        };
+        // Where no attitude is far from where the step began, none is far from the next.
+        if !(solved.turn <= MODEST_TURN) && self.check_continuity().is_err() {
+            return Ok(None);
+        }
+        if dynamics.body().is_none_or(|(body, _)| body.has_own()) {
+            self.check_dynamics(dynamics)?;
+        }
+        let Solved { rounds: iterations, increment, .. } = solved;
+        self.solution.checked()?;
+        Ok(Some(Convergence { iterations, increment, rung: Rung::FixedPoint }))
     }
 
-    /// The body momentum at the end of the step (24e, vih5): P_e Lambda + Lambda P_e is asym(P_e Lambda) for
-    /// skew Lambda.
-    pub(super) fn momentum(&self) -> Mat<N> {
-        let End { e, lambda, .. } = &self.end;
-        -(lambda * 2.0 + so::asym(&so::product(e, lambda)))
+    /// What the step changes.
+    pub(super) fn solution(&self) -> &Solution<N> {
+        &self.solution
+    }
+
+    /// U_k, or f after the last stage.
+    fn attitude(&self, k: usize) -> Mat<N> {
+        match &self.collocation {
+            Some(collocation) if self.solution.collocated => {
+                Mat::identity() + Mat::from_fn(|i, j| collocation.change(k, i * N + j))
+            }
+            _ => self.stages.get(k).map_or(self.end.f, |stage| stage.u),
+        }
+    }
+
+    /// The smallest singular value of the interpolated matrix of stage `k`, or of the end after the last.
+    fn smallest_singular_value(&self, k: usize) -> f64 {
+        match &self.collocation {
+            Some(collocation) if self.solution.collocated => {
+                // F = I - P^-1
+                let f = Mat::<N>::from_fn(|i, j| collocation.stretch(k, i * N + j));
+                1.0 / (1.0 - so::smallest_eigenvalue(&f))
+            }
+            _ => {
+                let e = self.stages.get(k).map_or(&self.end.e, |stage| &stage.e);
+                1.0 + so::smallest_eigenvalue(e)
+            }
+        }
     }
 
     /// What the step of length `h` changes, in the frame of g0, each small by itself: `f - I = D - f E` for
@@ -189,7 +326,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// ```
     ///
     /// which is (24d, vih4) and (24e, vih5) with the equations of the stages summed: everything but the forces cancels.
-    pub(super) fn changes(&self, dynamics: &impl Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
+    fn changes(&self, dynamics: &impl Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
         let (mut d, mut impulse) = (Mat::zeros(), Mat::zeros());
         for (k, stage) in self.stages.iter().enumerate() {
             let weight = h * self.tableau.b(k);
@@ -203,7 +340,8 @@ impl<const N: usize> GalerkinStep<N> {
 
     /// The smallest singular value of the interpolated matrices.
     pub(super) fn sigma_min(&self) -> f64 {
-        1.0 + self.excesses().map(so::smallest_eigenvalue).fold(f64::INFINITY, f64::min)
+        let values = (0..=self.stages.len()).map(|k| self.smallest_singular_value(k));
+        values.fold(f64::INFINITY, f64::min)
     }
 
     fn excesses(&self) -> impl Iterator<Item = &Mat<N>> {
@@ -235,11 +373,11 @@ impl<const N: usize> GalerkinStep<N> {
     fn check_continuity(&self) -> Result<(), Failure> {
         // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
         let limit = N as f64 - 2.0;
-        let identity = Mat::<N>::identity();
-        let mut before = &identity;
-        let nodes = self.tableau.ascending().iter().map(|&k| (Some(k), &self.stages[k].u));
-        for (stage, u) in nodes.chain([(None, &self.end.f)]) {
-            let trace = before.dot(u);
+        let mut before = Mat::<N>::identity();
+        let nodes = self.tableau.ascending().iter().map(|&k| (Some(k), k));
+        for (stage, k) in nodes.chain([(None, self.stages.len())]) {
+            let u = self.attitude(k);
+            let trace = before.dot(&u);
             if !(trace > limit) {
                 return Err(Failure::new(FailureCode::BranchJump, stage, trace, limit));
             }
@@ -249,9 +387,50 @@ impl<const N: usize> GalerkinStep<N> {
     }
 
     fn check_dynamics(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
-        self.stages.iter().enumerate().try_for_each(|(k, stage)| {
-            dynamics.check(&stage.u).map_err(|failure| Failure { stage: Some(k), ..failure })
+        (0..self.stages.len()).try_for_each(|k| {
+            dynamics
+                .check(&self.attitude(k))
+                .map_err(|failure| Failure { stage: Some(k), ..failure })
         })
+    }
+}
+
+/// A system at one stage, for [`Collocation`].
+struct OneStage<'a, D, const N: usize>(&'a mut D);
+
+/// The stages' own form of matrices: row by row.
+fn rows<const N: usize>(matrix: &Mat<N>, rows: &mut [f64]) {
+    for i in 0..N {
+        for j in 0..N {
+            rows[i * N + j] = matrix[(i, j)];
+        }
+    }
+}
+
+fn of_rows<const N: usize>(rows: &[f64]) -> Mat<N> {
+    Mat::from_row_slice(rows)
+}
+
+impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        self.0.begin_sweep()
+    }
+
+    fn gradient(&mut self, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
+        let u = Mat::identity() + of_rows(c);
+        match self.0.gradient(&u, || of_rows(mu), &of_rows(omega)) {
+            Some(found) => rows(&found, gradient),
+            None => gradient.fill(0.0),
+        }
+    }
+
+    fn in_space(&self, c: &[f64], x: &[f64], turned: &mut [f64]) {
+        rows(&so::conjugate(&(Mat::<N>::identity() + of_rows(c)), &of_rows(x)), turned);
+    }
+
+    fn velocity(&mut self, stage: usize, c: &[f64], mu: &[f64], omega: &mut [f64]) {
+        let u = Mat::<N>::identity() + of_rows(c);
+        rows(&self.0.velocity(stage, &u, &of_rows(mu), &of_rows(omega)), omega);
     }
 }
 

@@ -6,7 +6,9 @@
 
 use std::marker::PhantomData;
 
-use super::galerkin::{Dynamics, GalerkinStep};
+use fearless_simd::Level;
+
+use super::galerkin::{Dynamics, GalerkinStep, Motion};
 use super::{Stepper, check_root};
 use crate::failure::Failure;
 use crate::hamiltonian::{Hamiltonian, RigidBody};
@@ -20,7 +22,7 @@ use crate::trajectory::State;
 #[derive(Clone, Debug)]
 pub struct Vpd<const N: usize, S: ?Sized = RigidBody<N>> {
     step: GalerkinStep<N>,
-    state: State<N>,
+    motion: Motion<N>,
     seen: Vec<Vector<N>>,
     system: PhantomData<fn(&S)>,
 }
@@ -30,7 +32,24 @@ impl<const N: usize, S: ?Sized> Vpd<N, S> {
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         let step = GalerkinStep::new(tableau, stop);
-        Self { step, state, seen: Vec::new(), system: PhantomData }
+        Self { step, motion: Motion::new(&state), seen: Vec::new(), system: PhantomData }
+    }
+
+    /// The same stepper on an older instruction set, or without lanes: a test compares the bits.
+    pub fn on_level(self, level: Option<Level>) -> Self {
+        Self { step: self.step.on_level(level), ..self }
+    }
+}
+
+impl<const N: usize, S: Hamiltonian<N> + ?Sized> Vpd<N, S> {
+    /// Solves the step of length `h`, for any root.
+    fn solve(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
+        let Self { step, motion, seen, .. } = self;
+        let (g0, p0) = (motion.attitude(), motion.body_momentum());
+        if let Some(body) = system.as_body() {
+            body.seen_from(g0, seen);
+        }
+        step.solve(&mut Canonical { system, g0, seen }, h, p0, &system.velocity(g0, p0))
     }
 }
 
@@ -60,6 +79,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         self.system.begin_sweep()
     }
 
+    fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
+        self.system.as_body().map(|body| (body, self.seen))
+    }
+
     fn check(&self, u: &Mat<N>) -> Result<(), Failure> {
         match self.system.as_body() {
             Some(body) => body.check_distances(u, self.seen),
@@ -74,34 +97,28 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
     }
 
     fn start(&mut self, state: &State<N>) {
-        self.state = state.clone();
+        self.motion = Motion::new(state);
     }
 
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
-        let Self { step, state, seen, .. } = self;
-        if let Some(body) = system.as_body() {
-            body.seen_from(&state.attitude, seen);
-        }
-        let omega = system.velocity(&state.attitude, &state.momentum);
-        let mut dynamics = Canonical { system, g0: &state.attitude, seen };
-        let convergence = step.solve(&mut dynamics, h, &state.momentum, &omega)?;
-        // The product drifts off the group like any product; one correction in space puts it back.
-        let attitude = so::orthonormalised(&so::product(&state.attitude, step.rotation()));
+        let convergence = self.solve(system, h)?;
         if convergence.rung == Rung::Newton {
-            let step = step.by_sweeps();
-            let halves = Self { step, state: state.clone(), seen: Vec::new(), system: PhantomData };
-            check_root(convergence, halves, system, h, &attitude)?;
+            let (step, motion) = (self.step.by_sweeps(), self.motion.clone());
+            let halves = Self { step, motion, seen: Vec::new(), system: PhantomData };
+            let mut end = self.motion.clone();
+            end.advance(self.step.solution());
+            check_root(convergence, halves, system, h, end.attitude())?;
         }
-        *state = State { attitude, momentum: step.momentum() };
+        self.motion.advance(self.step.solution());
         Ok(convergence)
     }
 
     fn attitude(&self) -> Option<Mat<N>> {
-        Some(self.state.attitude)
+        Some(*self.motion.attitude())
     }
 
     fn momentum(&self) -> Mat<N> {
-        self.state.momentum
+        *self.motion.body_momentum()
     }
 
     fn sigma_min(&self) -> Option<f64> {

@@ -10,12 +10,11 @@
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
 
 use super::Stepper;
-use super::galerkin::{Dynamics, GalerkinStep};
+use super::galerkin::{Dynamics, GalerkinStep, Sum};
 use crate::failure::Failure;
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::{Convergence, StopRule};
-use crate::so::{self, Mat};
-use crate::space;
+use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -23,9 +22,7 @@ use crate::trajectory::State;
 #[derive(Clone, Debug)]
 pub struct VpdReduced<const N: usize> {
     step: GalerkinStep<N>,
-    momentum: Mat<N>,
-    /// What rounding took off the sum of the momentum.
-    carry: Mat<N>,
+    momentum: Sum<N>,
     attitude: Option<Mat<N>>,
 }
 
@@ -35,8 +32,7 @@ impl<const N: usize> VpdReduced<N> {
     pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Self {
         Self {
             step: GalerkinStep::new(tableau, stop).continued(),
-            momentum: Mat::zeros(),
-            carry: Mat::zeros(),
+            momentum: Sum::new(Mat::zeros()),
             attitude: with_attitude.then(Mat::identity),
         }
     }
@@ -62,19 +58,22 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     fn begin_sweep(&self) -> Result<(), Failure> {
         self.0.work().begin_sweep()
     }
+
+    fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
+        Some((self.0, &[]))
+    }
 }
 
-/// `f^T p f - p` for skew p, by which (25, lp) moves the momentum, exact for a rotation that is f to rounding.
+/// `f^T p f - p` for skew p and `f = I + turn`, by which (25, lp) moves the momentum: `asym(p turn) + turn^T p turn`.
 ///
-/// With `f = I + F` it is `asym(p F) + F^T p F`. The deficit of f from a rotation is a drift of the Casimirs, so it is
-/// taken off F first: all that is rounded then is small relative to p.
-fn coadjoint_change<const N: usize>(f: &Mat<N>, p: &Mat<N>) -> Mat<N> {
-    let small = f - Mat::<N>::identity();
+/// The deficit of f from a rotation is a drift of the Casimirs, so it is taken off first: all that is rounded then is small
+/// relative to p.
+fn coadjoint_change<const N: usize>(turn: &Mat<N>, p: &Mat<N>) -> Mat<N> {
     // f^T f - I
-    let defect = small + small.transpose() + so::transposed_product(&small, &small);
-    let small = small - (defect + so::product(&small, &defect)) * 0.5;
-    let turned = so::product(p, &small);
-    so::asym(&turned) + so::asym(&so::transposed_product(&small, &turned)) * 0.5
+    let defect = turn + turn.transpose() + so::transposed_product(turn, turn);
+    let turn = turn - (defect + so::product(turn, &defect)) * 0.5;
+    let turned = so::product(p, &turn);
+    so::asym(&turned) + so::asym(&so::transposed_product(&turn, &turned)) * 0.5
 }
 
 impl<const N: usize> Stepper<N> for VpdReduced<N> {
@@ -84,8 +83,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.step.forget();
-        self.momentum = state.momentum;
-        self.carry = Mat::zeros();
+        self.momentum = Sum::new(state.momentum);
         self.attitude = self.attitude.map(|_| state.attitude);
     }
 
@@ -93,17 +91,11 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
     /// A free body: a potential is not seen.
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         debug_assert!(body.is_free(), "the reduced integrator is for free bodies");
-        let omega = body.velocity(&self.momentum);
-        let convergence = self.step.solve(&mut Free(body), h, &self.momentum, &omega)?;
-        let change = coadjoint_change(self.step.rotation(), &self.momentum) + self.carry;
-        for i in 0..N {
-            for j in 0..N {
-                let (sum, left) = space::sum(self.momentum[(i, j)], change[(i, j)]);
-                (self.momentum[(i, j)], self.carry[(i, j)]) = (sum, left);
-            }
-        }
-        self.attitude =
-            self.attitude.map(|g| so::orthonormalised(&so::product(&g, self.step.rotation())));
+        let p0 = self.momentum.value;
+        let convergence = self.step.solve(&mut Free(body), h, &p0, &body.velocity(&p0))?;
+        let turn = &self.step.solution().turn;
+        self.momentum.add(&coadjoint_change(turn, &p0));
+        self.attitude = self.attitude.map(|g| so::orthonormalised(&(g + so::product(&g, turn))));
         Ok(convergence)
     }
 
@@ -112,7 +104,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
     }
 
     fn momentum(&self) -> Mat<N> {
-        self.momentum
+        self.momentum.value
     }
 
     fn sigma_min(&self) -> Option<f64> {

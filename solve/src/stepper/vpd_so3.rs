@@ -10,14 +10,14 @@
 //!
 //! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
 
-use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
+use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use super::galerkin::SMALLEST_SINGULAR_VALUE;
 use super::motion::{Motion, Sum, unsigned_zeros};
 use super::{Stepper, check_root};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Row, Rows, WIDTH};
+use crate::lanes::{Row, Rows, WIDTH, widest};
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::so3;
@@ -40,17 +40,21 @@ macro_rules! in_lanes {
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
         match (level, stages) {
-            (Some(level), 1) => {
-                dispatch!(*level, _simd => sweep::$work(Rows([0.0; 1]), start, unknowns))
-            }
+            (Some(_), 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
             (Some(level), 2) => {
-                dispatch!(*level, simd => sweep::$work(f64x2::splat(simd, 0.0), start, unknowns))
+                widest!(*level, f64x2,
+                    like => sweep::$work(like, start, unknowns),
+                    else sweep::$work(Rows([0.0; 2]), start, unknowns))
             }
             (Some(level), 3 | 4) => {
-                dispatch!(*level, simd => sweep::$work(f64x4::splat(simd, 0.0), start, unknowns))
+                widest!(*level, f64x4,
+                    like => sweep::$work(like, start, unknowns),
+                    else sweep::$work(Rows([0.0; 4]), start, unknowns))
             }
             (Some(level), _) => {
-                dispatch!(*level, simd => sweep::$work(f64x8::splat(simd, 0.0), start, unknowns))
+                widest!(*level, f64x8,
+                    like => sweep::$work(like, start, unknowns),
+                    else sweep::$work(Rows([0.0; 8]), start, unknowns))
             }
             (None, 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
             (None, 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),

@@ -8,6 +8,6 @@ pub(super) fn value<const N: usize>(strength: f64, m: &Mat<N>, q: &Vector<N>) ->
 
 /// `dU/dq = strength M q`.
 #[inline(always)]
-pub(super) fn slope<const N: usize, V: Image<N>>(strength: f64, m: &Mat<N>, q: &V) -> V {
+pub(super) fn slope<V: Image>(strength: f64, m: &[f64], q: &V) -> V {
     q.times(m).scaled(q.number(strength))
 }

@@ -8,9 +8,9 @@ pub(super) fn value<const N: usize>(strength: f64, y: &Vector<N>, q: &Vector<N>)
 
 /// `dU/dq = strength (y - q) / r^3`; the part along q has no torque.
 #[inline(always)]
-pub(super) fn slope<const N: usize, V: Image<N>>(
+pub(super) fn slope<V: Image>(
     strength: f64,
-    y: &Vector<N>,
+    y: &[f64],
     q: &V,
     reach: f64,
     nearness: &mut V::Number,

@@ -14,10 +14,10 @@ pub(super) fn value<const N: usize>(
 
 /// `dU/dq = -stiffness (1 - rest_length / r) (y - q)`; the part along q has no torque.
 #[inline(always)]
-pub(super) fn slope<const N: usize, V: Image<N>>(
+pub(super) fn slope<V: Image>(
     stiffness: f64,
     rest_length: f64,
-    y: &Vector<N>,
+    y: &[f64],
     q: &V,
     reach: f64,
     nearness: &mut V::Number,

@@ -8,6 +8,6 @@ pub(super) fn value<const N: usize>(weight: f64, y: &Vector<N>, q: &Vector<N>) -
 
 /// `dU/dq = weight y`.
 #[inline(always)]
-pub(super) fn slope<const N: usize, V: Image<N>>(weight: f64, y: &Vector<N>, q: &V) -> V {
+pub(super) fn slope<V: Image>(weight: f64, y: &[f64], q: &V) -> V {
     q.vector(y).scaled(q.number(weight))
 }

@@ -1,0 +1,415 @@
+//! The matrices of the stages of a step side by side: one formula for all stages at once.
+//!
+//! An n x n matrix lies in memory row by row, and of each entry the numbers of all lanes. Where there are fewer lanes than a
+//! register holds, several columns go into one.
+//!
+//! Invariant: what is computed in a lane does not depend on the other lanes, nor on the instruction set.
+
+use std::ops::{Deref, DerefMut, IndexMut};
+
+use super::lanes::{Real, Row, Stages, Stored, WIDTH};
+
+/// The number of rows, known to the compiler or not.
+pub trait Dimension: Copy {
+    /// n, if the compiler knows it.
+    const KNOWN: Option<usize>;
+    /// A vector.
+    type Vector<R: Copy>: Copy + IndexMut<usize, Output = R>;
+    /// n.
+    fn n(self) -> usize;
+    /// The same number n times.
+    fn vector<R: Copy>(self, value: R) -> Self::Vector<R>;
+}
+
+/// N rows.
+#[derive(Clone, Copy, Debug)]
+pub struct Known<const N: usize>;
+
+impl<const N: usize> Dimension for Known<N> {
+    const KNOWN: Option<usize> = Some(N);
+    type Vector<R: Copy> = [R; N];
+
+    #[inline(always)]
+    fn vector<R: Copy>(self, value: R) -> [R; N] {
+        [value; N]
+    }
+
+    #[inline(always)]
+    fn n(self) -> usize {
+        N
+    }
+}
+
+/// The most rows that there are.
+const LARGEST: usize = 32;
+
+/// So many rows, up to 32.
+#[derive(Clone, Copy, Debug)]
+pub struct Any(pub usize);
+
+impl Dimension for Any {
+    const KNOWN: Option<usize> = None;
+    type Vector<R: Copy> = [R; LARGEST];
+
+    #[inline(always)]
+    fn vector<R: Copy>(self, value: R) -> [R; LARGEST] {
+        [value; LARGEST]
+    }
+
+    #[inline(always)]
+    fn n(self) -> usize {
+        self.0
+    }
+}
+
+/// Numbers that begin where a line of the cache begins.
+#[derive(Debug)]
+pub struct Numbers {
+    all: Vec<f64>,
+    first: usize,
+    count: usize,
+}
+
+impl Numbers {
+    /// So many zeros.
+    pub fn zeros(count: usize) -> Self {
+        /// Bytes of a line.
+        const LINE: usize = 64;
+        let all = vec![0.0; count + LINE / size_of::<f64>()];
+        let first = all.as_ptr().align_offset(LINE).min(LINE / size_of::<f64>());
+        Self { all, first, count }
+    }
+}
+
+impl Clone for Numbers {
+    fn clone(&self) -> Self {
+        let mut copy = Self::zeros(self.count);
+        copy.copy_from_slice(self);
+        copy
+    }
+}
+
+impl Deref for Numbers {
+    type Target = [f64];
+
+    #[inline(always)]
+    fn deref(&self) -> &[f64] {
+        &self.all[self.first..self.first + self.count]
+    }
+}
+
+impl DerefMut for Numbers {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [f64] {
+        &mut self.all[self.first..self.first + self.count]
+    }
+}
+
+/// Arithmetic of n x n matrices in lanes.
+#[derive(Clone, Copy, Debug)]
+pub struct Stack<R, D> {
+    /// A number in as many lanes.
+    pub like: R,
+    /// n.
+    pub dimension: D,
+}
+
+impl<R: Stored, D: Dimension> Stack<R, D> {
+    /// n.
+    #[inline(always)]
+    pub fn n(self) -> usize {
+        self.dimension.n()
+    }
+
+    /// The numbers of a matrix.
+    #[inline(always)]
+    pub fn len(self) -> usize {
+        self.n() * self.n() * R::LANES
+    }
+
+    /// Entry i, j.
+    #[inline(always)]
+    pub fn get(self, m: &[f64], i: usize, j: usize) -> R {
+        let at = (i * self.n() + j) * R::LANES;
+        self.like.get(&m[at..at + R::LANES])
+    }
+
+    /// Sets entry i, j.
+    #[inline(always)]
+    pub fn put(self, m: &mut [f64], i: usize, j: usize, value: R) {
+        let at = (i * self.n() + j) * R::LANES;
+        value.put(&mut m[at..at + R::LANES]);
+    }
+
+    /// Sets entry i, j of a skew matrix, and j, i.
+    #[inline(always)]
+    pub fn put_skew(self, m: &mut [f64], i: usize, j: usize, value: R) {
+        self.put(m, i, j, value);
+        self.put(m, j, i, -value);
+    }
+
+    /// `C = A B`
+    #[inline(always)]
+    pub fn product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        self.multiplied::<false>(None, a, b, c);
+    }
+
+    /// `C = A^T B`
+    #[inline(always)]
+    pub fn transposed_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        self.multiplied::<true>(None, a, b, c);
+    }
+
+    /// `C = S + A B`
+    #[inline(always)]
+    pub fn plus_product(self, s: &[f64], a: &[f64], b: &[f64], c: &mut [f64]) {
+        self.multiplied::<false>(Some(s), a, b, c);
+    }
+
+    /// `C = S + A^T B`
+    #[inline(always)]
+    pub fn plus_transposed_product(self, s: &[f64], a: &[f64], b: &[f64], c: &mut [f64]) {
+        self.multiplied::<true>(Some(s), a, b, c);
+    }
+
+    /// `C = S + A B`, or `S + A^T B`.
+    #[inline(always)]
+    fn multiplied<const T: bool>(self, s: Option<&[f64]>, a: &[f64], b: &[f64], c: &mut [f64]) {
+        let n = self.n();
+        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
+        let s = match s {
+            Some(s) => Some(&s[..self.len()]),
+            None => None,
+        };
+        let groups = n / R::GROUP;
+        for i in 0..n {
+            let mut group = 0;
+            if D::KNOWN.is_some() {
+                // As many columns as there are.
+                match groups {
+                    0 => {}
+                    1 => self.groups::<1, T>(s, a, b, c, i, 0),
+                    2 => self.groups::<2, T>(s, a, b, c, i, 0),
+                    3 => self.groups::<3, T>(s, a, b, c, i, 0),
+                    4 => self.groups::<4, T>(s, a, b, c, i, 0),
+                    8 => self.groups::<8, T>(s, a, b, c, i, 0),
+                    5 => self.groups::<5, T>(s, a, b, c, i, 0),
+                    _ => self.groups::<16, T>(s, a, b, c, i, 0),
+                }
+                group = groups;
+            } else {
+                // As many columns at once as there are registers for.
+                while group + 8 <= groups {
+                    self.groups::<8, T>(s, a, b, c, i, group);
+                    group += 8;
+                }
+                if group + 4 <= groups {
+                    self.groups::<4, T>(s, a, b, c, i, group);
+                    group += 4;
+                }
+                if group + 2 <= groups {
+                    self.groups::<2, T>(s, a, b, c, i, group);
+                    group += 2;
+                }
+                if group < groups {
+                    self.groups::<1, T>(s, a, b, c, i, group);
+                    group += 1;
+                }
+            }
+            for j in group * R::GROUP..n {
+                let mut sum = self.like.constant(0.0);
+                for k in 0..n {
+                    let x = if T { self.get(a, k, i) } else { self.get(a, i, k) };
+                    sum = sum + x * self.get(b, k, j);
+                }
+                if let Some(s) = s {
+                    sum = self.get(s, i, j) + sum;
+                }
+                self.put(c, i, j, sum);
+            }
+        }
+    }
+
+    /// `W` groups of columns of a row.
+    #[inline(always)]
+    fn groups<const W: usize, const T: bool>(
+        self,
+        s: Option<&[f64]>,
+        a: &[f64],
+        b: &[f64],
+        c: &mut [f64],
+        i: usize,
+        first: usize,
+    ) {
+        let (n, like, wide) = (self.n(), self.like, R::GROUP * R::LANES);
+        let mut sums = [like.get_wide(&a[..wide]).constant(0.0); W];
+        for k in 0..n {
+            let at = if T { k * n + i } else { i * n + k } * R::LANES;
+            let x = like.repeated(&a[at..at + R::LANES]);
+            let at = k * n * R::LANES + first * wide;
+            let row = &b[at..at + W * wide];
+            for j in 0..W {
+                sums[j] = sums[j] + x * like.get_wide(&row[j * wide..(j + 1) * wide]);
+            }
+        }
+        let at = i * n * R::LANES + first * wide;
+        if let Some(s) = s {
+            let row = &s[at..at + W * wide];
+            for j in 0..W {
+                sums[j] = like.get_wide(&row[j * wide..(j + 1) * wide]) + sums[j];
+            }
+        }
+        let row = &mut c[at..at + W * wide];
+        for j in 0..W {
+            R::put_wide(sums[j], &mut row[j * wide..(j + 1) * wide]);
+        }
+    }
+
+    /// Entry i, j of `asym(A B^T)`: `sum_k A_ik B_jk - A_jk B_ik`.
+    #[inline(always)]
+    pub fn asym_of_product(self, a: &[f64], b: &[f64], i: usize, j: usize) -> R {
+        let (n, like, lanes) = (self.n(), self.like, R::LANES);
+        let wide = R::GROUP * lanes;
+        let row = |i: usize| i * n * lanes..(i + 1) * n * lanes;
+        let (a_i, a_j, b_i, b_j) = (&a[row(i)], &a[row(j)], &b[row(i)], &b[row(j)]);
+        let mut sum = like.constant(0.0);
+        let groups = n / R::GROUP;
+        if groups > 0 {
+            let mut sums = like.get_wide(&a_i[..wide]).constant(0.0);
+            for k in 0..groups {
+                let at = k * wide..(k + 1) * wide;
+                sums = sums
+                    + (like.get_wide(&a_i[at.clone()]) * like.get_wide(&b_j[at.clone()])
+                        - like.get_wide(&a_j[at.clone()]) * like.get_wide(&b_i[at]));
+            }
+            sum = R::folded(sums);
+        }
+        for k in groups * R::GROUP..n {
+            let at = k * lanes..(k + 1) * lanes;
+            sum = sum
+                + (like.get(&a_i[at.clone()]) * like.get(&b_j[at.clone()])
+                    - like.get(&a_j[at.clone()]) * like.get(&b_i[at]));
+        }
+        sum
+    }
+
+    /// `C = sym(A)`, the symmetric part.
+    #[inline(always)]
+    pub fn symmetric_part(self, a: &[f64], c: &mut [f64]) {
+        let (a, c) = (&a[..self.len()], &mut c[..self.len()]);
+        for i in 0..self.n() {
+            for j in i..self.n() {
+                let part = (self.get(a, i, j) + self.get(a, j, i)) * 0.5;
+                self.put(c, i, j, part);
+                self.put(c, j, i, part);
+            }
+        }
+    }
+
+    /// Adds to `F` half the defect of I + C from a rotation, `(I + C)^T (I + C) - I = C + C^T + C^T C`, in `room`.
+    #[inline(always)]
+    pub fn add_half_defect(self, c: &[f64], f: &mut [f64], room: &mut [f64]) {
+        self.transposed_product(c, c, room);
+        let (c, f, room) = (&c[..self.len()], &mut f[..self.len()], &room[..self.len()]);
+        for i in 0..self.n() {
+            for j in i..self.n() {
+                let defect = self.get(room, i, j) + (self.get(c, i, j) + self.get(c, j, i));
+                let part = self.get(f, i, j) + defect * 0.5;
+                self.put(f, i, j, part);
+                self.put(f, j, i, part);
+            }
+        }
+    }
+
+    /// `C += a b^T - b a^T`, to nothing if it is the `first`.
+    #[inline(always)]
+    pub fn add_wedge(self, first: bool, a: &D::Vector<R>, b: &D::Vector<R>, c: &mut [f64]) {
+        let c = &mut c[..self.len()];
+        for i in 0..self.n() {
+            for j in i + 1..self.n() {
+                let wedge = a[i] * b[j] - b[i] * a[j];
+                let sum = if first { wedge } else { self.get(c, i, j) + wedge };
+                self.put_skew(c, i, j, sum);
+            }
+        }
+    }
+
+    /// `A` times a number for each lane.
+    #[inline(always)]
+    pub fn scale(self, x: R, a: &mut [f64]) {
+        let wide = R::GROUP * R::LANES;
+        let mut once = [0.0; WIDTH];
+        x.put(&mut once);
+        let x_wide = self.like.repeated(&once);
+        let mut groups = a[..self.len()].chunks_exact_mut(wide);
+        for group in &mut groups {
+            R::put_wide(x_wide * self.like.get_wide(group), group);
+        }
+        for entry in groups.into_remainder().chunks_exact_mut(R::LANES) {
+            (x * self.like.get(entry)).put(entry);
+        }
+    }
+
+    /// `C_ij = A_ij B_ij`
+    #[inline(always)]
+    pub fn entrywise_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
+        for e in 0..self.len() {
+            c[e] = a[e] * b[e];
+        }
+    }
+
+    /// `C = A - B`
+    #[inline(always)]
+    pub fn difference(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
+        for e in 0..self.len() {
+            c[e] = a[e] - b[e];
+        }
+    }
+
+    /// `C = A + B`
+    #[inline(always)]
+    pub fn sum(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
+        for e in 0..self.len() {
+            c[e] = a[e] + b[e];
+        }
+    }
+}
+
+impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
+    /// The same for what belongs to the step as a whole.
+    #[inline(always)]
+    pub fn whole(self) -> Stack<f64, D> {
+        Stack { like: 0.0, dimension: self.dimension }
+    }
+
+    /// `C_k = sum_j columns[j]_k A_j`, k and j stages.
+    #[inline(always)]
+    pub fn combination(self, a: &[f64], columns: &[Row; WIDTH], c: &mut [f64]) {
+        let columns = self.like.rows(columns);
+        let (a, c) = (&a[..self.len()], &mut c[..self.len()]);
+        for (a, c) in a.chunks_exact(R::LANES).zip(c.chunks_exact_mut(R::LANES)) {
+            R::combination(a, &columns).put(c);
+        }
+    }
+
+    /// `c = sum_k A_k`
+    #[inline(always)]
+    pub fn sum_of_stages(self, a: &[f64], c: &mut [f64]) {
+        let (a, c) = (&a[..self.len()], &mut c[..self.n() * self.n()]);
+        for (a, c) in a.chunks_exact(R::LANES).zip(c) {
+            *c = self.like.get(a).sum();
+        }
+    }
+
+    /// `C_k = a` at each stage.
+    #[inline(always)]
+    pub fn spread(self, a: &[f64], c: &mut [f64]) {
+        let (a, c) = (&a[..self.n() * self.n()], &mut c[..self.len()]);
+        for (a, c) in a.iter().zip(c.chunks_exact_mut(R::LANES)) {
+            self.like.spread(*a).put(c);
+        }
+    }
+}

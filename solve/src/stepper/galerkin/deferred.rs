@@ -1,0 +1,997 @@
+//! The step of [`super`] for a tableau that is its own partner (Gauss), solved as Gauss collocation with a deferred defect:
+//! the same equations in another order. The tags are those of docs/derivation.md, where they are derived.
+//!
+//! With `e_kj = a_kj / b_j`, `W_k = V_k / (h b_k)` and matrices near zero in the place of those near one,
+//!
+//! ```text
+//! [C] C_k = U_k - I    c = f - I        [w] w_j = h b_j U_j Omega_j      [D] D_k = sum_j e_kj w_j    d = sum_j w_j
+//! [F] U = A (I - F), A = I + D          [K] K = D - C = F + D F          [E] E = P - I = F + F E
+//! [T] T_j = U_j X_j                     [Y] Y_k = sum_j e_jk T_j         [S] S_k = sym(U_k^T W_k)
+//! ```
+//!
+//! summing the equations over the stages leaves of the momentum `pi_k = U_k mu_k U_k^T`
+//!
+//! ```text
+//! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j dH/dg(U_j) U_j^T
+//! [end]        pi1 = p0 - sum_j kappa_j
+//! [defect]     delta_k = asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)
+//! ```
+//!
+//! Without the defect this is Gauss collocation, a matter of few products; and the defect is small: of order h^(s+1)
+//! in K and F, of order h^2 in every term. So collocation is solved first, and the defect is evaluated one to three times.
+//!
+//! Everything is computed for all stages at once, in lanes. An operation carries the tag of what it computes.
+//!
+//! Invariant: a step that is not solved here to round-off is given up, for [`super`] to solve in its own way.
+
+use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
+
+use crate::failure::Failure;
+use crate::hamiltonian::{Terms, Torques};
+use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
+use crate::stack::{Any, Dimension, Known, Numbers, Stack};
+use crate::tableau::Tableau;
+use crate::work;
+
+/// Rounds of any kind after which a step is given up.
+const MOST_ROUNDS: u32 = 40;
+/// What forces anew leave of an error, until it is seen.
+const FORCES_CONTRACTION: f64 = 0.01;
+/// Of the momentum, what the end of a step may lack.
+const ROUND_OFF: f64 = 1e-16;
+
+/// A system as the step sees it.
+pub(super) enum Source<'a> {
+    /// A rigid body in principal axes and a potential of built-in terms.
+    Body {
+        /// `Omega_ij = w_ij mu_ij`.
+        weights: &'a [f64],
+        terms: &'a dyn Terms,
+        /// The space vectors of the terms as seen from g0, one after the other.
+        seen: &'a [f64],
+        work: &'a work::Work,
+    },
+    /// Any other, one stage after the other.
+    Stages(&'a mut dyn AtStage),
+}
+
+/// A system at one stage. Matrices are n x n, row by row; `c` is U - I.
+pub(super) trait AtStage {
+    /// Takes note of a round that begins, or refuses it.
+    fn begin_sweep(&self) -> Result<(), Failure>;
+    /// dH/dg.
+    fn gradient(&mut self, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
+    /// `U X U^T`
+    fn in_space(&self, c: &[f64], x: &[f64], turned: &mut [f64]);
+    /// Improves Omega.
+    fn velocity(&mut self, stage: usize, c: &[f64], mu: &[f64], omega: &mut [f64]);
+}
+
+/// What a step begins from.
+pub(super) struct Start<'a> {
+    /// n.
+    pub(super) n: usize,
+    pub(super) h: f64,
+    /// p0 and its velocity, row by row.
+    pub(super) momentum: &'a [f64],
+    pub(super) velocity: &'a [f64],
+}
+
+/// Why a step is not solved here.
+pub(super) enum Stuck {
+    /// The rounds do not converge.
+    Lost,
+    /// The work was stopped.
+    Stopped(Failure),
+}
+
+impl From<Failure> for Stuck {
+    fn from(failure: Failure) -> Self {
+        Self::Stopped(failure)
+    }
+}
+
+/// A tableau of up to [`WIDTH`] stages that is its own partner, in lanes; what is beyond its stages is zero.
+#[derive(Clone, Debug)]
+struct Coefficients {
+    stages: usize,
+    /// `e_kj`, column by column.
+    columns: [Row; WIDTH],
+    /// `e_jk`, column by column.
+    transposed: [Row; WIDTH],
+    weights: Row,
+    nodes: Row,
+}
+
+impl Coefficients {
+    fn new(tableau: &Tableau) -> Option<Self> {
+        /// What rounding may make of a coefficient.
+        const ROUNDED: f64 = 1e-14;
+        let stages = tableau.stages();
+        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
+        let own_partner = (0..stages)
+            .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
+        if stages > WIDTH || !own_partner {
+            return None;
+        }
+        let zero = Row::splat(0.0);
+        let (columns, transposed) = ([zero; WIDTH], [zero; WIDTH]);
+        let mut lanes = Self { stages, columns, transposed, weights: zero, nodes: zero };
+        for i in 0..stages {
+            lanes.weights[i] = tableau.b(i);
+            lanes.nodes[i] = tableau.c(i);
+            for j in 0..stages {
+                // Of two that make one to the last bit the smaller is what the larger leaves: the pair is symplectic
+                // whatever their rounding.
+                let smaller = part(i, j) < part(j, i);
+                let e = if smaller { 1.0 - part(j, i) } else { part(i, j) };
+                lanes.columns[j][i] = e;
+                lanes.transposed[i][j] = e;
+            }
+        }
+        Some(lanes)
+    }
+}
+
+/// The unknowns of the stages, and room to work: n x n matrices in lanes, row by row. Skew and symmetric ones are whole.
+#[derive(Clone, Debug)]
+struct Unknowns {
+    /// p0, and the weights of a body, in every lane.
+    p0: Numbers,
+    inertia: Numbers,
+    omega: Numbers,
+    mu: Numbers,
+    c: Numbers,
+    d: Numbers,
+    w: Numbers,
+    k: Numbers,
+    f: Numbers,
+    e: Numbers,
+    gradient: Numbers,
+    kappa: Numbers,
+    /// `pi - p0`
+    gain: Numbers,
+    delta: Numbers,
+    /// What of delta does not depend on K.
+    delta_rest: Numbers,
+    s: Numbers,
+    x: Numbers,
+    t: Numbers,
+    y: Numbers,
+    /// f Lambda, at each stage.
+    f_lambda: Numbers,
+    room: [Numbers; 3],
+    slopes: Vec<f64>,
+}
+
+impl Unknowns {
+    fn new(n: usize, lanes: usize) -> Self {
+        let zeros = || Numbers::zeros(n * n * lanes);
+        Self {
+            p0: zeros(),
+            inertia: zeros(),
+            omega: zeros(),
+            mu: zeros(),
+            c: zeros(),
+            d: zeros(),
+            w: zeros(),
+            k: zeros(),
+            f: zeros(),
+            e: zeros(),
+            gradient: zeros(),
+            kappa: zeros(),
+            gain: zeros(),
+            delta: zeros(),
+            delta_rest: zeros(),
+            s: zeros(),
+            x: zeros(),
+            t: zeros(),
+            y: zeros(),
+            f_lambda: zeros(),
+            room: [zeros(), zeros(), zeros()],
+            slopes: Vec::new(),
+        }
+    }
+}
+
+/// The unknowns of the end point.
+#[derive(Clone, Debug)]
+struct End {
+    c: Numbers,
+    d: Numbers,
+    k: Numbers,
+    f: Numbers,
+    /// `f Lambda f^T`
+    multiplier: Numbers,
+    /// `pi1 - p0`
+    impulse: Numbers,
+    pi: Numbers,
+    room: [Numbers; 2],
+}
+
+/// What is known of a solution besides: the largest entry of any F, and the largest square of |C|.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Solved {
+    pub(super) rounds: u32,
+    /// The last change of a momentum, relative to the largest.
+    pub(super) increment: f64,
+    /// The largest entry of any F.
+    pub(super) stretch: f64,
+    /// The largest `|C|_F^2`.
+    pub(super) turn: f64,
+    /// As of [`crate::hamiltonian::RigidBody::torque`].
+    pub(super) nearness: f64,
+}
+
+/// The stepper's part of it, kept from step to step.
+#[derive(Clone, Debug)]
+pub(super) struct Collocation {
+    coefficients: Coefficients,
+    /// The instruction set; without one, one number at a time.
+    pub(super) level: Option<Level>,
+    /// 1, 2, 4 or 8.
+    lanes: usize,
+    unknowns: Unknowns,
+    end: End,
+}
+
+impl Collocation {
+    /// For `tableau` in n dimensions; `None` if it is not its own partner, or has more stages than there are lanes.
+    pub(super) fn new(tableau: &Tableau, n: usize) -> Option<Self> {
+        let coefficients = Coefficients::new(tableau)?;
+        let lanes = coefficients.stages.next_power_of_two();
+        let zeros = || Numbers::zeros(n * n);
+        let end = End {
+            c: zeros(),
+            d: zeros(),
+            k: zeros(),
+            f: zeros(),
+            multiplier: zeros(),
+            impulse: zeros(),
+            pi: zeros(),
+            room: [zeros(), zeros()],
+        };
+        let unknowns = Unknowns::new(n, lanes);
+        Some(Self { coefficients, level: Some(Level::new()), lanes, unknowns, end })
+    }
+
+    /// Solves a step.
+    ///
+    /// # Errors
+    /// [`Stuck`].
+    pub(super) fn solve<'a>(
+        &'a mut self,
+        start: &'a Start<'a>,
+        source: Source<'a>,
+    ) -> Result<Solved, Stuck> {
+        let Self { coefficients, level, lanes, unknowns: u, end } = self;
+        match (lanes, *level) {
+            (1, _) => solve_any(Rows([0.0; 1]), coefficients, start, source, u, end),
+            (2, Some(level)) => {
+                widest!(level, f64x2, like => solve(like, coefficients, start, source, u, end),
+                else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end))
+            }
+            (2, None) => solve_any(Rows([0.0; 2]), coefficients, start, source, u, end),
+            (4, Some(level)) => {
+                widest!(level, f64x4, like => solve(like, coefficients, start, source, u, end),
+                else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
+            }
+            (4, None) => solve_any(Rows([0.0; 4]), coefficients, start, source, u, end),
+            (_, Some(level)) => {
+                widest!(level, f64x8, like => solve(like, coefficients, start, source, u, end),
+                else solve_any(Rows([0.0; 8]), coefficients, start, source, u, end))
+            }
+            (_, None) => solve_any(Rows([0.0; 8]), coefficients, start, source, u, end),
+        }
+    }
+
+    /// `f - I`, row by row.
+    pub(super) fn turn(&self) -> &[f64] {
+        &self.end.c
+    }
+
+    /// `pi1 - p0`, row by row.
+    pub(super) fn impulse(&self) -> &[f64] {
+        &self.end.impulse
+    }
+
+    /// Entry e of `U_k - I`, or of `f - I` after the last stage.
+    pub(super) fn change(&self, k: usize, e: usize) -> f64 {
+        if k == self.coefficients.stages {
+            self.end.c[e]
+        } else {
+            self.unknowns.c[e * self.lanes + k]
+        }
+    }
+
+    /// Entry e of `I - P_k^-1`, or of the end point after the last stage.
+    pub(super) fn stretch(&self, k: usize, e: usize) -> f64 {
+        if k == self.coefficients.stages {
+            self.end.f[e]
+        } else {
+            self.unknowns.f[e * self.lanes + k]
+        }
+    }
+}
+
+/// Finds the code for so many rows.
+fn solve<'a, R: Stages<Whole = f64>>(
+    like: R,
+    coefficients: &'a Coefficients,
+    start: &'a Start<'a>,
+    source: Source<'a>,
+    unknowns: &'a mut Unknowns,
+    end: &'a mut End,
+) -> Result<Solved, Stuck> {
+    match start.n {
+        4 => Step::new(like, Known::<4>, coefficients, start, source, unknowns, end).solve(),
+        5 => Step::new(like, Known::<5>, coefficients, start, source, unknowns, end).solve(),
+        8 => Step::new(like, Known::<8>, coefficients, start, source, unknowns, end).solve(),
+        16 => Step::new(like, Known::<16>, coefficients, start, source, unknowns, end).solve(),
+        _ => solve_any(like, coefficients, start, source, unknowns, end),
+    }
+}
+
+/// The same for any number of rows.
+fn solve_any<'a, R: Stages<Whole = f64>>(
+    like: R,
+    coefficients: &'a Coefficients,
+    start: &'a Start<'a>,
+    source: Source<'a>,
+    unknowns: &'a mut Unknowns,
+    end: &'a mut End,
+) -> Result<Solved, Stuck> {
+    Step::new(like, Any(start.n), coefficients, start, source, unknowns, end).solve()
+}
+
+/// What turns the body, at all stages.
+enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
+    /// Nothing.
+    None {
+        weights: &'a [f64],
+        work: &'a work::Work,
+    },
+    Body {
+        weights: &'a [f64],
+        torques: Torques<'a, R, D>,
+        work: &'a work::Work,
+    },
+    Stages {
+        system: &'a mut dyn AtStage,
+        stages: usize,
+    },
+}
+
+impl<'a, R: Stages<Whole = f64>, D: Dimension> Forces<'a, R, D> {
+    fn new(stack: Stack<R, D>, source: Source<'a>, stages: usize) -> Self {
+        match source {
+            Source::Body { weights, terms, work, .. } if terms.count() == 0 => {
+                Self::None { weights, work }
+            }
+            Source::Body { weights, terms, seen, work } => {
+                Self::Body { weights, torques: Torques::new(stack, terms, seen), work }
+            }
+            Source::Stages(system) => Self::Stages { system, stages },
+        }
+    }
+}
+
+/// A step being solved.
+struct Step<'a, R: Stages<Whole = f64>, D: Dimension> {
+    stack: Stack<R, D>,
+    coefficients: &'a Coefficients,
+    start: &'a Start<'a>,
+    /// h b_k.
+    weights: R,
+    /// The largest entry of a momentum.
+    size: f64,
+    /// The largest angle by which a stage's velocity turns in the step.
+    turn: f64,
+    u: &'a mut Unknowns,
+    end: &'a mut End,
+    forces: Forces<'a, R, D>,
+}
+
+/// Functions whose bodies are compiled for the instruction set of the lanes, each once.
+macro_rules! in_lanes {
+    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
+        $($(#[$attribute])*
+        #[inline(never)]
+        fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
+            $this.stack.like.vectorized(
+                #[inline(always)]
+                || $body,
+            )
+        })*
+    };
+}
+
+impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
+    fn new(
+        like: R,
+        dimension: D,
+        coefficients: &'a Coefficients,
+        start: &'a Start<'a>,
+        source: Source<'a>,
+        u: &'a mut Unknowns,
+        end: &'a mut End,
+    ) -> Self {
+        let stack = Stack { like, dimension };
+        let forces = Forces::new(stack, source, coefficients.stages);
+        let weights = like.row(&coefficients.weights) * start.h;
+        Self { stack, coefficients, start, weights, size: 0.0, turn: 0.0, u, end, forces }
+    }
+
+    fn solve(mut self) -> Result<Solved, Stuck> {
+        let stages = self.coefficients.stages;
+        self.guess();
+        let mut rounds = self.collocate()?;
+        let turn = self.turn.min(1.0);
+        self.polar_factors();
+        self.transport();
+        self.gradients()?;
+        self.first_symmetric_parts();
+        let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
+        let mut evaluations = Rounds::new(expected, self.order(stages) * self.size);
+        let mut lacking = 0.0;
+        for evaluation in 1..=MOST_ROUNDS {
+            rounds += 1;
+            self.end_point(1);
+            self.multipliers();
+            // X and S follow each other; the first time there are greater errors, but for many stages.
+            if evaluation > 1 || stages >= 4 || turn > 0.3 {
+                self.embed();
+                self.multipliers();
+            }
+            let jump = self.defects();
+            let momenta = self.momenta_from_space();
+            // What attitudes lacked when the defect was evaluated is in it, times the turn.
+            let left = evaluations.left(jump).max(turn * lacking);
+            // An error of a momentum turns the end by its product with the turn of the step.
+            let goal = ROUND_OFF * self.size / turn;
+            let passed =
+                self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
+            lacking = passed.left;
+            self.gradients()?;
+            // Of few stages the first evaluation is not yet sure of its order.
+            if left <= 10.0 * goal && (stages >= 4 || evaluation > 1) {
+                let increment = self.finish(passed.last, goal)?;
+                return Ok(self.judged(rounds, increment / self.size));
+            }
+            if !jump.is_finite() {
+                break;
+            }
+        }
+        Err(Stuck::Lost)
+    }
+
+    /// The size of the defect: `turn^(s+1) / (s+1)!`.
+    fn order(&self, stages: usize) -> f64 {
+        (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
+    }
+
+    /// Passes, each time with new forces, until what these change is `goal`; and the end point.
+    fn finish(&mut self, mut before: f64, goal: f64) -> Result<f64, Stuck> {
+        let mut rounds = Rounds::new(FORCES_CONTRACTION, before);
+        for _ in 0..MOST_ROUNDS {
+            let Passed { first, last: increment, .. } = self.pass_until(before, goal)?;
+            if rounds.left(first) <= goal || matches!(self.forces, Forces::None { .. }) {
+                self.velocities_in_space();
+                self.transport();
+                self.end_point(2);
+                return Ok(increment);
+            }
+            before = increment;
+            self.gradients()?;
+        }
+        Err(Stuck::Lost)
+    }
+
+    /// Gauss collocation, without the defect, until what is left is smaller than the defect is.
+    fn collocate(&mut self) -> Result<u32, Stuck> {
+        let stages = self.coefficients.stages;
+        let mut last = f64::INFINITY;
+        for round in 1..=MOST_ROUNDS {
+            self.gradients()?;
+            let jump = self.momenta_in_body();
+            // A second time costs little next to a torque.
+            self.momenta_in_body();
+            self.attitudes();
+            self.attitudes();
+            self.measure();
+            if !(jump <= 1e3 * self.size) {
+                break;
+            }
+            let ratio = if round == 1 { 0.05 * self.turn * self.turn } else { jump / last };
+            if jump * ratio.min(1.0) <= (0.1 * self.order(stages)).max(ROUND_OFF) * self.size {
+                return Ok(round);
+            }
+            last = jump;
+        }
+        Err(Stuck::Lost)
+    }
+
+    /// Passes over attitudes and momenta, the defect's slow part kept, until what is left of the momenta is `goal`.
+    fn pass_until(&mut self, before: f64, goal: f64) -> Result<Passed, Stuck> {
+        /// Below this part of the momentum a change that no longer falls is rounding.
+        const FLOOR: f64 = 1e-14;
+        let mut rounds = Rounds::new((0.15 * self.turn).clamp(0.01, 0.3), before);
+        let (mut first, mut last) = (None, f64::INFINITY);
+        for _ in 0..MOST_ROUNDS {
+            // In a plane a momentum does not see the attitude.
+            let sees = self.start.n > 2;
+            if !sees {
+                self.u.t.copy_from_slice(&self.u.c);
+            }
+            self.attitudes();
+            self.polar_factors();
+            self.newest_defects();
+            self.transport();
+            let momenta = self.momenta_from_space();
+            let jump = if sees { momenta } else { momenta.max(self.turned()) };
+            let first = *first.get_or_insert(jump);
+            let left = rounds.left(jump);
+            if left <= goal || (jump >= last && jump <= FLOOR * self.size) {
+                return Ok(Passed { first, last: jump, left });
+            }
+            if !jump.is_finite() {
+                break;
+            }
+            last = jump;
+        }
+        Err(Stuck::Lost)
+    }
+
+    fn gradients(&mut self) -> Result<(), Failure> {
+        let Unknowns { c, mu, omega, gradient, slopes, .. } = &mut *self.u;
+        match &mut self.forces {
+            Forces::None { work, .. } => work.begin_sweep(),
+            Forces::Body { torques, work, .. } => {
+                work.begin_sweep()?;
+                torques.gradient(c, slopes, gradient);
+                Ok(())
+            }
+            Forces::Stages { system, stages } => {
+                system.begin_sweep()?;
+                let mut of_stage = vec![0.0; self.start.n * self.start.n];
+                for k in 0..*stages {
+                    let [c, mu, omega] = [&*c, &*mu, &*omega].map(|m| lane(m, k, R::LANES));
+                    system.gradient(&c, &mu, &omega, &mut of_stage);
+                    set_lane(gradient, k, R::LANES, &of_stage);
+                }
+                Ok(())
+            }
+        }
+    }
+
+    in_lanes! {
+    /// The velocity of the beginning, kept constant.
+    fn guess(&mut self) {
+        let Self { stack, start, coefficients, u, end, forces, .. } = self;
+        let (n, like) = (stack.n(), stack.like);
+        let angle = like.row(&coefficients.nodes) * start.h;
+        if let Forces::None { weights, .. } | Forces::Body { weights, .. } = forces {
+            stack.spread(weights, &mut u.inertia);
+        }
+        for i in 0..n {
+            for j in 0..n {
+                let e = i * n + j;
+                let omega = like.spread(start.velocity[e]);
+                stack.put(&mut u.omega, i, j, omega);
+                stack.put(&mut u.p0, i, j, like.spread(start.momentum[e]));
+                let mut square = 0.0;
+                for k in 0..n {
+                    square += start.velocity[i * n + k] * start.velocity[k * n + j];
+                }
+                // exp(c h Omega) - I up to the square
+                stack.put(&mut u.c, i, j, angle * (omega + angle * (0.5 * square)));
+                end.multiplier[e] = -0.5 * start.momentum[e];
+            }
+        }
+        u.mu.copy_from_slice(&u.p0);
+        let Unknowns { k, f, e: excess, x, delta, gain, gradient, kappa, .. } = &mut **u;
+        for matrices in [k, f, excess, x, delta, gain, gradient, kappa] {
+            matrices.fill(0.0);
+        }
+        end.k.fill(0.0);
+        end.f.fill(0.0);
+        end.impulse.fill(0.0);
+    }
+
+    /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. Returns the largest change of a momentum.
+    fn momenta_in_body(&mut self) -> f64 {
+        let Self { stack, coefficients, weights, u, .. } = self;
+        let (n, len, like) = (stack.n(), stack.len(), stack.like);
+        let Unknowns { p0, mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
+        let (mu, omega, gradient) = (&mut mu[..len], &omega[..len], &gradient[..len]);
+        let (p0, rate) = (&p0[..len], &mut rate[..len]);
+        for i in 0..n {
+            for j in i + 1..n {
+                // asym(mu Omega) = -asym(mu Omega^T)
+                let turning = stack.asym_of_product(mu, omega, i, j) + stack.get(gradient, i, j);
+                stack.put(rate, i, j, -(*weights * turning));
+            }
+        }
+        let columns = like.rows(&coefficients.columns);
+        let mut jump = like.constant(0.0);
+        for i in 0..n {
+            for j in i + 1..n {
+                let gain = R::combination(&rate[(i * n + j) * R::LANES..], &columns);
+                let now = stack.get(p0, i, j) + gain;
+                jump = jump.larger((now - stack.get(mu, i, j)).size());
+                stack.put_skew(mu, i, j, now);
+            }
+        }
+        self.velocities().max(jump.largest())
+    }
+
+    /// [w]
+    fn velocities_in_space(&mut self) {
+        let Self { stack, weights, u, .. } = self;
+        let Unknowns { w, c, omega, .. } = &mut **u;
+        stack.plus_product(omega, c, omega, w);
+        stack.scale(*weights, w);
+    }
+
+    /// [w], [D] and [C], with the K that there is.
+    fn attitudes(&mut self) {
+        let Self { stack, coefficients, weights, u, .. } = self;
+        let Unknowns { w, c, d, k, omega, .. } = &mut **u;
+        stack.plus_product(omega, c, omega, w);
+        stack.scale(*weights, w);
+        stack.combination(w, &coefficients.columns, d);
+        stack.difference(d, k, c);
+    }
+
+    /// The largest momentum, and the largest turn of a step by a stage's velocity.
+    fn measure(&mut self) {
+        let Self { stack, start, u, size, turn, .. } = self;
+        let like = stack.like;
+        let (mut square, mut largest) = (like.constant(0.0), like.constant(0.0));
+        for i in 0..stack.n() {
+            for j in i + 1..stack.n() {
+                let omega = stack.get(&u.omega, i, j);
+                square = square + omega * omega;
+                largest = largest.larger(stack.get(&u.mu, i, j).size());
+            }
+        }
+        *size = largest.largest();
+        *turn = start.h.abs() * square.largest().sqrt();
+    }
+
+    /// [F], [K] and [C]
+    fn polar_factors(&mut self) {
+        let Self { stack, u, .. } = self;
+        let Unknowns { d, c, f, k, room: [room, ..], .. } = &mut **u;
+        polar_factor(*stack, d, c, f, k, room);
+    }
+
+    /// [transport]: pi - p0.
+    fn transport(&mut self) {
+        let Self { stack, coefficients, weights, u, forces, .. } = self;
+        let (n, len, like) = (stack.n(), stack.len(), stack.like);
+        let Unknowns { c, kappa, gain, delta, gradient, slopes, .. } = &mut **u;
+        match forces {
+            Forces::None { .. } => {
+                gain.copy_from_slice(delta);
+                return;
+            }
+            Forces::Body { torques, .. } => torques.in_space(c, slopes, kappa),
+            Forces::Stages { system, stages } => {
+                let mut turned = vec![0.0; n * n];
+                for k in 0..*stages {
+                    let [c, gradient] = [&*c, &*gradient].map(|m| lane(m, k, R::LANES));
+                    system.in_space(&c, &gradient, &mut turned);
+                    set_lane(kappa, k, R::LANES, &turned);
+                }
+            }
+        }
+        let (kappa, gain, delta) = (&mut kappa[..len], &mut gain[..len], &delta[..len]);
+        let columns = like.rows(&coefficients.columns);
+        for i in 0..n {
+            for j in i + 1..n {
+                stack.put(kappa, i, j, *weights * stack.get(kappa, i, j));
+            }
+        }
+        for i in 0..n {
+            for j in i + 1..n {
+                let kicks = R::combination(&kappa[(i * n + j) * R::LANES..], &columns);
+                stack.put_skew(gain, i, j, stack.get(delta, i, j) - kicks);
+            }
+        }
+    }
+
+    /// `mu = U^T pi U`, as `p0 + (pi - p0) + asym(pi C) + C^T pi C`, and Omega. Returns the largest change of a momentum.
+    fn momenta_from_space(&mut self) -> f64 {
+        let Self { stack, u, .. } = self;
+        let (n, len, like) = (stack.n(), stack.len(), stack.like);
+        let Unknowns { p0, mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
+        stack.sum(p0, gain, pi);
+        stack.product(pi, c, turned);
+        stack.transposed_product(c, turned, twice);
+        let (p0, mu, gain) = (&p0[..len], &mut mu[..len], &gain[..len]);
+        let (turned, twice) = (&turned[..len], &twice[..len]);
+        let mut jump = like.constant(0.0);
+        for i in 0..n {
+            for j in i + 1..n {
+                let once = stack.get(turned, i, j) - stack.get(turned, j, i);
+                let gain = stack.get(gain, i, j) + (once + stack.get(twice, i, j));
+                let now = stack.get(p0, i, j) + gain;
+                jump = jump.larger((now - stack.get(mu, i, j)).size());
+                stack.put_skew(mu, i, j, now);
+            }
+        }
+        self.velocities().max(jump.largest())
+    }
+
+    /// [S] to first order: `-sum_j e_jk h b_j (Omega_j mu_j + mu_j Omega_j) / 4`.
+    fn first_symmetric_parts(&mut self) {
+        let Self { stack, coefficients, weights, u, .. } = self;
+        let (n, len) = (stack.n(), stack.len());
+        let Unknowns { mu, omega, s, room: [product, both, _], .. } = &mut **u;
+        stack.product(omega, mu, product);
+        let (product, both, s) = (&product[..len], &mut both[..len], &mut s[..len]);
+        for i in 0..n {
+            for j in i..n {
+                // mu Omega = (Omega mu)^T
+                let sum = stack.get(product, i, j) + stack.get(product, j, i);
+                stack.put(both, i, j, *weights * sum * -0.25);
+            }
+        }
+        let columns = stack.like.rows(&coefficients.transposed);
+        for i in 0..n {
+            for j in i..n {
+                let part = R::combination(&both[(i * n + j) * R::LANES..], &columns);
+                stack.put(s, i, j, part);
+                stack.put(s, j, i, part);
+            }
+        }
+    }
+
+    /// [end]: the polar factor of the end point in so many passes, pi1, and the multiplier by
+    /// `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`; and [E] of
+    /// the stages.
+    fn end_point(&mut self, passes: usize) {
+        let Self { stack, start, u, end, .. } = self;
+        let (n, one) = (stack.n(), stack.whole());
+        let Unknowns { w, kappa, f, e: excess, f_lambda, room: [next, ..], .. } = &mut **u;
+        let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b] } = &mut **end;
+        stack.sum_of_stages(w, d);
+        one.difference(d, k, c);
+        for _ in 0..passes {
+            polar_factor(one, d, c, end_f, k, a);
+        }
+        for i in 0..n {
+            for j in i + 1..n {
+                one.put_skew(impulse, i, j, -stack.get(kappa, i, j).sum());
+            }
+        }
+        one.sum(start.momentum, impulse, pi);
+        // E_s = k f^T, symmetric: f k^T = k^T + c k^T
+        for i in 0..n {
+            for j in 0..n {
+                b[i * n + j] = k[j * n + i];
+            }
+        }
+        one.plus_product(b, c, b, a);
+        one.product(a, multiplier, b);
+        for i in 0..n {
+            for j in i + 1..n {
+                let stretched = b[i * n + j] - b[j * n + i];
+                one.put_skew(multiplier, i, j, (pi[i * n + j] + stretched) * -0.5);
+            }
+        }
+        one.plus_product(multiplier, multiplier, c, a);
+        stack.spread(a, f_lambda);
+        stack.plus_product(f, f, excess, next);
+        excess.copy_from_slice(next);
+    }
+
+    /// `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and (19a, fff1).
+    fn multipliers(&mut self) {
+        let Self { stack, weights, u, .. } = self;
+        let (n, len) = (stack.n(), stack.len());
+        let Unknowns { mu, omega, s, e: excess, x, gradient, room: [next, ..], .. } = &mut **u;
+        let (mu, omega, s, excess) = (&mu[..len], &omega[..len], &s[..len], &excess[..len]);
+        let (x, gradient, next) = (&mut x[..len], &gradient[..len], &mut next[..len]);
+        for i in 0..n {
+            for j in i + 1..n {
+                // of skew B, asym(A B) = -asym(A B^T)
+                let commutator = stack.asym_of_product(mu, omega, i, j);
+                let load = stack.asym_of_product(s, omega, i, j);
+                let load = (commutator * 0.5 - load) + stack.get(gradient, i, j);
+                let stretched = stack.asym_of_product(excess, x, i, j);
+                stack.put_skew(next, i, j, (stretched - *weights * load) * 0.5);
+            }
+            stack.put(next, i, i, stack.like.constant(0.0));
+        }
+        x.copy_from_slice(next);
+    }
+
+    /// [T], [Y] and [S]
+    fn embed(&mut self) {
+        let Self { stack, coefficients, u, .. } = self;
+        let Unknowns { c, x, t, y, s, f_lambda, room: [w, turned, _], .. } = &mut **u;
+        stack.plus_product(x, c, x, t);
+        stack.combination(t, &coefficients.transposed, y);
+        stack.sum(f_lambda, y, w);
+        stack.plus_transposed_product(w, c, w, turned);
+        stack.symmetric_part(turned, s);
+    }
+
+    /// What of [defect] does not depend on K: `-asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)`.
+    fn slow_defects(&mut self) {
+        let Self { stack, coefficients, u, .. } = self;
+        let (n, len) = (stack.n(), stack.len());
+        let Unknowns { c, d, w, t, y, delta_rest, room: [part, ..], .. } = &mut **u;
+        let (c, d, w, t, y) = (&c[..len], &d[..len], &w[..len], &t[..len], &y[..len]);
+        let (delta_rest, part) = (&mut delta_rest[..len], &mut part[..len]);
+        for i in 0..n {
+            for j in i + 1..n {
+                let difference =
+                    stack.asym_of_product(t, d, i, j) - stack.asym_of_product(y, w, i, j);
+                stack.put(part, i, j, difference);
+            }
+        }
+        let columns = stack.like.rows(&coefficients.columns);
+        for i in 0..n {
+            for j in i + 1..n {
+                let sum = R::combination(&part[(i * n + j) * R::LANES..], &columns);
+                stack.put(delta_rest, i, j, -(stack.asym_of_product(y, c, i, j) + sum));
+            }
+        }
+    }
+
+    /// [defect] with the newest K; what it changes goes to pi. Returns the largest change.
+    fn newest_defects(&mut self) -> f64 {
+        let Self { stack, u, .. } = self;
+        let (n, len) = (stack.n(), stack.len());
+        let Unknowns { k, gain, delta, delta_rest, f_lambda, .. } = &mut **u;
+        let (k, gain, delta) = (&k[..len], &mut gain[..len], &mut delta[..len]);
+        let (delta_rest, f_lambda) = (&delta_rest[..len], &f_lambda[..len]);
+        let mut jump = stack.like.constant(0.0);
+        for i in 0..n {
+            for j in i + 1..n {
+                let newest = stack.asym_of_product(f_lambda, k, i, j);
+                let now = newest + stack.get(delta_rest, i, j);
+                let change = now - stack.get(delta, i, j);
+                jump = jump.larger(change.size());
+                stack.put_skew(delta, i, j, now);
+                stack.put_skew(gain, i, j, stack.get(gain, i, j) + change);
+            }
+        }
+        jump.largest()
+    }
+
+    /// The largest change of an attitude since T was set to it, in units of momenta.
+    fn turned(&mut self) -> f64 {
+        let Self { stack, u, size, .. } = self;
+        let mut change = stack.like.constant(0.0);
+        for (now, before) in u.c.chunks_exact(R::LANES).zip(u.t.chunks_exact(R::LANES)) {
+            change = change.larger((stack.like.get(now) - stack.like.get(before)).size());
+        }
+        change.largest() * *size
+    }
+
+    /// What a solution is judged by.
+    fn judged(&mut self, rounds: u32, increment: f64) -> Solved {
+        let Self { stack, u, end, forces, .. } = self;
+        let like = stack.like;
+        let (mut stretch, mut turn) = (like.constant(0.0), like.constant(0.0));
+        let (mut end_stretch, mut end_turn) = (0.0_f64, 0.0_f64);
+        for i in 0..stack.n() {
+            for j in 0..stack.n() {
+                let c = stack.get(&u.c, i, j);
+                turn = turn + c * c;
+                stretch = stretch.larger(stack.get(&u.f, i, j).size());
+            }
+        }
+        for (c, f) in end.c.iter().zip(end.f.iter()) {
+            end_turn += c * c;
+            end_stretch = Real::larger(end_stretch, f.abs());
+        }
+        Solved {
+            rounds,
+            increment,
+            stretch: Real::larger(end_stretch, stretch.largest()),
+            turn: Real::larger(end_turn, turn.largest()),
+            nearness: match forces {
+                Forces::Body { torques, .. } => torques.nearness,
+                Forces::None { .. } | Forces::Stages { .. } => -1.0,
+            },
+        }
+    }
+    }
+
+    fn defects(&mut self) -> f64 {
+        self.embed();
+        self.slow_defects();
+        self.newest_defects()
+    }
+
+    /// Omega. Returns by how much it is not yet what mu asks for, in units of mu.
+    #[inline(always)]
+    fn velocities(&mut self) -> f64 {
+        let Unknowns { inertia, c, mu, omega, .. } = &mut *self.u;
+        match &mut self.forces {
+            Forces::None { .. } | Forces::Body { .. } => {
+                self.stack.entrywise_product(inertia, mu, omega);
+                0.0
+            }
+            Forces::Stages { system, stages } => {
+                let (mut change, mut size) = (0.0_f64, 0.0_f64);
+                for k in 0..*stages {
+                    let [c, mu, before] = [&*c, &*mu, &*omega].map(|m| lane(m, k, R::LANES));
+                    let mut now = before.clone();
+                    system.velocity(k, &c, &mu, &mut now);
+                    for (now, before) in now.iter().zip(&before) {
+                        change = Real::larger(change, (now - before).abs());
+                        size = size.max(now.abs());
+                    }
+                    set_lane(omega, k, R::LANES, &now);
+                }
+                if change == 0.0 { 0.0 } else { change / size * self.size }
+            }
+        }
+    }
+}
+
+/// [F], [K] and [C]: Newton's method for the polar factor of `I + D`, one step from the F that there is.
+#[inline(always)]
+fn polar_factor<R: Stored, D: Dimension>(
+    stack: Stack<R, D>,
+    d: &[f64],
+    c: &mut [f64],
+    f: &mut [f64],
+    k: &mut [f64],
+    room: &mut [f64],
+) {
+    stack.add_half_defect(c, f, room);
+    stack.plus_product(f, d, f, k);
+    stack.difference(d, k, c);
+}
+
+/// What passes over attitudes and momenta changed, in units of momenta.
+struct Passed {
+    first: f64,
+    last: f64,
+    /// What is left of an error.
+    left: f64,
+}
+
+/// How rounds converge.
+#[derive(Debug)]
+struct Rounds {
+    /// What a round leaves of an error, until it is seen.
+    expected: f64,
+    /// The last change, or what went before the first; a change that is much smaller than expected may be luck.
+    last: f64,
+    first: bool,
+}
+
+impl Rounds {
+    fn new(expected: f64, before: f64) -> Self {
+        Self { expected, last: before, first: true }
+    }
+
+    /// What is left of an error after a round that changed so much.
+    fn left(&mut self, change: f64) -> f64 {
+        let change = change.max(0.3 * self.expected * self.last);
+        let contraction =
+            if self.first { self.expected } else { (change / self.last).clamp(0.0, 1.0) };
+        (self.last, self.first) = (change, false);
+        // Of no change nothing is left.
+        if change > 0.0 { change * contraction } else { change }
+    }
+}
+
+/// The matrix of a stage.
+fn lane(matrices: &[f64], k: usize, lanes: usize) -> Vec<f64> {
+    matrices.iter().skip(k).step_by(lanes).copied().collect()
+}
+
+fn set_lane(matrices: &mut [f64], k: usize, lanes: usize, matrix: &[f64]) {
+    for (number, entry) in matrices.iter_mut().skip(k).step_by(lanes).zip(matrix) {
+        *number = *entry;
+    }
+}

@@ -1,0 +1,84 @@
+//! What is carried from step to step in n dimensions: the attitude, the momentum in space, and what rounding has taken off
+//! each.
+//!
+//! A step adds to each what is small relative to it: rounding makes a random walk and no drift (Brouwer's law; Hairer,
+//! McLachlan, Razakarivony 2008, BIT 48).
+//!
+//! Invariant: in space the momentum is what forces make of it and nothing else; the attitude is a rotation to round-off.
+
+use super::Solution;
+use crate::so::{self, Mat};
+use crate::space;
+use crate::trajectory::State;
+
+/// A sum, and what rounding has taken off it.
+#[derive(Clone, Debug)]
+pub(in crate::stepper) struct Sum<const N: usize> {
+    pub(in crate::stepper) value: Mat<N>,
+    carry: Mat<N>,
+}
+
+impl<const N: usize> Sum<N> {
+    /// Begins with `value`.
+    pub(in crate::stepper) fn new(value: Mat<N>) -> Self {
+        Self { value, carry: Mat::zeros() }
+    }
+
+    /// Adds `change` and what is carried.
+    pub(in crate::stepper) fn add(&mut self, change: &Mat<N>) {
+        for i in 0..N * N {
+            let (sum, left) = space::sum(self.value[i], change[i] + self.carry[i]);
+            (self.value[i], self.carry[i]) = (sum, left);
+        }
+    }
+}
+
+/// The motion of a body.
+#[derive(Clone, Debug)]
+pub(in crate::stepper) struct Motion<const N: usize> {
+    attitude: Sum<N>,
+    /// In space.
+    momentum: Sum<N>,
+    /// The same in the body.
+    body_momentum: Mat<N>,
+}
+
+impl<const N: usize> Motion<N> {
+    /// Begins at a state.
+    pub(in crate::stepper) fn new(state: &State<N>) -> Self {
+        Self {
+            attitude: Sum::new(state.attitude),
+            momentum: Sum::new(skew(&so::conjugate(&state.attitude, &state.momentum))),
+            body_momentum: state.momentum,
+        }
+    }
+
+    /// g.
+    pub(in crate::stepper) fn attitude(&self) -> &Mat<N> {
+        &self.attitude.value
+    }
+
+    /// The momentum in the body.
+    pub(in crate::stepper) fn body_momentum(&self) -> &Mat<N> {
+        &self.body_momentum
+    }
+
+    /// Goes on by a step.
+    pub(in crate::stepper) fn advance(&mut self, Solution { turn, impulse, .. }: &Solution<N>) {
+        let g = self.attitude.value;
+        if impulse.iter().any(|x| *x != 0.0) {
+            self.momentum.add(&skew(&so::conjugate(&g, impulse)));
+        }
+        // What is carried turns along, and the deficit of g^T g from one is added.
+        let deficit = (Mat::<N>::identity() - so::transposed_product(&g, &g)) * 0.5;
+        let carried = so::product(&self.attitude.carry, turn);
+        self.attitude.add(&(so::product(&g, &(turn + deficit)) + carried));
+        let seen = self.attitude.value.transpose();
+        self.body_momentum = skew(&so::conjugate(&seen, &self.momentum.value));
+    }
+}
+
+/// The skew part, of what is skew but for rounding.
+fn skew<const N: usize>(x: &Mat<N>) -> Mat<N> {
+    so::asym(x) * 0.5
+}
