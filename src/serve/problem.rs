@@ -289,6 +289,7 @@ impl From<StudyRefusal> for Problem {
             StudyRefusal::QueueFull => {
                 with(StatusCode::TOO_MANY_REQUESTS, "queue_full").retry(RETRY_S)
             }
+            StudyRefusal::Drawing => with(StatusCode::TOO_MANY_REQUESTS, "busy").retry(1),
             StudyRefusal::Unknown => with(StatusCode::NOT_FOUND, "unknown_study"),
             StudyRefusal::NoFile => with(StatusCode::NOT_FOUND, "no_file"),
             StudyRefusal::Running => with(StatusCode::CONFLICT, "study_running"),

@@ -10,7 +10,7 @@ mod worker;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread::{self, JoinHandle};
 
 use chrono::{DateTime, Utc};
@@ -145,6 +145,8 @@ pub(super) enum StudyRefusal {
     NoFile,
     #[error("the study is running: cancel it first")]
     Running,
+    #[error("the picture of a sweep that has not ended is being drawn: try again later")]
+    Drawing,
     #[error("{0}")]
     Member(ScenarioError),
     #[error(
@@ -365,8 +367,12 @@ impl Studies {
     }
 
     fn picture(&self, id: Uuid) -> Result<String, StudyRefusal> {
-        // One after the other: each reads a whole table.
-        let _turn = self.0.drawing.lock().unwrap_or_else(PoisonError::into_inner);
+        // One at a time, for each reads a whole table; who would wait takes a thread from others.
+        let _turn = match self.0.drawing.try_lock() {
+            Ok(turn) => turn,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return Err(StudyRefusal::Drawing),
+        };
         let TableOf::File { path, .. } = self.table(id)? else { return Err(StudyRefusal::NoFile) };
         let shown = self.sweep(id)?.shown(&path, None).map_err(|_| StudyRefusal::NoFile)?;
         chart::sweep(&shown).map_err(|_| StudyRefusal::NoFile)

@@ -444,6 +444,28 @@ fn lyapunov_exponents_are_those_of_known_motions() {
     // Of a regular motion distances grow in proportion to time: ln(50 / 25) / 25 s.
     assert_eq!(exponents.len(), 4);
     assert!(exponents[2..].iter().all(|x| x.abs() < 0.035), "{exponents:?}");
+
+    // A body at rest straight above its pivot is left with the rate (weight / I)^(1/2), whatever the method.
+    let methods =
+        ["vpd", "vpd_lagrangian", "splitting", "quaternion_gauss", "lgvi", "vrkmk", "rkmk"];
+    let sweep = json!({
+        "scenario": {
+            "name": "upright",
+            "scene": {
+                "inertia": { "principal": [2, 2, 0.5] },
+                "potential": [{ "kind": "uniform", "weight": 9.81, "body_point": [0, 0, 1], "direction": [0, 0, 1] }]
+            },
+            "step_s": 0.01, "steps": 2000, "log": { "every": 5 }
+        },
+        "vary": [{ "name": "method", "pointer": "/method/name", "values": { "list": methods } }],
+        "scores": [{ "name": "exponent", "measure": { "lyapunov_exponent": { "skip_s": 5 } } }]
+    });
+    write(at, "upright.json", &sweep);
+    succeeds(at, &["sweep", "upright.json"]);
+    for line in lines(at, "upright.csv") {
+        let relative = number(&line, "exponent") / (9.81_f64 / 2.0).sqrt() - 1.0;
+        assert!(relative.abs() < 1e-7, "{line:?}");
+    }
 }
 
 /// A sweep of a second or so on one core.
