@@ -7,14 +7,15 @@
 //! Invariant: a [`Scenario`] exists only if every field has a legal form; every error carries the JSON
 //! pointer of the field at fault.
 
+mod change;
 mod check;
 mod ensemble;
 mod parse;
 mod term;
 
-pub(crate) use check::SMALLEST_STEP_S;
+pub(crate) use change::set;
+pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
 pub use ensemble::Ensemble;
-#[cfg(feature = "serve")]
 pub(crate) use parse::{from_tree, tree as read_tree};
 pub(crate) use term::Drawn;
 pub use term::{GravityGradient, PointSource, PotentialTerm, Spring, Uniform};
