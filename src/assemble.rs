@@ -18,12 +18,19 @@ pub(crate) struct Assembly<const N: usize> {
     pub(crate) initial: State<N>,
     /// Of an ensemble.
     pub(crate) members: Option<Box<dyn Members<N>>>,
+    /// A second stepper of the same kind, for who follows a motion beside the run.
+    pub(crate) shadow: Option<Box<dyn Stepper<N>>>,
 }
 
 /// Something to be done with a planned body, whatever its n: a run that writes a log, a run of a study.
 pub(crate) trait Task {
     /// What comes of it.
     type Output;
+
+    /// Is a second stepper needed?
+    fn has_shadow(&self) -> bool {
+        false
+    }
 
     /// Does it.
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output;
@@ -60,7 +67,8 @@ fn perform<const N: usize, T: Task>(
         together(plan).unwrap_or_else(|| Box::new(Apart(std::array::from_fn(|_| stepper()))))
     });
     let (body, initial) = plan.model.problem::<N>();
-    task.perform(Assembly { body, stepper: stepper(), initial, members })
+    let shadow = task.has_shadow().then(stepper);
+    task.perform(Assembly { body, stepper: stepper(), initial, members, shadow })
 }
 
 /// What the stepper of the plan's method is made from.

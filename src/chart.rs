@@ -19,10 +19,12 @@ use crate::log::course::{Course, LogChart};
 mod map;
 mod plot;
 mod studies;
+mod sweep;
 
 pub use map::stability_map;
 pub use plot::{Axis, Line, Plot, Scale, Style};
 pub use studies::{long_term, precision};
+pub(crate) use sweep::sweep;
 
 /// Why a chart could not be drawn.
 #[derive(Debug, Error)]
@@ -155,6 +157,7 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
         x: TIME,
         y,
         lines: Vec::new(),
+        points: Vec::new(),
         guides: Vec::new(),
         guide_label: String::new(),
     }

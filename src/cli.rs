@@ -14,7 +14,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
@@ -25,16 +25,18 @@ use crate::log::LAYOUT;
 use crate::log::inspect::inspect;
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
-use crate::scenario::{Scenario, ScenarioError};
+use crate::scenario::{self, Scenario, ScenarioError};
 #[cfg(feature = "serve")]
 use crate::serve::{ServeError, apart};
 use crate::study::StudyError;
+use crate::sweep::SweepError;
 use crate::verify::{self, VerifyError};
 
 #[cfg(feature = "serve")]
 mod serve;
 #[cfg(feature = "chart")]
 mod study;
+mod sweep;
 mod text;
 
 /// Rotating bodies on SO(n): symplectic, on the group to round-off, logged as MCAP.
@@ -57,6 +59,10 @@ enum Command {
     /// Find the steps at which each method fails on a scenario: a map and the largest usable steps.
     #[cfg(feature = "chart")]
     Stability(study::StabilityArgs),
+    /// Run a scenario many times over values of its fields: one table, with a line a run.
+    Sweep(sweep::SweepArgs),
+    /// Put the parts of a sweep, from --shard, together to its table.
+    Merge(sweep::MergeArgs),
     /// Take jobs over HTTP, run them on worker threads, hand out their logs.
     #[cfg(feature = "serve")]
     Serve(serve::ServeArgs),
@@ -64,8 +70,8 @@ enum Command {
     Inspect(InspectArgs),
     /// Run the job inside a log again and compare every sample bit for bit.
     Verify(InspectArgs),
-    /// Print the JSON Schema of a scenario.
-    Schema,
+    /// Print the JSON Schema of a scenario or of a sweep.
+    Schema(SchemaArgs),
     /// Carry out what a service asks for on stdin: its own affair.
     #[cfg(feature = "serve")]
     #[command(hide = true, name = apart::SUBCOMMAND)]
@@ -143,6 +149,20 @@ struct InspectArgs {
     json: bool,
 }
 
+#[derive(Debug, Args)]
+struct SchemaArgs {
+    /// Of what.
+    #[arg(value_enum, default_value_t)]
+    of: SchemaOf,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+enum SchemaOf {
+    #[default]
+    Scenario,
+    Sweep,
+}
+
 /// What ends a command early.
 #[derive(Debug, thiserror::Error)]
 enum CliError {
@@ -152,6 +172,12 @@ enum CliError {
     Write { path: PathBuf, source: io::Error },
     #[error("{}: {source}", path.display())]
     Scenario { path: PathBuf, source: ScenarioError },
+    #[error("{}: {}: {}", path.display(), if source.pointer.is_empty() { "the sweep" } else { &source.pointer }, source.message)]
+    Sweep { path: PathBuf, source: ScenarioError },
+    #[error("{}: member {member}: {source}", path.display())]
+    Member { path: PathBuf, member: u64, source: ScenarioError },
+    #[error(transparent)]
+    Table(#[from] SweepError),
     #[error(transparent)]
     Run(#[from] RunError),
     #[error("{0}")]
@@ -182,9 +208,13 @@ enum CliError {
 impl CliError {
     fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Read { .. } | Self::Scenario { .. } | Self::Study(StudyError::Scenario(_)) => {
-                ExitCode::from(2)
-            }
+            Self::Read { .. }
+            | Self::Scenario { .. }
+            | Self::Sweep { .. }
+            | Self::Member { .. }
+            | Self::Study(StudyError::Scenario(_)) => ExitCode::from(2),
+            Self::Table(error) if error.is_bad_input() => ExitCode::from(2),
+            Self::Table(SweepError::Interrupted { .. }) => ExitCode::from(130),
             Self::Run(RunError::Log(error)) if error.is_busy() || error.code() == "log_exists" => {
                 ExitCode::from(2)
             }
@@ -210,13 +240,21 @@ pub fn main() -> ExitCode {
         Command::Chart(args) => study::draw(&args),
         #[cfg(feature = "chart")]
         Command::Stability(args) => study::map(&args),
+        Command::Sweep(args) => sweep::sweep(&args),
+        Command::Merge(args) => sweep::merge(&args),
         #[cfg(feature = "serve")]
         Command::Serve(args) => serve::serve(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Verify(args) => verify(&args),
         #[cfg(feature = "serve")]
         Command::Apart => apart::child().map(|()| ExitCode::SUCCESS).map_err(CliError::Output),
-        Command::Schema => print_json(&crate::scenario::schema()).map(|()| ExitCode::SUCCESS),
+        Command::Schema(SchemaArgs { of }) => {
+            let schema = match of {
+                SchemaOf::Scenario => scenario::schema(),
+                SchemaOf::Sweep => crate::sweep::schema(),
+            };
+            print_json(&schema).map(|()| ExitCode::SUCCESS)
+        }
     };
     done.unwrap_or_else(|error| {
         // A closed stderr must not turn an answer into a panic.
@@ -244,22 +282,7 @@ fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
     let mut document: serde_json::Value =
         serde_json::from_slice(text).expect("the text was read as a scenario before");
     for Change { pointer, value } in changes {
-        let missing = || ScenarioError::invalid(pointer.as_str(), "there is no such field to set");
-        let mut place = &mut document;
-        for key in pointer.split('/').skip(1) {
-            place = match place {
-                serde_json::Value::Array(items) => {
-                    let index = key.parse::<usize>().ok();
-                    index.and_then(|index| items.get_mut(index)).ok_or_else(missing)?
-                }
-                // Sections may be left out of a file; one that does not exist is refused when it is read.
-                serde_json::Value::Object(map) => {
-                    map.entry(key).or_insert_with(|| serde_json::json!({}))
-                }
-                _ => return Err(missing()),
-            };
-        }
-        *place = value.clone();
+        scenario::set(&mut document, pointer, value.clone())?;
     }
     Ok(document.to_string().into_bytes())
 }
@@ -288,10 +311,21 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     } else {
         io::stdout().write_all(text::summary(&summary).as_bytes())?;
     }
-    Ok(match summary.outcome {
+    Ok(exit_code(summary.outcome))
+}
+
+/// Runs a plan to a log and says how it ended.
+fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
+    let summary = watched(plan, log, force)?;
+    io::stdout().write_all(text::summary(&summary).as_bytes())?;
+    Ok(exit_code(summary.outcome))
+}
+
+fn exit_code(outcome: Outcome) -> ExitCode {
+    match outcome {
         Outcome::Succeeded => ExitCode::SUCCESS,
         Outcome::Failed | Outcome::Cancelled => ExitCode::from(1),
-    })
+    }
 }
 
 /// Runs on a thread of its own. If somebody looks, a progress bar with the time left follows; ctrl-c ends the run with a log

@@ -45,6 +45,7 @@
 //! | a potential, a Hamiltonian or a Lagrangian of your own | [`solve`], [`run::Recording`], [`study::own`] |
 //! | a log | [`log::reader`], [`log::inspect`], `chart`, [`verify`] |
 //! | an accuracy instead of a method | [`advise`] |
+//! | many values of a field | [`sweep`] |
 //!
 //! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
 
@@ -52,10 +53,12 @@ pub mod method;
 pub mod scenario;
 pub mod plan;
 mod assemble;
+mod in_order;
 pub mod run;
 pub use vpd_solve as solve;
 pub mod study;
 pub mod advise;
+pub mod sweep;
 pub mod log;
 #[cfg(feature = "live")]
 pub mod live;

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub mod course;
 pub mod inspect;
 pub mod messages;
-mod part;
+pub(crate) mod part;
 pub mod reader;
 pub mod resume;
 pub mod samples;
@@ -133,7 +133,7 @@ impl LogError {
 
     /// Whether another process writes the log.
     pub fn is_busy(&self) -> bool {
-        matches!(self, Self::Storage { source, .. } if source.get_ref().is_some_and(|inner| inner.is::<part::Busy>()))
+        matches!(self, Self::Storage { source, .. } if part::is_busy(source))
     }
 
     fn io(path: &Path, action: &'static str, source: io::Error) -> Self {

@@ -7,19 +7,20 @@
 //! Invariant: a [`Scenario`] exists only if every field has a legal form; every error carries the JSON
 //! pointer of the field at fault.
 
+mod change;
 mod check;
 mod driven;
 mod ensemble;
 mod parse;
 mod term;
 
-pub(crate) use check::SMALLEST_STEP_S;
+pub(crate) use change::set;
+pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
 pub use driven::{
     DrivenTerm, Factor, Harmonic, OfMomentum, Orbit, Path, Table, Torque, TorqueTable, Turning,
     Viscous,
 };
 pub use ensemble::Ensemble;
-#[cfg(feature = "serve")]
 pub(crate) use parse::{from_tree, tree as read_tree};
 pub(crate) use term::Drawn;
 pub use term::{GravityGradient, PointSource, PotentialTerm, Spring, Uniform};

@@ -154,7 +154,8 @@ pub async fn serve(
     let (workers, program) = (config.workers, config.program.clone());
     let (engine, drained) =
         Engine::start(store, workers, limits, live.clone(), program.clone()).await?;
-    let (studies, studying) = Studies::start(StudyStore::open(&config.data)?, program).await?;
+    let (studies, studying) =
+        Studies::start(StudyStore::open(&config.data)?, limits, program).await?;
     let gate = Gate::new(&config, links.clone());
     let (stop, stopped) = watch::channel(false);
     let app = App::new(engine.clone(), studies.clone(), Desk::open()?, &config, links);

@@ -153,8 +153,8 @@ fn color(map: &Map, energy_error: Option<f64>) -> RGBColor {
     shade((decade - low) / (high - low))
 }
 
-/// The colour at a place from 0 to 1.
-fn shade(place: f64) -> RGBColor {
+/// The colour at a place from 0, bright, to 1, dark.
+pub(super) fn shade(place: f64) -> RGBColor {
     let scaled = place * (CIVIDIS.len() - 1) as f64;
     let index = (scaled as usize).min(CIVIDIS.len() - 2);
     let part = scaled - index as f64;

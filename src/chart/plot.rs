@@ -62,6 +62,8 @@ pub struct Plot<'a> {
     pub y: Axis<'a>,
     /// The lines.
     pub lines: Vec<Line>,
+    /// Points by themselves, behind the lines.
+    pub points: Vec<(f64, f64)>,
     /// Dashed lines in black to compare slopes with: two ends each.
     pub guides: Vec<[(f64, f64); 2]>,
     /// What the guides are, for the legend.
@@ -172,7 +174,8 @@ impl Plot<'_> {
             .iter()
             .map(|line| envelope(&line.points).iter().map(place).collect())
             .collect();
-        let all = || lines.iter().flatten();
+        let points: Vec<(f64, f64)> = self.points.iter().map(place).collect();
+        let all = || lines.iter().flatten().chain(&points);
         let x = self.x.scale.ruler(all().map(|p| p.0));
         let y = self.y.scale.ruler(all().map(|p| p.1));
         let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
@@ -203,6 +206,9 @@ impl Plot<'_> {
         let pixels = |points: &[(f64, f64)]| -> Vec<(i32, i32)> {
             points.iter().map(|point| chart.backend_coord(point)).collect()
         };
+        for pixel in pixels(&points) {
+            root.draw(&Circle::new(pixel, 2, PALETTE[0].filled()))?;
+        }
         for guide in &self.guides {
             let ends = guide.map(|end| place(&end));
             if let Some(ends) = clipped(ends, &x.range, &y.range) {

@@ -38,6 +38,7 @@ pub fn precision(
             x,
             y: ERROR,
             lines: lines.filter(|line| !line.points.is_empty()).collect(),
+            points: Vec::new(),
             guides: Vec::new(),
             guide_label: String::new(),
         }

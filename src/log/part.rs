@@ -173,7 +173,7 @@ impl Seek for Part {
 
 /// Opens and locks a file that is one: a link that somebody put in its place would have its target written over, and what
 /// is read from a pipe may never come.
-fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
+pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(
         options,
@@ -192,6 +192,11 @@ fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
 #[error("another process{} writes it", holder.map_or_else(String::new, |pid| format!(" ({pid})")))]
 pub(super) struct Busy {
     holder: Option<u32>,
+}
+
+/// Whether it is that another process writes the file.
+pub(crate) fn is_busy(error: &io::Error) -> bool {
+    error.get_ref().is_some_and(|inner| inner.is::<Busy>())
 }
 
 /// Locks a file for as long as it is open: two writers would leave what is no log.
@@ -326,7 +331,7 @@ fn sync(
 }
 
 /// The folder in which a file stands.
-pub(super) fn folder(path: &Path) -> &Path {
+pub(crate) fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
@@ -334,6 +339,6 @@ pub(super) fn folder(path: &Path) -> &Path {
 }
 
 /// Makes names in a folder durable.
-pub(super) fn sync_folder(folder: &Path) -> io::Result<()> {
+pub(crate) fn sync_folder(folder: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }

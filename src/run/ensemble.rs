@@ -4,18 +4,15 @@
 //! Invariant: the log depends neither on the threads nor on who goes next to whom. The end of each member stands in it
 //! once, and one whose end is in a whole chunk is not run again.
 
-use std::collections::BTreeMap;
 use std::convert::Infallible;
-use std::num::NonZeroUsize;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, mpsc};
-use std::thread;
+use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
 use super::{Asked, Control, End, JobContext, RunError, begin_log, finish, header, json, note};
 use crate::assemble::{Assembly, Task, assembled};
+use crate::in_order::{Turns, cores, in_order};
 use crate::log::LogError;
 use crate::log::course::Course;
 use crate::log::messages::{self, Figures, Member};
@@ -156,42 +153,20 @@ impl Ensemble<'_> {
         self.travel(assembly, numbers, self.plan.observables(), record, go_on)
     }
 
-    /// Runs the members that have not ended yet.
+    /// Runs the members that have not ended yet, and writes their ends in their order.
     fn others<const N: usize>(
         &self,
         log: &mut LogWriter<N>,
         ends: &mut Ends<N>,
     ) -> Result<(), RunError> {
         let left: Vec<u64> = (0..self.planned.members).filter(|&m| !ends.contains(m)).collect();
-        let queue = Queue::new(&left);
-        let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get);
-        thread::scope(|scope| {
-            let (send, receive) = mpsc::channel();
-            for _ in 0..cores.min(left.len()) {
-                let (send, queue) = (send.clone(), &queue);
-                scope.spawn(move || assembled(self.plan, Worker { ensemble: self, queue, send }));
-            }
-            drop(send);
-            let written = self.in_order(log, ends, &queue, receive.iter());
-            queue.close();
-            written
-        })
-    }
-
-    /// Writes the ends as they come from the threads, in the order of the members.
-    fn in_order<const N: usize>(
-        &self,
-        log: &mut LogWriter<N>,
-        ends: &mut Ends<N>,
-        queue: &Queue<'_>,
-        groups: impl Iterator<Item = (usize, Vec<Member>)>,
-    ) -> Result<(), RunError> {
-        let (mut waiting, mut next) = (BTreeMap::new(), 0);
         let mut open = 0;
-        for (place, group) in groups {
-            waiting.insert(place, group);
-            while let Some(group) = waiting.remove(&next) {
-                next += group.len();
+        in_order(
+            0..left.len() as u64,
+            WIDTH as u64,
+            cores(),
+            |turns| assembled(self.plan, Worker { ensemble: self, left: &left, turns }),
+            |group: Vec<Member>| {
                 for end in group {
                     self.ended(log, ends, end)?;
                     open += 1;
@@ -200,10 +175,9 @@ impl Ensemble<'_> {
                         open = 0;
                     }
                 }
-                queue.written(next);
-            }
-        }
-        Ok(())
+                Ok(())
+            },
+        )
     }
 
     fn ended<const N: usize>(
@@ -315,99 +289,24 @@ impl Ensemble<'_> {
     }
 }
 
-/// The members that wait for a thread.
-struct Queue<'a> {
-    members: &'a [u64],
-    places: Mutex<Places>,
-    moved: Condvar,
-    /// Nobody takes what the threads make any more.
-    closed: AtomicBool,
-}
-
-/// How far the members have come.
-#[derive(Default)]
-struct Places {
-    /// The first that no thread has taken.
-    next: usize,
-    /// The first that is not in the log.
-    written: usize,
-}
-
-impl<'a> Queue<'a> {
-    /// So many members may have ended before one that is slow.
-    const AHEAD: usize = 1024;
-
-    fn new(members: &'a [u64]) -> Self {
-        let (places, moved) = (Mutex::default(), Condvar::new());
-        Self { members, places, moved, closed: AtomicBool::new(false) }
-    }
-
-    fn places(&self) -> MutexGuard<'_, Places> {
-        self.places.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn is_closed(&self) -> bool {
-        self.closed.load(Ordering::Relaxed)
-    }
-
-    /// The next members and their place; waits while the log is too far behind. `None` if there are none left.
-    fn take(&self) -> Option<(usize, &'a [u64])> {
-        let mut places = self.places();
-        while places.next >= places.written + Self::AHEAD && !self.is_closed() {
-            places = self.moved.wait(places).unwrap_or_else(PoisonError::into_inner);
-        }
-        let place = places.next;
-        let left =
-            self.members.get(place..).filter(|left| !left.is_empty() && !self.is_closed())?;
-        places.next += WIDTH;
-        Some((place, &left[..WIDTH.min(left.len())]))
-    }
-
-    /// All members before this place are in the log.
-    fn written(&self, place: usize) {
-        self.places().written = place;
-        self.moved.notify_all();
-    }
-
-    fn close(&self) {
-        let places = self.places();
-        self.closed.store(true, Ordering::Relaxed);
-        drop(places);
-        self.moved.notify_all();
-    }
-}
-
-/// Closes the queue if a thread leaves it early, whatever the reason: the others wait for what it took.
-struct Leaving<'a> {
-    queue: &'a Queue<'a>,
-    early: bool,
-}
-
-impl Drop for Leaving<'_> {
-    fn drop(&mut self) {
-        if self.early {
-            self.queue.close();
-        }
-    }
-}
-
 /// A thread that runs members, a few at a time.
 struct Worker<'a> {
     ensemble: &'a Ensemble<'a>,
-    queue: &'a Queue<'a>,
-    send: mpsc::Sender<(usize, Vec<Member>)>,
+    /// The members that have not ended.
+    left: &'a [u64],
+    turns: &'a Turns<'a, Vec<Member>>,
 }
 
 impl Task for Worker<'_> {
-    type Output = ();
+    type Output = Option<()>;
 
-    fn perform<const N: usize>(self, mut assembly: Assembly<N>) {
-        let Self { ensemble, queue, send } = self;
+    fn perform<const N: usize>(self, mut assembly: Assembly<N>) -> Option<()> {
+        let Self { ensemble, left, turns } = self;
         let control: &Control = ensemble.context.control;
         // Nobody sees the singular values of a member that is not logged in full.
         let observables = Observables { sigma_min: false, ..ensemble.plan.observables() };
-        let mut leaving = Leaving { queue, early: true };
-        while let Some((place, group)) = queue.take() {
+        while let Some(places) = turns.take() {
+            let group = &left[places.start as usize..places.end as usize];
             let travelled = ensemble.travel(
                 &mut assembly,
                 group,
@@ -415,15 +314,13 @@ impl Task for Worker<'_> {
                 |_, _| Ok::<(), Infallible>(()),
                 |_| {
                     control.steps_done.fetch_add(group.len() as u64, Ordering::Relaxed);
-                    !control.stopped() && !queue.is_closed()
+                    !control.stopped() && !turns.is_closed()
                 },
             );
-            let Ok(Some(ends)) = travelled else { return };
-            if send.send((place, ends)).is_err() {
-                return;
-            }
+            let Ok(ends) = travelled;
+            turns.give(places, ends?)?;
         }
-        leaving.early = false;
+        Some(())
     }
 }
 

@@ -11,13 +11,15 @@ use crate::method::Integrator;
 /// Largest n of SO(n) that the program is built for.
 pub(crate) const MAX_DIMENSION: usize = 16;
 /// Largest size of any number of a scene.
-pub(super) const MAX_SIZE: f64 = 1e15;
+pub(crate) const MAX_SIZE: f64 = 1e15;
 /// Smallest size of a vector that is not zero: its square, and that of what follows from it, is a number still.
 pub(super) const SMALLEST_SIZE: f64 = 1e-15;
 /// Smallest strength of a term that is not zero.
 const SMALLEST_STRENGTH: f64 = 1e-30;
 /// Most terms of a potential.
 const MAX_TERMS: usize = 1000;
+/// Largest seed: JSON numbers are exact up to here.
+pub(crate) const LARGEST_SEED: u64 = (1 << 53) - 1;
 /// Most steps of a run.
 pub(super) const MAX_STEPS: u64 = 1_000_000_000_000;
 /// Most samples of a log.
@@ -35,9 +37,9 @@ const TOLERANCE_RANGE: (f64, f64) = (1e-16, 1e-3);
 /// Most sweeps a step may ask for.
 const MAX_ITERATIONS: u32 = 10_000;
 
-pub(super) type Check = Result<(), ScenarioError>;
+pub(crate) type Check = Result<(), ScenarioError>;
 
-pub(super) fn ensure(
+pub(crate) fn ensure(
     condition: bool,
     pointer: impl Into<String>,
     message: impl FnOnce() -> String,

@@ -5,10 +5,7 @@ use std::collections::HashSet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
-
-/// Largest seed: JSON numbers are exact up to here.
-const LARGEST_SEED: u64 = (1 << 53) - 1;
+use super::check::{Check, LARGEST_SEED, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
 
 /// Many runs of the scene. Member 0 starts as the scene says, the others at normally distributed distances from there.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -28,7 +28,7 @@ use super::link::LinkKey;
 use super::openapi::{self, Operation};
 use super::page::{self, Pictures};
 use super::problem::{self, Problem};
-use super::studies::{Request as StudyRequest, Studies, StudyList, StudyView};
+use super::studies::{Body as StudyRequest, Studies, StudyList, StudyView};
 use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, metrics};
 use crate::log::samples::{Curve, Samples};
@@ -252,8 +252,20 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/studies/{id}/table.csv",
             Read,
-            op("getStudyTable", "The table of a study").raw(200, "text/csv", "One row a run"),
+            op("getStudyTable", "The table of a study; of a sweep that runs, the rows so far").raw(
+                200,
+                "text/csv",
+                "One row a run",
+            ),
             get(studies::get_study_table),
+        )
+        .shared(),
+        Route::new(
+            "/studies/{id}/members/{member}",
+            Read,
+            op("getMember", "The scenario of a member of a sweep, `0.json` of the first")
+                .json::<Scenario>(200, "The scenario"),
+            get(studies::get_member),
         )
         .shared(),
         Route::new(

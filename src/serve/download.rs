@@ -5,12 +5,12 @@
 //! compressed: their length and positions are what viewers go by.
 
 use std::fs::{File, Metadata};
-use std::io;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, UNIX_EPOCH};
 
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, Bytes};
 use axum::extract::Request;
 use axum::http::header::{
     ACCEPT_RANGES, AUTHORIZATION, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE,
@@ -18,6 +18,7 @@ use axum::http::header::{
 };
 use axum::http::{HeaderValue, Method};
 use axum::response::{IntoResponse, Response};
+use futures_util::stream;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::services::ServeFile;
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -25,6 +26,9 @@ use uuid::Uuid;
 
 use super::config::Cors;
 use super::problem::Problem;
+
+/// Bytes of a table that are sent at once.
+const PIECE: usize = 64 << 10;
 
 const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName =
     HeaderName::from_static("cross-origin-resource-policy");
@@ -60,6 +64,57 @@ pub(super) async fn log(
     let answer = service.try_call(request).await.map_err(|error| Problem::unreadable(&error))?;
     let response = answer.into_response();
     Ok(if response.status().is_success() { as_log(id, response) } else { response })
+}
+
+/// The table of a sweep, streamed: of one that is being made the whole lines that are there, without the first, which says of
+/// what they are.
+pub(super) async fn table(path: PathBuf, finished: bool) -> Result<Body, Problem> {
+    let open = move || {
+        if !path.symlink_metadata()?.is_file() {
+            return Err(io::Error::from(io::ErrorKind::NotFound));
+        }
+        let mut file = File::open(path)?;
+        let mut length = file.metadata()?.len();
+        if !finished {
+            let mut reader = BufReader::new(&file);
+            let skipped = reader.skip_until(b'\n')? as u64;
+            length = whole_lines(&file, length)?.max(skipped);
+            file.seek(SeekFrom::Start(skipped))?;
+            length -= skipped;
+        }
+        Ok(file.take(length))
+    };
+    let opened = tokio::task::spawn_blocking(open).await.map_err(io::Error::other).flatten();
+    let file = opened.map_err(|error| Problem::unreadable(&error))?;
+    let pieces = stream::try_unfold(file, |mut file| async move {
+        tokio::task::spawn_blocking(move || {
+            let mut bytes = vec![0; PIECE];
+            let length = file.read(&mut bytes)?;
+            bytes.truncate(length);
+            Ok((length > 0).then(|| (Bytes::from(bytes), file)))
+        })
+        .await
+        .map_err(io::Error::other)
+        .flatten()
+    });
+    Ok(Body::from_stream(pieces))
+}
+
+/// The length of a file of `length` bytes up to the end of its last whole line.
+fn whole_lines(mut file: &File, length: u64) -> io::Result<u64> {
+    let mut end = length;
+    let mut bytes = vec![0; PIECE];
+    while end > 0 {
+        let from = end.saturating_sub(PIECE as u64);
+        let piece = &mut bytes[..(end - from) as usize];
+        file.seek(SeekFrom::Start(from))?;
+        file.read_exact(piece)?;
+        if let Some(at) = piece.iter().rposition(|&byte| byte == b'\n') {
+            return Ok(from + at as u64 + 1);
+        }
+        end = from;
+    }
+    Ok(0)
 }
 
 /// What stands at a path. HTTP knows no date before 1970: a file that has one, of a clock that stood wrong, gets another.

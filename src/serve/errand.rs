@@ -13,8 +13,11 @@ use super::job::{Fault, Trouble};
 use super::store::StoreError;
 use super::studies::{Answer, Question, Unanswered};
 use crate::advise::Settled;
+use crate::log::is_transient;
 use crate::run::{Control, JobContext, RunError, Summary, execute, give_up};
 use crate::scenario::Scenario;
+use crate::study::StudyError;
+use crate::sweep::SweepError;
 
 /// Something to be done.
 #[derive(Debug, Serialize, Deserialize)]
@@ -43,6 +46,8 @@ pub(super) enum Errand {
     Study {
         /// The request, as it was sent.
         request: String,
+        /// Where the table of a sweep goes.
+        folder: PathBuf,
     },
 }
 
@@ -105,14 +110,21 @@ impl Errand {
                 let ended = give_up(&plan, log, fault.reason());
                 ended.map(|summary| Done::Ran(Box::new(summary))).map_err(|error| broken(&error))
             }
-            Self::Study { request } => {
+            Self::Study { request, folder } => {
                 let unanswered = |error: String| Broken::Unanswered(error);
                 let question = Question::from_json(request.as_bytes());
                 let question = question.map_err(|error| unanswered(error.to_string()))?;
-                match question.answer(&control.settling) {
+                match question.answer(&control.settling, folder) {
                     Ok(answer) => Ok(Done::Studied(answer)),
-                    Err(Unanswered::Study(crate::study::StudyError::Cancelled)) => {
-                        Err(Broken::Stopped)
+                    Err(
+                        Unanswered::Study(StudyError::Cancelled)
+                        | Unanswered::Sweep(SweepError::Interrupted { .. }),
+                    ) => Err(Broken::Stopped),
+                    Err(Unanswered::Sweep(SweepError::Io { source, .. }))
+                        if is_transient(&source) =>
+                    {
+                        let message = "the service could not write the table".to_owned();
+                        Err(Broken::Trouble(Trouble::new("storage_error", message)))
                     }
                     Err(error) => Err(unanswered(error.to_string())),
                 }

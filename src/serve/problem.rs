@@ -289,9 +289,17 @@ impl From<StudyRefusal> for Problem {
             StudyRefusal::QueueFull => {
                 with(StatusCode::TOO_MANY_REQUESTS, "queue_full").retry(RETRY_S)
             }
+            StudyRefusal::Drawing => with(StatusCode::TOO_MANY_REQUESTS, "busy").retry(1),
             StudyRefusal::Unknown => with(StatusCode::NOT_FOUND, "unknown_study"),
             StudyRefusal::NoFile => with(StatusCode::NOT_FOUND, "no_file"),
             StudyRefusal::Running => with(StatusCode::CONFLICT, "study_running"),
+            StudyRefusal::Member(error) => error.into(),
+            StudyRefusal::TooExpensive { .. } => {
+                Self { pointer: Some("/vary".to_owned()), ..with(UNPROCESSABLE, "too_expensive") }
+            }
+            StudyRefusal::TableTooLarge { .. } => {
+                Self { pointer: Some("/vary".to_owned()), ..with(UNPROCESSABLE, "log_too_large") }
+            }
         }
     }
 }

@@ -10,7 +10,7 @@ mod worker;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError, TryLockError};
 use std::thread::{self, JoinHandle};
 
 use chrono::{DateTime, Utc};
@@ -22,9 +22,14 @@ use uuid::Uuid;
 
 use super::job::{State, created};
 use super::store::{FoundStudy, StoreError, StudyStore};
-use super::{ServeError, chain};
+use super::{Limits, ServeError, chain};
+use crate::chart;
+use crate::log::part_path;
 use crate::run::Control;
-pub(super) use question::{Answer, Kind, Question, Request, Unanswered};
+use crate::scenario::ScenarioError;
+use crate::sweep::Sweep;
+pub(super) use question::{Answer, Body, Kind, Question, Unanswered};
+use question::{PICTURE, TABLE};
 
 /// Studies that may wait.
 const QUEUE: usize = 16;
@@ -77,6 +82,9 @@ struct Shared {
     index: Mutex<Index>,
     work: Condvar,
     store: StudyStore,
+    limits: Limits,
+    /// Held by who draws an unfinished sweep.
+    drawing: Mutex<()>,
     /// The program that carries out errands in a process of its own.
     program: Option<PathBuf>,
     runtime: Handle,
@@ -137,14 +145,35 @@ pub(super) enum StudyRefusal {
     NoFile,
     #[error("the study is running: cancel it first")]
     Running,
+    #[error("the picture of a sweep that has not ended is being drawn: try again later")]
+    Drawing,
+    #[error("{0}")]
+    Member(ScenarioError),
+    #[error(
+        "the sweep is estimated to compute for {estimate_s:.0} s on one core, at most {limit_s:.0} s are taken on"
+    )]
+    TooExpensive { estimate_s: f64, limit_s: f64 },
+    #[error("the table is estimated to have {estimate} bytes, at most {limit} are taken on")]
+    TableTooLarge { estimate: u64, limit: u64 },
     #[error(transparent)]
     Store(#[from] StoreError),
+}
+
+/// The table of a study.
+pub(super) enum TableOf {
+    Text(String),
+    /// That of a sweep; while it is made, the lines that are there, below one that says of what.
+    File {
+        path: PathBuf,
+        finished: bool,
+    },
 }
 
 impl Studies {
     /// Resumes the studies of the store and starts the thread that makes them; it ends after [`Studies::stop`].
     pub(super) async fn start(
         store: StudyStore,
+        limits: Limits,
         program: Option<PathBuf>,
     ) -> Result<(Self, JoinHandle<()>), ServeError> {
         let unreadable = |error: StoreError| ServeError::Record { message: chain(&error) };
@@ -160,7 +189,16 @@ impl Studies {
             index.studies.insert(id, study);
         }
         let (index, work) = (Mutex::new(index), Condvar::new());
-        let shared = Arc::new(Shared { index, work, store, program, runtime: Handle::current() });
+        let runtime = Handle::current();
+        let shared = Arc::new(Shared {
+            index,
+            work,
+            store,
+            limits,
+            drawing: Mutex::new(()),
+            program,
+            runtime,
+        });
         let worker = shared.clone();
         let thread = thread::Builder::new().name("studies".to_owned()).spawn(move || {
             super::give_way();
@@ -186,13 +224,23 @@ impl Studies {
         question: Question,
         request: &[u8],
     ) -> Result<StudyView, StudyRefusal> {
+        if let Question::Sweep(sweep) = &question {
+            let (estimate_s, estimate) = sweep.estimate().map_err(StudyRefusal::Member)?;
+            let Limits { run_s: limit_s, log_bytes: limit, .. } = self.0.limits;
+            if !(estimate_s <= limit_s) {
+                return Err(StudyRefusal::TooExpensive { estimate_s, limit_s });
+            }
+            if estimate > limit {
+                return Err(StudyRefusal::TableTooLarge { estimate, limit });
+            }
+        }
         let id = Uuid::now_v7();
         let mut index = self.0.index();
         if index.studies.values().filter(|study| study.waits()).count() >= QUEUE {
             return Err(StudyRefusal::QueueFull);
         }
         let study = Study {
-            kind: question.kind,
+            kind: question.kind(),
             name: question.name().to_owned(),
             attempts: 0,
             suspect: false,
@@ -266,13 +314,68 @@ impl Studies {
         Ok(self.0.store.forget(id)?)
     }
 
-    /// A table or a chart of a study.
+    /// The table of a study. Blocking.
+    pub(super) fn table(&self, id: Uuid) -> Result<TableOf, StudyRefusal> {
+        if self.kind(id)? != Kind::Sweep {
+            return self.file(id, TABLE).map(TableOf::Text);
+        }
+        let path = self.0.store.folder(id).join(TABLE);
+        let part = part_path(&path);
+        // Finished between the two looks, it is there at the third.
+        let there = [(&path, true), (&part, false), (&path, true)];
+        let found = there.into_iter().find(|(path, _)| path.is_file());
+        let (path, finished) = found.ok_or(StudyRefusal::NoFile)?;
+        Ok(TableOf::File { path: path.clone(), finished })
+    }
+
+    /// The scenario of a member of a sweep. Blocking.
+    pub(super) fn member(&self, id: Uuid, member: u64) -> Result<Vec<u8>, StudyRefusal> {
+        let scenario = self.sweep(id)?.scenario(member).map_err(StudyRefusal::Member)?;
+        Ok(scenario.to_json())
+    }
+
+    /// What was asked of a sweep.
+    fn sweep(&self, id: Uuid) -> Result<Box<Sweep>, StudyRefusal> {
+        if self.kind(id)? != Kind::Sweep {
+            return Err(StudyRefusal::NoFile);
+        }
+        let request = self.0.runtime.block_on(self.0.store.request(id))?;
+        match Question::from_json(&request) {
+            Ok(Question::Sweep(sweep)) => Ok(sweep),
+            Ok(Question::Methods(_)) => Err(StudyRefusal::NoFile),
+            // This build does not take it.
+            Err(error) => Err(StudyRefusal::Member(error)),
+        }
+    }
+
+    fn kind(&self, id: Uuid) -> Result<Kind, StudyRefusal> {
+        self.0.index().studies.get(&id).map(|study| study.kind).ok_or(StudyRefusal::Unknown)
+    }
+
+    /// A table or a chart of a study; the picture of a sweep that has not ended is drawn as far as it has come. Blocking.
     pub(super) fn file(&self, id: Uuid, name: &str) -> Result<String, StudyRefusal> {
         let index = self.0.index();
         let study = index.studies.get(&id).ok_or(StudyRefusal::Unknown)?;
-        let Phase::Ended(record) = &study.phase else { return Err(StudyRefusal::NoFile) };
-        let file = record.answer.files.iter().find(|(file, _)| *file == name);
-        file.map(|(_, text)| text.clone()).ok_or(StudyRefusal::NoFile)
+        if let Phase::Ended(record) = &study.phase
+            && let Some((_, text)) = record.answer.files.iter().find(|(file, _)| *file == name)
+        {
+            return Ok(text.clone());
+        }
+        let drawn = study.kind == Kind::Sweep && name == PICTURE;
+        drop(index);
+        if drawn { self.picture(id) } else { Err(StudyRefusal::NoFile) }
+    }
+
+    fn picture(&self, id: Uuid) -> Result<String, StudyRefusal> {
+        // One at a time, for each reads a whole table; who would wait takes a thread from others.
+        let _turn = match self.0.drawing.try_lock() {
+            Ok(turn) => turn,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return Err(StudyRefusal::Drawing),
+        };
+        let TableOf::File { path, .. } = self.table(id)? else { return Err(StudyRefusal::NoFile) };
+        let shown = self.sweep(id)?.shown(&path, None).map_err(|_| StudyRefusal::NoFile)?;
+        chart::sweep(&shown).map_err(|_| StudyRefusal::NoFile)
     }
 }
 
@@ -373,6 +476,9 @@ impl Study {
             _ => None,
         };
         let answer = record.map(|record| &record.answer);
+        // A sweep has a picture and a table from its beginning on.
+        let begun = self.kind == Kind::Sweep && !self.waits();
+        let unfinished = begun && answer.is_none_or(|answer| answer.files.is_empty());
         let link = |name: &str| match name.strip_suffix(".svg") {
             Some(_) => format!("/studies/{id}/charts/{name}"),
             None => format!("/studies/{id}/{name}"),
@@ -389,9 +495,13 @@ impl Study {
             reference: answer.and_then(|answer| answer.reference),
             rows: Vec::new(),
             borders: Vec::new(),
-            links: answer.map_or_else(Vec::new, |answer| {
-                answer.files.iter().map(|(name, _)| link(name)).collect()
-            }),
+            links: answer
+                .into_iter()
+                .flat_map(|answer| answer.files.iter().map(|(name, _)| name.as_str()))
+                .chain(unfinished.then_some(PICTURE))
+                .chain(begun.then_some(TABLE))
+                .map(link)
+                .collect(),
         }
     }
 }

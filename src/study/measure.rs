@@ -315,16 +315,20 @@ pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
         type Output = f64;
 
         fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
-            let Assembly { body, initial, .. } = assembly;
-            let mut seen = Vec::new();
-            body.seen_from(&initial.attitude, &mut seen);
-            let omega = body.velocity(&initial.momentum);
-            let rate = body.momentum_rate(&Mat::identity(), &initial.momentum, &omega, &seen);
-            size(&omega).max(size(&body.velocity(&rate)).sqrt())
+            rate_at(&assembly.body, &assembly.initial)
         }
     }
     let plan = variant(scene, &Method::default(), 1.0, 1)?;
     Ok(assembled(&plan, Rate))
+}
+
+/// The same at a state.
+pub(crate) fn rate_at<const N: usize>(body: &RigidBody<N>, state: &State<N>) -> f64 {
+    let mut seen = Vec::new();
+    body.seen_from(&state.attitude, &mut seen);
+    let omega = body.velocity(&state.momentum);
+    let rate = body.momentum_rate(&Mat::identity(), &state.momentum, &omega, &seen);
+    size(&omega).max(size(&body.velocity(&rate)).sqrt())
 }
 
 /// What the steps of a scenario take and do, without a log: for the bench that makes the table of costs.

@@ -6,7 +6,7 @@ The blocks of a file are run one after another in a directory that holds the shi
 ```sh is run by bash, with `vpd` the program, a service of the test in the place of localhost:8080, and the newest
 job in the place of ID; one that serves has to begin to listen; one with `fails` has to fail; one with `skip`
 belongs to the tree and is left out.
-```json is a scenario and must be accepted, under the name that follows if one does.
+```json is a scenario, or a sweep if it varies something, and must be accepted, under the name that follows if one does.
 Blocks without a language, or of another one, are what a program answered.
 """
 
@@ -59,7 +59,7 @@ def run(page, url, place):
         if kind == "json":
             file = place / (words.strip() or "block.json")
             file.write_text(text)
-            command = f"vpd plan {file.name} > {file.name}.plan"
+            command = f"vpd sweep {file.name} --member 0" if '"vary"' in text else f"vpd plan {file.name} > {file.name}.plan"
         elif text.startswith("vpd serve"):
             if not serves(text, place, env):
                 print(f"FAIL  {page}: does not serve:\n{text}")

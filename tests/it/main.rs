@@ -23,5 +23,6 @@ mod resume;
 mod scenarios;
 mod stability;
 mod study;
+mod sweep;
 mod verify;
 mod architecture;

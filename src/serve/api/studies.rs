@@ -1,17 +1,18 @@
 //! Handlers of `/studies`: unpack, one call, pack.
 
 use axum::Json;
-use axum::body::Bytes;
+use axum::body::{Body, Bytes};
 use axum::extract::{Path, State as Shared};
 use axum::http::header::{CONTENT_TYPE, LOCATION};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 
 use super::App;
-use super::request::{StudyId, is_plain_json, off_thread};
+use super::request::{StudyId, is_plain_json, json_text, off_thread};
+use crate::serve::download;
 use crate::serve::problem::Problem;
 use crate::serve::store;
-use crate::serve::studies::{Question, StudyList, StudyRefusal, StudyView};
+use crate::serve::studies::{Question, StudyList, StudyRefusal, StudyView, TableOf};
 
 pub(super) async fn submit_study(
     Shared(app): Shared<App>,
@@ -60,8 +61,22 @@ pub(super) async fn get_study_table(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<Response, Problem> {
-    let text = app.studies.file(id, "table.csv")?;
-    Ok(([(CONTENT_TYPE, "text/csv")], text).into_response())
+    let table = off_thread(move || app.studies.table(id)).await?;
+    let content = match table {
+        TableOf::Text(text) => Body::from(text),
+        TableOf::File { path, finished } => download::table(path, finished).await?,
+    };
+    Ok(([(CONTENT_TYPE, "text/csv")], content).into_response())
+}
+
+pub(super) async fn get_member(
+    Shared(app): Shared<App>,
+    Path((id, member)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let id = store::parse_id(&id).ok_or(StudyRefusal::Unknown)?;
+    let member = member.strip_suffix(".json").and_then(|number| number.parse().ok());
+    let member = member.ok_or(StudyRefusal::NoFile)?;
+    Ok(json_text(off_thread(move || app.studies.member(id, member)).await?))
 }
 
 pub(super) async fn get_study_chart(
@@ -72,6 +87,6 @@ pub(super) async fn get_study_chart(
     if !name.ends_with(".svg") {
         return Err(StudyRefusal::NoFile.into());
     }
-    let text = app.studies.file(id, &name)?;
+    let text = off_thread(move || app.studies.file(id, &name)).await?;
     Ok(([(CONTENT_TYPE, "image/svg+xml")], text).into_response())
 }

@@ -179,7 +179,9 @@ function unmark() {
 function complain({ body, message }) {
   unmark();
   text.setAttribute("aria-invalid", "true");
-  const spot = body?.pointer != null ? place(text.value, body.pointer.replace(/^\/scenario(?=\/|$)/, "")) : null;
+  // What is studied is the text; of a sweep it is in the text.
+  const pointer = isSweep(text.value) ? body?.pointer : body?.pointer?.replace(/^\/scenario(?=\/|$)/, "");
+  const spot = pointer != null ? place(text.value, pointer) : null;
   const line = spot && text.value.slice(0, spot[0]).split("\n").length;
   $("problem").append(h("strong", {}, line ? `Line ${line}` : "Rejected"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
   if (!spot) return;
@@ -197,6 +199,18 @@ async function submit(path, body) {
   try { return await send(path, body); } catch (error) { complain(error); return null; }
 }
 
+// Whether a text is a sweep: a scenario has no fields to vary.
+function isSweep(source) {
+  try { return Array.isArray(JSON.parse(source).vary); } catch { return false; }
+}
+
+async function runSweep(source) {
+  const study = await submit("studies", JSON.stringify({ ...JSON.parse(source), kind: "sweep" }));
+  if (!study) return;
+  location.hash = `#/studies/${study.id}`;
+  await refresh();
+}
+
 async function runJob(scenario) {
   const job = await submit("jobs", scenario);
   if (!job) return;
@@ -205,7 +219,7 @@ async function runJob(scenario) {
   await refresh();
 }
 
-$("editor").onsubmit = event => { event.preventDefault(); runJob(text.value); };
+$("editor").onsubmit = event => { event.preventDefault(); isSweep(text.value) ? runSweep(text.value) : runJob(text.value); };
 $("study").onclick = async () => {
   let scenario;
   try { scenario = JSON.parse(text.value); } catch (error) { complain(error); return; }

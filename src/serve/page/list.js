@@ -219,7 +219,7 @@ $("delete-chosen").onclick = async () => {
 
 // ---- studies
 
-const KINDS = { precision: "speed against accuracy", stability: "stability map", long_term: "long-term energy" };
+const KINDS = { precision: "speed against accuracy", stability: "stability map", long_term: "long-term energy", sweep: "sweep" };
 
 async function forgetStudy(study) {
   if (!confirm(`Delete the study of ${study.name}?`)) return;

@@ -220,7 +220,8 @@ async function viewStudy(id) {
     const ended = ENDED.includes(study.state);
     title(study.name, study.state);
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
-    const pictures = ended ? await Promise.all(files.filter(link => link.endsWith(".svg"))
+    // Of a sweep the members so far.
+    const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
       .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
     card.replaceChildren(
       h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
@@ -228,10 +229,25 @@ async function viewStudy(id) {
       ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
       h("div", { className: "charts" }, pictures.filter(Boolean)),
       h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
-        .map(link => h("a", { href: own(link).href, download: `${fileName(study.name)}.csv` }, "Table (CSV)"))));
+        .map(link => h("a", { href: own(link).href, download: `${fileName(study.name)}.csv` }, "Table (CSV)"))),
+      ended && study.kind === "sweep" ? memberForm(study) : "");
     if (ended) return;
-    await new Promise(later => setTimeout(later, 1000));
+    await new Promise(later => setTimeout(later, study.kind === "sweep" ? 5000 : 1000));
   }
+}
+
+// A member of a sweep, by its number in the table.
+function memberForm(study) {
+  const number = h("input", { type: "number", id: "member", min: 0, max: study.runs - 1, value: 0 });
+  return h("form", { className: "row", onsubmit: async event => {
+    event.preventDefault();
+    try {
+      const scenario = await (await call(`studies/${study.id}/members/${number.value}.json`)).text();
+      replaceText(scenario, "", `member ${number.value} of ${study.name}`);
+    } catch (error) { say(error.message); return; }
+    location.hash = "#/";
+    text.focus();
+  } }, h("label", { htmlFor: "member" }, "Member"), number, h("button", { className: "small" }, "Open in the editor"));
 }
 
 // ---- the whole

@@ -54,6 +54,11 @@ impl StudyStore {
         create(&self.objects, &key(id, REQUEST), sealed(request.to_vec())).await.map_err(failed)
     }
 
+    /// Where the files of a study stand.
+    pub(in crate::serve) fn folder(&self, id: Uuid) -> PathBuf {
+        self.studies.join(id.to_string())
+    }
+
     /// What was asked.
     pub(in crate::serve) async fn request(&self, id: Uuid) -> Result<Bytes, StoreError> {
         self.read(id, REQUEST).await

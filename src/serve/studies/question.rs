@@ -3,6 +3,8 @@
 //! Invariant: a [`Question`] can be carried out: what a client sent is checked as a scenario is, with the pointer
 //! of the field at fault.
 
+use std::path::Path;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -14,11 +16,17 @@ use crate::study::precision::precision;
 use crate::study::stability::stability;
 use crate::study::table::Table;
 use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
+use crate::sweep::{self, Options, Sweep, SweepError, SweepFile};
 
 /// Most methods of a study.
 const MAX_METHODS: usize = 40;
 /// Most steps of a run of a long-term study: all methods make them.
 const MAX_STEPS: u64 = 1_000_000;
+
+/// The table of a study; that of a sweep is a file next to its record.
+pub(super) const TABLE: &str = "table.csv";
+/// The picture of a sweep.
+pub(super) const PICTURE: &str = "sweep.svg";
 
 /// What is studied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -30,14 +38,41 @@ pub(in crate::serve) enum Kind {
     LongTerm,
     /// Where each method fails.
     Stability,
+    /// Many runs over fields of the scenario.
+    Sweep,
 }
 
 /// What a client asks for.
+#[derive(JsonSchema)]
+#[schemars(untagged, rename = "StudyRequest")]
+#[expect(dead_code, reason = "only its schema is used")]
+pub(in crate::serve) enum Body {
+    /// A study of methods.
+    Methods(Request),
+    /// A sweep, as in a file, that holds its scenario.
+    Sweep(Box<SweepFile>),
+}
+
+/// The kinds of a study of methods.
+#[derive(JsonSchema)]
+#[serde(rename_all = "snake_case")]
+#[expect(dead_code, reason = "only its schema is used")]
+enum MethodsKind {
+    /// Error against step and work.
+    Precision,
+    /// Energy and orthogonality over the scenario's run.
+    LongTerm,
+    /// Where each method fails.
+    Stability,
+}
+
+/// A study of methods on a scenario.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-#[schemars(rename = "StudyRequest")]
+#[schemars(rename = "MethodsRequest")]
 pub(in crate::serve) struct Request {
     /// What is studied.
+    #[schemars(with = "MethodsKind")]
     kind: Kind,
     /// The scenario, as of a job.
     #[schemars(with = "Scenario")]
@@ -52,8 +87,17 @@ pub(in crate::serve) struct Request {
 
 /// A request that can be carried out.
 #[derive(Clone, Debug)]
-pub(in crate::serve) struct Question {
-    pub(super) kind: Kind,
+pub(in crate::serve) enum Question {
+    /// A study of methods.
+    Methods(Box<Methods>),
+    /// Many runs over fields of a scenario.
+    Sweep(Box<Sweep>),
+}
+
+/// A study of methods that can be made.
+#[derive(Clone, Debug)]
+pub(in crate::serve) struct Methods {
+    kind: Kind,
     scene: Scenario,
     entries: Vec<Entry>,
     until_s: Option<f64>,
@@ -63,6 +107,62 @@ impl Question {
     /// Reads and checks a request.
     pub(in crate::serve) fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
         let tree = crate::scenario::read_tree(text)?;
+        if tree["kind"] != "sweep" {
+            return Ok(Self::Methods(Box::new(Methods::from_tree(tree)?)));
+        }
+        let sweep = Sweep::from_tree(tree)?;
+        if sweep.kept_logs().is_empty() {
+            return Ok(Self::Sweep(Box::new(sweep)));
+        }
+        let message = "is for `vpd sweep`; here a member that is run as a job has a log";
+        Err(ScenarioError::invalid("/keep_logs", message))
+    }
+
+    pub(super) fn kind(&self) -> Kind {
+        match self {
+            Self::Methods(methods) => methods.kind,
+            Self::Sweep(_) => Kind::Sweep,
+        }
+    }
+
+    /// The name of its scenario.
+    pub(in crate::serve) fn name(&self) -> &str {
+        match self {
+            Self::Methods(methods) => methods.scene.name(),
+            Self::Sweep(sweep) => sweep.name(),
+        }
+    }
+
+    /// Makes the study; the table of a sweep is written into `folder`, where what an interrupted one left is taken up.
+    ///
+    /// # Errors
+    /// If the scene cannot be studied, the table cannot be written, or the study is cancelled.
+    pub(in crate::serve) fn answer(
+        &self,
+        watch: &Watch,
+        folder: &Path,
+    ) -> Result<Answer, Unanswered> {
+        match self {
+            Self::Methods(methods) => methods.answer(watch),
+            Self::Sweep(sweep) => swept(sweep, watch, &folder.join(TABLE)),
+        }
+    }
+}
+
+/// Runs a sweep, unless its table is finished, and draws it.
+fn swept(sweep: &Sweep, watch: &Watch, table: &Path) -> Result<Answer, Unanswered> {
+    // Nothing else writes here: what is there is of this sweep, or of an older build.
+    if !table.is_file() {
+        let options = Options { threads: sweep::cores(), shard: None, replaces: true };
+        sweep::run(sweep, table, options, watch, |_| Ok::<(), SweepError>(()))?;
+    }
+    let picture = chart::sweep(&sweep.shown(table, None)?)?;
+    Ok(Answer { files: named(vec![(PICTURE, picture)]), ..Answer::default() })
+}
+
+impl Methods {
+    /// Reads and checks a request.
+    fn from_tree(tree: Value) -> Result<Self, ScenarioError> {
         let Request { kind, scenario, methods, until_s } = crate::scenario::from_tree(tree)?;
         let within = |place: String| {
             move |error: ScenarioError| ScenarioError {
@@ -114,17 +214,12 @@ impl Question {
         Ok(Self { kind, scene, entries, until_s })
     }
 
-    /// The name of its scenario.
-    pub(in crate::serve) fn name(&self) -> &str {
-        self.scene.name()
-    }
-
     /// Makes the study.
     ///
     /// # Errors
     /// If the scene cannot be studied, or the study is cancelled.
-    pub(in crate::serve) fn answer(&self, watch: &Watch) -> Result<Answer, Unanswered> {
-        let Question { kind, scene, entries, until_s } = self;
+    fn answer(&self, watch: &Watch) -> Result<Answer, Unanswered> {
+        let Self { kind, scene, entries, until_s } = self;
         let name = scene.name();
         let mut answer = Answer::default();
         let table: Table = match kind {
@@ -146,8 +241,9 @@ impl Question {
                 answer.borders = json(&map.borders);
                 map.table()
             }
+            Kind::Sweep => unreachable!("a sweep is a question of its own"),
         };
-        answer.files.push(("table.csv".to_owned(), table.to_csv()));
+        answer.files.push((TABLE.to_owned(), table.to_csv()));
         answer.rows = json(&table.rows);
         Ok(answer)
     }
@@ -171,6 +267,8 @@ pub(in crate::serve) enum Unanswered {
     Study(#[from] StudyError),
     #[error(transparent)]
     Chart(#[from] ChartError),
+    #[error(transparent)]
+    Sweep(#[from] SweepError),
 }
 
 fn named(files: Vec<(&str, String)>) -> Vec<(String, String)> {

@@ -5,23 +5,26 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
-use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::sync::{Arc, PoisonError};
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::Duration;
 
 use uuid::Uuid;
 
-use super::question::Answer;
-use super::{Phase, Record, Shared};
+use super::question::{Answer, Kind};
+use super::{Phase, Record, Shared, Study};
 use crate::run::Control;
 use crate::serve::errand::{Broken, Done, Errand};
 use crate::serve::job::State;
 use crate::serve::store::StoreError;
 use crate::serve::{apart, chain};
 
-/// Longest study: nobody waits longer, and others wait behind it.
+/// Longest study of methods: nobody waits longer, and others wait behind it.
 const LONGEST: Duration = Duration::from_secs(900);
+
+/// A sweep may take days. After so long it lets the studies that wait go first, and goes on behind them.
+const TURN: Duration = Duration::from_secs(5);
 
 /// Pause between attempts to write a result: long enough not to spin, short enough to notice space that returns.
 const RETRY_PAUSE: Duration = Duration::from_secs(1);
@@ -29,6 +32,7 @@ const RETRY_PAUSE: Duration = Duration::from_secs(1);
 /// A study in the hands of the thread.
 struct Turn {
     id: Uuid,
+    kind: Kind,
     attempt: u32,
     suspect: bool,
     control: Arc<Control>,
@@ -38,15 +42,23 @@ impl Shared {
     /// The life of the thread.
     pub(super) fn work(&self) {
         while let Some(turn) = self.next() {
-            let (ended, late) = limited(&turn.control);
-            let answer = catch_unwind(AssertUnwindSafe(|| self.answer(&turn)));
-            drop(ended);
-            let late = late.join().unwrap_or_default();
+            let (answer, late) = thread::scope(|scope| {
+                let (ended, end) = mpsc::channel();
+                let turn = &turn;
+                let late = scope.spawn(move || self.limit(turn, &end));
+                let answer = catch_unwind(AssertUnwindSafe(|| self.answer(turn)));
+                drop(ended);
+                (answer, late.join().unwrap_or_default())
+            });
             let (state, error, answer) = match answer {
                 Ok(Ok(answer)) => (State::Succeeded, None, answer),
                 Ok(Err(Broken::Stopped)) => {
                     if self.index().stopping {
                         return self.hand_back(&turn);
+                    }
+                    if !turn.control.cancelled.load(Ordering::Relaxed) {
+                        self.give_way(&turn);
+                        continue;
                     }
                     let error = late.then(|| format!("took longer than {} s", LONGEST.as_secs()));
                     let state = if late { State::Failed } else { State::Cancelled };
@@ -74,7 +86,8 @@ impl Shared {
         let Turn { id, attempt, control, .. } = turn;
         self.runtime.block_on(self.store.begin_attempt(*id, *attempt))?;
         let request = self.runtime.block_on(self.store.request(*id))?;
-        let errand = Errand::Study { request: String::from_utf8_lossy(&request).into_owned() };
+        let request = String::from_utf8_lossy(&request).into_owned();
+        let errand = Errand::Study { request, folder: self.store.folder(*id) };
         let done = match self.program.as_ref().filter(|_| turn.suspect) {
             Some(program) => apart::carry_out(program, &errand, control, None),
             None => errand.carry_out(control),
@@ -97,8 +110,8 @@ impl Shared {
             {
                 study.phase = Phase::Running;
                 study.attempts += 1;
-                let (attempt, suspect) = (study.attempts, study.suspect);
-                return Some(Turn { id, attempt, suspect, control: study.control.clone() });
+                let &mut Study { kind, attempts: attempt, suspect, .. } = study;
+                return Some(Turn { id, kind, attempt, suspect, control: study.control.clone() });
             }
             index = self.work.wait(index).unwrap_or_else(PoisonError::into_inner);
         }
@@ -184,13 +197,51 @@ impl Shared {
         drop(waited);
     }
 
-    /// Leaves a study for the next start; its attempt does not count.
-    fn hand_back(&self, turn: &Turn) {
+    /// Stops a study of methods that takes too long, and a sweep that has had its turn while others wait; until the study has
+    /// ended, and with it the sender is dropped. Says whether it was too long.
+    fn limit(&self, turn: &Turn, end: &Receiver<()>) -> bool {
+        let waited = |time| end.recv_timeout(time) == Err(RecvTimeoutError::Timeout);
+        if turn.kind != Kind::Sweep {
+            let late = waited(LONGEST);
+            if late {
+                turn.control.cancel();
+            }
+            return late;
+        }
+        while waited(TURN) {
+            if !self.index().queue.is_empty() {
+                turn.control.settling.cancelled.store(true, Ordering::Relaxed);
+                break;
+            }
+        }
+        false
+    }
+
+    /// Puts a sweep that was stopped in its turn behind those that wait; its attempt does not count.
+    fn give_way(&self, turn: &Turn) {
+        self.take_back_attempt(turn);
+        let mut index = self.index();
+        // One that was cancelled at this moment ends in its next turn: who cancels holds the index.
+        let cancelled = turn.control.cancelled.load(Ordering::Relaxed);
+        turn.control.settling.cancelled.store(cancelled, Ordering::Relaxed);
+        if let Some(study) = index.studies.get_mut(&turn.id) {
+            study.phase = Phase::Queued;
+            study.attempts -= 1;
+            index.queue.push_back(turn.id);
+        }
+    }
+
+    fn take_back_attempt(&self, turn: &Turn) {
         let Turn { id, attempt, .. } = *turn;
         if let Err(error) = self.runtime.block_on(self.store.take_back_attempt(id, attempt)) {
             tracing::warn!(study = %id, error = chain(&error), "attempt counted");
         }
-        tracing::info!(study = %id, "study interrupted; it is made again at the next start");
+    }
+
+    /// Leaves a study for the next start; its attempt does not count.
+    fn hand_back(&self, turn: &Turn) {
+        self.take_back_attempt(turn);
+        tracing::info!(study = %turn.id, "study interrupted; it is made again at the next start");
     }
 }
 
@@ -202,18 +253,4 @@ fn reported(broken: &Broken) -> String {
         Broken::Trouble(_) => "the store refused it".to_owned(),
         Broken::Stopped => "stopped".to_owned(),
     }
-}
-
-/// Cancels a study that takes too long, unless the sender is dropped before; says whether it did.
-fn limited(control: &Arc<Control>) -> (mpsc::Sender<()>, JoinHandle<bool>) {
-    let (ended, end) = mpsc::channel();
-    let control = control.clone();
-    let late = thread::spawn(move || {
-        let late = end.recv_timeout(LONGEST) == Err(RecvTimeoutError::Timeout);
-        if late {
-            control.cancel();
-        }
-        late
-    });
-    (ended, late)
 }

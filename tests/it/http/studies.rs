@@ -137,3 +137,110 @@ fn a_cancelled_study_has_no_result() {
     assert_eq!(ended(&server, &location)["state"], "cancelled");
     server.get(&format!("{location}/table.csv")).problem(404, "no_file");
 }
+
+/// A sweep over the step of the dipole, of so many members and steps.
+fn sweep(members: u64, steps: u64) -> Value {
+    let mut scenario = short();
+    scenario["steps"] = json!(steps);
+    json!({
+        "kind": "sweep", "scenario": scenario,
+        "vary": [{
+            "name": "spin", "pointer": "/scene/initial/momentum/body/2",
+            "values": { "linear": { "from": -0.01, "to": 0.01, "count": members } }
+        }],
+        "scores": [{ "name": "fastest", "measure": { "largest": "angular_speed" } }]
+    })
+}
+
+#[test]
+fn a_sweep_has_the_table_of_the_command_line() {
+    let data = directory();
+    let server = service(&data).start();
+    let location = ask(&server, &sweep(5, 100));
+    let study = ended(&server, &location);
+    assert_eq!((&study["state"], &study["runs_done"]), (&json!("succeeded"), &json!(5)), "{study}");
+    let table = server.get(&format!("{location}/table.csv"));
+    assert_eq!(table.header("content-type"), "text/csv");
+    let at = data.path();
+    std::fs::write(at.join("sweep.json"), sweep(5, 100).to_string()).expect("written");
+    assert_eq!(crate::cli::vpd(at, &["sweep", "sweep.json"]).status.code(), Some(0));
+    assert_eq!(table.body, std::fs::read(at.join("sweep.csv")).expect("a table"));
+    let links = study["links"].as_array().expect("links");
+    assert_eq!(links.len(), 2, "{links:?}");
+    let picture = server.get(links[0].as_str().expect("an address"));
+    assert_eq!(picture.header("content-type"), "image/svg+xml");
+    // A member is a scenario: a job for whoever wants its log.
+    let member = server.get(&format!("{location}/members/4.json"));
+    assert_eq!(member.json()["scene"]["initial"]["momentum"]["body"][2], 0.01);
+    assert_eq!(server.post("/jobs", &member.body).status, 202);
+    server.get(&format!("{location}/members/5.json")).problem(422, "invalid_input");
+    server.get(&format!("{location}/members/last.json")).problem(404, "no_file");
+    server.get(&format!("{location}/charts/table.csv")).problem(404, "no_file");
+}
+
+#[test]
+fn a_sweep_that_cannot_be_run_is_refused_at_its_field() {
+    let data = directory();
+    let server = service(&data).limits(|limits| limits.run_s = 100.0).start();
+    let change = |field: &str, value: Value| {
+        let mut sweep = sweep(5, 100);
+        sweep[field] = value;
+        sweep
+    };
+    for (sweep, pointer, code) in [
+        (change("scenario", json!("dipole.json")), "/scenario", "invalid_input"),
+        (change("keep_logs", json!([0])), "/keep_logs", "invalid_input"),
+        (change("methods", json!([])), "/methods", "invalid_input"),
+        (change("vary", json!([])), "/vary", "invalid_input"),
+        (sweep(1_000_000, 100_000), "/vary", "too_expensive"),
+    ] {
+        let problem = server.post("/studies", sweep.to_string().as_bytes()).problem(422, code);
+        assert_eq!(problem["pointer"], pointer, "{problem}");
+    }
+}
+
+#[test]
+fn a_sweep_shows_its_lines_gives_way_and_goes_on_after_a_restart() {
+    let data = directory();
+    let (members, steps) = (100_000, 2000);
+    let server = service(&data).start();
+    let location = ask(&server, &sweep(members, steps));
+    let lines = |server: &Server| {
+        let table = server.get(&format!("{location}/table.csv"));
+        if table.status != 200 {
+            return 0;
+        }
+        let text = String::from_utf8(table.body).expect("text");
+        assert!(text.starts_with("member,spin,outcome") && text.ends_with('\n'), "{text}");
+        text.lines().count() - 1
+    };
+    let first = until("lines", || Some(lines(&server)).filter(|&lines| lines > 10));
+    let picture = server.get(&format!("{location}/charts/sweep.svg"));
+    assert!(picture.status == 200 && picture.text().contains("<circle"), "{}", picture.status);
+    // It would take minutes; what is asked later is answered before it ends.
+    let later = ask(
+        &server,
+        &json!({
+            "kind": "long_term", "scenario": short(), "methods": [{ "name": "vpd", "tableau": "gauss2" }]
+        }),
+    );
+    assert_eq!(ended(&server, &later)["state"], "succeeded");
+    let running = server.get(&location).json();
+    assert!(
+        ["queued", "running"].contains(&running["state"].as_str().expect("a state")),
+        "{running}"
+    );
+    drop(server);
+
+    let server = service(&data).start();
+    let second = until("lines", || Some(lines(&server)).filter(|&lines| lines > first));
+    until("progress", || {
+        server.get(&location).json()["runs_done"].as_u64().filter(|&done| done > first as u64)
+    });
+    assert_eq!(server.post(&format!("{location}/cancel"), b"").status, 202);
+    assert_eq!(ended(&server, &location)["state"], "cancelled");
+    // What it found stays.
+    assert!(lines(&server) >= second);
+    assert_eq!(server.send("DELETE", &location, &[], None).status, 204);
+    server.get(&format!("{location}/table.csv")).problem(404, "unknown_study");
+}

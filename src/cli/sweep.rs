@@ -1,0 +1,193 @@
+//! `vpd sweep` and `vpd merge`: the table of a sweep, in one piece or in parts.
+
+use std::io::{self, IsTerminal, Write};
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::thread;
+use std::time::Duration;
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{CliError, logged};
+#[cfg(feature = "chart")]
+use crate::chart;
+use crate::run::{self, Control, JobContext};
+use crate::study::Watch;
+use crate::sweep::{self, Counts, Made, Options, Shard, Sweep, SweepError};
+
+#[derive(Debug, Args)]
+pub(super) struct SweepArgs {
+    /// The sweep, a JSON file.
+    sweep: PathBuf,
+    /// The table; by default the sweep's file name with .csv, here (of a shard with .i-of-N.csv). The logs of members that the
+    /// sweep keeps go into a folder beside it.
+    #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv")]
+    output: Option<PathBuf>,
+    /// Run on so many threads; by default on all cores.
+    #[arg(long, value_name = "N")]
+    threads: Option<NonZeroUsize>,
+    /// Make this part of the table alone, for `vpd merge`: 1/N to N/N.
+    #[arg(long, value_name = "i/N")]
+    shard: Option<Shard>,
+    /// Draw a column: a map over two fields, else points. A table that is finished is drawn as it stands.
+    #[cfg(feature = "chart")]
+    #[arg(long, value_name = "PICTURE.svg", conflicts_with = "shard")]
+    svg: Option<PathBuf>,
+    /// The column to draw; by default the one that the sweep names, else its first score.
+    #[cfg(feature = "chart")]
+    #[arg(long, value_name = "NAME", requires = "svg")]
+    column: Option<String>,
+    /// Print the scenario of one member, or run it to a log with --log.
+    #[arg(long, value_name = "K", conflicts_with_all = ["shard", "output"])]
+    member: Option<u64>,
+    /// Run the member and write its log.
+    #[arg(long, value_name = "FILE.mcap", requires = "member")]
+    log: Option<PathBuf>,
+    /// Replace what stands in the place of the table or the log: a finished one, or an unfinished one of something else.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct MergeArgs {
+    /// The parts, in any order.
+    #[arg(required = true, value_name = "PART.csv")]
+    parts: Vec<PathBuf>,
+    /// The whole table.
+    #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv")]
+    output: PathBuf,
+    /// Replace a table that stands in its place.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Makes a table or a part of one, or looks at one member.
+pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
+    let path = &args.sweep;
+    let sweep = Sweep::read(path).map_err(|error| match error {
+        SweepError::Field(source) => CliError::Sweep { path: path.clone(), source },
+        other => other.into(),
+    })?;
+    if let Some(member) = args.member {
+        return one(args, &sweep, member);
+    }
+    let table = args.output.clone().unwrap_or_else(|| {
+        let ending = args.shard.map_or_else(|| "csv".to_owned(), |shard| format!("{shard}.csv"));
+        PathBuf::from(path.file_name().unwrap_or_default()).with_extension(ending)
+    });
+    #[cfg(feature = "chart")]
+    if args.svg.is_some() && !args.force && table.exists() {
+        draw(args, &sweep, &table)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    let made = followed(args, &sweep, &table)?;
+    let Made { counts: Counts { succeeded, failed, refused }, resumed, first_refused } = made;
+    let mut out = io::stdout();
+    let total = succeeded + failed + refused;
+    writeln!(
+        out,
+        "members         {total}: {succeeded} succeeded, {failed} failed, {refused} refused"
+    )?;
+    if let Some((member, why)) = first_refused {
+        writeln!(out, "first refused   member {member}: {why}")?;
+    }
+    if resumed > 0 {
+        writeln!(out, "resumed         with {resumed} members in the table")?;
+    }
+    writeln!(out, "table           {}", table.display())?;
+    #[cfg(feature = "chart")]
+    draw(args, &sweep, &table)?;
+    // As of an ensemble: it has failed if every member has.
+    Ok(if succeeded > 0 || total == 0 { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+/// Puts parts together.
+pub(super) fn merge(args: &MergeArgs) -> Result<ExitCode, CliError> {
+    let members = sweep::merge(&args.parts, &args.output, args.force)?;
+    writeln!(io::stdout(), "members         {members}\ntable           {}", args.output.display())?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The scenario of a member, or its log.
+fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliError> {
+    let wrong = |source| CliError::Member { path: args.sweep.clone(), member, source };
+    match &args.log {
+        None => io::stdout().write_all(&sweep.scenario(member).map_err(wrong)?.to_json())?,
+        Some(log) => {
+            let plan = sweep.plan(member).map_err(wrong)?;
+            return logged(&plan, log, args.force);
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Runs on a thread of its own. If somebody looks, a progress bar follows; ctrl-c leaves a part that the same command goes on
+/// with.
+fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliError> {
+    let watch = Watch::default();
+    let control = Arc::new(Control::default());
+    let (stop, interrupted) = (watch.cancelled.clone(), control.clone());
+    // Where there can be none, ctrl-c ends the process; the sweep goes on all the same.
+    let _ = ctrlc::set_handler(move || {
+        stop.store(true, Ordering::Relaxed);
+        interrupted.interrupt();
+    });
+    let style = ProgressStyle::with_template(
+        "{msg} {wide_bar} {percent:>3} % {pos}/{len} members, {eta} left",
+    )
+    .expect("the template is fixed and valid");
+    let bar = if io::stderr().is_terminal() {
+        ProgressBar::new(sweep.members()).with_style(style).with_message(sweep.name().to_owned())
+    } else {
+        ProgressBar::hidden()
+    };
+    let options = Options {
+        threads: args.threads.map_or_else(sweep::cores, NonZeroUsize::get),
+        shard: args.shard,
+        replaces: args.force,
+    };
+    thread::scope(|scope| {
+        let (running, ended) = mpsc::channel::<()>();
+        let (watch, control) = (&watch, &control);
+        let worker = scope.spawn(move || {
+            let _running = running;
+            sweep::run(sweep, table, options, watch, |members| {
+                let kept = sweep.kept_logs().iter().filter(|member| members.contains(member));
+                kept.copied().try_for_each(|member| keep_log(sweep, member, table, control))
+            })
+        });
+        while ended.recv_timeout(Duration::from_millis(50)) == Err(RecvTimeoutError::Timeout) {
+            bar.set_length(watch.total.load(Ordering::Relaxed).max(1));
+            bar.set_position(watch.done.load(Ordering::Relaxed));
+        }
+        bar.finish_and_clear();
+        worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
+/// Writes the log of a member into the folder beside the table. Of one that was refused there is none.
+fn keep_log(sweep: &Sweep, member: u64, table: &Path, control: &Control) -> Result<(), CliError> {
+    let Ok(plan) = sweep.plan(member) else { return Ok(()) };
+    let folder = table.with_extension("logs");
+    let log = folder.join(format!("{member}.mcap"));
+    std::fs::create_dir_all(&folder)
+        .map_err(|source| CliError::Write { path: folder.clone(), source })?;
+    // A log of another sweep would be taken for one of this.
+    run::execute(&plan, &JobContext { log: &log, control })?;
+    Ok(())
+}
+
+/// Draws a column of a table, if that is asked for.
+#[cfg(feature = "chart")]
+fn draw(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<(), CliError> {
+    let Some(svg) = &args.svg else { return Ok(()) };
+    let picture = chart::sweep(&sweep.shown(table, args.column.as_deref())?)?;
+    std::fs::write(svg, picture).map_err(|source| CliError::Write { path: svg.clone(), source })?;
+    writeln!(io::stdout(), "picture         {}", svg.display())?;
+    Ok(())
+}

@@ -1,0 +1,616 @@
+//! 4 · Sweeps: many runs over fields of one scenario, one table.
+//!
+//! A member is the scenario with its values put in by pointer. It is made, run in memory and forgotten; its line of the table
+//! stays. [`run`] makes a table or a part of one, [`merge`] the whole from its parts, [`Sweep::plan`] is where the log of a
+//! member begins. The members of a scenario's `ensemble` are something else: they differ in their start alone, go side by
+//! side in lanes, and their ends and statistics are in one log.
+//!
+//! Invariant: a line depends on the sweep and its number alone, not on threads, parts or interruptions. No member fails a
+//! sweep, and no NaN reaches a table.
+
+use std::fmt;
+use std::fs;
+use std::io;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+
+pub(crate) use crate::in_order::cores;
+use crate::in_order::in_order;
+use crate::log::part;
+use crate::plan::Plan;
+use crate::scenario::{Scenario, ScenarioError, ensure, from_tree, read_tree, set};
+use crate::study::Watch;
+
+mod file;
+mod member;
+mod score;
+#[cfg(feature = "chart")]
+mod shown;
+mod table;
+mod values;
+
+pub use file::SweepFile;
+use file::{Combine, Vary};
+use member::{Outcome, Row};
+#[cfg(feature = "chart")]
+pub(crate) use shown::{Cell, Kind, Shown, Side};
+pub use table::merge;
+use table::{Identity, Part, cell, figure, quoted};
+use values::Axis;
+
+/// The most members of a sweep.
+pub const MOST_MEMBERS: u64 = 1_000_000;
+
+/// A sweep that can be run.
+#[derive(Clone, Debug)]
+pub struct Sweep {
+    file: SweepFile,
+    /// The scenario that is varied.
+    base: Scenario,
+    /// The same as a tree.
+    tree: Value,
+    axes: Vec<Axis>,
+    members: u64,
+    columns: Vec<String>,
+}
+
+impl Sweep {
+    /// Reads and checks the file of a sweep; the path of its scenario is seen from there.
+    ///
+    /// # Errors
+    /// [`SweepError::Io`] if it cannot be read, else those of [`Sweep::from_json`].
+    pub fn read(path: &Path) -> Result<Self, SweepError> {
+        let text = fs::read(path).map_err(|source| SweepError::io(path, "read", source))?;
+        let open = |name: &str| {
+            let scenario = path.parent().unwrap_or(Path::new("")).join(name);
+            fs::read(&scenario).map_err(|error| {
+                let message = format!("{}: {error}", scenario.display());
+                ScenarioError::invalid("/scenario", message)
+            })
+        };
+        let tree = read_tree(&text)?;
+        Ok(Self::new(from_tree(tree)?, open)?)
+    }
+
+    /// Reads and checks a sweep that holds its scenario.
+    ///
+    /// # Errors
+    /// The first thing wrong with it, with the pointer of its field. What is wrong with a member alone is not: it is told in
+    /// its line.
+    pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
+        Self::from_tree(read_tree(text)?)
+    }
+
+    /// The same of a text that was read as JSON.
+    pub(crate) fn from_tree(tree: Value) -> Result<Self, ScenarioError> {
+        let open = |_: &str| {
+            let message = "is the path of a file; here the scenario itself is needed";
+            Err(ScenarioError::invalid("/scenario", message))
+        };
+        Self::new(from_tree(tree)?, open)
+    }
+
+    fn new(
+        mut file: SweepFile,
+        open: impl FnOnce(&str) -> Result<Vec<u8>, ScenarioError>,
+    ) -> Result<Self, ScenarioError> {
+        let text = match &file.scenario {
+            Value::String(path) => open(path)?,
+            scenario => scenario.to_string().into_bytes(),
+        };
+        let within = |error: ScenarioError| ScenarioError {
+            pointer: format!("/scenario{}", error.pointer),
+            ..error
+        };
+        let base = Scenario::from_json(&text).map_err(within)?;
+        ensure(base.ensemble.is_none(), "/scenario/ensemble", || {
+            "is no part of a sweep: a member is one run".into()
+        })?;
+        let tree = serde_json::to_value(&base).expect("a scenario is JSON by construction");
+        // As it stands from now on, whatever becomes of the file that it came from.
+        file.scenario = tree.clone();
+        let n = base.dimension();
+        let ends = end_columns(n);
+        file.check(n, &ends.concat())?;
+        let members = file.members()?;
+        for (at, &member) in file.keep_logs.iter().enumerate() {
+            ensure(member < members, format!("/keep_logs/{at}"), || {
+                format!("{member} given, the members are numbered from 0 to {}", members - 1)
+            })?;
+        }
+        let [head, tail] = ends;
+        let varied = file.vary.iter().map(|field| field.column().to_owned());
+        let scores = file.scores.iter().map(|score| score.name.clone());
+        let columns = head[..1].iter().cloned().chain(varied).chain(head[1..].iter().cloned());
+        let columns = columns.chain(tail).chain(scores).collect();
+        let axes = file.vary.iter().enumerate();
+        let axes = axes.map(|(at, field)| Axis::new(&field.values, file.seed, at)).collect();
+        let sweep = Self { file, base, tree, axes, members, columns };
+        sweep.check_form()?;
+        Ok(sweep)
+    }
+
+    /// Makes sure that the values of the first member stand where a scenario has a field: a pointer with a slip in it would
+    /// have every member refused.
+    fn check_form(&self) -> Result<(), ScenarioError> {
+        let mut document = self.tree.clone();
+        for (at, (Vary { pointer, .. }, value)) in
+            self.file.vary.iter().zip(self.values(0)).enumerate()
+        {
+            set(&mut document, pointer, value).map_err(|error| ScenarioError {
+                pointer: format!("/vary/{at}/pointer"),
+                message: format!("{pointer}: {}", error.message),
+                ..error
+            })?;
+        }
+        from_tree::<Scenario>(document).map(drop).map_err(|error| {
+            let ScenarioError { pointer, message, .. } = error;
+            let close = |field: &Vary| {
+                field.pointer.starts_with(&pointer) || pointer.starts_with(&field.pointer)
+            };
+            let at = self.file.vary.iter().position(close);
+            let at = at.map_or_else(|| "/vary".to_owned(), |at| format!("/vary/{at}"));
+            ScenarioError::invalid(at, format!("with the values of member 0, {pointer}: {message}"))
+        })
+    }
+
+    /// The name of the scenario.
+    pub fn name(&self) -> &str {
+        self.base.name()
+    }
+
+    /// How many members there are.
+    pub fn members(&self) -> u64 {
+        self.members
+    }
+
+    /// The members whose logs are to be kept.
+    pub fn kept_logs(&self) -> &[u64] {
+        &self.file.keep_logs
+    }
+
+    /// The heads of the table's columns.
+    pub fn columns(&self) -> &[String] {
+        &self.columns
+    }
+
+    /// About how long it takes on one core, in seconds, and the bytes of its table: by the first, the middle and the last
+    /// member, as far as they are runs.
+    ///
+    /// # Errors
+    /// If one of them asks for an accuracy: what that takes is not known before.
+    #[cfg(feature = "serve")]
+    pub(crate) fn estimate(&self) -> Result<(f64, u64), ScenarioError> {
+        /// Of a line, for each of its cells.
+        const CELL_BYTES: u64 = 20;
+        let looked_at = [0, self.members / 2, self.members - 1];
+        let mut seconds = Vec::with_capacity(looked_at.len());
+        for member in looked_at {
+            let Ok(scenario) = self.scenario(member) else { continue };
+            ensure(scenario.accuracy.is_none(), "/scenario/accuracy", || {
+                "is no part of a sweep of the service; give method and step".into()
+            })?;
+            seconds.extend(Plan::new(&scenario).map(|plan| plan.run_s));
+        }
+        // The shadow of a Lyapunov exponent takes as long as the run.
+        let runs = if self.file.has_exponent() { 2.0 } else { 1.0 };
+        let mean = seconds.iter().sum::<f64>() / seconds.len().max(1) as f64;
+        let bytes = self.members * self.columns.len() as u64 * CELL_BYTES;
+        Ok((runs * mean * self.members as f64, bytes))
+    }
+
+    /// SHA-256 of all that the table depends on, in hexadecimal digits.
+    pub fn digest(&self) -> String {
+        let SweepFile { scenario, vary, combine, seed, scores, .. } = &self.file;
+        let text = json!({
+            "scenario": scenario, "vary": vary, "combine": combine, "seed": seed, "scores": scores,
+        });
+        let digest = Sha256::digest(text.to_string().as_bytes());
+        digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The varied values of a member, in the order of their fields.
+    fn values(&self, member: u64) -> Vec<Value> {
+        let places = self.places(member);
+        self.axes.iter().zip(places).map(|(axis, at)| axis.value(at)).collect()
+    }
+
+    /// Which value of each field a member has.
+    fn places(&self, member: u64) -> Vec<u64> {
+        let counts = self.file.vary.iter().map(|field| field.values.count());
+        match self.file.combine {
+            Combine::SideBySide => counts.map(|_| member).collect(),
+            Combine::Product => {
+                let mut rest = member;
+                let mut places: Vec<u64> = counts
+                    .rev()
+                    .map(|count| {
+                        let place = rest % count;
+                        rest /= count;
+                        place
+                    })
+                    .collect();
+                places.reverse();
+                places
+            }
+        }
+    }
+
+    /// The scenario of a member.
+    ///
+    /// # Errors
+    /// What its values make wrong, with the pointer of the field in the scenario; a member past the last at the empty pointer.
+    pub fn scenario(&self, member: u64) -> Result<Scenario, ScenarioError> {
+        ensure(member < self.members, "", || {
+            format!("member {member} asked for, they are numbered from 0 to {}", self.members - 1)
+        })?;
+        self.with(&self.values(member))
+    }
+
+    fn with(&self, values: &[Value]) -> Result<Scenario, ScenarioError> {
+        let mut document = self.tree.clone();
+        for (field, value) in self.file.vary.iter().zip(values) {
+            set(&mut document, &field.pointer, value.clone())?;
+        }
+        let scenario: Scenario = from_tree(document)?;
+        scenario.check()?;
+        ensure(scenario.ensemble.is_none(), "/ensemble", || {
+            "is no part of a sweep: a member is one run".into()
+        })?;
+        let (n, given) = (self.base.dimension(), scenario.dimension());
+        ensure(given == n, "/scene/inertia", || {
+            format!("n = {given} given; all members have n = {n}, as the table has")
+        })?;
+        Ok(scenario)
+    }
+
+    /// The plan of a member, for [`crate::run::execute`]: its log holds the motion whose figures are in the table.
+    ///
+    /// # Errors
+    /// Those of [`Sweep::scenario`] and [`Plan::new`].
+    pub fn plan(&self, member: u64) -> Result<Plan, ScenarioError> {
+        member::plan(&self.scenario(member)?, &Arc::default())
+    }
+
+    /// Runs a member: its line of the table, and why it was refused if it was. `None` if `stop` was set.
+    fn line(&self, member: u64, stop: &Arc<AtomicBool>) -> Option<Line> {
+        let values = self.values(member);
+        let planned = self.with(&values).and_then(|scenario| member::plan(&scenario, stop));
+        let outcome = match planned {
+            Ok(plan) => member::run(&plan, &self.file.scores, stop)?,
+            // What was stopped is not refused.
+            Err(_) if stop.load(Ordering::Relaxed) => return None,
+            Err(error) => Outcome::Refused(error),
+        };
+        let mut cells = Vec::with_capacity(self.columns.len());
+        cells.push(member.to_string());
+        cells.extend(values.iter().map(cell));
+        let (outcome, code, row, refusal) = match outcome {
+            Outcome::Succeeded(row) => ("succeeded", "", Some(row), None),
+            Outcome::Failed(code, row) => ("failed", code, Some(row), None),
+            Outcome::Refused(error) => ("refused", "invalid_input", None, Some(error)),
+        };
+        cells.extend([outcome, code].map(str::to_owned));
+        if let Some(Row { time_s, attitude, momentum, figures, scores }) = row {
+            let n = self.base.dimension();
+            let size = if n == 3 { 4 } else { n * n };
+            let attitude = attitude.unwrap_or_default();
+            let attitude = (0..size).map(|i| attitude.get(i).copied());
+            let errors = [
+                figures.energy_max_abs_error,
+                figures.orthogonality_max,
+                figures.momentum_max_drift,
+            ];
+            let figures = [Some(time_s)].into_iter().chain(attitude);
+            let figures = figures.chain(momentum.into_iter().map(Some)).chain(errors).chain(scores);
+            cells.extend(figures.map(figure));
+        }
+        cells.resize(self.columns.len(), String::new());
+        Some(Line { text: cells.join(",") + "\n", outcome, refusal })
+    }
+}
+
+/// A line of the table.
+struct Line {
+    text: String,
+    outcome: &'static str,
+    refusal: Option<ScenarioError>,
+}
+
+/// The heads of what every table has: before the varied values and after them up to the outcome, then the rest.
+fn end_columns(n: usize) -> [Vec<String>; 2] {
+    let names = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
+    let head = names(&["member", "outcome", "code"]);
+    let mut tail = names(&["time_s"]);
+    if n == 3 {
+        tail.extend(["w", "x", "y", "z"].map(|name| format!("quaternion_{name}")));
+        tail.extend(["x", "y", "z"].map(|name| format!("body_momentum_{name}")));
+    } else {
+        let pairs = || (1..=n).flat_map(|i| (1..=n).map(move |j| (i, j)));
+        tail.extend(pairs().map(|(i, j)| format!("attitude_{i}_{j}")));
+        let above = pairs().filter(|(i, j)| i < j);
+        tail.extend(above.map(|(i, j)| format!("body_momentum_{i}_{j}")));
+    }
+    tail.extend(names(&["energy_error_max", "orthogonality_error_max", "momentum_drift_max"]));
+    [head, tail]
+}
+
+/// The JSON Schema of a sweep, generated from the types.
+pub fn schema() -> Value {
+    schemars::schema_for!(SweepFile).to_value()
+}
+
+/// One of several parts of a sweep, for array jobs: the first is `1/N`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// Which, from 1 on.
+    number: u64,
+    /// Of how many.
+    of: u64,
+}
+
+impl Shard {
+    /// The members that belong to it; all shards together have each once.
+    fn range(self, members: u64) -> Range<u64> {
+        let before =
+            |number: u64| (u128::from(members) * u128::from(number) / u128::from(self.of)) as u64;
+        before(self.number - 1)..before(self.number)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let shard = text.split_once('/').and_then(|(number, of)| {
+            Some(Self { number: number.parse().ok()?, of: of.parse().ok()? })
+        });
+        shard
+            .filter(|shard| (1..=MOST_MEMBERS).contains(&shard.of))
+            .filter(|shard| (1..=shard.of).contains(&shard.number))
+            .ok_or_else(|| {
+                format!(
+                    "{text:?} given; i/N is needed, with i from 1 to N and N up to {MOST_MEMBERS}"
+                )
+            })
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}-of-{}", self.number, self.of)
+    }
+}
+
+/// What became of members.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Those that made all their steps.
+    pub succeeded: u64,
+    /// Those of which a step could not be made.
+    pub failed: u64,
+    /// Those whose values make no scenario.
+    pub refused: u64,
+}
+
+impl Counts {
+    fn add(&mut self, outcome: &str) {
+        match outcome {
+            "succeeded" => self.succeeded += 1,
+            "failed" => self.failed += 1,
+            _ => self.refused += 1,
+        }
+    }
+}
+
+/// How a sweep is run.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// On so many threads.
+    pub threads: usize,
+    /// This part of it alone; the table is then one for [`merge`].
+    pub shard: Option<Shard>,
+    /// Whether what stands in the place of the table is replaced: a finished table, or an unfinished one of something else.
+    pub replaces: bool,
+}
+
+/// What a table holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Made {
+    /// What became of the members.
+    pub counts: Counts,
+    /// Members whose lines an earlier run had made.
+    pub resumed: u64,
+    /// The first member that was refused in this run, and why.
+    pub first_refused: Option<(u64, ScenarioError)>,
+}
+
+/// Runs a sweep, or goes on with what an interrupted run left in `table.part`: the table is the same, byte for byte.
+/// Blocks. `watch` counts members, and stops it. `finish` is called when all lines are there, before the table gets its
+/// name; it is given the members of this run.
+///
+/// # Errors
+/// If the table cannot be written, something else stands in its place, or the run is interrupted; those of `finish`.
+pub fn run<E: From<SweepError>>(
+    sweep: &Sweep,
+    table: &Path,
+    options: Options,
+    watch: &Watch,
+    finish: impl FnOnce(Range<u64>) -> Result<(), E>,
+) -> Result<Made, E> {
+    /// Lines are brought to the disk about this often; a kill alone loses none.
+    const SYNC: Duration = Duration::from_secs(10);
+    let Options { threads, shard, replaces } = options;
+    let Shard { number, of } = shard.unwrap_or(Shard { number: 1, of: 1 });
+    let members = Shard { number, of }.range(sweep.members);
+    let identity = Identity {
+        sweep: sweep.digest(),
+        build: env!("VPD_BUILD").to_owned(),
+        members: sweep.members,
+        first: members.start,
+        end: members.end,
+        shard: (number, of),
+    };
+    let head: Vec<String> = sweep.columns.iter().map(|name| quoted(name)).collect();
+    let head = head.join(",");
+    let whole = shard.is_none();
+    // An array job that is started again finds what it was asked for.
+    if !whole
+        && !replaces
+        && let Some(counts) = table::finished(table, &identity, &head)
+    {
+        return Ok(Made { counts, resumed: members.end - members.start, first_refused: None });
+    }
+    let mut part = Part::open(table, &identity, &head, replaces)?;
+    watch.total.store(members.end - members.start, Ordering::Relaxed);
+    let resumed = part.next - members.start;
+    watch.done.store(resumed, Ordering::Relaxed);
+    let mut first_refused = None;
+    let mut synced = Instant::now();
+    let stop = &watch.cancelled;
+    in_order(
+        part.next..members.end,
+        1,
+        threads,
+        |turns| {
+            while let Some(places) = turns.take() {
+                let line = sweep.line(places.start, stop)?;
+                turns.give(places, line)?;
+            }
+            Some(())
+        },
+        |Line { text, outcome, refusal }| {
+            part.append(&text)?;
+            part.counts.add(outcome);
+            if let Some(refusal) = refusal.filter(|_| first_refused.is_none()) {
+                first_refused = Some((part.next, refusal));
+            }
+            part.next += 1;
+            watch.done.fetch_add(1, Ordering::Relaxed);
+            if synced.elapsed() > SYNC {
+                part.sync()?;
+                synced = Instant::now();
+            }
+            Ok::<(), SweepError>(())
+        },
+    )?;
+    if part.next < members.end {
+        part.sync()?;
+        return Err(SweepError::Interrupted { left: members.end - part.next }.into());
+    }
+    finish(members)?;
+    let counts = part.counts;
+    part.finish(whole)?;
+    Ok(Made { counts, resumed, first_refused })
+}
+
+/// What ends a sweep or a merge early.
+#[derive(Debug, thiserror::Error)]
+pub enum SweepError {
+    /// A field of the sweep is wrong.
+    #[error("{}: {}", if .0.pointer.is_empty() { "the sweep" } else { &.0.pointer }, .0.message)]
+    Field(#[from] ScenarioError),
+    /// A file cannot be read or written.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried.
+        action: &'static str,
+        /// The system's answer.
+        source: io::Error,
+    },
+    /// What stands in the place of the table is to be kept.
+    #[error("{} is there already{}; --force replaces it", path.display(), unfinished(*finished))]
+    Exists {
+        /// The file.
+        path: PathBuf,
+        /// Whether it is a finished table.
+        finished: bool,
+    },
+    /// Somebody stopped it.
+    #[error(
+        "the sweep was interrupted with {left} members left; the same command goes on with them"
+    )]
+    Interrupted {
+        /// Members without a line.
+        left: u64,
+    },
+    /// There is nothing to merge.
+    #[error("no parts are given")]
+    NoParts,
+    /// A file that is no part, or has more lines than its first one says.
+    #[error("{} is no part of a sweep: `vpd sweep --shard i/N` writes them", path.display())]
+    NoPart {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A part without all its lines.
+    #[error("{} is unfinished or damaged: members {} to {} are missing", path.display(), missing.0, missing.1)]
+    Unfinished {
+        /// The file.
+        path: PathBuf,
+        /// The first and the last member without a line.
+        missing: (u64, u64),
+    },
+    /// Parts of two sweeps.
+    #[error("{} and {} are parts of different sweeps", .0.0.display(), .0.1.display())]
+    OtherSweep(Box<(PathBuf, PathBuf)>),
+    /// Parts of two builds.
+    #[error("{} and {} were made by different builds of vpd: their numbers may differ", .0.0.display(), .0.1.display())]
+    OtherBuild(Box<(PathBuf, PathBuf)>),
+    /// Parts with the same members that are not the same part.
+    #[error("{} and {} hold the same members, but are not the same part", .0.0.display(), .0.1.display())]
+    Overlap(Box<(PathBuf, PathBuf)>),
+    /// A part is not there.
+    #[error("{} missing: no part holds members {} to {}", words(shards, *of), members.0, members.1)]
+    Missing {
+        /// The first and the last of the members.
+        members: (u64, u64),
+        /// The shards that hold them, at most ten.
+        shards: Vec<u64>,
+        /// Of how many.
+        of: u64,
+    },
+    /// A table that is not of this sweep.
+    #[error("{} is no table of this sweep", path.display())]
+    NoTable {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+impl SweepError {
+    fn io(path: &Path, action: &'static str, source: io::Error) -> Self {
+        Self::Io { path: path.to_owned(), action, source }
+    }
+
+    /// Whether it is what was given that is wrong, and not what came of it.
+    pub fn is_bad_input(&self) -> bool {
+        match self {
+            Self::Io { action, source, .. } => *action == "read" || part::is_busy(source),
+            Self::Interrupted { .. } => false,
+            _ => true,
+        }
+    }
+}
+
+fn unfinished(finished: bool) -> &'static str {
+    if finished { "" } else { ", of another sweep, another part or another build, unfinished" }
+}
+
+/// `shard 2/4 is`, for a list of shards.
+fn words(shards: &[u64], of: u64) -> String {
+    let named: Vec<String> = shards.iter().map(|number| format!("{number}/{of}")).collect();
+    match named.as_slice() {
+        [one] => format!("shard {one} is"),
+        many => format!("shards {} are", many.join(", ")),
+    }
+}

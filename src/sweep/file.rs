@@ -1,0 +1,433 @@
+//! The sweep as it is written: JSON → types, and what can be said of their form and range.
+
+use std::collections::HashSet;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::MOST_MEMBERS;
+use crate::scenario::{LARGEST_SEED, MAX_SIZE, Scenario, ScenarioError, SchemaAddress, ensure};
+
+/// Most fields that are varied, and most scores.
+const MOST_COLUMNS: usize = 32;
+/// Most members whose whole motion is logged.
+const MOST_LOGS: usize = 1000;
+/// Smallest end of a logarithmic range.
+const SMALLEST: f64 = 1e-30;
+
+/// A sweep: one scenario, the fields of it that are varied, and what is asked of each run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SweepFile {
+    /// Where an editor finds the JSON Schema of sweeps; nothing here looks there.
+    #[serde(rename = "$schema", default, skip_serializing)]
+    pub(crate) schema: SchemaAddress,
+    /// `sweep`, so that the file as it stands is also the body of `POST /studies`.
+    #[serde(default)]
+    pub(crate) kind: SweepKind,
+    /// The scenario that is varied; in a file also the path of one, as seen from that file.
+    #[schemars(with = "Base")]
+    pub(crate) scenario: Value,
+    /// The fields that are varied, 1 to 32 of them. They are set in this order.
+    pub(crate) vary: Vec<Vary>,
+    /// How their values are put together.
+    #[serde(default)]
+    pub(crate) combine: Combine,
+    /// Seed of all random values: the same seed, the same values. At most 2^53 - 1.
+    #[serde(default)]
+    pub(crate) seed: u64,
+    /// What is asked of each run in addition to its end and its errors, a column each; at most 32.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) scores: Vec<Score>,
+    /// The column that the picture shows; by default the first score, else the largest energy error.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) picture: Option<String>,
+    /// Members whose whole motion `vpd sweep` logs as well, at most 1000.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) keep_logs: Vec<u64>,
+}
+
+/// What this is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum SweepKind {
+    /// Many runs over fields of one scenario.
+    #[default]
+    Sweep,
+}
+
+/// A scenario, or where one is.
+#[derive(JsonSchema)]
+#[schemars(untagged)]
+#[expect(dead_code, reason = "only its schema is used")]
+enum Base {
+    /// The scenario itself.
+    Scenario(Box<Scenario>),
+    /// The path of its file.
+    Path(String),
+}
+
+/// A field and its values.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Vary {
+    /// JSON pointer (RFC 6901) of the field in the scenario.
+    pub(crate) pointer: String,
+    /// Its column in the table; the pointer if absent. 1 to 64 letters, digits or `_`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) name: Option<String>,
+    /// Its values.
+    pub(crate) values: Values,
+}
+
+impl Vary {
+    /// The head of its column.
+    pub(crate) fn column(&self) -> &str {
+        self.name.as_deref().unwrap_or(&self.pointer)
+    }
+}
+
+/// The values of a field. A whole number is written as one, so that it also fits where nothing else does.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Values {
+    /// These, of any JSON type.
+    List(Vec<Value>),
+    /// At even distances, both ends included.
+    Linear(Span),
+    /// At even ratios, both ends included and above zero.
+    Logarithmic(Span),
+    /// At random, evenly distributed.
+    Uniform(Span),
+    /// At random, one in each of `count` parts of equal length, in random order (McKay, Beckman, Conover 1979): side by
+    /// side several of these make a Latin hypercube.
+    LatinHypercube(Span),
+    /// At random, normally distributed.
+    Normal(Normal),
+}
+
+/// A range of numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Span {
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    /// How many values.
+    pub(crate) count: u64,
+}
+
+/// A normal distribution.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Normal {
+    pub(crate) mean: f64,
+    /// The standard deviation, above zero.
+    pub(crate) deviation: f64,
+    /// How many values.
+    pub(crate) count: u64,
+}
+
+impl Values {
+    /// How many there are.
+    pub(crate) fn count(&self) -> u64 {
+        match self {
+            Self::List(values) => values.len() as u64,
+            Self::Linear(span)
+            | Self::Logarithmic(span)
+            | Self::Uniform(span)
+            | Self::LatinHypercube(span) => span.count,
+            Self::Normal(normal) => normal.count,
+        }
+    }
+
+    fn check(&self, at: &str) -> Result<(), ScenarioError> {
+        let count = self.count();
+        let (word, counted) = match self {
+            Self::List(_) => ("list", String::new()),
+            Self::Linear(_) => ("linear", "/count".to_owned()),
+            Self::Logarithmic(_) => ("logarithmic", "/count".to_owned()),
+            Self::Uniform(_) => ("uniform", "/count".to_owned()),
+            Self::LatinHypercube(_) => ("latin_hypercube", "/count".to_owned()),
+            Self::Normal(_) => ("normal", "/count".to_owned()),
+        };
+        let at = format!("{at}/values/{word}");
+        ensure((1..=MOST_MEMBERS).contains(&count), format!("{at}{counted}"), || {
+            format!("{count} values given, their number lies from 1 to {MOST_MEMBERS}")
+        })?;
+        let number = |field: &str, x: f64| {
+            ensure(x.abs() <= MAX_SIZE, format!("{at}/{field}"), || {
+                format!("{x:e} given, the size of a number is at most {MAX_SIZE:e}")
+            })
+        };
+        match self {
+            Self::List(_) => Ok(()),
+            Self::Normal(Normal { mean, deviation, .. }) => {
+                number("mean", *mean)?;
+                number("deviation", *deviation)?;
+                ensure(*deviation > 0.0, format!("{at}/deviation"), || {
+                    format!("{deviation:e} given, a deviation is above 0")
+                })
+            }
+            Self::Linear(Span { from, to, .. })
+            | Self::Logarithmic(Span { from, to, .. })
+            | Self::Uniform(Span { from, to, .. })
+            | Self::LatinHypercube(Span { from, to, .. }) => {
+                number("from", *from)?;
+                number("to", *to)?;
+                let logarithmic = matches!(self, Self::Logarithmic(_));
+                for (field, x) in [("from", from), ("to", to)] {
+                    ensure(!logarithmic || *x >= SMALLEST, format!("{at}/{field}"), || {
+                        format!(
+                            "{x:e} given, an end of a logarithmic range is at least {SMALLEST:e}"
+                        )
+                    })?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+/// How the values of several fields are put together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Combine {
+    /// Every value of one with every value of the others; the last field runs through its values first.
+    #[default]
+    Product,
+    /// The first of each, the second of each, ..: all have as many values.
+    SideBySide,
+}
+
+/// A column of the table that is asked for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Score {
+    /// Its head: 1 to 64 letters, digits or `_`.
+    pub(crate) name: String,
+    /// What stands in it.
+    pub(crate) measure: Measure,
+}
+
+/// What is measured of a run, at its samples: see `log.every` of the scenario.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Measure {
+    /// The largest value.
+    Largest(Quantity),
+    /// The smallest value.
+    Smallest(Quantity),
+    /// The time of the first sample at which a condition holds, in seconds; empty if there is none.
+    FirstTime(Condition),
+    /// The largest Lyapunov exponent over the time of the run, in 1/s: the mean rate at which a shadow trajectory leaves
+    /// the run, brought back to its distance at each sample (Benettin, Galgani, Giorgilli, Strelcyn 1980). Empty if a run
+    /// fails, or the shadow gets too far between two samples.
+    LyapunovExponent(Lyapunov),
+}
+
+/// A number that each sample has.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Quantity {
+    /// The angle between an axis of the body and one of space, in radians from 0 to pi.
+    Tilt(Tilt),
+    /// The size of the angular velocity, in rad/s.
+    AngularSpeed,
+    /// The kinetic energy, in J.
+    KineticEnergy,
+}
+
+/// Two axes: n numbers each, of any length but zero.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Tilt {
+    /// In body coordinates.
+    pub(crate) body_axis: Vec<f64>,
+    /// In space coordinates.
+    pub(crate) space_axis: Vec<f64>,
+}
+
+/// A quantity beyond a limit: either `above` or `below`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Condition {
+    /// The quantity.
+    pub(crate) of: Quantity,
+    /// It is above this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) above: Option<f64>,
+    /// It is below this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) below: Option<f64>,
+}
+
+/// How a Lyapunov exponent is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Lyapunov {
+    /// The distance at which the shadow begins, and to which it is brought back: of turns in radians, of angular velocities
+    /// in parts of how fast the body moves at the start. 1e-12 to 1e-4.
+    #[serde(default = "Lyapunov::default_distance")]
+    pub(crate) distance: f64,
+    /// What comes before this time is left out of the mean, in seconds: until then the shadow turns into the direction that
+    /// grows most.
+    #[serde(default)]
+    pub(crate) skip_s: f64,
+}
+
+impl Lyapunov {
+    fn default_distance() -> f64 {
+        1e-8
+    }
+}
+
+impl Quantity {
+    fn check(&self, at: &str, n: usize) -> Result<(), ScenarioError> {
+        let Self::Tilt(Tilt { body_axis, space_axis }) = self else { return Ok(()) };
+        for (name, axis) in [("body_axis", body_axis), ("space_axis", space_axis)] {
+            let pointer = format!("{at}/tilt/{name}");
+            ensure(axis.len() == n, pointer.clone(), || {
+                format!("{} numbers given, n = {n} are needed", axis.len())
+            })?;
+            let largest = axis.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
+            ensure((1e-15..=MAX_SIZE).contains(&largest), pointer, || {
+                format!("has {largest:e} as its largest number; it lies from 1e-15 to {MAX_SIZE:e}")
+            })?;
+        }
+        Ok(())
+    }
+}
+
+impl Measure {
+    fn check(&self, at: &str, n: usize) -> Result<(), ScenarioError> {
+        match self {
+            Self::Largest(quantity) => quantity.check(&format!("{at}/largest"), n),
+            Self::Smallest(quantity) => quantity.check(&format!("{at}/smallest"), n),
+            Self::FirstTime(Condition { of, above, below }) => {
+                let at = format!("{at}/first_time");
+                of.check(&format!("{at}/of"), n)?;
+                ensure(above.is_some() != below.is_some(), at, || {
+                    "needs one of `above` and `below`".into()
+                })
+            }
+            Self::LyapunovExponent(Lyapunov { distance, skip_s }) => {
+                let at = format!("{at}/lyapunov_exponent");
+                ensure((1e-12..=1e-4).contains(distance), format!("{at}/distance"), || {
+                    format!("{distance:e} given, it lies from 1e-12 to 1e-4")
+                })?;
+                ensure((0.0..=MAX_SIZE).contains(skip_s), format!("{at}/skip_s"), || {
+                    format!("{skip_s:e} given, a time is 0 or more")
+                })
+            }
+        }
+    }
+}
+
+impl SweepFile {
+    /// Checks form and range of all but the scenario; `columns` are those that every table has.
+    pub(super) fn check(&self, n: usize, columns: &[String]) -> Result<(), ScenarioError> {
+        let Self { vary, seed, scores, picture, keep_logs, .. } = self;
+        ensure((1..=MOST_COLUMNS).contains(&vary.len()), "/vary", || {
+            format!("{} fields given, 1 to {MOST_COLUMNS} are varied", vary.len())
+        })?;
+        ensure(scores.len() <= MOST_COLUMNS, "/scores", || {
+            format!("{} given, at most {MOST_COLUMNS} are allowed", scores.len())
+        })?;
+        ensure(*seed <= LARGEST_SEED, "/seed", || {
+            format!("{seed} given, a seed is at most {LARGEST_SEED}")
+        })?;
+        let mut heads: HashSet<&str> = columns.iter().map(String::as_str).collect();
+        let mut pointers = HashSet::new();
+        for (at, field) in vary.iter().enumerate() {
+            let at = format!("/vary/{at}");
+            let Vary { pointer, name, values } = field;
+            ensure(
+                pointer.starts_with('/')
+                    && pointer.len() <= 200
+                    && !pointer.contains(char::is_control),
+                format!("{at}/pointer"),
+                || format!("{pointer:?} given; a pointer has the form /name/of/field"),
+            )?;
+            ensure(pointers.insert(pointer), format!("{at}/pointer"), || {
+                format!("{pointer} is varied twice")
+            })?;
+            let place = format!("{at}/{}", if name.is_some() { "name" } else { "pointer" });
+            if let Some(name) = name {
+                self::name(&place, name)?;
+            }
+            ensure(heads.insert(field.column()), place, || {
+                format!("there is a column {} already", field.column())
+            })?;
+            values.check(&at)?;
+        }
+        for (at, score) in scores.iter().enumerate() {
+            let at = format!("/scores/{at}");
+            let Score { name, measure } = score;
+            self::name(&format!("{at}/name"), name)?;
+            ensure(heads.insert(name), format!("{at}/name"), || {
+                format!("there is a column {name} already")
+            })?;
+            measure.check(&format!("{at}/measure"), n)?;
+        }
+        let exponents = scores.iter().map(|score| &score.measure);
+        let exponents =
+            exponents.enumerate().filter(|(_, m)| matches!(m, Measure::LyapunovExponent(_)));
+        if let Some((at, _)) = exponents.skip(1).last() {
+            let message = "is a second Lyapunov exponent; a sweep has one";
+            return Err(ScenarioError::invalid(format!("/scores/{at}"), message));
+        }
+        if let Some(column) = picture {
+            ensure(heads.contains(column.as_str()), "/picture", || {
+                format!("there is no column {column:?}")
+            })?;
+        }
+        ensure(keep_logs.len() <= MOST_LOGS, "/keep_logs", || {
+            format!("{} members given, at most {MOST_LOGS} are allowed", keep_logs.len())
+        })
+    }
+
+    /// Is a Lyapunov exponent asked for?
+    #[cfg(feature = "serve")]
+    pub(super) fn has_exponent(&self) -> bool {
+        self.scores.iter().any(|score| matches!(score.measure, Measure::LyapunovExponent(_)))
+    }
+
+    /// How many members there are.
+    pub(super) fn members(&self) -> Result<u64, ScenarioError> {
+        let counts: Vec<u64> = self.vary.iter().map(|field| field.values.count()).collect();
+        match self.combine {
+            Combine::Product => {
+                let product = counts.iter().try_fold(1_u64, |product, &count| {
+                    product.checked_mul(count).filter(|&members| members <= MOST_MEMBERS)
+                });
+                product.ok_or_else(|| {
+                    let counts: Vec<String> = counts.iter().map(u64::to_string).collect();
+                    let message = format!(
+                        "{} values make more than {MOST_MEMBERS} members",
+                        counts.join(" x ")
+                    );
+                    ScenarioError::invalid("/vary", message)
+                })
+            }
+            Combine::SideBySide => {
+                let count = counts[0];
+                let other = counts.iter().position(|&other| other != count);
+                other.map_or(Ok(count), |at| {
+                    let message = format!(
+                        "has {} values, the first field has {count}; side by side all have as many",
+                        counts[at]
+                    );
+                    Err(ScenarioError::invalid(format!("/vary/{at}/values"), message))
+                })
+            }
+        }
+    }
+}
+
+fn name(at: &str, name: &str) -> Result<(), ScenarioError> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    ensure((1..=64).contains(&name.len()) && name.chars().all(plain), at, || {
+        format!("{name:?} given; a name has 1 to 64 letters, digits or _")
+    })
+}

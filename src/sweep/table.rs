@@ -1,0 +1,412 @@
+//! The table of a sweep: a line a member, in order, and the file that holds them while they come.
+//!
+//! Invariant: a table is finished, and then holds nothing but a head and its lines; until then, or if it is a part of a
+//! whole, it begins with a line that says of what. What follows the last whole line of a member is written anew.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Number, Value};
+
+use super::{Counts, SweepError};
+use crate::log::part::{folder, own, sync_folder};
+use crate::log::part_path;
+
+/// With this a part begins; to most readers of tables a comment.
+const MARK: &str = "# vpd sweep ";
+
+/// What a part is of.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Identity {
+    /// SHA-256 of the sweep.
+    pub(super) sweep: String,
+    /// The build that runs it.
+    pub(super) build: String,
+    /// Members of the whole.
+    pub(super) members: u64,
+    /// The first member that is here, and the first after those.
+    pub(super) first: u64,
+    pub(super) end: u64,
+    /// Which part of how many.
+    pub(super) shard: (u64, u64),
+}
+
+impl Identity {
+    fn line(&self) -> String {
+        let json = serde_json::to_string(self).expect("words and numbers are JSON");
+        format!("{MARK}{json}\n")
+    }
+
+    fn read(line: &str) -> Option<Self> {
+        serde_json::from_str(line.strip_prefix(MARK)?).ok()
+    }
+}
+
+/// A cell of any JSON value.
+pub(super) fn cell(value: &Value) -> String {
+    let text = match value {
+        Value::Number(number) => return number.to_string(),
+        Value::String(text) if !text.contains(char::is_control) => text.clone(),
+        value => value.to_string(),
+    };
+    quoted(&text)
+}
+
+/// A cell of text.
+pub(super) fn quoted(text: &str) -> String {
+    // RFC 4180.
+    if text.contains([',', '"']) {
+        format!("\"{}\"", text.replace('"', "\"\""))
+    } else {
+        text.into()
+    }
+}
+
+/// The shortest digits that give the same number back; nothing of what is none.
+pub(super) fn figure(x: Option<f64>) -> String {
+    x.and_then(Number::from_f64).map_or_else(String::new, |number| number.to_string())
+}
+
+/// The cells of a line without its end.
+pub(super) fn cells(line: &str) -> Vec<String> {
+    let mut cells = vec![String::new()];
+    let mut letters = line.chars().peekable();
+    let mut inside = false;
+    while let Some(letter) = letters.next() {
+        match letter {
+            '"' if inside && letters.peek() == Some(&'"') => {
+                letters.next();
+                cells.last_mut().expect("there is one from the start").push('"');
+            }
+            '"' => inside = !inside,
+            ',' if !inside => cells.push(String::new()),
+            letter => cells.last_mut().expect("there is one from the start").push(letter),
+        }
+    }
+    cells
+}
+
+/// Reads lines of members, in order from `next` on, each with as many cells as the head.
+pub(super) struct Lines<R> {
+    reader: R,
+    columns: usize,
+    next: u64,
+    line: Vec<u8>,
+}
+
+impl<R: BufRead> Lines<R> {
+    pub(super) fn new(reader: R, columns: usize, next: u64) -> Self {
+        Self { reader, columns, next, line: Vec::new() }
+    }
+
+    /// The next line, its end included, and its cells; `None` where there is no whole line of the next member.
+    pub(super) fn read(&mut self) -> io::Result<Option<(&[u8], Vec<String>)>> {
+        self.line.clear();
+        self.reader.read_until(b'\n', &mut self.line)?;
+        let Some(text) = self.line.strip_suffix(b"\n") else { return Ok(None) };
+        let Ok(text) = std::str::from_utf8(text) else { return Ok(None) };
+        let cells = cells(text);
+        if cells.len() != self.columns || cells[0] != self.next.to_string() {
+            return Ok(None);
+        }
+        self.next += 1;
+        Ok(Some((&self.line, cells)))
+    }
+}
+
+/// The file of a table that is being made, locked for as long.
+pub(super) struct Part {
+    path: PathBuf,
+    part: PathBuf,
+    file: File,
+    /// The first member that is not there yet.
+    pub(super) next: u64,
+    /// What became of those that are.
+    pub(super) counts: Counts,
+    /// Bytes of the first line, which a finished whole leaves out.
+    mark: u64,
+}
+
+impl Part {
+    /// Begins the file of a table, or goes on with what an interrupted sweep left.
+    pub(super) fn open(
+        path: &Path,
+        identity: &Identity,
+        head: &str,
+        replaces: bool,
+    ) -> Result<Self, SweepError> {
+        if !replaces && path.symlink_metadata().is_ok() {
+            return Err(SweepError::Exists { path: path.to_owned(), finished: true });
+        }
+        let part = part_path(path);
+        let failed = |source| SweepError::io(&part, "open", source);
+        let mut options = OpenOptions::new();
+        let mut file = own(&part, options.read(true).write(true).create(true).truncate(false))
+            .map_err(failed)?;
+        let mark = identity.line();
+        let begin = format!("{mark}{head}\n");
+        let mut found = Vec::new();
+        (&mut file).take(begin.len() as u64).read_to_end(&mut found).map_err(failed)?;
+        let same = found == begin.as_bytes();
+        // A beginning that was cut off is nobody's.
+        if !same && !replaces && !begin.as_bytes().starts_with(&found) {
+            return Err(SweepError::Exists { path: part, finished: false });
+        }
+        let mut table = Self {
+            path: path.to_owned(),
+            part: part.clone(),
+            file,
+            next: identity.first,
+            counts: Counts::default(),
+            mark: mark.len() as u64,
+        };
+        if same {
+            table.take_up(begin.len() as u64, head, identity.end).map_err(failed)?;
+        } else {
+            table.file.set_len(0).map_err(failed)?;
+            table.file.rewind().map_err(failed)?;
+            table.append(&begin)?;
+        }
+        Ok(table)
+    }
+
+    /// Counts the lines that are there, and leaves out what follows the last whole one.
+    fn take_up(&mut self, begin: u64, head: &str, end: u64) -> io::Result<()> {
+        let columns = cells(head);
+        let outcome = columns.iter().position(|name| name == "outcome").unwrap_or_default();
+        let mut good = begin;
+        let mut lines = Lines::new(BufReader::new(&self.file), columns.len(), self.next);
+        while self.next < end
+            && let Some((line, cells)) = lines.read()?
+        {
+            good += line.len() as u64;
+            self.counts.add(&cells[outcome]);
+            self.next += 1;
+        }
+        self.file.set_len(good)?;
+        self.file.seek(SeekFrom::Start(good)).map(drop)
+    }
+
+    /// Adds lines; they go to the file at once.
+    pub(super) fn append(&mut self, lines: &str) -> Result<(), SweepError> {
+        let failed = |source| SweepError::io(&self.part, "write", source);
+        self.file.write_all(lines.as_bytes()).map_err(failed)
+    }
+
+    /// Everything to the disk.
+    pub(super) fn sync(&self) -> Result<(), SweepError> {
+        self.file.sync_data().map_err(|source| SweepError::io(&self.part, "sync", source))
+    }
+
+    /// Gives the table its name; a whole one without its first line.
+    pub(super) fn finish(mut self, whole: bool) -> Result<(), SweepError> {
+        let Self { path, part, file, mark, .. } = &mut self;
+        if !whole {
+            let named = file.sync_all().and_then(|()| fs::rename(&part, &path));
+            let named = named.and_then(|()| sync_folder(folder(path)));
+            return named.map_err(|source| SweepError::io(path, "finish", source));
+        }
+        let copied = file.seek(SeekFrom::Start(*mark)).map(drop);
+        let copied = copied.and_then(|()| replace(path, |out| io::copy(file, out).map(drop)));
+        let removed = copied.and_then(|()| fs::remove_file(part));
+        removed.map_err(|source| SweepError::io(path, "finish", source))
+    }
+}
+
+/// Writes a file under another name first: what stands at `path` is whole.
+fn replace(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<()>,
+) -> io::Result<()> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".vpd-");
+    // As any file that this user makes: what umask leaves of it.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let new = builder.tempfile_in(folder(path))?;
+    let mut out = BufWriter::with_capacity(1 << 20, new.as_file());
+    write(&mut out)?;
+    out.flush()?;
+    drop(out);
+    new.as_file().sync_all()?;
+    new.persist(path).map_err(|error| error.error)?;
+    sync_folder(folder(path))
+}
+
+/// A part that is to be merged.
+struct Found {
+    path: PathBuf,
+    identity: Identity,
+    mark: String,
+    head: String,
+}
+
+impl Found {
+    fn open(path: &Path) -> Result<Self, SweepError> {
+        let failed = |source| SweepError::io(path, "read", source);
+        let mut reader = BufReader::new(File::open(path).map_err(failed)?);
+        // No longer than any of ours.
+        let mut line = || {
+            let mut text = Vec::new();
+            (&mut reader).take(1 << 20).read_until(b'\n', &mut text)?;
+            Ok(String::from_utf8_lossy(&text).into_owned())
+        };
+        let (mark, head) = (line().map_err(failed)?, line().map_err(failed)?);
+        let identity = mark.ends_with('\n').then(|| Identity::read(&mark)).flatten();
+        let identity = identity.filter(|id| id.first <= id.end && id.end <= id.members);
+        let Some(identity) = identity.filter(|_| head.ends_with('\n')) else {
+            return Err(SweepError::NoPart { path: path.to_owned() });
+        };
+        Ok(Self { path: path.to_owned(), identity, mark, head })
+    }
+
+    /// Gives each line to `put`; all that should be there are.
+    fn lines(
+        &self,
+        mut put: impl FnMut(&[u8]) -> Result<(), SweepError>,
+    ) -> Result<(), SweepError> {
+        let failed = |source| SweepError::io(&self.path, "read", source);
+        let mut file = File::open(&self.path).map_err(failed)?;
+        let begin = (self.mark.len() + self.head.len()) as u64;
+        file.seek(SeekFrom::Start(begin)).map_err(failed)?;
+        let Identity { first, end, .. } = self.identity;
+        let columns = cells(self.head.trim_end()).len();
+        let mut lines = Lines::new(BufReader::with_capacity(1 << 18, file), columns, first);
+        for member in first..end {
+            let Some((line, _)) = lines.read().map_err(failed)? else {
+                let (path, missing) = (self.path.clone(), (member, end - 1));
+                return Err(SweepError::Unfinished { path, missing });
+            };
+            put(line)?;
+        }
+        let rest = lines.reader.fill_buf().map_err(failed)?;
+        if rest.is_empty() { Ok(()) } else { Err(SweepError::NoPart { path: self.path.clone() }) }
+    }
+
+    /// Whether all its lines are there.
+    fn check(&self) -> Result<(), SweepError> {
+        self.lines(|_| Ok(()))
+    }
+}
+
+/// What became of the members of a part that is finished; `None` if there is no such file, or it is of something else.
+pub(super) fn finished(path: &Path, identity: &Identity, head: &str) -> Option<Counts> {
+    let found = Found::open(path).ok()?;
+    let columns = cells(head);
+    let outcome = columns.iter().position(|name| name == "outcome")?;
+    if found.identity != *identity || found.head.trim_end() != head {
+        return None;
+    }
+    let mut counts = Counts::default();
+    let count = |line: &[u8]| {
+        let line = String::from_utf8_lossy(line);
+        counts.add(&cells(line.trim_end())[outcome]);
+        Ok(())
+    };
+    found.lines(count).ok().map(|()| counts)
+}
+
+/// Puts the parts of a sweep together to the table of the whole, as `vpd sweep` writes it in one piece. A part that is given
+/// twice, to the byte, counts once. Returns the number of members.
+///
+/// # Errors
+/// If a part is missing, unfinished, of another sweep or of another build, if two overlap, or a file cannot be read or written.
+pub fn merge(parts: &[PathBuf], out: &Path, replaces: bool) -> Result<u64, SweepError> {
+    if !replaces && out.symlink_metadata().is_ok() {
+        return Err(SweepError::Exists { path: out.to_owned(), finished: true });
+    }
+    let mut found = parts.iter().map(|path| Found::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let Some(first) = found.first() else { return Err(SweepError::NoParts) };
+    let (sweep, build) = (first.identity.sweep.clone(), first.identity.build.clone());
+    let (members, head, of) = (first.identity.members, first.head.clone(), first.identity.shard.1);
+    let by = first.path.clone();
+    for part in &found {
+        let paths = || (by.clone(), part.path.clone());
+        if part.identity.sweep != sweep || part.identity.members != members || part.head != head {
+            return Err(SweepError::OtherSweep(Box::new(paths())));
+        }
+        if part.identity.build != build {
+            return Err(SweepError::OtherBuild(Box::new(paths())));
+        }
+    }
+    // Empty parts, of more shards than members, stand nowhere.
+    found.retain(|part| part.identity.first < part.identity.end);
+    found.sort_by_key(|part| (part.identity.first, part.identity.end));
+    let mut next = 0;
+    let mut whole: Vec<Found> = Vec::new();
+    for part in found {
+        let Identity { first, end, .. } = part.identity;
+        if let Some(last) = whole.last()
+            && first < next
+        {
+            let same = part.identity == last.identity && same_content(&part.path, &last.path)?;
+            if !same {
+                return Err(SweepError::Overlap(Box::new((last.path.clone(), part.path))));
+            }
+            continue;
+        }
+        if first > next {
+            return Err(missing(next, first, members, of));
+        }
+        next = end;
+        whole.push(part);
+    }
+    if next < members {
+        return Err(missing(next, members, members, of));
+    }
+    // What is wrong with a part is said before anything is written.
+    for part in &whole {
+        part.check()?;
+    }
+    let unwritten = |source| SweepError::io(out, "write", source);
+    let mut broken = None;
+    let written = replace(out, |file| {
+        file.write_all(head.as_bytes())?;
+        for part in &whole {
+            if let Err(error) = part.lines(|line| file.write_all(line).map_err(unwritten)) {
+                broken = Some(error);
+                return Err(io::Error::other("a part changed"));
+            }
+        }
+        Ok(())
+    });
+    match (written, broken) {
+        (_, Some(error)) => Err(error),
+        (written, None) => written.map_err(unwritten).map(|()| members),
+    }
+}
+
+/// The members from `first` to before `end` are in no part: which shards of `of` that is.
+fn missing(first: u64, end: u64, members: u64, of: u64) -> SweepError {
+    let shards = (1..=of).filter(|&number| {
+        let shard = super::Shard { number, of }.range(members);
+        shard.start < end && shard.end > first
+    });
+    SweepError::Missing { members: (first, end - 1), shards: shards.take(10).collect(), of }
+}
+
+fn same_content(a: &Path, b: &Path) -> Result<bool, SweepError> {
+    let open = |path: &Path| {
+        let file = File::open(path).map_err(|source| SweepError::io(path, "read", source))?;
+        Ok::<_, SweepError>(BufReader::new(file))
+    };
+    let (mut left, mut right) = (open(a)?, open(b)?);
+    loop {
+        let filled = |reader: &mut BufReader<File>, path: &Path| {
+            let bytes = reader.fill_buf().map_err(|source| SweepError::io(path, "read", source))?;
+            Ok::<_, SweepError>(bytes.to_vec())
+        };
+        let (x, y) = (filled(&mut left, a)?, filled(&mut right, b)?);
+        let length = x.len().min(y.len());
+        if x[..length] != y[..length] || (length == 0 && x.len() != y.len()) {
+            return Ok(false);
+        }
+        if length == 0 {
+            return Ok(true);
+        }
+        left.consume(length);
+        right.consume(length);
+    }
+}
