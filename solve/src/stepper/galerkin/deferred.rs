@@ -616,7 +616,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. Returns the largest change of a momentum.
     fn momenta_in_body(&mut self) -> f64 {
         let Self { stack, coefficients, weights, u, .. } = self;
-        let (n, len, like) = (stack.n(), stack.len(), stack.like);
+        let (n, len, like) = (stack.n(), stack.numbers(), stack.like);
         let Unknowns { p0, mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
         let (mu, omega, gradient) = (&mut mu[..len], &omega[..len], &gradient[..len]);
         let (p0, rate) = (&p0[..len], &mut rate[..len]);
@@ -684,7 +684,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// [transport]: pi - p0.
     fn transport(&mut self) {
         let Self { stack, coefficients, weights, u, forces, .. } = self;
-        let (n, len, like) = (stack.n(), stack.len(), stack.like);
+        let (n, len, like) = (stack.n(), stack.numbers(), stack.like);
         let Unknowns { c, kappa, gain, delta, gradient, slopes, .. } = &mut **u;
         match forces {
             Forces::None { .. } => {
@@ -716,7 +716,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// `mu = U^T pi U`, as `p0 + (pi - p0) + asym(pi C) + C^T pi C`, and Omega. Returns the largest change of a momentum.
     fn momenta_from_space(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
-        let (n, len, like) = (stack.n(), stack.len(), stack.like);
+        let (n, len, like) = (stack.n(), stack.numbers(), stack.like);
         let Unknowns { p0, mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
         stack.sum(p0, gain, pi);
         stack.product(pi, c, turned);
@@ -739,7 +739,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// [S] to first order: `-sum_j e_jk h b_j (Omega_j mu_j + mu_j Omega_j) / 4`.
     fn first_symmetric_parts(&mut self) {
         let Self { stack, coefficients, weights, u, .. } = self;
-        let (n, len) = (stack.n(), stack.len());
+        let (n, len) = (stack.n(), stack.numbers());
         let Unknowns { mu, omega, s, room: [product, both, _], .. } = &mut **u;
         stack.product(omega, mu, product);
         let (product, both, s) = (&product[..len], &mut both[..len], &mut s[..len]);
@@ -802,7 +802,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and (19a, fff1).
     fn multipliers(&mut self) {
         let Self { stack, weights, u, .. } = self;
-        let (n, len) = (stack.n(), stack.len());
+        let (n, len) = (stack.n(), stack.numbers());
         let Unknowns { mu, omega, s, e: excess, x, gradient, room: [next, ..], .. } = &mut **u;
         let (mu, omega, s, excess) = (&mu[..len], &omega[..len], &s[..len], &excess[..len]);
         let (x, gradient, next) = (&mut x[..len], &gradient[..len], &mut next[..len]);
@@ -834,7 +834,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// What of [defect] does not depend on K: `-asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)`.
     fn slow_defects(&mut self) {
         let Self { stack, coefficients, u, .. } = self;
-        let (n, len) = (stack.n(), stack.len());
+        let (n, len) = (stack.n(), stack.numbers());
         let Unknowns { c, d, w, t, y, delta_rest, room: [part, ..], .. } = &mut **u;
         let (c, d, w, t, y) = (&c[..len], &d[..len], &w[..len], &t[..len], &y[..len]);
         let (delta_rest, part) = (&mut delta_rest[..len], &mut part[..len]);
@@ -857,7 +857,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// [defect] with the newest K; what it changes goes to pi. Returns the largest change.
     fn newest_defects(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
-        let (n, len) = (stack.n(), stack.len());
+        let (n, len) = (stack.n(), stack.numbers());
         let Unknowns { k, gain, delta, delta_rest, f_lambda, .. } = &mut **u;
         let (k, gain, delta) = (&k[..len], &mut gain[..len], &mut delta[..len]);
         let (delta_rest, f_lambda) = (&delta_rest[..len], &f_lambda[..len]);
