@@ -25,7 +25,7 @@ use crate::solve::work::Work;
 /// Work of a search in nanoseconds, by the plan's figures: so many runs like the one that failed, but no less than the
 /// first and no more than the second.
 const RUNS: f64 = 100.0;
-const LEAST_NS: f64 = 2e8;
+const LEAST_NS: f64 = 6e8;
 const MOST_NS: f64 = 2e9;
 /// Steps that failed and steps that did not are brought as near as this.
 const NEAR: f64 = 1.2;

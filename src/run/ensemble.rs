@@ -244,6 +244,7 @@ impl Ensemble<'_> {
         let ends = trajectories.iter().zip(figures).enumerate();
         let ends = ends.map(|(m, (end, figures))| {
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
+            let velocity = |momentum: &Mat<N>| assembly.body.velocity(momentum);
             let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
                 &end.reached;
             let time_s = *step as f64 * self.plan.step_s;
@@ -255,8 +256,14 @@ impl Ensemble<'_> {
                     0.0,
                     Some(&starts[m].attitude),
                     &starts[m].momentum,
+                    Some(&velocity(&starts[m].momentum)),
                 )),
-                last: Some(messages::State::at(time_s, attitude.as_ref(), momentum)),
+                last: Some(messages::State::at(
+                    time_s,
+                    attitude.as_ref(),
+                    momentum,
+                    Some(&velocity(momentum)),
+                )),
                 figures: Some(figures),
                 samples: *samples,
                 iterations: *iterations,

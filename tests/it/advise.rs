@@ -173,7 +173,8 @@ fn the_choice_is_the_cheapest_of_those_tried() {
     assert!(advice.margin >= 1.2, "{}", advice.margin);
     let finer = advise::plan(&scenario(&accurate_dipole(1e-10, 2.0))).expect("a choice");
     let cost = finer.advice.and_then(|advice| advice.candidates[0].cost_us);
-    assert!(cost.is_some_and(|cost| cost > costs[0]), "{cost:?} {costs:?}");
+    // What is cheapest for the one may do for the other.
+    assert!(cost.is_some_and(|cost| cost >= costs[0]), "{cost:?} {costs:?}");
 }
 
 #[test]
