@@ -82,7 +82,8 @@ fn parts(plan: &Plan) -> Parts {
 }
 
 fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
-    plan.formulation.method.side_by_side(&parts(plan))
+    let alone = plan.model.is_driven() || plan.model.wheels.is_some();
+    if alone { None } else { plan.formulation.method.side_by_side(&parts(plan)) }
 }
 
 /// The stepper that the plan chose, of those for any n; `None` for the others.
@@ -92,7 +93,11 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
 
 /// The stepper that the plan chose, for n = 3.
 fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let stepper = plan.formulation.method.in_space(parts(plan))?;
+    let method = plan.formulation.method;
+    if plan.model.is_driven() || plan.model.wheels.is_some() {
+        return method.in_any_dimension(parts(plan));
+    }
+    let stepper = method.in_space(parts(plan))?;
     let (body, start) = plan.model.problem::<3>();
     let plane = Plane::of(&body, &start).filter(|_| plan.formulation.motion == Motion::InPlane);
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);

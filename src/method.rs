@@ -143,6 +143,10 @@ pub struct Facts {
     pub symplectic: bool,
     /// Is it for n = 3 alone?
     pub three: bool,
+    /// Can it run scenes that change with time, and torques that are no potential's?
+    pub driven: bool,
+    /// Can it run bodies with wheels?
+    pub wheels: bool,
     /// Is it for free bodies alone? Their momentum moves by itself, the attitude only where somebody looks at it.
     pub free: bool,
     /// Has it Newton's method to go to?
@@ -183,62 +187,62 @@ impl Integrator {
         const EXPLICIT: &[Variant] = &[T(Rk3), T(Rk4), T(Rk8)];
         match self {
             Self::Vpd => Facts {
-                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                takes: Takes::Tableau, symplectic: true, three: false, driven: true, wheels: true, free: false, newton: true,
                 lanes: true, plane: true, sweeps: [5.0, 5.0], family: 0,
                 charted: &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss8)],
                 mapped: &[T(Gauss1), T(Rk3), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss6), T(Gauss8)], solvers: true,
                 tried: (6, GAUSS),
             },
             Self::VpdLagrangian => Facts {
-                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                takes: Takes::Tableau, symplectic: true, three: false, driven: true, wheels: true, free: false, newton: true,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 0,
                 charted: &[], mapped: &[T(Gauss2)], solvers: false, tried: (0, &[]),
             },
             Self::VpdReduced => Facts {
-                takes: Takes::Tableau, symplectic: true, three: false, free: true, newton: true,
+                takes: Takes::Tableau, symplectic: true, three: false, driven: false, wheels: true, free: true, newton: true,
                 lanes: true, plane: false, sweeps: [1.0, 3.0], family: 0,
                 charted: &[T(Gauss4)], mapped: &[T(Gauss2)], solvers: false, tried: (5, GAUSS),
             },
             Self::Vrkmk => Facts {
-                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                takes: Takes::Tableau, symplectic: true, three: false, driven: true, wheels: true, free: false, newton: true,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 1,
                 charted: &[T(Gauss2), T(Gauss4)],
                 mapped: &[T(Gauss1), T(Rk3), T(Gauss2), T(Gauss3), T(Gauss4)], solvers: false,
                 tried: (7, &[T(Gauss2), T(Gauss4)]),
             },
             Self::VrkmkProjected => Facts {
-                takes: Takes::Tableau, symplectic: true, three: false, free: false, newton: true,
+                takes: Takes::Tableau, symplectic: true, three: false, driven: true, wheels: true, free: false, newton: true,
                 lanes: false, plane: false, sweeps: [5.0, 5.0], family: 1,
                 charted: &[], mapped: &[T(Gauss2)], solvers: false, tried: (0, &[]),
             },
             Self::Rkmk => Facts {
-                takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
+                takes: Takes::Explicit, symplectic: false, three: false, driven: true, wheels: true, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 5,
                 charted: &[T(Rk4), T(Rk8)], mapped: EXPLICIT, solvers: false, tried: (2, &[T(Rk8)]),
             },
             Self::Rk => Facts {
-                takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
+                takes: Takes::Explicit, symplectic: false, three: false, driven: true, wheels: true, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 6,
                 charted: &[T(Rk4)], mapped: EXPLICIT, solvers: false, tried: (0, &[]),
             },
             Self::RkProjected => Facts {
-                takes: Takes::Explicit, symplectic: false, three: false, free: false, newton: false,
+                takes: Takes::Explicit, symplectic: false, three: false, driven: true, wheels: true, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 6,
                 charted: &[T(Rk8)], mapped: EXPLICIT, solvers: false, tried: (1, &[T(Rk4), T(Rk8)]),
             },
             Self::Splitting => Facts {
-                takes: Takes::Order, symplectic: true, three: true, free: false, newton: false,
+                takes: Takes::Order, symplectic: true, three: true, driven: false, wheels: false, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 3,
                 charted: &[O(4), O(8)], mapped: &[O(2), O(4), O(6), O(8)], solvers: false,
                 tried: (0, &[O(2), O(4), O(6), O(8)]),
             },
             Self::Lgvi => Facts {
-                takes: Takes::Order, symplectic: true, three: true, free: false, newton: false,
+                takes: Takes::Order, symplectic: true, three: true, driven: false, wheels: false, free: false, newton: false,
                 lanes: false, plane: false, sweeps: [1.0, 1.0], family: 4,
                 charted: &[O(4)], mapped: &[O(2), O(4), O(8)], solvers: false, tried: (4, &[O(4), O(8)]),
             },
             Self::QuaternionGauss => Facts {
-                takes: Takes::Gauss, symplectic: true, three: true, free: false, newton: false,
+                takes: Takes::Gauss, symplectic: true, three: true, driven: false, wheels: false, free: false, newton: false,
                 lanes: true, plane: false, sweeps: [5.0, 5.0], family: 2,
                 charted: &[T(Gauss4), T(Gauss8)],
                 mapped: &[T(Gauss1), T(Gauss2), T(Gauss3), T(Gauss4), T(Gauss8)], solvers: false,

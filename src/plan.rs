@@ -23,7 +23,9 @@ mod terms;
 
 pub use cost::Counts;
 pub(crate) use model::{Model, ModelKinetic};
-use model::{attitude, inertia_matrix, kinetic, momentum, tableau, tableau_choice, with_matrix};
+use model::{
+    attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
+};
 use terms::{Extent, Terms};
 
 /// About what a log takes in addition to its samples: schemas, scenario, plan, index.
@@ -48,6 +50,12 @@ pub struct Plan {
     pub potential: Vec<TermPlan>,
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved.
     pub free_directions: usize,
+    /// What is kept, and logged as the energy error, of a scene that changes with time, is pushed or has wheels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub balance: Option<String>,
+    /// What somebody should know before the run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
     /// Samples in a chunk of the log: half a mebibyte, or what is estimated to take 3 s if that is less. An interrupted
@@ -226,6 +234,8 @@ impl Plan {
             samples: 0,
             potential: Vec::new(),
             free_directions: n,
+            balance: None,
+            warnings: Vec::new(),
             channels: channels(scenario),
             samples_per_chunk: 0,
             log_bytes: 0,
@@ -241,6 +251,9 @@ impl Plan {
                 terms: Vec::new(),
                 shown: Vec::new(),
                 constant: 0.0,
+                driven: scenario.scene.driven.clone(),
+                torques: scenario.scene.torques.clone(),
+                wheels: scenario.scene.wheels.as_deref().map(skew),
                 attitude,
                 momentum,
                 tableau,
@@ -255,6 +268,7 @@ impl Plan {
         plan.samples = 1 + plan.steps.div_ceil(plan.every);
         plan.model.check_distances(&scenario.scene.potential)?;
         plan.add_terms(&scenario.scene.potential, &inertia);
+        plan.add_driven(&inertia);
         plan.formulation = plan.formulate(scenario)?;
         if !plan.formulation.carries_attitude {
             let momentum = plan.channels.iter_mut().find(|plan| plan.topic == Channel::Momentum);
@@ -262,7 +276,9 @@ impl Plan {
                 channel.computes = "how far the body momentum leaves its coadjoint orbit";
             }
         }
-        plan.free_directions = free_directions(n, &plan.model.terms);
+        plan.free_directions = plan.model.free_directions(n);
+        plan.balance = plan.model.balance();
+        plan.warnings.extend(no_body(&inertia));
         plan.estimate(None);
         Ok(plan)
     }
@@ -297,9 +313,26 @@ impl Plan {
             terms.put_together(&extent, &self.model).into_parts();
     }
 
+    /// Takes the terms that change with time, and the torques, as they are.
+    fn add_driven(&mut self, inertia: &DMatrix<f64>) {
+        for (index, driven) in self.model.driven.iter_mut().enumerate() {
+            driven.term = with_matrix(&driven.term, inertia);
+            self.model.shown.push(driven.term.clone());
+            let pointer = format!("/scene/driven/{index}");
+            let why = "changes with time".to_owned();
+            self.potential.push(TermPlan { pointer, kept: true, why });
+        }
+        for index in 0..self.model.torques.len() {
+            let pointer = format!("/scene/torques/{index}");
+            let why = "a torque that is no potential's".to_owned();
+            self.potential.push(TermPlan { pointer, kept: true, why });
+        }
+    }
+
     /// Chooses the integrator.
     fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
-        let free = self.model.terms.is_empty();
+        let driven = self.model.is_driven();
+        let free = self.model.terms.is_empty() && !driven;
         let asked = scenario.method.name.integrator();
         if let Some(method) = asked.filter(|method| method.facts().free && !free) {
             let term =
@@ -308,10 +341,14 @@ impl Plan {
             let message = format!("{name} is for free bodies, but {term} depends on the attitude");
             return Err(ScenarioError::invalid("/method/name", message));
         }
+        if let Some(method) = asked {
+            self.model.allows(method)?;
+        }
+        let spins = self.model.wheels.is_some();
         let (method, why) = match asked {
             Some(method) => (method, "asked for"),
             // Whoever names a tableau wants its scheme.
-            None if free && self.dimension == 3 && scenario.method.tableau.is_none() => (
+            None if free && !spins && self.dimension == 3 && scenario.method.tableau.is_none() => (
                 Integrator::Splitting,
                 "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
             ),
@@ -351,6 +388,9 @@ impl Plan {
         if self.ensemble.is_some() {
             return Motion::General;
         }
+        if self.model.is_driven() || self.model.wheels.is_some() {
+            return Motion::General;
+        }
         if self.model.is_at_rest() {
             return Motion::AtRest;
         }
@@ -377,7 +417,7 @@ fn tableau_name(scenario: &Scenario) -> Option<String> {
 
 fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     let three = scenario.dimension() == 3;
-    let potential = !scenario.scene.potential.is_empty();
+    let potential = !(scenario.scene.potential.is_empty() && scenario.scene.driven.is_empty());
     let has = |channel: &Channel| channel.exists(three, potential, scenario.ensemble.is_some());
     let asked = |channel: &Channel| {
         scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(channel))
@@ -386,12 +426,34 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     logged.map(|topic| ChannelPlan { topic, computes: topic.computes() }).collect()
 }
 
-/// n less the rank of the terms' space vectors.
-fn free_directions(n: usize, modelled: &[PotentialTerm]) -> usize {
+/// What is said of an inertia that no rigid body has: a moment is the sum of two second moments, none of which is
+/// negative, so none of the three is more than the other two.
+fn no_body(inertia: &DMatrix<f64>) -> Option<String> {
+    /// What decimal text may make of a flat body.
+    const ROUNDED: f64 = 1e-9;
+    let n = inertia.nrows();
+    // J = tr(D) I - D
+    let second = inertia.trace() / (n as f64 - 1.0);
+    let moments = inertia.symmetric_eigenvalues();
+    let largest = moments.max();
+    (n > 2 && largest - second > ROUNDED * largest).then(|| {
+        let least = second - largest;
+        let words = if n == 3 {
+            let others = inertia.trace() - largest;
+            format!("{largest} is more than the sum of the other two, {others}")
+        } else {
+            format!("the least second moment is {least}, below zero")
+        };
+        format!("no rigid body has this inertia: {words}; the equations hold all the same")
+    })
+}
+
+/// n less the rank of space vectors.
+fn free_directions<'a>(n: usize, vectors: impl Iterator<Item = &'a [f64]>) -> usize {
     // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
     let mut taken: Vec<DVector<f64>> = Vec::new();
-    for term in modelled {
-        let mut rest = terms::unit(&DVector::from_column_slice(term.law().space_vector()));
+    for vector in vectors {
+        let mut rest = terms::unit(&DVector::from_column_slice(vector));
         for direction in taken.iter().chain(&taken) {
             let part = direction.dot(&rest);
             rest.axpy(-part, direction, 1.0);

@@ -9,12 +9,17 @@
 
 mod change;
 mod check;
+mod driven;
 mod ensemble;
 mod parse;
 mod term;
 
 pub(crate) use change::set;
 pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
+pub use driven::{
+    DrivenTerm, Factor, Harmonic, OfMomentum, Orbit, Path, Table, Torque, TorqueTable, Turning,
+    Viscous,
+};
 pub use ensemble::Ensemble;
 pub(crate) use parse::{from_tree, tree as read_tree};
 pub(crate) use term::Drawn;
@@ -94,15 +99,37 @@ pub struct Scene {
     /// The terms of the potential; none for a free body.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub potential: Vec<PotentialTerm>,
+    /// Terms of the potential that change with time.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub driven: Vec<DrivenTerm>,
+    /// Torques that are no potential's.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub torques: Vec<Torque>,
+    /// The angular momentum of wheels relative to the body, constant in body coordinates, in kg m^2/s: the momentum is
+    /// that of the body plus this. 3 numbers or a skew matrix.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wheels: Option<Vec<Entry>>,
     /// Attitude and momentum at the start.
     #[serde(default)]
     pub initial: Initial,
 }
 
 impl Scene {
+    /// Does nothing change with time, push without being a potential, or spin in the body?
+    pub(crate) fn is_plain(&self) -> bool {
+        self.driven.is_empty() && self.torques.is_empty() && self.wheels.is_none()
+    }
+
     /// A free body of an inertia, at rest in the attitude of the identity.
     pub fn free(inertia: Inertia) -> Self {
-        Self { inertia, potential: Vec::new(), initial: Initial::default() }
+        Self {
+            inertia,
+            potential: Vec::new(),
+            driven: Vec::new(),
+            torques: Vec::new(),
+            wheels: None,
+            initial: Initial::default(),
+        }
     }
 }
 
@@ -506,10 +533,12 @@ pub fn schema() -> serde_json::Value {
 /// The shipped scenarios: name and JSON text.
 pub const SHIPPED: &[(&str, &str)] = &[
     ("dipole", include_str!("../scenarios/dipole.json")),
+    ("dual-spin", include_str!("../scenarios/dual-spin.json")),
     ("free-body", include_str!("../scenarios/free-body.json")),
     ("heavy-top", include_str!("../scenarios/heavy-top.json")),
     ("pendulum", include_str!("../scenarios/pendulum.json")),
     ("satellite", include_str!("../scenarios/satellite.json")),
+    ("satellite-elliptic", include_str!("../scenarios/satellite-elliptic.json")),
     ("satellite-ensemble", include_str!("../scenarios/satellite-ensemble.json")),
     ("so4-free", include_str!("../scenarios/so4-free.json")),
     ("so5-spring", include_str!("../scenarios/so5-spring.json")),

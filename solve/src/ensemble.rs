@@ -24,6 +24,9 @@ pub trait Members<const N: usize> {
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     );
 
+    /// The next step begins at this time, in seconds: see [`Stepper::set_time`].
+    fn set_time(&mut self, _time_s: f64) {}
+
     /// Member `m` as it is.
     fn member(&mut self, m: usize) -> &dyn Stepper<N>;
 }
@@ -44,6 +47,10 @@ impl<const N: usize> Members<N> for Apart<N> {
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     ) {
         going.iter().for_each(|&m| stepped(m, self.0[m].step(body, h)));
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.0.iter_mut().for_each(|stepper| stepper.set_time(time_s));
     }
 
     fn member(&mut self, m: usize) -> &dyn Stepper<N> {
@@ -90,6 +97,9 @@ pub fn integrate<const N: usize, E>(
                 books[m].sample(body, members.member(m), |sample| record(m, sample))?;
             }
             break;
+        }
+        if body.is_driven() {
+            members.set_time(step as f64 * step_s);
         }
         members.step(body, step_s, &going, &mut |m, result| books[m].stepped(result));
         step += 1;

@@ -13,12 +13,16 @@ use super::so::{Mat, Vector};
 use super::system::{System, free_directions};
 use super::work::Work;
 
+mod driven;
 mod frequency;
 mod plane;
 mod potential;
 mod term;
 mod torque;
 
+use driven::Driven;
+pub(crate) use driven::Moment;
+pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
 use potential::Own;
 pub use potential::Potential;
 pub use term::{Law, Term};
@@ -95,6 +99,9 @@ pub struct RigidBody<const N: usize> {
     constant: f64,
     /// Potentials that are no terms.
     own: Own<N>,
+    driven: Driven<N>,
+    /// The constant angular momentum of wheels relative to the body.
+    wheels: Option<Mat<N>>,
     work: Work,
 }
 
@@ -110,19 +117,41 @@ impl<const N: usize> RigidBody<N> {
             "an inertia tensor is for n = 3"
         );
         let reaches = terms.iter().map(Term::reach).collect();
-        Self { kinetic, terms, reaches, constant, own: Own::default(), work: Work::default() }
-    }
-
-    /// `w` of `Omega_ij = w_ij mu_ij`, in principal axes.
-    pub(crate) fn principal(&self) -> Option<&Mat<N>> {
-        match &self.kinetic {
-            Kinetic::Principal { weights } => Some(weights),
-            Kinetic::Tensor { .. } => None,
+        Self {
+            kinetic,
+            terms,
+            reaches,
+            constant,
+            own: Own::default(),
+            driven: Driven::default(),
+            wheels: None,
+            work: Work::default(),
         }
     }
 
-    /// dH/dmu: the body angular velocity `Omega`, skew.
+    /// A term more.
+    fn push(&mut self, term: Term<N>) {
+        self.reaches.push(term.reach());
+        self.terms.push(term);
+    }
+
+    /// `w` of `Omega_ij = w_ij mu_ij`, in principal axes and without wheels.
+    pub(crate) fn principal(&self) -> Option<&Mat<N>> {
+        match &self.kinetic {
+            Kinetic::Principal { weights } if self.wheels.is_none() => Some(weights),
+            Kinetic::Principal { .. } | Kinetic::Tensor { .. } => None,
+        }
+    }
+
+    /// dH/dmu: the body angular velocity `Omega = J^-1 (mu - wheels)`, skew.
     pub fn velocity(&self, mu: &Mat<N>) -> Mat<N> {
+        match &self.wheels {
+            None => self.velocity_without_wheels(mu),
+            Some(wheels) => self.velocity_without_wheels(&(mu - wheels)),
+        }
+    }
+
+    fn velocity_without_wheels(&self, mu: &Mat<N>) -> Mat<N> {
         match &self.kinetic {
             Kinetic::Principal { weights } => mu.component_mul(weights),
             Kinetic::Tensor { inverse, .. } => {
@@ -133,14 +162,15 @@ impl<const N: usize> RigidBody<N> {
 
     /// The body momentum of a body angular velocity: the inverse of [`RigidBody::velocity`].
     pub fn momentum(&self, omega: &Mat<N>) -> Mat<N> {
-        match &self.kinetic {
+        let own = match &self.kinetic {
             Kinetic::Principal { weights } => {
                 omega.zip_map(weights, |omega, w| if w == 0.0 { 0.0 } else { omega / w })
             }
             Kinetic::Tensor { inertia, .. } => {
                 skew_of(inertia * Vector3::new(omega[(2, 1)], omega[(0, 2)], omega[(1, 0)]))
             }
-        }
+        };
+        self.wheels.map_or(own, |wheels| own + wheels)
     }
 
     /// mu' = `[mu, Omega] - dH/dg` at `g = g0 u`, given the space vectors `seen` from g0 and
@@ -173,7 +203,7 @@ impl<const N: usize> RigidBody<N> {
 
     /// Is H independent of the attitude?
     pub fn is_free(&self) -> bool {
-        self.terms.is_empty() && self.own.is_empty()
+        self.terms.is_empty() && self.own.is_empty() && self.driven.is_empty()
     }
 
     /// The space vectors of the potential: one a term, and the axes if there is a potential of one's own.
@@ -272,8 +302,9 @@ impl<const N: usize> RigidBody<N> {
 
     /// Kinetic and potential energy at an attitude and a body momentum.
     pub fn energy(&self, attitude: &Mat<N>, momentum: &Mat<N>) -> Energy {
-        // T = <mu, Omega> / 2
-        let kinetic = 0.5 * super::so::inner(momentum, &self.velocity(momentum));
+        // T = <mu - wheels, Omega> / 2
+        let own = self.wheels.map_or(*momentum, |wheels| momentum - wheels);
+        let kinetic = 0.5 * super::so::inner(&own, &self.velocity_without_wheels(&own));
         let terms: f64 =
             self.terms.iter().map(|term| term.law.value(&attitude.tr_mul(&term.space))).sum();
         Energy { kinetic, potential: self.own.energy(terms + self.constant, attitude) }
@@ -283,8 +314,8 @@ impl<const N: usize> RigidBody<N> {
     /// subspace are symmetries, so by Noether `Q m Q` is conserved, m the spatial momentum. `None` if
     /// fewer than two directions are free.
     pub fn conserved_directions(&self) -> Option<Mat<N>> {
-        let own = self.own.space_vectors();
-        free_directions(self.terms.iter().map(|term| &term.space).chain(&own))
+        let (own, driven) = (self.own.space_vectors(), self.driven.space_vectors()?);
+        free_directions(self.terms.iter().map(|term| &term.space).chain(&own).chain(&driven))
     }
 }
 
@@ -295,6 +326,18 @@ impl<const N: usize> System<N> for RigidBody<N> {
 
     fn conserved_directions(&self) -> Option<Mat<N>> {
         self.conserved_directions()
+    }
+
+    fn angular_velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
+        Some(self.velocity(mu))
+    }
+
+    fn energy_at(&self, t: f64, g: &Mat<N>, mu: &Mat<N>) -> Energy {
+        if self.is_driven() { self.at(t).energy(g, mu) } else { self.energy(g, mu) }
+    }
+
+    fn is_driven(&self) -> bool {
+        self.is_driven()
     }
 
     fn check(&self, g: &Mat<N>) -> Result<(), Failure> {

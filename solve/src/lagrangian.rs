@@ -25,9 +25,18 @@ pub trait Lagrangian<const N: usize>: System<N> {
     /// dL/dg at `g` and a fixed `omega`, left-trivialised and skew, in J, in the body frame:
     /// `<force, eta> = d/de L(g exp(e eta), omega)`.
     fn force(&self, g: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
+
+    /// The system as a rigid body, if it is one: it may be driven.
+    fn as_body(&self) -> Option<&RigidBody<N>> {
+        None
+    }
 }
 
 impl<const N: usize> Lagrangian<N> for RigidBody<N> {
+    fn as_body(&self) -> Option<&RigidBody<N>> {
+        Some(self)
+    }
+
     fn value(&self, g: &Mat<N>, omega: &Mat<N>) -> f64 {
         let Energy { kinetic, potential } = self.energy(g, &self.momentum(omega));
         kinetic - potential

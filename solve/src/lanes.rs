@@ -637,8 +637,8 @@ macro_rules! stages_in_turn {
             fn repeated(self, from: &[f64]) -> Self::Wide {
                 let one = self.get(from);
                 let mut wide = [self.0[0]; $stages * $group];
-                for k in 0..$stages * $group {
-                    wide[k] = one.0[k % $stages];
+                for group in wide.chunks_exact_mut($stages) {
+                    group.copy_from_slice(&one.0);
                 }
                 Rows(wide)
             }
@@ -649,7 +649,8 @@ macro_rules! stages_in_turn {
                 while count > 1 {
                     count /= 2;
                     for k in 0..$stages * count {
-                        sums[k] = sums[k] + sums[k + $stages * count];
+                        let sum = sums[k] + sums[k + $stages * count];
+                        sums[k] = sum;
                     }
                 }
                 let mut whole = [sums[0]; $stages];

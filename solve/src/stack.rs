@@ -123,7 +123,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
 
     /// The numbers of a matrix.
     #[inline(always)]
-    pub fn len(self) -> usize {
+    pub fn numbers(self) -> usize {
         self.n() * self.n() * R::LANES
     }
 
@@ -176,11 +176,12 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     #[inline(always)]
     fn multiplied<const T: bool>(self, s: Option<&[f64]>, a: &[f64], b: &[f64], c: &mut [f64]) {
         let n = self.n();
-        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
-        let s = match s {
-            Some(s) => Some(&s[..self.len()]),
-            None => None,
-        };
+        let (a, b, c) = (&a[..self.numbers()], &b[..self.numbers()], &mut c[..self.numbers()]);
+        let count = self.numbers();
+        let s = s.map(
+            #[inline(always)]
+            |s| &s[..count],
+        );
         let groups = n / R::GROUP;
         for i in 0..n {
             let mut group = 0;
@@ -296,7 +297,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `C = sym(A)`, the symmetric part.
     #[inline(always)]
     pub fn symmetric_part(self, a: &[f64], c: &mut [f64]) {
-        let (a, c) = (&a[..self.len()], &mut c[..self.len()]);
+        let (a, c) = (&a[..self.numbers()], &mut c[..self.numbers()]);
         for i in 0..self.n() {
             for j in i..self.n() {
                 let part = (self.get(a, i, j) + self.get(a, j, i)) * 0.5;
@@ -310,7 +311,8 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     #[inline(always)]
     pub fn add_half_defect(self, c: &[f64], f: &mut [f64], room: &mut [f64]) {
         self.transposed_product(c, c, room);
-        let (c, f, room) = (&c[..self.len()], &mut f[..self.len()], &room[..self.len()]);
+        let (c, f, room) =
+            (&c[..self.numbers()], &mut f[..self.numbers()], &room[..self.numbers()]);
         for i in 0..self.n() {
             for j in i..self.n() {
                 let defect = self.get(room, i, j) + (self.get(c, i, j) + self.get(c, j, i));
@@ -324,7 +326,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `C += a b^T - b a^T`, to nothing if it is the `first`.
     #[inline(always)]
     pub fn add_wedge(self, first: bool, a: &D::Vector<R>, b: &D::Vector<R>, c: &mut [f64]) {
-        let c = &mut c[..self.len()];
+        let c = &mut c[..self.numbers()];
         for i in 0..self.n() {
             for j in i + 1..self.n() {
                 let wedge = a[i] * b[j] - b[i] * a[j];
@@ -341,7 +343,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         let mut once = [0.0; WIDTH];
         x.put(&mut once);
         let x_wide = self.like.repeated(&once);
-        let mut groups = a[..self.len()].chunks_exact_mut(wide);
+        let mut groups = a[..self.numbers()].chunks_exact_mut(wide);
         for group in &mut groups {
             R::put_wide(x_wide * self.like.get_wide(group), group);
         }
@@ -353,8 +355,8 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `C_ij = A_ij B_ij`
     #[inline(always)]
     pub fn entrywise_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
-        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
-        for e in 0..self.len() {
+        let (a, b, c) = (&a[..self.numbers()], &b[..self.numbers()], &mut c[..self.numbers()]);
+        for e in 0..self.numbers() {
             c[e] = a[e] * b[e];
         }
     }
@@ -362,8 +364,8 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `C = A - B`
     #[inline(always)]
     pub fn difference(self, a: &[f64], b: &[f64], c: &mut [f64]) {
-        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
-        for e in 0..self.len() {
+        let (a, b, c) = (&a[..self.numbers()], &b[..self.numbers()], &mut c[..self.numbers()]);
+        for e in 0..self.numbers() {
             c[e] = a[e] - b[e];
         }
     }
@@ -371,8 +373,8 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `C = A + B`
     #[inline(always)]
     pub fn sum(self, a: &[f64], b: &[f64], c: &mut [f64]) {
-        let (a, b, c) = (&a[..self.len()], &b[..self.len()], &mut c[..self.len()]);
-        for e in 0..self.len() {
+        let (a, b, c) = (&a[..self.numbers()], &b[..self.numbers()], &mut c[..self.numbers()]);
+        for e in 0..self.numbers() {
             c[e] = a[e] + b[e];
         }
     }
@@ -389,7 +391,7 @@ impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
     #[inline(always)]
     pub fn combination(self, a: &[f64], columns: &[Row; WIDTH], c: &mut [f64]) {
         let columns = self.like.rows(columns);
-        let (a, c) = (&a[..self.len()], &mut c[..self.len()]);
+        let (a, c) = (&a[..self.numbers()], &mut c[..self.numbers()]);
         for (a, c) in a.chunks_exact(R::LANES).zip(c.chunks_exact_mut(R::LANES)) {
             R::combination(a, &columns).put(c);
         }
@@ -398,7 +400,7 @@ impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
     /// `c = sum_k A_k`
     #[inline(always)]
     pub fn sum_of_stages(self, a: &[f64], c: &mut [f64]) {
-        let (a, c) = (&a[..self.len()], &mut c[..self.n() * self.n()]);
+        let (a, c) = (&a[..self.numbers()], &mut c[..self.n() * self.n()]);
         for (a, c) in a.chunks_exact(R::LANES).zip(c) {
             *c = self.like.get(a).sum();
         }
@@ -407,7 +409,7 @@ impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
     /// `C_k = a` at each stage.
     #[inline(always)]
     pub fn spread(self, a: &[f64], c: &mut [f64]) {
-        let (a, c) = (&a[..self.n() * self.n()], &mut c[..self.len()]);
+        let (a, c) = (&a[..self.n() * self.n()], &mut c[..self.numbers()]);
         for (a, c) in a.iter().zip(c.chunks_exact_mut(R::LANES)) {
             self.like.spread(*a).put(c);
         }

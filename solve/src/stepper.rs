@@ -38,6 +38,15 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// Any failure; the state is then untouched.
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure>;
 
+    /// The next step begins at this time, in seconds; a scheme for systems that do not change with time does not look.
+    fn set_time(&mut self, _time_s: f64) {}
+
+    /// What time and torques that are no potential's have put into the energy since [`Stepper::start`], in J, by the
+    /// weights of the scheme; zero of a system that is not driven.
+    fn work(&self) -> f64 {
+        0.0
+    }
+
     /// The attitude g; `None` from a scheme that carries none.
     fn attitude(&self) -> Option<Mat<N>>;
 
@@ -48,6 +57,23 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// that interpolates none.
     fn sigma_min(&self) -> Option<f64> {
         None
+    }
+}
+
+/// The time of a driven system, and what was put into its energy.
+#[derive(Clone, Copy, Debug, Default)]
+struct Clock {
+    time: f64,
+    work: f64,
+    /// What rounding left of the sum.
+    carry: f64,
+}
+
+impl Clock {
+    /// Goes on by a step, with the work done in it.
+    fn advance(&mut self, h: f64, work: f64) {
+        self.time += h;
+        (self.work, self.carry) = super::space::sum(self.work, work + self.carry);
     }
 }
 

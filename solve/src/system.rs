@@ -14,6 +14,22 @@ pub trait System<const N: usize> {
     /// part and zero for the other. Where there is no energy the answer is NaN: the run then ends with a named failure.
     fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy;
 
+    /// Energy at a time in seconds, of a system that changes with it.
+    fn energy_at(&self, _time_s: f64, g: &Mat<N>, mu: &Mat<N>) -> Energy {
+        self.energy(g, mu)
+    }
+
+    /// dH/dmu, the body angular velocity, for those who look on; `None` of a system that does not name it.
+    fn angular_velocity(&self, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
+        None
+    }
+
+    /// Does the energy change with time, or by torques that are no potential's? Then what the stepper says of
+    /// [`super::stepper::Stepper::work`] counts.
+    fn is_driven(&self) -> bool {
+        false
+    }
+
     /// The projection `Q` (symmetric, n x n, in space) onto directions whose rotations leave the system as it is, two or
     /// more: then `Q m Q` is conserved, `m = g mu g^T`. `None` if there are none, or none are known. See
     /// [`free_directions`].

@@ -71,9 +71,11 @@ pub struct Sample<const N: usize> {
     pub attitude: Option<Mat<N>>,
     /// The body momentum mu, skew.
     pub momentum: Mat<N>,
+    /// The body angular velocity Omega, skew; `None` of a system that does not name it.
+    pub angular_velocity: Option<Mat<N>>,
     /// Energy H = T + U.
     pub energy: Option<Energy>,
-    /// Energy now minus energy at the start.
+    /// Energy now minus energy at the start, and of a driven system minus what was put in since.
     pub energy_error: Option<f64>,
     /// Spectral norm of g g^T - I.
     pub orthogonality_error: Option<f64>,
@@ -96,6 +98,7 @@ impl<const N: usize> Sample<N> {
             time_s,
             ref attitude,
             ref momentum,
+            ref angular_velocity,
             energy,
             energy_error,
             orthogonality_error,
@@ -115,7 +118,12 @@ impl<const N: usize> Sample<N> {
             convergence.map(|convergence| convergence.increment),
             sigma_min,
         ];
-        let matrices = [attitude.as_ref(), Some(momentum), spatial_momentum.as_ref()];
+        let matrices = [
+            attitude.as_ref(),
+            Some(momentum),
+            angular_velocity.as_ref(),
+            spatial_momentum.as_ref(),
+        ];
         figures.into_iter().flatten().all(f64::is_finite)
             && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
     }
@@ -161,6 +169,8 @@ pub struct Checkpoint<const N: usize> {
     pub iterations: u64,
     /// How the last step was solved; `None` if none was made.
     pub convergence: Option<Convergence>,
+    /// What was put into the energy since the start, in J: see [`Stepper::work`].
+    pub work: f64,
 }
 
 impl<const N: usize> Checkpoint<N> {
@@ -226,6 +236,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
     let every = every.max(1);
     let Origin { initial, checkpoint } = origin.into();
     let mut books = Books::new(system, initial, step_s, observables);
+    let driven = system.is_driven();
     match checkpoint {
         None => stepper.start(initial),
         Some(found) => {
@@ -240,6 +251,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             books.sample(system, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && books.goes_on() && sink.wants_checkpoint() {
+                books.reached.work += stepper.work();
                 sink.checkpoint(&books.reached)?;
                 stepper.start(&books.reached.state());
             }
@@ -248,6 +260,9 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             break;
         }
         if go_on(step) {
+            if driven {
+                stepper.set_time(step as f64 * step_s);
+            }
             books.stepped(stepper.step(system, step_s));
         } else {
             books.cancelled();
@@ -281,6 +296,7 @@ impl<const N: usize> Books<N> {
             momentum: initial.momentum,
             iterations: 0,
             convergence: None,
+            work: 0.0,
         };
         let observer = Observer::new(system, initial, observables);
         Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
@@ -326,7 +342,8 @@ impl<const N: usize> Books<N> {
             return Ok(());
         }
         let time_s = step as f64 * *step_s;
-        match observer.sample(system, stepper, step, time_s, reached.convergence) {
+        let work = reached.work + stepper.work();
+        match observer.sample(system, stepper, step, time_s, reached.convergence, work) {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
                 reached.samples += 1;
@@ -364,7 +381,7 @@ impl<const N: usize> Observer<N> {
         Self {
             observables,
             initial: initial.clone(),
-            initial_energy: system.energy(&initial.attitude, &initial.momentum).total(),
+            initial_energy: system.energy_at(0.0, &initial.attitude, &initial.momentum).total(),
             conserved: system.conserved_directions(),
         }
     }
@@ -376,19 +393,21 @@ impl<const N: usize> Observer<N> {
         step: u64,
         time_s: f64,
         convergence: Option<Convergence>,
+        work: f64,
     ) -> Result<Sample<N>, Failure> {
         let asked = self.observables;
         let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
         // A scheme without an attitude serves free bodies, whose energy needs none.
         let g = attitude.unwrap_or_else(Mat::identity);
-        let energy = asked.energy.then(|| system.energy(&g, &momentum));
+        let energy = asked.energy.then(|| system.energy_at(time_s, &g, &momentum));
         let sample = Sample {
             step,
             time_s,
             attitude,
             momentum,
+            angular_velocity: system.angular_velocity(&g, &momentum),
             energy,
-            energy_error: energy.map(|now| now.total() - self.initial_energy),
+            energy_error: energy.map(|now| now.total() - self.initial_energy - work),
             orthogonality_error: attitude
                 .filter(|_| asked.orthogonality)
                 .map(|g| so::orthogonality_error(&g)),

@@ -144,6 +144,9 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         let text = format!("{members}, the whole motion of member {}", in_full.join(", "));
         line("members", text);
     }
+    for warning in &plan.warnings {
+        line("warning", warning.clone());
+    }
     if plan.potential.is_empty() {
         line("potential", "none: a free body".to_owned());
     }
@@ -161,6 +164,9 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             ),
         },
     );
+    if let Some(balance) = &plan.balance {
+        line("balance", format!("{balance}: its change is the energy error"));
+    }
     if !formulation.carries_attitude {
         line("attitude", "not computed: no term and no channel needs it".to_owned());
     }

@@ -78,17 +78,24 @@ messages_of_samples!(State Energy Orthogonality Momentum Solver);
 impl State {
     /// Attitude and momentum of a sample.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Self {
-        Self::at(sample.time_s, sample.attitude.as_ref(), &sample.momentum)
+        let velocity = sample.angular_velocity.as_ref();
+        Self::at(sample.time_s, sample.attitude.as_ref(), &sample.momentum, velocity)
     }
 
-    /// An attitude, where there is one, and a momentum at a time.
-    pub fn at<const N: usize>(time_s: f64, attitude: Option<&Mat<N>>, momentum: &Mat<N>) -> Self {
+    /// An attitude, where there is one, a momentum and, where it has a name, its velocity at a time.
+    pub fn at<const N: usize>(
+        time_s: f64,
+        attitude: Option<&Mat<N>>,
+        momentum: &Mat<N>,
+        velocity: Option<&Mat<N>>,
+    ) -> Self {
         Self {
             time_s,
             // nalgebra stores columns; the rows of g are the columns of its transpose.
             attitude: attitude.map_or_else(Vec::new, |g| g.transpose().as_slice().to_vec()),
             body_momentum: so::vee(momentum),
             quaternion: attitude.and_then(quaternion).map_or_else(Vec::new, |q| q.to_vec()),
+            angular_velocity: velocity.map_or_else(Vec::new, so::vee),
         }
     }
 

@@ -175,6 +175,7 @@ pub(super) fn encode<const N: usize>(checkpoint: &Checkpoint<N>, figures: Figure
         iterations: checkpoint.iterations,
         solver: checkpoint.convergence.map(Into::into),
         figures: Some(figures),
+        work: checkpoint.work,
     };
     message.encode_to_vec()
 }
@@ -197,6 +198,7 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
         momentum: matrix(&message.body_momentum)?,
         iterations: message.iterations,
         convergence,
+        work: message.work,
     };
     let figures = message.figures.unwrap_or_default();
     Some(Resumed { checkpoint, figures })

@@ -96,7 +96,11 @@ impl Curve {
                 Momentum::decode(data).map(|momentum| momentum.spatial_momentum)
             }
             Self::BodyMomentum => read(|state| state.body_momentum),
-            Self::AngularVelocity => read(|state| state.body_momentum).map(|m| velocity(&m)),
+            Self::AngularVelocity => State::decode(data).map(|state| {
+                // Logs of builds before have the momentum alone.
+                let found = state.angular_velocity;
+                if found.is_empty() { velocity(&state.body_momentum) } else { found }
+            }),
             Self::AxisAngle => read(|state| {
                 let n = state.attitude.len().isqrt();
                 let cosine = |k: usize| state.attitude[k * (n + 1)].clamp(-1.0, 1.0);

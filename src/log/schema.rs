@@ -150,7 +150,7 @@ impl Channel {
                 attitude: true,
                 sample: sample(
                     state_bytes(n) as usize,
-                    DOUBLE + 2 * LIST + if n == 3 { LIST } else { 0 },
+                    DOUBLE + 3 * LIST + if n == 3 { LIST } else { 0 },
                 ),
                 ..plain("vpd.State", "the state itself")
             },
@@ -289,9 +289,9 @@ impl Channel {
     }
 }
 
-/// The numbers of a state: attitude, momentum, and for n = 3 the quaternion.
+/// The numbers of a state: attitude, momentum, velocity, and for n = 3 the quaternion.
 const fn state_bytes(n: usize) -> u64 {
-    (8 * (n * n + so::dimension(n)) + if n == 3 { 32 } else { 0 }) as u64
+    (8 * (n * n + 2 * so::dimension(n)) + if n == 3 { 32 } else { 0 }) as u64
 }
 
 /// About how many bytes the end of a member of an ensemble takes before compression.

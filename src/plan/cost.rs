@@ -132,8 +132,21 @@ impl Plan {
         };
         let Scheme { step_ns, sweep_ns, terms } = self.scheme();
         let step_ns = step_ns + self.turning_ns();
-        let gradient_ns = terms * self.terms_cost_ns();
+        let gradient_ns = terms * self.terms_cost_ns() + self.driven_ns();
+        let step_ns = step_ns + self.driven_ns() * self.formulation.stages as f64;
         part * (work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns)
+    }
+
+    /// About what it costs to look at a driven body, or one with wheels, at one stage.
+    fn driven_ns(&self) -> f64 {
+        const STAGE_NS: f64 = 250.0;
+        const PART_NS: f64 = 60.0;
+        let parts = self.model.driven.len() + self.model.torques.len();
+        if parts == 0 && self.model.wheels.is_none() {
+            return 0.0;
+        }
+        let n = self.dimension as f64;
+        STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n
     }
 
     /// What the free parts of a step of `splitting` cost beyond the first piece of each: the faster the body turns, the more
@@ -170,7 +183,8 @@ impl Plan {
     fn scheme(&self) -> Scheme {
         let Formulation { method, stages, .. } = self.formulation;
         // More stages than lanes go the way of general n.
-        let general = method.facts().lanes && stages > WIDTH;
+        let alone = self.model.is_driven() || self.model.wheels.is_some();
+        let general = method.facts().lanes && (stages > WIDTH || alone);
         let method = method.costs_as();
         let rows: Vec<&SchemeRow> = TABLE
             .schemes

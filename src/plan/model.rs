@@ -5,8 +5,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
 use crate::method::{Integrator, Takes};
 use crate::scenario::{
-    Attitude, Entry, Framed, Inertia, Method, PotentialTerm, Scenario, ScenarioError, SolverKind,
-    TableauChoice, TableauName,
+    Attitude, DrivenTerm, Entry, Framed, Inertia, Method, Path, PotentialTerm, Scenario,
+    ScenarioError, SolverKind, TableauChoice, TableauName, Torque,
 };
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::{Rungs, StopRule};
@@ -23,6 +23,11 @@ pub(crate) struct Model {
     pub(crate) shown: Vec<PotentialTerm>,
     /// The sum of the terms that do not depend on the attitude.
     pub(crate) constant: f64,
+    /// The terms that change with time, every default filled in.
+    pub(crate) driven: Vec<DrivenTerm>,
+    pub(crate) torques: Vec<Torque>,
+    /// The angular momentum of wheels, skew, in the body frame.
+    pub(crate) wheels: Option<DMatrix<f64>>,
     /// n x n, a rotation to 1e-8.
     pub(crate) attitude: DMatrix<f64>,
     /// n x n, skew, in the body frame.
@@ -61,6 +66,71 @@ impl Model {
 }
 
 impl Model {
+    /// Directions of space that rotations of the potential leave free at all times; none under torques.
+    pub(super) fn free_directions(&self, n: usize) -> usize {
+        if !self.torques.is_empty() {
+            return 0;
+        }
+        let of_path = |driven: &'_ DrivenTerm| -> Vec<Vec<f64>> {
+            let own = driven.term.law().space_vector().to_vec();
+            match &driven.path {
+                None => vec![own],
+                Some(Path::Turning(turning)) => {
+                    vec![own, turning.from.clone(), turning.towards.clone()]
+                }
+                Some(Path::Orbit(orbit)) => vec![own, orbit.towards.clone()],
+            }
+        };
+        let moving: Vec<Vec<f64>> = self.driven.iter().flat_map(of_path).collect();
+        let fixed = self.terms.iter().map(|term| term.law().space_vector());
+        super::free_directions(n, fixed.chain(moving.iter().map(Vec::as_slice)))
+    }
+
+    /// What is kept of a scene that changes with time, is pushed or has wheels; `None` of any other, which keeps its energy.
+    pub(super) fn balance(&self) -> Option<String> {
+        let mut parts = Vec::new();
+        if !self.driven.is_empty() {
+            parts.push("what the changing terms put in (H + p_t)");
+        }
+        if !self.torques.is_empty() {
+            parts.push("the work of the torques");
+        }
+        let wheels = "; the momentum is that of body and wheels";
+        let spins = if self.wheels.is_some() { wheels } else { "" };
+        if parts.is_empty() {
+            return self.wheels.as_ref().map(|_| format!("the energy of the body{spins}"));
+        }
+        let structure = if self.torques.is_empty() {
+            "; a symplectic method keeps it to a level that the step fixes"
+        } else {
+            "; under torques that are no potential's no method is symplectic"
+        };
+        Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
+    }
+
+    /// Refuses a method that cannot run a scene that changes with time, is pushed or has wheels.
+    pub(super) fn allows(&self, method: Integrator) -> Result<(), ScenarioError> {
+        let facts = method.facts();
+        let refused = |what: &str, names: String| {
+            let name = method.as_str();
+            let message = format!("{name} cannot run {what}; {names} can");
+            Err(ScenarioError::invalid("/method/name", message))
+        };
+        if self.is_driven() && !facts.driven {
+            return refused(
+                "scenes that change with time or have torques that are no potential's",
+                Integrator::names(|method| method.facts().driven),
+            );
+        }
+        if self.wheels.is_some() && !facts.wheels {
+            return refused(
+                "bodies with wheels",
+                Integrator::names(|method| method.facts().wheels),
+            );
+        }
+        Ok(())
+    }
+
     /// n = 3: the inverse principal moments of inertia, and the momentum at the start along their axes.
     pub(super) fn in_principal_axes(&self) -> (Vector3<f64>, Vector3<f64>) {
         let m = &self.momentum;
@@ -195,7 +265,7 @@ pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64
 }
 
 /// The skew matrix of a 3-vector or of rows.
-fn skew(entries: &[Entry]) -> DMatrix<f64> {
+pub(super) fn skew(entries: &[Entry]) -> DMatrix<f64> {
     let numbers: Vec<f64> = entries
         .iter()
         .filter_map(|e| if let Entry::Number(x) = e { Some(*x) } else { None })
@@ -223,11 +293,13 @@ pub(super) fn momentum(
         Framed::Space(entries) => attitude.transpose() * skew(entries) * attitude,
     };
     let initial = &scenario.scene.initial;
+    let zero = || DMatrix::zeros(attitude.nrows(), attitude.nrows());
+    let wheels = scenario.scene.wheels.as_deref().map_or_else(zero, skew);
     match (&initial.momentum, &initial.angular_velocity) {
         (Some(momentum), _) => in_body(momentum),
         (None, Some(velocity)) => {
             let omega = in_body(velocity);
-            match kinetic {
+            let own = match kinetic {
                 ModelKinetic::Principal { weights } => {
                     omega.zip_map(weights, |omega, w| if w == 0.0 { 0.0 } else { omega / w })
                 }
@@ -235,9 +307,11 @@ pub(super) fn momentum(
                     let mu = inertia * Vector3::new(omega[(2, 1)], omega[(0, 2)], omega[(1, 0)]);
                     DMatrix::from_iterator(3, 3, so::hat::<3>(mu.as_slice()).iter().copied())
                 }
-            }
+            };
+            own + wheels
         }
-        (None, None) => DMatrix::zeros(attitude.nrows(), attitude.nrows()),
+        // At rest only the wheels turn.
+        (None, None) => wheels,
     }
 }
 

@@ -1,8 +1,11 @@
 //! The planned model with its const size: the body, its potential, and the state at the start.
 
+use super::model::skew;
 use super::{Model, ModelKinetic};
-use crate::scenario::PotentialTerm;
-use crate::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use crate::scenario::{
+    DrivenTerm, Entry, Factor, Framed, Path, PotentialTerm, Table, Torque, TorqueTable,
+};
+use crate::solve::hamiltonian::{self as body, Kinetic, Law, RigidBody, Term};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::trajectory::State;
 
@@ -26,7 +29,45 @@ impl Model {
             attitude: self.rotation(),
             momentum: Mat::from_fn(|i, j| self.momentum[(i, j)]),
         };
-        (RigidBody::new(kinetic, terms, self.constant), state)
+        let mut body = RigidBody::new(kinetic, terms, self.constant);
+        for driven in &self.driven {
+            body = body.with_driven_term(driven_term(driven));
+        }
+        for torque in &self.torques {
+            body = body.with_torque(self.torque(torque));
+        }
+        if let Some(wheels) = &self.wheels {
+            body = body.with_wheels(Mat::from_fn(|i, j| wheels[(i, j)]));
+        }
+        (body, state)
+    }
+
+    /// Does anything change with time, push without being a potential, or spin?
+    pub(crate) fn is_driven(&self) -> bool {
+        !(self.driven.is_empty() && self.torques.is_empty())
+    }
+
+    fn torque<const N: usize>(&self, given: &Torque) -> body::Torque<N> {
+        let own = |entries: &[Entry]| {
+            let skew = skew(entries);
+            Mat::from_fn(|i, j| skew[(i, j)])
+        };
+        match given {
+            Torque::Constant(Framed::Body(entries)) => body::Torque::Body(own(entries)),
+            Torque::Constant(Framed::Space(entries)) => body::Torque::Space(own(entries)),
+            Torque::Table(TorqueTable { along, table }) => {
+                let (entries, in_space) = match along {
+                    Framed::Body(entries) => (entries, false),
+                    Framed::Space(entries) => (entries, true),
+                };
+                body::Torque::Table { along: own(entries), in_space, table: over_time(table) }
+            }
+            Torque::Viscous(viscous) => {
+                let rows = viscous.planes(N).unwrap_or_default();
+                body::Torque::Viscous(Mat::from_fn(|i, j| if i == j { 0.0 } else { rows[i][j] }))
+            }
+            Torque::OfMomentum(of) => body::Torque::OfMomentum(of.rate_per_s),
+        }
     }
 
     /// The value of a term at the start.
@@ -37,7 +78,10 @@ impl Model {
     /// Does nothing move at the start, and nothing push?
     pub(super) fn is_at_rest(&self) -> bool {
         let torque = || potential(&self.terms).gradient_at(&self.rotation());
-        self.momentum.iter().all(|&x| x == 0.0) && torque().iter().all(|&x| x == 0.0)
+        !self.is_driven()
+            && self.wheels.is_none()
+            && self.momentum.iter().all(|&x| x == 0.0)
+            && torque().iter().all(|&x| x == 0.0)
     }
 
     /// The attitude at the start. Decimal text puts a rotation a digit off the group; the run starts on it. In more
@@ -58,6 +102,50 @@ const LARGEST: usize = 16;
 fn potential<'a>(terms: impl IntoIterator<Item = &'a PotentialTerm>) -> RigidBody<LARGEST> {
     let kinetic = Kinetic::Principal { weights: Mat::zeros() };
     RigidBody::new(kinetic, terms.into_iter().map(term).collect(), 0.0)
+}
+
+fn over_time(given: &Table) -> body::Table<1> {
+    body::Table {
+        times: given.times_s.clone(),
+        values: given.values.iter().map(|&value| [value]).collect(),
+        smooth: given.smooth,
+    }
+}
+
+fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTerm<N> {
+    let vector = |v: &[f64]| Vector::<N>::from_fn(|i, _| v[i]);
+    // What of a vector is across a unit vector, of length one.
+    let across = |v: Vector<N>, unit: &Vector<N>| {
+        let v = v.normalize();
+        let rest = v - unit * unit.dot(&v);
+        (rest - unit * unit.dot(&rest)).normalize()
+    };
+    let term: Term<N> = term(&given.term);
+    let path = match &given.path {
+        None => body::Path::Fixed,
+        Some(Path::Turning(turning)) => {
+            let from = vector(&turning.from).normalize();
+            let towards = across(vector(&turning.towards), &from);
+            body::Path::Turning { plane: [from, towards], rate: turning.rate_rad_s }
+        }
+        Some(Path::Orbit(orbit)) => body::Path::Orbit {
+            across: across(vector(&orbit.towards), &term.space.normalize()),
+            mean_motion: orbit.mean_motion_rad_s,
+            eccentricity: orbit.eccentricity,
+            mean_anomaly: orbit.mean_anomaly_rad,
+        },
+    };
+    let factor = match &given.factor {
+        None => body::Factor::Constant,
+        Some(Factor::Harmonic(harmonic)) => body::Factor::Harmonic {
+            mean: harmonic.mean,
+            amplitude: harmonic.amplitude,
+            rate: harmonic.rate_rad_s,
+            phase: harmonic.phase_rad,
+        },
+        Some(Factor::Table(table)) => body::Factor::Table(over_time(table)),
+    };
+    body::DrivenTerm { term, path, factor }
 }
 
 fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {

@@ -18,13 +18,14 @@ use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so;
 use crate::solve::stepper::Stepper;
+use crate::solve::system::System;
 use crate::solve::trajectory::{Checkpoint, Schedule, State};
 use crate::solve::work::Work;
 
 /// Work of a search in nanoseconds, by the plan's figures: so many runs like the one that failed, but no less than the
 /// first and no more than the second.
 const RUNS: f64 = 100.0;
-const LEAST_NS: f64 = 2e8;
+const LEAST_NS: f64 = 6e8;
 const MOST_NS: f64 = 2e9;
 /// Steps that failed and steps that did not are brought as near as this.
 const NEAR: f64 = 1.2;
@@ -154,31 +155,40 @@ impl<const N: usize> Search<'_, N> {
         let count = |steps: u64| (steps as f64 * schedule.step_s / step_s).ceil() as u64;
         let left = schedule.steps - reached.step;
         let past = count(left.min(2));
-        let went = self.travels(initial, step_s, span.steps);
+        let went = self.travels((initial, 0.0), step_s, span.steps);
         if went != Went::Well || span.is_whole || count(reached.step) + past <= span.steps {
             return went;
         }
         let last = reached.state();
         let energy = self.body.energy(&last.attitude, &last.momentum);
-        if (energy.total() - self.start).abs() > LOST * energy.kinetic {
+        if !self.body.is_driven() && (energy.total() - self.start).abs() > LOST * energy.kinetic {
             return went;
         }
         // Not to come past the place is to know nothing.
         if past > span.steps {
             return Went::Out;
         }
-        self.travels(&last, step_s, count(left).min(span.steps))
+        let reached_s = reached.step as f64 * schedule.step_s;
+        self.travels((&last, reached_s), step_s, count(left).min(span.steps))
     }
 
-    /// Makes so many steps from a state.
-    fn travels(&mut self, from: &State<N>, step_s: f64, steps: u64) -> Went {
+    /// Makes so many steps from a state at a time.
+    fn travels(&mut self, (from, from_s): (&State<N>, f64), step_s: f64, steps: u64) -> Went {
         /// The round-off of the potential is no loss.
         const ROUND_OFF: f64 = 1e-9;
         let Self { body, stepper, start, .. } = self;
         let every = steps.div_ceil(LOOKS);
         let (mut kinetic, mut off) = (0.0_f64, 0.0_f64);
         stepper.start(from);
+        // A driven body gains and loses energy on the way, which is counted from here.
+        let begun = if body.is_driven() {
+            body.energy_at(from_s, &from.attitude, &from.momentum).total()
+        } else {
+            *start
+        };
         for step in 1..=steps {
+            let time_s = |steps: u64| from_s + steps as f64 * step_s;
+            stepper.set_time(time_s(step - 1));
             match stepper.step(body, step_s) {
                 Ok(_) => {}
                 Err(Failure { code: FailureCode::Stopped, .. }) => return Went::Out,
@@ -186,16 +196,16 @@ impl<const N: usize> Search<'_, N> {
             }
             if step % every == 0 || step == steps {
                 let attitude = stepper.attitude().unwrap_or(from.attitude);
-                let energy = body.energy(&attitude, &stepper.momentum());
+                let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);
-                off = off.max((energy.total() - *start).abs());
+                off = off.max((energy.total() - begun - stepper.work()).abs());
                 // A number that is none is no energy.
                 if !energy.total().is_finite() {
                     return Went::Badly;
                 }
             }
         }
-        let lost = off > LOST * kinetic && off > ROUND_OFF * start.abs();
+        let lost = off > LOST * kinetic && off > ROUND_OFF * begun.abs();
         if lost { Went::Badly } else { Went::Well }
     }
 }

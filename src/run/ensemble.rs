@@ -100,7 +100,7 @@ impl Ensemble<'_> {
         let first = first.unwrap_or_else(|| reached.state());
         let end = End {
             outcome,
-            energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
+            energy: EnergySeen::at_the_ends(&assembly.body, &first, &reached.state()),
             reached,
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
@@ -205,6 +205,7 @@ impl Ensemble<'_> {
             momentum: Mat::<N>::zeros(),
             iterations: 0,
             convergence: None,
+            work: 0.0,
         };
         log.checkpoint(&checkpoint, Figures::default())?;
         self.context.control.durable_step.store(log.durable_step(), Ordering::Relaxed);
@@ -243,7 +244,8 @@ impl Ensemble<'_> {
         let ends = trajectories.iter().zip(figures).enumerate();
         let ends = ends.map(|(m, (end, figures))| {
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
-            let Checkpoint { step, samples, attitude, momentum, iterations, convergence } =
+            let velocity = |momentum: &Mat<N>| assembly.body.velocity(momentum);
+            let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
                 &end.reached;
             let time_s = *step as f64 * self.plan.step_s;
             Member {
@@ -254,8 +256,14 @@ impl Ensemble<'_> {
                     0.0,
                     Some(&starts[m].attitude),
                     &starts[m].momentum,
+                    Some(&velocity(&starts[m].momentum)),
                 )),
-                last: Some(messages::State::at(time_s, attitude.as_ref(), momentum)),
+                last: Some(messages::State::at(
+                    time_s,
+                    attitude.as_ref(),
+                    momentum,
+                    Some(&velocity(momentum)),
+                )),
                 figures: Some(figures),
                 samples: *samples,
                 iterations: *iterations,
@@ -353,5 +361,6 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         momentum,
         iterations: nominal.map_or(0, |end| end.iterations),
         convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
+        work: 0.0,
     }
 }

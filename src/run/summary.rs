@@ -216,12 +216,15 @@ impl EnergySeen {
         })
     }
 
-    /// At the start and at the end alone.
+    /// At the start and at the end alone; `None` of a driven body, whose energy changes.
     pub(super) fn at_the_ends<const N: usize>(
         body: &RigidBody<N>,
         start: &State<N>,
         end: &State<N>,
-    ) -> Self {
+    ) -> Option<Self> {
+        if body.is_driven() {
+            return None;
+        }
         let [first, last] = [start, end].map(|at| body.energy(&at.attitude, &at.momentum));
         // A run that begins and ends at rest has moved between: by about as much as the torque does in a radian.
         let torque = |at: &State<N>| {
@@ -230,7 +233,7 @@ impl EnergySeen {
         };
         let moved = first.kinetic.max(last.kinetic).max(torque(start)).max(torque(end));
         let error = (last.total() - first.total()).abs();
-        Self { initial: first.total(), error, kinetic: moved }
+        Some(Self { initial: first.total(), error, kinetic: moved })
     }
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use super::{
-    Accuracy, Attitude, Entry, Framed, Inertia, Method, Scenario, ScenarioError, SolverKind,
+    Accuracy, Attitude, Entry, Framed, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind,
     TableauChoice,
 };
 use crate::method::Integrator;
@@ -60,6 +60,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     for (index, term) in terms.iter().enumerate() {
         term.law().check(&format!("/scene/potential/{index}"), n)?;
     }
+    driven(scenario, n)?;
     initial(scenario, n)?;
     method(scenario, n)?;
     duration(scenario)?;
@@ -68,6 +69,28 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     }
     log(scenario, n)?;
     expect(scenario, n)
+}
+
+/// What changes with time, pushes or spins.
+fn driven(scenario: &Scenario, n: usize) -> Check {
+    let Scene { driven, torques, wheels, .. } = &scenario.scene;
+    let most = |count: usize, pointer: &str| {
+        ensure(count <= MAX_TERMS, pointer, || {
+            format!("{count} given, at most {MAX_TERMS} are allowed")
+        })
+    };
+    most(driven.len(), "/scene/driven")?;
+    most(torques.len(), "/scene/torques")?;
+    // Of an unknown number of steps nothing is said here: that is looked at next.
+    let steps = scenario.step_s.zip(scenario.steps).map(|(step_s, steps)| steps as f64 * step_s);
+    let duration_s = scenario.duration_s.or(steps);
+    for (index, term) in driven.iter().enumerate() {
+        term.check(&format!("/scene/driven/{index}"), n, duration_s)?;
+    }
+    for (index, torque) in torques.iter().enumerate() {
+        torque.check(&format!("/scene/torques/{index}"), n, duration_s)?;
+    }
+    wheels.as_ref().map_or(Ok(()), |wheels| super::driven::wheels(wheels, n))
 }
 
 fn text(pointer: &str, given: &str, most: usize, lines: bool) -> Check {
@@ -248,7 +271,7 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
     Ok(())
 }
 
-fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
+pub(super) fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
     let (frame, entries) = match given {
         Framed::Body(entries) => ("body", entries),
         Framed::Space(entries) => ("space", entries),

@@ -429,7 +429,7 @@ struct Family {
 fn families(scene: &Scenario) -> [Family; 2] {
     let family = |method, easy_steps| Family { method, easy_steps, is_rough: false };
     let vpd = family(with_tableau(Integrator::Vpd, TableauName::Gauss8), 1.0);
-    if scene.dimension() == 3 {
+    if scene.dimension() == 3 && scene.scene.is_plain() {
         [vpd, family(with_tableau(Integrator::QuaternionGauss, TableauName::Gauss6), 2.0)]
     } else {
         let explicit = family(with_tableau(Integrator::RkProjected, TableauName::Rk8), 3.0);

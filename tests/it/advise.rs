@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use vpd::advise::{self, ErrorAtEnd, Obstacle, Settled, Unsettled, error_at_end};
 use vpd::plan::Plan;
-use vpd::run::Outcome;
+use vpd::run::{Control, JobContext, Outcome, execute};
 use vpd::scenario::{Scenario, ScenarioError};
 use vpd::study::Watch;
 use vpd::study::reference::Growth;
@@ -47,6 +47,43 @@ fn scene(numbers: &mut Numbers, number: usize) -> Value {
         "potential": potential,
         "initial": {"angular_velocity": {"body": omega}}
     })
+}
+
+/// A scene that changes with time, is pushed and has a wheel gets its accuracy by a method that can run it.
+#[test]
+fn driven_scenes_have_an_accuracy() {
+    let mut scenario: Value =
+        serde_json::from_str(include_str!("../../scenarios/satellite-elliptic.json"))
+            .expect("shipped");
+    scenario["scene"]["torques"] = json!([{ "viscous": { "coefficient": 0.01 } }]);
+    scenario["scene"]["wheels"] = json!([0.2, 0, 0]);
+    scenario["duration_s"] = json!(20_000);
+    let best = {
+        let mut best = scenario.clone();
+        best["method"] = json!({ "name": "vrkmk", "tableau": "gauss6" });
+        best["step_s"] = json!(10);
+        best
+    };
+    for field in ["method", "step_s", "expect"] {
+        scenario.as_object_mut().expect("an object").remove(field);
+    }
+    scenario["accuracy"] = json!({ "error": 1e-8 });
+    let end = |scenario: &Value| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        let plan = advise::plan(&scenario).expect("a plan");
+        let context =
+            JobContext { log: &folder.path().join("log.mcap"), control: &Control::default() };
+        let summary = execute(&plan, &context).expect("a log");
+        (plan, summary.last.attitude.expect("carried"))
+    };
+    let (plan, reached) = end(&scenario);
+    assert!(plan.formulation.method.facts().driven, "{}", plan.formulation.method.as_str());
+    let (_, truth) = end(&best);
+    let off = reached.iter().flatten().zip(truth.iter().flatten());
+    let off = off.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    println!("{} {:?}: {off:e}", plan.formulation.method.as_str(), plan.formulation.tableau);
+    assert!(off <= 1e-8, "{off:e}");
 }
 
 #[test]
@@ -136,7 +173,8 @@ fn the_choice_is_the_cheapest_of_those_tried() {
     assert!(advice.margin >= 1.2, "{}", advice.margin);
     let finer = advise::plan(&scenario(&accurate_dipole(1e-10, 2.0))).expect("a choice");
     let cost = finer.advice.and_then(|advice| advice.candidates[0].cost_us);
-    assert!(cost.is_some_and(|cost| cost > costs[0]), "{cost:?} {costs:?}");
+    // What is cheapest for the one may do for the other.
+    assert!(cost.is_some_and(|cost| cost >= costs[0]), "{cost:?} {costs:?}");
 }
 
 #[test]

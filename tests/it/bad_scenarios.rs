@@ -32,6 +32,28 @@ fn full() -> Value {
     full
 }
 
+/// A dipole with all that can change with time, push or spin.
+fn driven() -> Value {
+    let mut driven = full();
+    let weight =
+        || json!({"kind": "uniform", "weight": 1, "body_point": [0, 0, 1], "direction": [0, 0, 1]});
+    let table = || json!({"times_s": [0, 1, 1e4], "values": [1, 2, 3]});
+    driven["scene"]["driven"] = json!([
+        {"term": weight(), "path": {"turning": {"from": [1, 0, 0], "towards": [0, 1, 0], "rate_rad_s": 1}}},
+        {"term": weight(), "path": {"orbit": {"towards": [0, 1, 0], "mean_motion_rad_s": 1, "eccentricity": 0.1}},
+         "factor": {"harmonic": {"amplitude": 0.5, "rate_rad_s": 1}}},
+        {"term": weight(), "factor": {"table": table()}},
+    ]);
+    driven["scene"]["torques"] = json!([
+        {"constant": {"body": [0, 0, 0.1]}},
+        {"table": {"along": {"space": [0, 0, 1]}, "table": table()}},
+        {"viscous": {"coefficients": [0.1, 0.1, 0.2]}},
+        {"of_momentum": {"rate_per_s": 0.1}},
+    ]);
+    driven["scene"]["wheels"] = json!([0, 0, 0.1]);
+    driven
+}
+
 /// `base` with the raw JSON text `raw` at `pointer` (its parent must exist).
 fn with(mut base: Value, pointer: &str, raw: &str) -> String {
     const MARK: &str = "@spoiled@";
@@ -572,6 +594,54 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(full(), "/description", &format!("\"{}\"", "x".repeat(4001))), "/description");
     add(with(full(), "/expect/energy_error_max", "-1"), "/expect/energy_error_max");
     add(with(full(), "/expect/final_attitude", "[[1,0,0],[0,1,0],[0,0,1]]"), "/expect");
+    let numbers = [
+        "/scene/driven/0/term/weight",
+        "/scene/driven/0/path/turning/from/1",
+        "/scene/driven/0/path/turning/rate_rad_s",
+        "/scene/driven/1/path/orbit/towards/0",
+        "/scene/driven/1/path/orbit/mean_motion_rad_s",
+        "/scene/driven/1/path/orbit/eccentricity",
+        "/scene/driven/1/factor/harmonic/amplitude",
+        "/scene/driven/1/factor/harmonic/rate_rad_s",
+        "/scene/driven/2/factor/table/times_s/1",
+        "/scene/driven/2/factor/table/values/0",
+        "/scene/torques/0/constant/body/2",
+        "/scene/torques/1/table/table/values/2",
+        "/scene/torques/3/of_momentum/rate_per_s",
+        "/scene/wheels/2",
+    ];
+    for pointer in numbers {
+        for raw in ["true", "\"1.0\"", "{}", "NaN", "1e400", "1e16"] {
+            add(with(driven(), pointer, raw), pointer);
+        }
+    }
+    for (pointer, raw) in [
+        ("/scene/driven/0/path/turning/from", "[0,0,0]"),
+        ("/scene/driven/0/path/turning/from", "[1,0]"),
+        ("/scene/driven/0/path/turning/towards", "[2,0,0]"),
+        ("/scene/driven/1/path/orbit/towards", "[0,0,-3]"),
+        ("/scene/driven/1/path/orbit/eccentricity", "1"),
+        ("/scene/driven/1/path/orbit/eccentricity", "-0.1"),
+        ("/scene/driven/1/path/orbit/mean_motion_rad_s", "1e-40"),
+        ("/scene/driven/2/factor/table/times_s", "[0]"),
+        ("/scene/driven/2/factor/table/values", "[1,2]"),
+        ("/scene/torques/0/constant/body", "[1,2]"),
+        ("/scene/torques/2/viscous/coefficients", "[1,2]"),
+        ("/scene/wheels", "[1,2]"),
+    ] {
+        add(with(driven(), pointer, raw), pointer);
+    }
+    // Times ascend and cover the run.
+    for (raw, at) in [("[0,2,1]", 2), ("[0,1,1]", 2), ("[0.5,1,1e4]", 0), ("[0,1,2]", 2)] {
+        let pointer = "/scene/driven/2/factor/table/times_s";
+        add(with(driven(), pointer, raw), &format!("{pointer}/{at}"));
+    }
+    add(with(driven(), "/scene/torques/2/viscous/coefficient", "1"), "/scene/torques/2/viscous");
+    for name in ["splitting", "lgvi", "quaternion_gauss", "vpd_reduced"] {
+        let mut driven = driven();
+        driven["method"] = json!({ "name": name });
+        add(driven.to_string(), "/method/name");
+    }
     // Fields in a list are no object.
     add(with(full(), "/expect", "[null,null]"), "/expect");
     add(with(full(), "/log", "[5]"), "/log");
@@ -595,7 +665,7 @@ fn refused(text: &[u8]) -> Option<ScenarioError> {
 
 #[test]
 fn the_unspoiled_scenarios_are_good() {
-    for base in [dipole(), so4(), full()] {
+    for base in [dipole(), so4(), full(), driven()] {
         assert_eq!(refused(base.to_string().as_bytes()), None);
     }
 }

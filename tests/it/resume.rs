@@ -134,6 +134,19 @@ fn every_dimension_and_compression_goes_on_to_the_same_bytes() {
     resume_job(&free, &[0.9]);
 }
 
+/// Time and what was put into the energy are part of a checkpoint.
+#[test]
+fn driven_scenes_go_on_to_the_same_bytes() {
+    let satellite = shipped(include_str!("../../scenarios/satellite-elliptic.json"), 4000);
+    for name in ["vpd", "vpd_lagrangian", "vrkmk", "rkmk", "rk_projected"] {
+        let mut satellite = satellite.clone();
+        satellite["method"] = json!({ "name": name });
+        println!("{name}");
+        resume_job(&satellite, &[0.4, 0.9]);
+    }
+    resume_job(&shipped(include_str!("../../scenarios/dual-spin.json"), 3900), &[0.4, 0.9]);
+}
+
 #[test]
 fn an_interrupted_run_leaves_what_it_promised() {
     let folder = tempfile::tempdir().expect("a folder");

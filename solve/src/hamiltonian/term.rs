@@ -73,6 +73,36 @@ impl<const N: usize> Law<N> {
         }
     }
 
+    /// The same law, so many times as strong.
+    pub(super) fn times(&self, factor: f64) -> Self {
+        let mut law = self.clone();
+        match &mut law {
+            Self::Uniform { weight: strength, .. }
+            | Self::PointSource { strength, .. }
+            | Self::Spring { stiffness: strength, .. }
+            | Self::GravityGradient { strength, .. } => *strength *= factor,
+        }
+        law
+    }
+
+    /// `dU/dq . q'`
+    pub(super) fn change(&self, q: &Vector<N>, rate: &Vector<N>) -> f64 {
+        match self {
+            Self::Uniform { weight, body_point } => weight * body_point.dot(rate),
+            Self::PointSource { strength, body_point } => {
+                let arm = body_point - q;
+                let distance = arm.norm();
+                strength * arm.dot(rate) / (distance * distance * distance)
+            }
+            Self::Spring { stiffness, rest_length, body_point } => {
+                let arm = q - body_point;
+                let bent = if *rest_length > 0.0 { rest_length / arm.norm() } else { 0.0 };
+                stiffness * (1.0 - bent) * arm.dot(rate)
+            }
+            Self::GravityGradient { strength, matrix } => strength * (matrix * q).dot(rate),
+        }
+    }
+
     /// The law as its formulas see it.
     pub(crate) fn numbers(&self) -> Numbers<'_> {
         match self {

@@ -110,7 +110,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
     #[inline(always)]
     fn gradient_in_lanes(&mut self, c: &[f64], slopes: &mut Vec<f64>, gradient: &mut [f64]) {
         let Stack { like, dimension } = self.stack;
-        let (n, len) = (self.stack.n(), self.stack.len());
+        let (n, len) = (self.stack.n(), self.stack.numbers());
         let (c, gradient) = (&c[..len], &mut gradient[..len]);
         let mut nearness = like.constant(-1.0);
         slopes.resize(self.terms.count() * n * R::LANES, 0.0);
@@ -140,7 +140,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
     #[inline(always)]
     pub(crate) fn in_space(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
         let Stack { like, dimension } = self.stack;
-        let (n, len) = (self.stack.n(), self.stack.len());
+        let (n, len) = (self.stack.n(), self.stack.numbers());
         let (c, turned) = (&c[..len], &mut turned[..len]);
         let slopes = slopes.chunks_exact(n * R::LANES);
         for (i, (v, slope)) in self.seen.chunks_exact(n).zip(slopes).enumerate() {

@@ -27,7 +27,8 @@
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::hamiltonian::{CLOSEST_APPROACH, Moment, RigidBody};
+use crate::lanes::Real;
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
@@ -35,13 +36,13 @@ use crate::tableau::Tableau;
 mod deferred;
 mod motion;
 
-use deferred::{AtStage, Collocation, Solved, Source, Start, Stuck};
+use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck};
 pub(super) use motion::{Motion, Sum};
 
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
 pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 
-/// `n max |F|` up to which no singular value of an interpolated matrix is below a half.
+/// `n max |F|` up to which no singular value of an interpolated matrix is below two thirds.
 const MODEST_STRETCH: f64 = 0.5;
 /// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: there `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
 const MODEST_TURN: f64 = 1.0;
@@ -53,9 +54,15 @@ pub(super) trait Dynamics<const N: usize> {
     /// The velocity Omega_k of stage `k` at `u`, given its momentum `mu` and the `omega` before.
     fn velocity(&mut self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
-    /// dH/dg = -dL/dg at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for, and the
-    /// velocity `omega`; `None` if it is zero everywhere.
-    fn gradient(&self, u: &Mat<N>, mu: impl FnOnce() -> Mat<N>, omega: &Mat<N>) -> Option<Mat<N>>;
+    /// dH/dg = -dL/dg of stage `k` at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for,
+    /// and the velocity `omega`; less the torque, of a driven body; `None` if it is zero everywhere.
+    fn gradient(
+        &self,
+        k: usize,
+        u: &Mat<N>,
+        mu: impl FnOnce() -> Mat<N>,
+        omega: &Mat<N>,
+    ) -> Option<Mat<N>>;
 
     /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
     fn begin_sweep(&self) -> Result<(), Failure>;
@@ -65,8 +72,8 @@ pub(super) trait Dynamics<const N: usize> {
         None
     }
 
-    /// Refuses an attitude at which the dynamics have lost their meaning.
-    fn check(&self, _u: &Mat<N>) -> Result<(), Failure> {
+    /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
+    fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
     }
 }
@@ -159,7 +166,7 @@ impl<const N: usize> GalerkinStep<N> {
         Self { past: Some(Past::default()), ..self }
     }
 
-    /// The same, solved by sweeps alone, with no step before.
+    /// The same without Newton's method, with no step before.
     pub(super) fn by_sweeps(&self) -> Self {
         Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
     }
@@ -303,6 +310,28 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
+    /// What a driven body's motion has put into its energy in a step of length `h`: `h sum_k b_k power_k`.
+    pub(super) fn work(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> f64 {
+        let mut work = 0.0;
+        for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
+            let (mu, omega) = match &self.collocation {
+                Some(collocation) if self.solution.collocated => (
+                    Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
+                    Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
+                ),
+                _ => (self.stages[k].mu, self.stages[k].omega),
+            };
+            let g = so::product(g0, &self.attitude(k));
+            work += h * self.tableau.b(k) * moment.power(&g, &mu, &omega);
+        }
+        work
+    }
+
+    /// The moments of a step of length `h` from `time`, of a driven body.
+    pub(super) fn moments(&self, body: &RigidBody<N>, time: f64, h: f64) -> Vec<Moment<N>> {
+        body.over(time, h, (0..self.stages.len()).map(|k| self.tableau.c(k)))
+    }
+
     /// The smallest singular value of the interpolated matrix of stage `k`, or of the end after the last.
     fn smallest_singular_value(&self, k: usize) -> f64 {
         match &self.collocation {
@@ -331,7 +360,7 @@ impl<const N: usize> GalerkinStep<N> {
         for (k, stage) in self.stages.iter().enumerate() {
             let weight = h * self.tableau.b(k);
             d += stage.u_omega * weight;
-            if let Some(gradient) = dynamics.gradient(&stage.u, || stage.mu, &stage.omega) {
+            if let Some(gradient) = dynamics.gradient(k, &stage.u, || stage.mu, &stage.omega) {
                 impulse -= so::conjugate(&stage.u, &gradient) * weight;
             }
         }
@@ -389,7 +418,7 @@ impl<const N: usize> GalerkinStep<N> {
     fn check_dynamics(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
         (0..self.stages.len()).try_for_each(|k| {
             dynamics
-                .check(&self.attitude(k))
+                .check(k, &self.attitude(k))
                 .map_err(|failure| Failure { stage: Some(k), ..failure })
         })
     }
@@ -398,17 +427,22 @@ impl<const N: usize> GalerkinStep<N> {
 /// A system at one stage, for [`Collocation`].
 struct OneStage<'a, D, const N: usize>(&'a mut D);
 
-/// The stages' own form of matrices: row by row.
-fn rows<const N: usize>(matrix: &Mat<N>, rows: &mut [f64]) {
+/// The matrix of a stage.
+fn of_stage<const N: usize>(matrices: &[f64], Place { stage, lanes }: Place) -> Mat<N> {
+    Mat::from_fn(|i, j| matrices[(i * N + j) * lanes + stage])
+}
+
+fn to_stage<const N: usize>(matrix: &Mat<N>, matrices: &mut [f64], at: Place) {
     for i in 0..N {
         for j in 0..N {
-            rows[i * N + j] = matrix[(i, j)];
+            matrices[(i * N + j) * at.lanes + at.stage] = matrix[(i, j)];
         }
     }
 }
 
-fn of_rows<const N: usize>(rows: &[f64]) -> Mat<N> {
-    Mat::from_row_slice(rows)
+/// U of U - I.
+fn attitude_of<const N: usize>(c: &[f64], at: Place) -> Mat<N> {
+    Mat::identity() + of_stage(c, at)
 }
 
 impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
@@ -416,21 +450,23 @@ impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
         self.0.begin_sweep()
     }
 
-    fn gradient(&mut self, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
-        let u = Mat::identity() + of_rows(c);
-        match self.0.gradient(&u, || of_rows(mu), &of_rows(omega)) {
-            Some(found) => rows(&found, gradient),
-            None => gradient.fill(0.0),
-        }
+    fn gradient(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
+        let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
+        let found = self.0.gradient(at.stage, &u, || of_stage(mu, at), &omega);
+        to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
     }
 
-    fn in_space(&self, c: &[f64], x: &[f64], turned: &mut [f64]) {
-        rows(&so::conjugate(&(Mat::<N>::identity() + of_rows(c)), &of_rows(x)), turned);
+    fn in_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]) {
+        to_stage(&so::conjugate(&attitude_of::<N>(c, at), &of_stage(x, at)), turned, at);
     }
 
-    fn velocity(&mut self, stage: usize, c: &[f64], mu: &[f64], omega: &mut [f64]) {
-        let u = Mat::<N>::identity() + of_rows(c);
-        rows(&self.0.velocity(stage, &u, &of_rows(mu), &of_rows(omega)), omega);
+    fn velocity(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2] {
+        let before = of_stage(omega, at);
+        let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
+        to_stage(&now, omega, at);
+        // Of what is no number the change is none either.
+        let change = (now - before).iter().fold(0.0, |most: f64, x| Real::larger(most, x.abs()));
+        [change, now.amax()]
     }
 }
 
@@ -551,7 +587,7 @@ fn sweep<const N: usize>(
         let weight = h * tableau.b(k);
         // Of the unknowns, not of the sweep before.
         let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
-        if let Some(gradient) = dynamics.gradient(&stage.u, mu, &stage.omega) {
+        if let Some(gradient) = dynamics.gradient(k, &stage.u, mu, &stage.omega) {
             load -= gradient * weight;
         }
         stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;

@@ -18,7 +18,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
-use crate::stepper::Stepper;
+use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -32,6 +32,7 @@ pub struct Rk<const N: usize> {
     /// g' and mu' of each stage.
     rates: Vec<(Mat<N>, Mat<N>)>,
     seen: Vec<Vector<N>>,
+    clock: Clock,
 }
 
 impl<const N: usize> Rk<N> {
@@ -44,6 +45,7 @@ impl<const N: usize> Rk<N> {
             state: State { attitude: Mat::identity(), momentum: Mat::zeros() },
             rates: vec![(Mat::zeros(), Mat::zeros()); tableau.stages()],
             seen: Vec::new(),
+            clock: Clock::default(),
             tableau,
         })
     }
@@ -110,21 +112,41 @@ impl<const N: usize> Stepper<N> for Rk<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.state = state.clone();
+        self.clock = Clock::default();
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.clock.time = time_s;
+    }
+
+    fn work(&self) -> f64 {
+        self.clock.work
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), &mut self.seen);
+        let mut work = 0.0;
         for i in 0..self.tableau.stages() {
             let State { attitude: g, momentum: mu } =
                 self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            body.check_distances(&g, &self.seen)
+            let moment = body.is_driven().then(|| body.at(self.clock.time + h * self.tableau.c(i)));
+            moment
+                .as_ref()
+                .map_or_else(|| body.check_distances(&g, &self.seen), |moment| moment.check(&g))
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
             if self.projected && i == 0 {
                 check_turn(&omega, h)?;
             }
-            self.rates[i] = (g * omega, body.momentum_rate(&g, &mu, &omega, &self.seen));
+            let rate = match &moment {
+                Some(moment) => {
+                    work += h * self.tableau.b(i) * moment.power(&g, &mu, &omega);
+                    moment.momentum_rate(&g, &mu, &omega)
+                }
+                None => body.momentum_rate(&g, &mu, &omega, &self.seen),
+            };
+            self.rates[i] = (g * omega, rate);
         }
         let mut end = self.at(None, |j| h * self.tableau.b(j))?;
         if self.projected {
@@ -142,6 +164,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             end.attitude = factor;
         }
         self.state = end;
+        self.clock.advance(h, work);
         Ok(Convergence::EXPLICIT)
     }
 

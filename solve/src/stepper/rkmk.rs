@@ -20,7 +20,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
-use crate::stepper::Stepper;
+use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -36,6 +36,7 @@ pub struct Rkmk<const N: usize> {
     /// k_i and l_i.
     rates: Vec<(Mat<N>, Mat<N>)>,
     seen: Vec<Vector<N>>,
+    clock: Clock,
 }
 
 impl<const N: usize> Rkmk<N> {
@@ -46,6 +47,7 @@ impl<const N: usize> Rkmk<N> {
             state: State { attitude: Mat::identity(), momentum: Mat::zeros() },
             rates: vec![(Mat::zeros(), Mat::zeros()); tableau.stages()],
             seen: Vec::new(),
+            clock: Clock::default(),
             tableau,
         })
     }
@@ -92,23 +94,45 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.state = state.clone();
+        self.clock = Clock::default();
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.clock.time = time_s;
+    }
+
+    fn work(&self) -> f64 {
+        self.clock.work
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&self.state.attitude, &mut self.seen);
+        let mut work = 0.0;
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            body.check_distances(&u, &self.seen)
+            let moment = body.is_driven().then(|| body.at(self.clock.time + h * self.tableau.c(i)));
+            let g = || self.state.attitude * u;
+            moment
+                .as_ref()
+                .map_or_else(|| body.check_distances(&u, &self.seen), |moment| moment.check(&g()))
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
             let k = self.dexpinv(&sigma, &omega);
-            self.rates[i] = (k, body.momentum_rate(&u, &mu, &omega, &self.seen));
+            let rate = match &moment {
+                Some(moment) => {
+                    work += h * self.tableau.b(i) * moment.power(&g(), &mu, &omega);
+                    moment.momentum_rate(&g(), &mu, &omega)
+                }
+                None => body.momentum_rate(&u, &mu, &omega, &self.seen),
+            };
+            self.rates[i] = (k, rate);
         }
         let (_, f, momentum) = self.at(None, |j| h * self.tableau.b(j))?;
         // The product drifts off the group like any product; one correction in space puts it back.
         let attitude = so::orthonormalised(&(self.state.attitude * f));
         self.state = State { attitude, momentum };
+        self.clock.advance(h, work);
         Ok(Convergence::EXPLICIT)
     }
 

@@ -9,9 +9,9 @@ use std::marker::PhantomData;
 use fearless_simd::Level;
 
 use super::galerkin::{Dynamics, GalerkinStep, Motion};
-use super::{Stepper, check_root};
+use super::{Clock, Stepper, check_root};
 use crate::failure::Failure;
-use crate::hamiltonian::{Hamiltonian, RigidBody};
+use crate::hamiltonian::{Hamiltonian, Moment, RigidBody};
 use crate::nonlinear::{Convergence, Rung, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
@@ -23,7 +23,10 @@ use crate::trajectory::State;
 pub struct Vpd<const N: usize, S: ?Sized = RigidBody<N>> {
     step: GalerkinStep<N>,
     motion: Motion<N>,
+    clock: Clock,
     seen: Vec<Vector<N>>,
+    /// Of a driven body, at the stages and the end of the step.
+    moments: Vec<Moment<N>>,
     system: PhantomData<fn(&S)>,
 }
 
@@ -32,7 +35,14 @@ impl<const N: usize, S: ?Sized> Vpd<N, S> {
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         let step = GalerkinStep::new(tableau, stop);
-        Self { step, motion: Motion::new(&state), seen: Vec::new(), system: PhantomData }
+        Self {
+            step,
+            motion: Motion::new(&state),
+            clock: Clock::default(),
+            seen: Vec::new(),
+            moments: Vec::new(),
+            system: PhantomData,
+        }
     }
 
     /// The same stepper on an older instruction set, or without lanes: a test compares the bits.
@@ -44,20 +54,35 @@ impl<const N: usize, S: ?Sized> Vpd<N, S> {
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Vpd<N, S> {
     /// Solves the step of length `h`, for any root.
     fn solve(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
-        let Self { step, motion, seen, .. } = self;
+        let Self { step, motion, clock, seen, moments, .. } = self;
         let (g0, p0) = (motion.attitude(), motion.body_momentum());
-        if let Some(body) = system.as_body() {
-            body.seen_from(g0, seen);
+        moments.clear();
+        match system.as_body() {
+            Some(body) if body.is_driven() => *moments = step.moments(body, clock.time, h),
+            Some(body) => body.seen_from(g0, seen),
+            None => {}
         }
-        step.solve(&mut Canonical { system, g0, seen }, h, p0, &system.velocity(g0, p0))
+        let mut canonical = Canonical { system, g0, seen, moments };
+        step.solve(&mut canonical, h, p0, &system.velocity(g0, p0))
+    }
+
+    /// Goes on by the step that was solved.
+    fn advance(&mut self, h: f64) {
+        if !self.moments.is_empty() {
+            let work = self.step.work(h, &self.moments, self.motion.attitude());
+            self.clock.advance(h, work);
+        }
+        self.motion.advance(self.step.solution());
     }
 }
 
-/// (24f, vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0.
+/// (24f, vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0, of a driven one
+/// moment by moment.
 struct Canonical<'a, const N: usize, S: ?Sized> {
     system: &'a S,
     g0: &'a Mat<N>,
     seen: &'a [Vector<N>],
+    moments: &'a [Moment<N>],
 }
 
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N, S> {
@@ -68,10 +93,17 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         }
     }
 
-    fn gradient(&self, u: &Mat<N>, mu: impl FnOnce() -> Mat<N>, _omega: &Mat<N>) -> Option<Mat<N>> {
-        match self.system.as_body() {
-            Some(body) => (!body.is_free()).then(|| body.gradient(u, self.seen)),
-            None => Some(self.system.gradient(&so::product(self.g0, u), &mu())),
+    fn gradient(
+        &self,
+        k: usize,
+        u: &Mat<N>,
+        mu: impl FnOnce() -> Mat<N>,
+        omega: &Mat<N>,
+    ) -> Option<Mat<N>> {
+        match (self.system.as_body(), self.moments.get(k)) {
+            (_, Some(moment)) => Some(moment.gradient(&so::product(self.g0, u), &mu(), omega)),
+            (Some(body), None) => (!body.is_free()).then(|| body.gradient(u, self.seen)),
+            (None, None) => Some(self.system.gradient(&so::product(self.g0, u), &mu())),
         }
     }
 
@@ -80,13 +112,15 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
     }
 
     fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
-        self.system.as_body().map(|body| (body, self.seen))
+        let body = self.system.as_body().filter(|_| self.moments.is_empty())?;
+        Some((body, self.seen))
     }
 
-    fn check(&self, u: &Mat<N>) -> Result<(), Failure> {
-        match self.system.as_body() {
-            Some(body) => body.check_distances(u, self.seen),
-            None => self.system.check(&so::product(self.g0, u)),
+    fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
+        match (self.system.as_body(), self.moments.get(k)) {
+            (_, Some(moment)) => moment.check(&so::product(self.g0, u)),
+            (Some(body), None) => body.check_distances(u, self.seen),
+            (None, None) => self.system.check(&so::product(self.g0, u)),
         }
     }
 }
@@ -98,18 +132,34 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
 
     fn start(&mut self, state: &State<N>) {
         self.motion = Motion::new(state);
+        self.clock = Clock::default();
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.clock.time = time_s;
+    }
+
+    fn work(&self) -> f64 {
+        self.clock.work
     }
 
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
         let convergence = self.solve(system, h)?;
         if convergence.rung == Rung::Newton {
             let (step, motion) = (self.step.by_sweeps(), self.motion.clone());
-            let halves = Self { step, motion, seen: Vec::new(), system: PhantomData };
+            let halves = Self {
+                step,
+                motion,
+                clock: self.clock,
+                seen: Vec::new(),
+                moments: Vec::new(),
+                system: PhantomData,
+            };
             let mut end = self.motion.clone();
             end.advance(self.step.solution());
             check_root(convergence, halves, system, h, end.attitude())?;
         }
-        self.motion.advance(self.step.solution());
+        self.advance(h);
         Ok(convergence)
     }
 

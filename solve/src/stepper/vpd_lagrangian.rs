@@ -17,9 +17,9 @@ use std::marker::PhantomData;
 use nalgebra::DMatrix;
 
 use super::galerkin::{Dynamics, GalerkinStep, Motion};
-use super::{Stepper, check_root};
+use super::{Clock, Stepper, check_root};
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
 use crate::nonlinear::{Convergence, Rung, StopRule};
 use crate::so::Mat;
@@ -31,6 +31,9 @@ use crate::trajectory::State;
 pub struct VpdLagrangian<const N: usize, S: ?Sized = RigidBody<N>> {
     step: GalerkinStep<N>,
     motion: Motion<N>,
+    clock: Clock,
+    /// Of a driven body, at the stages and the end of the step.
+    moments: Vec<Moment<N>>,
     system: PhantomData<fn(&S)>,
 }
 
@@ -39,14 +42,19 @@ impl<const N: usize, S: ?Sized> VpdLagrangian<N, S> {
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         let step = GalerkinStep::new(tableau, stop.to_the_floor());
-        Self { step, motion: Motion::new(&state), system: PhantomData }
+        let (motion, clock, moments) = (Motion::new(&state), Clock::default(), Vec::new());
+        Self { step, motion, clock, moments, system: PhantomData }
     }
 }
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> VpdLagrangian<N, S> {
     /// Solves the step of length `h`, for any root.
     fn solve(&mut self, lagrangian: &S, h: f64) -> Result<Convergence, Failure> {
-        let Self { step, motion, .. } = self;
+        let Self { step, motion, clock, moments, .. } = self;
+        moments.clear();
+        if let Some(body) = lagrangian.as_body().filter(|body| body.is_driven()) {
+            *moments = step.moments(body, clock.time, h);
+        }
         let (g0, p0, zero) = (*motion.attitude(), *motion.body_momentum(), Mat::zeros());
         let singular = || {
             let has_values = lagrangian.momentum(&g0, &zero).iter().all(|x| x.is_finite());
@@ -55,7 +63,16 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> VpdLagrangian<N, S> {
         };
         let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
         let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
-        step.solve(&mut Euler { lagrangian, g0, inverse }, h, &p0, &omega)
+        step.solve(&mut Euler { lagrangian, g0, inverse, moments }, h, &p0, &omega)
+    }
+
+    /// Goes on by the step that was solved.
+    fn advance(&mut self, h: f64) {
+        if !self.moments.is_empty() {
+            let work = self.step.work(h, &self.moments, self.motion.attitude());
+            self.clock.advance(h, work);
+        }
+        self.motion.advance(self.step.solution());
     }
 }
 
@@ -64,6 +81,7 @@ struct Euler<'a, const N: usize, S: ?Sized> {
     lagrangian: &'a S,
     g0: Mat<N>,
     inverse: DMatrix<f64>,
+    moments: &'a [Moment<N>],
 }
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
@@ -72,17 +90,30 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         omega - corrected(&self.inverse, &residual)
     }
 
-    fn gradient(&self, u: &Mat<N>, _mu: impl FnOnce() -> Mat<N>, omega: &Mat<N>) -> Option<Mat<N>> {
-        // dH/dg = -dL/dg
-        Some(-self.lagrangian.force(&(self.g0 * u), omega))
+    fn gradient(
+        &self,
+        k: usize,
+        u: &Mat<N>,
+        mu: impl FnOnce() -> Mat<N>,
+        omega: &Mat<N>,
+    ) -> Option<Mat<N>> {
+        let g = self.g0 * u;
+        Some(match self.moments.get(k) {
+            Some(moment) => moment.gradient(&g, &mu(), omega),
+            // dH/dg = -dL/dg
+            None => -self.lagrangian.force(&g, omega),
+        })
     }
 
     fn begin_sweep(&self) -> Result<(), Failure> {
         self.lagrangian.begin_sweep()
     }
 
-    fn check(&self, u: &Mat<N>) -> Result<(), Failure> {
-        self.lagrangian.check(&(self.g0 * u))
+    fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
+        match self.moments.get(k) {
+            Some(moment) => moment.check(&(self.g0 * u)),
+            None => self.lagrangian.check(&(self.g0 * u)),
+        }
     }
 }
 
@@ -93,6 +124,15 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<
 
     fn start(&mut self, state: &State<N>) {
         self.motion = Motion::new(state);
+        self.clock = Clock::default();
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.clock.time = time_s;
+    }
+
+    fn work(&self) -> f64 {
+        self.clock.work
     }
 
     /// # Errors
@@ -104,10 +144,11 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<
             let (step, motion) = (self.step.by_sweeps(), self.motion.clone());
             let mut end = self.motion.clone();
             end.advance(self.step.solution());
-            let halves = Self { step, motion, system: PhantomData };
+            let (clock, moments) = (self.clock, Vec::new());
+            let halves = Self { step, motion, clock, moments, system: PhantomData };
             check_root(convergence, halves, lagrangian, h, end.attitude())?;
         }
-        self.motion.advance(self.step.solution());
+        self.advance(h);
         Ok(convergence)
     }
 

@@ -4,7 +4,7 @@
 //! The shared step in the frame of g0 is that integrator: with f_0 = f and Theta_i = U_i^T f nothing of g0
 //! remains. (The paper's (27b, nnf2) slips an index: the reduced phi~ map has weight 1, as in (19b, fff2).) The body
 //! momentum is all the state there is; the attitude is put together from the rotations of the steps,
-//! g_{k+1} = g_k f_k, only if it is asked for. Nothing pushes, so a step begins where those before it lead
+//! g_{k+1} = g_k f_k, only if it is asked for. Nothing pushes, so sweeps begin where the steps before lead
 //! ([`crate::nonlinear::Past`]).
 //!
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
@@ -48,6 +48,7 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
 
     fn gradient(
         &self,
+        _k: usize,
         _u: &Mat<N>,
         _mu: impl FnOnce() -> Mat<N>,
         _omega: &Mat<N>,

@@ -39,27 +39,24 @@ macro_rules! in_lanes {
     ($work:ident, $equations:expr) => {{
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
-        match (level, stages) {
-            (Some(_), 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
+        let in_lanes = match (level, *stages) {
             (Some(level), 2) => {
-                widest!(*level, f64x2,
-                    like => sweep::$work(like, start, unknowns),
-                    else sweep::$work(Rows([0.0; 2]), start, unknowns))
+                widest!(*level, f64x2, like => Some(sweep::$work(like, start, unknowns)), else None)
             }
             (Some(level), 3 | 4) => {
-                widest!(*level, f64x4,
-                    like => sweep::$work(like, start, unknowns),
-                    else sweep::$work(Rows([0.0; 4]), start, unknowns))
+                widest!(*level, f64x4, like => Some(sweep::$work(like, start, unknowns)), else None)
             }
-            (Some(level), _) => {
-                widest!(*level, f64x8,
-                    like => sweep::$work(like, start, unknowns),
-                    else sweep::$work(Rows([0.0; 8]), start, unknowns))
+            (Some(level), 5..) => {
+                widest!(*level, f64x8, like => Some(sweep::$work(like, start, unknowns)), else None)
             }
+            _ => None,
+        };
+        // Each written once: it takes the compiler long.
+        match (in_lanes, *stages) {
+            (Some(done), _) => done,
             (None, 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
             (None, 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),
-            (None, 3) => sweep::$work(Rows([0.0; 3]), start, unknowns),
-            (None, 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
+            (None, 3 | 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
             (None, _) => sweep::$work(Rows([0.0; 8]), start, unknowns),
         }
     }};

@@ -26,10 +26,10 @@
 use nalgebra::Vector3;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{Moment, RigidBody};
 use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
-use crate::stepper::{Stepper, check_root};
+use crate::stepper::{Clock, Stepper, check_root};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -49,6 +49,7 @@ pub struct Vrkmk<const N: usize> {
     /// In space, skew.
     momentum: Mat<N>,
     space: Vec<Vector<N>>,
+    clock: Clock,
     unknowns: Unknowns<N>,
 }
 
@@ -83,6 +84,8 @@ struct Stage<const N: usize, A> {
     load: A,
     /// Attitude G_i.
     g: Mat<N>,
+    /// Of a driven body, what goes into its energy there.
+    power: f64,
 }
 
 impl<const N: usize> Vrkmk<N> {
@@ -101,6 +104,7 @@ impl<const N: usize> Vrkmk<N> {
             attitude: Mat::identity(),
             momentum: Mat::zeros(),
             space: Vec::new(),
+            clock: Clock::default(),
             tableau,
             solver: Solver::new(stop.to_the_floor()),
         }
@@ -137,13 +141,24 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
     fn start(&mut self, state: &State<N>) {
         self.attitude = state.attitude;
         self.momentum = Skew::<N>::turned(&state.momentum, &state.attitude);
+        self.clock = Clock::default();
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.clock.time = time_s;
+    }
+
+    fn work(&self) -> f64 {
+        self.clock.work
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         // Attitudes of the stages are absolute: the potential is seen from space.
         body.seen_from(&Mat::identity(), &mut self.space);
-        let Self { tableau, solver, beta, attitude, momentum, space, unknowns, .. } = self;
-        let step = Step { tableau, beta, body, space, h, g0: attitude };
+        let Self { tableau, solver, beta, attitude, momentum, space, unknowns, clock, .. } = self;
+        let nodes = (0..tableau.stages()).map(|k| tableau.c(k));
+        let moments = if body.is_driven() { body.over(clock.time, h, nodes) } else { Vec::new() };
+        let step = Step { tableau, beta, body, moments: &moments, space, h, g0: attitude };
         let (convergence, (g1, m1)) = match unknowns {
             Unknowns::Vector(stages) => step.solve(solver, momentum, stages)?,
             Unknowns::Bracket(stages) => step.solve(solver, momentum, stages)?,
@@ -155,6 +170,11 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         }
         self.attitude = attitude;
         self.momentum = m1;
+        let work = match &self.unknowns {
+            Unknowns::Vector(stages) => stages.work(&self.tableau, h),
+            Unknowns::Bracket(stages) => stages.work(&self.tableau, h),
+        };
+        self.clock.advance(h, work);
         Ok(convergence)
     }
 
@@ -168,9 +188,15 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
 }
 
 impl<const N: usize, A: Skew<N>> Stages<N, A> {
+    /// What a driven body's motion has put into its energy.
+    fn work(&self, tableau: &Tableau, h: f64) -> f64 {
+        let work = |(k, stage): (usize, &Stage<N, A>)| h * tableau.b(k) * stage.power;
+        self.stages.iter().enumerate().map(work).sum()
+    }
+
     fn new(stages: usize, q: usize) -> Self {
         let zero = A::zero();
-        let stage = Stage { k: zero, p: zero, load: zero, g: Mat::identity() };
+        let stage = Stage { k: zero, p: zero, load: zero, g: Mat::identity(), power: 0.0 };
         let chains = Chains::new(q);
         Self { stages: vec![stage; stages], chains, y: zero, n: zero }
     }
@@ -181,6 +207,8 @@ struct Step<'a, const N: usize> {
     tableau: &'a Tableau,
     beta: &'a [f64],
     body: &'a RigidBody<N>,
+    /// Of a driven body, at the stages.
+    moments: &'a [Moment<N>],
     space: &'a [Vector<N>],
     h: f64,
     g0: &'a Mat<N>,
@@ -201,7 +229,11 @@ impl<const N: usize> Step<'_, N> {
         let finite = |stage: &Stage<N, A>| stage.g.iter().all(|x| x.is_finite());
         let mut met = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
         let near = met.find_map(|(i, stage)| {
-            let near = self.body.check_distances(&stage.g, self.space).err()?;
+            let check = match self.moments.get(i) {
+                None => self.body.check_distances(&stage.g, self.space),
+                Some(moment) => moment.check(&stage.g),
+            };
+            let near = check.err()?;
             Some(Failure { stage: Some(i), ..near })
         });
         match (solved, near) {
@@ -226,7 +258,7 @@ impl<const N: usize> Step<'_, N> {
     /// The slopes themselves would not do: they carry the round-off of the momentum times the inverse of
     /// the smallest moment of inertia.
     fn sweep<A: Skew<N>>(&self, m0: &A, unknowns: &mut Stages<N, A>) -> Result<f64, Failure> {
-        let Self { tableau, beta, body, h, g0, .. } = *self;
+        let Self { tableau, beta, body, moments, h, g0, .. } = *self;
         let Stages { stages, chains, y, n } = unknowns;
         let s = stages.len();
         (*y, *n) = (A::zero(), *m0);
@@ -243,7 +275,14 @@ impl<const N: usize> Step<'_, N> {
             let turn = so::exp(&x.matrix());
             stage.g = turn * g0;
             let m = chains.dual_image(beta, &x, &stage.p);
-            let (xi, f) = slopes(body, &stage.g, &m);
+            let (xi, f) = match moments.get(i) {
+                None => slopes(body, &stage.g, &m),
+                Some(moment) => {
+                    let (slopes, power) = driven_slopes(moment, &stage.g, &m);
+                    stage.power = power;
+                    slopes
+                }
+            };
             let k = chains.image(beta, &x, &xi);
             displacement = greater(displacement, h.abs() * (k - stage.k).size());
             stage.k = k;
@@ -281,7 +320,8 @@ struct Sweeps<'a, 'b, const N: usize, A> {
 impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
     fn guess(&mut self) -> Result<(), Failure> {
         for stage in &mut self.unknowns.stages {
-            *stage = Stage { k: *self.xi, p: *self.m0, load: A::zero(), g: *self.step.g0 };
+            *stage =
+                Stage { k: *self.xi, p: *self.m0, load: A::zero(), g: *self.step.g0, power: 0.0 };
         }
         Ok(())
     }
@@ -328,6 +368,19 @@ fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) ->
     let omega = A::from_matrix(&body.velocity(&m.turned_back(g).matrix()));
     let xi = omega.turned(g);
     (xi, -(xi.bracket(m) + A::from_matrix(&body.spatial_gradient(g))))
+}
+
+/// The same of a driven body at a moment, and its power.
+fn driven_slopes<const N: usize, A: Skew<N>>(
+    moment: &Moment<N>,
+    g: &Mat<N>,
+    m: &A,
+) -> ((A, A), f64) {
+    let mu = m.turned_back(g).matrix();
+    let body_omega = moment.body.velocity(&mu);
+    let xi = A::from_matrix(&body_omega).turned(g);
+    let f = A::from_matrix(&moment.spatial_gradient(g, &mu, &body_omega));
+    ((xi, -(xi.bracket(m) + f)), moment.power(g, &mu, &body_omega))
 }
 
 #[cfg(test)]

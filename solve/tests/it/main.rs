@@ -3,6 +3,7 @@
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
 
+mod driven;
 mod examples;
 mod forms;
 mod given;
@@ -11,5 +12,6 @@ mod lanes;
 mod laws;
 mod methods;
 mod open;
+mod published;
 mod verification;
 mod vrkmk;

@@ -124,6 +124,7 @@ pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<3> {
         time_s,
         attitude: Some(state.attitude),
         momentum: state.momentum,
+        angular_velocity: None,
         energy: None,
         energy_error: None,
         orthogonality_error: None,

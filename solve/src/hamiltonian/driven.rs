@@ -1,0 +1,366 @@
+//! What of a body changes with time, pushes it without being a potential, or spins in it.
+//!
+//! A driven body is looked at moment by moment: [`RigidBody::at`] gives its potential as it is then, and the torques. In
+//! the extended phase space the momentum of time changes by `-dH/dt`, so that
+//!
+//! ```text
+//! H(t) - H(0) = integral of dH/dt + <F, Omega>
+//! ```
+//!
+//! is what the drive has put in: [`Moment::power`], summed by the stepper with the weights of its tableau.
+//!
+//! Invariant: [`Moment::power`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
+
+use super::term::{Law, Term};
+use super::{Energy, RigidBody};
+use crate::failure::Failure;
+use crate::so::{self, Mat, Vector};
+
+/// How the space vector of a term moves.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Path<const N: usize> {
+    /// Not at all.
+    Fixed,
+    /// It turns at a constant rate, from one of two orthonormal vectors towards the other; what of it is across their
+    /// plane stays.
+    Turning {
+        /// The plane.
+        plane: [Vector<N>; 2],
+        /// In rad/s.
+        rate: f64,
+    },
+    /// It follows an orbit of Kepler's: at the pericentre it is the term's own, and it turns towards `across`. A place is
+    /// nearer there and farther at the apocentre; of a direction the length stays, and the gradient of gravity along it
+    /// is strong as the inverse cube of the distance.
+    Orbit {
+        /// Of length one, orthogonal to the term's own vector.
+        across: Vector<N>,
+        /// In rad/s.
+        mean_motion: f64,
+        /// From 0 to less than 1.
+        eccentricity: f64,
+        /// At t = 0, in rad.
+        mean_anomaly: f64,
+    },
+}
+
+/// What the strength of a term is multiplied by.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Factor {
+    /// One.
+    Constant,
+    /// `mean + amplitude cos(rate t + phase)`
+    Harmonic {
+        /// The mean.
+        mean: f64,
+        /// The amplitude.
+        amplitude: f64,
+        /// In rad/s.
+        rate: f64,
+        /// In rad.
+        phase: f64,
+    },
+    /// By a table.
+    Table(Table<1>),
+}
+
+/// Values at times, and between them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table<const M: usize> {
+    /// Ascending.
+    pub times: Vec<f64>,
+    /// As many.
+    pub values: Vec<[f64; M]>,
+    /// Cubic between two times, with slopes by the neighbours (Catmull and Rom 1974), so that steps keep their order up to
+    /// the fourth; else straight, with corners at the times.
+    pub smooth: bool,
+}
+
+impl<const M: usize> Table<M> {
+    /// The values at a time, and their rates. Before its first time and after its last a table stays as it is there.
+    fn at(&self, t: f64) -> ([f64; M], [f64; M]) {
+        let last = self.times.len() - 1;
+        let after = self.times.partition_point(|&time| time <= t);
+        if after == 0 || after > last {
+            return (self.values[if after == 0 { 0 } else { last }], [0.0; M]);
+        }
+        let k = after - 1;
+        let width = self.times[k + 1] - self.times[k];
+        let x = (t - self.times[k]) / width;
+        let (mut value, mut rate) = ([0.0; M], [0.0; M]);
+        for m in 0..M {
+            let (a, b) = (self.values[k][m], self.values[k + 1][m]);
+            let chord = (b - a) / width;
+            if !self.smooth {
+                (value[m], rate[m]) = (a + x * (b - a), chord);
+                continue;
+            }
+            let slope = |i: usize| {
+                let (low, high) = (i.saturating_sub(1), (i + 1).min(last));
+                (self.values[high][m] - self.values[low][m]) / (self.times[high] - self.times[low])
+            };
+            let (p, q) = (slope(k) * width, slope(k + 1) * width);
+            // Hermite's cubic.
+            let (c, d) = (3.0 * (b - a) - 2.0 * p - q, 2.0 * (a - b) + p + q);
+            value[m] = a + x * (p + x * (c + x * d));
+            rate[m] = (p + x * (2.0 * c + 3.0 * x * d)) / width;
+        }
+        (value, rate)
+    }
+}
+
+/// A term of the potential that changes with time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DrivenTerm<const N: usize> {
+    /// The term.
+    pub term: Term<N>,
+    /// How its space vector moves.
+    pub path: Path<N>,
+    /// How its strength changes.
+    pub factor: Factor,
+}
+
+/// A torque on the body that is no potential's.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Torque<const N: usize> {
+    /// Constant in the body: skew, in N m.
+    Body(Mat<N>),
+    /// Constant in space: skew, in N m.
+    Space(Mat<N>),
+    /// Along a fixed element of so(n) in the body, as strong as a table says.
+    Table {
+        /// Skew.
+        along: Mat<N>,
+        /// Is it fixed in space?
+        in_space: bool,
+        /// In N m.
+        table: Table<1>,
+    },
+    /// `-c_ij Omega_ij`: viscous, with a coefficient for each plane, in N m s.
+    Viscous(Mat<N>),
+    /// `-rate mu`, in 1/s.
+    OfMomentum(f64),
+}
+
+/// What of a body changes with time, or pushes it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Driven<const N: usize> {
+    terms: Vec<DrivenTerm<N>>,
+    torques: Vec<Torque<N>>,
+}
+
+impl<const N: usize> Driven<N> {
+    pub(super) fn is_empty(&self) -> bool {
+        self.terms.is_empty() && self.torques.is_empty()
+    }
+
+    /// The space vectors through which the driven terms see the attitude at any time; `None` if torques act, which no
+    /// direction is free of.
+    pub(super) fn space_vectors(&self) -> Option<Vec<Vector<N>>> {
+        if !self.torques.is_empty() {
+            return None;
+        }
+        let of = |driven: &DrivenTerm<N>| {
+            let own = driven.term.space;
+            match &driven.path {
+                Path::Fixed => vec![own],
+                Path::Turning { plane: [a, b], .. } => vec![own, *a, *b],
+                Path::Orbit { across, .. } => vec![own, *across],
+            }
+        };
+        Some(self.terms.iter().flat_map(of).collect())
+    }
+}
+
+/// A driven body at one moment.
+#[derive(Clone, Debug)]
+pub(crate) struct Moment<const N: usize> {
+    /// Its potential as it is then.
+    pub(crate) body: RigidBody<N>,
+    torques: Vec<Torque<N>>,
+    changing: Vec<Changing<N>>,
+}
+
+/// A driven term then.
+#[derive(Clone, Debug)]
+struct Changing<const N: usize> {
+    /// The law with the rate of its strength in the place of that.
+    strengthening: Law<N>,
+    law: Law<N>,
+    space: Vector<N>,
+    /// The rate of the space vector.
+    moving: Vector<N>,
+}
+
+impl<const N: usize> DrivenTerm<N> {
+    fn at(&self, t: f64) -> Changing<N> {
+        let own = self.term.space;
+        let tidal = matches!(self.term.law, Law::GravityGradient { .. });
+        let place = matches!(self.term.law, Law::PointSource { .. } | Law::Spring { .. });
+        let (mut strength, mut strengthening) = match &self.factor {
+            Factor::Constant => (1.0, 0.0),
+            Factor::Harmonic { mean, amplitude, rate, phase } => {
+                let angle = rate * t + phase;
+                (mean + amplitude * libm::cos(angle), -amplitude * rate * libm::sin(angle))
+            }
+            Factor::Table(table) => {
+                let ([value], [rate]) = table.at(t);
+                (value, rate)
+            }
+        };
+        let (space, moving) = match &self.path {
+            Path::Fixed => (own, Vector::zeros()),
+            Path::Turning { plane: [a, b], rate } => {
+                let (x, y) = (a.dot(&own), b.dot(&own));
+                let (cos, sin) = (libm::cos(rate * t), libm::sin(rate * t));
+                let rest = own - a * x - b * y;
+                let (now_x, now_y) = (x * cos - y * sin, x * sin + y * cos);
+                (rest + a * now_x + b * now_y, (b * now_x - a * now_y) * *rate)
+            }
+            Path::Orbit { across, mean_motion, eccentricity: e, mean_anomaly } => {
+                let anomaly = eccentric_anomaly(mean_anomaly + mean_motion * t, *e);
+                let (cos, sin) = (libm::cos(anomaly), libm::sin(anomaly));
+                // r / a, and the direction by the true anomaly.
+                let (r, root) = (1.0 - e * cos, (1.0 - e * e).sqrt());
+                let (x, y) = ((cos - e) / r, root * sin / r);
+                let turning = mean_motion * root / (r * r);
+                let receding = mean_motion * e * sin / r;
+                let size = own.norm();
+                let direction = own * x + across * (size * y);
+                let sideways = (across * (size * x) - own * y) * turning;
+                if tidal {
+                    let cube = 1.0 / (r * r * r);
+                    strengthening = strengthening * cube - 3.0 * strength * cube / r * receding;
+                    strength *= cube;
+                }
+                if place {
+                    (direction * r, sideways * r + direction * receding)
+                } else {
+                    (direction, sideways)
+                }
+            }
+        };
+        let law = |factor: f64| self.term.law.times(factor);
+        Changing { strengthening: law(strengthening), law: law(strength), space, moving }
+    }
+}
+
+/// E of Kepler's equation `E - e sin E = M`, to round-off.
+fn eccentric_anomaly(mean: f64, e: f64) -> f64 {
+    /// Newton's method from this start gains digits from the first round on for every e below one.
+    const ROUNDS: usize = 60;
+    let turns = libm::floor(mean / std::f64::consts::TAU + 0.5) * std::f64::consts::TAU;
+    let mean = mean - turns;
+    let mut anomaly = if mean == 0.0 { 0.0 } else { mean + (0.85 * e).copysign(mean) };
+    for _ in 0..ROUNDS {
+        let defect = anomaly - e * libm::sin(anomaly) - mean;
+        let change = defect / (1.0 - e * libm::cos(anomaly));
+        let next = anomaly - change;
+        if next == anomaly || change.abs() <= f64::EPSILON * anomaly.abs() * 0.5 {
+            break;
+        }
+        anomaly = next;
+    }
+    anomaly + turns
+}
+
+impl<const N: usize> Moment<N> {
+    /// The torque that is no potential's: left-trivialised, in the body.
+    fn torque(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+        let mut sum = Mat::zeros();
+        for torque in &self.torques {
+            sum += match torque {
+                Torque::Body(torque) => *torque,
+                Torque::Space(torque) => so::conjugate(&g.transpose(), torque),
+                Torque::Viscous(coefficients) => -omega.component_mul(coefficients),
+                Torque::OfMomentum(rate) => mu * -rate,
+                Torque::Table { .. } => Mat::zeros(),
+            };
+        }
+        sum
+    }
+
+    /// `dH/dg - F` at `g`, left-trivialised: minus all that turns the body.
+    pub(crate) fn gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+        self.body.gradient_at(g) - self.torque(g, mu, omega)
+    }
+
+    /// `mu' = [mu, Omega] - dH/dg + F`: see [`RigidBody::momentum_rate`].
+    pub(crate) fn momentum_rate(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+        so::asym(&(mu * omega)) - self.gradient(g, mu, omega)
+    }
+
+    /// The same at fixed momentum in space, right-trivialised: `v (g dU/dq)^T - ... - g F g^T`.
+    pub(crate) fn spatial_gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+        let torque = self.torque(g, mu, omega);
+        self.body.spatial_gradient(g) - so::conjugate(g, &torque)
+    }
+
+    /// `dH/dt + <F, Omega>`: what time and the torques put into the energy.
+    pub(crate) fn power(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> f64 {
+        let mut power = so::inner(&self.torque(g, mu, omega), omega);
+        for Changing { strengthening, law, space, moving } in &self.changing {
+            let q = g.tr_mul(space);
+            power += strengthening.value(&q) + law.change(&q, &g.tr_mul(moving));
+        }
+        power
+    }
+
+    /// Refuses an attitude at which the potential has lost its meaning.
+    pub(crate) fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
+        self.body.check_distances_at(g)
+    }
+
+    /// The energy then.
+    pub(crate) fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy {
+        self.body.energy(g, mu)
+    }
+}
+
+impl<const N: usize> RigidBody<N> {
+    /// The same body in a term more, one that changes with time.
+    pub fn with_driven_term(mut self, term: DrivenTerm<N>) -> Self {
+        self.driven.terms.push(term);
+        self
+    }
+
+    /// The same body under a torque more that is no potential's.
+    pub fn with_torque(mut self, torque: Torque<N>) -> Self {
+        self.driven.torques.push(torque);
+        self
+    }
+
+    /// The same body with wheels in it whose angular momentum relative to it is constant: `mu = J Omega + wheels`, skew.
+    pub fn with_wheels(mut self, wheels: Mat<N>) -> Self {
+        self.wheels = Some(wheels);
+        self
+    }
+
+    /// Does its energy change with time, or by torques that are no potential's?
+    pub fn is_driven(&self) -> bool {
+        !self.driven.is_empty()
+    }
+
+    /// The body at a moment, its time in seconds.
+    pub(crate) fn at(&self, t: f64) -> Moment<N> {
+        let changing: Vec<_> = self.driven.terms.iter().map(|driven| driven.at(t)).collect();
+        let mut body = self.clone();
+        body.driven = Driven::default();
+        for Changing { law, space, .. } in &changing {
+            body.push(Term { law: law.clone(), space: *space });
+        }
+        let now = |torque: &Torque<N>| match torque {
+            Torque::Table { along, in_space, table } => {
+                let torque = along * table.at(t).0[0];
+                if *in_space { Torque::Space(torque) } else { Torque::Body(torque) }
+            }
+            other => other.clone(),
+        };
+        Moment { body, torques: self.driven.torques.iter().map(now).collect(), changing }
+    }
+
+    /// The body at the nodes of a step from `t`, and at its end.
+    pub(crate) fn over(&self, t: f64, h: f64, nodes: impl Iterator<Item = f64>) -> Vec<Moment<N>> {
+        nodes.chain([1.0]).map(|c| self.at(t + c * h)).collect()
+    }
+}

@@ -1,0 +1,309 @@
+//! What changes with time, pushes or spins: terms of the potential that move, torques that are no potential's, wheels.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::check::{
+    Check, direction, ensure, framed, largest, matrix, number, size, strength, symmetry,
+};
+use super::term::PotentialTerm;
+use super::{Entry, Framed};
+
+/// A term of the potential that changes with time: its vector moves, or its strength.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DrivenTerm {
+    /// The term, as it is at t = 0 (on an orbit: at the pericentre).
+    pub term: PotentialTerm,
+    /// How its direction or position moves; it stays if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub path: Option<Path>,
+    /// What its strength is multiplied by; one if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub factor: Option<Factor>,
+}
+
+/// How the direction or position of a term moves in space.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Path {
+    /// It turns at a constant rate.
+    Turning(Turning),
+    /// It follows an orbit of Kepler's.
+    Orbit(Orbit),
+}
+
+/// A turn at a constant rate, in the plane of two vectors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Turning {
+    /// It turns from here...
+    pub from: Vec<f64>,
+    /// ...to here; the two need not be orthogonal, nor of length one.
+    pub towards: Vec<f64>,
+    /// In rad/s.
+    pub rate_rad_s: f64,
+}
+
+/// An orbit of Kepler's. The term's own direction or position is that at the pericentre. On the way a position comes
+/// nearer and goes farther; a direction only turns, and the strength of a gravity gradient goes as the inverse cube of
+/// the distance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Orbit {
+    /// From the pericentre it turns towards this vector; it need not be orthogonal, nor of length one.
+    pub towards: Vec<f64>,
+    /// Mean motion, 2 pi over the period, in rad/s.
+    pub mean_motion_rad_s: f64,
+    /// From 0 to 0.99.
+    #[serde(default)]
+    pub eccentricity: f64,
+    /// Mean anomaly at t = 0 in rad; 0 is the pericentre.
+    #[serde(default)]
+    pub mean_anomaly_rad: f64,
+}
+
+/// What a strength is multiplied by.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Factor {
+    /// mean + amplitude cos(rate t + phase)
+    Harmonic(Harmonic),
+    /// By a table over time.
+    Table(Table),
+}
+
+/// mean + amplitude cos(rate t + phase)
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Harmonic {
+    /// The mean; 1 if absent.
+    #[serde(default = "Harmonic::one")]
+    pub mean: f64,
+    /// The amplitude.
+    pub amplitude: f64,
+    /// In rad/s.
+    pub rate_rad_s: f64,
+    /// In rad; 0 if absent.
+    #[serde(default)]
+    pub phase_rad: f64,
+}
+
+impl Harmonic {
+    fn one() -> f64 {
+        1.0
+    }
+}
+
+/// Values at times that cover the whole run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Table {
+    /// Ascending, in s.
+    pub times_s: Vec<f64>,
+    /// One for each time.
+    pub values: Vec<f64>,
+    /// Cubic between the times, with slopes by the neighbours (the default): methods keep their order up to the fourth.
+    /// Else straight lines; put the times on steps then.
+    #[serde(default = "Table::smooth")]
+    pub smooth: bool,
+}
+
+impl Table {
+    fn smooth() -> bool {
+        true
+    }
+}
+
+/// A torque that is no potential's.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Torque {
+    /// Constant in the body or in space, in N m.
+    Constant(Framed),
+    /// By a table over time, in N m, along a direction that is constant in the body or in space.
+    Table(TorqueTable),
+    /// Against the angular velocity.
+    Viscous(Viscous),
+    /// `-rate` times the body momentum.
+    OfMomentum(OfMomentum),
+}
+
+/// A torque by a table.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TorqueTable {
+    /// Its direction, used as given, not normalised.
+    pub along: Framed,
+    /// How strong it is, in N m.
+    pub table: Table,
+}
+
+/// A torque against the angular velocity; one of the two is given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Viscous {
+    /// The same about all axes, in N m s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coefficient: Option<f64>,
+    /// n = 3: one for each body axis; any n: a symmetric matrix, c_ij for the plane of the axes i and j.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coefficients: Option<Vec<Entry>>,
+}
+
+/// A torque along the momentum.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OfMomentum {
+    /// In 1/s; the momentum falls as `exp(-rate t)` where it is above zero.
+    pub rate_per_s: f64,
+}
+
+impl DrivenTerm {
+    pub(super) fn check(&self, at: &str, n: usize, duration_s: Option<f64>) -> Check {
+        self.term.law().check(&format!("{at}/term"), n)?;
+        match &self.path {
+            None => {}
+            Some(Path::Turning(turning)) => {
+                let at = format!("{at}/path/turning");
+                direction(&format!("{at}/from"), &turning.from, n)?;
+                direction(&format!("{at}/towards"), &turning.towards, n)?;
+                apart(&format!("{at}/towards"), &turning.from, &turning.towards, "from")?;
+                strength(&format!("{at}/rate_rad_s"), turning.rate_rad_s)?;
+            }
+            Some(Path::Orbit(orbit)) => {
+                let at = format!("{at}/path/orbit");
+                let own = self.term.law().space_vector();
+                direction(&format!("{at}/towards"), &orbit.towards, n)?;
+                apart(&format!("{at}/towards"), own, &orbit.towards, "the term's own vector")?;
+                strength(&format!("{at}/mean_motion_rad_s"), orbit.mean_motion_rad_s)?;
+                number(&format!("{at}/mean_anomaly_rad"), orbit.mean_anomaly_rad)?;
+                let e = orbit.eccentricity;
+                ensure((0.0..=0.99).contains(&e), format!("{at}/eccentricity"), || {
+                    format!("{e} given, an eccentricity lies from 0 to 0.99")
+                })?;
+            }
+        }
+        match &self.factor {
+            None => Ok(()),
+            Some(Factor::Harmonic(harmonic)) => {
+                let at = format!("{at}/factor/harmonic");
+                number(&format!("{at}/mean"), harmonic.mean)?;
+                strength(&format!("{at}/amplitude"), harmonic.amplitude)?;
+                strength(&format!("{at}/rate_rad_s"), harmonic.rate_rad_s)?;
+                number(&format!("{at}/phase_rad"), harmonic.phase_rad)
+            }
+            Some(Factor::Table(table)) => table.check(&format!("{at}/factor/table"), duration_s),
+        }
+    }
+}
+
+impl Table {
+    fn check(&self, at: &str, duration_s: Option<f64>) -> Check {
+        /// Most rows.
+        const MOST: usize = 100_000;
+        let (times, values) = (&self.times_s, &self.values);
+        ensure((2..=MOST).contains(&times.len()), format!("{at}/times_s"), || {
+            format!("{} times given, a table has 2 to {MOST}", times.len())
+        })?;
+        ensure(values.len() == times.len(), format!("{at}/values"), || {
+            format!("{} values given for {} times", values.len(), times.len())
+        })?;
+        for (i, (&time, &value)) in times.iter().zip(values).enumerate() {
+            number(&format!("{at}/times_s/{i}"), time)?;
+            strength(&format!("{at}/values/{i}"), value)?;
+            let before = times[i.saturating_sub(1)];
+            ensure(i == 0 || time - before >= 1e-12, format!("{at}/times_s/{i}"), || {
+                format!("{time} given after {before}; times ascend")
+            })?;
+        }
+        let (first, last) = (times[0], times[times.len() - 1]);
+        ensure(first <= 0.0, format!("{at}/times_s/0"), || {
+            format!("{first} given; the table must cover the run, which begins at 0")
+        })?;
+        let Some(end) = duration_s else { return Ok(()) };
+        // A run ends on a step, a rounding away from the duration that was meant.
+        ensure(last >= end * (1.0 - 1e-12), format!("{at}/times_s/{}", times.len() - 1), || {
+            format!("{last} given; the table must cover the run, which ends at {end}")
+        })
+    }
+}
+
+impl Torque {
+    pub(super) fn check(&self, at: &str, n: usize, duration_s: Option<f64>) -> Check {
+        match self {
+            Self::Constant(torque) => framed(&format!("{at}/constant"), torque, n),
+            Self::Table(given) => {
+                framed(&format!("{at}/table/along"), &given.along, n)?;
+                given.table.check(&format!("{at}/table/table"), duration_s)
+            }
+            Self::Viscous(viscous) => viscous.check(&format!("{at}/viscous"), n),
+            Self::OfMomentum(of) => {
+                strength(&format!("{at}/of_momentum/rate_per_s"), of.rate_per_s)
+            }
+        }
+    }
+}
+
+impl Viscous {
+    fn check(&self, at: &str, n: usize) -> Check {
+        match (&self.coefficient, &self.coefficients) {
+            (Some(coefficient), None) => strength(&format!("{at}/coefficient"), *coefficient),
+            (None, Some(_)) => {
+                let pointer = format!("{at}/coefficients");
+                let rows = self.planes(n).ok_or_else(|| {
+                    let allowed = if n == 3 { "3 numbers or " } else { "" };
+                    super::ScenarioError::invalid(
+                        &pointer,
+                        format!("is none of: {allowed}{n} rows of {n} numbers"),
+                    )
+                })?;
+                matrix(&pointer, &rows, n)?;
+                size(&pointer, rows.iter().flatten())?;
+                symmetry(&pointer, &rows, 1.0, "symmetric")
+            }
+            _ => ensure(false, at, || "needs either `coefficient` or `coefficients`".to_owned()),
+        }
+    }
+
+    /// c_ij; `None` if there is no such matrix.
+    pub(crate) fn planes(&self, n: usize) -> Option<Vec<Vec<f64>>> {
+        if let Some(coefficient) = self.coefficient {
+            return Some(vec![vec![coefficient; n]; n]);
+        }
+        let entries = self.coefficients.as_ref()?;
+        let mut axes = Vec::new();
+        let mut rows = Vec::new();
+        for entry in entries {
+            match entry {
+                Entry::Number(x) => axes.push(*x),
+                Entry::Row(row) => rows.push(row.clone()),
+            }
+        }
+        match (axes.as_slice(), rows.is_empty()) {
+            // The plane of two axes is across the third.
+            ([x, y, z], true) if n == 3 => {
+                Some(vec![vec![0.0, *z, *y], vec![*z, 0.0, *x], vec![*y, *x, 0.0]])
+            }
+            ([], false) if rows.len() == n => Some(rows),
+            _ => None,
+        }
+    }
+}
+
+/// Wheels.
+pub(super) fn wheels(entries: &[Entry], n: usize) -> Check {
+    framed("/scene/wheels", &Framed::Body(entries.to_vec()), n).map_err(|error| {
+        super::ScenarioError { pointer: error.pointer.replace("/wheels/body", "/wheels"), ..error }
+    })
+}
+
+/// Refuses two vectors along one line.
+fn apart(pointer: &str, a: &[f64], b: &[f64], name: &str) -> Check {
+    let (a_size, b_size) = (largest(a), largest(b));
+    let unit = |v: &[f64], size: f64| -> Vec<f64> { v.iter().map(|x| x / size).collect() };
+    let (a, b) = (unit(a, a_size), unit(b, b_size));
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+    let sine_square = 1.0 - dot(&a, &b) * dot(&a, &b) / (dot(&a, &a) * dot(&b, &b));
+    ensure(sine_square > 1e-12, pointer, || format!("is along {name}; the two must span a plane"))
+}
