@@ -167,9 +167,8 @@ fn the_same_scenario_gives_the_same_bytes() {
 fn inertia_that_no_body_has_is_warned_of() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let warned = |inertia: &str| {
-        let text = format!(
-            r#"{{"name":"a","scene":{{"inertia":{inertia}}},"step_s":0.1,"steps":10}}"#
-        );
+        let text =
+            format!(r#"{{"name":"a","scene":{{"inertia":{inertia}}},"step_s":0.1,"steps":10}}"#);
         let path = directory.path().join("log.mcap");
         run(&text, &path);
         let mut said = Vec::new();

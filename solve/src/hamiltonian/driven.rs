@@ -376,8 +376,17 @@ impl<const N: usize> RigidBody<N> {
     /// The body at a moment.
     pub(crate) fn at(&self, t: Time) -> Moment<N> {
         let changing: Vec<_> = self.driven.terms.iter().map(|driven| driven.at(t)).collect();
-        let mut body = self.clone();
-        body.driven = Driven::default();
+        // Without what drives it: tables may be long.
+        let mut body = RigidBody {
+            kinetic: self.kinetic.clone(),
+            terms: self.terms.clone(),
+            reaches: self.reaches.clone(),
+            constant: self.constant,
+            own: self.own.clone(),
+            driven: Driven::default(),
+            wheels: self.wheels,
+            work: self.work.clone(),
+        };
         for Changing { law, space, .. } in &changing {
             body.push(Term { law: law.clone(), space: *space });
         }
