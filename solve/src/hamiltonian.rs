@@ -21,8 +21,8 @@ mod term;
 mod torque;
 
 use driven::Driven;
-pub(crate) use driven::Moment;
 pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
+pub(crate) use driven::{Moment, Time};
 use potential::Own;
 pub use potential::Potential;
 pub use term::{Law, Term};
@@ -333,7 +333,7 @@ impl<const N: usize> System<N> for RigidBody<N> {
     }
 
     fn energy_at(&self, t: f64, g: &Mat<N>, mu: &Mat<N>) -> Energy {
-        if self.is_driven() { self.at(t).energy(g, mu) } else { self.energy(g, mu) }
+        if self.is_driven() { self.at(Time::of(t)).energy(g, mu) } else { self.energy(g, mu) }
     }
 
     fn is_driven(&self) -> bool {

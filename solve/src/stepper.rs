@@ -4,7 +4,7 @@
 //! body momentum out on demand; a step that fails leaves that state as it was.
 
 use super::failure::{Failure, FailureCode};
-use super::hamiltonian::RigidBody;
+use super::hamiltonian::{RigidBody, Time};
 use super::nonlinear::Convergence;
 use super::so::Mat;
 use super::trajectory::State;
@@ -70,6 +70,11 @@ struct Clock {
 }
 
 impl Clock {
+    /// So long after the beginning of the step.
+    fn at(&self, after: f64) -> Time {
+        Time { begun: self.time, after }
+    }
+
     /// Goes on by a step, with the work done in it.
     fn advance(&mut self, h: f64, work: f64) {
         self.time += h;

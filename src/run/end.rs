@@ -39,6 +39,8 @@ pub(super) struct Asked<'a> {
     /// Of an ensemble.
     members: Option<u64>,
     expect: Option<&'a Expect>,
+    /// What the plan warns of.
+    warnings: &'a [String],
 }
 
 impl<'a> Asked<'a> {
@@ -46,12 +48,13 @@ impl<'a> Asked<'a> {
     pub(super) fn of(plan: &'a Plan) -> Self {
         let members = plan.ensemble.as_ref().map(|planned| planned.members);
         let Plan { step_s, steps, .. } = *plan;
-        Self { step_s, steps, members, expect: plan.asked.expect.as_ref() }
+        let (expect, warnings) = (plan.asked.expect.as_ref(), plan.warnings.as_slice());
+        Self { step_s, steps, members, expect, warnings }
     }
 
     /// So many steps of one trajectory.
     pub(super) fn steps(step_s: f64, steps: u64) -> Self {
-        Self { step_s, steps, members: None, expect: None }
+        Self { step_s, steps, members: None, expect: None, warnings: &[] }
     }
 }
 
@@ -67,6 +70,9 @@ pub(super) fn finish<const N: usize>(
     let time_s = reached.step as f64 * asked.step_s;
     // Member 0 may have failed long before the others came to the end.
     let last_s = if ensemble.is_some() { asked.steps as f64 * asked.step_s } else { time_s };
+    for warning in asked.warnings {
+        writer.message(Level::Warning, last_s, warning)?;
+    }
     let seen = energy.map(|ends| EnergySeen::at_samples(figures).unwrap_or(ends));
     let warning = seen.and_then(summary::warning);
     if let Some(warning) = &warning {

@@ -161,3 +161,29 @@ fn the_same_scenario_gives_the_same_bytes() {
         assert!(first == second, "{name}");
     }
 }
+
+/// Inertia that no body has is computed, and everybody is told.
+#[test]
+fn inertia_that_no_body_has_is_warned_of() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let warned = |inertia: &str| {
+        let text =
+            format!(r#"{{"name":"a","scene":{{"inertia":{inertia}}},"step_s":0.1,"steps":10}}"#);
+        let path = directory.path().join("log.mcap");
+        run(&text, &path);
+        let mut said = Vec::new();
+        vpd::log::reader::read(&path, |item| {
+            if let Item::Message { topic: "/log", data, .. } = item {
+                said.push(String::from_utf8_lossy(data).into_owned());
+            }
+            ControlFlow::Continue(())
+        })
+        .expect("a good log");
+        said.iter().any(|text| text.contains("no rigid body has this inertia"))
+    };
+    assert!(warned(r#"{"principal":[1,2,4]}"#));
+    assert!(warned(r#"{"second_moments":[1,2,3,-0.5]}"#));
+    assert!(!warned(r#"{"principal":[1,2,3]}"#));
+    assert!(!warned(r#"{"principal":[1.01,1,0.01]}"#));
+    assert!(!warned(r#"{"second_moments":[0,1,2,3]}"#));
+}

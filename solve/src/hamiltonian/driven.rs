@@ -192,19 +192,51 @@ struct Changing<const N: usize> {
     moving: Vector<N>,
 }
 
+/// A time: that of the beginning of a step, and how long after it. Their sum would be rounded to what a clock late in a run
+/// can tell, which is a noise in every phase.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Time {
+    pub(crate) begun: f64,
+    pub(crate) after: f64,
+}
+
+impl Time {
+    /// The beginning of a step.
+    pub(crate) fn of(begun: f64) -> Self {
+        Self { begun, after: 0.0 }
+    }
+
+    fn seconds(self) -> f64 {
+        self.begun + self.after
+    }
+
+    /// `rate t + phase` less whole turns, to round-off of a turn however late it is.
+    fn angle(self, rate: f64, phase: f64) -> f64 {
+        /// 2 pi in three parts (Cody and Waite 1980): so many times the first, of 24 bits, is exact.
+        const HIGH: f64 = 6.283_185_482_025_146_5;
+        const LOW: f64 = std::f64::consts::TAU - HIGH;
+        const LOWEST: f64 = 2.449_293_598_294_706_4e-16;
+        let angle = rate * self.begun;
+        let rounded_off = libm::fma(rate, self.begun, -angle);
+        let turns = libm::round(angle / std::f64::consts::TAU);
+        let rest = ((angle - turns * HIGH) - turns * LOW) - turns * LOWEST;
+        rest + (rounded_off + rate * self.after) + phase
+    }
+}
+
 impl<const N: usize> DrivenTerm<N> {
-    fn at(&self, t: f64) -> Changing<N> {
+    fn at(&self, t: Time) -> Changing<N> {
         let own = self.term.space;
         let tidal = matches!(self.term.law, Law::GravityGradient { .. });
         let place = matches!(self.term.law, Law::PointSource { .. } | Law::Spring { .. });
         let (mut strength, mut strengthening) = match &self.factor {
             Factor::Constant => (1.0, 0.0),
             Factor::Harmonic { mean, amplitude, rate, phase } => {
-                let angle = rate * t + phase;
+                let angle = t.angle(*rate, *phase);
                 (mean + amplitude * libm::cos(angle), -amplitude * rate * libm::sin(angle))
             }
             Factor::Table(table) => {
-                let ([value], [rate]) = table.at(t);
+                let ([value], [rate]) = table.at(t.seconds());
                 (value, rate)
             }
         };
@@ -212,13 +244,14 @@ impl<const N: usize> DrivenTerm<N> {
             Path::Fixed => (own, Vector::zeros()),
             Path::Turning { plane: [a, b], rate } => {
                 let (x, y) = (a.dot(&own), b.dot(&own));
-                let (cos, sin) = (libm::cos(rate * t), libm::sin(rate * t));
+                let angle = t.angle(*rate, 0.0);
+                let (cos, sin) = (libm::cos(angle), libm::sin(angle));
                 let rest = own - a * x - b * y;
                 let (now_x, now_y) = (x * cos - y * sin, x * sin + y * cos);
                 (rest + a * now_x + b * now_y, (b * now_x - a * now_y) * *rate)
             }
             Path::Orbit { across, mean_motion, eccentricity: e, mean_anomaly } => {
-                let anomaly = eccentric_anomaly(mean_anomaly + mean_motion * t, *e);
+                let anomaly = eccentric_anomaly(t.angle(*mean_motion, *mean_anomaly), *e);
                 let (cos, sin) = (libm::cos(anomaly), libm::sin(anomaly));
                 // r / a, and the direction by the true anomaly.
                 let (r, root) = (1.0 - e * cos, (1.0 - e * e).sqrt());
@@ -245,12 +278,11 @@ impl<const N: usize> DrivenTerm<N> {
     }
 }
 
-/// E of Kepler's equation `E - e sin E = M`, to round-off.
+/// E of Kepler's equation `E - e sin E = M`, to round-off, less whole turns.
 fn eccentric_anomaly(mean: f64, e: f64) -> f64 {
     /// Newton's method from this start gains digits from the first round on for every e below one.
     const ROUNDS: usize = 60;
-    let turns = libm::floor(mean / std::f64::consts::TAU + 0.5) * std::f64::consts::TAU;
-    let mean = mean - turns;
+    let mean = Time::of(mean).angle(1.0, 0.0);
     let mut anomaly = if mean == 0.0 { 0.0 } else { mean + (0.85 * e).copysign(mean) };
     for _ in 0..ROUNDS {
         let defect = anomaly - e * libm::sin(anomaly) - mean;
@@ -261,7 +293,7 @@ fn eccentric_anomaly(mean: f64, e: f64) -> f64 {
         }
         anomaly = next;
     }
-    anomaly + turns
+    anomaly
 }
 
 impl<const N: usize> Moment<N> {
@@ -341,17 +373,26 @@ impl<const N: usize> RigidBody<N> {
         !self.driven.is_empty()
     }
 
-    /// The body at a moment, its time in seconds.
-    pub(crate) fn at(&self, t: f64) -> Moment<N> {
+    /// The body at a moment.
+    pub(crate) fn at(&self, t: Time) -> Moment<N> {
         let changing: Vec<_> = self.driven.terms.iter().map(|driven| driven.at(t)).collect();
-        let mut body = self.clone();
-        body.driven = Driven::default();
+        // Without what drives it: tables may be long.
+        let mut body = RigidBody {
+            kinetic: self.kinetic.clone(),
+            terms: self.terms.clone(),
+            reaches: self.reaches.clone(),
+            constant: self.constant,
+            own: self.own.clone(),
+            driven: Driven::default(),
+            wheels: self.wheels,
+            work: self.work.clone(),
+        };
         for Changing { law, space, .. } in &changing {
             body.push(Term { law: law.clone(), space: *space });
         }
         let now = |torque: &Torque<N>| match torque {
             Torque::Table { along, in_space, table } => {
-                let torque = along * table.at(t).0[0];
+                let torque = along * table.at(t.seconds()).0[0];
                 if *in_space { Torque::Space(torque) } else { Torque::Body(torque) }
             }
             other => other.clone(),
@@ -360,7 +401,12 @@ impl<const N: usize> RigidBody<N> {
     }
 
     /// The body at the nodes of a step from `t`, and at its end.
-    pub(crate) fn over(&self, t: f64, h: f64, nodes: impl Iterator<Item = f64>) -> Vec<Moment<N>> {
-        nodes.chain([1.0]).map(|c| self.at(t + c * h)).collect()
+    pub(crate) fn over(
+        &self,
+        begun: f64,
+        h: f64,
+        nodes: impl Iterator<Item = f64>,
+    ) -> Vec<Moment<N>> {
+        nodes.chain([1.0]).map(|c| self.at(Time { begun, after: c * h })).collect()
     }
 }

@@ -60,7 +60,7 @@ pub(super) trait Dynamics<const N: usize> {
         &self,
         k: usize,
         u: &Mat<N>,
-        mu: impl FnOnce() -> Mat<N>,
+        mu: &dyn Fn() -> Mat<N>,
         omega: &Mat<N>,
     ) -> Option<Mat<N>>;
 
@@ -199,7 +199,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// Any [`FailureCode`].
     pub(super) fn solve(
         &mut self,
-        dynamics: &mut impl Dynamics<N>,
+        dynamics: &mut dyn Dynamics<N>,
         h: f64,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -211,7 +211,7 @@ impl<const N: usize> GalerkinStep<N> {
 
     fn solved(
         &mut self,
-        dynamics: &mut impl Dynamics<N>,
+        dynamics: &mut dyn Dynamics<N>,
         h: f64,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -244,7 +244,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// beyond doubt.
     fn collocated(
         &mut self,
-        dynamics: &mut impl Dynamics<N>,
+        dynamics: &mut dyn Dynamics<N>,
         h: f64,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -355,12 +355,12 @@ impl<const N: usize> GalerkinStep<N> {
     /// ```
     ///
     /// which is (24d, vih4) and (24e, vih5) with the equations of the stages summed: everything but the forces cancels.
-    fn changes(&self, dynamics: &impl Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
+    fn changes(&self, dynamics: &dyn Dynamics<N>, h: f64) -> (Mat<N>, Mat<N>) {
         let (mut d, mut impulse) = (Mat::zeros(), Mat::zeros());
         for (k, stage) in self.stages.iter().enumerate() {
             let weight = h * self.tableau.b(k);
             d += stage.u_omega * weight;
-            if let Some(gradient) = dynamics.gradient(k, &stage.u, || stage.mu, &stage.omega) {
+            if let Some(gradient) = dynamics.gradient(k, &stage.u, &|| stage.mu, &stage.omega) {
                 impulse -= so::conjugate(&stage.u, &gradient) * weight;
             }
         }
@@ -378,7 +378,7 @@ impl<const N: usize> GalerkinStep<N> {
     }
 
     /// Refuses a solution on which the polar factors or the dynamics are not to be trusted.
-    fn check(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
+    fn check(&self, dynamics: &dyn Dynamics<N>) -> Result<(), Failure> {
         for (k, e) in self.excesses().enumerate() {
             let stage = (k < self.stages.len()).then_some(k);
             // The cheap bound decides nearly always.
@@ -415,7 +415,7 @@ impl<const N: usize> GalerkinStep<N> {
         Ok(())
     }
 
-    fn check_dynamics(&self, dynamics: &impl Dynamics<N>) -> Result<(), Failure> {
+    fn check_dynamics(&self, dynamics: &dyn Dynamics<N>) -> Result<(), Failure> {
         (0..self.stages.len()).try_for_each(|k| {
             dynamics
                 .check(k, &self.attitude(k))
@@ -425,7 +425,7 @@ impl<const N: usize> GalerkinStep<N> {
 }
 
 /// A system at one stage, for [`Collocation`].
-struct OneStage<'a, D, const N: usize>(&'a mut D);
+struct OneStage<'a, const N: usize>(&'a mut dyn Dynamics<N>);
 
 /// The matrix of a stage.
 fn of_stage<const N: usize>(matrices: &[f64], Place { stage, lanes }: Place) -> Mat<N> {
@@ -445,14 +445,14 @@ fn attitude_of<const N: usize>(c: &[f64], at: Place) -> Mat<N> {
     Mat::identity() + of_stage(c, at)
 }
 
-impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
+impl<const N: usize> AtStage for OneStage<'_, N> {
     fn begin_sweep(&self) -> Result<(), Failure> {
         self.0.begin_sweep()
     }
 
     fn gradient(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
         let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
-        let found = self.0.gradient(at.stage, &u, || of_stage(mu, at), &omega);
+        let found = self.0.gradient(at.stage, &u, &|| of_stage(mu, at), &omega);
         to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
     }
 
@@ -471,9 +471,9 @@ impl<const N: usize, D: Dynamics<N>> AtStage for OneStage<'_, D, N> {
 }
 
 /// A step being solved.
-struct Sweeps<'a, const N: usize, D> {
+struct Sweeps<'a, const N: usize> {
     tableau: &'a Tableau,
-    dynamics: &'a mut D,
+    dynamics: &'a mut dyn Dynamics<N>,
     h: f64,
     p0: &'a Mat<N>,
     /// The velocity at the beginning.
@@ -482,7 +482,7 @@ struct Sweeps<'a, const N: usize, D> {
     end: &'a mut End<N>,
 }
 
-impl<const N: usize, D: Dynamics<N>> Equations for Sweeps<'_, N, D> {
+impl<const N: usize> Equations for Sweeps<'_, N> {
     fn guess(&mut self) -> Result<(), Failure> {
         let Self { tableau, h, p0, omega, .. } = *self;
         let turn = |angle: f64| so::retraction(&(omega * angle)).ok_or_else(|| not_finite(None));
@@ -527,7 +527,7 @@ impl<const N: usize, D: Dynamics<N>> Equations for Sweeps<'_, N, D> {
     }
 }
 
-impl<const N: usize, D: Dynamics<N>> Continued for Sweeps<'_, N, D> {
+impl<const N: usize> Continued for Sweeps<'_, N> {
     fn keep(&self, numbers: &mut Vec<f64>) {
         for Stage { u_omega, omega, v, .. } in self.stages.iter() {
             numbers.extend(u_omega.iter().chain(omega).chain(v));
@@ -546,7 +546,7 @@ impl<const N: usize, D: Dynamics<N>> Continued for Sweeps<'_, N, D> {
     }
 }
 
-impl<const N: usize, D> Sweeps<'_, N, D> {
+impl<const N: usize> Sweeps<'_, N> {
     /// The units of velocities and of the embedded momenta.
     fn units(&self) -> (f64, f64) {
         let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
@@ -558,7 +558,7 @@ impl<const N: usize, D> Sweeps<'_, N, D> {
 /// stage momentum relative to the largest momentum.
 fn sweep<const N: usize>(
     tableau: &Tableau,
-    dynamics: &mut impl Dynamics<N>,
+    dynamics: &mut dyn Dynamics<N>,
     h: f64,
     p0: &Mat<N>,
     stages: &mut [Stage<N>],
@@ -587,7 +587,7 @@ fn sweep<const N: usize>(
         let weight = h * tableau.b(k);
         // Of the unknowns, not of the sweep before.
         let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
-        if let Some(gradient) = dynamics.gradient(k, &stage.u, mu, &stage.omega) {
+        if let Some(gradient) = dynamics.gradient(k, &stage.u, &mu, &stage.omega) {
             load -= gradient * weight;
         }
         stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;

@@ -130,7 +130,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
         for i in 0..self.tableau.stages() {
             let State { attitude: g, momentum: mu } =
                 self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            let moment = body.is_driven().then(|| body.at(self.clock.time + h * self.tableau.c(i)));
+            let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
             moment
                 .as_ref()
                 .map_or_else(|| body.check_distances(&g, &self.seen), |moment| moment.check(&g))

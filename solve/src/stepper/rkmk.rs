@@ -111,7 +111,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         let mut work = 0.0;
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            let moment = body.is_driven().then(|| body.at(self.clock.time + h * self.tableau.c(i)));
+            let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
             let g = || self.state.attitude * u;
             moment
                 .as_ref()

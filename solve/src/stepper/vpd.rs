@@ -97,7 +97,7 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         &self,
         k: usize,
         u: &Mat<N>,
-        mu: impl FnOnce() -> Mat<N>,
+        mu: &dyn Fn() -> Mat<N>,
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
         match (self.system.as_body(), self.moments.get(k)) {

@@ -94,7 +94,7 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         &self,
         k: usize,
         u: &Mat<N>,
-        mu: impl FnOnce() -> Mat<N>,
+        mu: &dyn Fn() -> Mat<N>,
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
         let g = self.g0 * u;

@@ -50,7 +50,7 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
         &self,
         _k: usize,
         _u: &Mat<N>,
-        _mu: impl FnOnce() -> Mat<N>,
+        _mu: &dyn Fn() -> Mat<N>,
         _omega: &Mat<N>,
     ) -> Option<Mat<N>> {
         None

@@ -17,6 +17,7 @@ use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
 
 use crate::given::Numbers;
+use crate::vrkmk::symplectic_defect;
 
 fn gauss(stages: usize) -> Tableau {
     Tableau::gauss(stages).expect("1 to 8 stages")
@@ -294,4 +295,55 @@ fn a_free_gyrostat_keeps_its_orbit() {
     }
     law::<3>();
     law::<4>();
+}
+
+/// From a time to a later one the flow of a Hamiltonian that changes is symplectic; under torques it is not.
+#[test]
+fn symplectic_without_torques_alone() {
+    fn law<const N: usize>() {
+        let start = start::<N>();
+        let methods: [fn() -> Box<dyn Stepper<N>>; 3] = [
+            || Box::new(Vpd::new(gauss(2), StopRule::default())),
+            || Box::new(VpdLagrangian::new(gauss(2), StopRule::default())),
+            || Box::new(Vrkmk::new(gauss(2), StopRule::default())),
+        ];
+        for make in methods {
+            let of =
+                |body: &RigidBody<N>| symplectic_defect(make().as_mut(), body, &start, 0.1, 1e-2);
+            let (changing, spinning, pushed) = (of(&changing()), of(&with_wheels()), of(&pushed()));
+            println!("n = {N}: {changing:.1e}, wheels {spinning:.1e}, pushed {pushed:.1e}");
+            assert!(changing <= 1e-9, "n = {N}: {changing:e}");
+            assert!(spinning <= 1e-9, "n = {N}: {spinning:e}");
+            assert!(pushed > 1e-4, "n = {N}: {pushed:e}");
+        }
+    }
+    law::<3>();
+    law::<4>();
+}
+
+/// One stage goes back the way it came, through the same times.
+#[test]
+fn the_midpoint_step_is_its_own_reverse() {
+    fn law<const N: usize>(name: &str, body: &RigidBody<N>) {
+        let (start, h) = (start::<N>(), 0.1);
+        let mut stepper = Vpd::new(gauss(1), StopRule::default());
+        stepper.start(&start);
+        for k in 0..5 {
+            stepper.set_time(f64::from(k) * h);
+            stepper.step(body, h).expect("a small step");
+        }
+        for k in (1..=5).rev() {
+            stepper.set_time(f64::from(k) * h);
+            stepper.step(body, -h).expect("a small step");
+        }
+        let end =
+            State { attitude: stepper.attitude().expect("carried"), momentum: stepper.momentum() };
+        let off = distance(&end, &start);
+        assert!(off <= 2e-14, "{name}, n = {N}: {off:e}");
+        assert!(stepper.work().abs() <= 2e-14, "{name}, n = {N}: {:e}", stepper.work());
+    }
+    law::<3>("changing", &changing());
+    law::<4>("changing", &changing());
+    law::<3>("pushed", &pushed());
+    law::<4>("wheels", &with_wheels());
 }

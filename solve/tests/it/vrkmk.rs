@@ -288,7 +288,7 @@ fn a_failed_step_leaves_the_state_alone() {
 /// The largest defect `|omega1 - omega0|` of the symplectic form over pairs of directions, by differences
 /// of sixth order. Right-trivialised, with `delta g = e g` and `delta m = n`,
 /// `omega = <n2, e1> - <n1, e2> - <m, [e1, e2]>`.
-fn symplectic_defect<const N: usize>(
+pub(crate) fn symplectic_defect<const N: usize>(
     stepper: &mut dyn Stepper<N>,
     body: &RigidBody<N>,
     start: &State<N>,

@@ -97,6 +97,8 @@ function facts({ plan, summary, attempts }) {
     add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
     add("reason", formulation.why);
     add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
+    add("energy error", plan.balance);
+    (plan.warnings ?? []).forEach(warning => add("warning", warning));
   }
   if (summary) {
     add("solver", `${figure(summary.solver.iterations_per_step)} iterations per step${summary.solver.kind ? ` (${summary.solver.kind})` : ""}`);
