@@ -1,4 +1,4 @@
-//! dH/dg for n = 3, for the stages of a step side by side.
+//! dH/dg for the stages of a step side by side: for n = 3 in vectors, for any n in matrices.
 
 use super::RigidBody;
 use super::term::{Lanes, Numbers};
