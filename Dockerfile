@@ -11,7 +11,8 @@ ARG BASE_IMAGE=debian:bookworm-slim
 FROM ${BUILD_IMAGE} AS build
 WORKDIR /src
 COPY . .
-RUN cargo build --release --locked --bin vpd
+# With tables as Parquet and Arrow (vpd export), and for many machines (vpd worker, vpd serve --engine cluster).
+RUN cargo build --release --locked --bin vpd --features parquet,cluster,s3
 
 FROM ${BASE_IMAGE}
 RUN groupadd --system --gid 991 vpd && useradd --system --uid 991 --gid vpd --no-create-home vpd \

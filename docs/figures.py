@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """The tables of docs/paper.md, measured with the program itself.
 
-    python3 docs/figures.py orders|energy|orthogonality|projection|stop|time|rivals
+    python3 docs/figures.py orders|energy|orthogonality|projection|stop|time|baselines
 
 Each word prints one table as Markdown. Only the standard library is used; the program is built first.
 """
@@ -221,7 +221,7 @@ def stop():
 
 
 def time():
-    """Nanoseconds a step, least of five interleaved runs, beside the errors at that step."""
+    """Nanoseconds a step, least of five interleaved runs, next to the errors at that step."""
     methods = [(tableau, name) for tableau in ("gauss1", "rk3", "gauss2") for name in PAIR]
     methods += [("gauss2", "quaternion_gauss"), ("4", "splitting"), ("4", "lgvi"), ("rk4", "rkmk")]
     methods += [("gauss3", name) for name in (*PAIR, "quaternion_gauss")]
@@ -268,7 +268,7 @@ def cost_at(points, which, target):
     return None
 
 
-def rivals():
+def baselines():
     rows = []
     for name, tableau, h in (
         ("vpd", "gauss2", 0.01),
@@ -304,7 +304,7 @@ TABLES = {
     "projection": projection,
     "stop": stop,
     "time": time,
-    "rivals": rivals,
+    "baselines": baselines,
 }
 
 if __name__ == "__main__":

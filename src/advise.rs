@@ -18,7 +18,7 @@ use crate::plan::{Advice, Counts, Plan};
 use crate::scenario::{Accuracy, Scenario, ScenarioError};
 use crate::study::measure::{End, Probe, measure};
 use crate::study::reference::{Growth, MOST_STEPS, Reference, ReferenceError};
-use crate::study::{Scales, StudyError, Watch};
+use crate::study::{Scales, StudyError, Watch, nearest_sigma};
 
 mod search;
 
@@ -32,6 +32,8 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
+/// Steps that adapt are not all alike: of these so many times more.
+const OWN_STEPS_MORE: f64 = 30.0;
 /// Easy steps of the scene that pilots are worth.
 const PILOT_STEPS: f64 = 600.0;
 /// Of the work allowed, what the reference of the whole run may take.
@@ -167,6 +169,9 @@ pub struct Settled {
     choice: Option<(Scenario, Advice)>,
     /// The work of a step; absent where the first fails.
     step: Option<Counts>,
+    /// The least sigma that steps of their own would meet, where the potential has point sources.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    nearest_sigma: Option<f64>,
 }
 
 impl Settled {
@@ -180,8 +185,11 @@ impl Settled {
         scenario.check().map_err(Unsettled::Refused)?;
         let asked = scenario.clone();
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
-        let mut settled = Self { asked, choice, step: None };
+        let mut settled = Self { asked, choice, step: None, nearest_sigma: None };
         settled.step = work_of_step(&settled.plan().map_err(Unsettled::Refused)?)
+            .map_err(Unsettled::Refused)?;
+        let plan = settled.plan().map_err(Unsettled::Refused)?;
+        settled.nearest_sigma = nearest_sigma(&plan.settled, plan.steps as f64 * plan.step_s)
             .map_err(Unsettled::Refused)?;
         Ok(settled)
     }
@@ -189,7 +197,7 @@ impl Settled {
     /// What a record of an older build holds: how an accuracy was settled.
     #[cfg(feature = "serve")]
     pub(crate) fn chosen(asked: Scenario, settled: Scenario, advice: Advice) -> Self {
-        Self { asked, choice: Some((settled, advice)), step: None }
+        Self { asked, choice: Some((settled, advice)), step: None, nearest_sigma: None }
     }
 
     /// The plan. No run is made.
@@ -200,10 +208,12 @@ impl Settled {
         let Some((settled, advice)) = &self.choice else {
             let mut plan = Plan::new(&self.asked)?;
             plan.estimate(self.step);
+            plan.offer_own_steps(self.nearest_sigma);
             return Ok(plan);
         };
         let mut plan = Plan::new(settled)?;
         plan.estimate(self.step);
+        plan.offer_own_steps(self.nearest_sigma);
         plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
         plan.advice = Some(advice.clone());
         plan.asked = self.asked.clone();
@@ -215,9 +225,16 @@ impl Settled {
 /// most, as counted.
 fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
     let settled = &plan.settled;
-    let most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
+    let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
+    if plan.own_steps.is_some() {
+        most_ns *= OWN_STEPS_MORE;
+    }
     let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
-    let probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    // Where steps adapt samples are steps, too.
+    if plan.own_steps.is_some() {
+        probe.every = plan.every.min(probe.steps);
+    }
     let run = measure(settled, probe, &watch)?;
     let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
     let Counts { steps, sweeps, gradients } = run.counts();
@@ -277,6 +294,8 @@ fn settle(
     };
     let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
     let left_ns = watch.left_ns();
+    // What matters of a motion past a point source is how it passes.
+    let pilot_s = if scales.adapts { duration_s } else { pilot_s };
     let near = known(pilot_s)?;
     let paid_ns = (left_ns - watch.left_ns()).max(1);
     let affordable_s = pilot_s * REFERENCE_PART * watch.left_ns() as f64 / paid_ns as f64;

@@ -18,7 +18,7 @@ pub(crate) struct Assembly<const N: usize> {
     pub(crate) initial: State<N>,
     /// Of an ensemble.
     pub(crate) members: Option<Box<dyn Members<N>>>,
-    /// A second stepper of the same kind, for who follows a motion beside the run.
+    /// A second stepper of the same kind, for who follows a motion next to the run.
     pub(crate) shadow: Option<Box<dyn Stepper<N>>>,
 }
 
@@ -78,6 +78,7 @@ fn parts(plan: &Plan) -> Parts {
         order: plan.formulation.order,
         stop: plan.model.stop,
         carries_attitude: plan.formulation.carries_attitude,
+        own_steps: plan.own_steps.as_ref().map(|own| (own.scale(), own.largest_step_s)),
     }
 }
 

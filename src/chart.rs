@@ -16,11 +16,13 @@ use thiserror::Error;
 use crate::log::LogError;
 use crate::log::course::{Course, LogChart};
 
+mod diff;
 mod map;
 mod plot;
 mod studies;
 mod sweep;
 
+pub use diff::differences;
 pub use map::stability_map;
 pub use plot::{Axis, Line, Plot, Scale, Style};
 pub use studies::{long_term, precision};
@@ -67,6 +69,7 @@ const TIME: Axis<'static> = Axis { label: "time in s", scale: Scale::Linear };
 const ENERGY: Axis<'static> = Axis { label: "|H - H(0)| in J", scale: Scale::Log };
 const ORTHOGONALITY: Axis<'static> =
     Axis { label: "spectral norm of g g^T - I", scale: Scale::Log };
+const PACE: Axis<'static> = Axis { label: "1 / sigma = dtau / dt", scale: Scale::Log };
 const MOMENTUM: Axis<'static> = Axis { label: "drift in kg m^2/s", scale: Scale::Log };
 
 /// Draws `energy.svg`, `orthogonality.svg` and `momentum.svg` from logs into `directory`, one line a log
@@ -110,6 +113,7 @@ fn empty(which: LogChart) -> Plot<'static> {
         LogChart::Energy => over_time("Energy error", ENERGY),
         LogChart::Orthogonality => over_time("Orthogonality error", ORTHOGONALITY),
         LogChart::Momentum => over_time("Drift of the conserved spatial momentum", MOMENTUM),
+        LogChart::Pace => over_time("How much the steps shorten", PACE),
     }
 }
 

@@ -1,10 +1,10 @@
 //! The command line: arguments → one call each. Errors go to stderr, data to stdout.
 //!
-//! Exit codes: 0 ok, 1 the run failed (its log is kept and finished), 2 bad input or a log that is not to be replaced, 130
-//! interrupted.
+//! Exit codes: 0 ok, 1 the run failed (its log is kept and finished) or two logs differ, 2 bad input or a file that is not to
+//! be replaced, 130 interrupted. Who closes the pipe that is written to has read enough: that is no error.
 
 use std::fs;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, ErrorKind, IsTerminal, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -14,15 +14,19 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::advise;
 #[cfg(feature = "chart")]
 use crate::chart;
-use crate::log::LAYOUT;
+use crate::diff::DiffError;
+use crate::export::ExportError;
 use crate::log::inspect::inspect;
+use crate::log::reader::is_log;
+use crate::log::{LAYOUT, LogError};
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{self, Scenario, ScenarioError};
@@ -32,12 +36,15 @@ use crate::study::StudyError;
 use crate::sweep::SweepError;
 use crate::verify::{self, VerifyError};
 
+mod logs;
 #[cfg(feature = "serve")]
 mod serve;
 #[cfg(feature = "chart")]
 mod study;
 mod sweep;
 mod text;
+#[cfg(feature = "serve")]
+mod worker;
 
 /// Rotating bodies on SO(n): symplectic, on the group to round-off, logged as MCAP.
 #[derive(Debug, Parser)]
@@ -66,12 +73,26 @@ enum Command {
     /// Take jobs over HTTP, run them on worker threads, hand out their logs.
     #[cfg(feature = "serve")]
     Serve(serve::ServeArgs),
+    /// Run jobs that a service with --engine cluster takes, one of many workers.
+    #[cfg(feature = "serve")]
+    #[command(hide = !worker::CLUSTER)]
+    Worker(worker::WorkerArgs),
     /// Sum up a log, finished or not.
     Inspect(InspectArgs),
     /// Run the job inside a log again and compare every sample bit for bit.
     Verify(InspectArgs),
+    /// Write what a log holds as a table: CSV, or Parquet and Arrow.
+    Export(logs::ExportArgs),
+    /// Compare the motions in two logs over time.
+    Diff(logs::DiffArgs),
     /// Print the JSON Schema of a scenario or of a sweep.
     Schema(SchemaArgs),
+    /// Print what completes the words of this command line: vpd completions bash > ~/.local/share/bash-completion/completions/vpd
+    Completions {
+        /// For which shell.
+        #[arg(value_enum)]
+        shell: Shell,
+    },
     /// Carry out what a service asks for on stdin: its own affair.
     #[cfg(feature = "serve")]
     #[command(hide = true, name = apart::SUBCOMMAND)]
@@ -81,11 +102,17 @@ enum Command {
 /// A scenario from a file, with changes.
 #[derive(Debug, Args)]
 struct ScenarioArgs {
-    /// The scenario, a JSON file.
+    /// The scenario, a JSON file; - reads it from stdin.
     scenario: PathBuf,
-    /// Change a field, named by its JSON pointer: --set /method/tableau=gauss3 --set /step_s=0.02
+    /// Change a field, named by its JSON pointer: --set /method/tableau=gauss3 --set /step_s=0.02; null takes it away.
     #[arg(long = "set", value_name = "POINTER=VALUE")]
     changes: Vec<Change>,
+}
+
+impl ScenarioArgs {
+    fn is_stdin(&self) -> bool {
+        self.scenario == Path::new("-")
+    }
 }
 
 /// One change of a scenario.
@@ -102,7 +129,7 @@ impl FromStr for Change {
         let wanted = || format!("{text:?} is not of the form /pointer/to/field=value");
         let (pointer, value) = text.split_once('=').ok_or_else(wanted)?;
         if !pointer.starts_with('/') {
-            return Err(wanted());
+            return Err(format!("{}; write /{text}", wanted()));
         }
         // What is not JSON is text, so that names need no quotes.
         let value = serde_json::from_str(value).unwrap_or_else(|_| value.into());
@@ -114,7 +141,7 @@ impl FromStr for Change {
 struct RunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// The log; by default the scenario's file name with .mcap, here.
+    /// The log; by default the scenario's file name with .mcap, here; of stdin that of the scenario.
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
     /// Print one JSON summary on stdout.
@@ -181,7 +208,15 @@ enum CliError {
     #[error(transparent)]
     Run(#[from] RunError),
     #[error("{0}")]
-    Log(#[from] crate::log::LogError),
+    Log(#[from] LogError),
+    #[error("{} is there already; --force replaces it", .0.display())]
+    Exists(PathBuf),
+    #[error("{0}")]
+    Format(String),
+    #[error(transparent)]
+    Export(#[from] ExportError),
+    #[error(transparent)]
+    Diff(#[from] DiffError),
     #[error("{}: {source}", path.display())]
     Verify { path: PathBuf, source: VerifyError },
     #[cfg(feature = "chart")]
@@ -201,6 +236,25 @@ enum CliError {
     #[cfg(feature = "serve")]
     #[error("cannot listen on {address}: {source}")]
     Listen { address: std::net::SocketAddr, source: io::Error },
+    #[cfg(all(feature = "serve", not(feature = "cluster")))]
+    #[error(
+        "{wanted} needs a program that was built with the feature {feature}: cargo build --release --features {feature}"
+    )]
+    Feature { wanted: &'static str, feature: &'static str },
+    #[cfg(feature = "cluster")]
+    #[error(transparent)]
+    SweepOn(#[from] crate::serve::SweepOnError),
+    #[cfg(feature = "cluster")]
+    #[error("{wanted} is needed to work with other machines")]
+    Needed { wanted: &'static str },
+    #[cfg(feature = "cluster")]
+    #[error("--bucket (or VPD_BUCKET) is of use with --engine cluster alone")]
+    BucketAlone,
+    #[cfg(feature = "cluster")]
+    #[error(
+        "--foxglove-listen (or VPD_FOXGLOVE_LISTEN) shows jobs of this machine; with --engine cluster there are none"
+    )]
+    NoView,
     #[error("cannot write to stdout: {0}")]
     Output(#[from] io::Error),
 }
@@ -212,6 +266,12 @@ impl CliError {
             | Self::Scenario { .. }
             | Self::Sweep { .. }
             | Self::Member { .. }
+            | Self::Exists(_)
+            | Self::Format(_)
+            | Self::Log(_)
+            | Self::Export(ExportError::Log(_) | ExportError::Channel { .. } | ExportError::Empty { .. })
+            // 1 says that they differ.
+            | Self::Diff(_)
             | Self::Study(StudyError::Scenario(_)) => ExitCode::from(2),
             Self::Table(error) if error.is_bad_input() => ExitCode::from(2),
             Self::Table(SweepError::Interrupted { .. }) => ExitCode::from(130),
@@ -224,6 +284,14 @@ impl CliError {
             Self::Mixed => ExitCode::from(2),
             #[cfg(feature = "serve")]
             Self::Tokens(_) | Self::Serve(ServeError::Unguarded { .. }) => ExitCode::from(2),
+            #[cfg(all(feature = "serve", not(feature = "cluster")))]
+            Self::Feature { .. } => ExitCode::from(2),
+            #[cfg(feature = "cluster")]
+            Self::Needed { .. } | Self::BucketAlone | Self::NoView => ExitCode::from(2),
+            #[cfg(feature = "cluster")]
+            Self::Serve(ServeError::Cluster(error)) if error.is_bad_input() => ExitCode::from(2),
+            #[cfg(feature = "cluster")]
+            Self::SweepOn(error) if error.is_bad_input() => ExitCode::from(2),
             _ => ExitCode::from(1),
         }
     }
@@ -244,8 +312,17 @@ pub fn main() -> ExitCode {
         Command::Merge(args) => sweep::merge(&args),
         #[cfg(feature = "serve")]
         Command::Serve(args) => serve::serve(&args),
+        #[cfg(feature = "serve")]
+        Command::Worker(args) => worker::work(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Verify(args) => verify(&args),
+        Command::Export(args) => logs::export(&args),
+        Command::Diff(args) => logs::diff(&args),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "vpd", &mut script);
+            show(script).map(|()| ExitCode::SUCCESS).map_err(CliError::Output)
+        }
         #[cfg(feature = "serve")]
         Command::Apart => apart::child().map(|()| ExitCode::SUCCESS).map_err(CliError::Output),
         Command::Schema(SchemaArgs { of }) => {
@@ -265,10 +342,16 @@ pub fn main() -> ExitCode {
 
 /// Reads a scenario, applies the changes and plans it.
 fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
-    let path = &args.scenario;
-    let wrong = |source| CliError::Scenario { path: path.clone(), source };
-    let mut text =
-        fs::read(path).map_err(|source| CliError::Read { path: path.clone(), source })?;
+    let from_stdin = args.is_stdin();
+    let path = if from_stdin { Path::new("stdin") } else { &args.scenario };
+    let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
+    let mut text = Vec::new();
+    let read = if from_stdin {
+        io::stdin().read_to_end(&mut text).map(drop)
+    } else {
+        fs::read(path).map(|read| text = read)
+    };
+    read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
     if !args.changes.is_empty() {
         // The file is held to its own rules first, duplicate keys among them.
         Scenario::from_json(&text).map_err(wrong)?;
@@ -290,6 +373,11 @@ fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
 fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let plan = planned(&args.scenario)?;
     let log = args.output.clone().unwrap_or_else(|| {
+        if args.scenario.is_stdin() {
+            let plain = |c: char| if c.is_alphanumeric() { c } else { '-' };
+            return format!("{}.mcap", plan.asked.name().chars().map(plain).collect::<String>())
+                .into();
+        }
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
     let mut summary = watched(&plan, &log, args.force)?;
@@ -309,7 +397,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     if args.json {
         print_json(&summary)?;
     } else {
-        io::stdout().write_all(text::summary(&summary).as_bytes())?;
+        show(text::summary(&summary))?;
     }
     Ok(exit_code(summary.outcome))
 }
@@ -317,7 +405,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
 /// Runs a plan to a log and says how it ended.
 fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
     let summary = watched(plan, log, force)?;
-    io::stdout().write_all(text::summary(&summary).as_bytes())?;
+    show(text::summary(&summary))?;
     Ok(exit_code(summary.outcome))
 }
 
@@ -381,35 +469,54 @@ fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
     if args.json {
         print_json(&plan)?;
     } else {
-        io::stdout().write_all(text::plan(plan.asked.name(), &plan).as_bytes())?;
+        show(text::plan(plan.asked.name(), &plan))?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 fn sum_up(args: &InspectArgs) -> Result<ExitCode, CliError> {
-    let inspection = inspect(&args.log)?;
+    let inspection = inspect(a_log(&args.log)?)?;
     if args.json {
         print_json(&inspection)?;
     } else {
-        writeln!(io::stdout(), "{inspection}")?;
+        show(format!("{inspection}\n"))?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
 fn verify(args: &InspectArgs) -> Result<ExitCode, CliError> {
+    a_log(&args.log)?;
     let wrong = |source| CliError::Verify { path: args.log.clone(), source };
     let verification = verify::verify(&args.log).map_err(wrong)?;
     if args.json {
         print_json(&verification)?;
     } else {
-        writeln!(io::stdout(), "{verification}")?;
+        show(format!("{verification}\n"))?;
     }
     Ok(if verification.same { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
+/// A path of a file that begins as a log does.
+fn a_log(path: &Path) -> Result<&Path, CliError> {
+    if is_log(path)? { Ok(path) } else { Err(LogError::NotALog { path: path.to_owned() }.into()) }
+}
+
 fn print_json(value: &impl Serialize) -> Result<(), CliError> {
-    let mut out = io::stdout();
-    serde_json::to_writer_pretty(&mut out, value).map_err(io::Error::from)?;
-    writeln!(out)?;
-    Ok(())
+    let mut text = serde_json::to_vec_pretty(value).map_err(io::Error::from)?;
+    text.push(b'\n');
+    Ok(show(text)?)
+}
+
+/// Writes to stdout; who closes it has read enough.
+fn show(text: impl AsRef<[u8]>) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    enough(out.write_all(text.as_ref()).and_then(|()| out.flush()))
+}
+
+/// A closed pipe is no error.
+fn enough(written: io::Result<()>) -> io::Result<()> {
+    written.or_else(|error| match error.kind() {
+        ErrorKind::BrokenPipe => Ok(()),
+        _ => Err(error),
+    })
 }

@@ -43,7 +43,7 @@
 //! |---|---|
 //! | a scenario, as JSON or made in Rust | [`scenario::Scenario`], [`advise::plan`], [`run::execute`] |
 //! | a potential, a Hamiltonian or a Lagrangian of your own | [`solve`], [`run::Recording`], [`study::own`] |
-//! | a log | [`log::reader`], [`log::inspect`], `chart`, [`verify`] |
+//! | a log | [`log::reader`], [`log::inspect`], [`export`], [`diff`], `chart`, [`verify`] |
 //! | an accuracy instead of a method | [`advise`] |
 //! | many values of a field | [`sweep`] |
 //!
@@ -63,6 +63,8 @@ pub mod log;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod verify;
+pub mod export;
+pub mod diff;
 #[cfg(feature = "chart")]
 pub mod chart;
 #[cfg(feature = "serve")]

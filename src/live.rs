@@ -7,11 +7,11 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use prost::Message;
+use prost::Message as _;
 use tokio::sync::broadcast;
 
 use crate::log::log_time;
-use crate::log::messages;
+use crate::log::messages::{self, Message};
 use crate::log::scene::{BODY_FRAME, SceneGeometry};
 use crate::log::schema::Channel;
 use crate::solve::trajectory::Sample;
@@ -48,12 +48,14 @@ struct Floor {
     next_id: u64,
     next: Instant,
     next_scene: Instant,
+    /// The last quaternion on show: the next has the nearer sign.
+    turn: Option<[f64; 4]>,
 }
 
 impl Default for Live {
     fn default() -> Self {
         let now = Instant::now();
-        let floor = Floor { holder: None, next_id: 0, next: now, next_scene: now };
+        let floor = Floor { holder: None, next_id: 0, next: now, next_scene: now, turn: None };
         Self { frames: broadcast::Sender::new(KEPT), floor: Mutex::new(floor) }
     }
 }
@@ -100,6 +102,7 @@ impl Show {
             None => {
                 floor.holder = Some(self.id);
                 floor.next_scene = now;
+                floor.turn = None;
             }
         }
         let Some(time_ns) = log_time(self.epoch_ns, sample.time_s) else { return };
@@ -113,8 +116,13 @@ impl Show {
             let drawn = drawn.into_iter().filter_map(|(channel, scene)| Some((channel, scene?)));
             messages.extend(drawn.map(|(channel, scene)| (channel, scene.encode_to_vec())));
         }
+        floor.turn = messages::turn_after(floor.turn, sample);
+        let turn = floor.turn;
         messages.extend(Channel::all().into_iter().filter_map(|channel| {
-            let bytes = messages::of_sample(channel, sample, time_ns, BODY_FRAME)?;
+            let bytes = match channel {
+                Channel::Tf => messages::frames(turn?, time_ns, BODY_FRAME).encode_to_vec(),
+                _ => Message::of_sample(channel, sample, turn)?.encode(),
+            };
             Some((channel, bytes))
         }));
         // Nobody there any more is no fault.

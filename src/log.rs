@@ -2,7 +2,8 @@
 //!
 //! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
 //! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
-//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing, [`samples`] a quantity over time, [`course`] keeps what charts show. [`resume`] resumes a
+//! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing, [`samples`] a quantity over
+//! time, [`members`] one of all members of an ensemble, [`rows`] all of each sample, [`course`] keeps what charts show. [`resume`] resumes a
 //! log that was interrupted.
 //!
 //! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named `.mcap.part`, and each of
@@ -14,10 +15,13 @@ use std::path::{Path, PathBuf};
 
 pub mod course;
 pub mod inspect;
+pub mod members;
 pub mod messages;
+pub(crate) mod overview;
 pub(crate) mod part;
 pub mod reader;
 pub mod resume;
+pub mod rows;
 pub mod samples;
 pub mod scene;
 pub mod schema;
@@ -32,6 +36,8 @@ pub const JOB_RECORD: &str = "vpd.job";
 pub const OUTCOME_RECORD: &str = "vpd.outcome";
 /// Name of the attachment that holds the scenario.
 pub const SCENARIO_ATTACHMENT: &str = "scenario.json";
+/// Name of the attachment of a long log that holds what charts show of it, a `vpd.Overview`.
+pub const OVERVIEW_ATTACHMENT: &str = "overview.pb";
 
 /// A layout of panels for these logs, for Foxglove and Lichtblick: both read the same.
 pub const LAYOUT: &str = include_str!("log/layout.json");
@@ -94,6 +100,12 @@ pub enum LogError {
         /// Whether it is a finished log.
         finished: bool,
     },
+    /// The file does not begin as a log does.
+    #[error("{} is no log: it does not begin as an MCAP file does", path.display())]
+    NotALog {
+        /// The file.
+        path: PathBuf,
+    },
     /// Somebody stopped the reading of what an earlier run left; nothing was changed.
     #[error("resuming the log {} was interrupted", path.display())]
     Interrupted {
@@ -118,6 +130,7 @@ impl LogError {
             Self::Time { .. } => "log_time",
             Self::NotFinite { .. } => "log_not_finite",
             Self::Exists { .. } => "log_exists",
+            Self::NotALog { .. } => "not_a_log",
             Self::Interrupted { .. } => "interrupted",
             Self::GivenUp { .. } => "log_given_up",
         }

@@ -9,6 +9,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::solve::ensemble::Members;
+use crate::solve::hamiltonian::TimeScale;
 use crate::solve::lanes::WIDTH;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::Stepper;
@@ -18,6 +19,7 @@ use crate::solve::stepper::rk::Rk;
 use crate::solve::stepper::rkmk::Rkmk;
 use crate::solve::stepper::splitting::Splitting;
 use crate::solve::stepper::vpd::Vpd;
+use crate::solve::stepper::vpd_adaptive::VpdAdaptive;
 use crate::solve::stepper::vpd_lagrangian::VpdLagrangian;
 use crate::solve::stepper::vpd_reduced::VpdReduced;
 use crate::solve::stepper::vpd_so3::VpdSo3;
@@ -38,7 +40,7 @@ macro_rules! names {
         }
 
         /// An integrator that runs.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
         pub enum Integrator {
             $($(#[doc = $doc])* #[serde(rename = $name)] $method,)*
         }
@@ -82,6 +84,8 @@ names! {
     VpdLagrangian = "vpd_lagrangian",
     /// Variational polar decomposition, reduced to the momentum: free bodies.
     VpdReduced = "vpd_reduced",
+    /// Variational polar decomposition, Hamiltonian form, in steps that shorten near point sources and stay symplectic.
+    VpdAdaptive = "vpd_adaptive",
     /// Variational Runge-Kutta-Munthe-Kaas: symplectic, on the group but for what rounding adds up.
     Vrkmk = "vrkmk",
     /// The same, projected to the group after each step.
@@ -175,6 +179,8 @@ pub(crate) struct Parts {
     pub(crate) order: u32,
     pub(crate) stop: StopRule,
     pub(crate) carries_attitude: bool,
+    /// The rate of time and the longest step, of a method whose steps adapt.
+    pub(crate) own_steps: Option<(TimeScale, f64)>,
 }
 
 impl Integrator {
@@ -202,6 +208,12 @@ impl Integrator {
                 takes: Takes::Tableau, symplectic: true, three: false, driven: false, wheels: true, free: true, newton: true,
                 lanes: true, plane: false, sweeps: [1.0, 3.0], family: 0,
                 charted: &[T(Gauss4)], mapped: &[T(Gauss2)], solvers: false, tried: (5, GAUSS),
+            },
+            Self::VpdAdaptive => Facts {
+                takes: Takes::Tableau, symplectic: true, three: false, driven: false, wheels: false, free: false, newton: true,
+                lanes: false, plane: false, sweeps: [6.0, 6.0], family: 0,
+                charted: &[T(Gauss2), T(Gauss8)], mapped: &[T(Gauss2), T(Gauss4)], solvers: false,
+                tried: (8, &[T(Gauss2), T(Gauss4), T(Gauss8)]),
             },
             Self::Vrkmk => Facts {
                 takes: Takes::Tableau, symplectic: true, three: false, driven: true, wheels: true, free: false, newton: true,
@@ -256,9 +268,13 @@ impl Integrator {
         self,
         parts: Parts,
     ) -> Option<Box<dyn Stepper<N>>> {
-        let Parts { tableau, stop, carries_attitude, .. } = parts;
+        let Parts { tableau, stop, carries_attitude, own_steps, .. } = parts;
         Some(match self {
             Self::Vpd => Box::new(Vpd::new(tableau, stop)),
+            Self::VpdAdaptive => {
+                let (scale, largest_step_s) = own_steps?;
+                Box::new(VpdAdaptive::new(tableau, stop, scale).with_steps_of(largest_step_s))
+            }
             Self::VpdLagrangian => Box::new(VpdLagrangian::new(tableau, stop)),
             Self::VpdReduced => Box::new(VpdReduced::new(tableau, stop, carries_attitude)),
             Self::Vrkmk => Box::new(Vrkmk::new(tableau, stop)),
@@ -273,7 +289,7 @@ impl Integrator {
     /// The stepper for n = 3, wherever the body goes.
     pub(crate) fn in_space(self, parts: Parts) -> Option<Box<dyn Stepper<3>>> {
         let in_lanes = parts.tableau.stages() <= WIDTH;
-        let Parts { tableau, order, stop, carries_attitude } = parts;
+        let Parts { tableau, order, stop, carries_attitude, own_steps } = parts;
         Some(match self {
             Self::Vpd if in_lanes => Box::new(VpdSo3::new(tableau, stop)?),
             Self::VpdReduced if in_lanes => {
@@ -282,7 +298,10 @@ impl Integrator {
             Self::Splitting => Box::new(Splitting::new(order)?),
             Self::Lgvi => Box::new(Lgvi::new(order, stop)?),
             Self::QuaternionGauss => Box::new(QuaternionGauss::new(tableau.stages(), stop)?),
-            _ => return self.in_any_dimension(Parts { tableau, order, stop, carries_attitude }),
+            _ => {
+                let parts = Parts { tableau, order, stop, carries_attitude, own_steps };
+                return self.in_any_dimension(parts);
+            }
         })
     }
 
@@ -309,6 +328,7 @@ impl Integrator {
     pub fn costs_as(self) -> Self {
         match self {
             Self::VrkmkProjected => Self::Vrkmk,
+            Self::VpdAdaptive => Self::Vpd,
             other => other,
         }
     }
@@ -393,7 +413,7 @@ impl TableauName {
 
 #[cfg(test)]
 mod tests {
-    use super::{Integrator, Parts, TableauName, Takes};
+    use super::{Integrator, Parts, TableauName, Takes, TimeScale};
     use crate::solve::nonlinear::StopRule;
 
     /// The table of the mathematics' own tests: order, reversibility, failed steps.
@@ -412,6 +432,7 @@ mod tests {
                 order: 4,
                 stop: StopRule::default(),
                 carries_attitude: true,
+                own_steps: Some((TimeScale::new(Vec::new()), 0.01)),
             };
             assert!(method.in_space(parts()).is_some(), "{name} in space");
             let elsewhere = method.in_any_dimension::<4>(parts()).is_some();

@@ -6,21 +6,26 @@
 //! Invariant: a [`Plan`] can be run. What it dropped changes no number of the run but its cost.
 
 use nalgebra::{DMatrix, DVector};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::log::schema::Channel;
 use crate::method::Integrator;
-use crate::scenario::{Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice};
+use crate::scenario::{
+    Adaptive, Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
+};
 use crate::solve::composition::Composition;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::trajectory::Observables;
 
+mod adaptive;
 mod cost;
 mod model;
 mod problem;
 mod terms;
 
+pub use adaptive::OwnSteps;
 pub use cost::Counts;
 pub(crate) use model::{Model, ModelKinetic};
 use model::{
@@ -31,8 +36,11 @@ use terms::{Extent, Terms};
 /// About what a log takes in addition to its samples: schemas, scenario, plan, index.
 pub(crate) const LOG_FIXED_BYTES: u64 = 50_000;
 
+/// A body point within a tenth of its arm from a point source, as the least sigma of steps that adapt: `(1 + 10^3)^(-1/2)`.
+pub(crate) const NEAR_SIGMA: f64 = 0.0316;
+
 /// What a job will do, for people and for [`crate::run`].
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Plan {
     /// n of SO(n).
     pub dimension: usize,
@@ -46,6 +54,9 @@ pub struct Plan {
     pub every: u64,
     /// Number of samples of a run that ends well.
     pub samples: u64,
+    /// Steps in a time of their own; the step above is then the one between the times that samples may come at.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub own_steps: Option<OwnSteps>,
     /// The terms of the potential, kept and dropped.
     pub potential: Vec<TermPlan>,
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved.
@@ -55,6 +66,7 @@ pub struct Plan {
     pub balance: Option<String>,
     /// What somebody should know before the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(default)]
     pub warnings: Vec<String>,
     /// The channels of the log and what each costs.
     pub channels: Vec<ChannelPlan>,
@@ -87,7 +99,7 @@ pub struct Plan {
 }
 
 /// The members of an ensemble.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct EnsemblePlan {
     /// How many there are.
     pub members: u64,
@@ -98,7 +110,7 @@ pub struct EnsemblePlan {
 }
 
 /// The choice of method and step for an accuracy.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Advice {
     /// The error asked for.
     pub error: f64,
@@ -115,7 +127,7 @@ pub struct Advice {
 }
 
 /// A method that was tried.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Candidate {
     /// Its name in a scenario.
     pub method: Integrator,
@@ -130,7 +142,7 @@ pub struct Candidate {
 }
 
 /// The integrator and the reason for it.
-#[derive(Clone, Debug, Default, Serialize)]
+#[derive(Clone, Debug, Default, Serialize, JsonSchema)]
 pub struct Formulation {
     /// Its name in a scenario.
     pub method: Integrator,
@@ -146,11 +158,12 @@ pub struct Formulation {
     pub why: &'static str,
     /// What is made use of in addition: a body at rest, a motion in a plane.
     #[serde(skip_serializing_if = "Motion::is_general")]
+    #[schemars(default)]
     pub motion: Motion,
 }
 
 /// What becomes of one term of the potential.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct TermPlan {
     /// JSON pointer of the term.
     pub pointer: String,
@@ -161,7 +174,7 @@ pub struct TermPlan {
 }
 
 /// What the start and the terms make of the motion.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Motion {
     /// Nothing that could be made use of.
@@ -189,7 +202,7 @@ impl Motion {
 }
 
 /// One channel of the log.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct ChannelPlan {
     /// Its topic.
     pub topic: Channel,
@@ -198,6 +211,24 @@ pub struct ChannelPlan {
 }
 
 impl EnsemblePlan {
+    /// Points on the way of a member, at most, and of all members together; no member has fewer than the least.
+    const MOST_WAYPOINTS: u64 = 128;
+    const WAYPOINTS_OF_ALL: u64 = 1 << 20;
+    const LEAST_WAYPOINTS: u64 = 8;
+
+    /// Samples from a point on the way of a member to the next, of so many samples.
+    pub fn samples_per_waypoint(&self, samples: u64) -> u64 {
+        let points = Self::WAYPOINTS_OF_ALL / self.members.max(1);
+        let points = points.clamp(Self::LEAST_WAYPOINTS, Self::MOST_WAYPOINTS);
+        // The start is one of them.
+        samples.saturating_sub(1).div_ceil(points - 1).max(1)
+    }
+
+    /// Points on the way of a member that takes so many samples.
+    pub(crate) fn waypoints(&self, samples: u64) -> u64 {
+        1 + samples.saturating_sub(1).div_ceil(self.samples_per_waypoint(samples))
+    }
+
     fn new(ensemble: &Ensemble) -> Self {
         let mut in_full = ensemble.in_full.clone();
         in_full.push(0);
@@ -215,9 +246,14 @@ impl Plan {
     /// Where the numbers make no body, no rotation or no tableau, with the pointer of the field.
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         let n = scenario.dimension();
-        let step_s = scenario.step_s.ok_or_else(|| {
-            ScenarioError::invalid("/accuracy", "has not been turned into a method and a step")
-        })?;
+        let step_s = match (scenario.step_s, scenario.adaptive(), scenario.duration_s) {
+            (Some(step_s), _, _) => step_s,
+            (None, Some(_), Some(duration_s)) => return Self::in_easy_steps(scenario, duration_s),
+            (None, _, _) => {
+                let message = "has not been turned into a method and a step";
+                return Err(ScenarioError::invalid("/accuracy", message));
+            }
+        };
         let inertia = inertia_matrix(&scenario.scene.inertia);
         let kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
         let attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
@@ -232,6 +268,7 @@ impl Plan {
             steps: scenario.step_count(),
             every: scenario.sample_every(),
             samples: 0,
+            own_steps: None,
             potential: Vec::new(),
             free_directions: n,
             balance: None,
@@ -269,6 +306,15 @@ impl Plan {
         plan.model.check_distances(&scenario.scene.potential)?;
         plan.add_terms(&scenario.scene.potential, &inertia);
         plan.add_driven(&inertia);
+        let mut sources =
+            scenario.scene.potential.iter().filter_map(PotentialTerm::as_point_source);
+        if scenario.adaptive().is_some() && sources.next().is_none() {
+            let message = "adapts its steps to the point sources of the scene, and there are none";
+            return Err(ScenarioError::invalid("/method/name", message));
+        }
+        plan.own_steps = scenario.adaptive().map(|asked| {
+            OwnSteps::new(&asked, step_s, &scenario.scene.potential, &plan.model.terms)
+        });
         plan.formulation = plan.formulate(scenario)?;
         if !plan.formulation.carries_attitude {
             let momentum = plan.channels.iter_mut().find(|plan| plan.topic == Channel::Momentum);
@@ -281,6 +327,54 @@ impl Plan {
         plan.warnings.extend(no_body(&inertia));
         plan.estimate(None);
         Ok(plan)
+    }
+
+    /// The plan of a scenario whose steps adapt and that names none: an easy one, of which the duration is a whole number.
+    fn in_easy_steps(asked: &Scenario, duration_s: f64) -> Result<Self, ScenarioError> {
+        let with = |steps: f64| Scenario {
+            step_s: Some(duration_s / steps),
+            steps: Some(steps as u64),
+            duration_s: None,
+            ..asked.clone()
+        };
+        let whole = Self::new(&with(1.0))?;
+        let near_m = whole.own_steps.as_ref().map_or(&[][..], |own| own.near_m.as_slice());
+        let easy_s = whole.model.easy_own_step_s(near_m, whole.formulation.stages);
+        let settled = with((duration_s / easy_s).ceil().max(1.0));
+        settled.check()?;
+        Ok(Self { asked: asked.clone(), ..Self::new(&settled)? })
+    }
+
+    /// A step in seconds that a Gauss tableau of so many stages takes easily where steps adapt.
+    pub(crate) fn easy_own_step_s(&self, stages: usize) -> f64 {
+        let asked = Adaptive::default();
+        let terms = &self.model.terms;
+        let near_m = OwnSteps::new(&asked, self.step_s, terms, terms).near_m;
+        self.model.easy_own_step_s(&near_m, stages)
+    }
+
+    /// Is there a point source, and nothing that keeps steps from adapting to it?
+    pub(crate) fn can_adapt(&self) -> bool {
+        !self.model.is_driven()
+            && self.model.wheels.is_none()
+            && self.formulation.motion != Motion::AtRest
+            && self.model.terms.iter().any(|term| term.as_point_source().is_some())
+    }
+
+    /// Says where steps that adapt would pay, and where they do not, by the least sigma of a pilot run.
+    pub(crate) fn offer_own_steps(&mut self, nearest_sigma: Option<f64>) {
+        let Some(sigma) = nearest_sigma else { return };
+        let distance = libm::cbrt(sigma * sigma);
+        match (&self.own_steps, sigma <= NEAR_SIGMA) {
+            (None, true) => self.warnings.push(format!(
+                "a body point comes within {distance:.1e} of its arm from a point source: steps that adapt pass it with far \
+                 fewer torques (\"step\": {{ \"adaptive\": {{}} }})"
+            )),
+            (Some(_), false) => self.warnings.push(format!(
+                "steps of one length do as well here: no body point comes nearer to a point source than {distance:.1e} of its arm"
+            )),
+            _ => {}
+        }
     }
 
     /// Steps of all members, or of the one run.
@@ -333,7 +427,10 @@ impl Plan {
     fn formulate(&self, scenario: &Scenario) -> Result<Formulation, ScenarioError> {
         let driven = self.model.is_driven();
         let free = self.model.terms.is_empty() && !driven;
-        let asked = scenario.method.name.integrator();
+        let asked = match (scenario.method.name.integrator(), &self.own_steps) {
+            (_, Some(_)) => Some(Integrator::VpdAdaptive),
+            (asked, None) => asked,
+        };
         if let Some(method) = asked.filter(|method| method.facts().free && !free) {
             let term =
                 self.potential.iter().find(|term| term.kept).map_or("", |term| &term.pointer);
@@ -418,7 +515,10 @@ fn tableau_name(scenario: &Scenario) -> Option<String> {
 fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     let three = scenario.dimension() == 3;
     let potential = !(scenario.scene.potential.is_empty() && scenario.scene.driven.is_empty());
-    let has = |channel: &Channel| channel.exists(three, potential, scenario.ensemble.is_some());
+    let has = |channel: &Channel| {
+        let ensemble = scenario.ensemble.is_some();
+        channel.exists(three, potential, ensemble, scenario.adaptive().is_some())
+    };
     let asked = |channel: &Channel| {
         scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(channel))
     };

@@ -67,6 +67,8 @@ pub struct Control {
     pub resumed_step: AtomicU64,
     /// The step up to which the log is on the disk; the run writes it.
     pub durable_step: AtomicU64,
+    /// Bytes of the unfinished log that are on the disk, no fewer than up to `durable_step`; the run writes it.
+    pub durable_bytes: AtomicU64,
     /// Whether the run is to end after its current step, with a finished log: see [`Control::cancel`].
     pub cancelled: AtomicBool,
     /// Whether it is to end there with a log that a later run goes on from: see [`Control::interrupt`].
@@ -106,6 +108,14 @@ impl Control {
             self.cancelled.store(true, Ordering::Relaxed);
         }
         !self.stopped()
+    }
+
+    /// Takes note of how far the log is on the disk.
+    fn note_durable<const N: usize>(&self, log: &LogWriter<N>) {
+        let step = log.durable_step();
+        // Who reads the step first finds at least its bytes.
+        self.durable_bytes.store(log.durable_bytes(), Ordering::Release);
+        self.durable_step.store(step, Ordering::Release);
     }
 
     /// Leaves a note of how far the run came.
@@ -223,7 +233,10 @@ fn run<const N: usize>(
         Ending::Failed(failure) => {
             let broken = Broken { initial, reached: &reached, schedule, failure };
             let patience = Patience::of(plan, control, 1);
-            (Outcome::Failed, Some(advice::diagnosis(body, stepper.as_mut(), &broken, patience)))
+            let own_steps = advice::own_steps(plan, body);
+            let stepper = stepper.as_mut();
+            let found = advice::diagnosis(body, stepper, &broken, own_steps, patience);
+            (Outcome::Failed, Some(found))
         }
     };
     // Who stops the search for a smaller step stops the run before the step that failed.
@@ -319,7 +332,7 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
             show.sample(sample);
         }
         let result = self.writer.record(sample);
-        self.control.durable_step.store(self.writer.durable_step(), Ordering::Relaxed);
+        self.control.note_durable(&self.writer);
         self.elsewhere += begun.elapsed();
         Ok(result?)
     }
@@ -364,6 +377,9 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
     }
     if let Some(error) = sample.orthogonality_error {
         course.note(time_ns, LogChart::Orthogonality, error);
+    }
+    if let Some(pace) = sample.pace {
+        course.note(time_ns, LogChart::Pace, 1.0 / pace.least_sigma);
     }
 }
 

@@ -12,6 +12,8 @@ mod check;
 mod driven;
 mod ensemble;
 mod parse;
+mod steps;
+mod suggest;
 mod term;
 
 pub(crate) use change::set;
@@ -22,6 +24,7 @@ pub use driven::{
 };
 pub use ensemble::Ensemble;
 pub(crate) use parse::{from_tree, tree as read_tree};
+pub use steps::{Adaptive, Steps};
 pub(crate) use term::Drawn;
 pub use term::{GravityGradient, PointSource, PotentialTerm, Spring, Uniform};
 
@@ -50,10 +53,13 @@ pub struct Scenario {
     /// How it is integrated.
     #[serde(default)]
     pub method: Method,
-    /// The step in seconds; either this or `accuracy`.
+    /// The step in seconds; either this or `accuracy`. Steps that adapt may do without: then an easy one is found.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "parse::given")]
     #[schemars(with = "f64")]
     pub step_s: Option<f64>,
+    /// Steps that are not all of one length.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step: Option<Steps>,
     /// How accurate the end of the run is to be; the program then chooses method and step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<Accuracy>,
@@ -441,6 +447,7 @@ impl Scenario {
             scene,
             method: Method::default(),
             step_s: Some(step_s),
+            step: None,
             accuracy: None,
             steps: Some(steps),
             duration_s: None,
@@ -534,6 +541,7 @@ pub fn schema() -> serde_json::Value {
 pub const SHIPPED: &[(&str, &str)] = &[
     ("dipole", include_str!("../scenarios/dipole.json")),
     ("dual-spin", include_str!("../scenarios/dual-spin.json")),
+    ("flyby", include_str!("../scenarios/flyby.json")),
     ("free-body", include_str!("../scenarios/free-body.json")),
     ("heavy-top", include_str!("../scenarios/heavy-top.json")),
     ("pendulum", include_str!("../scenarios/pendulum.json")),

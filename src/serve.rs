@@ -44,6 +44,7 @@ mod viewers;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -53,13 +54,26 @@ use tokio::sync::watch;
 use crate::live::Live;
 
 pub use config::{Cors, Limits, Scope, ServeConfig, Tokens};
+#[cfg(feature = "cluster")]
+pub use engine::cluster::sweeps::{SweepOnError, sweep_on};
+#[cfg(feature = "cluster")]
+pub use engine::cluster::work::{WorkConfig, work};
+#[cfg(feature = "cluster")]
+pub use engine::cluster::{ClusterConfig, ClusterError};
+#[cfg(feature = "cluster")]
+pub use store::bucket::BucketError;
 
 use api::App;
 use desk::Desk;
 use engine::Engine;
+#[cfg(feature = "cluster")]
+use engine::cluster::Cluster;
+use engine::local::Local;
 use gate::Gate;
 use link::LinkKey;
 use listen::Open;
+#[cfg(feature = "cluster")]
+use store::bucket::Bucket;
 use store::{DataLock, Store, StudyStore};
 use studies::Studies;
 
@@ -118,6 +132,10 @@ pub enum ServeError {
     /// A worker thread cannot be started, or the listener failed.
     #[error("the system refuses a thread or a socket")]
     System(#[from] std::io::Error),
+    /// There is no way to the other machines.
+    #[cfg(feature = "cluster")]
+    #[error(transparent)]
+    Cluster(#[from] ClusterError),
     /// A run did not stop in time; it is run again at the next start.
     #[error("a run did not stop within {} s; its job or study is run again at the next start", DRAIN.as_secs())]
     Unfinished,
@@ -138,24 +156,12 @@ pub async fn serve(
     }
     let limits = handles::within(config.limits, config.workers, config.live.is_some());
     let lock = DataLock::take(&config.data)?;
-    let store = Store::open(&config.data)?;
-    let links = match config.tokens.is_empty() {
-        true => None,
-        false => Some(
-            LinkKey::of(&config.data)
-                .map_err(|source| ServeError::Data { path: config.data.clone(), source })?,
-        ),
-    };
     let door = match config.live {
         Some(address) => Some(viewers_door(address).await?),
         None => None,
     };
     let live = door.as_ref().map(|_| Arc::new(Live::default()));
-    let (workers, program) = (config.workers, config.program.clone());
-    let (engine, drained) =
-        Engine::start(store, workers, limits, live.clone(), program.clone()).await?;
-    let (studies, studying) =
-        Studies::start(StudyStore::open(&config.data)?, limits, program).await?;
+    let Parts { engine, studies, links, drained } = parts(&config, limits, live.clone()).await?;
     let gate = Gate::new(&config, links.clone());
     let (stop, stopped) = watch::channel(false);
     let app = App::new(engine.clone(), studies.clone(), Desk::open()?, &config, links);
@@ -165,6 +171,7 @@ pub async fn serve(
     };
     let app = api::router(app, gate.clone(), &config.cors);
     let open = Open::new(limits);
+    tracing::info!("listening on http://{}", listener.local_addr()?);
     let server = listen::listen(listener, app, open.clone(), stopped.clone());
     let server = match door.zip(live) {
         Some((door, live)) => {
@@ -178,12 +185,12 @@ pub async fn serve(
     shutdown.await;
     tracing::info!("stopping");
     engine.stop();
-    studies.stop();
+    if let Some(studies) = studies {
+        studies.stop();
+    }
     let _ = stop.send(true);
     // Both at once: the answers in flight end while the runs stop.
     let answered = tokio::time::timeout(LAST_ANSWERS, server);
-    let studied = tokio::task::spawn_blocking(move || studying.join());
-    let drained = async { tokio::join!(drained.wait(), studied) };
     let (_, workers) = tokio::join!(answered, tokio::time::timeout(DRAIN, drained));
     if workers.is_err() {
         // A run that goes on still writes to the directory: nobody else may have it while we live.
@@ -192,6 +199,44 @@ pub async fn serve(
     }
     tracing::info!("stopped");
     Ok(())
+}
+
+/// What serves the requests.
+struct Parts {
+    engine: Engine,
+    studies: Option<Studies>,
+    links: Option<LinkKey>,
+    /// Completes once everything that ran at the stop has come to its end.
+    drained: Pin<Box<dyn Future<Output = ()> + Send>>,
+}
+
+/// The engine of the configuration, with what else there is on its side.
+async fn parts(
+    config: &ServeConfig,
+    limits: Limits,
+    live: Option<Arc<Live>>,
+) -> Result<Parts, ServeError> {
+    let guarded = !config.tokens.is_empty();
+    #[cfg(feature = "cluster")]
+    if let Some(cluster) = &config.cluster {
+        let bucket = Bucket::open(&cluster.bucket).await.map_err(ClusterError::from)?;
+        let links = if guarded { Some(LinkKey::shared(&bucket).await?) } else { None };
+        let engine = Cluster::start(cluster, bucket, &config.data, limits).await?;
+        let (engine, drained) = (Engine::Cluster(engine), Box::pin(async {}));
+        return Ok(Parts { engine, studies: None, links, drained });
+    }
+    let store = Store::open(&config.data)?;
+    let failed = |source| ServeError::Data { path: config.data.clone(), source };
+    let links = if guarded { Some(LinkKey::of(&config.data).map_err(failed)?) } else { None };
+    let (workers, program) = (config.workers, config.program.clone());
+    let (local, ended) = Local::start(store, workers, limits, live, program.clone()).await?;
+    let (studies, studying) =
+        Studies::start(StudyStore::open(&config.data)?, limits, program).await?;
+    let studied = tokio::task::spawn_blocking(move || studying.join());
+    let drained = Box::pin(async {
+        let _ = tokio::join!(ended.wait(), studied);
+    });
+    Ok(Parts { engine: Engine::Local(local), studies: Some(studies), links, drained })
 }
 
 /// Listens for viewers.

@@ -5,15 +5,17 @@
 //! [`measure`] and against a [`reference::Reference`] that the program computes itself. [`own`] is work and precision on
 //! a system that no scenario describes.
 //!
-//! Invariant: a study repeats to the bit but for its times; it ends early only if it is cancelled.
+//! Invariant: a study repeats to the bit but for its times, on however many cores; no time is measured while another run is
+//! made; it ends early only if it is cancelled.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use thiserror::Error;
 
+use crate::in_order::{Turns, cores, in_order};
 use crate::method::{Integrator, Variant};
-use crate::plan::Plan;
+use crate::plan::{NEAR_SIGMA, Plan};
 use crate::scenario::{Method, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName};
 
 pub mod long_term;
@@ -87,6 +89,31 @@ impl Watch {
             left.store(self.left_ns().saturating_sub(cost_ns), Ordering::Relaxed);
         }
     }
+}
+
+/// What a study makes of each of its methods, in their order, on so many threads. Not for times.
+fn of_each<T: Send>(
+    entries: &[Entry],
+    threads: usize,
+    one: impl Fn(&Entry) -> Result<T, StudyError> + Sync,
+) -> Result<Vec<T>, StudyError> {
+    let mut made = Vec::with_capacity(entries.len());
+    let work = |turns: &Turns<'_, Result<T, StudyError>>| {
+        while let Some(places) = turns.take() {
+            let entry = &entries[places.start as usize];
+            turns.give(places, one(entry))?;
+        }
+        Some(())
+    };
+    in_order(0..entries.len() as u64, 1, threads, work, |found| {
+        found.map(|found| made.push(found))
+    })?;
+    Ok(made)
+}
+
+/// Threads for runs that are not timed: what one has cost may end others, and then their order counts.
+fn threads(watch: &Watch) -> usize {
+    if watch.allowance_ns.is_some() { 1 } else { cores() }
 }
 
 /// Makes sure that a scene is one, whatever method and step it will run with.
@@ -204,6 +231,8 @@ pub struct Scales {
     pub kinetic: f64,
     /// A step in seconds at which a method of eighth order works.
     pub easy_step_s: f64,
+    /// Is it one of steps that adapt, because a point source is passed closely?
+    pub adapts: bool,
 }
 
 impl Scales {
@@ -212,25 +241,39 @@ impl Scales {
     /// # Errors
     /// If the scene cannot be planned, or no step works.
     pub fn of(scene: &Scenario, time_s: f64, watch: &Watch) -> Result<Self, StudyError> {
+        let is_near = nearest_sigma(scene, time_s)?.is_some_and(|sigma| sigma <= NEAR_SIGMA);
+        let integrator = if is_near { Integrator::VpdAdaptive } else { Integrator::Vpd };
+        let method = with_tableau(integrator, TableauName::Gauss4);
+        Ok(Self { adapts: is_near, ..Self::measured(scene, &method, time_s, watch)? })
+    }
+
+    fn measured(
+        scene: &Scenario,
+        method: &Method,
+        time_s: f64,
+        watch: &Watch,
+    ) -> Result<Self, StudyError> {
         /// A run longer than this shows no more.
         const MOST_STEPS: f64 = 5000.0;
         /// Angle of a step that a method of eighth order takes easily, rad.
         const EASY_TURN_RAD: f64 = 0.25;
-        let method = with_tableau(Integrator::Vpd, TableauName::Gauss4);
         let rate = measure::initial_rate(scene)?.max(1.0 / time_s);
         let mut step_s = (EASY_TURN_RAD / rate).min(time_s);
         for _ in 0..40 {
             let steps = (time_s / step_s).ceil().clamp(1.0, MOST_STEPS) as u64;
-            let probe = Probe { every: 1, ..Probe::of(&method, step_s, steps) };
+            let probe = Probe { every: 1, ..Probe::of(method, step_s, steps) };
             let run = measure::measure(scene, probe, watch)?;
             watch.advance(0)?;
-            let gentle = run.fastest_rad_s * step_s <= 2.0 * EASY_TURN_RAD;
+            // Steps that adapt are shorter where the body is fast.
+            let gentle =
+                run.least_sigma.is_some() || run.fastest_rad_s * step_s <= 2.0 * EASY_TURN_RAD;
             let energy = run.largest_kinetic;
             if run.completed() && gentle && run.energy_error() <= 1e-6 * energy {
                 return Ok(Self {
                     fastest_rad_s: run.fastest_rad_s.max(1.0 / time_s),
                     kinetic: energy,
                     easy_step_s: step_s,
+                    adapts: false,
                 });
             }
             step_s *= 0.5;
@@ -239,10 +282,65 @@ impl Scales {
     }
 }
 
+/// The least sigma that steps which adapt meet within `time_s`, as far as a few milliseconds of them come, as counted: how
+/// near a body point comes to a point source. `None` where there is nothing to adapt to.
+pub(crate) fn nearest_sigma(scene: &Scenario, time_s: f64) -> Result<Option<f64>, ScenarioError> {
+    const MOST_NS: u64 = 10_000_000;
+    const MOST_STEPS: f64 = 1e6;
+    let plan = measure::variant(scene, &Method::default(), time_s, 1)?;
+    if !plan.can_adapt() {
+        return Ok(None);
+    }
+    let method = with_tableau(Integrator::VpdAdaptive, TableauName::Gauss2);
+    let steps = (time_s / plan.easy_own_step_s(2)).ceil().clamp(1.0, MOST_STEPS) as u64;
+    let watch = Watch { allowance_ns: Some(MOST_NS.into()), ..Watch::default() };
+    let probe = Probe { every: 1, ..Probe::of(&method, time_s / steps as f64, steps) };
+    Ok(measure::measure(scene, probe, &watch)?.least_sigma)
+}
+
 /// The time a scene is studied for unless the caller says otherwise: about one turn, as far as it runs.
 fn usual_time(scene: &Scenario) -> Result<f64, ScenarioError> {
     let plan = Plan::new(scene)?;
     let duration_s = plan.steps as f64 * plan.step_s;
     let rate = measure::initial_rate(scene)?;
     Ok(duration_s.min(if rate > 0.0 { std::f64::consts::TAU / rate } else { duration_s }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Entry, Watch};
+    use super::{long_term, precision, stability};
+    use crate::scenario::{SHIPPED, Scenario};
+
+    fn top(steps: u64) -> (Scenario, Vec<Entry>) {
+        let (_, text) = SHIPPED.iter().find(|(name, _)| *name == "heavy-top").expect("shipped");
+        let mut scene = Scenario::from_json(text.as_bytes()).expect("a scenario");
+        (scene.steps, scene.duration_s) = (Some(steps), None);
+        let entries = super::usual_methods(&scene).into_iter().take(5).collect();
+        (scene, entries)
+    }
+
+    #[test]
+    fn studies_do_not_depend_on_threads() {
+        let (scene, entries) = top(400);
+        let long = |threads| {
+            long_term::on_threads(&scene, &entries, &Watch::default(), threads).expect("a study")
+        };
+        let (one, three) = (long(1), long(3));
+        assert_eq!(one.table.to_csv(), three.table.to_csv());
+        assert_eq!(one, three);
+        let map = |threads| {
+            stability::on_threads(&scene, &entries[..3], &Watch::default(), threads).expect("a map")
+        };
+        assert_eq!(map(1), map(3));
+        let untimed = |threads| {
+            let watch = Watch::default();
+            let found = precision::on_threads(&scene, &entries, Some(0.05), &watch, threads);
+            let mut found = found.expect("a study");
+            assert!(found.table.rows.iter().any(|row| row.ns_per_step.is_some()));
+            found.table.rows.iter_mut().for_each(|row| row.ns_per_step = None);
+            found
+        };
+        assert_eq!(untimed(1), untimed(3));
+    }
 }

@@ -42,7 +42,7 @@ use member::{Outcome, Row};
 #[cfg(feature = "chart")]
 pub(crate) use shown::{Cell, Kind, Shown, Side};
 pub use table::merge;
-use table::{Identity, Part, cell, figure, quoted};
+use table::{Identity, Part, cell, figure};
 use values::Axis;
 
 /// The most members of a sweep.
@@ -82,7 +82,7 @@ impl Sweep {
     /// Reads and checks a sweep that holds its scenario.
     ///
     /// # Errors
-    /// The first thing wrong with it, with the pointer of its field. What is wrong with a member alone is not: it is told in
+    /// The first thing wrong with it, with the pointer of its field. What is wrong with a member alone is not: it is reported in
     /// its line.
     pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
         Self::from_tree(read_tree(text)?)
@@ -159,6 +159,12 @@ impl Sweep {
             let at = at.map_or_else(|| "/vary".to_owned(), |at| format!("/vary/{at}"));
             ScenarioError::invalid(at, format!("with the values of member 0, {pointer}: {message}"))
         })
+    }
+
+    /// The sweep as JSON, with the scenario that it varies.
+    #[cfg(feature = "cluster")]
+    pub(crate) fn to_json(&self) -> Vec<u8> {
+        serde_json::to_vec(&self.file).expect("a sweep is JSON by construction")
     }
 
     /// The name of the scenario.
@@ -313,7 +319,7 @@ impl Sweep {
             cells.extend(figures.map(figure));
         }
         cells.resize(self.columns.len(), String::new());
-        Some(Line { text: cells.join(",") + "\n", outcome, refusal })
+        Some(Line { text: table::line(&cells), outcome, refusal })
     }
 }
 
@@ -458,17 +464,17 @@ pub fn run<E: From<SweepError>>(
         end: members.end,
         shard: (number, of),
     };
-    let head: Vec<String> = sweep.columns.iter().map(|name| quoted(name)).collect();
-    let head = head.join(",");
+    let head = table::line(&sweep.columns);
+    let head = head.trim_end();
     let whole = shard.is_none();
     // An array job that is started again finds what it was asked for.
     if !whole
         && !replaces
-        && let Some(counts) = table::finished(table, &identity, &head)
+        && let Some(counts) = table::finished(table, &identity, head)
     {
         return Ok(Made { counts, resumed: members.end - members.start, first_refused: None });
     }
-    let mut part = Part::open(table, &identity, &head, replaces)?;
+    let mut part = Part::open(table, &identity, head, replaces)?;
     watch.total.store(members.end - members.start, Ordering::Relaxed);
     let resumed = part.next - members.start;
     watch.done.store(resumed, Ordering::Relaxed);
@@ -588,7 +594,7 @@ pub enum SweepError {
 }
 
 impl SweepError {
-    fn io(path: &Path, action: &'static str, source: io::Error) -> Self {
+    pub(crate) fn io(path: &Path, action: &'static str, source: io::Error) -> Self {
         Self::Io { path: path.to_owned(), action, source }
     }
 

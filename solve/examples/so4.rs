@@ -55,7 +55,7 @@ pub(crate) fn run() -> Result<Largest, Box<dyn Error>> {
     let mut stepper = Vpd::new(tableau, StopRule::default());
     let schedule = Schedule { step_s: 0.02, steps: 1000, every: 10 };
     let observables =
-        Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+        Observables { energy: true, orthogonality: true, momentum: true, ..Observables::default() };
     let mut largest = Largest::default();
     let end =
         integrate(&body, &mut stepper, &start, schedule, observables, &mut largest, |_| true)?;

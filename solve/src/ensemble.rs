@@ -27,6 +27,14 @@ pub trait Members<const N: usize> {
     /// The next step begins at this time, in seconds: see [`Stepper::set_time`].
     fn set_time(&mut self, _time_s: f64) {}
 
+    /// Brings member `m` to the end of its last step: see [`Stepper::settle`].
+    ///
+    /// # Errors
+    /// Any failure.
+    fn settle(&mut self, _body: &RigidBody<N>, _h: f64, _m: usize) -> Result<u32, Failure> {
+        Ok(0)
+    }
+
     /// Member `m` as it is.
     fn member(&mut self, m: usize) -> &dyn Stepper<N>;
 }
@@ -51,6 +59,10 @@ impl<const N: usize> Members<N> for Apart<N> {
 
     fn set_time(&mut self, time_s: f64) {
         self.0.iter_mut().for_each(|stepper| stepper.set_time(time_s));
+    }
+
+    fn settle(&mut self, body: &RigidBody<N>, h: f64, m: usize) -> Result<u32, Failure> {
+        self.0[m].settle(body, h)
     }
 
     fn member(&mut self, m: usize) -> &dyn Stepper<N> {
@@ -78,13 +90,17 @@ pub fn integrate<const N: usize, E>(
     members.start(initial);
     let mut books: Vec<Books<N>> =
         initial.iter().map(|state| Books::new(body, state, step_s, observables)).collect();
+    let mut sample = |m: usize, books: &mut Books<N>, members: &mut dyn Members<N>| {
+        let settled = books.needs_sample().then(|| members.settle(body, step_s, m));
+        books.sample(body, settled, members.member(m), |sample| record(m, sample))
+    };
     let mut going: Vec<usize> = (0..initial.len()).collect();
     let mut step = 0;
     loop {
         let over = step == steps;
         if over || step % every == 0 {
             for &m in &going {
-                books[m].sample(body, members.member(m), |sample| record(m, sample))?;
+                sample(m, &mut books[m], members)?;
             }
             going.retain(|&m| books[m].goes_on());
         }
@@ -94,7 +110,7 @@ pub fn integrate<const N: usize, E>(
         if !go_on(step) {
             for &m in &going {
                 books[m].cancelled();
-                books[m].sample(body, members.member(m), |sample| record(m, sample))?;
+                sample(m, &mut books[m], members)?;
             }
             break;
         }
@@ -105,7 +121,7 @@ pub fn integrate<const N: usize, E>(
         step += 1;
         for &m in &going {
             if !books[m].goes_on() {
-                books[m].sample(body, members.member(m), |sample| record(m, sample))?;
+                sample(m, &mut books[m], members)?;
             }
         }
         going.retain(|&m| books[m].goes_on());

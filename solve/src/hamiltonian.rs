@@ -17,6 +17,7 @@ mod driven;
 mod frequency;
 mod plane;
 mod potential;
+mod rescaled;
 mod term;
 mod torque;
 
@@ -25,6 +26,8 @@ pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
 pub(crate) use driven::{Moment, Time};
 use potential::Own;
 pub use potential::Potential;
+pub(crate) use rescaled::{AtStages, Scale};
+pub use rescaled::{Rescaled, TimeScale};
 pub use term::{Law, Term};
 pub(crate) use torque::{Terms, Torques};
 
@@ -48,6 +51,12 @@ pub trait Hamiltonian<const N: usize>: System<N> {
 
     /// The system as a rigid body, if it is one: a step then looks at its potential once from where it begins.
     fn as_body(&self) -> Option<&RigidBody<N>> {
+        None
+    }
+
+    /// The system as a rigid body in a time of its own, if it is one: a step then looks at its potential and at its time
+    /// together.
+    fn as_rescaled(&self) -> Option<&Rescaled<'_, N>> {
         None
     }
 }

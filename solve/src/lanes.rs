@@ -52,10 +52,10 @@ impl IndexMut<usize> for Row {
 /// Does the work in lanes of a wide instruction set, compiled for it, if there is one; else the other.
 // Not of each that there is: a piece of work is compiled once for each.
 macro_rules! widest {
-    ($level:expr, $vector:ident, $like:ident => $work:expr, else $other:expr) => {{
+    ($level:expr, $vector:ident, $lanes:ident => $work:expr, else $other:expr) => {{
         macro_rules! on {
             ($token:expr) => {{
-                let $like = $vector::splat($token, 0.0);
+                let $lanes = $vector::splat($token, 0.0);
                 $token.vectorize(
                     #[inline(always)]
                     || $work,
@@ -92,13 +92,13 @@ pub trait Real:
     /// A constant, in as many lanes as `self` has.
     fn constant(self, value: f64) -> Self;
     /// The square root.
-    fn root(self) -> Self;
+    fn sqrt(self) -> Self;
     /// The size.
-    fn size(self) -> Self;
+    fn abs(self) -> Self;
     /// The larger of two numbers that are.
-    fn larger(self, other: Self) -> Self;
+    fn max_or_nan(self, other: Self) -> Self;
     /// `self` where `measure` is a number up to `limit`, elsewhere `other`.
-    fn within(self, measure: Self, limit: f64, other: Self) -> Self;
+    fn select(self, measure: Self, limit: f64, other: Self) -> Self;
 }
 
 /// What belongs to a step as a whole: one number, or one for each member of an ensemble.
@@ -158,7 +158,7 @@ pub trait Stages: Stored {
     /// The sum over the stages, by halves.
     fn sum(self) -> Self::Whole;
     /// `sum_j columns[j] self_j`, summed by halves.
-    fn combined(self, columns: &[Row; WIDTH]) -> Self;
+    fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self;
     /// Rows of constants.
     fn rows(self, rows: &[Row; WIDTH]) -> [Self; WIDTH];
     /// `sum_j columns[j] x_j`, summed by halves, x at the beginning of a slice.
@@ -181,22 +181,22 @@ impl Real for f64 {
     }
 
     #[inline(always)]
-    fn root(self) -> Self {
+    fn sqrt(self) -> Self {
         f64::sqrt(self)
     }
 
     #[inline(always)]
-    fn size(self) -> Self {
+    fn abs(self) -> Self {
         f64::abs(self)
     }
 
     #[inline(always)]
-    fn larger(self, other: Self) -> Self {
+    fn max_or_nan(self, other: Self) -> Self {
         if other <= self { self } else { other }
     }
 
     #[inline(always)]
-    fn within(self, measure: Self, limit: f64, other: Self) -> Self {
+    fn select(self, measure: Self, limit: f64, other: Self) -> Self {
         if measure <= limit { self } else { other }
     }
 }
@@ -331,22 +331,22 @@ macro_rules! stage_lanes {
             }
 
             #[inline(always)]
-            fn root(self) -> Self {
-                self.sqrt()
+            fn sqrt(self) -> Self {
+                <Self as fearless_simd::SimdFloat<S>>::sqrt(self)
             }
 
             #[inline(always)]
-            fn size(self) -> Self {
-                self.abs()
+            fn abs(self) -> Self {
+                <Self as fearless_simd::SimdBase<S>>::abs(self)
             }
 
             #[inline(always)]
-            fn larger(self, other: Self) -> Self {
+            fn max_or_nan(self, other: Self) -> Self {
                 other.simd_le(self).select(self, other)
             }
 
             #[inline(always)]
-            fn within(self, measure: Self, limit: f64, other: Self) -> Self {
+            fn select(self, measure: Self, limit: f64, other: Self) -> Self {
                 measure.simd_le(self.constant(limit)).select(self, other)
             }
         }
@@ -391,7 +391,7 @@ macro_rules! stage_lanes {
             }
 
             #[inline(always)]
-            fn combined(self, columns: &[Row; WIDTH]) -> Self {
+            fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self {
                 // By way of memory, from where spreading a number costs nothing. The compiler would take each out of
                 // its register, through the port that half the arithmetic needs. (A row: see `aligned_zero`.)
                 let mut values = Row::splat(0.0);
@@ -434,7 +434,7 @@ macro_rules! stage_lanes {
             fn largest(self) -> f64 {
                 let mut largest = self[0];
                 for k in 1..$lanes {
-                    largest = Real::larger(largest, self[k]);
+                    largest = Real::max_or_nan(largest, self[k]);
                 }
                 largest
             }
@@ -547,23 +547,23 @@ impl<T: Whole, const K: usize> Real for Rows<T, K> {
     }
 
     #[inline(always)]
-    fn root(self) -> Self {
-        elementwise!(self, k => self.0[k].root())
+    fn sqrt(self) -> Self {
+        elementwise!(self, k => self.0[k].sqrt())
     }
 
     #[inline(always)]
-    fn size(self) -> Self {
-        elementwise!(self, k => self.0[k].size())
+    fn abs(self) -> Self {
+        elementwise!(self, k => self.0[k].abs())
     }
 
     #[inline(always)]
-    fn larger(self, other: Self) -> Self {
-        elementwise!(self, k => self.0[k].larger(other.0[k]))
+    fn max_or_nan(self, other: Self) -> Self {
+        elementwise!(self, k => self.0[k].max_or_nan(other.0[k]))
     }
 
     #[inline(always)]
-    fn within(self, measure: Self, limit: f64, other: Self) -> Self {
-        elementwise!(self, k => self.0[k].within(measure.0[k], limit, other.0[k]))
+    fn select(self, measure: Self, limit: f64, other: Self) -> Self {
+        elementwise!(self, k => self.0[k].select(measure.0[k], limit, other.0[k]))
     }
 }
 
@@ -701,7 +701,7 @@ macro_rules! stages_in_turn {
             }
 
             #[inline(always)]
-            fn combined(self, columns: &[Row; WIDTH]) -> Self {
+            fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self {
                 let mut rows = self.0;
                 for k in 0..$stages {
                     macro_rules! term {
@@ -747,7 +747,7 @@ macro_rules! stages_in_turn {
             fn largest(self) -> $whole {
                 let mut largest = self.0[0];
                 for other in &self.0[1..] {
-                    largest = Real::larger(largest, *other);
+                    largest = Real::max_or_nan(largest, *other);
                 }
                 largest
             }

@@ -155,14 +155,14 @@ pub fn inverse<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
 
 /// A quaternion `w + v`; of length one it is a rotation.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Turn<T> {
+pub struct Quaternion<T> {
     /// The real part.
     pub w: T,
     /// The imaginary part.
     pub v: Vec3<T>,
 }
 
-impl<T: Real> Turn<T> {
+impl<T: Real> Quaternion<T> {
     /// The rotation of Cayley's with the vector `half`: `(1 + half) / |1 + half|`, about it by 2 atan |half|.
     #[inline(always)]
     pub fn cayley(half: &Vec3<T>) -> Self {
@@ -211,16 +211,16 @@ impl<T: Real> Turn<T> {
     /// Of length one.
     #[inline(always)]
     pub fn normalised(&self) -> Self {
-        let length = self.square().root();
+        let length = self.square().sqrt();
         self.scaled(length.constant(1.0) / length)
     }
 
     /// `self` where `measure` is a number up to `limit`, elsewhere `other`.
     #[inline(always)]
-    pub fn within(&self, measure: T, limit: f64, other: &Self) -> Self {
+    pub fn select(&self, measure: T, limit: f64, other: &Self) -> Self {
         Self {
-            w: self.w.within(measure, limit, other.w),
-            v: vec3!(i => self.v[i].within(measure, limit, other.v[i])),
+            w: self.w.select(measure, limit, other.w),
+            v: vec3!(i => self.v[i].select(measure, limit, other.v[i])),
         }
     }
 

@@ -109,7 +109,7 @@ impl DerefMut for Numbers {
 #[derive(Clone, Copy, Debug)]
 pub struct Stack<R, D> {
     /// A number in as many lanes.
-    pub like: R,
+    pub lanes: R,
     /// n.
     pub dimension: D,
 }
@@ -131,7 +131,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     #[inline(always)]
     pub fn get(self, m: &[f64], i: usize, j: usize) -> R {
         let at = (i * self.n() + j) * R::LANES;
-        self.like.get(&m[at..at + R::LANES])
+        self.lanes.get(&m[at..at + R::LANES])
     }
 
     /// Sets entry i, j.
@@ -218,7 +218,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
                 }
             }
             for j in group * R::GROUP..n {
-                let mut sum = self.like.constant(0.0);
+                let mut sum = self.lanes.constant(0.0);
                 for k in 0..n {
                     let x = if T { self.get(a, k, i) } else { self.get(a, i, k) };
                     sum = sum + x * self.get(b, k, j);
@@ -242,22 +242,22 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         i: usize,
         first: usize,
     ) {
-        let (n, like, wide) = (self.n(), self.like, R::GROUP * R::LANES);
-        let mut sums = [like.get_wide(&a[..wide]).constant(0.0); W];
+        let (n, lanes, wide) = (self.n(), self.lanes, R::GROUP * R::LANES);
+        let mut sums = [lanes.get_wide(&a[..wide]).constant(0.0); W];
         for k in 0..n {
             let at = if T { k * n + i } else { i * n + k } * R::LANES;
-            let x = like.repeated(&a[at..at + R::LANES]);
+            let x = lanes.repeated(&a[at..at + R::LANES]);
             let at = k * n * R::LANES + first * wide;
             let row = &b[at..at + W * wide];
             for j in 0..W {
-                sums[j] = sums[j] + x * like.get_wide(&row[j * wide..(j + 1) * wide]);
+                sums[j] = sums[j] + x * lanes.get_wide(&row[j * wide..(j + 1) * wide]);
             }
         }
         let at = i * n * R::LANES + first * wide;
         if let Some(s) = s {
             let row = &s[at..at + W * wide];
             for j in 0..W {
-                sums[j] = like.get_wide(&row[j * wide..(j + 1) * wide]) + sums[j];
+                sums[j] = lanes.get_wide(&row[j * wide..(j + 1) * wide]) + sums[j];
             }
         }
         let row = &mut c[at..at + W * wide];
@@ -269,27 +269,27 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// Entry i, j of `asym(A B^T)`: `sum_k A_ik B_jk - A_jk B_ik`.
     #[inline(always)]
     pub fn asym_of_product(self, a: &[f64], b: &[f64], i: usize, j: usize) -> R {
-        let (n, like, lanes) = (self.n(), self.like, R::LANES);
-        let wide = R::GROUP * lanes;
-        let row = |i: usize| i * n * lanes..(i + 1) * n * lanes;
+        let (n, lanes, width) = (self.n(), self.lanes, R::LANES);
+        let wide = R::GROUP * width;
+        let row = |i: usize| i * n * width..(i + 1) * n * width;
         let (a_i, a_j, b_i, b_j) = (&a[row(i)], &a[row(j)], &b[row(i)], &b[row(j)]);
-        let mut sum = like.constant(0.0);
+        let mut sum = lanes.constant(0.0);
         let groups = n / R::GROUP;
         if groups > 0 {
-            let mut sums = like.get_wide(&a_i[..wide]).constant(0.0);
+            let mut sums = lanes.get_wide(&a_i[..wide]).constant(0.0);
             for k in 0..groups {
                 let at = k * wide..(k + 1) * wide;
                 sums = sums
-                    + (like.get_wide(&a_i[at.clone()]) * like.get_wide(&b_j[at.clone()])
-                        - like.get_wide(&a_j[at.clone()]) * like.get_wide(&b_i[at]));
+                    + (lanes.get_wide(&a_i[at.clone()]) * lanes.get_wide(&b_j[at.clone()])
+                        - lanes.get_wide(&a_j[at.clone()]) * lanes.get_wide(&b_i[at]));
             }
             sum = R::folded(sums);
         }
         for k in groups * R::GROUP..n {
-            let at = k * lanes..(k + 1) * lanes;
+            let at = k * width..(k + 1) * width;
             sum = sum
-                + (like.get(&a_i[at.clone()]) * like.get(&b_j[at.clone()])
-                    - like.get(&a_j[at.clone()]) * like.get(&b_i[at]));
+                + (lanes.get(&a_i[at.clone()]) * lanes.get(&b_j[at.clone()])
+                    - lanes.get(&a_j[at.clone()]) * lanes.get(&b_i[at]));
         }
         sum
     }
@@ -336,19 +336,27 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         }
     }
 
+    /// To memory, number by number.
+    #[inline(always)]
+    pub fn put_vector(self, v: &D::Vector<R>, to: &mut [f64]) {
+        for (i, to) in to.chunks_exact_mut(R::LANES).enumerate() {
+            v[i].put(to);
+        }
+    }
+
     /// `A` times a number for each lane.
     #[inline(always)]
     pub fn scale(self, x: R, a: &mut [f64]) {
         let wide = R::GROUP * R::LANES;
         let mut once = [0.0; WIDTH];
         x.put(&mut once);
-        let x_wide = self.like.repeated(&once);
+        let x_wide = self.lanes.repeated(&once);
         let mut groups = a[..self.numbers()].chunks_exact_mut(wide);
         for group in &mut groups {
-            R::put_wide(x_wide * self.like.get_wide(group), group);
+            R::put_wide(x_wide * self.lanes.get_wide(group), group);
         }
         for entry in groups.into_remainder().chunks_exact_mut(R::LANES) {
-            (x * self.like.get(entry)).put(entry);
+            (x * self.lanes.get(entry)).put(entry);
         }
     }
 
@@ -384,13 +392,13 @@ impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
     /// The same for what belongs to the step as a whole.
     #[inline(always)]
     pub fn whole(self) -> Stack<f64, D> {
-        Stack { like: 0.0, dimension: self.dimension }
+        Stack { lanes: 0.0, dimension: self.dimension }
     }
 
     /// `C_k = sum_j columns[j]_k A_j`, k and j stages.
     #[inline(always)]
     pub fn combination(self, a: &[f64], columns: &[Row; WIDTH], c: &mut [f64]) {
-        let columns = self.like.rows(columns);
+        let columns = self.lanes.rows(columns);
         let (a, c) = (&a[..self.numbers()], &mut c[..self.numbers()]);
         for (a, c) in a.chunks_exact(R::LANES).zip(c.chunks_exact_mut(R::LANES)) {
             R::combination(a, &columns).put(c);
@@ -402,7 +410,7 @@ impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
     pub fn sum_of_stages(self, a: &[f64], c: &mut [f64]) {
         let (a, c) = (&a[..self.numbers()], &mut c[..self.n() * self.n()]);
         for (a, c) in a.chunks_exact(R::LANES).zip(c) {
-            *c = self.like.get(a).sum();
+            *c = self.lanes.get(a).sum();
         }
     }
 
@@ -411,7 +419,7 @@ impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
     pub fn spread(self, a: &[f64], c: &mut [f64]) {
         let (a, c) = (&a[..self.n() * self.n()], &mut c[..self.numbers()]);
         for (a, c) in a.iter().zip(c.chunks_exact_mut(R::LANES)) {
-            self.like.spread(*a).put(c);
+            self.lanes.spread(*a).put(c);
         }
     }
 }

@@ -7,11 +7,12 @@ use super::failure::{Failure, FailureCode};
 use super::hamiltonian::{RigidBody, Time};
 use super::nonlinear::Convergence;
 use super::so::Mat;
-use super::trajectory::State;
+use super::trajectory::{Checkpoint, OwnTime, Pace, State};
 
 mod galerkin;
 mod motion;
 pub mod vpd;
+pub mod vpd_adaptive;
 pub mod vpd_lagrangian;
 pub mod vpd_reduced;
 pub mod vpd_so3;
@@ -37,6 +38,35 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// # Errors
     /// Any failure; the state is then untouched.
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure>;
+
+    /// Goes on from a checkpoint of a trajectory that was begun by [`Stepper::start`].
+    fn resume(&mut self, checkpoint: &Checkpoint<N>) {
+        self.start(&checkpoint.state());
+    }
+
+    /// Brings attitude and momentum to the end of the last step of `h` seconds, if the steps of the scheme do not end there;
+    /// to be called before they are looked at. Returns the sweeps that it took.
+    ///
+    /// # Errors
+    /// Any failure.
+    fn settle(&mut self, _system: &S, _h: f64) -> Result<u32, Failure> {
+        Ok(0)
+    }
+
+    /// The longest own step, of a scheme with a time of its own: from now on it may be another.
+    fn own_step_s(&mut self) -> Option<&mut f64> {
+        None
+    }
+
+    /// Where the scheme is in its own time, for a checkpoint; `None` of one that has none.
+    fn own_time(&self) -> Option<OwnTime<N>> {
+        None
+    }
+
+    /// How time passes for the scheme at the state that was looked at last; `None` of one with no time of its own.
+    fn pace(&self) -> Option<Pace> {
+        None
+    }
 
     /// The next step begins at this time, in seconds; a scheme for systems that do not change with time does not look.
     fn set_time(&mut self, _time_s: f64) {}
@@ -88,27 +118,28 @@ impl Clock {
 const FAR: [f64; 2] = [1.0, 0.5];
 
 /// Refuses a step that Newton's method has solved for a root that belongs to no smaller step: two of half the length by
-/// sweeps, which find no other root, end elsewhere. `halves` stands where the step began, `end` is the attitude it reached.
+/// sweeps, which find no other root, end elsewhere. `half` makes one of these, from where the step began, and gives the
+/// attitude; `end` is the attitude that the step of a scheme of this order reached.
 ///
 /// # Errors
 /// [`FailureCode::SecondRoot`] with the distance.
-fn check_root<const N: usize, S: ?Sized>(
+fn check_root<const N: usize>(
     solved: Convergence,
-    mut halves: impl Stepper<N, S>,
-    system: &S,
-    h: f64,
+    order: u32,
     end: &Mat<N>,
+    mut half: impl FnMut() -> Result<Option<Mat<N>>, Failure>,
 ) -> Result<(), Failure> {
+    let mut reached = None;
     for _ in 0..2 {
-        match halves.step(system, 0.5 * h) {
-            Ok(_) => {}
+        match half() {
+            Ok(attitude) => reached = attitude,
             Err(stopped) if stopped.code == FailureCode::Stopped => return Err(stopped),
             // Where these are not solved either, nothing is known.
             Err(_) => return Ok(()),
         }
     }
-    let Some(reached) = halves.attitude() else { return Ok(()) };
-    let far = FAR[usize::from(halves.order() > 2)];
+    let Some(reached) = reached else { return Ok(()) };
+    let far = FAR[usize::from(order > 2)];
     let distance = (0.5 * (reached - end).norm_squared()).sqrt();
     if distance <= far {
         Ok(())

@@ -32,6 +32,44 @@ pub struct Schedule {
     pub every: u64,
 }
 
+/// How time passes for a scheme whose own steps last as long as they last.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pace {
+    /// dt / dtau at the sample.
+    pub sigma: f64,
+    /// How long the own step around the sample lasts, in seconds; 0 at the start.
+    pub step_s: f64,
+    /// Own steps made before the sample.
+    pub steps: u64,
+    /// The least dt / dtau of an own step since the sample before.
+    pub least_sigma: f64,
+    /// By how much the state is later than the sample says, in seconds.
+    pub time_error_s: f64,
+}
+
+impl Pace {
+    fn is_finite(&self) -> bool {
+        [self.sigma, self.step_s, self.least_sigma, self.time_error_s]
+            .into_iter()
+            .all(f64::is_finite)
+    }
+}
+
+/// Where a scheme is in its own time: the end of its last own step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OwnTime<const N: usize> {
+    /// The attitude g there.
+    pub attitude: Mat<N>,
+    /// The body momentum mu there.
+    pub momentum: Mat<N>,
+    /// The time there, in seconds since the start.
+    pub time_s: f64,
+    /// What rounding has taken off that.
+    pub carry_s: f64,
+    /// Own steps made.
+    pub steps: u64,
+}
+
 /// What is computed at a sample in addition to the state: what somebody asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observables {
@@ -43,6 +81,8 @@ pub struct Observables {
     pub momentum: bool,
     /// The smallest singular value met in the step.
     pub sigma_min: bool,
+    /// How time passes, for a scheme with a time of its own.
+    pub pace: bool,
 }
 
 impl std::ops::BitOr for Observables {
@@ -50,12 +90,13 @@ impl std::ops::BitOr for Observables {
 
     /// What one or the other asks for.
     fn bitor(self, other: Self) -> Self {
-        let Self { energy, orthogonality, momentum, sigma_min } = other;
+        let Self { energy, orthogonality, momentum, sigma_min, pace } = other;
         Self {
             energy: self.energy | energy,
             orthogonality: self.orthogonality | orthogonality,
             momentum: self.momentum | momentum,
             sigma_min: self.sigma_min | sigma_min,
+            pace: self.pace | pace,
         }
     }
 }
@@ -88,6 +129,8 @@ pub struct Sample<const N: usize> {
     pub convergence: Option<Convergence>,
     /// Smallest singular value of the interpolated matrices of the step; `None` at the start.
     pub sigma_min: Option<f64>,
+    /// How time passes for the scheme; `None` of one with no time of its own.
+    pub pace: Option<Pace>,
 }
 
 impl<const N: usize> Sample<N> {
@@ -106,6 +149,7 @@ impl<const N: usize> Sample<N> {
             momentum_drift,
             convergence,
             sigma_min,
+            pace,
         } = self;
         let figures = [
             Some(time_s),
@@ -125,6 +169,7 @@ impl<const N: usize> Sample<N> {
             spatial_momentum.as_ref(),
         ];
         figures.into_iter().flatten().all(f64::is_finite)
+            && pace.is_none_or(|pace| pace.is_finite())
             && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
     }
 }
@@ -171,6 +216,8 @@ pub struct Checkpoint<const N: usize> {
     pub convergence: Option<Convergence>,
     /// What was put into the energy since the start, in J: see [`Stepper::work`].
     pub work: f64,
+    /// Of a scheme with a time of its own.
+    pub own_time: Option<OwnTime<N>>,
 }
 
 impl<const N: usize> Checkpoint<N> {
@@ -237,23 +284,23 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
     let Origin { initial, checkpoint } = origin.into();
     let mut books = Books::new(system, initial, step_s, observables);
     let driven = system.is_driven();
-    match checkpoint {
-        None => stepper.start(initial),
-        Some(found) => {
-            stepper.start(&found.state());
-            books.resume_job(found);
-        }
+    stepper.start(initial);
+    if let Some(found) = checkpoint {
+        stepper.resume(found);
+        books.resume_job(found);
     }
     loop {
         let step = books.reached.step;
         let over = step == steps || !books.goes_on();
         if over || step % every == 0 {
-            books.sample(system, stepper, |sample| sink.record(sample))?;
+            let settled = books.needs_sample().then(|| stepper.settle(system, step_s));
+            books.sample(system, settled, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && books.goes_on() && sink.wants_checkpoint() {
                 books.reached.work += stepper.work();
+                books.reached.own_time = stepper.own_time();
                 sink.checkpoint(&books.reached)?;
-                stepper.start(&books.reached.state());
+                stepper.resume(&books.reached);
             }
         }
         if over || !books.goes_on() {
@@ -297,6 +344,7 @@ impl<const N: usize> Books<N> {
             iterations: 0,
             convergence: None,
             work: 0.0,
+            own_time: None,
         };
         let observer = Observer::new(system, initial, observables);
         Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
@@ -328,27 +376,41 @@ impl<const N: usize> Books<N> {
         }
     }
 
-    /// Gives the sample of the state that was reached to `record`, unless that has it. A sample that cannot be
-    /// taken ends the trajectory: it is good up to the sample before, and all that is reported ends there.
+    /// Was there no sample of the state that was reached?
+    pub(super) fn needs_sample(&self) -> bool {
+        self.sampled != Some(self.reached.step)
+    }
+
+    /// Gives the sample of the state that was reached to `record`, unless that has it; `settled` is what came of bringing
+    /// the stepper there. A sample that cannot be taken ends the trajectory: it is good up to the sample before, and all
+    /// that is reported ends there.
     pub(super) fn sample<Y: System<N> + ?Sized, E>(
         &mut self,
         system: &Y,
+        settled: Option<Result<u32, Failure>>,
         stepper: &dyn Stepper<N, Y>,
         record: impl FnOnce(&Sample<N>) -> Result<(), E>,
     ) -> Result<(), E> {
+        let Some(settled) = settled else { return Ok(()) };
         let Self { observer, step_s, ending, reached, sampled } = self;
         let step = reached.step;
-        if *sampled == Some(step) {
-            return Ok(());
-        }
         let time_s = step as f64 * *step_s;
         let work = reached.work + stepper.work();
-        match observer.sample(system, stepper, step, time_s, reached.convergence, work) {
+        let sample = settled.and_then(|sweeps| {
+            reached.iterations += u64::from(sweeps);
+            observer.sample(system, stepper, step, time_s, reached.convergence, work)
+        });
+        match sample {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
                 reached.samples += 1;
                 *sampled = Some(step);
                 record(&sample)
+            }
+            Err(Failure { code: FailureCode::Stopped, .. }) => {
+                *ending = Ending::Cancelled;
+                reached.step = sampled.unwrap_or(0);
+                Ok(())
             }
             Err(failure) => {
                 *ending = Ending::Failed(failure);
@@ -417,6 +479,7 @@ impl<const N: usize> Observer<N> {
             momentum_drift: if asked.momentum { self.drift(attitude, &momentum) } else { None },
             convergence,
             sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
+            pace: if asked.pace { stepper.pace() } else { None },
         };
         if sample.is_finite() {
             Ok(sample)

@@ -30,8 +30,12 @@ const MEMBER_TRIES: u32 = 8;
 
 /// The methods that are tried, those first whose steps are cheap: what costs much more than one that gets there is not
 /// tried.
-fn methods(scene: &Scenario, asked: Accuracy) -> Vec<Entry> {
-    entries(scene, Integrator::tried(asked.symplectic))
+fn methods(scene: &Scenario, asked: Accuracy, scales: &Scales) -> Vec<Entry> {
+    let mut all = entries(scene, Integrator::tried(asked.symplectic));
+    if scales.adapts {
+        all.sort_by_key(|entry| entry.integrator != Integrator::VpdAdaptive);
+    }
+    all
 }
 
 /// The error to which a reference has to be known.
@@ -147,7 +151,7 @@ impl Trial<'_> {
     pub(super) fn contenders(&self, watch: &Watch) -> Result<Vec<Contender>, StudyError> {
         let mut cheapest = f64::INFINITY;
         let mut contenders = Vec::new();
-        for entry in methods(self.scenario, self.asked) {
+        for entry in methods(self.scenario, self.asked, &self.scales) {
             let (choice, least) = self.search(&entry, cheapest, watch)?;
             cheapest = cheapest.min(choice.map_or(f64::INFINITY, |choice| choice.cost_ns));
             contenders.push(Contender { entry, choice, sure: None, least, tries: 0 });

@@ -14,6 +14,11 @@ const WORK_TIME: Axis<'static> =
 const WORK_FORCES: Axis<'static> =
     Axis { label: "force evaluations for a second of motion", scale: Scale::Log };
 
+/// A time in four digits, as few as it has.
+fn rounded(time_s: f64) -> f64 {
+    format!("{time_s:.3e}").parse().unwrap_or(time_s)
+}
+
 /// The charts of a work-precision study: file name and SVG. Force evaluations are left out where there is no
 /// force.
 ///
@@ -34,7 +39,7 @@ pub fn precision(
             Line { label: entry.label(), points, style: *style }
         });
         Plot {
-            title: format!("{name}: {title} at t = {} s", study.reference.time_s),
+            title: format!("{name}: {title} at t = {} s", rounded(study.reference.time_s)),
             x,
             y: ERROR,
             lines: lines.filter(|line| !line.points.is_empty()).collect(),
@@ -76,9 +81,9 @@ fn slopes(entries: &[Entry], study: &Precision) -> (Vec<[(f64, f64); 2]>, String
         }
         orders.push(entry.order);
         // A little below, so that both can be seen.
-        let beside = 0.3 * e1;
+        let offset = 0.3 * e1;
         let rise = libm::pow(h0 / h1, f64::from(entry.order));
-        guides.push([(*h1, beside), (*h0, beside * rise)]);
+        guides.push([(*h1, offset), (*h0, offset * rise)]);
     }
     orders.sort_unstable();
     let words: Vec<String> = orders.iter().map(u32::to_string).collect();

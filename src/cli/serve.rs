@@ -11,10 +11,11 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use tokio::net::{TcpListener, TcpSocket};
-use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder};
+use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 
 use super::CliError;
+use super::worker::{CLUSTER, ClusterArgs};
 use crate::serve::{self, Cors, Limits, ServeConfig, ServeError, Tokens};
 
 #[derive(Debug, Args)]
@@ -70,14 +71,36 @@ pub(super) struct ServeArgs {
     /// Address on which Foxglove and Lichtblick watch a running job live, as 127.0.0.1:8765.
     #[arg(long, env = "VPD_FOXGLOVE_LISTEN", value_name = "ADDRESS")]
     foxglove_listen: Option<SocketAddr>,
+    /// Who runs the jobs: this machine, or workers on many (vpd worker), which need --bucket and --temporal.
+    #[arg(long, env = "VPD_ENGINE", value_enum, default_value_t = EngineName::Local)]
+    engine: EngineName,
+    #[command(flatten)]
+    cluster: ClusterArgs,
+    /// Seconds without a sign of life after which a job goes to another worker, 1 to 3600.
+    #[arg(long, env = "VPD_LEASE_S", default_value_t = 30.0, value_parser = lease, hide = !CLUSTER, value_name = "S")]
+    lease_s: f64,
     /// How the service's own log is written, on stderr: text, or JSON with one object a line.
     #[arg(long, env = "VPD_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     log_format: LogFormat,
 }
 
+/// Who runs the jobs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum EngineName {
+    Local,
+    Cluster,
+}
+
+fn lease(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds @ 1.0..=3600.0) => Ok(seconds),
+        _ => Err(format!("{text:?} given, 1 to 3600 s are allowed")),
+    }
+}
+
 /// How the service writes its own log.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-enum LogFormat {
+pub(super) enum LogFormat {
     Text,
     Json,
 }
@@ -90,21 +113,17 @@ const LOST_LINES_PAUSE: Duration = Duration::from_secs(10);
 
 /// Serves until it is asked to stop.
 pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    // Written by a thread of its own: a stderr that nobody reads must not stall who answers. The rest is written when
-    // the guard goes.
-    let (out, _rest) =
-        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
-    let lost = out.error_counter();
-    let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(out)
-        // A closed stderr must not turn a line of the log into a panic.
-        .log_internal_errors(false)
-        .with_ansi(io::stderr().is_terminal());
-    match args.log_format {
-        LogFormat::Text => log.init(),
-        LogFormat::Json => log.json().init(),
+    let (_rest, lost) = own_log(args.log_format);
+    #[cfg(feature = "cluster")]
+    let cluster = match args.engine {
+        EngineName::Local if args.cluster.bucket.is_some() => return Err(CliError::BucketAlone),
+        EngineName::Local => None,
+        EngineName::Cluster if args.foxglove_listen.is_some() => return Err(CliError::NoView),
+        EngineName::Cluster => Some(args.cluster.config(args.lease_s)?),
+    };
+    #[cfg(not(feature = "cluster"))]
+    if args.engine == EngineName::Cluster || args.cluster.bucket.is_some() {
+        return Err(CliError::Feature { wanted: "--engine cluster", feature: "cluster" });
     }
     let tokens = tokens(args.tokens.as_deref())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -113,7 +132,6 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
         tokio::spawn(tell_of_lost_lines(lost));
         let listener = listener(args.listen)
             .map_err(|source| CliError::Listen { address: args.listen, source })?;
-        tracing::info!("listening on http://{}", listener.local_addr()?);
         let workers = args.workers.or_else(|| thread::available_parallelism().ok());
         let config = ServeConfig {
             data: args.data.clone(),
@@ -135,6 +153,8 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             insecure: args.insecure,
             live: args.foxglove_listen,
             program: program(),
+            #[cfg(feature = "cluster")]
+            cluster,
         };
         serve::serve(listener, config, stop).await?;
         Ok(ExitCode::SUCCESS)
@@ -144,8 +164,28 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     served
 }
 
+/// Begins the service's own log. The rest of it is written when the guard goes.
+pub(super) fn own_log(format: LogFormat) -> (WorkerGuard, ErrorCounter) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    // Written by a thread of its own: a stderr that nobody reads must not stall who answers.
+    let (out, rest) =
+        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
+    let lost = out.error_counter();
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(out)
+        // A closed stderr must not turn a line of the log into a panic.
+        .log_internal_errors(false)
+        .with_ansi(io::stderr().is_terminal());
+    match format {
+        LogFormat::Text => log.init(),
+        LogFormat::Json => log.json().init(),
+    }
+    (rest, lost)
+}
+
 /// The program of this process, for others like it.
-fn program() -> Option<PathBuf> {
+pub(super) fn program() -> Option<PathBuf> {
     // Also where the file was replaced since.
     if cfg!(target_os = "linux") {
         Some("/proc/self/exe".into())
@@ -155,7 +195,7 @@ fn program() -> Option<PathBuf> {
 }
 
 /// Says in the service's own log how many of its lines nobody took in time, each time there are more.
-async fn tell_of_lost_lines(lost: ErrorCounter) {
+pub(super) async fn tell_of_lost_lines(lost: ErrorCounter) {
     let mut reported = 0;
     loop {
         tokio::time::sleep(LOST_LINES_PAUSE).await;
@@ -188,7 +228,7 @@ fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
 
 /// Ends when the process is asked to stop: SIGTERM or ctrl-c. From this call on neither ends the process by itself.
 #[cfg(unix)]
-fn stop_signal() -> io::Result<impl Future<Output = ()>> {
+pub(super) fn stop_signal() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let (mut interrupt, mut terminate) =
         (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
@@ -202,7 +242,7 @@ fn stop_signal() -> io::Result<impl Future<Output = ()>> {
 
 /// Ends when the process is asked to stop by ctrl-c. From this call on that does not end the process by itself.
 #[cfg(not(unix))]
-fn stop_signal() -> io::Result<impl Future<Output = ()>> {
+pub(super) fn stop_signal() -> io::Result<impl Future<Output = ()>> {
     let mut interrupt = tokio::signal::windows::ctrl_c()?;
     Ok(async move {
         interrupt.recv().await;

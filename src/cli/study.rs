@@ -1,7 +1,6 @@
 //! `vpd chart` and `vpd stability`: studies of scenarios, and the charts of logs.
 
-use std::fs::File;
-use std::io::{self, IsTerminal, Read, Write};
+use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -15,11 +14,12 @@ use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
-use super::{Change, CliError, ScenarioArgs, planned};
+use super::{Change, CliError, ScenarioArgs, planned, show};
 use crate::chart;
+use crate::log::reader::is_log;
 use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
 use crate::study::long_term::long_term;
-use crate::study::precision::{Precision, precision};
+use crate::study::precision::{Precision, precision, timing};
 use crate::study::stability::{Border, Resonance, stability};
 use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
 
@@ -37,7 +37,7 @@ pub(super) struct ChartArgs {
 
 #[derive(Debug, Args)]
 pub(super) struct StabilityArgs {
-    /// The scenario, a JSON file.
+    /// The scenario, a JSON file; - reads it from stdin.
     scenario: PathBuf,
     #[command(flatten)]
     study: StudyArgs,
@@ -114,7 +114,8 @@ impl FromStr for MethodWord {
 
 /// Draws logs, or studies scenarios.
 pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
-    let logs = args.inputs.iter().filter(|path| is_log(path)).count();
+    // What cannot be read is named when it is read as a scenario.
+    let logs = args.inputs.iter().filter(|path| matches!(is_log(path), Ok(true))).count();
     if logs == args.inputs.len() {
         list(&chart::draw_logs(&args.inputs, &args.study.output)?)?;
         return Ok(ExitCode::SUCCESS);
@@ -134,7 +135,7 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
             let exact = precision(&scene, &entries, args.until, watch)?;
             Ok((exact, long_term(&scene, &entries, watch)?))
         })?;
-        io::stdout().write_all(orders(&entries, &exact).as_bytes())?;
+        show(orders(&entries, &exact))?;
         let mut files = chart::precision(scene.name(), &entries, &exact)?;
         files.extend(chart::long_term(scene.name(), &entries, &long)?);
         files.push(("table.csv", exact.table.to_csv()));
@@ -153,7 +154,7 @@ pub(super) fn map(args: &StabilityArgs) -> Result<ExitCode, CliError> {
     let map = followed(scene.name(), |watch| stability(&scene, &entries, watch))?;
     let table = map.table();
     let borders = borders(&map.borders);
-    io::stdout().write_all(borders.as_bytes())?;
+    show(&borders)?;
     let files = [
         ("stability.svg", chart::stability_map(scene.name(), &map)?),
         ("stability.csv", table.to_csv()),
@@ -164,15 +165,8 @@ pub(super) fn map(args: &StabilityArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Does the file begin as an MCAP log does?
-fn is_log(path: &Path) -> bool {
-    let mut magic = [0; 5];
-    let read = File::open(path).and_then(|mut file| file.read_exact(&mut magic));
-    read.is_ok() && &magic == b"\x89MCAP"
-}
-
 fn list(paths: &[PathBuf]) -> io::Result<()> {
-    paths.iter().try_for_each(|path| writeln!(io::stdout(), "{}", path.display()))
+    show(paths.iter().map(|path| format!("{}\n", path.display())).collect::<String>())
 }
 
 /// The reference and the orders measured against it.
@@ -187,6 +181,7 @@ fn orders(entries: &[Entry], study: &Precision) -> String {
         let measured = measured.map_or_else(|| "-".to_owned(), |order| format!("{order:.2}"));
         text += &format!("{:28} order {:>2}, measured {measured}\n", entry.label(), entry.order);
     }
+    text += &format!("times: {}\n", timing());
     text
 }
 

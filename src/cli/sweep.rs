@@ -1,6 +1,6 @@
 //! `vpd sweep` and `vpd merge`: the table of a sweep, in one piece or in parts.
 
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -13,19 +13,27 @@ use std::time::Duration;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::{CliError, logged};
+#[cfg(feature = "serve")]
+use super::serve::EngineName;
+#[cfg(feature = "serve")]
+use super::worker::ClusterArgs;
+use super::{CliError, logged, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
 use crate::study::Watch;
 use crate::sweep::{self, Counts, Made, Options, Shard, Sweep, SweepError};
 
+/// Seconds without a sign of life after which a part of a sweep goes to another worker.
+#[cfg(feature = "cluster")]
+const SWEEP_LEASE_S: f64 = 10.0;
+
 #[derive(Debug, Args)]
 pub(super) struct SweepArgs {
     /// The sweep, a JSON file.
     sweep: PathBuf,
     /// The table; by default the sweep's file name with .csv, here (of a shard with .i-of-N.csv). The logs of members that the
-    /// sweep keeps go into a folder beside it.
+    /// sweep keeps go into a folder next to it.
     #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv")]
     output: Option<PathBuf>,
     /// Run on so many threads; by default on all cores.
@@ -48,6 +56,13 @@ pub(super) struct SweepArgs {
     /// Run the member and write its log.
     #[arg(long, value_name = "FILE.mcap", requires = "member")]
     log: Option<PathBuf>,
+    /// Who makes the members: this machine, or workers on many (vpd worker), which need --bucket and --temporal.
+    #[cfg(feature = "serve")]
+    #[arg(long, value_enum, default_value_t = EngineName::Local, hide = !super::worker::CLUSTER, conflicts_with_all = ["shard", "threads", "member"])]
+    engine: EngineName,
+    #[cfg(feature = "serve")]
+    #[command(flatten)]
+    cluster: ClusterArgs,
     /// Replace what stands in the place of the table or the log: a finished one, or an unfinished one of something else.
     #[arg(long)]
     force: bool,
@@ -85,31 +100,67 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
         draw(args, &sweep, &table)?;
         return Ok(ExitCode::SUCCESS);
     }
+    #[cfg(feature = "serve")]
+    if args.engine == EngineName::Cluster {
+        return elsewhere(args, &sweep, &table);
+    }
     let made = followed(args, &sweep, &table)?;
     let Made { counts: Counts { succeeded, failed, refused }, resumed, first_refused } = made;
-    let mut out = io::stdout();
     let total = succeeded + failed + refused;
-    writeln!(
-        out,
-        "members         {total}: {succeeded} succeeded, {failed} failed, {refused} refused"
-    )?;
+    let mut text = format!(
+        "members         {total}: {succeeded} succeeded, {failed} failed, {refused} refused\n"
+    );
     if let Some((member, why)) = first_refused {
-        writeln!(out, "first refused   member {member}: {why}")?;
+        text += &format!("first refused   member {member}: {why}\n");
     }
     if resumed > 0 {
-        writeln!(out, "resumed         with {resumed} members in the table")?;
+        text += &format!("resumed         with {resumed} members in the table\n");
     }
-    writeln!(out, "table           {}", table.display())?;
+    show(format!("{text}table           {}\n", table.display()))?;
     #[cfg(feature = "chart")]
     draw(args, &sweep, &table)?;
     // As of an ensemble: it has failed if every member has.
     Ok(if succeeded > 0 || total == 0 { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
+/// Has the table made by workers on other machines. The logs that the sweep keeps are made here.
+#[cfg(feature = "cluster")]
+fn elsewhere(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<ExitCode, CliError> {
+    let config = args.cluster.config(SWEEP_LEASE_S)?;
+    let watch = Watch::default();
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let (made, bar) =
+        (crate::serve::sweep_on(&config, sweep, table, args.force, &watch), bar(sweep));
+    let members = runtime.block_on(async {
+        let mut made = std::pin::pin!(made);
+        loop {
+            tokio::select! {
+                members = &mut made => break members,
+                () = tokio::time::sleep(Duration::from_millis(200)) => {
+                    bar.set_position(watch.done.load(Ordering::Relaxed));
+                }
+            }
+        }
+    })?;
+    bar.finish_and_clear();
+    let control = Control::default();
+    sweep.kept_logs().iter().try_for_each(|&member| keep_log(sweep, member, table, &control))?;
+    show(format!("members         {members}\ntable           {}\n", table.display()))?;
+    #[cfg(feature = "chart")]
+    draw(args, sweep, table)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Says what it would take.
+#[cfg(all(feature = "serve", not(feature = "cluster")))]
+fn elsewhere(_: &SweepArgs, _: &Sweep, _: &Path) -> Result<ExitCode, CliError> {
+    Err(CliError::Feature { wanted: "--engine cluster", feature: "cluster" })
+}
+
 /// Puts parts together.
 pub(super) fn merge(args: &MergeArgs) -> Result<ExitCode, CliError> {
     let members = sweep::merge(&args.parts, &args.output, args.force)?;
-    writeln!(io::stdout(), "members         {members}\ntable           {}", args.output.display())?;
+    show(format!("members         {members}\ntable           {}\n", args.output.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -117,7 +168,7 @@ pub(super) fn merge(args: &MergeArgs) -> Result<ExitCode, CliError> {
 fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliError> {
     let wrong = |source| CliError::Member { path: args.sweep.clone(), member, source };
     match &args.log {
-        None => io::stdout().write_all(&sweep.scenario(member).map_err(wrong)?.to_json())?,
+        None => show(sweep.scenario(member).map_err(wrong)?.to_json())?,
         Some(log) => {
             let plan = sweep.plan(member).map_err(wrong)?;
             return logged(&plan, log, args.force);
@@ -137,15 +188,7 @@ fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliEr
         stop.store(true, Ordering::Relaxed);
         interrupted.interrupt();
     });
-    let style = ProgressStyle::with_template(
-        "{msg} {wide_bar} {percent:>3} % {pos}/{len} members, {eta} left",
-    )
-    .expect("the template is fixed and valid");
-    let bar = if io::stderr().is_terminal() {
-        ProgressBar::new(sweep.members()).with_style(style).with_message(sweep.name().to_owned())
-    } else {
-        ProgressBar::hidden()
-    };
+    let bar = bar(sweep);
     let options = Options {
         threads: args.threads.map_or_else(sweep::cores, NonZeroUsize::get),
         shard: args.shard,
@@ -170,7 +213,20 @@ fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliEr
     })
 }
 
-/// Writes the log of a member into the folder beside the table. Of one that was refused there is none.
+/// A progress bar, if somebody looks.
+fn bar(sweep: &Sweep) -> ProgressBar {
+    let style = ProgressStyle::with_template(
+        "{msg} {wide_bar} {percent:>3} % {pos}/{len} members, {eta} left",
+    )
+    .expect("the template is fixed and valid");
+    if io::stderr().is_terminal() {
+        ProgressBar::new(sweep.members()).with_style(style).with_message(sweep.name().to_owned())
+    } else {
+        ProgressBar::hidden()
+    }
+}
+
+/// Writes the log of a member into the folder next to the table. Of one that was refused there is none.
 fn keep_log(sweep: &Sweep, member: u64, table: &Path, control: &Control) -> Result<(), CliError> {
     let Ok(plan) = sweep.plan(member) else { return Ok(()) };
     let folder = table.with_extension("logs");
@@ -188,6 +244,5 @@ fn draw(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<(), CliError> {
     let Some(svg) = &args.svg else { return Ok(()) };
     let picture = chart::sweep(&sweep.shown(table, args.column.as_deref())?)?;
     std::fs::write(svg, picture).map_err(|source| CliError::Write { path: svg.clone(), source })?;
-    writeln!(io::stdout(), "picture         {}", svg.display())?;
-    Ok(())
+    Ok(show(format!("picture         {}\n", svg.display()))?)
 }

@@ -38,7 +38,7 @@ pub(super) fn summary(summary: &Summary) -> String {
         line(
             "energy",
             format!(
-                "{:.6e} at the start, error at most {max:.2e}, {:.2e} at the end",
+                "{:.6e} J at the start, error at most {max:.2e} J, {:.2e} J at the end",
                 energy.initial, energy.final_error
             ),
         );
@@ -53,7 +53,10 @@ pub(super) fn summary(summary: &Summary) -> String {
         );
     }
     if let Some(momentum) = summary.momentum {
-        line("momentum", format!("drift of the conserved part at most {:.2e}", momentum.max_drift));
+        line(
+            "momentum",
+            format!("drift of the conserved part at most {:.2e} kg m^2/s", momentum.max_drift),
+        );
     }
     line(
         "solver",
@@ -76,7 +79,7 @@ pub(super) fn summary(summary: &Summary) -> String {
             line("spread", format!("{spread:.3e} rad of attitude at the end"));
         }
         if let Some(error) = ensemble.energy_max_abs_error {
-            line("worst energy", format!("error at most {error:.2e} in any of them"));
+            line("worst energy", format!("error at most {error:.2e} J in any of them"));
         }
     }
     line("log", format!("{}, {} samples", summary.log, summary.samples));
@@ -139,6 +142,19 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             plan.steps, plan.step_s, plan.every, plan.samples
         ),
     );
+    if let Some(own) = &plan.own_steps {
+        let near: Vec<String> = own
+            .near_m
+            .iter()
+            .filter(|&&near| near > 0.0)
+            .map(|near| format!("{near:.3}"))
+            .collect();
+        let (longest, near) = (own.largest_step_s, near.join(", "));
+        line(
+            "own steps",
+            format!("adapt: at most {longest:.4} s, shorter within {near} m of a point source"),
+        );
+    }
     if let Some(EnsemblePlan { members, in_full, .. }) = &plan.ensemble {
         let in_full: Vec<String> = in_full.iter().map(u64::to_string).collect();
         let text = format!("{members}, the whole motion of member {}", in_full.join(", "));

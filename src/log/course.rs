@@ -17,11 +17,13 @@ pub enum LogChart {
     Orthogonality,
     /// The drift of the momentum that the scene conserves.
     Momentum,
+    /// How much shorter than the longest the steps are, where they adapt.
+    Pace,
 }
 
 impl LogChart {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Energy, Self::Orthogonality, Self::Momentum];
+    pub const ALL: [Self; 4] = [Self::Energy, Self::Orthogonality, Self::Momentum, Self::Pace];
 
     /// The name of its file.
     pub const fn file(self) -> &'static str {
@@ -29,6 +31,7 @@ impl LogChart {
             Self::Energy => "energy.svg",
             Self::Orthogonality => "orthogonality.svg",
             Self::Momentum => "momentum.svg",
+            Self::Pace => "pace.svg",
         }
     }
 }
@@ -39,7 +42,7 @@ impl LogChart {
 pub struct Course {
     start_ns: Option<u64>,
     /// In the order of [`LogChart::ALL`].
-    series: [Series; 3],
+    series: [Series; 4],
 }
 
 impl Course {
@@ -72,6 +75,7 @@ impl Course {
                     self.note(time_ns, LogChart::Momentum, drift);
                 }
             }
+            Message::Pace(message) => self.note(time_ns, LogChart::Pace, 1.0 / message.least_sigma),
             _ => {}
         }
     }

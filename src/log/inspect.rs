@@ -76,6 +76,10 @@ pub struct Extremes {
     pub solver_iterations_mean: Option<f64>,
     /// Smallest singular value met.
     pub sigma_min_min: Option<f64>,
+    /// The shortest step in parts of the longest, where they adapt.
+    pub sigma_least: Option<f64>,
+    /// Steps made until the last sample, where they adapt.
+    pub own_steps: Option<u64>,
 }
 
 /// Reads the log at `path`, finished or not, and sums it up.
@@ -138,6 +142,12 @@ impl Extremes {
         };
         match message {
             Message::State(_) => {}
+            Message::Pace(pace) => {
+                let least =
+                    self.sigma_least.map_or(pace.least_sigma, |old| old.min(pace.least_sigma));
+                self.sigma_least = Some(least);
+                self.own_steps = Some(pace.own_steps);
+            }
             Message::Energy(energy) => largest(&mut self.energy_max_abs_error, energy.error.abs()),
             Message::Orthogonality(defect) => largest(&mut self.orthogonality_max, defect.error),
             Message::Momentum(momentum) => {
@@ -203,20 +213,24 @@ impl fmt::Display for Inspection {
             writeln!(f, "  {topic:width$}  {schema:kind$}  {messages}")?;
         }
         let extremes = &self.extremes;
-        for (name, value) in [
-            ("energy, largest |H - H0|", extremes.energy_max_abs_error),
-            ("orthogonality, largest |g g^T - I|", extremes.orthogonality_max),
-            ("momentum, largest drift", extremes.momentum_drift_max),
-            ("smallest singular value", extremes.sigma_min_min),
+        for (name, value, unit) in [
+            ("energy, largest |H - H0|", extremes.energy_max_abs_error, " J"),
+            ("orthogonality, largest |g g^T - I|", extremes.orthogonality_max, ""),
+            ("momentum, largest drift", extremes.momentum_drift_max, " kg m^2/s"),
+            ("smallest singular value", extremes.sigma_min_min, ""),
+            ("shortest step, in parts of the longest", extremes.sigma_least, ""),
         ] {
             if let Some(value) = value {
-                writeln!(f, "{name}: {value:.3e}")?;
+                writeln!(f, "{name}: {value:.3e}{unit}")?;
             }
         }
         if let Some((most, mean)) =
             extremes.solver_iterations_max.zip(extremes.solver_iterations_mean)
         {
             writeln!(f, "solver sweeps per step: {mean:.2} on average, {most} at most")?;
+        }
+        if let Some(own_steps) = extremes.own_steps {
+            writeln!(f, "steps that adapt: {own_steps}")?;
         }
         for (title, entries) in [("outcome", &self.outcome), ("job", &self.job)] {
             for (key, value) in entries.iter().flatten() {

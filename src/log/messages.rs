@@ -1,7 +1,7 @@
 //! The messages of a log: our own, generated from `vpd.proto`, and how a sample fills them.
 //!
-//! Invariant: a message depends on its sample alone, so that a job that is run again, or resumed
-//! in the middle, writes the same bytes.
+//! Invariant: a message depends on its sample alone, and the sign of a quaternion on the sample before, so that a job that is
+//! run again, or resumed in the middle, writes the same bytes.
 
 use prost::Message as _;
 
@@ -48,32 +48,35 @@ macro_rules! messages_of_samples {
             }
         }
 
-        /// What a sample says on a channel, encoded; `None` if it says nothing there. `body_frame` is the name of the
-        /// frame that turns with the body.
-        pub fn of_sample<const N: usize>(
-            channel: Channel,
-            sample: &Sample<N>,
-            time_ns: u64,
-            body_frame: &str,
-        ) -> Option<Vec<u8>> {
-            match channel {
-                $(Channel::$message => {
-                    Option::from($message::of(sample)).map(|message: $message| message.encode_to_vec())
-                })*
-                Channel::Tf => {
-                    frames(sample, time_ns, body_frame).map(|message| message.encode_to_vec())
+        impl Message {
+            /// What a sample says on a channel; `None` if it says nothing there. `turn` is its quaternion with the sign to
+            /// be shown.
+            pub fn of_sample<const N: usize>(
+                channel: Channel,
+                sample: &Sample<N>,
+                turn: Option<[f64; 4]>,
+            ) -> Option<Self> {
+                let mut message = match channel {
+                    $(Channel::$message => Option::from($message::of(sample)).map(Self::$message),)*
+                    _ => None,
+                };
+                if let Some(Self::State(state)) = &mut message {
+                    state.quaternion = turn.map_or_else(Vec::new, |turn| turn.to_vec());
                 }
-                Channel::SceneBody
-                | Channel::SceneSources
-                | Channel::EnsembleMembers
-                | Channel::EnsembleStatistics
-                | Channel::Log => None,
+                message
+            }
+
+            /// Its bytes in a log.
+            pub fn encode(&self) -> Vec<u8> {
+                match self {
+                    $(Self::$message(message) => message.encode_to_vec(),)*
+                }
             }
         }
     };
 }
 
-messages_of_samples!(State Energy Orthogonality Momentum Solver);
+messages_of_samples!(State Energy Orthogonality Momentum Solver Pace);
 
 impl State {
     /// Attitude and momentum of a sample.
@@ -166,6 +169,14 @@ impl From<Convergence> for Solver {
     }
 }
 
+impl Pace {
+    /// How time passed until a sample, of steps that adapt.
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
+        let trajectory::Pace { sigma, step_s, steps, least_sigma, time_error_s } = sample.pace?;
+        Some(Self { sigma, step_s, own_steps: steps, least_sigma, time_error_s })
+    }
+}
+
 impl Figures {
     /// Takes a sample into account.
     pub fn keep<const N: usize>(&mut self, sample: &Sample<N>) {
@@ -188,14 +199,9 @@ impl Figures {
     }
 }
 
-/// The body's frame as seen from space, for viewers; `None` unless n = 3.
-pub fn frames<const N: usize>(
-    sample: &Sample<N>,
-    time_ns: u64,
-    body_frame: &str,
-) -> Option<FrameTransforms> {
-    let [w, x, y, z] = quaternion(&sample.attitude?)?;
-    Some(FrameTransforms {
+/// The body's frame as seen from space, for viewers.
+pub fn frames([w, x, y, z]: [f64; 4], time_ns: u64, body_frame: &str) -> FrameTransforms {
+    FrameTransforms {
         transforms: vec![FrameTransform {
             timestamp: timestamp(time_ns),
             parent_frame_id: super::scene::SPACE_FRAME.to_owned(),
@@ -203,7 +209,19 @@ pub fn frames<const N: usize>(
             translation: Some(Vector3::default()),
             rotation: Some(Quaternion { x, y, z, w }),
         }],
-    })
+    }
+}
+
+/// The quaternion of a sample, of the two signs the one nearer to the quaternion of the sample before, so that its components
+/// have no jumps; the first with w >= 0. `None` unless n = 3.
+pub fn turn_after<const N: usize>(
+    before: Option<[f64; 4]>,
+    sample: &Sample<N>,
+) -> Option<[f64; 4]> {
+    let found = quaternion(sample.attitude.as_ref()?)?;
+    let along = |before: [f64; 4]| before.iter().zip(found).map(|(a, b)| a * b).sum::<f64>();
+    let turned = before.is_some_and(|before| along(before) < 0.0);
+    Some(if turned { found.map(|x| -x) } else { found })
 }
 
 /// A log time as the viewers' time stamp.

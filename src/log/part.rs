@@ -243,8 +243,9 @@ struct Durable {
 
 impl Durable {
     fn reach(&self, (step, bytes): Place) {
-        self.step.store(step, Ordering::Relaxed);
-        self.bytes.store(bytes, Ordering::Relaxed);
+        // Who reads the step first finds at least its bytes.
+        self.bytes.store(bytes, Ordering::Release);
+        self.step.store(step, Ordering::Release);
     }
 }
 
@@ -290,12 +291,12 @@ impl Syncer {
     }
 
     pub(super) fn durable_step(&self) -> u64 {
-        self.durable.step.load(Ordering::Relaxed)
+        self.durable.step.load(Ordering::Acquire)
     }
 
     /// Bytes of the file that are known to be on the disk.
     pub(super) fn durable_bytes(&self) -> u64 {
-        self.durable.bytes.load(Ordering::Relaxed)
+        self.durable.bytes.load(Ordering::Acquire)
     }
 
     /// Waits for what was requested.

@@ -75,6 +75,18 @@ pub struct Ending {
     pub bytes: u64,
 }
 
+/// Whether a file begins as an MCAP log does, finished or not.
+///
+/// # Errors
+/// If it cannot be opened or read.
+pub fn is_log(path: &Path) -> Result<bool, LogError> {
+    let failed = |source| LogError::io(path, "read", source);
+    let mut magic = Vec::new();
+    let file = File::open(path).map_err(failed)?;
+    file.take(mcap::MAGIC.len() as u64).read_to_end(&mut magic).map_err(failed)?;
+    Ok(magic == mcap::MAGIC)
+}
+
 /// Reads `path` and shows its parts to `visit`, until that breaks off.
 ///
 /// Damage is no error: it ends the reading and is reported in the [`Ending`]. What was shown before it

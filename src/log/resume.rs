@@ -10,17 +10,18 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use foxglove::messages::FrameTransforms;
 use mcap::records::MessageHeader;
 use prost::Message as _;
 
-use super::messages::{self, Figures, Member};
+use super::messages::{self, Figures, Member, State};
 use super::part::Part;
 use super::reader::{self, Item, Message};
 use super::schema::{Channel, Topic};
 use super::writer::{LogHeader, LogWriter};
 use super::{LogError, part_path};
 use crate::solve::so::Mat;
-use crate::solve::trajectory::Checkpoint;
+use crate::solve::trajectory::{Checkpoint, OwnTime};
 
 /// Where a log was resumed.
 #[derive(Clone, Debug)]
@@ -134,6 +135,15 @@ impl<const N: usize> LogWriter<N> {
         checkpoint: &Checkpoint<N>,
     ) -> Result<(), LogError> {
         for Pending { topic, time_ns, sequence, data } in messages {
+            self.turns.extend(turn(topic.channel, &data).map(|turn| (topic.member, turn)));
+            let since_ns = time_ns.saturating_sub(self.epoch_ns);
+            let Topic { member, channel } = topic;
+            if member == 0
+                && let Some(message) =
+                    Message::decode(channel.topic(), channel.schema_name(), &data)
+            {
+                self.curves.note(topic, since_ns, &message);
+            }
             let channel_id = self.id(topic)?;
             let header =
                 MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
@@ -141,6 +151,18 @@ impl<const N: usize> LogWriter<N> {
         }
         self.samples = checkpoint.samples;
         self.close_chunk(Some(record))
+    }
+}
+
+/// The quaternion that a message holds.
+fn turn(channel: Channel, data: &[u8]) -> Option<[f64; 4]> {
+    match channel {
+        Channel::State => State::decode(data).ok()?.quaternion.try_into().ok(),
+        Channel::Tf => {
+            let turn = FrameTransforms::decode(data).ok()?.transforms.first()?.rotation?;
+            Some([turn.w, turn.x, turn.y, turn.z])
+        }
+        _ => None,
     }
 }
 
@@ -176,6 +198,13 @@ pub(super) fn encode<const N: usize>(checkpoint: &Checkpoint<N>, figures: Figure
         solver: checkpoint.convergence.map(Into::into),
         figures: Some(figures),
         work: checkpoint.work,
+        own_time: checkpoint.own_time.as_ref().map(|own| messages::OwnTime {
+            attitude: rows(&own.attitude),
+            body_momentum: rows(&own.momentum),
+            time_s: own.time_s,
+            carry_s: own.carry_s,
+            steps: own.steps,
+        }),
     };
     message.encode_to_vec()
 }
@@ -186,6 +215,16 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
     let attitude = match message.attitude.as_slice() {
         [] => None,
         rows => Some(matrix(rows)?),
+    };
+    let own_time = match &message.own_time {
+        None => None,
+        Some(own) => Some(OwnTime {
+            attitude: matrix(&own.attitude)?,
+            momentum: matrix(&own.body_momentum)?,
+            time_s: own.time_s,
+            carry_s: own.carry_s,
+            steps: own.steps,
+        }),
     };
     let convergence = match message.solver {
         None => None,
@@ -199,6 +238,7 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
         iterations: message.iterations,
         convergence,
         work: message.work,
+        own_time,
     };
     let figures = message.figures.unwrap_or_default();
     Some(Resumed { checkpoint, figures })

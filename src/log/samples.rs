@@ -7,12 +7,12 @@ use std::fs::File;
 use std::ops::{ControlFlow, Range};
 use std::path::Path;
 
-use prost::Message as _;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::LogError;
-use super::messages::{Energy, Momentum, Orthogonality, State};
+use super::messages::Message;
+use super::overview::{self, Points};
 use super::reader::{self, Item};
 use super::schema::Channel;
 use super::stretch::{messages, start_and_end, summary};
@@ -35,11 +35,13 @@ pub enum Curve {
     SpatialMomentum,
     /// Of each axis of the body to the axis of space of the same number, in rad.
     AxisAngle,
+    /// Of a step that adapts, in s.
+    Step,
 }
 
 impl Curve {
     /// All of them.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::EnergyError,
         Self::OrthogonalityError,
         Self::MomentumDrift,
@@ -47,6 +49,7 @@ impl Curve {
         Self::BodyMomentum,
         Self::SpatialMomentum,
         Self::AxisAngle,
+        Self::Step,
     ];
 
     /// Its name in questions and answers.
@@ -59,6 +62,7 @@ impl Curve {
             Self::BodyMomentum => "body_momentum",
             Self::SpatialMomentum => "spatial_momentum",
             Self::AxisAngle => "axis_angle",
+            Self::Step => "step",
         }
     }
 
@@ -69,6 +73,7 @@ impl Curve {
             Self::OrthogonalityError => "",
             Self::AngularVelocity => "rad/s",
             Self::AxisAngle => "rad",
+            Self::Step => "s",
             Self::MomentumDrift | Self::BodyMomentum | Self::SpatialMomentum => "kg m²/s",
         }
     }
@@ -80,34 +85,37 @@ impl Curve {
             Self::OrthogonalityError => Channel::Orthogonality,
             Self::MomentumDrift | Self::SpatialMomentum => Channel::Momentum,
             Self::AngularVelocity | Self::BodyMomentum | Self::AxisAngle => Channel::State,
+            Self::Step => Channel::Pace,
         }
     }
 
-    /// What a message of its channel says; nothing if it does not say it.
-    fn values(self, data: &[u8], velocity: Velocity<'_>) -> Vec<f64> {
-        let read = |state: fn(State) -> Vec<f64>| State::decode(data).map(state);
-        let read = match self {
-            Self::EnergyError => Energy::decode(data).map(|energy| vec![energy.error]),
-            Self::OrthogonalityError => Orthogonality::decode(data).map(|found| vec![found.error]),
-            Self::MomentumDrift => {
-                Momentum::decode(data).map(|momentum| momentum.drift.into_iter().collect())
+    /// Adds what a message of its channel says; nothing if it does not say it.
+    pub(super) fn values(self, message: &Message, velocity: Velocity<'_>, values: &mut Vec<f64>) {
+        match (self, message) {
+            (Self::EnergyError, Message::Energy(energy)) => values.push(energy.error),
+            (Self::OrthogonalityError, Message::Orthogonality(found)) => values.push(found.error),
+            (Self::MomentumDrift, Message::Momentum(momentum)) => values.extend(momentum.drift),
+            (Self::SpatialMomentum, Message::Momentum(momentum)) => {
+                values.extend_from_slice(&momentum.spatial_momentum);
             }
-            Self::SpatialMomentum => {
-                Momentum::decode(data).map(|momentum| momentum.spatial_momentum)
+            (Self::BodyMomentum, Message::State(state)) => {
+                values.extend_from_slice(&state.body_momentum);
             }
-            Self::BodyMomentum => read(|state| state.body_momentum),
-            Self::AngularVelocity => State::decode(data).map(|state| {
+            (Self::AngularVelocity, Message::State(state)) => {
                 // Logs of builds before have the momentum alone.
-                let found = state.angular_velocity;
-                if found.is_empty() { velocity(&state.body_momentum) } else { found }
-            }),
-            Self::AxisAngle => read(|state| {
+                match state.angular_velocity.as_slice() {
+                    [] => values.extend(velocity(&state.body_momentum)),
+                    found => values.extend_from_slice(found),
+                }
+            }
+            (Self::AxisAngle, Message::State(state)) => {
                 let n = state.attitude.len().isqrt();
                 let cosine = |k: usize| state.attitude[k * (n + 1)].clamp(-1.0, 1.0);
-                (0..n).map(|k| libm::acos(cosine(k))).collect()
-            }),
-        };
-        read.unwrap_or_default()
+                values.extend((0..n).map(|k| libm::acos(cosine(k))));
+            }
+            (Self::Step, Message::Pace(pace)) => values.push(pace.step_s),
+            _ => {}
+        }
     }
 }
 
@@ -142,9 +150,6 @@ pub struct Samples {
     pub each: u64,
     /// Time of the last sample of the log in seconds; absent while it is being written.
     pub end_s: Option<f64>,
-    /// Samples behind the last point.
-    #[serde(skip)]
-    held: u64,
 }
 
 /// Messages of a log from which on several threads read it: each a part of the time.
@@ -169,13 +174,15 @@ pub fn read_course(
     // Saturating; the end belongs to the window.
     let nanos = |seconds: f64| (seconds * 1e9).round() as u64;
     let whole = nanos(window.from_s)..nanos(window.to_s).saturating_add(1);
-    let reading = |span, points| Reading {
-        samples: Samples::new(curve),
+    let reading = |span, limit| Reading {
+        curve,
+        points: Points::default(),
         span,
-        points,
+        limit,
         velocity,
         stopped,
         seen: 0,
+        values: Vec::new(),
     };
     // A log that grows ends nowhere in particular: what its end looks like means nothing.
     let Ok(Some(summary)) = summary(&mut file) else {
@@ -196,19 +203,16 @@ pub fn read_course(
             }
             ControlFlow::Continue(())
         })?;
-        return Ok(stop.ok().map(|()| reading.samples));
+        return Ok(stop.ok().map(|()| Samples::of(curve, reading.points, None)));
     };
     let (start_ns, end_ns) = start_and_end(&summary);
-    let whole = whole.start..whole.end.min((end_ns - start_ns).saturating_add(1));
-    let length = whole.end.saturating_sub(whole.start);
-    let threads = match summary.stats.as_ref().map_or(0, |stats| stats.message_count) {
-        LONG.. => std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS),
-        _ => 1,
-    };
-    let threads = threads.min(window.points / 2).max(1);
-    let border = |k: usize| whole.start + (u128::from(length) * k as u128 / threads as u128) as u64;
-    let one = |k: usize| {
-        let mut reading = reading(border(k)..border(k + 1), window.points / threads);
+    let last_ns = end_ns - start_ns;
+    let whole = whole.start..whole.end.min(last_ns.saturating_add(1));
+    let one = |span: Range<u64>, limit: usize| {
+        let mut reading = reading(span, limit.max(2));
+        if reading.span.is_empty() {
+            return Ok(Some(reading.points));
+        }
         let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
         let (from_ns, mut stop) = (start_ns.saturating_add(reading.span.start), Ok(()));
         messages(&mut file, &summary, &[curve.channel().topic()], from_ns, |time_ns, data| {
@@ -220,34 +224,97 @@ pub fn read_course(
             ControlFlow::Continue(())
         })
         .map_err(|source| LogError::mcap(path, "read", source))?;
-        Ok(stop.ok().map(|()| reading.samples))
+        Ok(stop.ok().map(|()| reading.points))
     };
-    let parts: Vec<Result<Option<Samples>, LogError>> = std::thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|k| scope.spawn(move || one(k))).collect();
-        let first = one(0);
+    let parts: Vec<Result<Option<Points>, LogError>> =
+        match overview::read(&mut file, &summary, curve)
+            .and_then(|overview| Inside::of(overview, &whole, last_ns, window.points))
+        {
+            Some(Inside { overview, range, span }) => vec![
+                one(whole.start..span.start, EDGE_POINTS),
+                Ok(Some(overview.part(range, window.points - 2 * EDGE_POINTS))),
+                one(span.end..whole.end, EDGE_POINTS),
+            ],
+            None => {
+                let count = summary.stats.as_ref().map_or(0, |stats| stats.message_count);
+                in_parallel(&whole, if count < LONG { 1 } else { MOST_THREADS }, window.points, one)
+            }
+        };
+    let mut all = Points::default();
+    for part in parts {
+        let Some(part) = part? else { return Ok(None) };
+        all.append(part);
+    }
+    Ok(Some(Samples::of(curve, all, Some(last_ns))))
+}
+
+/// Points for the samples before and after what an overview holds of a window, of each.
+const EDGE_POINTS: usize = 2;
+
+/// The part of a window that an overview answers for.
+struct Inside {
+    overview: Points,
+    /// Its points.
+    range: Range<usize>,
+    /// Their time since the start, in nanoseconds.
+    span: Range<u64>,
+}
+
+impl Inside {
+    /// `None` if the overview has no more than half of the points that are wanted of the window: so many the samples give
+    /// as well.
+    fn of(overview: Points, window: &Range<u64>, last_ns: u64, wanted: usize) -> Option<Self> {
+        let times = &overview.since_ns;
+        let first = times.partition_point(|&since_ns| since_ns < window.start);
+        // A point ends where the next begins; the last one with the log.
+        let whole = window.end > last_ns;
+        let after = if whole {
+            times.len()
+        } else {
+            times.partition_point(|&since_ns| since_ns <= window.end).saturating_sub(1)
+        };
+        let end_ns = times.get(after).copied().unwrap_or(window.end);
+        let enough = wanted > 2 * EDGE_POINTS + 1 && after.saturating_sub(first) > wanted / 2;
+        let range = first..after;
+        enough.then(|| Self { span: overview.since_ns[first]..end_ns, range, overview })
+    }
+}
+
+/// Reads a time in as many parts as are worth a thread each.
+fn in_parallel<T: Send>(
+    span: &Range<u64>,
+    most: usize,
+    points: usize,
+    one: impl Fn(Range<u64>, usize) -> T + Sync,
+) -> Vec<T> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(most);
+    let threads = threads.min(points / 2).max(1);
+    let length = span.end.saturating_sub(span.start);
+    let border = |k: usize| span.start + (u128::from(length) * k as u128 / threads as u128) as u64;
+    let part = |k: usize| one(border(k)..border(k + 1), points / threads);
+    std::thread::scope(|scope| {
+        let part = &part;
+        let others: Vec<_> = (1..threads).map(|k| scope.spawn(move || part(k))).collect();
+        let first = part(0);
         let joined = others.into_iter().map(|other| match other.join() {
             Ok(part) => part,
             Err(panic) => std::panic::resume_unwind(panic),
         });
         std::iter::once(first).chain(joined).collect()
-    });
-    let mut all = Samples::new(curve);
-    for part in parts {
-        let Some(part) = part? else { return Ok(None) };
-        all.append(part);
-    }
-    Ok(Some(Samples { end_s: Some((end_ns - start_ns) as f64 * 1e-9), ..all }))
+    })
 }
 
 /// One part of a log on its way into points.
 struct Reading<'a> {
-    samples: Samples,
+    curve: Curve,
+    points: Points,
     /// In nanoseconds since the start.
     span: Range<u64>,
-    points: usize,
+    limit: usize,
     velocity: Velocity<'a>,
     stopped: &'a (dyn Fn() -> bool + Sync),
     seen: u64,
+    values: Vec<f64>,
 }
 
 /// Nobody waits any more.
@@ -260,9 +327,13 @@ impl Reading<'_> {
         if self.seen.is_multiple_of(1 << 10) && (self.stopped)() {
             return Err(Stopped);
         }
-        if self.span.contains(&since_ns) {
-            let values = self.samples.channel.values(data, self.velocity);
-            self.samples.push(since_ns as f64 * 1e-9, &values, self.points);
+        let channel = self.curve.channel();
+        if self.span.contains(&since_ns)
+            && let Some(message) = Message::decode(channel.topic(), channel.schema_name(), data)
+        {
+            self.values.clear();
+            self.curve.values(&message, self.velocity, &mut self.values);
+            self.points.push(since_ns, &self.values, &self.values, self.limit);
         }
         Ok(())
     }
@@ -274,105 +345,23 @@ impl Reading<'_> {
 }
 
 impl Samples {
-    fn new(curve: Curve) -> Self {
+    fn of(curve: Curve, points: Points, last_ns: Option<u64>) -> Self {
+        let seconds = |since_ns: u64| since_ns as f64 * 1e-9;
         Self {
             channel: curve,
             unit: curve.unit(),
-            time_s: Vec::new(),
-            low: Vec::new(),
-            high: Vec::new(),
-            each: 1,
-            end_s: None,
-            held: 1,
-        }
-    }
-
-    /// Takes the points of the part that follows.
-    fn append(&mut self, part: Self) {
-        if self.time_s.is_empty() {
-            *self = part;
-            return;
-        }
-        self.each = self.each.max(part.each);
-        self.time_s.extend(part.time_s);
-        for (mine, others) in [(&mut self.low, part.low), (&mut self.high, part.high)] {
-            mine.iter_mut().zip(others).for_each(|(mine, other)| mine.extend(other));
-        }
-    }
-
-    /// Takes a sample; two neighbours become one point each time there are too many.
-    fn push(&mut self, time_s: f64, values: &[f64], limit: usize) {
-        if self.time_s.is_empty() {
-            self.low = vec![Vec::new(); values.len()];
-            self.high = self.low.clone();
-        }
-        if values.len() != self.low.len() || values.is_empty() {
-            return;
-        }
-        let lines = self.low.iter_mut().zip(&mut self.high).zip(values);
-        if self.held < self.each {
-            self.held += 1;
-            for ((low, high), &value) in lines {
-                if let Some((low, high)) = low.last_mut().zip(high.last_mut()) {
-                    (*low, *high) = (low.min(value), high.max(value));
-                }
-            }
-            return;
-        }
-        if self.time_s.len() >= limit.max(2) {
-            self.time_s = self.time_s.iter().step_by(2).copied().collect();
-            for (lines, keep) in
-                [(&mut self.low, f64::min as fn(f64, f64) -> f64), (&mut self.high, f64::max)]
-            {
-                for line in lines {
-                    let pairs = line.chunks(2).map(|pair| pair.iter().copied().reduce(keep));
-                    *line = pairs.flatten().collect();
-                }
-            }
-            self.each *= 2;
-            // Of an odd number the last one has room for as many again.
-            if limit.max(2) % 2 == 1 {
-                self.held = self.each / 2;
-                return self.push(time_s, values, limit);
-            }
-        }
-        self.held = 1;
-        self.time_s.push(time_s);
-        for ((low, high), &value) in self.low.iter_mut().zip(&mut self.high).zip(values) {
-            low.push(value);
-            high.push(value);
+            time_s: points.since_ns.into_iter().map(seconds).collect(),
+            low: points.low,
+            high: points.high,
+            each: points.each,
+            end_s: last_ns.map(seconds),
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{Curve, Samples};
-
-    #[test]
-    fn every_extreme_is_kept_in_as_many_points_as_asked_for() {
-        for limit in [2, 3, 7, 500] {
-            let mut samples = Samples::new(Curve::BodyMomentum);
-            let value = |k: u32| if k == 77_777 { -5.0 } else { f64::from(k % 7) };
-            for k in 0..100_000 {
-                samples.push(f64::from(k), &[value(k), -value(k)], limit);
-            }
-            let count = samples.time_s.len();
-            assert!(count <= limit && count > limit / 2, "{count} of {limit}");
-            for line in samples.low.iter().chain(&samples.high) {
-                assert_eq!(line.len(), count);
-            }
-            let least = |line: &[f64]| line.iter().copied().fold(f64::INFINITY, f64::min);
-            assert_eq!((least(&samples.low[0]), least(&samples.low[1])), (-5.0, -6.0));
-            for (k, time_s) in samples.time_s.iter().enumerate() {
-                assert_eq!(*time_s, k as f64 * samples.each as f64);
-            }
-            // The peak stands where it was.
-            let peak = samples.low[0].iter().position(|low| *low == -5.0).expect("kept");
-            let since = 77_777.0 - samples.time_s[peak];
-            assert!(since >= 0.0 && since < samples.each as f64);
-        }
-    }
+    use super::Curve;
 
     #[test]
     fn names_are_those_of_answers() {

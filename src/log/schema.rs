@@ -70,6 +70,8 @@ channels! {
     Momentum = "/momentum",
     /// How the steps were solved.
     Solver = "/solver",
+    /// How time passes for steps that adapt.
+    Pace = "/pace",
     /// The body's frame for viewers; n = 3.
     Tf = "/tf",
     /// The body's box of inertia and its points, once; n = 3.
@@ -93,6 +95,8 @@ enum Scope {
     /// n = 3, and something in space to draw.
     WithSources,
     Ensembles,
+    /// Steps that adapt.
+    OwnSteps,
 }
 
 /// Bytes of a message before compression.
@@ -178,6 +182,12 @@ impl Channel {
                     "the smallest singular value of the step's interpolated matrices",
                 )
             },
+            Self::Pace => Row {
+                needs: Observables { pace: true, ..nothing },
+                scope: Scope::OwnSteps,
+                sample: sample(0, 4 * DOUBLE + 6),
+                ..plain("vpd.Pace", "how long the own steps are")
+            },
             Self::Tf => Row {
                 descriptors: well_known::<FrameTransforms>,
                 scope: Scope::InSpace,
@@ -214,30 +224,47 @@ impl Channel {
         }
     }
 
+    /// Do only ensembles have it?
+    pub fn is_of_ensembles(self) -> bool {
+        self.row(3).scope == Scope::Ensembles
+    }
+
     /// The channel of a topic.
     pub fn from_topic(topic: &str) -> Option<Self> {
         Self::all().into_iter().find(|channel| channel.topic() == topic)
     }
 
     /// Whether a scene has the channel: one in space or not, with or without something there to draw, of an ensemble or
-    /// of one run.
-    pub(crate) fn exists(self, in_space: bool, sources: bool, ensemble: bool) -> bool {
+    /// of one run, in steps that adapt or not.
+    pub(crate) fn exists(
+        self,
+        in_space: bool,
+        sources: bool,
+        ensemble: bool,
+        own_steps: bool,
+    ) -> bool {
         match self.row(3).scope {
             Scope::All => true,
             Scope::InSpace => in_space,
             Scope::WithSources => in_space && sources,
             Scope::Ensembles => ensemble,
+            Scope::OwnSteps => own_steps,
         }
     }
 
     /// Whether the channel is for bodies in space only.
     pub fn needs_three(self) -> bool {
-        !self.exists(false, true, true)
+        !self.exists(false, true, true, true)
     }
 
     /// Whether the channel is for ensembles only.
     pub fn needs_ensemble(self) -> bool {
-        !self.exists(true, true, false)
+        !self.exists(true, true, false, true)
+    }
+
+    /// Whether the channel is for steps that adapt only.
+    pub fn needs_own_steps(self) -> bool {
+        !self.exists(true, true, true, false)
     }
 
     /// What is computed for it, in words.
@@ -294,15 +321,17 @@ const fn state_bytes(n: usize) -> u64 {
     (8 * (n * n + 2 * so::dimension(n)) + if n == 3 { 32 } else { 0 }) as u64
 }
 
-/// About how many bytes the end of a member of an ensemble takes before compression.
-pub const fn bytes_per_member(n: usize) -> u64 {
+/// About how many bytes the end of a member of an ensemble takes before compression, with so many points on its way.
+pub const fn bytes_per_member(n: usize, waypoints: u64) -> u64 {
     const FIGURES: u64 = 180;
-    dense_bytes_per_member(n) + FIGURES
+    const TIME: u64 = 8;
+    dense_bytes_per_member(n, waypoints) + FIGURES + waypoints * TIME
 }
 
-/// Of these the bytes of its two states, whose digits do not compress.
-pub const fn dense_bytes_per_member(n: usize) -> u64 {
-    2 * state_bytes(n)
+/// Of these the bytes of its two states and of its points, whose digits do not compress.
+pub const fn dense_bytes_per_member(n: usize, waypoints: u64) -> u64 {
+    const VELOCITY_AND_ERRORS: usize = 4;
+    2 * state_bytes(n) + waypoints * 4 * (n * n + n + VELOCITY_AND_ERRORS) as u64
 }
 
 /// Where a message stands: its channel, and of an ensemble the member. Member 0, and a run that is no ensemble,

@@ -28,6 +28,7 @@ const READ_AT_ONCE: usize = 64 << 10;
 
 /// Attitudes one after another, and the drawings of the scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
+#[schemars(rename = "Attitudes")]
 pub struct Stretch {
     /// Time of each sample in seconds.
     pub time_s: Vec<f64>,

@@ -19,13 +19,16 @@ use mcap::write::PrivateRecordOptions;
 use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
 
-use super::messages::{self, EnsembleStatistics, Figures, Member, timestamp};
+use super::messages::{
+    self, EnsembleStatistics, Figures, Member, Message as SampleMessage, timestamp,
+};
+use super::overview::Curves;
 use super::part::{Part, Syncer, folder, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
 use super::schema::{Channel, Compression, ENCODING, Topic};
 use super::{
-    CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
-    is_transient, resume,
+    CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, OVERVIEW_ATTACHMENT,
+    SCENARIO_ATTACHMENT, is_transient, resume,
 };
 use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
@@ -43,7 +46,7 @@ pub struct LogHeader {
     pub members: Vec<u64>,
     /// How chunks are compressed.
     pub compression: Compression,
-    /// A chunk is closed, and so is safe from a kill, every so many samples; fewer where the chunk
+    /// A chunk is closed, and so is safe from a kill, after this many samples; fewer where the chunk
     /// would outgrow [`MAX_CHUNK_BYTES`].
     pub samples_per_chunk: u64,
     /// The scenario, as attachment; `None` if there is none: such a log cannot be run again from itself.
@@ -90,7 +93,7 @@ pub struct LogWriter<const N: usize> {
     given_up: bool,
     /// What becomes of the file when the writer is dropped.
     rest: Rest,
-    epoch_ns: u64,
+    pub(super) epoch_ns: u64,
     samples_per_chunk: u64,
     /// What is to be written, in the order of the channel ids.
     topics: Vec<Topic>,
@@ -102,6 +105,10 @@ pub struct LogWriter<const N: usize> {
     /// Whether the open chunk holds messages; one without would start in 1970.
     chunk_has_messages: bool,
     last_ns: u64,
+    /// The last quaternion of each member: the next has the nearer sign.
+    pub(super) turns: BTreeMap<u64, [f64; 4]>,
+    /// What charts of a long log show.
+    pub(super) curves: Curves,
 }
 
 /// What becomes of an unfinished file.
@@ -188,7 +195,7 @@ impl<const N: usize> LogWriter<N> {
             .map_err(|source| LogError::mcap(path, "create", source))?;
         let wanted = |channel: &Channel| {
             header.channels.contains(channel)
-                && channel.exists(N == 3, header.scene.has_sources(), true)
+                && channel.exists(N == 3, header.scene.has_sources(), true, true)
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
         let sample_bytes: u64 = channels.iter().map(|channel| channel.bytes_per_sample(N)).sum();
@@ -217,6 +224,8 @@ impl<const N: usize> LogWriter<N> {
             closed_at: 0,
             chunk_has_messages: false,
             last_ns: header.epoch_ns,
+            turns: BTreeMap::new(),
+            curves: Curves::default(),
         };
         let start = log.time(0.0)?;
         let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job.clone() };
@@ -278,6 +287,11 @@ impl<const N: usize> LogWriter<N> {
         self.syncer.durable_step()
     }
 
+    /// Bytes of the unfinished log that are on the disk.
+    pub fn durable_bytes(&self) -> u64 {
+        self.syncer.durable_bytes()
+    }
+
     /// Writes a checkpoint and closes the chunk with it.
     ///
     /// # Errors
@@ -308,6 +322,10 @@ impl<const N: usize> LogWriter<N> {
     pub fn finish(mut self, outcome: Outcome) -> Result<(), LogError> {
         for (name, svg) in &outcome.charts {
             self.attach(self.last_ns, name, "image/svg+xml", svg.as_bytes())?;
+        }
+        if let Some(overview) = std::mem::take(&mut self.curves).overview(self.samples) {
+            let bytes = overview.encode_to_vec();
+            self.attach(self.last_ns, OVERVIEW_ATTACHMENT, "application/protobuf", &bytes)?;
         }
         let mut metadata = outcome.entries;
         metadata.insert("state".to_owned(), outcome.state);
@@ -445,13 +463,21 @@ impl<const N: usize> LogWriter<N> {
             // Nobody offered one.
             self.close_chunk(None)?;
         }
+        let turn = messages::turn_after(self.turns.get(&member).copied(), sample);
+        self.turns.extend(turn.map(|turn| (member, turn)));
         for i in 0..self.topics.len() {
             let topic = self.topics[i];
-            if topic.member == member
-                && let Some(payload) =
-                    messages::of_sample(topic.channel, sample, time_ns, &body_frame(member))
-            {
-                self.put_encoded(topic, time_ns, &payload)?;
+            if topic.member != member {
+                continue;
+            }
+            if topic.channel == Channel::Tf {
+                if let Some(turn) = turn {
+                    let frames = messages::frames(turn, time_ns, &body_frame(member));
+                    self.put_encoded(topic, time_ns, &frames.encode_to_vec())?;
+                }
+            } else if let Some(message) = SampleMessage::of_sample(topic.channel, sample, turn) {
+                self.curves.note(topic, time_ns - self.epoch_ns, &message);
+                self.put_encoded(topic, time_ns, &message.encode())?;
             }
         }
         self.samples += 1;

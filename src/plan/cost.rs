@@ -11,6 +11,7 @@ use std::sync::LazyLock;
 use serde::{Deserialize, Serialize};
 
 use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
+use crate::log::overview;
 use crate::log::schema::{Channel, Compression, bytes_per_member, dense_bytes_per_member};
 use crate::method::Integrator;
 use crate::scenario::PotentialTerm;
@@ -93,7 +94,9 @@ impl Plan {
         let raw_dense: u64 = self.channels.iter().map(|plan| dense(plan.topic)).sum();
         let in_full = self.ensemble.as_ref().map_or(1, |ensemble| ensemble.in_full.len() as u64);
         let samples = self.samples.saturating_mul(in_full) as f64;
-        let mut log = LOG_FIXED_BYTES as f64 + samples * compressed(raw, raw_dense, compression);
+        let mut log = LOG_FIXED_BYTES as f64
+            + samples * compressed(raw, raw_dense, compression)
+            + overview::bytes(self.samples, n) as f64;
         self.step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
         let sample_ns = self.sample_cost_ns(raw);
         let steps_ns = self.steps as f64 * self.step_ns;
@@ -103,9 +106,11 @@ impl Plan {
         let mut kept = 0.0;
         let mut chunks = samples / self.samples_per_chunk as f64;
         if let Some(ensemble) = &mut self.ensemble {
-            let end_bytes = bytes_per_member(n);
+            let points = ensemble.waypoints(self.samples);
+            let end_bytes = bytes_per_member(n, points);
+            let dense = dense_bytes_per_member(n, points);
             let members = ensemble.members as f64;
-            log += members * compressed(end_bytes, dense_bytes_per_member(n), compression);
+            log += members * compressed(end_bytes, dense, compression);
             // Of the others samples are looked at and not written; each begins and ends once.
             let looked_at_ns = self.samples as f64 * (sample_ns - WRITTEN_BYTE_NS * raw as f64);
             let member_ns = steps_ns + looked_at_ns + 10_000.0 + 30.0 * libm::pow(n as f64, 3.0);
@@ -184,8 +189,8 @@ impl Plan {
         let Formulation { method, stages, .. } = self.formulation;
         // More stages than lanes go the way of general n.
         let alone = self.model.is_driven() || self.model.wheels.is_some();
-        let general = method.facts().lanes && (stages > WIDTH || alone);
         let method = method.costs_as();
+        let general = method.facts().lanes && (stages > WIDTH || alone || self.own_steps.is_some());
         let rows: Vec<&SchemeRow> = TABLE
             .schemes
             .iter()
@@ -237,7 +242,8 @@ impl Plan {
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let eigenvalues = if self.dimension == 3 { 100.0 } else { 10.0 * n * n * n };
-        let Observables { energy, orthogonality, momentum: _, sigma_min } = self.observables();
+        let Observables { energy, orthogonality, momentum: _, sigma_min, pace: _ } =
+            self.observables();
         let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
         let matrices = of(orthogonality, 1.0) + of(sigma_min, 1.0 + self.formulation.stages as f64);
         WRITTEN_BYTE_NS * raw as f64
@@ -248,8 +254,8 @@ impl Plan {
     /// What a run takes of the memory in addition to its members.
     fn memory(&self, sample_bytes: u64) -> f64 {
         let n = self.dimension as f64;
-        // The program with its charts and the two parts of a chunk, before and after compression.
-        const RUN_BYTES: f64 = 14e6;
+        // The program with its charts, the overview, and the two parts of a chunk, before and after compression.
+        const RUN_BYTES: f64 = 22e6;
         let chunk = 2.0 * (self.samples_per_chunk * sample_bytes) as f64;
         // As JSON, as numbers and as what the threads compute with.
         let terms = self.model.terms.len() as f64 * (2_000.0 + 16.0 * 8.0 * n * n);

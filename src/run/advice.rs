@@ -12,14 +12,17 @@ use std::sync::atomic::AtomicBool;
 
 use super::Control;
 use super::summary::{self, Advised, Diagnosis, Tried};
-use crate::plan::Plan;
+use crate::plan::{NEAR_SIGMA, Plan};
 use crate::scenario::SMALLEST_STEP_S;
 use crate::solve::failure::{Failure, FailureCode};
-use crate::solve::hamiltonian::RigidBody;
+use crate::solve::hamiltonian::{RigidBody, TimeScale};
+use crate::solve::nonlinear::StopRule;
 use crate::solve::so;
 use crate::solve::stepper::Stepper;
+use crate::solve::stepper::vpd_adaptive::VpdAdaptive;
 use crate::solve::system::System;
-use crate::solve::trajectory::{Checkpoint, Schedule, State};
+use crate::solve::tableau::Tableau;
+use crate::solve::trajectory::{Checkpoint, Pace, Schedule, State};
 use crate::solve::work::Work;
 
 /// Work of a search in nanoseconds, by the plan's figures: so many runs like the one that failed, but no less than the
@@ -55,6 +58,7 @@ impl Patience {
 }
 
 /// A run of which a step failed.
+#[derive(Clone, Copy)]
 pub(super) struct Broken<'a, const N: usize> {
     /// Where it began.
     pub(super) initial: &'a State<N>,
@@ -64,21 +68,67 @@ pub(super) struct Broken<'a, const N: usize> {
     pub(super) failure: &'a Failure,
 }
 
-/// What failed, and with what smaller step it does not.
+/// A stepper for `body` whose steps adapt, and the longest of them in seconds, if it has a point source to which they could.
+pub(super) fn own_steps<const N: usize>(
+    plan: &Plan,
+    body: &RigidBody<N>,
+) -> Option<(Box<dyn Stepper<N>>, f64)> {
+    const STAGES: usize = 2;
+    let scale = TimeScale::of(body).filter(|_| plan.own_steps.is_none())?;
+    let plain = !body.is_driven() && plan.model.wheels.is_none();
+    let own_s = shorter(plan.easy_own_step_s(STAGES), 1.0);
+    let tableau = Tableau::gauss(STAGES).filter(|_| plain)?;
+    let stepper = VpdAdaptive::new(tableau, StopRule::default(), scale).with_steps_of(own_s);
+    Some((Box::new(stepper), own_s))
+}
+
+/// What failed, and with what smaller step it does not; or with which of `own_steps`.
 pub(super) fn diagnosis<const N: usize>(
     body: &RigidBody<N>,
     stepper: &mut dyn Stepper<N>,
     broken: &Broken<'_, N>,
+    own_steps: Option<(Box<dyn Stepper<N>>, f64)>,
     patience: Patience,
 ) -> Diagnosis {
     let Broken { initial, reached, schedule, failure } = broken;
     let stiffness = stiffness(body, broken);
     let Patience { most_sweeps, stop } = patience;
-    let body = body.clone().with_work(Work::limited(most_sweeps, stop));
+    let body = body.clone().with_work(Work::limited(most_sweeps, stop.clone()));
     let start = body.energy(&initial.attitude, &initial.momentum);
-    let mut search = Search { body: &body, stepper, broken, start: start.total() };
-    let advised = search.advised(most_sweeps as f64);
-    summary::diagnosis(failure, stiffness, reached.step, schedule.step_s, advised)
+    // Of steps that adapt the longest is what may be shorter.
+    let longest_s = stepper.own_step_s().map(|longest| *longest);
+    let reached_in_longest;
+    let searched = match longest_s {
+        None => *broken,
+        Some(step_s) => {
+            let in_longest = |steps: u64| (steps as f64 * schedule.step_s / step_s).floor() as u64;
+            let step = in_longest(reached.step);
+            reached_in_longest = Checkpoint { step, ..(*reached).clone() };
+            let steps = in_longest(schedule.steps).max(1);
+            let schedule = Schedule { step_s, steps, every: schedule.every };
+            Broken { reached: &reached_in_longest, schedule, ..*broken }
+        }
+    };
+    let adapts = longest_s.is_some();
+    let start = start.total();
+    let mut search =
+        Search { body: &body, stepper, broken: &searched, start, adapts, nearest: None };
+    let mut advised = search.advised(most_sweeps as f64);
+    let mut passed = None;
+    if adapts {
+        advised = advised.of_own_steps();
+    } else if let Some((mut stepper, own_s)) = own_steps {
+        let body = body.clone().with_work(Work::limited(most_sweeps, stop));
+        let stepper = stepper.as_mut();
+        let mut search = Search { body: &body, stepper, broken, start, adapts, nearest: None };
+        let tried = search.passes(own_s, most_sweeps as f64);
+        passed = tried.map(|tried| (own_s, tried));
+    }
+    let diagnosis = summary::diagnosis(failure, stiffness, reached.step, schedule.step_s, advised);
+    match passed {
+        Some((own_s, tried)) => diagnosis.with_own_steps(own_s, tried),
+        None => diagnosis,
+    }
 }
 
 /// The fastest frequency of the potential where the run began or failed, if that is what asks for a smaller step and not
@@ -115,6 +165,10 @@ struct Search<'a, const N: usize> {
     broken: &'a Broken<'a, N>,
     /// The energy at the start.
     start: f64,
+    /// Do its steps adapt, so that the longest of them is what is tried?
+    adapts: bool,
+    /// Of steps that adapt the shortest that was seen.
+    nearest: Option<Pace>,
 }
 
 impl<const N: usize> Search<'_, N> {
@@ -148,6 +202,19 @@ impl<const N: usize> Search<'_, N> {
         Advised::Step { step_s: found.0, tried: found.1 }
     }
 
+    /// How far steps that adapt were tried, if they carry the run past a point source and, if the run may be tried no
+    /// further, past the place of the failure.
+    fn passes(&mut self, own_s: f64, most_sweeps: f64) -> Option<Tried> {
+        let &Broken { initial, reached, schedule: Schedule { step_s, steps, .. }, failure } =
+            self.broken;
+        let most = (most_sweeps * SHARE / SWEEPS * own_s / step_s).ceil();
+        let span = Span::of(steps as f64, most.max((reached.step + 2) as f64));
+        let went = self.travels((initial, 0.0), step_s, span.steps);
+        let is_near = self.nearest.is_some_and(|pace| pace.least_sigma <= NEAR_SIGMA)
+            || failure.code == FailureCode::PotentialSingularity;
+        (went == Went::Well && is_near).then(|| span.tried(step_s))
+    }
+
     /// Tries a step from the start and, where the place of the failure is too far from there, from just before it too, if
     /// the run had come there with its energy.
     fn went(&mut self, step_s: f64, span: Span) -> Went {
@@ -176,10 +243,13 @@ impl<const N: usize> Search<'_, N> {
     fn travels(&mut self, (from, from_s): (&State<N>, f64), step_s: f64, steps: u64) -> Went {
         /// The round-off of the potential is no loss.
         const ROUND_OFF: f64 = 1e-9;
-        let Self { body, stepper, start, .. } = self;
+        let Self { body, stepper, start, adapts, nearest, .. } = self;
         let every = steps.div_ceil(LOOKS);
         let (mut kinetic, mut off) = (0.0_f64, 0.0_f64);
         stepper.start(from);
+        if let Some(own_s) = stepper.own_step_s().filter(|_| *adapts) {
+            *own_s = step_s;
+        }
         // A driven body gains and loses energy on the way, which is counted from here.
         let begun = if body.is_driven() {
             body.energy_at(from_s, &from.attitude, &from.momentum).total()
@@ -195,6 +265,16 @@ impl<const N: usize> Search<'_, N> {
                 Err(_) => return Went::Badly,
             }
             if step % every == 0 || step == steps {
+                match stepper.settle(body, step_s) {
+                    Ok(_) => {}
+                    Err(Failure { code: FailureCode::Stopped, .. }) => return Went::Out,
+                    Err(_) => return Went::Badly,
+                }
+                if let Some(pace) = stepper.pace()
+                    && nearest.is_none_or(|nearest| pace.least_sigma < nearest.least_sigma)
+                {
+                    *nearest = Some(pace);
+                }
                 let attitude = stepper.attitude().unwrap_or(from.attitude);
                 let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);

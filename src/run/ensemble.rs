@@ -30,8 +30,10 @@ use crate::solve::trajectory::{
 
 pub(crate) mod spread;
 mod statistics;
+mod way;
 
 use statistics::{Ends, Spread};
+use way::Way;
 
 /// A member that made all its steps.
 const SUCCEEDED: &str = "succeeded";
@@ -206,9 +208,10 @@ impl Ensemble<'_> {
             iterations: 0,
             convergence: None,
             work: 0.0,
+            own_time: None,
         };
         log.checkpoint(&checkpoint, Figures::default())?;
-        self.context.control.durable_step.store(log.durable_step(), Ordering::Relaxed);
+        self.context.control.note_durable(log);
         Ok(())
     }
 
@@ -225,6 +228,8 @@ impl Ensemble<'_> {
         let starts: Vec<State<N>> =
             numbers.iter().map(|&m| spread::start(nominal, self.asked, m)).collect();
         let mut figures = vec![Figures::default(); numbers.len()];
+        let per_point = self.planned.samples_per_waypoint(self.plan.samples);
+        let mut ways = vec![Way::new(per_point); numbers.len()];
         let members = assembly.members.as_mut().expect("the plan of an ensemble has members");
         let trajectories = ensemble::integrate(
             &assembly.body,
@@ -234,6 +239,7 @@ impl Ensemble<'_> {
             observables,
             |m, sample| {
                 figures[m].keep(sample);
+                ways[m].keep(sample);
                 record(m, sample)
             },
             go_on,
@@ -241,8 +247,8 @@ impl Ensemble<'_> {
         if trajectories.iter().any(|end| end.ending == Ending::Cancelled) {
             return Ok(None);
         }
-        let ends = trajectories.iter().zip(figures).enumerate();
-        let ends = ends.map(|(m, (end, figures))| {
+        let ends = trajectories.iter().zip(figures).zip(ways).enumerate();
+        let ends = ends.map(|(m, ((end, figures), way))| {
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
             let velocity = |momentum: &Mat<N>| assembly.body.velocity(momentum);
             let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =
@@ -269,6 +275,7 @@ impl Ensemble<'_> {
                 iterations: *iterations,
                 solver: convergence.map(Into::into),
                 diagnosis,
+                way: Some(way.points()),
             }
         });
         let ends = ends.collect();
@@ -291,7 +298,8 @@ impl Ensemble<'_> {
         let broken = Broken { initial, reached: &end.reached, schedule, failure };
         let patience = Patience::of(self.plan, self.context.control, self.planned.members);
         let stepper = assembly.stepper.as_mut();
-        let diagnosis = advice::diagnosis(&assembly.body, stepper, &broken, patience);
+        let own_steps = advice::own_steps(self.plan, &assembly.body);
+        let diagnosis = advice::diagnosis(&assembly.body, stepper, &broken, own_steps, patience);
         (diagnosis.code.clone(), json(&diagnosis))
     }
 }
@@ -362,5 +370,6 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         iterations: nominal.map_or(0, |end| end.iterations),
         convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
         work: 0.0,
+        own_time: None,
     }
 }

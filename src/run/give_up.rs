@@ -68,6 +68,7 @@ impl Task for GiveUp<'_> {
                     iterations: 0,
                     convergence: None,
                     work: 0.0,
+                    own_time: None,
                 };
                 (LogWriter::create(log, &header)?, Figures::default(), start)
             }
@@ -85,6 +86,7 @@ impl Task for GiveUp<'_> {
             cause: reason.cause.to_owned(),
             advice: reason.advice.to_owned(),
             advised_step_s: None,
+            advised_largest_step_s: None,
         };
         let resumed_step = reached.step;
         let diagnosis = Some(diagnosis);

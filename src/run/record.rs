@@ -20,7 +20,7 @@ use crate::solve::stepper::Stepper;
 use crate::solve::system::System;
 use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
 
-/// A chunk of the log is closed, and so is safe from a kill, every so many samples.
+/// A chunk of the log is closed, and so is safe from a kill, after this many samples.
 const SAMPLES_PER_CHUNK: u64 = 1000;
 
 /// What the log of a system of one's own says of it, and how it is written.

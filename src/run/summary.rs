@@ -3,17 +3,18 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::log::messages::Figures;
-use crate::scenario::Expect;
+use crate::scenario::{Entry, Expect};
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::State;
 
 /// How a run ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// All steps were made.
@@ -36,7 +37,7 @@ impl Outcome {
 }
 
 /// What a run leaves in addition to its log.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Summary {
     /// How it ended.
     pub outcome: Outcome,
@@ -70,7 +71,8 @@ pub struct Summary {
     pub wall_s: f64,
     /// Time inside the integrator alone, per step.
     pub ns_per_step: f64,
-    /// The log.
+    /// The log. In answers of the service a link is in its place.
+    #[schemars(skip)]
     pub log: String,
     /// Why the run failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -87,7 +89,7 @@ pub struct Summary {
 }
 
 /// What became of the members of an ensemble.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EnsembleSummary {
     /// Members whose end is in the log.
     pub members: u64,
@@ -111,16 +113,17 @@ pub struct EnsembleSummary {
 }
 
 /// The state a run ended at.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FinalState {
     /// Rotation matrix, row by row; absent if no channel needed it.
     pub attitude: Option<Vec<Vec<f64>>>,
     /// Body momentum, as in a scenario: 3-vector for n = 3, else skew matrix.
+    #[schemars(with = "Vec<Entry>")]
     pub body_momentum: serde_json::Value,
 }
 
 /// Energy over the samples.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EnergySummary {
     /// H at the start.
     pub initial: f64,
@@ -131,7 +134,7 @@ pub struct EnergySummary {
 }
 
 /// Distance from the group over the samples.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct OrthogonalitySummary {
     /// Largest spectral norm of g g^T - I.
     pub max: f64,
@@ -140,14 +143,14 @@ pub struct OrthogonalitySummary {
 }
 
 /// Conserved momentum over the samples.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct MomentumSummary {
     /// Largest drift.
     pub max_drift: f64,
 }
 
 /// The nonlinear solver over the run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SolverSummary {
     /// Mean number of sweeps.
     pub iterations_per_step: f64,
@@ -156,7 +159,7 @@ pub struct SolverSummary {
 }
 
 /// Why a step could not be made, and what to do.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Diagnosis {
     /// The failure code; fixed.
     pub code: String,
@@ -180,8 +183,25 @@ pub struct Diagnosis {
     pub cause: String,
     /// What to do about it, for a person.
     pub advice: String,
-    /// A step in seconds that carries the run, as far as it was tried; absent if none was found.
+    /// A step in seconds that carries the run, as far as it was tried; absent if none was found. Of steps that adapt it is
+    /// the longest.
     pub advised_step_s: Option<f64>,
+    /// The longest step of `vpd_adaptive` that carries the run past a point source, as far as it was tried.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub advised_largest_step_s: Option<f64>,
+}
+
+impl Diagnosis {
+    /// The same with steps that adapt, which were tried.
+    pub(super) fn with_own_steps(self, largest_step_s: f64, tried: Tried) -> Self {
+        let advice = format!(
+            "steps that adapt to the point source carry the run: try \"method\": {{ \"name\": \"vpd_adaptive\" }}, \
+             \"step\": {{ \"adaptive\": {{ \"largest_step_s\": {} }} }}",
+            serde_json::json!(largest_step_s)
+        );
+        let advice = format!("{}; otherwise {}", tried.told(advice), self.advice);
+        Self { advice, advised_largest_step_s: Some(largest_step_s), ..self }
+    }
 }
 
 pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
@@ -285,6 +305,18 @@ pub(super) enum Advised {
     NoneWorks,
     /// A guess: nothing was tried.
     Untried { step_s: f64 },
+    /// The longest of steps that adapt, which was tried.
+    OwnStep { largest_step_s: f64, tried: Tried },
+}
+
+impl Advised {
+    /// The same of steps that adapt.
+    pub(super) fn of_own_steps(self) -> Self {
+        match self {
+            Self::Step { step_s, tried } => Self::OwnStep { largest_step_s: step_s, tried },
+            other => other,
+        }
+    }
 }
 
 /// How far a step was tried.
@@ -294,6 +326,16 @@ pub(super) enum Tried {
     Throughout,
     /// For so long, from the start and, if the run had come there with its energy, from where it failed.
     For { time_s: f64 },
+}
+
+impl Tried {
+    /// An advice, and for how long it was tried if that is not the whole run.
+    fn told(self, advice: String) -> String {
+        match self {
+            Self::Throughout => advice,
+            Self::For { time_s } => format!("{advice}; it was tried for {time_s:.3} s only"),
+        }
+    }
 }
 
 /// What happened, for a person: the common reason, or the stiffness where that is it.
@@ -323,11 +365,12 @@ pub(super) fn diagnosis(
         Advised::Step { step_s, tried } => {
             let advice =
                 format!("try \"step_s\": {} or a tableau with more stages", written(step_s));
-            let advice = match tried {
-                Tried::Throughout => advice,
-                Tried::For { time_s } => format!("{advice}; it was tried for {time_s:.3} s only"),
-            };
-            (advice, Some(step_s))
+            (tried.told(advice), Some(step_s))
+        }
+        Advised::OwnStep { largest_step_s, tried } => {
+            let written = written(largest_step_s);
+            let advice = format!("try \"largest_step_s\": {written} or a tableau with more stages");
+            (tried.told(advice), Some(largest_step_s))
         }
         Advised::NotFound { tried_s } => (
             format!(
@@ -360,6 +403,7 @@ pub(super) fn diagnosis(
         cause: cause(failure, frequency, step_s),
         advice,
         advised_step_s,
+        advised_largest_step_s: None,
     }
 }
 

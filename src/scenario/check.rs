@@ -27,7 +27,7 @@ const MAX_SAMPLES: u64 = 1_000_000_000;
 /// Smallest step in seconds.
 pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
 /// Largest step in seconds.
-const LARGEST_STEP_S: f64 = 1e6;
+pub(super) const LARGEST_STEP_S: f64 = 1e6;
 /// Smallest and largest error that may be asked for.
 const ACCURACY_RANGE: (f64, f64) = (1e-13, 0.1);
 /// Longest run in seconds of simulated time, so that log time fits its 64 bits.
@@ -63,6 +63,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     driven(scenario, n)?;
     initial(scenario, n)?;
     method(scenario, n)?;
+    super::steps::check(scenario)?;
     duration(scenario)?;
     if let Some(given) = &scenario.ensemble {
         given.check(scenario.step_count())?;
@@ -368,12 +369,13 @@ fn accuracy(scenario: &Scenario, error: f64) -> Check {
     ensure(error >= low && error <= high, "/accuracy/error", || {
         format!("{error:e} given, it lies from {low:e} to {high:e}")
     })?;
-    let beside = |given: bool, pointer: &str| {
+    let together = |given: bool, pointer: &str| {
         ensure(!given, pointer, || "is given together with `accuracy`, which chooses it".into())
     };
-    beside(scenario.method != Method::default(), "/method")?;
-    beside(scenario.step_s.is_some(), "/step_s")?;
-    beside(scenario.steps.is_some(), "/steps")?;
+    together(scenario.method != Method::default(), "/method")?;
+    together(scenario.step_s.is_some(), "/step_s")?;
+    together(scenario.step.is_some(), "/step")?;
+    together(scenario.steps.is_some(), "/steps")?;
     let Some(duration_s) = scenario.duration_s else {
         return Err(ScenarioError::invalid("", "missing field `duration_s`, needed by `accuracy`"));
     };
@@ -391,6 +393,11 @@ fn duration(scenario: &Scenario) -> Check {
         return accuracy(scenario, error);
     }
     let Some(h) = scenario.step_s else {
+        if let (Some(_), Some(duration_s), None) =
+            (scenario.adaptive(), scenario.duration_s, scenario.steps)
+        {
+            return whole_duration(duration_s);
+        }
         return Err(ScenarioError::invalid("", "missing field `step_s` (or `accuracy`)"));
     };
     let (low, high) = (SMALLEST_STEP_S, LARGEST_STEP_S);
@@ -460,8 +467,13 @@ fn log(scenario: &Scenario, n: usize) -> Check {
             ensure(!channel.needs_three() || n == 3, pointer.clone(), || {
                 format!("is for n = 3, this body has n = {n}")
             })?;
-            ensure(!channel.needs_ensemble() || scenario.ensemble.is_some(), pointer, || {
-                "is for ensembles, this scenario has none".into()
+            ensure(
+                !channel.needs_ensemble() || scenario.ensemble.is_some(),
+                pointer.clone(),
+                || "is for ensembles, this scenario has none".into(),
+            )?;
+            ensure(!channel.needs_own_steps() || scenario.adaptive().is_some(), pointer, || {
+                "is for steps that adapt, and these do not".into()
             })?;
         }
     }

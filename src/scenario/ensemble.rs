@@ -6,6 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::check::{Check, LARGEST_SEED, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
+#[cfg(feature = "serve")]
+use super::{Attitude, Entry, Framed, Initial, Scenario};
 
 /// Many runs of the scene. Member 0 starts as the scene says, the others at normally distributed distances from there.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -25,6 +27,52 @@ pub struct Ensemble {
     /// Members whose whole motion is logged in addition to that of member 0: at most seven.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub in_full: Vec<u64>,
+}
+
+#[cfg(feature = "serve")]
+impl Scenario {
+    /// One member of its ensemble as a run of its own. It begins at `attitude`, a matrix row by row, and `momentum`, in body
+    /// coordinates: for n = 3 the vector, else the entries above the diagonal, row by row. `None` if these are of another
+    /// dimension.
+    pub(crate) fn member(
+        mut self,
+        number: u64,
+        attitude: &[f64],
+        momentum: &[f64],
+    ) -> Option<Self> {
+        let n = self.dimension();
+        if attitude.len() != n * n || momentum.len() != n * (n - 1) / 2 {
+            return None;
+        }
+        let entries = match n {
+            3 => momentum.iter().copied().map(Entry::Number).collect(),
+            _ => {
+                let mut rows = vec![vec![0.0; n]; n];
+                let above = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j)));
+                for ((i, j), &entry) in above.zip(momentum) {
+                    (rows[i][j], rows[j][i]) = (entry, -entry);
+                }
+                rows.into_iter().map(Entry::Row).collect()
+            }
+        };
+        self.scene.initial = Initial {
+            attitude: Some(Attitude::Matrix(attitude.chunks(n).map(<[f64]>::to_vec).collect())),
+            momentum: Some(Framed::Body(entries)),
+            angular_velocity: None,
+        };
+        let mut name: String = self.name.clone();
+        // A name has at most 200 bytes.
+        while name.len() > 180 {
+            name.pop();
+        }
+        self.name = format!("{name}, member {number}");
+        if let Some(channels) = &mut self.log.channels {
+            channels.retain(|channel| !channel.is_of_ensembles());
+        }
+        self.ensemble = None;
+        self.expect = None;
+        Some(self)
+    }
 }
 
 impl Ensemble {

@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use serde_path_to_error::{Path, Segment};
 
+use super::suggest::with_suggestion;
 use super::term::Kind;
 use super::{
     Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, SchemaAddress,
@@ -23,16 +24,22 @@ use super::{
 
 /// Reads a scenario from JSON text.
 pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
-    from_tree(tree(text)?)
+    let tree = tree(text)?;
+    typed(&tree).map_err(|error| with_suggestion(error, &tree))
 }
 
 /// The second pass: a tree → types.
 pub(crate) fn from_tree<T: DeserializeOwned + Serialize>(tree: Value) -> Result<T, ScenarioError> {
-    let typed = serde_path_to_error::deserialize(&tree).map_err(|error| {
+    typed(&tree)
+}
+
+/// The same, of a tree that is kept.
+pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, ScenarioError> {
+    let typed = serde_path_to_error::deserialize(tree).map_err(|error| {
         ScenarioError::invalid(pointer(error.path()), plain(&error.inner().to_string()))
     })?;
     match serde_json::to_value(&typed) {
-        Ok(printed) => no_list_for_an_object(&tree, &printed, "").map(|()| typed),
+        Ok(printed) => no_list_for_an_object(tree, &printed, "").map(|()| typed),
         Err(error) => Err(ScenarioError::invalid("", plain(&error.to_string()))),
     }
 }

@@ -68,6 +68,16 @@ terms! {
     GravityGradient,
 }
 
+impl PotentialTerm {
+    /// The term as a point source, if it is one.
+    pub(crate) fn as_point_source(&self) -> Option<&PointSource> {
+        match self {
+            Self::PointSource(source) => Some(source),
+            _ => None,
+        }
+    }
+}
+
 /// What every term can be asked.
 pub(crate) trait Law {
     /// Checks form and range of the fields of the term with the pointer `at`.

@@ -34,12 +34,12 @@ const BEAT: Duration = Duration::from_millis(50);
 const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
 
 /// An errand of which so many processes in a row ended without having come further is given up, wherever that was.
-const MAX_FRUITLESS: u32 = 20;
+pub(super) const MAX_FRUITLESS: u32 = 20;
 
 /// What a child says.
 #[derive(Debug, Serialize, Deserialize)]
 enum Line {
-    Progress { steps_done: u64, resumed_step: u64, durable_step: u64 },
+    Progress { steps_done: u64, resumed_step: u64, durable_step: u64, durable_bytes: u64 },
     End(Result<Done, Broken>),
 }
 
@@ -186,10 +186,11 @@ fn pass_on(stdin: Option<ChildStdin>, errand: &Errand, control: &Control, over: 
 fn listen(stdout: impl Read, control: &Control) -> Option<Result<Done, Broken>> {
     for line in BufReader::new(stdout).lines() {
         match serde_json::from_str(&line.ok()?).ok()? {
-            Line::Progress { steps_done, resumed_step, durable_step } => {
+            Line::Progress { steps_done, resumed_step, durable_step, durable_bytes } => {
                 control.steps_done.store(steps_done, Ordering::Relaxed);
                 control.resumed_step.store(resumed_step, Ordering::Relaxed);
-                control.durable_step.store(durable_step, Ordering::Relaxed);
+                control.durable_bytes.store(durable_bytes, Ordering::Release);
+                control.durable_step.store(durable_step, Ordering::Release);
             }
             Line::End(result) => return Some(result),
         }
@@ -234,7 +235,9 @@ fn progress(control: &Control) -> Line {
     Line::Progress {
         steps_done: control.steps_done.load(Ordering::Relaxed),
         resumed_step: control.resumed_step.load(Ordering::Relaxed),
-        durable_step: control.durable_step.load(Ordering::Relaxed),
+        // Before its bytes, of which there are then enough.
+        durable_step: control.durable_step.load(Ordering::Acquire),
+        durable_bytes: control.durable_bytes.load(Ordering::Acquire),
     }
 }
 

@@ -12,7 +12,7 @@ use axum::middleware::{from_fn, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Json, Router};
-use serde_json::Value;
+use serde_json::{Value, json};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -21,7 +21,7 @@ use uuid::Uuid;
 
 use super::config::{Cors, Scope};
 use super::desk::Desk;
-use super::engine::Engine;
+use super::engine::{Engine, Refusal};
 use super::gate::{self, Gate};
 use super::job::State;
 use super::link::LinkKey;
@@ -31,6 +31,7 @@ use super::problem::{self, Problem};
 use super::studies::{Body as StudyRequest, Studies, StudyList, StudyView};
 use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, metrics};
+use crate::log::members::{MemberOrder, MemberQuantity, Members};
 use crate::log::samples::{Curve, Samples};
 use crate::log::stretch::Stretch;
 use crate::scenario::{SHIPPED, Scenario, schema};
@@ -39,7 +40,7 @@ mod jobs;
 mod request;
 mod studies;
 
-use request::{json_text, off_thread};
+use request::json_text;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
@@ -47,7 +48,8 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 #[derive(Clone, Debug)]
 pub(super) struct App {
     engine: Engine,
-    studies: Studies,
+    /// None where jobs go to other machines.
+    studies: Option<Studies>,
     pictures: Pictures,
     public_url: Option<String>,
     /// Where viewers follow while a job runs.
@@ -61,7 +63,7 @@ pub(super) struct App {
 impl App {
     pub(super) fn new(
         engine: Engine,
-        studies: Studies,
+        studies: Option<Studies>,
         desk: Desk,
         config: &ServeConfig,
         links: Option<LinkKey>,
@@ -69,6 +71,10 @@ impl App {
         let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
         let pictures = Pictures::new();
         Self { engine, studies, pictures, public_url, live: None, links, desk }
+    }
+
+    fn studies(&self) -> Result<&Studies, Refusal> {
+        self.studies.as_ref().ok_or(Refusal::NoStudies)
     }
 
     pub(super) fn with_live(self, address: SocketAddr) -> Self {
@@ -125,7 +131,7 @@ fn routes() -> Vec<Route> {
                     "Idempotency-Key",
                     "The same key with the same scenario gives the same job, also after a restart",
                 )
-                .body::<Scenario>(Some(SHIPPED[0].1))
+                .body::<Scenario>(example)
                 .json::<JobView>(202, "Taken")
                 .json::<JobView>(200, "Taken before under this key, and ended"),
             post(jobs::submit_job),
@@ -214,7 +220,7 @@ fn routes() -> Vec<Route> {
             "/studies",
             Submit,
             op("submitStudy", "Take a study: many runs of one scene, one table")
-                .body::<StudyRequest>(None)
+                .body::<StudyRequest>(|| json!({ "kind": "precision", "scenario": example(), "until_s": 0.5 }))
                 .json::<StudyView>(202, "Taken; it is on the disk"),
             post(studies::submit_study),
         )
@@ -300,11 +306,30 @@ fn routes() -> Vec<Route> {
             get(jobs::get_samples),
         ),
         Route::new(
+            "/jobs/{id}/members",
+            Read,
+            op("getMembers", "A quantity of all members of an ensemble over time, and those that stand out; also while it runs")
+                .query::<MemberQuantity>("channel", "The quantity; distance if absent")
+                .query::<jobs::Axis>("axis", "Of axis_angle the axis; 1 if absent")
+                .query::<MemberOrder>("order", "The order of the rows; largest if absent")
+                .query::<jobs::Offset>("offset", "Rows that are left out; 0 if absent")
+                .query::<jobs::Rows>("limit", "Rows at most; 20 if absent")
+                .json::<Members>(200, "Quantiles over time, and rows of members"),
+            get(jobs::get_members),
+        ),
+        Route::new(
+            "/jobs/{id}/members/{member}",
+            Read,
+            op("getJobMember", "The scenario of one member of an ensemble, `0.json` of the first, as a run of its own")
+                .json::<Scenario>(200, "The scenario"),
+            get(jobs::get_job_member),
+        ),
+        Route::new(
             "/jobs/{id}/charts/{chart}",
             Read,
             op(
                 "getChart",
-                "`energy.svg`, `orthogonality.svg` or `momentum.svg`, drawn from the log",
+                "`energy.svg`, `orthogonality.svg`, `momentum.svg` or `pace.svg` (of steps that adapt), drawn from the log",
             )
             .raw(200, "image/svg+xml", "The chart"),
             get(jobs::get_chart),
@@ -388,6 +413,11 @@ fn routes() -> Vec<Route> {
     ]
 }
 
+/// A scenario, for who looks for one.
+fn example() -> Value {
+    serde_json::from_str(SHIPPED[0].1).unwrap_or_default()
+}
+
 /// All routes of the service.
 pub(super) fn router(app: App, gate: Gate, cors: &Cors) -> Router {
     let routes = routes();
@@ -439,9 +469,9 @@ fn span(request: &Request) -> tracing::Span {
     tracing::info_span!("request", id, %method, path)
 }
 
-async fn get_metrics(Shared(app): Shared<App>) -> Response {
-    let text = off_thread(move || app.engine.metrics()).await;
-    ([(CONTENT_TYPE, metrics::MEDIA_TYPE)], text).into_response()
+async fn get_metrics(Shared(app): Shared<App>) -> Result<Response, Problem> {
+    let text = app.engine.metrics().await?;
+    Ok(([(CONTENT_TYPE, metrics::MEDIA_TYPE)], text).into_response())
 }
 
 async fn get_schema() -> Json<Value> {

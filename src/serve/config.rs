@@ -7,6 +7,8 @@ use std::str::FromStr;
 
 use subtle::ConstantTimeEq;
 
+#[cfg(feature = "cluster")]
+use super::ClusterConfig;
 use super::engine::Refusal;
 use crate::plan::{LOG_FIXED_BYTES, Plan};
 
@@ -39,6 +41,10 @@ pub struct ServeConfig {
     /// The `vpd` program, which runs in a process of its own what may have ended this one; absent: there is none, and
     /// such jobs run within.
     pub program: Option<PathBuf>,
+    /// Where jobs go that other machines run; absent: this one runs them. Then `data` holds copies of logs and nothing that
+    /// is missed.
+    #[cfg(feature = "cluster")]
+    pub cluster: Option<ClusterConfig>,
 }
 
 impl ServeConfig {
@@ -55,6 +61,8 @@ impl ServeConfig {
             insecure: false,
             live: None,
             program: None,
+            #[cfg(feature = "cluster")]
+            cluster: None,
         }
     }
 }
@@ -73,9 +81,9 @@ pub struct Limits {
     pub memory_bytes: u64,
     /// Bytes of the disk that logs leave free; a job without room is answered 507.
     pub reserve_bytes: u64,
-    /// Connections at once; more are closed.
+    /// Connections at once; more are answered 503.
     pub connections: usize,
-    /// Connections at once from one address; more are closed.
+    /// Connections at once from one address; more are answered 503.
     pub connections_per_client: usize,
     /// Requests a second from one address, on average; more are answered 429.
     pub requests_per_s: u32,

@@ -21,6 +21,8 @@ use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::services::ServeFile;
+#[cfg(feature = "cluster")]
+use tower_http::services::{ServeDir, fs::DefaultServeDirFallback};
 use tower_http::set_header::SetResponseHeaderLayer;
 use uuid::Uuid;
 
@@ -34,11 +36,7 @@ const CROSS_ORIGIN_RESOURCE_POLICY: HeaderName =
     HeaderName::from_static("cross-origin-resource-policy");
 
 /// Answers one request for the log at `path`.
-pub(super) async fn log(
-    id: Uuid,
-    path: PathBuf,
-    mut request: Request,
-) -> Result<Response, Problem> {
+pub(super) async fn log(id: Uuid, path: PathBuf, request: Request) -> Result<Response, Problem> {
     let file = path.clone();
     let metadata = tokio::task::spawn_blocking(move || dated(&file)).await;
     match metadata.map_err(std::io::Error::other).flatten() {
@@ -47,22 +45,54 @@ pub(super) async fn log(
         Ok(_) => return Err(Problem::not_found("log")),
         Err(error) => return Err(Problem::unreadable(&error)),
     }
+    ranged(id, Source::File(ServeFile::new(path)), request).await
+}
 
+/// Answers one request for a log in a bucket.
+#[cfg(feature = "cluster")]
+pub(super) async fn from_bucket(
+    id: Uuid,
+    log: super::engine::cluster::Served,
+    mut request: Request,
+) -> Result<Response, Problem> {
+    // The one file that it serves.
+    *request.uri_mut() = axum::http::Uri::from_static("/log.mcap");
+    let service = ServeDir::with_backend("", log).append_index_html_on_directories(false);
+    ranged(id, Source::Bucket(service), request).await
+}
+
+/// What knows ranges and ETags.
+enum Source {
+    File(ServeFile),
+    #[cfg(feature = "cluster")]
+    Bucket(ServeDir<DefaultServeDirFallback, super::engine::cluster::Served>),
+}
+
+impl Source {
+    async fn answer(&mut self, request: Request) -> Result<Response, Problem> {
+        let answer = match self {
+            Self::File(file) => file.try_call(request).await.map(IntoResponse::into_response),
+            #[cfg(feature = "cluster")]
+            Self::Bucket(log) => log.try_call(request).await.map(IntoResponse::into_response),
+        };
+        answer.map_err(|error| Problem::unreadable(&error))
+    }
+}
+
+async fn ranged(id: Uuid, mut source: Source, mut request: Request) -> Result<Response, Problem> {
     if request.headers().get(RANGE).is_some_and(|range| !is_range(range)) {
         request.headers_mut().remove(RANGE);
     }
-    let mut service = ServeFile::new(path);
     if let Some(wanted) = request.headers_mut().remove(IF_RANGE) {
         let mut probe = Request::new(Body::empty());
         *probe.method_mut() = Method::HEAD;
-        let head = service.try_call(probe).await.map_err(|error| Problem::unreadable(&error))?;
+        let head = source.answer(probe).await?;
         // Only an equal strong ETag says that it is the same file; a date is too coarse for that.
         if head.headers().get(ETAG) != Some(&wanted) {
             request.headers_mut().remove(RANGE);
         }
     }
-    let answer = service.try_call(request).await.map_err(|error| Problem::unreadable(&error))?;
-    let response = answer.into_response();
+    let response = source.answer(request).await?;
     Ok(if response.status().is_success() { as_log(id, response) } else { response })
 }
 

@@ -41,7 +41,7 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
         async move {
             while !sent.over {
                 // Forgotten, or the service stops: nothing more will come.
-                let view = engine.brief(id).ok().filter(|_| engine.is_ready())?;
+                let view = engine.brief(id).await.ok().filter(|_| engine.is_ready())?;
                 if sent.state != Some(view.state) {
                     let view = engine.get(id).await.ok()?;
                     sent.state = Some(view.state);
@@ -66,7 +66,7 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
 
 /// The log of a job from its first byte, as its chunks are closed, up to its last one.
 pub(super) async fn log(engine: Engine, id: Uuid) -> Result<Response, Refusal> {
-    if engine.brief(id)?.state.is_final() {
+    if engine.brief(id).await?.state.is_final() {
         engine.log(id).await?;
     }
     Ok(download::as_log(
@@ -86,9 +86,10 @@ fn pieces(reading: Reading) -> impl Stream<Item = io::Result<Bytes>> {
     stream::try_unfold(reading, |mut reading| async move {
         loop {
             // The state first: what ended before the file is read is whole when it is read.
-            let view = reading.engine.brief(reading.id).map_err(io::Error::other)?;
+            let view = reading.engine.brief(reading.id).await.map_err(io::Error::other)?;
+            let path = reading.engine.log_so_far(&view).await.map_err(io::Error::other)?;
             let (back, piece) = tokio::task::spawn_blocking(move || {
-                let piece = reading.read(&view);
+                let piece = reading.read(&view, &path);
                 (reading, piece)
             })
             .await
@@ -112,13 +113,12 @@ enum Piece {
 
 impl Reading {
     /// The next bytes of the file. Blocking.
-    fn read(&mut self, view: &View) -> io::Result<Piece> {
+    fn read(&mut self, view: &View, path: &Path) -> io::Result<Piece> {
         if self.file.is_none() {
-            let path = self.engine.log_path(self.id);
             self.file = match view.state.is_final() {
-                true => Some(open(&path)?),
+                true => Some(open(path)?),
                 // Once it makes steps, it stands fast what an interrupted run has left of the log.
-                false if view.steps_done > 0 => open(&crate::log::part_path(&path)).ok(),
+                false if view.steps_done > 0 => open(&crate::log::part_path(path)).ok(),
                 false => None,
             };
         }

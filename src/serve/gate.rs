@@ -263,7 +263,7 @@ async fn read(mut stream: BodyDataStream) -> Result<Bytes, Problem> {
     Ok(body.into())
 }
 
-async fn drain(mut stream: BodyDataStream) {
+pub(super) async fn drain(mut stream: BodyDataStream) {
     let mut length = 0;
     while let Some(Ok(piece)) = stream.next().await
         && length < DRAINED

@@ -3,6 +3,7 @@
 //! Invariant: whatever comes in from outside, the store and each worker can still open what they need. A job that was
 //! accepted does not fail for want of a handle.
 
+use super::listen::REFUSALS;
 use super::{Limits, viewers};
 
 /// Handles for the store, the listeners, the service's own log and what else there is.
@@ -32,7 +33,10 @@ pub(super) fn within(limits: Limits, workers: usize, with_viewers: bool) -> Limi
 /// How many connections so many handles carry next to the workers and those who follow.
 fn connections(granted: u64, workers: u64, viewers: u64) -> usize {
     let kept = STORE.saturating_add(WORKER.saturating_mul(workers)).saturating_add(viewers);
-    let carried = granted.saturating_sub(kept) / CONNECTION;
+    let free = granted.saturating_sub(kept);
+    // For each four of them there may be one more that is answered that it is too many, up to a number.
+    let few = free / (4 * CONNECTION + 1) * 4;
+    let carried = few.max(free.saturating_sub(REFUSALS as u64) / CONNECTION);
     usize::try_from(carried).unwrap_or(usize::MAX).max(FEWEST)
 }
 
@@ -60,6 +64,7 @@ fn raised() -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::listen::refusals;
     use super::connections;
 
     #[test]
@@ -68,16 +73,16 @@ mod tests {
             for workers in [1, 2, 8, 64] {
                 for viewers in [0, 64] {
                     let carried = connections(granted, workers, viewers);
-                    let taken = 2 * carried as u64;
+                    let taken = 2 * carried as u64 + refusals(carried) as u64;
                     let left = granted.saturating_sub(taken + viewers);
                     assert!(carried == 16 || left >= 64 + 16 * workers, "{granted} {workers}");
                     // And no fewer than that.
-                    let more = granted.saturating_sub(taken + 2 + viewers);
+                    let more = granted.saturating_sub(taken + 9 + viewers);
                     assert!(more < 64 + 16 * workers, "{granted} {workers}");
                 }
             }
         }
-        assert_eq!(connections(256, 2, 0), 80);
+        assert_eq!(connections(256, 2, 0), 68);
         assert_eq!(connections(u64::MAX, u64::MAX, 64), 16);
     }
 }

@@ -21,12 +21,13 @@ use super::engine::Refusal;
 use super::store::{Ending, LogSum, Record, Size, StoreError};
 use crate::advise::Unsettled;
 use crate::plan::Plan;
-use crate::run::{Control, Reason, RunError};
+use crate::run::{Control, Outcome, Reason, RunError, Summary};
 use crate::scenario::ScenarioError;
 
 /// Where a job stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
+#[schemars(rename = "JobState")]
 pub(super) enum State {
     Queued,
     Running,
@@ -253,6 +254,23 @@ impl Job {
         }
     }
 
+    /// The record of a run that came to its end.
+    pub(super) fn record_of(&self, summary: &Summary) -> Record {
+        let state = match summary.outcome {
+            Outcome::Succeeded => State::Succeeded,
+            Outcome::Failed => State::Failed,
+            Outcome::Cancelled => State::Cancelled,
+        };
+        let diagnosis =
+            summary.diagnosis.as_ref().and_then(|found| serde_json::to_value(found).ok());
+        let mut summary = serde_json::to_value(summary).unwrap_or_default();
+        // Where the log stands is our affair; clients have a link.
+        if let Some(summary) = summary.as_object_mut() {
+            summary.remove("log");
+        }
+        Record { has_log: true, summary: Some(summary), diagnosis, ..self.record(state, None) }
+    }
+
     /// The record of an end without a summary.
     pub(super) fn record(&self, state: State, fault: Option<&Fault>) -> Record {
         Record {
@@ -278,10 +296,14 @@ pub(super) fn created(id: Uuid) -> Option<DateTime<Utc>> {
 }
 
 /// Why a job ended without a summary of its run.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "JobFault")]
 pub(super) struct Fault {
+    /// The code; fixed.
     code: Cow<'static, str>,
+    /// What happened, for a person.
     message: String,
+    /// What to do about it, for a person.
     advice: Cow<'static, str>,
 }
 

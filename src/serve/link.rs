@@ -13,7 +13,11 @@ use sha2::Sha256;
 use tempfile::NamedTempFile;
 use uuid::Uuid;
 
+#[cfg(feature = "cluster")]
+use super::store::bucket::Bucket;
 use super::store::{parse_id, put_aside};
+#[cfg(feature = "cluster")]
+use super::{ServeError, chain};
 
 /// How long a link is good, at most, seconds.
 const LIFE_S: u64 = 86_400;
@@ -85,6 +89,14 @@ impl LinkKey {
         Hmac::new_from_slice(&key).map(Self).map_err(io::Error::other)
     }
 
+    /// The key of a bucket, which all its services have.
+    #[cfg(feature = "cluster")]
+    pub(super) async fn shared(bucket: &Bucket) -> Result<Self, ServeError> {
+        let unreadable = |message: String| ServeError::Record { message };
+        let key = bucket.link_key(drawn()?).await.map_err(|error| unreadable(chain(&error)))?;
+        Hmac::new_from_slice(&key).map(Self).map_err(|error| unreadable(error.to_string()))
+    }
+
     /// The query of a link that is good for about a day.
     pub(super) fn query(&self, subject: Subject) -> String {
         let end_s = (now_s() / GRAIN_S) * GRAIN_S + LIFE_S;
@@ -108,10 +120,15 @@ impl LinkKey {
     }
 }
 
-/// Draws a key and puts it in its place, whole or not at all, for the owner alone.
-fn make(data: &Path, path: &Path) -> io::Result<Vec<u8>> {
+fn drawn() -> io::Result<Vec<u8>> {
     let mut key = vec![0; KEY_BYTES];
     getrandom::fill(&mut key).map_err(io::Error::other)?;
+    Ok(key)
+}
+
+/// Draws a key and puts it in its place, whole or not at all, for the owner alone.
+fn make(data: &Path, path: &Path) -> io::Result<Vec<u8>> {
+    let key = drawn()?;
     // A file of this kind has the mode 600.
     let mut file = NamedTempFile::new_in(data)?;
     file.write_all(&key)?;

@@ -1,8 +1,8 @@
 //! Connections: taken, counted, timed.
 //!
 //! Invariants: a connection that says nothing, or reads nothing, is closed in the end; there are never more
-//! than the limits allow, and one too many harms none that has said what it wants; a failed accept does not end the
-//! service.
+//! than the limits allow, and one too many harms none that has said what it wants and is answered so; a failed accept does not
+//! end the service.
 
 use std::collections::{BTreeMap, HashMap};
 use std::convert::Infallible;
@@ -13,6 +13,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::Body;
 use axum::http::Request;
+use axum::response::IntoResponse;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -23,7 +24,8 @@ use tokio::task::JoinHandle;
 use tokio_io_timeout::TimeoutStream;
 use tower::ServiceExt;
 
-use super::Limits;
+use super::problem::Problem;
+use super::{Limits, gate};
 
 /// Longest time for the head of a request, seconds; also how long a connection may idle.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
@@ -33,6 +35,9 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(60);
 
 /// Largest head of a request, bytes; a longer one is answered 431.
 const MAX_HEAD: usize = 16 << 10;
+
+/// Longest time in which one connection too many is answered.
+const REFUSAL_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Pause after a failed accept: the system may be out of file handles.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -52,39 +57,67 @@ struct Places {
     /// Those that have not said yet what they want, the longest waiting first.
     silent: BTreeMap<u64, JoinHandle<()>>,
     next_id: u64,
+    /// Those that are being told that they are too many.
+    refused: usize,
+}
+
+/// Connections beyond a limit that may be told so at one time, at most.
+pub(super) const REFUSALS: usize = 128;
+
+/// How many may be, next to so many connections; more are closed.
+pub(super) fn refusals(connections: usize) -> usize {
+    (connections / 4).clamp(1, REFUSALS)
 }
 
 impl Open {
     pub(super) fn new(limits: Limits) -> Self {
         let (by_address, silent) = (HashMap::new(), BTreeMap::new());
-        Self(Arc::new(Mutex::new(Places { limits, by_address, silent, next_id: 0 })))
+        Self(Arc::new(Mutex::new(Places { limits, by_address, silent, next_id: 0, refused: 0 })))
     }
 
     fn places(&self) -> MutexGuard<'_, Places> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts a connection and begins it; false if it is one too many.
-    fn begin<F>(&self, peer: IpAddr, connection: impl FnOnce(Entry) -> F) -> bool
+    /// Counts a connection and begins it; gives it back if it is one too many.
+    fn begin<F>(
+        &self,
+        peer: IpAddr,
+        stream: TcpStream,
+        connection: impl FnOnce(TcpStream, Entry) -> F,
+    ) -> Result<(), TcpStream>
     where
         F: Future<Output = ()> + Send + 'static,
     {
         let mut places = self.places();
         if places.is_full() {
-            return false;
+            return Err(stream);
         }
         let limit = places.limits.connections_per_client;
         let count = places.by_address.entry(peer).or_default();
         if *count >= limit {
-            return false;
+            return Err(stream);
         }
         *count += 1;
         places.next_id += 1;
         let id = places.next_id;
         // Behind the lock: it cannot speak before it is known as silent.
-        let task = tokio::spawn(connection(Entry { open: self.clone(), peer, id }));
+        let task = tokio::spawn(connection(stream, Entry { open: self.clone(), peer, id }));
         places.silent.insert(id, task);
-        true
+        Ok(())
+    }
+
+    /// Tells a connection that it is one too many; closes it if as many are being told as may be.
+    fn refuse(&self, stream: TcpStream) {
+        let mut places = self.places();
+        if places.refused < refusals(places.limits.connections) {
+            places.refused += 1;
+            let told = Told(self.clone());
+            tokio::spawn(async move {
+                let _ = tokio::time::timeout(REFUSAL_TIMEOUT, refuse(stream)).await;
+                drop(told);
+            });
+        }
     }
 
     /// Whether another one would be one too many.
@@ -136,6 +169,15 @@ impl Drop for Entry {
     }
 }
 
+/// A connection that is answered that it is one too many.
+struct Told(Open);
+
+impl Drop for Told {
+    fn drop(&mut self) {
+        self.0.places().refused -= 1;
+    }
+}
+
 /// Serves connections until `stop` changes; returns once the answers in flight are given.
 pub(super) async fn listen(
     listener: TcpListener,
@@ -163,12 +205,13 @@ pub(super) async fn listen(
             open.shed().await;
         }
         let (app, stopping, alive) = (app.clone(), stopping.clone(), alive.clone());
-        let begun = open.begin(peer, |entry| async move {
+        let begun = open.begin(peer, stream, |stream, entry| async move {
             serve(stream, entry, app, stopping).await;
             drop(alive);
         });
-        if !begun {
+        if let Err(stream) = begun {
             tracing::debug!(%peer, "one connection too many");
+            open.refuse(stream);
         }
     }
     drop((listener, alive));
@@ -206,4 +249,18 @@ async fn serve(stream: TcpStream, entry: Entry, app: Router, mut stop: watch::Re
         // A client that leaves, or talks nonsense, is no concern of ours.
         tracing::debug!(%peer, %error, "connection ended early");
     }
+}
+
+/// Answers the first request of a connection that is one too many: come again later.
+async fn refuse(stream: TcpStream) -> Result<(), hyper::Error> {
+    let service = service_fn(|request: Request<Incoming>| async {
+        // Who is still sending when it is closed would not see the answer.
+        gate::drain(Body::new(request.into_body()).into_data_stream()).await;
+        Ok::<_, Infallible>(Problem::too_many_connections().into_response())
+    });
+    http1::Builder::new()
+        .keep_alive(false)
+        .max_header_size(MAX_HEAD)
+        .serve_connection(TokioIo::new(stream), service)
+        .await
 }

@@ -1,6 +1,7 @@
 //! The description of the API, made from the same list that makes the router.
 //!
-//! Invariant: a route that is not described does not exist, and a schema is that of the type that is sent.
+//! Invariant: a route that is not described does not exist, and a schema is that of the type that is sent. Generators of
+//! clients understand it: no schema is `true`, each part of a choice has a name.
 
 use axum::http::Method;
 use schemars::generate::SchemaSettings;
@@ -22,7 +23,7 @@ pub(super) struct Operation {
     id: &'static str,
     summary: &'static str,
     parameters: Vec<Parameter>,
-    body: Option<(SchemaOf, Option<&'static str>)>,
+    body: Option<(SchemaOf, fn() -> Value)>,
     answers: Vec<Answer>,
 }
 
@@ -62,8 +63,8 @@ impl Operation {
         self
     }
 
-    /// The JSON that is sent, with the text of an example if there is one.
-    pub(super) fn body<T: JsonSchema>(mut self, example: Option<&'static str>) -> Self {
+    /// The JSON that is sent, with an example.
+    pub(super) fn body<T: JsonSchema>(mut self, example: fn() -> Value) -> Self {
         self.body = Some((schema_of::<T>, example));
         self
     }
@@ -101,11 +102,17 @@ impl Operation {
             .split('/')
             .filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
             .map(|name| {
-                let schema = match name {
-                    "id" => json!({ "type": "string", "format": "uuid" }),
-                    _ => json!({ "type": "string" }),
+                let (schema, example) = match name {
+                    "id" => (
+                        json!({ "type": "string", "format": "uuid" }),
+                        "019b7f5c-3c00-7000-8000-000000000000",
+                    ),
+                    "chart" => (json!({ "type": "string" }), "energy.svg"),
+                    "member" => (json!({ "type": "string" }), "0.json"),
+                    _ if path.starts_with("/studies") => (json!({ "type": "string" }), "order.svg"),
+                    _ => (json!({ "type": "string" }), "heavy-top"),
                 };
-                json!({ "name": name, "in": "path", "required": true, "schema": schema })
+                json!({ "name": name, "in": "path", "required": true, "schema": schema, "example": example })
             })
             .collect();
         parameters.extend(self.parameters.iter().map(|parameter| {
@@ -126,20 +133,25 @@ impl Operation {
             "default".to_owned(),
             json!({
                 "description": "A problem (RFC 9457); `code` says which.",
-                "content": { problem::MEDIA_TYPE: { "schema": problem } },
+                "content": { problem::MEDIA_TYPE: { "schema": problem, "example": {
+                    "type": "urn:vpd:problem:invalid_input",
+                    "title": "Invalid input",
+                    "status": 422,
+                    "detail": "must be positive, is -0.01",
+                    "code": "invalid_input",
+                    "pointer": "/step_s",
+                } } },
             }),
         );
         let mut operation = json!({
             "operationId": self.id,
+            "tags": [tag(path)],
             "summary": self.summary,
             "parameters": parameters,
             "responses": answers,
         });
         if let Some((schema, example)) = self.body {
-            let mut content = json!({ "schema": schema(generator) });
-            if let Some(example) = example {
-                content["example"] = serde_json::from_str(example).unwrap_or_default();
-            }
+            let content = json!({ "schema": schema(generator), "example": example() });
             let content = json!({ "application/json": content });
             operation["requestBody"] = json!({ "required": true, "content": content });
         }
@@ -163,7 +175,16 @@ pub(super) fn document<'a>(
         let described = operation.describe(path, scope, &mut generator);
         paths.entry(path).or_insert_with(|| json!({}))[method.as_str().to_lowercase()] = described;
     }
-    json!({
+    let mut schemas = Value::Object(generator.take_definitions(true));
+    if let Some(schemas) = schemas.as_object_mut() {
+        let taken: Vec<String> = schemas.keys().cloned().collect();
+        for (name, schema) in schemas.iter_mut() {
+            list_words(schema);
+            name_choices(name, schema, &taken);
+        }
+    }
+    let tags = TAGS.map(|(name, description)| json!({ "name": name, "description": description }));
+    let mut document = json!({
         "openapi": "3.1.0",
         "info": {
             "title": "vpd",
@@ -171,10 +192,105 @@ pub(super) fn document<'a>(
             "description": env!("CARGO_PKG_DESCRIPTION"),
             "license": { "name": env!("CARGO_PKG_LICENSE") },
         },
+        "tags": tags,
         "paths": paths,
         "components": {
-            "schemas": generator.take_definitions(true),
+            "schemas": schemas,
             "securitySchemes": { "token": { "type": "http", "scheme": "bearer" } },
         },
-    })
+    });
+    spell_out(&mut document);
+    document
+}
+
+/// The groups of routes.
+const TAGS: [(&str, &str); 4] = [
+    ("jobs", "Runs of scenarios: take them, follow them, read their logs"),
+    ("studies", "Many runs of one scene, one table"),
+    ("scenarios", "What a job is: the shipped examples, the JSON Schema"),
+    ("service", "The service itself, its pages, the layouts of viewers"),
+];
+
+fn tag(path: &str) -> &'static str {
+    let first = path.split('/').nth(1).unwrap_or_default();
+    match first {
+        "jobs" | "studies" => {
+            TAGS.iter().find(|(name, _)| *name == first).map_or("service", |tag| tag.0)
+        }
+        _ if first.starts_with("scenario") => "scenarios",
+        _ => "service",
+    }
+}
+
+/// Makes a choice of words, each with its meaning, a list of them: what a generator of clients knows as an enumeration. The
+/// meanings go into the description.
+fn list_words(schema: &mut Value) {
+    let Some(parts) = schema["oneOf"].as_array() else { return };
+    let (mut words, mut meanings) = (Vec::new(), Vec::new());
+    for part in parts {
+        let one = part["const"].is_string().then(|| vec![part["const"].clone()]);
+        let Some(some) = part["enum"].as_array().cloned().or(one) else { return };
+        if let (Some(word), Some(meaning)) = (some[0].as_str(), part["description"].as_str()) {
+            meanings.push(format!("- `{word}`: {meaning}"));
+        }
+        words.extend(some);
+    }
+    let about = schema["description"].as_str().unwrap_or_default();
+    let description = format!("{about}\n\n{}", meanings.join("\n"));
+    *schema = json!({ "description": description.trim(), "type": "string", "enum": words });
+}
+
+/// Names the parts of a choice, which generators of clients would number: `FramedBody` is the one of `Framed` with `body`,
+/// `PotentialTermSpring` that of `kind` `spring`, and `TorqueWithTable` that of `Torque` with `table`, for `TorqueTable` is taken.
+fn name_choices(of: &str, schema: &mut Value, taken: &[String]) {
+    for word in ["oneOf", "anyOf"] {
+        let parts = schema.get_mut(word).and_then(Value::as_array_mut);
+        for part in parts.into_iter().flatten() {
+            let key = part["properties"]["kind"]["const"].as_str().or(part["required"][0].as_str());
+            let title = key.map(camel).map(|key| {
+                let short = format!("{of}{key}");
+                if taken.contains(&short) { format!("{of}With{key}") } else { short }
+            });
+            if let (Some(title), Some(part)) = (title, part.as_object_mut())
+                && part.contains_key("properties")
+            {
+                part.insert("title".to_owned(), title.into());
+            }
+        }
+    }
+}
+
+/// `point_source` → `PointSource`.
+fn camel(words: &str) -> String {
+    let word = |word: &str| {
+        let mut letters = word.chars();
+        letters.next().map(|first| first.to_ascii_uppercase().to_string() + letters.as_str())
+    };
+    words.split('_').filter_map(word).collect()
+}
+
+/// Where any JSON will do a schema may be `true`, which generators of clients do not take: `{}` says the same.
+fn spell_out(value: &mut Value) {
+    match value {
+        Value::Array(values) => values.iter_mut().for_each(spell_out),
+        Value::Object(fields) => {
+            for (key, value) in fields {
+                match value {
+                    Value::Bool(true) if matches!(key.as_str(), "schema" | "items") => {
+                        *value = json!({});
+                    }
+                    Value::Object(properties) if key == "properties" => {
+                        for property in properties.values_mut() {
+                            match property {
+                                Value::Bool(true) => *property = json!({}),
+                                property => spell_out(property),
+                            }
+                        }
+                    }
+                    value => spell_out(value),
+                }
+            }
+        }
+        _ => {}
+    }
 }

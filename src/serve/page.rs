@@ -21,6 +21,8 @@ use super::problem::Problem;
 use crate::chart::{ChartError, draw_log};
 use crate::log::LAYOUT;
 use crate::log::course::LogChart;
+use crate::log::members::{self, Members};
+use crate::log::messages::State;
 use crate::log::samples::{Curve, Samples, Window, read_course};
 use crate::log::stretch::{self, Stretch};
 use crate::log::{LogError, part_path};
@@ -34,16 +36,25 @@ pub(super) const MAX_STRETCH: usize = 2000;
 pub(super) const POINTS: usize = 500;
 pub(super) const MAX_POINTS: usize = 5000;
 
+/// Members in one answer, if the client does not say, and at most.
+pub(super) const MEMBERS: usize = 20;
+pub(super) const MAX_MEMBERS: usize = 200;
+
 /// Logs that are read at once for charts, and as many for attitudes: a long log keeps a thread busy for seconds.
 const READERS: usize = 2;
 
 const STYLE: &str = concat!(include_str!("page/uplot/uplot.css"), include_str!("page/style.css"));
 const SCRIPT: &str = concat!(
     include_str!("page/body.js"),
+    include_str!("page/codemirror/codemirror.js"),
+    "\n",
     include_str!("page/uplot/uplot.js"),
     "\n",
     include_str!("page/client.js"),
     include_str!("page/chart.js"),
+    include_str!("page/members.js"),
+    include_str!("page/json.js"),
+    include_str!("page/schema.js"),
     include_str!("page/editor.js"),
     include_str!("page/form.js"),
     include_str!("page/list.js"),
@@ -211,30 +222,54 @@ impl Pictures {
         window: Window,
         inertia: Option<Inertia>,
     ) -> Result<Option<Samples>, Problem> {
-        let _turn = self.stretches.acquire().await.map_err(|error| Problem::unreadable(&error))?;
-        let waiting = Arc::new(());
-        let waits = Arc::downgrade(&waiting);
-        let read = aside(move || {
+        let read = move |file: &Path, stopped: Stopped<'_>| {
             let velocity = |momentum: &[f64]| {
                 inertia
                     .as_ref()
                     .map_or_else(Vec::new, |inertia| angular_velocity(inertia, momentum))
             };
-            let file = match own_file(&path) {
-                Err(LogError::Storage { source, .. })
-                    if source.kind() == io::ErrorKind::NotFound =>
-                {
-                    return Ok(None);
-                }
-                file => file?,
-            };
-            read_course(file, curve, window, &velocity, &|| waits.strong_count() == 0)
+            read_course(file, curve, window, &velocity, stopped)
+        };
+        self.read(path, read).await
+    }
+
+    /// The members of an ensemble that have ended; `None` if there is no file. Who no longer waits ends the reading.
+    pub(super) async fn members(
+        &self,
+        path: PathBuf,
+        wanted: members::Wanted,
+    ) -> Result<Option<Members>, Problem> {
+        self.read(path, move |file, stopped| members::read_members(file, wanted, stopped)).await
+    }
+
+    /// Where a member of an ensemble began; `None` if it has not ended, or there is none.
+    pub(super) async fn start(&self, path: PathBuf, member: u64) -> Result<Option<State>, Problem> {
+        self.read(path, move |file, stopped| members::read_start(file, member, stopped)).await
+    }
+
+    /// Reads something from a log in its turn; `None` if there is no file.
+    async fn read<T: Send + 'static>(
+        &self,
+        path: PathBuf,
+        read: impl FnOnce(&Path, Stopped<'_>) -> Result<Option<T>, LogError> + Send + 'static,
+    ) -> Result<Option<T>, Problem> {
+        let _turn = self.stretches.acquire().await.map_err(|error| Problem::unreadable(&error))?;
+        let waiting = Arc::new(());
+        let waits = Arc::downgrade(&waiting);
+        let found = aside(move || match own_file(&path) {
+            Err(LogError::Storage { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+                Ok(None)
+            }
+            file => read(file?, &|| waits.strong_count() == 0),
         });
-        let read = read.await.map_err(|error| Problem::unreadable(&error))?;
+        let found = found.await.map_err(|error| Problem::unreadable(&error))?;
         drop(waiting);
-        read.map_err(|error| Problem::unreadable(&error))
+        found.map_err(|error| Problem::unreadable(&error))
     }
 }
+
+/// Whether nobody waits any more.
+type Stopped<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// The angular velocity of a momentum, both in body coordinates: `J w = m` for n = 3, else `(d_i + d_j) w_ij = m_ij`.
 /// Nothing if the momentum is not of this body.

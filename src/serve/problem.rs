@@ -120,6 +120,12 @@ impl Problem {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_viewers", detail).retry(RETRY_S)
     }
 
+    /// One connection too many.
+    pub(super) fn too_many_connections() -> Self {
+        let detail = "as many connections as may be are open, in all or from this address: try again later, or keep fewer";
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_connections", detail).retry(1)
+    }
+
     /// A body beyond the limit.
     pub(super) fn too_large() -> Self {
         Self::from_status(StatusCode::PAYLOAD_TOO_LARGE)
@@ -323,6 +329,7 @@ impl From<Refusal> for Problem {
             Refusal::Stopping => with(StatusCode::SERVICE_UNAVAILABLE).retry(RETRY_S),
             Refusal::UnknownJob | Refusal::NoLog => with(StatusCode::NOT_FOUND),
             Refusal::JobRunning | Refusal::JobEnded => with(StatusCode::CONFLICT),
+            Refusal::NoStudies => with(StatusCode::NOT_IMPLEMENTED),
             Refusal::LogDamaged | Refusal::Broken => with(StatusCode::INTERNAL_SERVER_ERROR),
             Refusal::LogUnfinished { eta_s } => {
                 let wait = eta_s.unwrap_or(RETRY_S as f64).ceil().clamp(1.0, MAX_RETRY_S);

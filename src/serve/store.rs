@@ -13,6 +13,8 @@
 //! `index.jsonl` repeats of each job what lists show, so that a start need not read them all. It is no
 //! record: what is missing there, or damaged, is read from the job.
 
+#[cfg(feature = "cluster")]
+pub(super) mod bucket;
 mod directory;
 mod studies;
 

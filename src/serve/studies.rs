@@ -27,6 +27,9 @@ use crate::chart;
 use crate::log::part_path;
 use crate::run::Control;
 use crate::scenario::ScenarioError;
+use crate::study::precision::timing;
+use crate::study::stability::Border;
+use crate::study::table::Row;
 use crate::sweep::Sweep;
 pub(super) use question::{Answer, Body, Kind, Question, Unanswered};
 use question::{PICTURE, TABLE};
@@ -120,16 +123,21 @@ pub(super) struct StudyView {
     reference: Option<[f64; 3]>,
     /// One row a run; not in lists.
     #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(with = "Vec<Row>", default)]
     rows: Vec<Value>,
+    /// How the times in its rows were measured, where they were.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    timing: Option<String>,
     /// The largest usable steps; not in lists.
     #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(with = "Vec<Border>", default)]
     borders: Vec<Value>,
     /// Addresses of the table and the charts.
     links: Vec<String>,
 }
 
 /// The studies that are kept, newest first.
-#[derive(Debug, Serialize, JsonSchema)]
+#[derive(Debug, Default, Serialize, JsonSchema)]
 pub(super) struct StudyList {
     studies: Vec<StudyView>,
 }
@@ -463,7 +471,9 @@ impl Study {
         match &self.phase {
             Phase::Ended(record) => {
                 let Answer { rows, borders, .. } = &record.answer;
-                StudyView { rows: rows.clone(), borders: borders.clone(), ..view }
+                let timed = record.kind == Kind::Precision && !rows.is_empty();
+                let timing = timed.then(timing);
+                StudyView { rows: rows.clone(), timing, borders: borders.clone(), ..view }
             }
             _ => view,
         }
@@ -494,6 +504,7 @@ impl Study {
             error: record.and_then(|record| record.error.clone()),
             reference: answer.and_then(|answer| answer.reference),
             rows: Vec::new(),
+            timing: None,
             borders: Vec::new(),
             links: answer
                 .into_iter()

@@ -7,9 +7,11 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
-use super::job::{State, Trouble, View};
+use super::job::{Fault, State, Trouble, View};
 use super::link::{LinkKey, Subject};
 use super::store::LogSum;
+use crate::plan::Plan;
+use crate::run::{Diagnosis, Summary};
 use crate::scenario::SHIPPED;
 
 /// A job as clients see it.
@@ -32,18 +34,31 @@ pub(super) struct JobView {
     log: Option<LogSum>,
     /// What will be modelled and why; absent in lists once the job has ended, and until an accuracy is
     /// turned into a method and a step.
-    #[schemars(with = "Option<Value>")]
+    #[schemars(with = "Option<Plan>")]
     plan: Option<Box<RawValue>>,
     /// When it ended.
     #[serde(skip_serializing_if = "Option::is_none")]
     finished: Option<DateTime<Utc>>,
     /// The figures of its run.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<Summary>")]
     summary: Option<Value>,
     /// Why it failed: code, cause, advice.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<JobDiagnosis>")]
     diagnosis: Option<Value>,
     links: Links,
+}
+
+/// Why a job failed; `code` says it to a program.
+#[derive(JsonSchema)]
+#[schemars(untagged)]
+#[expect(dead_code, reason = "only its schema is used")]
+enum JobDiagnosis {
+    /// A step could not be made.
+    Step(Diagnosis),
+    /// There is no run to speak of.
+    Job(Fault),
 }
 
 /// How far a job has come.
@@ -78,6 +93,7 @@ impl Reach {
 
 /// Where the rest is.
 #[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "JobLinks")]
 struct Links {
     #[serde(rename = "self")]
     this: String,
@@ -112,6 +128,7 @@ struct Links {
 
 /// Charts of a log.
 #[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "ChartLinks")]
 struct Charts {
     energy: String,
     orthogonality: String,
@@ -120,6 +137,7 @@ struct Charts {
 
 /// Links that open a log in viewers. A desktop link does nothing where the program is not installed.
 #[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "ViewerLinks")]
 struct Viewers {
     foxglove: String,
     foxglove_desktop: String,
@@ -129,6 +147,7 @@ struct Viewers {
 
 /// The live view, and links that open it in viewers.
 #[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "LiveViewerLinks")]
 struct LiveViewers {
     /// Its address, of Foxglove's WebSocket protocol.
     address: String,
@@ -177,7 +196,8 @@ pub(super) struct ScenarioList {
 #[derive(Debug, Serialize, JsonSchema)]
 struct ScenarioEntry {
     name: &'static str,
-    description: Value,
+    /// What it shows; absent if it does not say.
+    description: Option<String>,
     links: ScenarioLinks,
 }
 
@@ -189,6 +209,7 @@ struct ScenarioLinks {
 
 /// How the service is.
 #[derive(Debug, Serialize, JsonSchema)]
+#[schemars(rename = "ServiceStatus")]
 pub(super) struct Status {
     pub(super) status: &'static str,
 }
@@ -268,7 +289,8 @@ impl ScenarioList {
         let scenarios = SHIPPED.iter().map(|&(name, text)| {
             let scenario: Value = serde_json::from_str(text).unwrap_or_default();
             let links = ScenarioLinks { this: format!("/scenarios/{name}") };
-            ScenarioEntry { name, description: scenario["description"].clone(), links }
+            let description = scenario["description"].as_str().map(str::to_owned);
+            ScenarioEntry { name, description, links }
         });
         Self { scenarios: scenarios.collect() }
     }

@@ -2,7 +2,7 @@
 
 use super::measure::{Probe, measure};
 use super::table::{Row, Table};
-use super::{Entry, StudyError, Watch};
+use super::{Entry, StudyError, Watch, of_each, threads};
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
@@ -18,7 +18,7 @@ pub struct LongTerm {
 /// Samples of a run at most.
 const SAMPLES: u64 = 100_000;
 
-/// Runs each method with the step and duration of the scenario.
+/// Runs each method with the step and duration of the scenario, on all cores.
 ///
 /// # Errors
 /// If the scene cannot be planned, or the study is cancelled.
@@ -27,18 +27,26 @@ pub fn long_term(
     entries: &[Entry],
     watch: &Watch,
 ) -> Result<LongTerm, StudyError> {
+    on_threads(scene, entries, watch, threads(watch))
+}
+
+pub(super) fn on_threads(
+    scene: &Scenario,
+    entries: &[Entry],
+    watch: &Watch,
+    threads: usize,
+) -> Result<LongTerm, StudyError> {
     let Plan { step_s, steps, .. } = Plan::new(scene)?;
     watch.expect(entries.len() as u64);
-    let mut result = LongTerm { table: Table::default(), series: Vec::new() };
-    for entry in entries {
+    let runs = of_each(entries, threads, |entry| {
         let every = steps.div_ceil(SAMPLES);
         let probe = Probe { every, ..Probe::of(&entry.method, step_s, steps) };
         let run = measure(scene, probe, watch)?;
         watch.advance(1)?;
-        result.table.rows.push(Row::new(entry, step_s, &run, None));
-        result.series.push(run.series);
-    }
-    Ok(result)
+        Ok((Row::new(entry, step_s, &run, None), run.series))
+    })?;
+    let (rows, series) = runs.into_iter().unzip();
+    Ok(LongTerm { table: Table { rows }, series })
 }
 
 /// The change of a quantity over a run by a straight line through means of it, and the standard error that the

@@ -14,7 +14,9 @@ use crate::assemble::{Assembly, Task, assembled};
 use crate::log::schema::Channel;
 use crate::plan::{Counts, Plan};
 use crate::run::ensemble::spread;
-use crate::scenario::{Ensemble, LogOptions, Method, Scenario, ScenarioError};
+use crate::scenario::{
+    Adaptive, Ensemble, LogOptions, Method, MethodName, Scenario, ScenarioError, Steps,
+};
 use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
@@ -127,6 +129,8 @@ pub(crate) struct Measured {
     pub(crate) fastest_sample: usize,
     pub(crate) largest_kinetic: f64,
     pub(crate) largest_momentum: f64,
+    /// The shortest step in parts of the longest, where they adapt.
+    pub(crate) least_sigma: Option<f64>,
 }
 
 impl Measured {
@@ -159,6 +163,16 @@ pub(crate) fn variant(
     steps: u64,
 ) -> Result<Plan, ScenarioError> {
     let mut scenario = scene.clone();
+    // Another method has steps of one length, or own steps of the study's.
+    if *method != scene.method {
+        scenario.step = match (&scene.step, method.name) {
+            (Some(Steps::Adaptive(adaptive)), MethodName::VpdAdaptive) => {
+                let own = Adaptive { largest_step_s: None, ..adaptive.clone() };
+                Some(Steps::Adaptive(own))
+            }
+            _ => None,
+        };
+    }
     scenario.method = method.clone();
     (scenario.step_s, scenario.steps, scenario.duration_s) = (Some(step_s), Some(steps), None);
     (scenario.accuracy, scenario.ensemble) = (None, None);
@@ -227,9 +241,10 @@ impl Task for Measurement<'_> {
             fastest: (0.0, 0),
             kinetic: 0.0,
             momentum: 0.0,
+            least_sigma: None,
         };
         let observables =
-            Observables { energy: true, orthogonality: true, momentum: false, sigma_min: false };
+            Observables { energy: true, orthogonality: true, pace: true, ..Observables::default() };
         let trajectory = trajectory::integrate(
             &body,
             stepper.as_mut(),
@@ -240,7 +255,7 @@ impl Task for Measurement<'_> {
             |_| !blown.get() && !self.watch.is_cancelled(),
         );
         let Ok(Trajectory { ending, reached }) = trajectory;
-        let Gauge { points, series, fastest, kinetic, momentum, .. } = gauge;
+        let Gauge { points, series, fastest, kinetic, momentum, least_sigma, .. } = gauge;
         let State { attitude, momentum: last } = reached.state();
         Measured {
             end: match ending {
@@ -263,6 +278,7 @@ impl Task for Measurement<'_> {
             fastest_sample: fastest.1,
             largest_kinetic: kinetic,
             largest_momentum: momentum,
+            least_sigma,
         }
     }
 }
@@ -279,6 +295,7 @@ struct Gauge<'a, const N: usize> {
     fastest: (f64, usize),
     kinetic: f64,
     momentum: f64,
+    least_sigma: Option<f64>,
 }
 
 impl<const N: usize> Sink<N> for Gauge<'_, N> {
@@ -292,6 +309,10 @@ impl<const N: usize> Sink<N> for Gauge<'_, N> {
         let rate = size(&self.body.velocity(&sample.momentum));
         if rate > self.fastest.0 {
             self.fastest = (rate, self.series.len() - 1);
+        }
+        if let Some(pace) = sample.pace {
+            let least = self.least_sigma.unwrap_or(1.0);
+            self.least_sigma = Some(least.min(pace.least_sigma));
         }
         self.momentum = self.momentum.max(size(&sample.momentum));
         self.kinetic = self.kinetic.max(sample.energy.map_or(0.0, |energy| energy.kinetic));

@@ -204,8 +204,13 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
     let step_s = time_s / steps as f64;
     let mut stepper = (candidate.stepper)();
     let schedule = Schedule { step_s, steps, every: steps.div_ceil(1000) };
-    let observables =
-        Observables { energy: true, orthogonality: false, momentum: false, sigma_min: false };
+    let observables = Observables {
+        energy: true,
+        orthogonality: false,
+        momentum: false,
+        sigma_min: false,
+        pace: false,
+    };
     let mut largest = Largest::default();
     let Ok(end) = trajectory::integrate(
         system,

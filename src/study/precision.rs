@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::measure::{self, Probe};
 use super::reference::Reference;
 use super::table::{Row, Table};
-use super::{Entry, Scales, StudyError, Watch, usual_time};
+use super::{Entry, Scales, StudyError, Watch, of_each, threads, usual_time};
 use crate::scenario::Scenario;
 
 /// What was measured of a scene.
@@ -24,8 +24,15 @@ const HALVINGS: u32 = 14;
 /// Turns in which the methods take part when their times are measured.
 const REPEATS: u32 = 5;
 
+/// How the times of a study are measured, for who reads them.
+pub fn timing() -> String {
+    format!(
+        "the least of {REPEATS} turns, in each of which all runs are made, one at a time on one thread"
+    )
+}
+
 /// Runs each method over `until_s` (about one turn if absent) with a step that is halved until the error
-/// is that of the reference, and measures errors and work; the times of all runs in turns.
+/// is that of the reference, and measures errors and work on all cores; then the times of all runs in turns, one at a time.
 ///
 /// # Errors
 /// If there is no reference to be trusted, or the study is cancelled.
@@ -35,16 +42,24 @@ pub fn precision(
     until_s: Option<f64>,
     watch: &Watch,
 ) -> Result<Precision, StudyError> {
+    on_threads(scene, entries, until_s, watch, threads(watch))
+}
+
+pub(super) fn on_threads(
+    scene: &Scenario,
+    entries: &[Entry],
+    until_s: Option<f64>,
+    watch: &Watch,
+    threads: usize,
+) -> Result<Precision, StudyError> {
     let time_s = until_s.map_or_else(|| usual_time(scene), Ok)?;
     let scales = Scales::of(scene, time_s, watch)?;
     let reference = Reference::at(scene, time_s, &scales, watch)?;
     let floor = reference.error.max(f64::EPSILON);
     // The first step turns the body by about a radian where it is fastest.
     let start = (time_s * scales.fastest_rad_s).ceil().max(1.0) as u64;
-    let (mut table, mut lines) = (Table::default(), Vec::new());
-    for entry in entries {
-        let first = table.rows.len();
-        let mut least = f64::INFINITY;
+    let rows = of_each(entries, threads, |entry| {
+        let (mut rows, mut least) = (Vec::new(), f64::INFINITY);
         for halving in 0..HALVINGS {
             let steps = start << halving;
             let step_s = time_s / steps as f64;
@@ -54,8 +69,7 @@ pub fn precision(
             let run = measure::measure(scene, probe, watch)?;
             watch.advance(1)?;
             let error = reference.distance(&run.last);
-            let row = Row::new(entry, step_s, &run, Some(error));
-            table.rows.push(row);
+            rows.push(Row::new(entry, step_s, &run, Some(error)));
             if !run.completed() {
                 continue;
             }
@@ -65,6 +79,12 @@ pub fn precision(
             }
             least = least.min(error);
         }
+        Ok(rows)
+    })?;
+    let (mut table, mut lines) = (Table::default(), Vec::new());
+    for rows in rows {
+        let first = table.rows.len();
+        table.rows.extend(rows);
         lines.push(first..table.rows.len());
     }
     let timed: Vec<(usize, &Entry)> = lines

@@ -68,7 +68,7 @@ pub enum ReferenceError {
 /// How the distance of two solutions grows that differ by round-off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Growth {
-    /// Tenfold in every so many seconds.
+    /// Tenfold every this many seconds.
     Exponential {
         /// Seconds.
         tenfold_s: f64,
@@ -190,7 +190,7 @@ impl Reference {
             }
             Ok(reference)
         };
-        let [first, second] = families(scene);
+        let [first, second] = if scales.adapts { adaptive_families() } else { families(scene) };
         let mut reference = solve([first.clone(), second.clone()])?;
         // The explicit scheme has more round-off: what it does not show VPD may.
         if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
@@ -435,6 +435,17 @@ fn families(scene: &Scenario) -> [Family; 2] {
         let explicit = family(with_tableau(Integrator::RkProjected, TableauName::Rk8), 3.0);
         [Family { is_rough: true, ..explicit }, vpd]
     }
+}
+
+/// Of a scene that passes a point source closely two tableaux in steps that adapt, for steps of one length may be of no use
+/// there.
+fn adaptive_families() -> [Family; 2] {
+    let family = |tableau, easy_steps| Family {
+        method: with_tableau(Integrator::VpdAdaptive, tableau),
+        easy_steps,
+        is_rough: false,
+    };
+    [family(TableauName::Gauss8, 1.0), family(TableauName::Gauss6, 1.5)]
 }
 
 /// The slope of the line of least squares, and the sum of the squares that it leaves.

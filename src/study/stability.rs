@@ -2,12 +2,13 @@
 //!
 //! Invariant: a cell has exactly one class, the first that fits in the order of [`Class`] from the bottom up.
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::long_term::trend;
 use super::measure::{End, Measured, Probe, measure};
 use super::table::{Row, Table};
-use super::{Entry, Scales, StudyError, Watch, usual_time, with_tableau};
+use super::{Entry, Scales, StudyError, Watch, of_each, threads, usual_time, with_tableau};
 use crate::method::Integrator;
 use crate::scenario::{Scenario, TableauName};
 use crate::solve::failure::FailureCode;
@@ -61,7 +62,7 @@ pub struct Cell {
 
 /// Steps in which a scheme loses its hold on the energy, though smaller and larger ones keep it: the swing of the motion
 /// and the steps meet again after a few of them, and what each step does wrong adds up.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Resonance {
     /// So many steps make one swing.
     pub steps_per_swing: u32,
@@ -76,7 +77,7 @@ pub struct Resonance {
 }
 
 /// The largest step at which a method is usable, and every smaller one of the sweep too.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Border {
     /// The method with its tableau and solver.
     pub label: String,
@@ -142,34 +143,36 @@ const STANDS_OUT: f64 = 3.0;
 /// Samples from which the strongest swing is found.
 const SWING_SAMPLES: usize = 1024;
 
-/// Sweeps the step for each method and bisects the border of what is usable.
+/// Sweeps the step for each method and bisects the border of what is usable; methods on all cores.
 ///
 /// # Errors
 /// If the scene cannot be studied, or the study is cancelled.
 pub fn stability(scene: &Scenario, entries: &[Entry], watch: &Watch) -> Result<Map, StudyError> {
+    on_threads(scene, entries, watch, threads(watch))
+}
+
+pub(super) fn on_threads(
+    scene: &Scenario,
+    entries: &[Entry],
+    watch: &Watch,
+    threads: usize,
+) -> Result<Map, StudyError> {
     let judge = Judge::of(scene, watch)?;
     let steps_s = judge.sweep();
     watch.expect((entries.len() * SWEEP) as u64);
-    let mut map = Map {
-        cells: Vec::new(),
-        borders: Vec::new(),
-        energy_scale: judge.scales.kinetic,
-        fastest_rad_s: judge.scales.fastest_rad_s,
-        steps_s,
-    };
-    for entry in entries {
+    let methods = of_each(entries, threads, |entry| {
         let mut cells = Vec::with_capacity(SWEEP);
-        for &step_s in &map.steps_s {
+        for &step_s in &steps_s {
             cells.push(judge.cell(entry, step_s, watch)?);
             watch.advance(1)?;
         }
         let broken = cells.iter().position(|cell| !cell.class.is_usable());
         let bracket = Bracket {
             usable_step_s: match broken {
-                Some(at) => at.checked_sub(1).map(|at| map.steps_s[at]),
-                None => map.steps_s.last().copied(),
+                Some(at) => at.checked_sub(1).map(|at| steps_s[at]),
+                None => steps_s.last().copied(),
             },
-            broken: broken.map(|at| (map.steps_s[at], cells[at].class)),
+            broken: broken.map(|at| (steps_s[at], cells[at].class)),
         };
         let (mut border, tried) = judge.border(entry, bracket, watch)?;
         let usable =
@@ -177,10 +180,16 @@ pub fn stability(scene: &Scenario, entries: &[Entry], watch: &Watch) -> Result<M
         let mut along: Vec<Cell> = cells.iter().chain(&tried).filter(usable).cloned().collect();
         along.sort_by(|a, b| a.row.step_s.total_cmp(&b.row.step_s));
         border.resonances = judge.resonances(entry, &along, watch)?;
-        map.borders.push(border);
-        map.cells.push(cells);
-    }
-    Ok(map)
+        Ok((cells, border))
+    })?;
+    let (cells, borders) = methods.into_iter().unzip();
+    Ok(Map {
+        cells,
+        borders,
+        energy_scale: judge.scales.kinetic,
+        fastest_rad_s: judge.scales.fastest_rad_s,
+        steps_s,
+    })
 }
 
 impl Map {

@@ -1,12 +1,13 @@
 //! The one table of all studies.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Entry;
 use super::measure::{End, Measured};
 
 /// One run. What was not measured is absent.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Row {
     /// The method's name in a scenario.
     pub method: String,
@@ -81,13 +82,26 @@ pub struct Table {
 impl Table {
     /// Comma-separated values with a head line; an empty cell is a figure that was not measured.
     pub fn to_csv(&self) -> String {
-        let mut text = String::from(
-            "method,tableau,order,solver,step_s,steps,error,energy_error,orthogonality_error,iterations_per_step,force_evaluations,ns_per_step,outcome,failed_step\n",
-        );
+        const HEAD: [&str; 14] = [
+            "method",
+            "tableau",
+            "order",
+            "solver",
+            "step_s",
+            "steps",
+            "error",
+            "energy_error",
+            "orthogonality_error",
+            "iterations_per_step",
+            "force_evaluations",
+            "ns_per_step",
+            "outcome",
+            "failed_step",
+        ];
         let number = |x: Option<f64>| x.map_or_else(String::new, |x| format!("{x:e}"));
-        for row in &self.rows {
+        let rows = self.rows.iter().map(|row| {
             let Row { method, tableau, order, solver, step_s, steps, .. } = row;
-            let cells = [
+            [
                 method.clone(),
                 tableau.clone(),
                 order.to_string(),
@@ -102,11 +116,14 @@ impl Table {
                 row.ns_per_step.map_or_else(String::new, |ns| format!("{ns:.0}")),
                 row.outcome.clone(),
                 row.failed_step.map_or_else(String::new, |step| step.to_string()),
-            ];
-            text += &cells.join(",");
-            text.push('\n');
+            ]
+        });
+        let mut out = csv::Writer::from_writer(Vec::new());
+        for row in std::iter::once(HEAD.map(str::to_owned)).chain(rows) {
+            out.write_record(row).expect("memory takes what is written");
         }
-        text
+        let text = out.into_inner().expect("memory takes what is written");
+        String::from_utf8(text).expect("cells are text")
     }
 
     /// JSON, an array of rows.

@@ -97,8 +97,13 @@ impl Task for Member<'_> {
             samples_per_chunk: plan.samples_per_chunk,
         };
         let Plan { step_s, steps, every, .. } = *plan;
-        let observables =
-            Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+        let observables = Observables {
+            energy: true,
+            orthogonality: true,
+            momentum: true,
+            sigma_min: false,
+            pace: false,
+        };
         let Ok(Trajectory { ending, reached }) = trajectory::integrate(
             &body,
             stepper.as_mut(),

@@ -175,7 +175,8 @@ impl<'a, const N: usize> Shadow<'a, N> {
             return;
         }
         while self.made < sample.step && !self.lost {
-            self.lost = self.stepper.step(body, self.step_s).is_err();
+            self.lost = self.stepper.step(body, self.step_s).is_err()
+                || self.stepper.settle(body, self.step_s).is_err();
             self.made += 1;
         }
         let attitude = self.stepper.attitude().unwrap_or(run.attitude);

@@ -10,7 +10,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::file::{Combine, Values};
-use super::table::{Lines, cells, quoted};
+use super::table::{Lines, cells};
 use super::{Sweep, SweepError};
 
 /// Most cells of a map along a side, and most places of points.
@@ -144,8 +144,7 @@ impl Sweep {
             && let Some((_, cells)) = lines.read().map_err(failed)?
         {
             let values = self.values(member);
-            let given = cells[1..=values.len()].iter().map(|text| quoted(text));
-            if values.iter().map(super::cell).ne(given) {
+            if values.iter().map(super::cell).ne(cells[1..=values.len()].iter().cloned()) {
                 return Err(other());
             }
             // What a run has shown until it failed is no value of the whole.

@@ -46,22 +46,19 @@ impl Identity {
 
 /// A cell of any JSON value.
 pub(super) fn cell(value: &Value) -> String {
-    let text = match value {
-        Value::Number(number) => return number.to_string(),
+    match value {
+        Value::Number(number) => number.to_string(),
         Value::String(text) if !text.contains(char::is_control) => text.clone(),
         value => value.to_string(),
-    };
-    quoted(&text)
+    }
 }
 
-/// A cell of text.
-pub(super) fn quoted(text: &str) -> String {
-    // RFC 4180.
-    if text.contains([',', '"']) {
-        format!("\"{}\"", text.replace('"', "\"\""))
-    } else {
-        text.into()
-    }
+/// A line of cells, its end included.
+pub(super) fn line(cells: &[String]) -> String {
+    let mut out = csv::Writer::from_writer(Vec::new());
+    out.write_record(cells).expect("memory takes what is written");
+    let line = out.into_inner().expect("memory takes what is written");
+    String::from_utf8(line).expect("cells are text")
 }
 
 /// The shortest digits that give the same number back; nothing of what is none.
@@ -69,23 +66,14 @@ pub(super) fn figure(x: Option<f64>) -> String {
     x.and_then(Number::from_f64).map_or_else(String::new, |number| number.to_string())
 }
 
-/// The cells of a line without its end.
+/// The cells of a line.
 pub(super) fn cells(line: &str) -> Vec<String> {
-    let mut cells = vec![String::new()];
-    let mut letters = line.chars().peekable();
-    let mut inside = false;
-    while let Some(letter) = letters.next() {
-        match letter {
-            '"' if inside && letters.peek() == Some(&'"') => {
-                letters.next();
-                cells.last_mut().expect("there is one from the start").push('"');
-            }
-            '"' => inside = !inside,
-            ',' if !inside => cells.push(String::new()),
-            letter => cells.last_mut().expect("there is one from the start").push(letter),
-        }
-    }
-    cells
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .buffer_capacity(line.len())
+        .from_reader(line.as_bytes());
+    let record = reader.records().next().and_then(Result::ok).unwrap_or_default();
+    record.iter().map(str::to_owned).collect()
 }
 
 /// Reads lines of members, in order from `next` on, each with as many cells as the head.
@@ -108,7 +96,7 @@ impl<R: BufRead> Lines<R> {
         let Some(text) = self.line.strip_suffix(b"\n") else { return Ok(None) };
         let Ok(text) = std::str::from_utf8(text) else { return Ok(None) };
         let cells = cells(text);
-        if cells.len() != self.columns || cells[0] != self.next.to_string() {
+        if cells.len() != self.columns || cells.first() != Some(&self.next.to_string()) {
             return Ok(None);
         }
         self.next += 1;

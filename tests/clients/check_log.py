@@ -116,6 +116,9 @@ def check_numbers(topics):
     off = largest(np.max(np.abs(rotation(np.array(state.quaternion)) - g))
                   for state, g in zip(states, attitudes))
     check("quaternions agree with the attitudes", off <= 1e-14, f"off by {off:.1e}")
+    along = [np.dot(a.quaternion, b.quaternion) for a, b in zip(states, states[1:])]
+    below = sum(state.quaternion[0] < 0 for state in states)
+    check("quaternions have no jumps in sign", min(along) >= 0 and states[0].quaternion[0] >= 0, f"w < 0 in {below}")
     turns = [np.array([f.rotation.w, f.rotation.x, f.rotation.y, f.rotation.z]) for f in frames]
     same = all(np.array_equal(turn, np.array(s.quaternion)) for turn, s in zip(turns, states))
     check("frames carry the same quaternions", turns and same)

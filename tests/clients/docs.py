@@ -1,4 +1,4 @@
-"""Runs what the documentation tells people to type, as they would.
+"""Runs what the documentation says to type, as they would.
 
     python docs.py FILE.md...
 
@@ -7,9 +7,12 @@ The blocks of a file are run one after another in a directory that holds the shi
 job in the place of ID; one that serves has to begin to listen; one with `fails` has to fail; one with `skip`
 belongs to the tree and is left out.
 ```json is a scenario, or a sweep if it varies something, and must be accepted, under the name that follows if one does.
+```python is run by Python, the blocks of a page in one session, with the same in the place of localhost:8080 and ID.
 Blocks without a language, or of another one, are what a program answered.
 """
 
+import contextlib
+import io
 import os
 import re
 import shutil
@@ -17,12 +20,13 @@ import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
 
 from service import VPD, call, serving
 
 ROOT = Path(__file__).resolve().parents[2]
-BLOCK = re.compile(r"^```(sh|json)([^\n]*)\n(.*?)^```$", re.S | re.M)
+BLOCK = re.compile(r"^```(sh|json|python)([^\n]*)\n(.*?)^```$", re.S | re.M)
 
 
 def newest(url):
@@ -48,10 +52,16 @@ def serves(command, place, env):
         process.communicate(timeout=30)
 
 
+def here(text, url):
+    """What people would type to the service of the test."""
+    text = text.replace("localhost:8080", url.removeprefix("http://"))
+    return re.sub(r"\bID\b", newest(url), text)
+
+
 def run(page, url, place):
     """Runs the blocks of a page; how many there were."""
-    env = os.environ | {"PATH": f"{Path(VPD).parent}:{os.environ['PATH']}"}
-    count = 0
+    env = os.environ
+    count, session = 0, {}
     for kind, words, text in BLOCK.findall(page.read_text()):
         if "skip" in words:
             continue
@@ -60,6 +70,15 @@ def run(page, url, place):
             file = place / (words.strip() or "block.json")
             file.write_text(text)
             command = f"vpd sweep {file.name} --member 0" if '"vary"' in text else f"vpd plan {file.name} > {file.name}.plan"
+        elif kind == "python":
+            settle(url)
+            try:
+                with contextlib.chdir(place), contextlib.redirect_stdout(io.StringIO()):
+                    exec(compile(here(text, url), str(page), "exec"), session)
+            except Exception:
+                print(f"FAIL  {page}:\n{text}\n{traceback.format_exc()}")
+                return count, False
+            continue
         elif text.startswith("vpd serve"):
             if not serves(text, place, env):
                 print(f"FAIL  {page}: does not serve:\n{text}")
@@ -67,8 +86,7 @@ def run(page, url, place):
             continue
         else:
             settle(url)
-            command = text.replace("localhost:8080", url.removeprefix("http://"))
-            command = re.sub(r"\bID\b", newest(url), command)
+            command = here(text, url)
         done = subprocess.run(["bash", "-euo", "pipefail", "-c", command], cwd=place, env=env,
                               capture_output=True, text=True, timeout=120)
         failed = done.returncode != 0 or '"urn:vpd:problem' in done.stdout
@@ -80,6 +98,8 @@ def run(page, url, place):
 
 def main():
     good, total = True, 0
+    # Plots need no screen.
+    os.environ |= {"PATH": f"{Path(VPD).parent}:{os.environ['PATH']}", "MPLBACKEND": "Agg"}
     for name in sys.argv[1:]:
         page = Path(name)
         # A command that is not in a block of its own would not be run.

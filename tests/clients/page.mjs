@@ -1,35 +1,56 @@
 // The page as a person uses it, in a real browser.
 //
-//     node page.mjs [DIRECTORY]     also writes screenshots
+//     node page.mjs [DIRECTORY]            in Chromium; also writes screenshots
+//     BROWSER=firefox node page.mjs        in Firefox
 import assert from "node:assert/strict";
 import { execFile } from "node:child_process";
 import { mkdtemp, readFile, readdir, rm } from "node:fs/promises";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { promisify } from "node:util";
-import { browser, checks, ended, service, shipped, submit } from "./service.mjs";
+import { FIREFOX, browser, checks, ended, service, shipped, submit } from "./service.mjs";
 
 const shots = process.argv[2];
 const { url, stop } = await service(["--workers", "2"]);
 const guarded = await service([], { VPD_TOKENS: "admin a-token-of-the-tests" });
 const shown = await service(["--foxglove-listen", "127.0.0.1:0"]);
-const chromium = await browser();
+const opened = await browser();
 
 // A page that notes what goes wrong on it and where it turns to.
 async function open(to = url, options = {}) {
-  const context = await chromium.newContext({ viewport: { width: 1440, height: 1000 }, ...options });
+  const context = await opened.newContext({ viewport: { width: 1440, height: 1000 }, ...options });
   const page = await context.newPage();
   page.wrong = [];
   page.asked = [];
-  page.on("pageerror", error => page.wrong.push(String(error)));
+  // The description of the API names no icon; Firefox asks for one, and says that it may not.
+  page.on("pageerror", error => !/favicon\.ico/.test(error) && page.wrong.push(String(error)));
   page.on("console", line => line.type() === "error" && !/status of 4\d\d/.test(line.text()) && page.wrong.push(line.text()));
   page.on("request", request => page.asked.push(request.url()));
   await page.goto(`${to}/`);
   return page;
 }
 
+// What stands in the editor; and what is put there, as if pasted.
+const written = page => page.evaluate(() => text.value);
+const write = async (page, text) => {
+  await page.click("#text");
+  await page.keyboard.press("Control+a");
+  if (!text) await page.keyboard.press("Delete");
+  // Firefox takes the data by other names.
+  else await page.evaluate(text => {
+    const clipboardData = new DataTransfer();
+    clipboardData.setData("text/plain", text);
+    document.activeElement.dispatchEvent(new ClipboardEvent("paste", { clipboardData, dataType: "text/plain", data: text, bubbles: true, cancelable: true }));
+  }, text);
+  await page.waitForFunction(wanted => text.value === wanted, text);
+};
+const holds = (page, words) => page.waitForFunction(words => text.value.includes(words), words);
+
 const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: 30_000 });
-const shoot = async (page, name) => { if (shots) await page.screenshot({ path: `${shots}/${name}.png` }); };
+// Chromium draws the pictures; in Firefox the policy of the page keeps Playwright from hiding the cursor for them.
+const shoot = async (page, name) => { if (shots && !FIREFOX) await page.screenshot({ path: `${shots}/${name}.png` }); };
+// A press as a person makes it: down, and 150 ms later up, where the button stands still by then.
+const press = (page, selector) => page.click(selector, { delay: 150 });
 // The matrix that the body is painted with.
 const turned = page => page.evaluate(() => stage.g.flat());
 const long = async () => {
@@ -53,7 +74,7 @@ const faint = page => page.evaluate(() => {
   const found = [];
   for (const node of document.querySelectorAll("body *")) {
     const own = [...node.childNodes].some(child => child.nodeType === 3 && child.textContent.trim());
-    if (!own || !node.checkVisibility({ visibilityProperty: true }) || node.closest("#marks, .away, .skip, option, script, style")) continue;
+    if (!own || !node.checkVisibility({ visibilityProperty: true }) || node.closest(".away, .skip, option, script, style")) continue;
     const [a, b] = [light(parse(getComputedStyle(node).color)), light(behind(node))].sort((a, b) => b - a);
     const ratio = (a + 0.05) / (b + 0.05);
     if (ratio < 4.5) found.push(`${node.tagName} ${node.className} ${ratio.toFixed(2)}: ${node.textContent.slice(0, 30)}`);
@@ -66,7 +87,7 @@ const page = await open();
 await checks({
   "a scenario is chosen, run and watched to its end": async () => {
     await page.selectOption("#shipped", "heavy-top");
-    await page.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
+    await holds(page, "heavy-top");
     await page.click("button[type=submit]");
     await state(page, "succeeded");
     const words = await page.textContent(".outcome");
@@ -194,7 +215,8 @@ await checks({
     // A click moves the body, and the line.
     const time = async () => Number((await chart.textContent(".time")).match(/[\d.]+/)[0]);
     await chart.waitForTimeout(300);
-    await chart.mouse.click(x + width / 4, y + height / 2);
+    const now = await chart.locator(".plot .u-over").boundingBox();
+    await chart.mouse.click(now.x + now.width / 4, now.y + now.height / 2);
     await chart.waitForFunction(() => Math.abs(Number(document.querySelector(".time").textContent.match(/[\d.]+/)[0]) - 30) < 1);
     const line = await chart.evaluate(() => new DOMMatrix(document.querySelector(".now").style.transform).m41);
     assert.ok(Math.abs(line - width / 4) < 5, `${line} of ${width}`);
@@ -203,6 +225,7 @@ await checks({
     await chart.click(".play");
     // Every quantity, and two jobs.
     const names = await chart.$$eval(".chart select[aria-label=Quantity] option", options => options.map(option => option.value));
+    assert.ok(names.length === 7 && !names.includes("step"), `${names}`);
     for (const name of names) {
       const answer = chart.waitForResponse(answer => answer.url().includes(`channel=${name}`));
       await chart.selectOption(".chart select[aria-label=Quantity]", name);
@@ -224,6 +247,15 @@ await checks({
     assert.match(both, /pendulum-0\.01 .*, pendulum-0\.02 /);
     await shoot(chart, "page-chart");
     await chart.click(".chart button:text('pendulum-0.02')");
+    // Steps that adapt are shown as well.
+    const flyby = await submit(url, { ...await shipped(url, "flyby"), expect: undefined });
+    await ended(url, flyby.id);
+    await chart.goto(`${url}/#/jobs/${flyby.id}`);
+    await chart.waitForFunction(() => document.querySelector(".chart option[value=step]"));
+    await chart.selectOption(".chart select[aria-label=Quantity]", "step");
+    await chart.waitForFunction(() => chart.found?.[0].channel === "step");
+    const steps = await chart.evaluate(() => chart.found[0].high[0]);
+    assert.ok(Math.max(...steps) > 2 * Math.min(...steps), `${Math.min(...steps)} to ${Math.max(...steps)} s`);
     // Of a job that runs it shows what is there, and goes on.
     const { id } = await submit(url, { ...await long(), name: "grows", log: { every: 5, channels: ["/state", "/energy"] } });
     await chart.goto(`${url}/#/jobs/${id}`);
@@ -239,6 +271,81 @@ await checks({
     assert.deepEqual(chart.wrong, []);
     await chart.context().close();
     return both;
+  },
+  "an ensemble shows all its members, and the worst ones alone": async () => {
+    const crowd = await open();
+    const scenario = { ...await shipped(url, "satellite-ensemble"), expect: undefined };
+    const { id } = await submit(url, scenario);
+    await crowd.goto(`${url}/#/jobs/${id}`);
+    await state(crowd, "succeeded");
+    await crowd.waitForSelector(".members .plot canvas");
+    const words = () => crowd.textContent(".members .readout");
+    const column = k => crowd.$$eval(`.members tbody tr > :nth-child(${k})`, cells => cells.map(cell => cell.textContent));
+    // What the page is answered once something has been done, and shows.
+    const answer = async (act, ...asked) => {
+      const answered = crowd.waitForResponse(answer => answer.url().includes(`${id}/members?`) && asked.every(part => answer.url().includes(part)));
+      await act();
+      const found = await (await answered).json();
+      await crowd.waitForFunction(found => members.found && JSON.stringify(members.found) === found, JSON.stringify(found));
+      return found;
+    };
+    const choose = (name, value, ...asked) => answer(() => crowd.selectOption(`.members [aria-label='${name}']`, value), ...asked);
+    const quantity = name => choose("Quantity of the members", name, `channel=${name}`);
+    const found = await quantity("axis_angle");
+    assert.match(await words(), /^Angle of an axis in rad of 200 members: .* member \d+\.$/);
+    const sizes = (await column(2)).map(Number);
+    assert.ok(sizes.length === 10 && sizes.every((size, k) => !k || size <= sizes[k - 1]), `${sizes}`);
+    assert.deepEqual(await column(1), found.rows.map(row => String(row.member)));
+    // The fan says what the route says, with the mouse and with the keys.
+    const { x, y, width, height } = await crowd.locator(".members .u-over").boundingBox();
+    await crowd.mouse.move(x + width / 2, y + height / 2);
+    const read = await words();
+    assert.match(read, /^t = \d+ s: median [\d.]+, half of them [\d.]+ … [\d.]+, all [\d.]+ … [\d.]+ rad; member \d+ [\d.]+$/);
+    const k = found.time_s.findLastIndex(t => t <= Number(read.match(/[\d.]+/)[0]));
+    const said = read.match(/[\d.]+/g).map(Number);
+    found.quantiles.filter(({ part }) => [0.25, 0.5, 0.75].includes(part)).forEach(({ part, values }) =>
+      assert.ok(said.some(value => Math.abs(value - values[k]) < 1e-3 * values[k]), `${part}: ${values[k]} of ${said}`));
+    await crowd.mouse.move(5, 5);
+    await crowd.focus(".members .plot");
+    await crowd.keyboard.press("ArrowRight");
+    assert.match(await words(), /^t = /);
+    // A row that is pointed at is drawn.
+    const ink = () => crowd.evaluate(() => document.querySelector(".members canvas").toDataURL());
+    const before = await ink();
+    await crowd.hover(".members tbody tr:nth-child(5)");
+    await crowd.waitForFunction(before => document.querySelector(".members canvas").toDataURL() !== before, before);
+    assert.ok((await words()).includes(`member ${found.rows[4].member}.`));
+    await crowd.locator(".members").scrollIntoViewIfNeeded();
+    await shoot(crowd, "page-ensemble");
+    // Another order, another page, another axis.
+    const least = await choose("Order of the members", "smallest", "order=smallest");
+    assert.ok(least.rows[0].largest < least.rows[9].largest);
+    const next = await answer(() => press(crowd, ".members button:text('After')"), "offset=10");
+    assert.ok(next.rows[0].largest >= least.rows[9].largest && !next.rows.some(row => row.member === least.rows[0].member));
+    const first = await choose("Axis", "1", "axis=1");
+    assert.notDeepEqual(first.quantiles, least.quantiles);
+    for (const name of ["distance", "angular_velocity", "orthogonality_error", "momentum_drift", "energy_error"]) {
+      const answered = await quantity(name);
+      assert.ok(answered.channel === name && answered.time_s.length > 60, name);
+      await crowd.waitForSelector(".members .plot canvas");
+    }
+    // The worst one as a run of its own, once.
+    const worst = await choose("Order of the members", "largest", "order=largest");
+    await press(crowd, ".members tbody tr:first-child button");
+    await crowd.waitForFunction(id => /jobs/.test(location.hash) && !location.hash.endsWith(id), id);
+    await crowd.waitForFunction(name => document.querySelector("h1").textContent === name, `satellite-ensemble, member ${worst.rows[0].member}`);
+    await state(crowd, "succeeded");
+    const alone = crowd.url();
+    const job = await (await fetch(alone.replace("#/", ""))).json();
+    assert.ok(Math.abs(job.summary.energy.max_abs_error - worst.rows[0].largest) <= 1e-3 * worst.rows[0].largest, `${job.summary.energy.max_abs_error} and ${worst.rows[0].largest}`);
+    await crowd.goBack();
+    await crowd.waitForSelector(".members tbody button");
+    await quantity("energy_error");
+    await press(crowd, ".members tbody tr:first-child button");
+    await crowd.waitForFunction(alone => location.href === alone, alone);
+    assert.deepEqual(crowd.wrong, []);
+    await crowd.context().close();
+    return read;
   },
   "many jobs are found, turned over and deleted": async () => {
     const many = await service(["--workers", "2"]);
@@ -268,7 +375,13 @@ await checks({
     await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
     await list.fill("#find-until", day(0));
     await showing(20, "Other 63");
+    await list.fill("#find-from", day(0));
+    await list.waitForTimeout(300);
+    await showing(20, "Other 63");
     await list.fill("#find-until", "");
+    await list.fill("#find-from", day(-1));
+    await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
+    await list.fill("#find-from", "");
     await showing(20, "Other 63");
     await list.selectOption("#find-state", "failed");
     await list.waitForFunction(() => document.querySelector("#jobs").textContent === "No job matches.");
@@ -328,70 +441,146 @@ await checks({
     return shown[0];
   },
   "bad input is shown at its field": async () => {
-    const text = await page.inputValue("#text");
-    await page.fill("#text", text.replace("[0.02, 0.02, 0.01]", "[0.02, 0.02, -0.01]"));
-    await page.click("button[type=submit]");
-    await page.waitForSelector("#marks mark");
-    assert.equal(await page.textContent("#marks mark"), "-0.01");
+    await holds(page, "heavy-top");
+    const text = await written(page);
+    await write(page, text.replace("[0.02, 0.02, 0.01]", "[0.02, 0.02, -0.01]"));
+    await press(page, "button[type=submit]");
+    await page.waitForSelector(".cm-lintRange-error");
+    assert.equal(await page.textContent(".cm-lintRange-error"), "-0.01");
     const words = await page.textContent("#problem");
     assert.match(words, /^Line 5 \/scene\/inertia\/principal\/2: .*moment of inertia/);
     assert.equal(await page.getAttribute("#text", "aria-invalid"), "true");
     await shoot(page, "page-error");
-    await page.fill("#text", "{");
-    await page.click("button[type=submit]");
+    await write(page, "{");
+    // What is said of an unfinished text, now and once it is checked, does not move the button away from a press.
+    const top = () => page.$eval("button[type=submit]", button => button.getBoundingClientRect().top + scrollY);
+    const before = await top();
+    await page.waitForSelector("#check:not(:empty)");
+    assert.equal(await top(), before);
+    await press(page, "button[type=submit]");
     await page.waitForFunction(() => /Rejected/.test(document.querySelector("#problem").textContent));
     return words;
   },
+  "the editor knows the schema": async () => {
+    const editor = await open();
+    await holds(editor, "heavy-top");
+    const line = words => editor.locator(".cm-line", { hasText: words });
+    const popup = ".cm-tooltip-autocomplete";
+    const offered = () => editor.$$eval(".cm-tooltip-autocomplete li .cm-completionLabel", labels => labels.map(label => label.textContent));
+    // No line is cut off: long ones go on below.
+    assert.ok(await editor.evaluate(() => { const { scrollWidth, clientWidth } = document.querySelector(".cm-scroller"); return scrollWidth <= clientWidth; }));
+    // Fields that are not there yet are completed, with what they need.
+    await editor.click("#text");
+    await editor.keyboard.press("Control+Home");
+    await editor.keyboard.press("End");
+    await editor.keyboard.press("Enter");
+    await editor.keyboard.type('"');
+    await editor.waitForSelector(popup);
+    const fields = await offered();
+    await editor.waitForSelector(".cm-completionInfo");
+    await shoot(editor, "page-editor");
+    assert.ok(fields.includes('"ensemble"') && fields.includes('"accuracy"') && !fields.includes('"name"'), `${fields}`);
+    await editor.keyboard.type("ens");
+    await editor.waitForFunction(() => document.querySelectorAll(".cm-tooltip-autocomplete li").length === 1);
+    assert.match(await editor.textContent(".cm-completionInfo"), /Many runs of the scene/);
+    await editor.keyboard.press("Enter");
+    await holds(editor, '{\n  "ensemble": { "members": 0 },\n  "name"');
+    // The number is chosen, to be written over; what the field means stands below.
+    await editor.keyboard.type("20");
+    await editor.waitForFunction(() => /^members integer.*Number of members, 2 to 100,000/s.test(document.querySelector("#field").textContent));
+    // Values that are words.
+    await line('"method"').click();
+    const method = /"name": "vpd"/.exec(await written(editor)).index + 9;
+    await editor.evaluate(at => view.dispatch({ selection: { anchor: at } }), method);
+    await editor.keyboard.press("Control+ ");
+    await editor.waitForSelector(popup);
+    assert.ok((await offered()).includes('"splitting"'));
+    await editor.keyboard.press("Escape");
+    await editor.waitForSelector(popup, { state: "detached" });
+    // What a field means, where the mouse is.
+    await editor.hover(".cm-line .key:text('\"step_s\"')");
+    await editor.waitForSelector(".hint");
+    assert.match(await editor.textContent(".hint"), /^step_s number.*The step in seconds; either this or `accuracy`/s);
+    await editor.mouse.move(5, 5);
+    // What is wrong is marked without asking the service: a word, a missing field, a type, and what is no JSON.
+    const good = await written(editor);
+    const marked = async (text, mark, words) => {
+      await write(editor, text);
+      await editor.waitForFunction(([mark, words]) => document.querySelector(".cm-lintRange-error")?.textContent === mark && document.querySelector("#check").textContent.includes(words), [mark, words]);
+    };
+    await marked(good.replace('"step_s"', '"stride"'), '"stride"', '"stride" is not known here; known are $schema, name,');
+    await marked(good.replace('"weight": 4.905, ', ""), "{", 'needs "weight"');
+    await marked(good.replace('"members": 20', '"members": "many"'), '"many"', '"members" is a string, wanted is an integer');
+    await marked(good.replace('"vpd"', '"vpq"'), '"vpq"', '"vpq" is none of auto');
+    await marked(good.replace('"step_s": ', '"step_s" '), "0.002", "This is no JSON yet");
+    // The keys go there.
+    await editor.keyboard.press("Control+Home");
+    await editor.keyboard.press("F8");
+    assert.equal(await editor.evaluate(() => view.state.sliceDoc(view.state.selection.main.from, view.state.selection.main.to)), "0.002");
+    await write(editor, good);
+    await editor.waitForFunction(() => !document.querySelector(".cm-lintRange-error"));
+    // Every shipped scenario is without fault, and one may name its schema.
+    const { scenarios } = await (await fetch(`${url}/scenarios`)).json();
+    for (const { name } of scenarios) assert.deepEqual(await editor.evaluate(async name => mistakes(await (await fetch(`scenarios/${name}`)).text()), name), [], name);
+    await write(editor, (await (await fetch(`${url}/scenarios/free-body`)).text()).replace("{", '{ "$schema": "scenario.schema.json",'));
+    await editor.keyboard.press("Control+Enter");
+    await state(editor, "succeeded");
+    // Tab leaves it, as it leaves any field.
+    await editor.focus("#text");
+    await editor.keyboard.press("Tab");
+    assert.notEqual(await editor.evaluate(() => document.activeElement.id), "text");
+    assert.deepEqual(editor.wrong, []);
+    await editor.context().close();
+    return `${fields.length} fields offered`;
+  },
   "what is written is not lost": async () => {
     const own = await open();
-    const value = () => own.inputValue("#text");
-    const holds = words => own.waitForFunction(words => document.querySelector("#text").value.includes(words), words);
-    await holds("heavy-top");
+    const value = () => written(own);
+    await holds(own, "heavy-top");
     const shippedText = await value();
     // An example that nobody changed goes without a word.
     await own.selectOption("#shipped", "pendulum");
-    await holds("pendulum");
+    await holds(own, "pendulum");
     assert.ok(!await own.isVisible("#replaced"));
-    const name = own.locator("#text");
-    await name.fill((await value()).replace('"pendulum"', '"mine"'));
+    await write(own, (await value()).replace('"pendulum"', '"mine"'));
     await own.selectOption("#shipped", "dipole");
-    await holds("Dipole on a stick");
+    await holds(own, "Dipole on a stick");
     assert.match(await own.textContent("#replaced"), /replaced by dipole/);
     await own.click("#undo");
     assert.match(await value(), /"mine"/);
     assert.ok(!await own.isVisible("#replaced"));
     // The keys go the same way back and forth, over typing too.
     await own.selectOption("#shipped", "dipole");
-    await holds("Dipole on a stick");
+    await holds(own, "Dipole on a stick");
     await own.focus("#text");
     await own.keyboard.press("Control+z");
     assert.match(await value(), /"mine"/);
-    await own.keyboard.press("Control+Shift+z");
+    await own.keyboard.press("Control+Shift+Z");
     assert.match(await value(), /Dipole on a stick/);
     await own.keyboard.press("Control+y");
     for (let k = 0; k < 3; k += 1) await own.keyboard.press("Control+z");
     assert.equal(await value(), shippedText);
-    for (let k = 0; k < 9; k += 1) await own.keyboard.press("Control+Shift+z");
+    for (let k = 0; k < 9; k += 1) await own.keyboard.press("Control+Shift+Z");
     await own.keyboard.press("Control+z");
     await own.reload();
-    await holds('"mine"');
+    await holds(own, '"mine"');
     // A second tab begins with it, and keeps its own.
     const second = await own.context().newPage();
     await second.goto(`${url}/`);
-    await second.waitForFunction(() => document.querySelector("#text").value.includes('"mine"'));
-    await second.fill("#text", (await second.inputValue("#text")).replace('"mine"', '"theirs"'));
+    await holds(second, '"mine"');
+    await write(second, (await written(second)).replace('"mine"', '"theirs"'));
     await own.reload();
-    await holds('"mine"');
+    await holds(own, '"mine"');
     await second.reload();
-    await second.waitForFunction(() => document.querySelector("#text").value.includes('"theirs"'));
+    await holds(second, '"theirs"');
     assert.deepEqual(own.wrong, []);
     await own.context().close();
   },
   "the short form and the text say the same": async () => {
     const form = await open();
-    await form.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
-    const before = await form.inputValue("#text");
-    const text = () => form.inputValue("#text");
+    await holds(form, "heavy-top");
+    const before = await written(form);
+    const text = () => written(form);
     assert.deepEqual([await form.inputValue("#method"), await form.inputValue("#scheme"), await form.inputValue("#by-value"), await form.inputValue("#long-value")],
       ["vpd", "gauss3", "0.002", "20"]);
     await form.fill("#by-value", "1e-3");
@@ -411,9 +600,9 @@ await checks({
     await form.check("#channels input[value='/solver']");
     assert.match(await text(), /"log": \{ "every": 10 \},/);
     // The other way round, and not while the text is no JSON.
-    await form.fill("#text", (await text()).replace('"steps": 2000', '"steps": 3000').replace("splitting", "lgvi"));
+    await write(form, (await text()).replace('"steps": 2000', '"steps": 3000').replace("splitting", "lgvi"));
     assert.deepEqual([await form.inputValue("#long-value"), await form.inputValue("#method")], ["3000", "lgvi"]);
-    await form.fill("#text", "{");
+    await write(form, "{");
     assert.ok(await form.isDisabled("#method"));
     await form.focus("#text");
     await form.keyboard.press("Control+z");
@@ -427,31 +616,32 @@ await checks({
     // What was sent comes back as it was sent.
     const sent = await text();
     await form.selectOption("#shipped", "pendulum");
-    await form.waitForFunction(() => document.querySelector("#text").value.includes("pendulum"));
+    await holds(form, "pendulum");
     await form.click("#edit");
-    await form.waitForFunction(sent => document.querySelector("#text").value === sent, sent);
+    await form.waitForFunction(sent => text.value === sent, sent);
     assert.deepEqual(form.wrong, []);
     await form.context().close();
     return sent.match(/"accuracy".*/)[0];
   },
   "the address of a draft brings its text": async () => {
     const from = await open();
-    await from.context().grantPermissions(["clipboard-read", "clipboard-write"]);
-    await from.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
-    const text = (await from.inputValue("#text")).replace('"heavy-top"', '"Kreisel, schräg"');
-    await from.fill("#text", text);
+    if (!FIREFOX) await from.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+    await holds(from, "heavy-top");
+    const text = (await written(from)).replace('"heavy-top"', '"Kreisel, schräg"');
+    await write(from, text);
     await from.click("#share");
     await from.waitForFunction(() => document.querySelector("#share").textContent === "Copied");
-    const link = await from.evaluate(() => navigator.clipboard.readText());
+    // Firefox lets nobody read what was copied.
+    const link = await from.evaluate(firefox => firefox ? shareLink() : navigator.clipboard.readText(), FIREFOX);
     assert.ok(link.startsWith(`${url}/#/draft/`) && /^[\w-]+$/.test(link.split("/").at(-1)), link);
     const to = await open();
     await to.goto(link);
-    await to.waitForFunction(text => document.querySelector("#text").value === text, text);
-    await to.fill("#text", text.replace("schräg", "steil"));
+    await to.waitForFunction(wanted => text.value === wanted, text);
+    await write(to, text.replace("schräg", "steil"));
     await to.goto(link);
-    await to.waitForFunction(text => document.querySelector("#text").value === text, text);
+    await to.waitForFunction(wanted => text.value === wanted, text);
     await to.click("#undo");
-    assert.match(await to.inputValue("#text"), /steil/);
+    assert.match(await written(to), /steil/);
     assert.deepEqual([...from.wrong, ...to.wrong], []);
     await from.context().close();
     await to.context().close();
@@ -474,14 +664,6 @@ await checks({
   },
   "a press of a person finds its button while events arrive": async () => {
     const pressed = await open();
-    const press = async selector => {
-      await pressed.locator(selector).scrollIntoViewIfNeeded();
-      const { x, y, width, height } = await pressed.locator(selector).boundingBox();
-      await pressed.mouse.move(x + width / 2, y + height / 2);
-      await pressed.mouse.down();
-      await pressed.waitForTimeout(150);
-      await pressed.mouse.up();
-    };
     // How often the list has been told of its jobs: no press counts that no event fell into.
     const value = id => pressed.evaluate(id => document.querySelector(`#job-${id} progress`).value, id);
     const ids = [];
@@ -491,12 +673,12 @@ await checks({
       ids.push(id);
       await pressed.waitForFunction(ids => ids.every(id => document.querySelector(`#job-${id} progress`)?.value > 0), [id, other.id]);
       const before = await value(id);
-      await press(`#job-${id} a`);
-      await pressed.waitForFunction(id => location.hash.endsWith(id), id, { timeout: 2000 });
+      await press(pressed, `#job-${id} a`);
+      await pressed.waitForFunction(id => location.hash.endsWith(id), id);
       await pressed.waitForFunction(([id, before]) => document.querySelector(`#job-${id} progress`).value > before, [id, before]);
-      await press(k === 1 ? "#view button:text('Cancel')" : `#job-${id} button:text('Cancel')`);
+      await press(pressed, k === 1 ? "#view button:text('Cancel')" : `#job-${id} button:text('Cancel')`);
       await state(pressed, "cancelled");
-      await press(`#job-${other.id} button:text('Cancel')`);
+      await press(pressed, `#job-${other.id} button:text('Cancel')`);
       assert.equal((await ended(url, other.id)).state, "cancelled");
     }
     assert.deepEqual(pressed.wrong, []);
@@ -553,9 +735,9 @@ await checks({
     const again = await (await fetch(`${url}/jobs/${page.url().split("/").at(-1)}/scenario.json`)).json();
     assert.equal(again.step_s, advised);
     assert.ok(again.steps * advised >= scenario.steps * scenario.step_s * (1 - 1e-9), `${again.steps} steps`);
-    await page.fill("#text", "");
+    await write(page, "");
     await page.click("#edit");
-    await page.waitForFunction(() => document.querySelector("#text").value.includes("too-large-a-step"));
+    await holds(page, "too-large-a-step");
     return words.slice(0, 120);
   },
   "a body in four dimensions is shown by its first axes": async () => {
@@ -567,7 +749,7 @@ await checks({
   },
   "everything can be reached with the keyboard": async () => {
     const keyed = await open();
-    await keyed.waitForFunction(() => document.querySelector("#text").value.length > 0);
+    await keyed.waitForFunction(() => text.value.length > 0);
     const reached = [];
     for (let i = 0; i < 30; i += 1) {
       await keyed.keyboard.press("Tab");
@@ -618,7 +800,7 @@ await checks({
     await shut.click("#token-form .main");
     for (const route of late.splice(0)) await route.continue();
     await shut.unroute("**/jobs?*");
-    await shut.waitForFunction(() => document.querySelector("#text").value.includes("heavy-top"));
+    await holds(shut, "heavy-top");
     await shut.click("button[type=submit]");
     await state(shut, "succeeded");
     await shut.waitForFunction(() => document.querySelectorAll(".charts img").length === 3);
@@ -637,12 +819,12 @@ await checks({
   "studies are drawn where the service makes them": async () => {
     const api = await (await fetch(`${url}/openapi.json`)).json();
     const study = await open();
-    await study.waitForFunction(() => document.querySelector("#text").value.length > 0 && document.querySelector("#jobs li"));
+    await study.waitForFunction(() => text.value.length > 0 && document.querySelector("#jobs li"));
     const offered = await study.isVisible("#study");
     assert.equal(offered, Boolean(api.paths["/studies"]));
     if (offered) {
       // A short one: what matters here is that it is drawn.
-      await study.fill("#text", (await study.inputValue("#text")).replace('"duration_s": 20', '"duration_s": 0.4'));
+      await write(study, (await written(study)).replace('"duration_s": 20', '"duration_s": 0.4'));
       await study.selectOption("#kind", "long_term");
       await study.click("#study");
       await study.waitForFunction(() => document.querySelector("#state")?.textContent === "succeeded", null, { timeout: 120_000 });
@@ -654,13 +836,14 @@ await checks({
   },
   "a stability map is asked for and drawn, and found again": async () => {
     const study = await open();
-    await study.waitForFunction(() => document.querySelector("#text").value.length > 0 && document.querySelector("#jobs li"));
+    await study.waitForFunction(() => text.value.length > 0 && document.querySelector("#jobs li"));
     // A free body, of few methods: a small study, but a whole one.
     const scenario = await shipped(url, "free-body");
-    await study.fill("#text", JSON.stringify({ ...scenario, name: "map" }));
-    await study.route("**/studies", route => route.request().method() === "POST"
-      ? route.continue({ postData: JSON.stringify({ ...route.request().postDataJSON(), methods: [{ name: "splitting", order: 2 }, { name: "rkmk", tableau: "rk4" }] }) })
-      : route.continue());
+    await write(study, JSON.stringify({ ...scenario, name: "map" }));
+    await study.evaluate(methods => {
+      const plain = fetch;
+      window.fetch = (to, options) => plain(to, options?.method === "POST" ? { ...options, body: JSON.stringify({ ...JSON.parse(options.body), methods }) } : options);
+    }, [{ name: "splitting", order: 2 }, { name: "rkmk", tableau: "rk4" }]);
     await study.selectOption("#kind", "stability");
     await study.click("#study");
     await study.waitForFunction(() => document.querySelector("#state")?.textContent === "succeeded", null, { timeout: 120_000 });
@@ -680,6 +863,36 @@ await checks({
     await again.context().close();
     return size.join(" ");
   },
+  "a sweep is run from the editor, and a member of it opened": async () => {
+    const study = await open();
+    await holds(study, "heavy-top");
+    const scenario = await shipped(url, "pendulum");
+    const sweep = { scenario: { ...scenario, expect: undefined, steps: 50, duration_s: undefined }, vary: [{ pointer: "/step_s", values: { list: [0.01, 0.02, 0.04] } }] };
+    await write(study, JSON.stringify(sweep, null, 2));
+    await study.waitForTimeout(400);
+    assert.equal(await study.textContent("#check"), "");
+    await press(study, "button[type=submit]");
+    await study.waitForFunction(() => document.querySelector("#state")?.textContent === "succeeded", null, { timeout: 60_000 });
+    assert.match(await study.textContent(".outcome"), /^sweep: 3 runs\.$/);
+    await study.fill("#member", "2");
+    await press(study, "#view button:text('Open in the editor')");
+    await holds(study, '"step_s": 0.04');
+    assert.deepEqual(study.wrong, []);
+    await study.context().close();
+  },
+  "the page is small, and ready within a second": async () => {
+    const bytes = (await (await fetch(`${url}/`)).arrayBuffer()).byteLength;
+    assert.ok(bytes < 600_000, `${bytes} bytes`);
+    // The time is printed, not judged: what else this machine does is unknown.
+    const times = [];
+    for (let k = 0; k < 5; k += 1) {
+      const fresh = await open();
+      await fresh.waitForFunction(() => text.value.includes("heavy-top") && document.querySelector("#jobs li"));
+      times.push(await fresh.evaluate(() => Math.round(performance.now())));
+      await fresh.context().close();
+    }
+    return `${bytes} bytes, ready after ${times.sort((a, b) => a - b)[2]} ms (${times[0]} to ${times[4]})`;
+  },
   "the description of the API is readable under its policy": async () => {
     const docs = await open();
     const answer = await docs.goto(`${url}/docs`);
@@ -698,7 +911,7 @@ await checks({
     return `${page.asked.length} requests`;
   },
 });
-await chromium.close();
+await opened.close();
 await stop();
 await guarded.stop();
 await shown.stop();

@@ -46,8 +46,13 @@ export async function ended(url, id) {
 
 export const shipped = async (url, name) => (await fetch(`${url}/scenarios/${name}`)).json();
 
+// Chromium; or Firefox, as Debian packages it, if that is asked for. Playwright drives it by WebDriver BiDi, of which the
+// long-term Firefox knows too little for versions after 1.64.
+export const FIREFOX = process.env.BROWSER === "firefox";
+
 export async function browser(args = []) {
-  const { chromium } = await import("playwright-core");
+  const { chromium, firefox } = await import("playwright-core");
+  if (FIREFOX) return firefox.launch({ channel: "moz-firefox", executablePath: process.env.FIREFOX ?? "/usr/bin/firefox-esr" });
   return chromium.launch({
     executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium",
     args: ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -55,7 +60,7 @@ export async function browser(args = []) {
   });
 }
 
-// Runs checks one after another and tells of each; the process fails if one does.
+// Runs checks one after another and reports each; the process fails if one does.
 export async function checks(all) {
   let failed = 0;
   for (const [name, check] of Object.entries(all)) {

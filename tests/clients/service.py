@@ -19,20 +19,23 @@ def serving(*args, live=False, env=None):
         command += ["--foxglove-listen", "127.0.0.1:0"] if live else []
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | (env or {}))
         try:
-            url = awaited(process, r"listening on (http://[\d.:]+)")
-            yield (url, awaited(process, r"viewers may connect to (ws://[\d.:]+)")) if live else url
+            patterns = [r"listening on (http://[\d.:]+)"]
+            patterns += [r"viewers may connect to (ws://[\d.:]+)"] if live else []
+            found = awaited(process, patterns)
+            yield found if live else found[0]
         finally:
             process.terminate()
             process.communicate(timeout=30)
 
 
-def awaited(process, pattern):
-    """What stands in the first line of a service's own log that has it."""
-    lines = []
+def awaited(process, patterns):
+    """What stands in the first lines of a service's own log that have it, whichever comes first."""
+    lines, found = [], {}
     for line in process.stderr:
         lines.append(line)
-        if found := re.search(pattern, line):
-            return found[1]
+        found |= {pattern: hit[1] for pattern in patterns if (hit := re.search(pattern, line))}
+        if len(found) == len(patterns):
+            return [found[pattern] for pattern in patterns]
     raise RuntimeError("vpd serve ended: " + "".join(lines))
 
 

@@ -473,9 +473,9 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(full(), "/method/solver/max_iterations", raw), "/method/solver/max_iterations");
     }
     add(with(full(), "/method/solver/kind", "\"anderson\""), "/method/solver/kind");
-    let mut rival = full();
-    rival["method"]["name"] = json!("quaternion_gauss");
-    add(with(rival, "/method/solver/kind", "\"newton\""), "/method/solver/kind");
+    let mut compared = full();
+    compared["method"]["name"] = json!("quaternion_gauss");
+    add(with(compared, "/method/solver/kind", "\"newton\""), "/method/solver/kind");
     for raw in ["\"leapfrog\"", "\"VPD\"", "\"\""] {
         add(with(full(), "/method/name", raw), "/method/name");
     }
@@ -499,6 +499,45 @@ pub(crate) fn table() -> Vec<Bad> {
         let method = format!("{{\"name\":\"lgvi\",\"order\":{raw}}}");
         add(with(full(), "/method", &method), "/method/order");
     }
+
+    // Steps that adapt.
+    let adaptive = |raw: &str| with(full(), "/step", raw);
+    for (raw, at) in [
+        ("{}", ""),
+        ("{\"adaptive\": 1}", "/adaptive"),
+        ("{\"adaptive\": {\"dstar\": 1}}", "/adaptive/dstar"),
+        ("{\"adaptive\": {\"largest_step_s\": 0}}", "/adaptive/largest_step_s"),
+        ("{\"adaptive\": {\"largest_step_s\": 1e7}}", "/adaptive/largest_step_s"),
+        ("{\"adaptive\": {\"largest_step_s\": -1}}", "/adaptive/largest_step_s"),
+        ("{\"adaptive\": {\"near_m\": 1}}", "/adaptive/near_m"),
+        ("{\"adaptive\": {\"near_m\": [1, 2]}}", "/adaptive/near_m"),
+        ("{\"adaptive\": {\"near_m\": [0]}}", "/adaptive/near_m/0"),
+        ("{\"adaptive\": {\"near_m\": [1e16]}}", "/adaptive/near_m/0"),
+    ] {
+        add(adaptive(raw), &format!("/step{at}"));
+    }
+    for name in ["rk", "vrkmk", "splitting", "vpd_lagrangian"] {
+        let mut other: Value = serde_json::from_str(&adaptive("{\"adaptive\": {}}")).expect("JSON");
+        other["method"] = json!({"name": name});
+        add(other.to_string(), "/step/adaptive");
+    }
+    let mut nothing_near: Value =
+        serde_json::from_str(&adaptive("{\"adaptive\": {}}")).expect("JSON");
+    nothing_near["scene"]["potential"] = json!([]);
+    add(nothing_near.to_string(), "/step/adaptive");
+    let mut named = full();
+    named["scene"]["potential"] = json!([]);
+    named["method"] = json!({"name": "vpd_adaptive"});
+    add(named.to_string(), "/method/name");
+    let mut pace = full();
+    pace["log"]["channels"] = json!(["/pace"]);
+    add(pace.to_string(), "/log/channels/0");
+    let mut both: Value = serde_json::from_str(&adaptive("{\"adaptive\": {}}")).expect("JSON");
+    for field in ["method", "step_s", "steps", "log"] {
+        both.as_object_mut().expect("an object").remove(field);
+    }
+    (both["accuracy"], both["duration_s"]) = (json!({"error": 1e-6}), json!(10));
+    add(both.to_string(), "/step");
 
     // The log.
     for raw in ["0", "-1", "18446744073709551616", "0.5"] {

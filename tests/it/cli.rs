@@ -17,11 +17,11 @@ pub(crate) fn vpd(directory: &Path, arguments: &[&str]) -> Output {
         .expect("the binary starts")
 }
 
-fn scenario(name: &str) -> String {
+pub(crate) fn scenario(name: &str) -> String {
     format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"))
 }
 
-fn text(bytes: &[u8]) -> &str {
+pub(crate) fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("text")
 }
 
@@ -112,7 +112,7 @@ fn a_log_that_cannot_be_written_exits_with_one() {
     let run = vpd(directory.path(), &["run", &scenario("heavy-top"), "-o", "missing/top.mcap"]);
     assert_eq!(run.status.code(), Some(1));
     assert!(text(&run.stderr).contains("missing/top.mcap"), "{}", text(&run.stderr));
-    assert_eq!(vpd(directory.path(), &["inspect", "nothing.mcap"]).status.code(), Some(1));
+    assert_eq!(vpd(directory.path(), &["inspect", "nothing.mcap"]).status.code(), Some(2));
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn fields_can_be_set_on_the_command_line() {
         (vec!["/nowhere/at/all=1"], "/nowhere"),
         (vec!["/step_s/deeper=1"], "/step_s/deeper"),
         (vec!["/scene/potential/7/weight=1"], "/scene/potential/7/weight"),
-        (vec!["step_s=1"], "/pointer/to/field=value"),
+        (vec!["step_s=1"], "/pointer/to/field=value; write /step_s=1"),
     ];
     for (changes, said) in wrong {
         let run = set(&changes);
@@ -172,9 +172,199 @@ fn verify_says_yes_or_no_and_layouts_lie_beside_the_log() {
     let verified = vpd(at, &["verify", "heavy-top.mcap"]);
     assert_eq!(verified.status.code(), Some(0), "{}", text(&verified.stderr));
     assert!(text(&verified.stdout).starts_with("the same "), "{}", text(&verified.stdout));
-    let verified = vpd(at, &["verify", "vpd-foxglove.json"]);
-    assert_eq!(verified.status.code(), Some(1));
-    assert!(text(&verified.stderr).contains("not finished"), "{}", text(&verified.stderr));
+    for command in ["verify", "inspect", "export"] {
+        std::fs::write(at.join("empty"), "").expect("writable");
+        for no_log in ["vpd-foxglove.json", "empty"] {
+            let refused = vpd(at, &[command, no_log]);
+            assert_eq!(refused.status.code(), Some(2), "{command} {no_log}");
+            assert!(text(&refused.stderr).contains("is no log"), "{}", text(&refused.stderr));
+        }
+    }
+}
+
+#[test]
+fn a_closed_pipe_is_no_error() {
+    use std::io::Read;
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let log = ["run", &scenario("heavy-top"), "-o", "it.mcap"];
+    assert_eq!(vpd(at, &log).status.code(), Some(0));
+    let top = scenario("heavy-top");
+    // Nobody reads at all, and of a table longer than a pipe holds only the beginning.
+    for (arguments, read) in [
+        (&["schema"][..], 0),
+        (&["completions", "bash"], 0),
+        (&["plan", &top], 0),
+        (&["inspect", "it.mcap"], 0),
+        (&["export", "it.mcap"], 0),
+        (&["export", "it.mcap"], 1000),
+    ] {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_vpd"))
+            .current_dir(at)
+            .args(arguments)
+            .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .expect("the binary starts");
+        let mut out = child.stdout.take().expect("a pipe");
+        out.read_exact(&mut vec![0; read]).expect("so much is written");
+        drop(out);
+        let ended = child.wait_with_output().expect("a child");
+        assert_eq!(ended.status.code(), Some(0), "{arguments:?}: {}", text(&ended.stderr));
+        assert_eq!(text(&ended.stderr), "", "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_scenario_comes_from_stdin() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let given = |arguments: &[&str], scenario: &str| {
+        use std::io::Write;
+        let mut child = Command::new(env!("CARGO_BIN_EXE_vpd"))
+            .current_dir(at)
+            .args(arguments)
+            .stdin(std::process::Stdio::piped())
+            .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .expect("the binary starts");
+        // Who refuses its arguments reads nothing.
+        let _ = child.stdin.take().expect("a pipe").write_all(scenario.as_bytes());
+        child.wait_with_output().expect("a child")
+    };
+    let top = std::fs::read_to_string(scenario("heavy-top")).expect("shipped");
+    let named = top.replacen("heavy-top", "a top/1", 1);
+    let ran = given(&["run", "-", "--set", "/duration_s=0.1", "--set", "/expect=null"], &named);
+    assert_eq!(ran.status.code(), Some(0), "{}", text(&ran.stderr));
+    assert!(at.join("a-top-1.mcap").exists());
+    let bad = given(&["run", "-"], &top.replacen("0.002", "-1", 1));
+    assert_eq!(bad.status.code(), Some(2));
+    assert!(text(&bad.stderr).contains("stdin: /step_s"), "{}", text(&bad.stderr));
+    assert_eq!(given(&["plan", "-"], &top).status.code(), Some(0));
+}
+
+#[test]
+fn shells_complete_what_there_is() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    for shell in ["bash", "zsh", "fish"] {
+        let script = vpd(directory.path(), &["completions", shell]);
+        assert_eq!(script.status.code(), Some(0));
+        for word in ["stability", "export", "tolerance", "force"] {
+            assert!(text(&script.stdout).contains(word), "{shell}: {word}");
+        }
+    }
+    // What bash makes of it, where there is one.
+    std::fs::write(
+        directory.path().join("vpd.bash"),
+        vpd(directory.path(), &["completions", "bash"]).stdout,
+    )
+    .expect("writable");
+    let asked = "source ./vpd.bash; COMP_WORDS=(vpd exp); COMP_CWORD=1; _vpd vpd exp vpd; echo ${COMPREPLY[@]}";
+    let asked = Command::new("bash").current_dir(directory.path()).args(["-c", asked]).output();
+    if let Ok(asked) = asked {
+        assert_eq!(text(&asked.stdout).trim(), "export", "{}", text(&asked.stderr));
+    }
+}
+
+#[test]
+fn figures_have_units() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let ran = vpd(at, &["run", &scenario("heavy-top"), "-o", "it.mcap"]);
+    let inspected = vpd(at, &["inspect", "it.mcap"]);
+    for (said, wanted) in [
+        (&ran, ["J at the start", "J at the end", "kg m^2/s", " s, "]),
+        (&inspected, ["J\n", "kg m^2/s\n", " s of simulated time", " bytes"]),
+    ] {
+        for unit in wanted {
+            assert!(text(&said.stdout).contains(unit), "{unit}: {}", text(&said.stdout));
+        }
+    }
+}
+
+#[test]
+fn null_takes_a_field_away_wherever_it_stands() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = scenario("heavy-top");
+    let plan = |changes: &[&str]| {
+        let mut arguments = vec!["plan", &top, "--json"];
+        changes.iter().for_each(|change| arguments.extend(["--set", *change]));
+        vpd(at, &arguments)
+    };
+    // Sections, fields with and without a default, items of lists, what is not there.
+    for change in [
+        "/expect=null",
+        "/method=null",
+        "/method/tableau=null",
+        "/method/solver/tolerance=null",
+        "/log/every=null",
+        "/log/compression=null",
+        "/scene/potential=null",
+        "/scene/potential/0=null",
+        "/scene/initial/attitude=null",
+        "/accuracy=null",
+        "/ensemble=null",
+    ] {
+        let planned = plan(&[change]);
+        assert_eq!(planned.status.code(), Some(0), "{change}: {}", text(&planned.stderr));
+    }
+    assert_eq!(plan(&["/duration_s=null", "/steps=10"]).status.code(), Some(0));
+    let free = plan(&["/scene/potential/0=null"]);
+    let free: Value = serde_json::from_slice(&free.stdout).expect("JSON");
+    assert_eq!(free["free_directions"], 3);
+    for (change, said) in [
+        ("/step_s=null", "missing field `step_s`"),
+        ("/scene/potential/0/weight=null", "missing field `weight`"),
+        ("/nowhere=null", "/nowhere: there is no such field to set: the scenario has "),
+        ("/scene/initial/omega=null", "/scene/initial has attitude, momentum, angular_velocity"),
+    ] {
+        let refused = plan(&[change]);
+        assert_eq!(refused.status.code(), Some(2), "{change}");
+        assert!(text(&refused.stderr).contains(said), "{change}: {}", text(&refused.stderr));
+    }
+}
+
+#[test]
+fn first_mistakes_are_answered_by_what_to_write() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let top = scenario("heavy-top");
+    let said = |change: &str| {
+        let refused = vpd(directory.path(), &["plan", &top, "--set", change]);
+        assert_eq!(refused.status.code(), Some(2), "{change}");
+        text(&refused.stderr).to_owned()
+    };
+    for (change, wanted) in [
+        (
+            "/scene/initial/angular_velocity=[0,0,1]",
+            r#"expected an object with one of `body`, `space`; write {"body":[0,0,1]}"#,
+        ),
+        ("/scene/initial={\"momentum\":[0,0,1]}", r#"write {"body":[0,0,1]}"#),
+        ("/scene/initial/attitude=[1,0,0,0]", r#"write {"quaternion":[1,0,0,0]}"#),
+        (
+            "/scene/initial/attitude=[[1,0,0],[0,1,0],[0,0,1]]",
+            r#"write {"matrix":[[1,0,0],[0,1,0],[0,0,1]]}"#,
+        ),
+        ("/scene/inertia=[1,2,3]", r#"write {"principal":[1,2,3]}"#),
+        (
+            "/scene/inertia=1",
+            "expected an object with one of `principal`, `matrix`, `second_moments`",
+        ),
+        ("/method=vpd", r#"write {"name":"vpd"}"#),
+        ("/accuracy=1e-6", r#"write {"error":1e-6}"#),
+        ("/log/channels=\"/state\"", r#"write ["/state"]"#),
+        ("/step_s=\"0.5\"", "write 0.5"),
+        ("/ensemble=5", r#"write {"members":5}"#),
+        ("step_s=0.5", "write /step_s=0.5"),
+        ("/step=0.5", "a number is given as `step_s`"),
+        ("/stride=0.5", "expected one of `$schema`, `name`"),
+        ("/step_s/deeper=1", "/step_s is a number"),
+        ("/scene/potential/7/weight=1", "/scene/potential is a list with the items 0 to 0"),
+    ] {
+        let said = said(change);
+        assert!(said.contains(wanted), "{change}: {said}");
+    }
 }
 
 /// The dipole with so many steps, each in the log.

@@ -10,7 +10,7 @@ use std::thread;
 use prost::Message as _;
 use serde_json::{Value, json};
 use vpd::advise;
-use vpd::log::messages::{EnsembleStatistics, Member, State};
+use vpd::log::messages::{Energy, EnsembleStatistics, Member, State};
 use vpd::log::part_path;
 use vpd::log::reader::{self, Item};
 use vpd::log::resume::last_checkpoint;
@@ -184,6 +184,70 @@ fn starts_are_spread_as_asked() {
     }
 }
 
+/// What a member did on the way stands in few points that keep its extremes, whichever member it is.
+#[test]
+fn the_points_on_the_way_of_a_member_keep_the_extremes_of_its_samples() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("ensemble.mcap");
+    let mut scenario = ensemble(dipole(), 12, 2000, &json!({ "name": "vpd", "tableau": "gauss2" }));
+    scenario["log"]["every"] = json!(1);
+    run(&checked(&scenario), &log);
+    let (mut states, mut errors) = (Vec::new(), Vec::new());
+    let read = reader::read(&log, |item| {
+        if let Item::Message { topic, data, .. } = item {
+            match Topic::parse(topic).expect("a topic of ours") {
+                Topic { member: 3, channel: Channel::State } => {
+                    states.push(State::decode(data).expect("ours"));
+                }
+                Topic { member: 3, channel: Channel::Energy } => {
+                    errors.push(Energy::decode(data).expect("ours").error);
+                }
+                _ => {}
+            }
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(read.expect("readable").finished);
+    let members = contents(&log).members;
+    let way = |member: u64| {
+        let end = members.iter().find(|end| end.member == member).expect("its end");
+        end.way.clone().expect("its way")
+    };
+    let found = way(3);
+    assert_eq!((states.len(), errors.len(), found.time_s.len()), (2001, 2001, 126));
+    // 16 samples a point, behind the first.
+    for (k, time_s) in found.time_s.iter().enumerate() {
+        let last = 16 * k;
+        let behind = if k == 0 { 0..=0 } else { last - 15..=last };
+        let attitude: Vec<f32> = states[last].attitude.iter().map(|x| *x as f32).collect();
+        assert_eq!(
+            (*time_s, &found.attitude[9 * k..9 * k + 9]),
+            (states[last].time_s, &attitude[..])
+        );
+        for axis in 0..3 {
+            let cosine = states[behind.clone()].iter().map(|state| state.attitude[4 * axis]);
+            let angle = libm::acos(cosine.fold(1.0, f64::min)) as f32;
+            assert_eq!(found.axis_angle[3 * k + axis], angle);
+        }
+        let error = errors[behind.clone()].iter().copied();
+        let error = error.reduce(|a, b| if b.abs() > a.abs() { b } else { a });
+        assert_eq!(Some(found.energy_error[k]), error.map(|x| x as f32));
+        let size = states[behind]
+            .iter()
+            .map(|state| state.angular_velocity.iter().map(|x| x * x).sum::<f64>().sqrt() as f32);
+        let off = size.fold(0.0, f32::max) / found.angular_velocity[k] - 1.0;
+        assert!(off.abs() < 1e-6, "{off}");
+    }
+    // Of a member whose samples are not logged they are the same figures.
+    let other = way(11);
+    assert_eq!(other.time_s, found.time_s);
+    assert_eq!(
+        [other.attitude.len(), other.axis_angle.len(), other.momentum_drift.len()],
+        [found.attitude.len(), found.axis_angle.len(), found.momentum_drift.len()]
+    );
+    assert_ne!(other.attitude, found.attitude);
+}
+
 #[test]
 fn a_member_that_fails_is_told_and_the_others_go_on() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -232,11 +296,11 @@ fn an_interrupted_ensemble_goes_on_to_the_same_bytes() {
         let found = last_checkpoint(&cut).expect("readable").unwrap_or(0);
         let summary = run(&scenario, &cut);
         assert_eq!(summary.resumed_step, found);
-        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, taken up at {found}");
+        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, resumed at {found}");
         assert_eq!(summary.ensemble, reference.ensemble);
         steps.push(found);
     }
-    println!("taken up at the steps {steps:?}");
+    println!("resumed at the steps {steps:?}");
     assert!(steps[3] > steps[0] && steps[3] > 0);
 }
 

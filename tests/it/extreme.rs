@@ -2,7 +2,7 @@
 //! log of finite numbers. `VPD_FAULTS=10` draws ten times as many; `VPD_SEED` draws others,
 //! and `VPD_ONLY=12,345` tries these alone.
 //!
-//! Times are printed beside the estimates and decide nothing.
+//! Times are printed next to the estimates and decide nothing.
 
 use std::path::Path;
 use std::time::Instant;

@@ -2,16 +2,21 @@
 
 mod damage;
 mod fixture;
+mod overview;
 mod viewing;
 
 use std::fs;
+use std::ops::ControlFlow;
 
+use foxglove::messages::FrameTransforms;
 use mcap::records::Record;
+use prost::Message as _;
 use serde_json::{Value, json};
 use vpd::advise;
 use vpd::log::LogError;
 use vpd::log::inspect::inspect;
-use vpd::log::reader::{self, Message};
+use vpd::log::messages::State;
+use vpd::log::reader::{self, Item, Message};
 use vpd::log::schema::{Channel, Compression};
 use vpd::log::writer::{Level, LogHeader, LogWriter};
 use vpd::plan::Plan;
@@ -61,6 +66,47 @@ fn a_state_message_is_the_state() {
         assert!((got - wanted).abs() < 1e-15, "{:?}", states[0].quaternion);
     }
     assert_eq!(states[3].time_s, 3.0 * 0.01);
+}
+
+#[test]
+fn quaternions_have_no_jumps_in_sign() {
+    let (body, mut state) = crate::given::dipole();
+    // Many turns about a slanted axis: w passes zero in each.
+    state.momentum = hat(&[0.03, 0.02, 0.05]);
+    let (_folder, path) = place();
+    let mut log = LogWriter::create(&path, &header()).expect("create");
+    run(&body, state, &mut log, 4000);
+    log.finish(succeeded()).expect("finish");
+    let (mut states, mut frames) = (Vec::new(), Vec::new());
+    reader::read(&path, |item| {
+        if let Item::Message { topic, data, .. } = item {
+            match topic {
+                "/state" => states.push(State::decode(data).expect("a state")),
+                "/tf" => frames.push(FrameTransforms::decode(data).expect("a frame")),
+                _ => {}
+            }
+        }
+        ControlFlow::Continue(())
+    })
+    .expect("read");
+    assert_eq!((states.len(), frames.len()), (4001, 4001));
+    assert!(states[0].quaternion[0] >= 0.0);
+    for pair in states.windows(2) {
+        let along: f64 =
+            pair[0].quaternion.iter().zip(&pair[1].quaternion).map(|(a, b)| a * b).sum();
+        assert!(along > 0.9, "{} s: {along}", pair[1].time_s);
+    }
+    assert!(states.iter().any(|state| state.quaternion[0] < -0.1));
+    for (state, frame) in states.iter().zip(&frames) {
+        let turn = frame.transforms[0].rotation.expect("a turn");
+        assert_eq!(state.quaternion, [turn.w, turn.x, turn.y, turn.z]);
+        // Still the attitude.
+        let [w, x, y, z] = state.quaternion[..] else { panic!("four") };
+        let first = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)];
+        for (entry, wanted) in first.iter().zip(&state.attitude) {
+            assert!((entry - wanted).abs() < 1e-14);
+        }
+    }
 }
 
 #[test]
@@ -162,8 +208,8 @@ fn schemas_are_complete_and_one_per_type() {
     let (_folder, path) = write_dipole(1);
     let bytes = fs::read(&path).expect("read");
     let summary = mcap::Summary::read(&bytes).expect("whole").expect("has a summary");
-    assert_eq!(summary.schemas.len(), 8, "two scene topics share one");
-    assert_eq!(summary.channels.len(), 9);
+    assert_eq!(summary.schemas.len(), 9, "two scene topics share one");
+    assert_eq!(summary.channels.len(), 10);
     for channel in summary.channels.values() {
         let known = Channel::from_topic(&channel.topic).expect("our topic");
         let schema = channel.schema.as_ref().expect("has a schema");

@@ -3,6 +3,7 @@
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
 
+mod adaptive;
 mod advise;
 mod bad_scenarios;
 mod cli;
@@ -24,5 +25,6 @@ mod scenarios;
 mod stability;
 mod study;
 mod sweep;
+mod tools;
 mod verify;
 mod architecture;

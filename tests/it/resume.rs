@@ -80,7 +80,7 @@ fn resume_job(scenario: &Value, cuts: &[f64]) {
         let step = last_checkpoint(&cut).expect("readable").unwrap_or(0);
         let summary = run(&scenario, &cut);
         assert_eq!(summary.resumed_step, step, "cut at {part}");
-        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, taken up at {step}");
+        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, resumed at {step}");
         let same = Summary {
             log: reference.log.clone(),
             wall_s: reference.wall_s,
@@ -116,6 +116,13 @@ fn every_method_goes_on_to_the_same_bytes() {
 }
 
 #[test]
+fn a_log_with_an_overview_goes_on_to_the_same_bytes() {
+    let mut long = dipole(&json!({ "name": "vpd", "tableau": "gauss2" }));
+    long["steps"] = json!(70_000);
+    resume_job(&long, &[0.6]);
+}
+
+#[test]
 fn every_dimension_and_compression_goes_on_to_the_same_bytes() {
     resume_job(&shipped(include_str!("../../scenarios/so4-free.json"), 4000), &[0.9]);
     resume_job(&shipped(include_str!("../../scenarios/so5-spring.json"), 3000), &[0.9]);
@@ -145,6 +152,18 @@ fn driven_scenes_go_on_to_the_same_bytes() {
         resume_job(&satellite, &[0.4, 0.9]);
     }
     resume_job(&shipped(include_str!("../../scenarios/dual-spin.json"), 3900), &[0.4, 0.9]);
+}
+
+/// Where steps adapt a checkpoint holds the end of the last of them, next to the sample that was taken aside.
+#[test]
+fn steps_that_adapt_go_on_to_the_same_bytes() {
+    for tableau in ["gauss2", "gauss4", "rk3"] {
+        let mut flyby = shipped(include_str!("../../scenarios/flyby.json"), 6000);
+        flyby["method"] = json!({ "name": "vpd", "tableau": tableau });
+        flyby["step"]["adaptive"]["largest_step_s"] = json!(0.05);
+        println!("{tableau}");
+        resume_job(&flyby, &[0.2, 0.6, 0.9]);
+    }
 }
 
 #[test]
@@ -196,7 +215,7 @@ fn a_run_that_fails_or_is_cancelled_after_an_interruption_ends_with_a_finished_l
 }
 
 #[test]
-fn what_another_job_or_a_bad_disk_left_is_not_taken_up() {
+fn what_another_job_or_a_bad_disk_left_is_not_resumed_runs() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     let scenario = checked(&dipole(&json!({ "name": "vpd" })));
@@ -216,11 +235,11 @@ fn what_another_job_or_a_bad_disk_left_is_not_taken_up() {
             == fs::read(at("other.mcap")).expect("a log")
     );
 
-    // Cut anywhere, or with a bit flipped anywhere: taken up before the damage, or begun anew.
+    // Cut anywhere, or with a bit flipped anywhere: resumed before the damage, or begun anew.
     let seed = 0x5eed_0005_u64;
     println!("seed {seed:#x}");
     let mut random = seed;
-    let (mut anew, mut taken_up) = (0, 0);
+    let (mut anew, mut resumed_runs) = (0, 0);
     for k in 0..60 {
         let draw = super::log::next(&mut random) as usize;
         let mut bytes = left.clone();
@@ -231,9 +250,9 @@ fn what_another_job_or_a_bad_disk_left_is_not_taken_up() {
         }
         fs::write(part_path(&at("log.mcap")), bytes).expect("written");
         let summary = run(&scenario, &at("log.mcap"));
-        *if summary.resumed_step == 0 { &mut anew } else { &mut taken_up } += 1;
+        *if summary.resumed_step == 0 { &mut anew } else { &mut resumed_runs } += 1;
         assert!(fs::read(at("log.mcap")).expect("a log") == whole, "seed {seed:#x}, case {k}");
     }
-    println!("{taken_up} taken up, {anew} begun anew");
-    assert!(anew > 0 && taken_up > 0, "{taken_up} taken up, {anew} begun anew");
+    println!("{resumed_runs} resumed, {anew} begun anew");
+    assert!(anew > 0 && resumed_runs > 0, "{resumed_runs} resumed, {anew} begun anew");
 }

@@ -162,7 +162,7 @@ fn the_same_scenario_gives_the_same_bytes() {
     }
 }
 
-/// Inertia that no body has is computed, and everybody is told.
+/// Inertia that no body has is computed, and everybody sees a warning.
 #[test]
 fn inertia_that_no_body_has_is_warned_of() {
     let directory = tempfile::tempdir().expect("a temporary directory");

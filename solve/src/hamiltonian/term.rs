@@ -59,18 +59,7 @@ pub enum Law<const N: usize> {
 impl<const N: usize> Law<N> {
     /// U(q).
     pub(super) fn value(&self, q: &Vector<N>) -> f64 {
-        match self {
-            Self::Uniform { weight, body_point } => uniform::value(*weight, body_point, q),
-            Self::PointSource { strength, body_point } => {
-                point_source::value(*strength, body_point, q)
-            }
-            Self::Spring { stiffness, rest_length, body_point } => {
-                spring::value(*stiffness, *rest_length, body_point, q)
-            }
-            Self::GravityGradient { strength, matrix } => {
-                gravity_gradient::value(*strength, matrix, q)
-            }
-        }
+        self.numbers().value(q)
     }
 
     /// The same law, so many times as strong.
@@ -160,6 +149,23 @@ pub(crate) enum Numbers<'a> {
 }
 
 impl Numbers<'_> {
+    /// U(q).
+    #[inline(always)]
+    pub(super) fn value<V: Image>(&self, q: &V) -> V::Number {
+        match *self {
+            Self::Uniform { weight, body_point } => uniform::value(weight, body_point, q),
+            Self::PointSource { strength, body_point } => {
+                point_source::value(strength, body_point, q)
+            }
+            Self::Spring { stiffness, rest_length, body_point } => {
+                spring::value(stiffness, rest_length, body_point, q)
+            }
+            Self::GravityGradient { strength, matrix } => {
+                gravity_gradient::value(strength, matrix, q)
+            }
+        }
+    }
+
     /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular at zero
     /// distance, `nearness` becomes at least `-reach` times the square of the distance.
     #[inline(always)]
@@ -187,6 +193,7 @@ pub(super) trait Image {
     /// A body vector, in as many lanes.
     fn vector(&self, y: &[f64]) -> Self;
     fn minus(&self, other: &Self) -> Self;
+    fn dot(&self, other: &Self) -> Self::Number;
     fn square(&self) -> Self::Number;
     fn scaled(&self, c: Self::Number) -> Self;
     /// `m q`
@@ -209,6 +216,11 @@ impl<const N: usize> Image for Vector<N> {
     #[inline(always)]
     fn minus(&self, other: &Self) -> Self {
         self - other
+    }
+
+    #[inline(always)]
+    fn dot(&self, other: &Self) -> f64 {
+        Self::dot(self, other)
     }
 
     #[inline(always)]
@@ -261,12 +273,17 @@ impl<R: Real, D: Dimension> Image for Lanes<R, D> {
     }
 
     #[inline(always)]
-    fn square(&self) -> R {
-        let mut sum = self.numbers[0] * self.numbers[0];
+    fn dot(&self, other: &Self) -> R {
+        let mut sum = self.numbers[0] * other.numbers[0];
         for i in 1..self.dimension.n() {
-            sum = sum + self.numbers[i] * self.numbers[i];
+            sum = sum + self.numbers[i] * other.numbers[i];
         }
         sum
+    }
+
+    #[inline(always)]
+    fn square(&self) -> R {
+        self.dot(self)
     }
 
     #[inline(always)]

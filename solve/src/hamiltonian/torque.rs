@@ -21,11 +21,11 @@ impl RigidBody<3> {
         u: &Mat3<R>,
         seen: &[Vec3<<R::Whole as Whole>::Plain>],
     ) -> (Vec3<R>, R) {
-        let like = u[0][0];
-        let mut torque = [like.constant(0.0); 3];
-        let mut nearness = like.constant(-1.0);
+        let lanes = u[0][0];
+        let mut torque = [lanes.constant(0.0); 3];
+        let mut nearness = lanes.constant(-1.0);
         for ((term, reach), v) in self.terms.iter().zip(&self.reaches).zip(seen) {
-            let v: Vec3<R> = vec3!(i => like.spread(like.stage(0).load(&v[i])));
+            let v: Vec3<R> = vec3!(i => lanes.spread(lanes.stage(0).load(&v[i])));
             let q = transposed_product(u, &v);
             let q = Lanes { dimension: Known::<3>, numbers: q };
             let slope = term.law.numbers().slope(&q, *reach, &mut nearness);
@@ -33,7 +33,7 @@ impl RigidBody<3> {
         }
         if self.has_own() {
             let (own, refused) = self.own_torque(u, seen);
-            (torque, nearness) = (plus(&torque, &own), nearness.larger(refused));
+            (torque, nearness) = (plus(&torque, &own), nearness.max_or_nan(refused));
         }
         (torque, nearness)
     }
@@ -45,11 +45,11 @@ impl RigidBody<3> {
         u: &Mat3<R>,
         seen: &[Vec3<<R::Whole as Whole>::Plain>],
     ) -> (Vec3<R>, R) {
-        let like = u[0][0];
+        let lanes = u[0][0];
         let mut g = *u;
         // Row i is U^T (g0^T e_i).
         for (row, v) in g.iter_mut().zip(seen.iter().skip(self.terms.len())) {
-            let v: Vec3<R> = vec3!(i => like.spread(like.stage(0).load(&v[i])));
+            let v: Vec3<R> = vec3!(i => lanes.spread(lanes.stage(0).load(&v[i])));
             *row = transposed_product(u, &v);
         }
         let [x, y, z, refused] = R::lane_by_lane(g, &mut |g| {
@@ -85,8 +85,8 @@ impl<const N: usize> Terms for RigidBody<N> {
 /// A term U(q) with `q = v + C^T v` has `dH/dg = q s^T - s q^T`, s its slope dU/dq; turned to the frame of g0 this is
 /// `v z^T - z v^T` with `z = s + C s`.
 pub(crate) struct Torques<'a, R: Stages, D: Dimension> {
-    stack: Stack<R, D>,
-    terms: &'a dyn Terms,
+    pub(super) stack: Stack<R, D>,
+    pub(super) terms: &'a dyn Terms,
     /// The space vectors of the potential, as seen from g0, one after the other.
     seen: &'a [f64],
     /// The largest nearness, as of [`RigidBody::torque`].
@@ -101,7 +101,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
     /// `dH/dg` at the stages; keeps the slopes of the terms, one after the other.
     #[inline(never)]
     pub(crate) fn gradient(&mut self, c: &[f64], slopes: &mut Vec<f64>, gradient: &mut [f64]) {
-        self.stack.like.vectorized(
+        self.stack.lanes.vectorized(
             #[inline(always)]
             || self.gradient_in_lanes(c, slopes, gradient),
         );
@@ -109,49 +109,67 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
 
     #[inline(always)]
     fn gradient_in_lanes(&mut self, c: &[f64], slopes: &mut Vec<f64>, gradient: &mut [f64]) {
-        let Stack { like, dimension } = self.stack;
+        let Stack { lanes, dimension } = self.stack;
         let (n, len) = (self.stack.n(), self.stack.numbers());
-        let (c, gradient) = (&c[..len], &mut gradient[..len]);
-        let mut nearness = like.constant(-1.0);
-        slopes.resize(self.terms.count() * n * R::LANES, 0.0);
-        let slopes = slopes.chunks_exact_mut(n * R::LANES);
-        for (i, (v, kept)) in self.seen.chunks_exact(n).zip(slopes).enumerate() {
+        let gradient = &mut gradient[..len];
+        let mut nearness = lanes.constant(-1.0);
+        slopes.resize(self.seen.len() * R::LANES, 0.0);
+        for (i, kept) in slopes.chunks_exact_mut(n * R::LANES).enumerate() {
             let (law, reach) = self.terms.term(i);
-            let mut q = dimension.vector(like.constant(0.0));
-            for k in 0..n {
-                for i in 0..n {
-                    q[i] = q[i] + self.stack.get(c, k, i) * v[k];
-                }
-            }
-            for i in 0..n {
-                q[i] = q[i] + v[i];
-            }
-            let q = Lanes { dimension, numbers: q };
+            let q = Lanes { dimension, numbers: self.seen_by_stages(i, c) };
             let slope = law.slope(&q, reach, &mut nearness).numbers;
             self.stack.add_wedge(i == 0, &q.numbers, &slope, gradient);
-            for (i, kept) in kept.chunks_exact_mut(R::LANES).enumerate() {
-                slope[i].put(kept);
-            }
+            self.stack.put_vector(&slope, kept);
         }
         self.nearness = nearness.largest();
+    }
+
+    /// Adds `v s^T` of term i.
+    #[inline(always)]
+    pub(super) fn add_outer(&self, i: usize, s: &D::Vector<R>, sum: &mut [f64]) {
+        let n = self.stack.n();
+        let (v, sum) = (&self.seen[i * n..(i + 1) * n], &mut sum[..self.stack.numbers()]);
+        for (row, &v) in v.iter().enumerate() {
+            for j in 0..n {
+                self.stack.put(sum, row, j, self.stack.get(sum, row, j) + s[j] * v);
+            }
+        }
+    }
+
+    /// `q = U_k^T v` of term i at the stages.
+    #[inline(always)]
+    pub(super) fn seen_by_stages(&self, i: usize, c: &[f64]) -> D::Vector<R> {
+        let Stack { lanes, dimension } = self.stack;
+        let (n, c) = (dimension.n(), &c[..self.stack.numbers()]);
+        let v = &self.seen[i * n..(i + 1) * n];
+        let mut q = dimension.vector(lanes.constant(0.0));
+        for k in 0..n {
+            for i in 0..n {
+                q[i] = q[i] + self.stack.get(c, k, i) * v[k];
+            }
+        }
+        for i in 0..n {
+            q[i] = q[i] + v[i];
+        }
+        q
     }
 
     /// `U_k (dH/dg) U_k^T` at the stages, with the slopes as they were last.
     #[inline(always)]
     pub(crate) fn in_space(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
-        let Stack { like, dimension } = self.stack;
+        let Stack { lanes, dimension } = self.stack;
         let (n, len) = (self.stack.n(), self.stack.numbers());
         let (c, turned) = (&c[..len], &mut turned[..len]);
         let slopes = slopes.chunks_exact(n * R::LANES);
         for (i, (v, slope)) in self.seen.chunks_exact(n).zip(slopes).enumerate() {
-            let mut z = dimension.vector(like.constant(0.0));
+            let mut z = dimension.vector(lanes.constant(0.0));
             let mut spread = z;
             for i in 0..n {
                 for k in 0..n {
-                    z[i] = z[i] + self.stack.get(c, i, k) * like.get(&slope[k * R::LANES..]);
+                    z[i] = z[i] + self.stack.get(c, i, k) * lanes.get(&slope[k * R::LANES..]);
                 }
-                z[i] = z[i] + like.get(&slope[i * R::LANES..]);
-                spread[i] = like.constant(v[i]);
+                z[i] = z[i] + lanes.get(&slope[i * R::LANES..]);
+                spread[i] = lanes.constant(v[i]);
             }
             self.stack.add_wedge(i == 0, &spread, &z, turned);
         }

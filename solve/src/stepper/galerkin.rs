@@ -27,15 +27,17 @@
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, Moment, RigidBody};
+use crate::hamiltonian::{CLOSEST_APPROACH, Moment, Rescaled, RigidBody, Scale};
 use crate::lanes::Real;
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
 
+mod carried;
 mod deferred;
 mod motion;
 
+pub(super) use carried::Carried;
 use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck};
 pub(super) use motion::{Motion, Sum};
 
@@ -67,14 +69,39 @@ pub(super) trait Dynamics<const N: usize> {
     /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
     fn begin_sweep(&self) -> Result<(), Failure>;
 
-    /// The rigid body that moves, and the space vectors of its potential as seen from g0, if it is one.
-    fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
+    /// The rigid body that moves, if it is one.
+    fn body(&self) -> Option<Seen<'_, N>> {
         None
     }
 
     /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
     fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
+    }
+}
+
+/// A rigid body as a step sees it.
+pub(super) struct Seen<'a, const N: usize> {
+    pub(super) body: &'a RigidBody<N>,
+    /// The space vectors of its potential, as seen from g0.
+    pub(super) vectors: &'a [Vector<N>],
+    /// Of one in a time of its own.
+    pub(super) scale: Option<Scale<'a>>,
+}
+
+/// The length of a step.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Length {
+    /// h.
+    pub(super) h: f64,
+    /// How long the step is to last, of a system in a time of its own, if that is what is known; h is then a guess, which
+    /// need not be improved.
+    pub(super) lasting: Option<f64>,
+}
+
+impl From<f64> for Length {
+    fn from(h: f64) -> Self {
+        Self { h, lasting: None }
     }
 }
 
@@ -100,6 +127,8 @@ pub(super) struct Solution<const N: usize> {
     pub(super) turn: Mat<N>,
     /// `pi1 - p0`, what the forces add to the momentum.
     pub(super) impulse: Mat<N>,
+    /// The length of the step.
+    h: f64,
     /// Is it the collocation's?
     collocated: bool,
 }
@@ -155,7 +184,7 @@ impl<const N: usize> GalerkinStep<N> {
         let (stages, solver) = (vec![stage; tableau.stages()], Solver::new(stop));
         let by_sweeps_alone = stop.rungs == Rungs::Newton;
         let collocation = if by_sweeps_alone { None } else { Collocation::new(&tableau, N) };
-        let solution = Solution { turn: zero, impulse: zero, collocated: false };
+        let solution = Solution { turn: zero, impulse: zero, h: 0.0, collocated: false };
         let (past, seen) = (None, Vec::new());
         Self { stages, end, tableau, solver, collocation, past, solution, seen }
     }
@@ -191,7 +220,7 @@ impl<const N: usize> GalerkinStep<N> {
         self.tableau.order()
     }
 
-    /// Solves the step of length `h` from the body momentum `p0`, starting from the velocity `omega` at its
+    /// Solves the step of such a length from the body momentum `p0`, starting from the velocity `omega` at its
     /// beginning, kept constant. That guess is a function of the state alone: a resumed run repeats it to
     /// the bit.
     ///
@@ -200,26 +229,28 @@ impl<const N: usize> GalerkinStep<N> {
     pub(super) fn solve(
         &mut self,
         dynamics: &mut dyn Dynamics<N>,
-        h: f64,
+        length: impl Into<Length>,
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
+        let length = length.into();
         // |Omega| is the length of the vector for n = 3, and at least the largest frequency for any n.
-        let turn_rad = Some(h.abs() * so::inner(omega, omega).sqrt());
-        self.solved(dynamics, h, p0, omega).map_err(|failure| Failure { turn_rad, ..failure })
+        let turn_rad = Some(length.h.abs() * so::inner(omega, omega).sqrt());
+        self.solved(dynamics, length, p0, omega).map_err(|failure| Failure { turn_rad, ..failure })
     }
 
     fn solved(
         &mut self,
         dynamics: &mut dyn Dynamics<N>,
-        h: f64,
+        length: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
-        if let Some(solved) = self.collocated(dynamics, h, p0, omega)? {
+        if let Some(solved) = self.collocated(dynamics, length, p0, omega)? {
             return Ok(solved);
         }
-        self.solution.collocated = false;
+        let h = length.h;
+        (self.solution.collocated, self.solution.h) = (false, h);
         let Self { tableau, solver, past, stages, end, .. } = self;
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
         match solver.solve_after(past, &mut equations) {
@@ -245,21 +276,24 @@ impl<const N: usize> GalerkinStep<N> {
     fn collocated(
         &mut self,
         dynamics: &mut dyn Dynamics<N>,
-        h: f64,
+        length: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Option<Convergence>, Failure> {
         let Some(collocation) = &mut self.collocation else { return Ok(None) };
         let (momentum, velocity) = (p0.transpose(), omega.transpose());
         let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
-        let start = Start { n: N, h, momentum, velocity };
+        let Length { h, lasting } = length;
+        let start = Start { n: N, h, lasting, momentum, velocity };
         let mut one_stage;
         let source = match dynamics.body() {
-            Some((body, seen)) if body.principal().is_some() && !body.has_own() => {
+            Some(Seen { body, vectors, scale })
+                if body.principal().is_some() && !body.has_own() =>
+            {
                 self.seen.clear();
-                seen.iter().for_each(|v| self.seen.extend(v.as_slice()));
+                vectors.iter().for_each(|v| self.seen.extend(v.as_slice()));
                 let weights = body.principal().map_or(&[][..], |weights| weights.as_slice());
-                Source::Body { weights, terms: body, seen: &self.seen, work: body.work() }
+                Source::Body { weights, terms: body, seen: &self.seen, work: body.work(), scale }
             }
             _ => {
                 one_stage = OneStage(dynamics);
@@ -281,13 +315,14 @@ impl<const N: usize> GalerkinStep<N> {
         self.solution = Solution {
             turn: Mat::from_row_slice(collocation.turn()),
             impulse: Mat::from_row_slice(collocation.impulse()),
+            h: solved.h,
             collocated: true,
         };
         // Where no attitude is far from where the step began, none is far from the next.
         if !(solved.turn <= MODEST_TURN) && self.check_continuity().is_err() {
             return Ok(None);
         }
-        if dynamics.body().is_none_or(|(body, _)| body.has_own()) {
+        if dynamics.body().is_none_or(|seen| seen.body.has_own()) {
             self.check_dynamics(dynamics)?;
         }
         let Solved { rounds: iterations, increment, .. } = solved;
@@ -325,6 +360,23 @@ impl<const N: usize> GalerkinStep<N> {
             work += h * self.tableau.b(k) * moment.power(&g, &mu, &omega);
         }
         work
+    }
+
+    /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`.
+    pub(super) fn lasted(&self, system: &Rescaled<'_, N>, g0: &Mat<N>) -> f64 {
+        let in_lanes = system.body.principal().is_some() && !system.body.has_own();
+        let collocated = self.collocation.as_ref();
+        let collocated = collocated.filter(|_| self.solution.collocated && in_lanes);
+        let sigma = |k: usize| {
+            let seen = collocated.and_then(|collocation| collocation.sigma(k));
+            seen.unwrap_or_else(|| system.sigma(&so::product(g0, &self.attitude(k))))
+        };
+        self.solution.h * (0..self.stages.len()).map(|k| self.tableau.b(k) * sigma(k)).sum::<f64>()
+    }
+
+    /// The length of the step that was solved.
+    pub(super) fn length(&self) -> f64 {
+        self.solution.h
     }
 
     /// The moments of a step of length `h` from `time`, of a driven body.
@@ -465,7 +517,8 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
         to_stage(&now, omega, at);
         // Of what is no number the change is none either.
-        let change = (now - before).iter().fold(0.0, |most: f64, x| Real::larger(most, x.abs()));
+        let change =
+            (now - before).iter().fold(0.0, |most: f64, x| Real::max_or_nan(most, x.abs()));
         [change, now.amax()]
     }
 }

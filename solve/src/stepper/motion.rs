@@ -9,7 +9,7 @@ use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
 use crate::so3::Top;
 use crate::space::{
-    Turn, Vec3, cross, dot, mat3, minus, product, scaled, sum, transposed_product, vec3,
+    Quaternion, Vec3, cross, dot, mat3, minus, product, scaled, sum, transposed_product, vec3,
 };
 use crate::trajectory::State;
 
@@ -64,14 +64,14 @@ impl<P: Copy> Motion<P> {
     #[inline(always)]
     pub(super) fn look<W: Whole<Plain = P>>(
         &self,
-        like: W,
+        lanes: W,
         body: &RigidBody<3>,
         seen: &mut Vec<Vec3<P>>,
     ) {
-        let g = load_turn(like, &self.attitude.value).matrix();
+        let g = load_turn(lanes, &self.attitude.value).matrix();
         seen.clear();
         for v in body.space_vectors() {
-            let v = transposed_product(&g, &vec3!(i => like.constant(v[i])));
+            let v = transposed_product(&g, &vec3!(i => lanes.constant(v[i])));
             let mut plain = self.momentum.value;
             for i in 0..3 {
                 v[i].store(&mut plain[i]);
@@ -83,17 +83,22 @@ impl<P: Copy> Motion<P> {
     /// Goes on by a step that turns by `end` and pushes by `kick`, both in the frame of its beginning; the momentum in
     /// the body is left behind.
     #[inline(always)]
-    pub(super) fn advance<W: Whole<Plain = P>>(&mut self, like: W, end: &Turn<P>, kick: &Vec3<P>) {
-        let start = load_turn(like, &self.attitude.value);
-        self.momentum.add(&product(&start.matrix(), &vec3!(i => like.load(&kick[i]))));
+    pub(super) fn advance<W: Whole<Plain = P>>(
+        &mut self,
+        lanes: W,
+        end: &Quaternion<P>,
+        kick: &Vec3<P>,
+    ) {
+        let start = load_turn(lanes, &self.attitude.value);
+        self.momentum.add(&product(&start.matrix(), &vec3!(i => lanes.load(&kick[i]))));
         // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
-        let w = like.load(&end.w);
-        let one = like.constant(1.0);
-        let sign = one.within(-w, 0.0, -one);
-        let v: Vec3<W> = vec3!(i => like.load(&end.v[i]) * sign);
-        let change = Turn { w: -dot(&v, &v) / (sign * w + 1.0), v };
+        let w = lanes.load(&end.w);
+        let one = lanes.constant(1.0);
+        let sign = one.select(-w, 0.0, -one);
+        let v: Vec3<W> = vec3!(i => lanes.load(&end.v[i]) * sign);
+        let change = Quaternion { w: -dot(&v, &v) / (sign * w + 1.0), v };
         // What is carried turns along.
-        let carried = load_turn(like, &self.attitude.carry).times(&change);
+        let carried = load_turn(lanes, &self.attitude.carry).times(&change);
         let change = start.times(&change);
         // The deficit of the length from one.
         let deficit = (-start.square() + 1.0) * 0.5;
@@ -107,9 +112,9 @@ impl<P: Copy> Motion<P> {
 
     /// The momentum in the body is that in space, seen from it: `g^T pi`.
     #[inline(always)]
-    pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, like: W) {
-        let g = load_turn(like, &self.attitude.value).matrix();
-        let seen = transposed_product(&g, &vec3!(i => like.load(&self.momentum.value[i])));
+    pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, lanes: W) {
+        let g = load_turn(lanes, &self.attitude.value).matrix();
+        let seen = transposed_product(&g, &vec3!(i => lanes.load(&self.momentum.value[i])));
         for i in 0..3 {
             seen[i].store(&mut self.body_momentum.value[i]);
         }
@@ -135,7 +140,7 @@ impl Motion<f64> {
         numbers.into_iter().all(|x| x.is_finite())
     }
 
-    pub(super) fn turn(&self) -> Turn<f64> {
+    pub(super) fn turn(&self) -> Quaternion<f64> {
         load_turn(0.0, &self.attitude.value)
     }
 
@@ -156,7 +161,7 @@ impl Motion<f64> {
         let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
         let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);
         // Next to nothing: it is added at the next step.
-        let Turn { w, v: [x, y, z] } = now.rate(&half);
+        let Quaternion { w, v: [x, y, z] } = now.rate(&half);
         for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
             *carry += change;
         }
@@ -205,6 +210,6 @@ pub(super) fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
 }
 
 #[inline(always)]
-fn load_turn<W: Whole>(like: W, [w, x, y, z]: &[W::Plain; 4]) -> Turn<W> {
-    Turn { w: like.load(w), v: [like.load(x), like.load(y), like.load(z)] }
+fn load_turn<W: Whole>(lanes: W, [w, x, y, z]: &[W::Plain; 4]) -> Quaternion<W> {
+    Quaternion { w: lanes.load(w), v: [lanes.load(x), lanes.load(y), lanes.load(z)] }
 }

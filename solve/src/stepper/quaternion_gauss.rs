@@ -37,7 +37,6 @@
 //! instruction set.
 
 use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
-use nalgebra::Quaternion;
 
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
@@ -45,7 +44,7 @@ use crate::lanes::{Rows, WIDTH};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
 use crate::so3;
-use crate::space::{Turn, Vec3};
+use crate::space::{Quaternion, Vec3};
 use crate::stepper::Stepper;
 use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
@@ -175,8 +174,8 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        let Turn { w, v: [x, y, z] } = self.motion.turn();
-        Some(so3::rotation(&Quaternion::new(w, x, y, z)))
+        let Quaternion { w, v: [x, y, z] } = self.motion.turn();
+        Some(so3::rotation(&nalgebra::Quaternion::new(w, x, y, z)))
     }
 
     fn momentum(&self) -> Mat<3> {

@@ -8,72 +8,67 @@ use std::marker::PhantomData;
 
 use fearless_simd::Level;
 
-use super::galerkin::{Dynamics, GalerkinStep, Motion};
-use super::{Clock, Stepper, check_root};
+use super::Stepper;
+use super::galerkin::{Carried, Dynamics, Length, Seen};
 use crate::failure::Failure;
-use crate::hamiltonian::{Hamiltonian, Moment, RigidBody};
-use crate::nonlinear::{Convergence, Rung, StopRule};
+use crate::hamiltonian::{Hamiltonian, Moment, Rescaled, RigidBody};
+use crate::nonlinear::{Convergence, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper: the shared step, the state, and scratch for the potential. It takes any [`Hamiltonian`] `S`, a rigid body
-/// if none is named.
+/// The stepper. It takes any [`Hamiltonian`] `S`, a rigid body if none is named.
 #[derive(Clone, Debug)]
 pub struct Vpd<const N: usize, S: ?Sized = RigidBody<N>> {
-    step: GalerkinStep<N>,
-    motion: Motion<N>,
-    clock: Clock,
-    seen: Vec<Vector<N>>,
-    /// Of a driven body, at the stages and the end of the step.
-    moments: Vec<Moment<N>>,
+    carried: Carried<N>,
     system: PhantomData<fn(&S)>,
 }
 
 impl<const N: usize, S: ?Sized> Vpd<N, S> {
     /// A stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
-        let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
-        let step = GalerkinStep::new(tableau, stop);
-        Self {
-            step,
-            motion: Motion::new(&state),
-            clock: Clock::default(),
-            seen: Vec::new(),
-            moments: Vec::new(),
-            system: PhantomData,
-        }
+        Self { carried: Carried::new(tableau, stop), system: PhantomData }
     }
 
     /// The same stepper on an older instruction set, or without lanes: a test compares the bits.
-    pub fn on_level(self, level: Option<Level>) -> Self {
-        Self { step: self.step.on_level(level), ..self }
+    pub fn on_level(mut self, level: Option<Level>) -> Self {
+        self.carried.step = self.carried.step.on_level(level);
+        self
     }
 }
 
-impl<const N: usize, S: Hamiltonian<N> + ?Sized> Vpd<N, S> {
-    /// Solves the step of length `h`, for any root.
-    fn solve(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
-        let Self { step, motion, clock, seen, moments, .. } = self;
-        let (g0, p0) = (motion.attitude(), motion.body_momentum());
-        moments.clear();
-        match system.as_body() {
-            Some(body) if body.is_driven() => *moments = step.moments(body, clock.time, h),
-            Some(body) => body.seen_from(g0, seen),
-            None => {}
-        }
-        let mut canonical = Canonical { system, g0, seen, moments };
-        step.solve(&mut canonical, h, p0, &system.velocity(g0, p0))
+impl<const N: usize> Vpd<N, Rescaled<'_, N>> {
+    /// A step of length `h` in the system's own time, and how long it lasts in seconds: `h sum_k b_k sigma(U_k)`.
+    ///
+    /// # Errors
+    /// As [`Stepper::step`].
+    pub fn timed_step(
+        &mut self,
+        system: &Rescaled<'_, N>,
+        h: f64,
+    ) -> Result<(Convergence, f64), Failure> {
+        let g0 = *self.carried.motion.attitude();
+        let convergence = self.carried.step(h, |carried, h| solve(carried, system, h))?;
+        Ok((convergence, self.carried.step.lasted(system, &g0)))
     }
+}
 
-    /// Goes on by the step that was solved.
-    fn advance(&mut self, h: f64) {
-        if !self.moments.is_empty() {
-            let work = self.step.work(h, &self.moments, self.motion.attitude());
-            self.clock.advance(h, work);
-        }
-        self.motion.advance(self.step.solution());
+/// Solves the step of such a length, for any root.
+pub(super) fn solve<const N: usize, S: Hamiltonian<N> + ?Sized>(
+    carried: &mut Carried<N>,
+    system: &S,
+    length: impl Into<Length>,
+) -> Result<Convergence, Failure> {
+    let length = length.into();
+    carried.look(system.as_body(), length.h);
+    let Carried { step, motion, moments, seen, .. } = carried;
+    let (g0, p0) = (motion.attitude(), motion.body_momentum());
+    let rescaled = system.as_rescaled().map(|rescaled| rescaled.body);
+    if let Some(body) = system.as_body().filter(|_| moments.is_empty()).or(rescaled) {
+        body.seen_from(g0, seen);
     }
+    let mut canonical = Canonical { system, g0, seen, moments };
+    step.solve(&mut canonical, length, p0, &system.velocity(g0, p0))
 }
 
 /// (24f, vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0, of a driven one
@@ -111,9 +106,13 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         self.system.begin_sweep()
     }
 
-    fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
+    fn body(&self) -> Option<Seen<'_, N>> {
+        let vectors = self.seen;
+        if let Some(rescaled) = self.system.as_rescaled() {
+            return Some(Seen { body: rescaled.body, vectors, scale: Some(rescaled.into()) });
+        }
         let body = self.system.as_body().filter(|_| self.moments.is_empty())?;
-        Some((body, self.seen))
+        Some(Seen { body, vectors, scale: None })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
@@ -127,51 +126,34 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
 
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
     fn order(&self) -> u32 {
-        self.step.order()
+        self.carried.step.order()
     }
 
     fn start(&mut self, state: &State<N>) {
-        self.motion = Motion::new(state);
-        self.clock = Clock::default();
+        self.carried.start(state);
     }
 
     fn set_time(&mut self, time_s: f64) {
-        self.clock.time = time_s;
+        self.carried.set_time(time_s);
     }
 
     fn work(&self) -> f64 {
-        self.clock.work
+        self.carried.work()
     }
 
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
-        let convergence = self.solve(system, h)?;
-        if convergence.rung == Rung::Newton {
-            let (step, motion) = (self.step.by_sweeps(), self.motion.clone());
-            let halves = Self {
-                step,
-                motion,
-                clock: self.clock,
-                seen: Vec::new(),
-                moments: Vec::new(),
-                system: PhantomData,
-            };
-            let mut end = self.motion.clone();
-            end.advance(self.step.solution());
-            check_root(convergence, halves, system, h, end.attitude())?;
-        }
-        self.advance(h);
-        Ok(convergence)
+        self.carried.step(h, |carried, h| solve(carried, system, h))
     }
 
     fn attitude(&self) -> Option<Mat<N>> {
-        Some(*self.motion.attitude())
+        Some(*self.carried.motion.attitude())
     }
 
     fn momentum(&self) -> Mat<N> {
-        *self.motion.body_momentum()
+        *self.carried.motion.body_momentum()
     }
 
     fn sigma_min(&self) -> Option<f64> {
-        Some(self.step.sigma_min())
+        Some(self.carried.step.sigma_min())
     }
 }

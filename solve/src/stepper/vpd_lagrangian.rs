@@ -16,64 +16,47 @@ use std::marker::PhantomData;
 
 use nalgebra::DMatrix;
 
-use super::galerkin::{Dynamics, GalerkinStep, Motion};
-use super::{Clock, Stepper, check_root};
+use super::Stepper;
+use super::galerkin::{Carried, Dynamics};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
-use crate::nonlinear::{Convergence, Rung, StopRule};
+use crate::nonlinear::{Convergence, StopRule};
 use crate::so::Mat;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper: the shared step and the state. It takes any [`Lagrangian`] `S`, a rigid body if none is named.
+/// The stepper. It takes any [`Lagrangian`] `S`, a rigid body if none is named.
 #[derive(Clone, Debug)]
 pub struct VpdLagrangian<const N: usize, S: ?Sized = RigidBody<N>> {
-    step: GalerkinStep<N>,
-    motion: Motion<N>,
-    clock: Clock,
-    /// Of a driven body, at the stages and the end of the step.
-    moments: Vec<Moment<N>>,
+    carried: Carried<N>,
     system: PhantomData<fn(&S)>,
 }
 
 impl<const N: usize, S: ?Sized> VpdLagrangian<N, S> {
     /// A stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
-        let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
-        let step = GalerkinStep::new(tableau, stop.to_the_floor());
-        let (motion, clock, moments) = (Motion::new(&state), Clock::default(), Vec::new());
-        Self { step, motion, clock, moments, system: PhantomData }
+        Self { carried: Carried::new(tableau, stop.to_the_floor()), system: PhantomData }
     }
 }
 
-impl<const N: usize, S: Lagrangian<N> + ?Sized> VpdLagrangian<N, S> {
-    /// Solves the step of length `h`, for any root.
-    fn solve(&mut self, lagrangian: &S, h: f64) -> Result<Convergence, Failure> {
-        let Self { step, motion, clock, moments, .. } = self;
-        moments.clear();
-        if let Some(body) = lagrangian.as_body().filter(|body| body.is_driven()) {
-            *moments = step.moments(body, clock.time, h);
-        }
-        let (g0, p0, zero) = (*motion.attitude(), *motion.body_momentum(), Mat::zeros());
-        let singular = || {
-            let has_values = lagrangian.momentum(&g0, &zero).iter().all(|x| x.is_finite());
-            let code = if has_values { FailureCode::Diverged } else { FailureCode::NonFinite };
-            Failure::new(code, None, f64::INFINITY, f64::MAX)
-        };
-        let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
-        let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
-        step.solve(&mut Euler { lagrangian, g0, inverse, moments }, h, &p0, &omega)
-    }
-
-    /// Goes on by the step that was solved.
-    fn advance(&mut self, h: f64) {
-        if !self.moments.is_empty() {
-            let work = self.step.work(h, &self.moments, self.motion.attitude());
-            self.clock.advance(h, work);
-        }
-        self.motion.advance(self.step.solution());
-    }
+/// Solves the step of length `h`, for any root.
+fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
+    carried: &mut Carried<N>,
+    lagrangian: &S,
+    h: f64,
+) -> Result<Convergence, Failure> {
+    carried.look(lagrangian.as_body(), h);
+    let Carried { step, motion, moments, .. } = carried;
+    let (g0, p0, zero) = (*motion.attitude(), *motion.body_momentum(), Mat::zeros());
+    let singular = || {
+        let has_values = lagrangian.momentum(&g0, &zero).iter().all(|x| x.is_finite());
+        let code = if has_values { FailureCode::Diverged } else { FailureCode::NonFinite };
+        Failure::new(code, None, f64::INFINITY, f64::MAX)
+    };
+    let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
+    let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
+    step.solve(&mut Euler { lagrangian, g0, inverse, moments }, h, &p0, &omega)
 }
 
 /// (22a, vil1) and the force, in the frame of g0.
@@ -119,48 +102,37 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<N, S> {
     fn order(&self) -> u32 {
-        self.step.order()
+        self.carried.step.order()
     }
 
     fn start(&mut self, state: &State<N>) {
-        self.motion = Motion::new(state);
-        self.clock = Clock::default();
+        self.carried.start(state);
     }
 
     fn set_time(&mut self, time_s: f64) {
-        self.clock.time = time_s;
+        self.carried.set_time(time_s);
     }
 
     fn work(&self) -> f64 {
-        self.clock.work
+        self.carried.work()
     }
 
     /// # Errors
     /// Any failure; [`FailureCode::Diverged`] also where the momentum has no velocity: the Lagrangian is not hyperregular
     /// there.
     fn step(&mut self, lagrangian: &S, h: f64) -> Result<Convergence, Failure> {
-        let convergence = self.solve(lagrangian, h)?;
-        if convergence.rung == Rung::Newton {
-            let (step, motion) = (self.step.by_sweeps(), self.motion.clone());
-            let mut end = self.motion.clone();
-            end.advance(self.step.solution());
-            let (clock, moments) = (self.clock, Vec::new());
-            let halves = Self { step, motion, clock, moments, system: PhantomData };
-            check_root(convergence, halves, lagrangian, h, end.attitude())?;
-        }
-        self.advance(h);
-        Ok(convergence)
+        self.carried.step(h, |carried, h| solve(carried, lagrangian, h))
     }
 
     fn attitude(&self) -> Option<Mat<N>> {
-        Some(*self.motion.attitude())
+        Some(*self.carried.motion.attitude())
     }
 
     fn momentum(&self) -> Mat<N> {
-        *self.motion.body_momentum()
+        *self.carried.motion.body_momentum()
     }
 
     fn sigma_min(&self) -> Option<f64> {
-        Some(self.step.sigma_min())
+        Some(self.carried.step.sigma_min())
     }
 }

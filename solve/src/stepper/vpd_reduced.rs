@@ -10,11 +10,11 @@
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
 
 use super::Stepper;
-use super::galerkin::{Dynamics, GalerkinStep, Sum};
+use super::galerkin::{Dynamics, GalerkinStep, Seen, Sum};
 use crate::failure::Failure;
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::{Convergence, StopRule};
-use crate::so::{self, Mat, Vector};
+use crate::so::{self, Mat};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -60,8 +60,8 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
         self.0.work().begin_sweep()
     }
 
-    fn body(&self) -> Option<(&RigidBody<N>, &[Vector<N>])> {
-        Some((self.0, &[]))
+    fn body(&self) -> Option<Seen<'_, N>> {
+        Some(Seen { body: self.0, vectors: &[], scale: None })
     }
 }
 

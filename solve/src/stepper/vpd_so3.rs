@@ -21,7 +21,7 @@ use crate::lanes::{Row, Rows, WIDTH, widest};
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::so3;
-use crate::space::{Sym3, Turn, Vec3, dot, scaled, transposed_product, vec3};
+use crate::space::{Quaternion, Sym3, Vec3, dot, scaled, transposed_product, vec3};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -41,13 +41,13 @@ macro_rules! in_lanes {
         *torques += *stages as u64;
         let in_lanes = match (level, *stages) {
             (Some(level), 2) => {
-                widest!(*level, f64x2, like => Some(sweep::$work(like, start, unknowns)), else None)
+                widest!(*level, f64x2, lanes => Some(sweep::$work(lanes, start, unknowns)), else None)
             }
             (Some(level), 3 | 4) => {
-                widest!(*level, f64x4, like => Some(sweep::$work(like, start, unknowns)), else None)
+                widest!(*level, f64x4, lanes => Some(sweep::$work(lanes, start, unknowns)), else None)
             }
             (Some(level), 5..) => {
-                widest!(*level, f64x8, like => Some(sweep::$work(like, start, unknowns)), else None)
+                widest!(*level, f64x8, lanes => Some(sweep::$work(lanes, start, unknowns)), else None)
             }
             _ => None,
         };
@@ -134,10 +134,10 @@ impl VpdSo3 {
     }
 
     /// U_k, or f after the last.
-    fn turn(&self, k: usize) -> Turn<f64> {
+    fn turn(&self, k: usize) -> Quaternion<f64> {
         if k < self.tableau.stages() {
-            let Turn { w, v } = &self.unknowns.attitude;
-            Turn { w: w.0[k], v: vec3!(i => v[i].0[k]) }
+            let Quaternion { w, v } = &self.unknowns.attitude;
+            Quaternion { w: w.0[k], v: vec3!(i => v[i].0[k]) }
         } else {
             self.unknowns.end
         }
@@ -164,7 +164,7 @@ impl VpdSo3 {
                 }
             }
         }
-        let mut before = Turn { w: 1.0, v: [0.0; 3] };
+        let mut before = Quaternion { w: 1.0, v: [0.0; 3] };
         for k in self.tableau.ascending().iter().copied().chain([stages]) {
             let turn = self.turn(k);
             // tr(U^T V) = 4 (p . q)^2 - 1; a quarter turn has 1.
@@ -189,7 +189,7 @@ impl VpdSo3 {
         // An iterate that is no rotation, or no number, meets no charge.
         let turns = (0..self.tableau.stages()).map(|k| (k, self.turn(k)));
         let is_rotation =
-            |turn: &Turn<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
+            |turn: &Quaternion<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
         turns.filter(|(_, turn)| is_rotation(turn)).try_for_each(|(k, turn)| {
             let u = turn.matrix();
             body.check_distances(&Mat::from_fn(|i, j| u[i][j]), &seen)
@@ -408,8 +408,9 @@ impl VpdSo3 {
             && let Some(end) = self.attitude()
         {
             let solver = self.solver.by_sweeps();
-            let halves = Self { solver, past: None, state: before, ..self.clone() };
-            if let Err(failure) = check_root(solved, halves, body, h, &end) {
+            let mut halves = Self { solver, past: None, state: before, ..self.clone() };
+            let half = || halves.step(body, 0.5 * h).map(|_| halves.attitude());
+            if let Err(failure) = check_root(solved, self.order(), &end, half) {
                 self.state = before;
                 return Err(self.turned(body, h, failure));
             }

@@ -165,8 +165,9 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         };
         let attitude = if self.projected { so::orthonormalised(&g1) } else { g1 };
         if convergence.rung == Rung::Newton {
-            let halves = Self { solver: self.solver.by_sweeps(), ..self.clone() };
-            check_root(convergence, halves, body, h, &attitude)?;
+            let mut halves = Self { solver: self.solver.by_sweeps(), ..self.clone() };
+            let half = || halves.step(body, 0.5 * h).map(|_| Some(halves.attitude));
+            check_root(convergence, Stepper::<N>::order(self), &attitude, half)?;
         }
         self.attitude = attitude;
         self.momentum = m1;

@@ -1,5 +1,7 @@
 //! The examples do what they say.
 
+#[path = "../../examples/close_encounter.rs"]
+mod close_encounter;
 #[path = "../../examples/custom_hamiltonian.rs"]
 mod custom_hamiltonian;
 #[path = "../../examples/free_body.rs"]
@@ -11,6 +13,14 @@ mod so4;
 fn a_free_body_keeps_its_energy_and_its_momentum() {
     let (energy, length) = free_body::run().expect("a run");
     assert!(energy < 1e-6 && length < 1e-13, "{energy:e} {length:e}");
+}
+
+#[test]
+fn a_close_encounter_needs_steps_that_adapt() {
+    let [adaptive, fixed] = close_encounter::run().expect("a run");
+    let (energy, _) = adaptive.expect("they pass");
+    assert!(energy < 1e-6, "{energy:e}");
+    assert!(fixed.is_none_or(|(lost, _)| lost > 1e-2), "{fixed:?}");
 }
 
 #[test]

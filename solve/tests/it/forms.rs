@@ -180,8 +180,13 @@ impl Sink<3> for Attitudes {
 fn without_need_no_attitude_is_computed() {
     let start = start(&mut Numbers(34));
     let schedule = Schedule { step_s: 0.05, steps: 1000, every: 1 };
-    let observables =
-        Observables { energy: true, orthogonality: false, momentum: true, sigma_min: false };
+    let observables = Observables {
+        energy: true,
+        orthogonality: false,
+        momentum: true,
+        sigma_min: false,
+        pace: false,
+    };
     let count = |with_attitude| {
         let gauss = Tableau::gauss(3).expect("3 stages");
         let mut stepper = VpdReduced::new(gauss, StopRule::default(), with_attitude);

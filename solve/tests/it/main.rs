@@ -3,7 +3,9 @@
 // A test may say what it measured.
 #![allow(clippy::print_stdout)]
 
+mod adaptive;
 mod driven;
+mod encounters;
 mod examples;
 mod forms;
 mod given;

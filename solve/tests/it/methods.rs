@@ -1,8 +1,8 @@
-//! Every method from one table: measured order, reversibility, failed steps; and the long runs of the rivals.
+//! Every method from one table: measured order, reversibility, failed steps; and the long runs of the comparison methods.
 
 use std::time::Instant;
 
-use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
@@ -12,6 +12,7 @@ use vpd_solve::stepper::rk::Rk;
 use vpd_solve::stepper::rkmk::Rkmk;
 use vpd_solve::stepper::splitting::Splitting;
 use vpd_solve::stepper::vpd::Vpd;
+use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vrkmk::Vrkmk;
@@ -33,7 +34,7 @@ struct Method {
     /// n = 4 and 5, where the method runs there.
     beyond: Option<(Make<4>, Make<5>)>,
     /// Numbers of steps between which the order is measured: the dipole, half a second; and a body with one
-    /// term of each kind, one second. The same number twice: too accurate for a slope, the error alone tells.
+    /// term of each kind, one second. The same number twice: too accurate for a slope, the error alone counts.
     steps: [[usize; 2]; 2],
     /// Is a step of -h the inverse of a step of h?
     symmetric: bool,
@@ -104,6 +105,11 @@ fn gauss(stages: usize) -> Tableau {
     Tableau::gauss(stages).expect("1 to 8 stages")
 }
 
+/// Own steps as long as those of the time loop, and every point source within a metre.
+fn adaptive<const N: usize>(stages: usize) -> VpdAdaptive<N> {
+    VpdAdaptive::new(gauss(stages), to_round_off(), TimeScale::new(vec![1.0; 8]))
+}
+
 fn to_round_off() -> StopRule {
     StopRule::default()
 }
@@ -123,6 +129,9 @@ fn methods() -> Vec<Method> {
         any_n!("vpd_lagrangian gauss 2", 4, [[8, 128], [10, 40]], VpdLagrangian::new(gauss(2), to_round_off())),
         any_n!("vpd_lagrangian rk3", 3, [[32, 256], [20, 160]], VpdLagrangian::new(Tableau::rk3(), to_round_off())),
         any_n!("vpd_lagrangian gauss 3", 6, [[4, 16], [6, 24]], VpdLagrangian::new(gauss(3), to_round_off())),
+        any_n!("vpd_adaptive gauss 1", 2, [[64, 512], [10, 80]], adaptive(1)),
+        any_n!("vpd_adaptive gauss 2", 4, [[32, 256], [20, 80]], adaptive(2)),
+        any_n!("vpd_adaptive gauss 3", 6, [[8, 32], [12, 36]], adaptive(3)).nearly_straight(),
         any_n!("vpd_reduced gauss 1", 2, [[0, 0], [20, 160]], VpdReduced::new(gauss(1), to_round_off(), true)).for_free_bodies(),
         any_n!("vpd_reduced gauss 2", 4, [[0, 0], [10, 40]], VpdReduced::new(gauss(2), to_round_off(), true)).for_free_bodies(),
         any_n!("vpd_reduced rk3", 3, [[0, 0], [320, 1280]], VpdReduced::new(Tableau::rk3(), to_round_off(), true)).for_free_bodies(),

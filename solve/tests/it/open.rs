@@ -1,4 +1,4 @@
-//! Systems of a user's own: a potential beside the built-in terms, a Hamiltonian, a Lagrangian, through the same steps
+//! Systems of a user's own: a potential next to the built-in terms, a Hamiltonian, a Lagrangian, through the same steps
 //! and the same time loop.
 
 use std::convert::Infallible;
@@ -163,8 +163,13 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
 ) -> (Trajectory<N>, Vec<Sample<N>>) {
     let mut kept = Kept::default();
     let schedule = Schedule { step_s, steps, every: steps.div_ceil(1000) };
-    let observables =
-        Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true };
+    let observables = Observables {
+        energy: true,
+        orthogonality: true,
+        momentum: true,
+        sigma_min: true,
+        pace: false,
+    };
     let Ok(end) = integrate(system, stepper, start, schedule, observables, &mut kept, |_| true);
     (end, kept.0)
 }
@@ -617,8 +622,13 @@ fn a_lagrangian_that_is_not_hyperregular_is_refused() {
     assert_eq!(stepper.attitude(), Some(state.attitude));
     // Without the energy the loop asks nothing else of the law.
     let schedule = Schedule { step_s: 0.1, steps: 1, every: 1 };
-    let observables =
-        Observables { energy: false, orthogonality: true, momentum: false, sigma_min: false };
+    let observables = Observables {
+        energy: false,
+        orthogonality: true,
+        momentum: false,
+        sigma_min: false,
+        pace: false,
+    };
     let mut kept = Kept::default();
     let Ok(end) = trajectory::integrate(
         &Degenerate,

@@ -221,8 +221,13 @@ fn long_runs_keep_the_invariants() {
     let (body, start) = dipole();
     for (name, tableau, step_s, bound) in runs {
         let schedule = Schedule { step_s, steps: 100_000, every: 1 };
-        let observables =
-            Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+        let observables = Observables {
+            energy: true,
+            orthogonality: true,
+            momentum: true,
+            sigma_min: false,
+            pace: false,
+        };
         let mut seen = Invariants::default();
         let mut stepper = Vpd::new(tableau, StopRule::default());
         let run = trajectory::integrate(
@@ -285,8 +290,13 @@ fn a_run_stops_when_asked() {
     let (body, start) = dipole();
     let mut stepper = Vpd::new(Tableau::gauss(2).expect("2 stages"), StopRule::default());
     let schedule = Schedule { step_s: 0.01, steps: 1000, every: 100 };
-    let nothing =
-        Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+    let nothing = Observables {
+        energy: true,
+        orthogonality: true,
+        momentum: true,
+        sigma_min: false,
+        pace: false,
+    };
     let mut seen = Invariants::default();
     let run =
         trajectory::integrate(&body, &mut stepper, &start, schedule, nothing, &mut seen, |steps| {

@@ -203,8 +203,13 @@ fn orders_in_every_dimension() {
 fn long_run(stepper: &mut dyn Stepper<3>, step_s: f64, steps: u64) -> Invariants {
     let (body, start) = dipole();
     let schedule = Schedule { step_s, steps, every: 1 };
-    let observables =
-        Observables { energy: true, orthogonality: true, momentum: true, sigma_min: false };
+    let observables = Observables {
+        energy: true,
+        orthogonality: true,
+        momentum: true,
+        sigma_min: false,
+        pace: false,
+    };
     let mut seen = Invariants::default();
     let run =
         trajectory::integrate(&body, stepper, &start, schedule, observables, &mut seen, |_| true)
@@ -288,9 +293,9 @@ fn a_failed_step_leaves_the_state_alone() {
 /// The largest defect `|omega1 - omega0|` of the symplectic form over pairs of directions, by differences
 /// of sixth order. Right-trivialised, with `delta g = e g` and `delta m = n`,
 /// `omega = <n2, e1> - <n1, e2> - <m, [e1, e2]>`.
-pub(crate) fn symplectic_defect<const N: usize>(
-    stepper: &mut dyn Stepper<N>,
-    body: &RigidBody<N>,
+pub(crate) fn symplectic_defect<const N: usize, S: ?Sized>(
+    stepper: &mut dyn Stepper<N, S>,
+    system: &S,
     start: &State<N>,
     h: f64,
     e: f64,
@@ -309,7 +314,7 @@ pub(crate) fn symplectic_defect<const N: usize>(
         let attitude = so::exp(turn) * start.attitude;
         let momentum = so::conjugate(&attitude.transpose(), &(m0 + push));
         stepper.start(&State { attitude, momentum });
-        stepper.step(body, h).expect("a small step");
+        stepper.step(system, h).expect("a small step");
         let g = stepper.attitude().expect("a scheme with an attitude");
         (g, so::conjugate(&g, &stepper.momentum()))
     };

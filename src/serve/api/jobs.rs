@@ -1,5 +1,7 @@
 //! Handlers of `/jobs`: unpack, one call, pack.
 
+use std::path::PathBuf;
+
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::QueryRejection;
@@ -14,13 +16,18 @@ use uuid::Uuid;
 use super::App;
 use super::request::{JobId, is_plain_json, json_text, off_thread};
 use crate::advise::Settled;
+use crate::log::members::{self, MemberOrder, MemberQuantity, Members};
 use crate::log::part_path;
 use crate::log::samples::{Curve, Samples as CourseOf, Window};
 use crate::log::stretch::{Stretch, Wanted};
 use crate::scenario::{Inertia, Scenario, ScenarioError};
+#[cfg(feature = "cluster")]
+use crate::serve::engine::Engine;
 use crate::serve::engine::Refusal;
 use crate::serve::job::State;
-use crate::serve::page::{MAX_POINTS, MAX_STRETCH, POINTS, STRETCH, angular_velocity};
+use crate::serve::page::{
+    MAX_MEMBERS, MAX_POINTS, MAX_STRETCH, MEMBERS, POINTS, STRETCH, angular_velocity,
+};
 use crate::serve::problem::Problem;
 use crate::serve::view::{JobList, JobView, Reach, percent_encoded};
 use crate::serve::{download, follow, store};
@@ -38,37 +45,55 @@ const MAX_KEY: usize = 255;
 
 /// A size of a page.
 #[derive(JsonSchema)]
-#[schemars(transparent)]
+#[schemars(transparent, rename = "PageSize")]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Limit(#[schemars(range(min = 1, max = 500))] usize);
 
 /// A part of a name.
 #[derive(JsonSchema)]
-#[schemars(transparent)]
+#[schemars(transparent, rename = "NamePart")]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Name(#[schemars(length(max = 200))] String);
 
 /// A number of points.
 #[derive(JsonSchema)]
-#[schemars(transparent)]
+#[schemars(transparent, rename = "PointCount")]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Points(#[schemars(range(min = 2, max = 5000))] usize);
 
-/// A time in seconds.
+/// A number of members.
 #[derive(JsonSchema)]
 #[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Rows(#[schemars(range(min = 1, max = 200))] usize);
+
+/// A number of rows that are left out.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Offset(#[schemars(range(max = 100_000))] usize);
+
+/// The number of an axis.
+#[derive(JsonSchema)]
+#[schemars(transparent)]
+#[allow(dead_code, reason = "only its schema is used")]
+pub(super) struct Axis(#[schemars(range(min = 1, max = 16))] usize);
+
+/// A time in seconds.
+#[derive(JsonSchema)]
+#[schemars(transparent, rename = "Seconds")]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Time(#[schemars(range(min = 0.0))] f64);
 
 /// An idempotency key.
 #[derive(JsonSchema)]
-#[schemars(transparent)]
+#[schemars(transparent, rename = "IdempotencyKey")]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Key(#[schemars(length(min = 1, max = 255))] String);
 
 /// A number of attitudes.
 #[derive(JsonSchema)]
-#[schemars(transparent)]
+#[schemars(transparent, rename = "AttitudeCount")]
 #[allow(dead_code, reason = "only its schema is used")]
 pub(super) struct Samples(#[schemars(range(min = 1, max = 2000))] usize);
 
@@ -140,7 +165,7 @@ pub(super) async fn list_jobs(
     }
     let unusable = || Problem::bad_query("cursor is not one that this list gave");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
-    let (page, next) = app.engine.list(state, name.as_deref(), limit, cursor);
+    let (page, next) = app.engine.list(state, name.as_deref(), limit, cursor).await?;
     let jobs = page.into_iter().map(|view| JobView::new(view, &reach)).collect();
     let mut filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
     if let Some(name) = name {
@@ -181,6 +206,10 @@ pub(super) async fn get_log(
     JobId(id): JobId,
     request: Request,
 ) -> Result<Response, Problem> {
+    #[cfg(feature = "cluster")]
+    if let Engine::Cluster(cluster) = &app.engine {
+        return download::from_bucket(id, cluster.served(id).await?, request).await;
+    }
     download::log(id, app.engine.log(id).await?, request).await
 }
 
@@ -196,7 +225,7 @@ pub(super) async fn get_events(
     reach: Reach,
     JobId(id): JobId,
 ) -> Result<Response, Problem> {
-    app.engine.brief(id)?;
+    app.engine.brief(id).await?;
     Ok(follow::events(app.engine, id, reach))
 }
 
@@ -224,10 +253,10 @@ pub(super) async fn get_attitudes(
             return Err(Problem::bad_query(format!("{name} is a time in seconds, not below 0")));
         }
     }
-    let view = app.engine.brief(id)?;
+    let view = app.engine.brief(id).await?;
     let log = match view.state.is_final() {
         true => app.engine.log(id).await?,
-        false => app.engine.log_path(id),
+        false => app.engine.log_so_far(&view).await?,
     };
     let wanted = Wanted { from_s, every_s, samples };
     let mut stretch = app.pictures.attitudes(log, view.state.is_final(), wanted).await?;
@@ -240,8 +269,12 @@ pub(super) async fn get_attitudes(
 
 /// The inertia of the body of a job; `None` if its scenario is none of this build.
 async fn inertia(app: &App, id: Uuid) -> Option<Inertia> {
+    accepted(app, id).await.map(|scenario| scenario.scene.inertia)
+}
+
+async fn accepted(app: &App, id: Uuid) -> Option<Scenario> {
     let text = app.engine.scenario(id).await.ok()?;
-    off_thread(move || Scenario::from_json(&text).ok()).await.map(|scenario| scenario.scene.inertia)
+    off_thread(move || Scenario::from_json(&text).ok()).await
 }
 
 #[derive(Deserialize)]
@@ -276,25 +309,92 @@ pub(super) async fn get_samples(
     if !(to_s >= from_s && to_s.is_finite()) {
         return refuse("/to_s", format!("is not a time of from_s ({from_s} s) or later"));
     }
-    let view = app.engine.brief(id)?;
-    let finished = view.state.is_final();
-    let log = match finished {
-        true => app.engine.log(id).await?,
-        false => part_path(&app.engine.log_path(id)),
-    };
+    let (log, eta_s) = readable(&app, id).await?;
     let inertia = match curve {
         Curve::AngularVelocity => inertia(&app, id).await,
         _ => None,
     };
     let window = Window { from_s, to_s, points };
     match app.pictures.samples(log, curve, window, inertia).await? {
-        Some(samples) if finished && samples.time_s.is_empty() && from_s == 0.0 => {
+        Some(samples) if eta_s.is_none() && samples.time_s.is_empty() && from_s == 0.0 => {
             Err(Problem::not_found("channel in the log"))
         }
         Some(samples) => Ok(Json(samples)),
         // Waits, or has ended at this moment.
-        None => Err(Refusal::LogUnfinished { eta_s: view.eta_s }.into()),
+        None => Err(Refusal::LogUnfinished { eta_s: eta_s.flatten() }.into()),
     }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct MembersQuery {
+    channel: Option<String>,
+    axis: Option<usize>,
+    order: Option<String>,
+    offset: Option<usize>,
+    limit: Option<usize>,
+}
+
+pub(super) async fn get_members(
+    Shared(app): Shared<App>,
+    JobId(id): JobId,
+    query: Result<Query<MembersQuery>, QueryRejection>,
+) -> Result<Json<Members>, Problem> {
+    let Query(MembersQuery { channel, axis, order, offset, limit }) = query?;
+    let refuse = |pointer, message: String| Err(ScenarioError::invalid(pointer, message).into());
+    let name = channel.as_deref().unwrap_or(MemberQuantity::Distance.name());
+    let quantity = MemberQuantity::ALL.into_iter().find(|quantity| quantity.name() == name);
+    let Some(quantity) = quantity else {
+        let all = MemberQuantity::ALL.map(MemberQuantity::name).join(", ");
+        return refuse("/channel", format!("is none of {all}"));
+    };
+    let axis = axis.unwrap_or(1);
+    let most = accepted(&app, id).await.map_or(1, |scenario| scenario.dimension());
+    if !(1..=most).contains(&axis) {
+        return refuse("/axis", format!("{axis} given, the axes are numbered from 1 to {most}"));
+    }
+    let name = order.as_deref().unwrap_or(MemberOrder::Largest.name());
+    let Some(order) = MemberOrder::ALL.into_iter().find(|order| order.name() == name) else {
+        let all = MemberOrder::ALL.map(MemberOrder::name).join(", ");
+        return refuse("/order", format!("is none of {all}"));
+    };
+    let (offset, limit) = (offset.unwrap_or(0), limit.unwrap_or(MEMBERS));
+    if !(1..=MAX_MEMBERS).contains(&limit) {
+        return refuse("/limit", format!("{limit} given, 1 to {MAX_MEMBERS} are allowed"));
+    }
+    let (path, eta_s) = readable(&app, id).await?;
+    let wanted = members::Wanted { quantity, axis: axis - 1, order, offset, limit };
+    match app.pictures.members(path, wanted).await? {
+        Some(found) if found.time_s.is_empty() && eta_s.is_none() => {
+            Err(Problem::not_found("member with this channel in the log"))
+        }
+        Some(found) => Ok(Json(found)),
+        None => Err(Refusal::LogUnfinished { eta_s: eta_s.flatten() }.into()),
+    }
+}
+
+pub(super) async fn get_job_member(
+    Shared(app): Shared<App>,
+    Path((id, member)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let id = store::parse_id(&id).ok_or(Refusal::UnknownJob)?;
+    let number = member.strip_suffix(".json").and_then(|number| number.parse().ok());
+    let unknown = || Problem::not_found("member that has ended");
+    let number: u64 = number.ok_or_else(unknown)?;
+    let (path, _) = readable(&app, id).await?;
+    let start = app.pictures.start(path, number).await?.ok_or_else(unknown)?;
+    let scenario = app.engine.settled(id).await?.ok_or_else(unknown)?;
+    let alone = scenario.member(number, &start.attitude, &start.body_momentum);
+    Ok(json_text(alone.ok_or_else(unknown)?.to_json()))
+}
+
+/// The log of a job as far as it stands on the disk; with it, of one that has not ended, the time that is left.
+async fn readable(app: &App, id: Uuid) -> Result<(PathBuf, Option<Option<f64>>), Problem> {
+    let view = app.engine.brief(id).await?;
+    Ok(match view.state.is_final() {
+        true => (app.engine.log(id).await?, None),
+        false => (part_path(&app.engine.log_so_far(&view).await?), Some(view.eta_s)),
+    })
 }
 
 pub(super) async fn get_chart(

@@ -12,7 +12,7 @@ use super::request::{StudyId, is_plain_json, json_text, off_thread};
 use crate::serve::download;
 use crate::serve::problem::Problem;
 use crate::serve::store;
-use crate::serve::studies::{Question, StudyList, StudyRefusal, StudyView, TableOf};
+use crate::serve::studies::{Question, Studies, StudyList, StudyRefusal, StudyView, TableOf};
 
 pub(super) async fn submit_study(
     Shared(app): Shared<App>,
@@ -24,28 +24,28 @@ pub(super) async fn submit_study(
     }
     let text = body.clone();
     let question = app.desk.check(move || Question::from_json(&text)).await??;
-    let submit = move || app.studies.submit(question, &body);
+    let submit = move || Ok::<_, Problem>(app.studies()?.submit(question, &body)?);
     let view = off_thread(submit).await?;
     let location = [(LOCATION, format!("/studies/{}", view.id))];
     Ok((StatusCode::ACCEPTED, location, Json(view)).into_response())
 }
 
 pub(super) async fn list_studies(Shared(app): Shared<App>) -> Json<StudyList> {
-    Json(app.studies.list())
+    Json(app.studies().map_or_else(|_| StudyList::default(), Studies::list))
 }
 
 pub(super) async fn get_study(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<Json<StudyView>, Problem> {
-    Ok(Json(app.studies.get(id)?))
+    Ok(Json(app.studies()?.get(id)?))
 }
 
 pub(super) async fn cancel_study(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<(StatusCode, Json<StudyView>), Problem> {
-    let view = off_thread(move || app.studies.cancel(id)).await?;
+    let view = off_thread(move || Ok::<_, Problem>(app.studies()?.cancel(id)?)).await?;
     Ok((StatusCode::ACCEPTED, Json(view)))
 }
 
@@ -53,7 +53,7 @@ pub(super) async fn forget_study(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<StatusCode, Problem> {
-    off_thread(move || app.studies.forget(id)).await?;
+    off_thread(move || Ok::<_, Problem>(app.studies()?.forget(id)?)).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -61,7 +61,7 @@ pub(super) async fn get_study_table(
     Shared(app): Shared<App>,
     StudyId(id): StudyId,
 ) -> Result<Response, Problem> {
-    let table = off_thread(move || app.studies.table(id)).await?;
+    let table = off_thread(move || Ok::<_, Problem>(app.studies()?.table(id)?)).await?;
     let content = match table {
         TableOf::Text(text) => Body::from(text),
         TableOf::File { path, finished } => download::table(path, finished).await?,
@@ -76,7 +76,8 @@ pub(super) async fn get_member(
     let id = store::parse_id(&id).ok_or(StudyRefusal::Unknown)?;
     let member = member.strip_suffix(".json").and_then(|number| number.parse().ok());
     let member = member.ok_or(StudyRefusal::NoFile)?;
-    Ok(json_text(off_thread(move || app.studies.member(id, member)).await?))
+    let member = move || Ok::<_, Problem>(app.studies()?.member(id, member)?);
+    Ok(json_text(off_thread(member).await?))
 }
 
 pub(super) async fn get_study_chart(
@@ -87,6 +88,6 @@ pub(super) async fn get_study_chart(
     if !name.ends_with(".svg") {
         return Err(StudyRefusal::NoFile.into());
     }
-    let text = off_thread(move || app.studies.file(id, &name)).await?;
+    let text = off_thread(move || Ok::<_, Problem>(app.studies()?.file(id, &name)?)).await?;
     Ok(([(CONTENT_TYPE, "image/svg+xml")], text).into_response())
 }

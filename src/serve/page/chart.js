@@ -3,12 +3,30 @@
 const CURVES = {
   energy_error: "Energy error", orthogonality_error: "Orthogonality error", momentum_drift: "Momentum drift",
   angular_velocity: "Angular velocity", body_momentum: "Momentum in the body", spatial_momentum: "Momentum in space",
-  axis_angle: "Angles of the axes",
+  axis_angle: "Angles of the axes", step: "Step",
 };
+// Those of channels that not every log has.
+const CHANNELS = { step: "/pace" };
 const ERRORS = ["energy_error", "orthogonality_error", "momentum_drift"];
 const PARTS = { axis_angle: k => `axis ${k + 1}` };
 const HUES = { light: ["#00598c", "#b34700", "#00654a", "#8a3a78", "#6b5200", "#1c2024"], dark: ["#7cc4f2", "#ffa768", "#63d0ab", "#f0a3d8", "#e6cf6a", "#e8e6e1"] };
 const night = matchMedia("(prefers-color-scheme: dark)");
+
+// How the axes of a chart look in the theme of the page, and a colour of it.
+const shade = name => getComputedStyle(document.body).getPropertyValue(name).trim();
+
+function axes() {
+  const axis = { stroke: shade("--soft"), grid: { stroke: shade("--line"), width: 1 }, ticks: { stroke: shade("--line"), width: 1 }, font: "12px system-ui" };
+  const short = (u, values) => values.map(x => x == null ? "" : figure(x));
+  return [{ ...axis, label: "t in s", labelSize: 18, labelFont: "12px system-ui", size: 34 }, { ...axis, values: short, size: 68 }];
+}
+
+// The last of ascending times at or before a time; the first if there is none.
+function latest(times, t) {
+  let [a, b] = [0, times.length - 1];
+  while (a < b) { const m = (a + b + 1) >> 1; if (times[m] <= t) a = m; else b = m - 1; }
+  return a;
+}
 
 class Chart {
   // `seek(t)` is called with the time that was clicked on.
@@ -17,7 +35,7 @@ class Chart {
     this.known = [];
     const option = ([value, name]) => h("option", { value }, name);
     this.curve = h("select", { ariaLabel: "Quantity", onchange: () => { this.log.checked = ERRORS.includes(this.curve.value); this.load(); } },
-      Object.entries(CURVES).map(option));
+      Object.entries(CURVES).filter(([value]) => !CHANNELS[value] || job.plan?.channels.some(({ topic }) => topic === CHANNELS[value])).map(option));
     this.log = h("input", { type: "checkbox", checked: true, onchange: () => this.draw() });
     this.more = h("select", { ariaLabel: "Compare with another job", onfocus: () => this.ask(), onpointerenter: () => this.ask(), onchange: () => this.add() });
     this.beside = h("span", { className: "row" });
@@ -92,8 +110,7 @@ class Chart {
       this.legend.replaceChildren();
       return;
     }
-    const [hues, style] = [HUES[night.matches ? "dark" : "light"], getComputedStyle(document.body)];
-    const shade = name => style.getPropertyValue(name).trim();
+    const hues = HUES[night.matches ? "dark" : "light"];
     const log = this.log.checked;
     const unit = good[0].samples.unit;
     const [series, tables, bands] = [[{}], [], []];
@@ -117,13 +134,11 @@ class Chart {
       });
       tables.push([samples.time_s, ...lines]);
     });
-    const axis = { stroke: shade("--soft"), grid: { stroke: shade("--line"), width: 1 }, ticks: { stroke: shade("--line"), width: 1 }, font: "12px system-ui" };
-    const short = (u, values) => values.map(x => x == null ? "" : figure(x));
     this.u = new uPlot({
       ...this.size(), series, bands, legend: { show: false }, padding: [8, 26, 0, 0],
       cursor: { y: false, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: { x: { time: false, ...this.span && { range: this.span } }, y: log ? { distr: 3 } : {} },
-      axes: [{ ...axis, label: "t in s", labelSize: 18, labelFont: "12px system-ui", size: 34 }, { ...axis, values: short, size: 68 }],
+      axes: axes(),
       hooks: {
         setCursor: [u => this.read(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)],
         setSelect: [u => { if (u.select.width > 4) this.look([u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")]); }],
@@ -152,8 +167,7 @@ class Chart {
       put(this.words, `${CURVES[this.curve.value]}${this.unit ? ` in ${this.unit}` : ""}${each > 1 ? `; each point spans up to ${count(each)} samples, from the smallest to the largest` : ""}. Point at the chart to read values, drag to zoom, click to move the body there.`);
       return;
     }
-    const at = ({ time }) => { let [a, b] = [0, time.length - 1]; while (a < b) { const m = (a + b + 1) >> 1; if (time[m] <= t) a = m; else b = m - 1; } return a; };
-    const value = line => { const k = at(line); const [low, high] = [line.low[k], line.high[k]]; if (t > line.end) return `${line.name} has ended`; return `${line.name} ${low === high ? figure(low) : `${figure(low)} … ${figure(high)}`}`; };
+    const value = line => { const k = latest(line.time, t); const [low, high] = [line.low[k], line.high[k]]; if (t > line.end) return `${line.name} has ended`; return `${line.name} ${low === high ? figure(low) : `${figure(low)} … ${figure(high)}`}`; };
     put(this.words, `t = ${figure(t)} s: ${this.lines.map(value).join(", ")}${this.unit ? ` ${this.unit}` : ""}`);
   }
 

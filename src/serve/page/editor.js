@@ -1,89 +1,82 @@
-// The editor of a scenario: what is wrong is shown at its field.
-const text = $("text");
+// The editor of a scenario: CodeMirror with what the schema says, drafts that are kept, and what is wrong at its field.
+const { EditorView, EditorState, StateEffect, StateField } = codemirror;
 
-// The values of a JSON text and where they stand: { begin, end, kind, entries: [{ key, begin, value }] }. Null if it is
-// no JSON.
-function parsed(source) {
-  let at = 0;
-  const blank = () => { while (/\s/.test(source[at] ?? "")) at += 1; };
-  const string = () => { const begin = at++; while (source[at] !== '"') at += source[at] === "\\" ? 2 : 1; at += 1; return JSON.parse(source.slice(begin, at)); };
-  const value = () => {
-    blank();
-    const [begin, kind, entries] = [at, source[at], []];
-    if (kind === '"') string();
-    else if (kind === "{" || kind === "[") {
-      for (at += 1; ;) {
-        blank();
-        if (source[at] === "}" || source[at] === "]") { at += 1; break; }
-        if (source[at] === ",") { at += 1; blank(); }
-        const begin = at;
-        const key = kind === "{" ? string() : String(entries.length);
-        if (kind === "{") { blank(); at += 1; }
-        entries.push({ key, begin, value: value() });
+// Where a text came from and what it was then: undone and redone with it.
+const setPlaced = StateEffect.define();
+const placed = StateField.define({
+  create: () => ({ from: "", text: "" }),
+  update: (value, change) => change.effects.findLast(effect => effect.is(setPlaced))?.value ?? value,
+});
+const placedBack = codemirror.invertedEffects.of(change =>
+  change.effects.some(effect => effect.is(setPlaced)) ? [setPlaced.of(change.startState.field(placed))] : []);
+
+const inks = codemirror.HighlightStyle.define([
+  { tag: codemirror.tags.propertyName, class: "key" }, { tag: codemirror.tags.string, class: "string" },
+  { tag: [codemirror.tags.number, codemirror.tags.bool, codemirror.tags.null], class: "number" },
+]);
+
+const run = () => { $("editor").requestSubmit(); return true; };
+
+const view = new EditorView({
+  parent: $("paper"),
+  extensions: [
+    codemirror.Prec.highest(codemirror.keymap.of([{ key: "Mod-Enter", run, preventDefault: true }, { key: "Mod-Shift-z", run: codemirror.redo, preventDefault: true }])),
+    placed, placedBack, codemirror.history(), codemirror.json(), codemirror.syntaxHighlighting(inks),
+    codemirror.lineNumbers(), codemirror.highlightSpecialChars(), codemirror.bracketMatching(), codemirror.closeBrackets(), codemirror.indentOnInput(),
+    EditorView.lineWrapping, EditorState.tabSize.of(2),
+    codemirror.autocompletion({ override: [completions], icons: false, defaultKeymap: true }),
+    codemirror.hoverTooltip((_, at) => {
+      const { path, from, to } = pathAt(text.value, at);
+      const known = schema && meaning(text.value, path);
+      if (!known) return null;
+      return { pos: from, end: to, above: true, create: () => ({ dom: h("div", { className: "hint" }, ...explained(known)) }) };
+    }),
+    // Tab leaves the editor, as it leaves any other field.
+    codemirror.keymap.of([...codemirror.closeBracketsKeymap, ...codemirror.defaultKeymap, ...codemirror.historyKeymap, ...codemirror.completionKeymap, ...codemirror.lintKeymap]),
+    EditorView.contentAttributes.of({ id: "text", "aria-labelledby": "text-label", "aria-describedby": "keys problem", autocapitalize: "off" }),
+    EditorView.updateListener.of(update => {
+      if (update.docChanged) {
+        $("replaced").hidden = true;
+        unmark();
+        fillForm();
       }
-    } else while (at < source.length && !/[\s,\]}]/.test(source[at])) at += 1;
-    return { begin, end: at, kind, entries };
-  };
-  try { JSON.parse(source); return value(); } catch { return null; }
-}
+      if (update.startState.field(placed) !== update.state.field(placed)) showPlaced();
+      if (update.docChanged || update.selectionSet) {
+        keep();
+        clearTimeout(pointing);
+        pointing = setTimeout(showField, 60);
+      }
+    }),
+  ],
+});
 
-const child = (node, key) => node?.entries.find(entry => entry.key === key)?.value;
+// What others see of it.
+const text = {
+  get value() { return view.state.doc.toString(); },
+  focus() { view.focus(); },
+};
 
-// Where the value at a JSON pointer stands: [begin, end]; of what is missing, its parent.
-function place(source, pointer) {
-  let node = parsed(source);
-  if (!node) return null;
-  for (const key of pointer.split("/").slice(1)) {
-    const next = child(node, key.replace(/~1/g, "/").replace(/~0/g, "~"));
-    if (!next) break;
-    node = next;
-  }
-  return [node.begin, node.end];
-}
+let pointing = 0;
 
-// JSON in one line, as the shipped scenarios have it.
-function line(value) {
-  if (Array.isArray(value)) return `[${value.map(line).join(", ")}]`;
-  if (value === null || typeof value !== "object") return JSON.stringify(value);
-  const parts = Object.entries(value).map(([key, value]) => `${JSON.stringify(key)}: ${line(value)}`);
-  return parts.length ? `{ ${parts.join(", ")} }` : "{}";
-}
+const explained = ({ name, kind, said }) => [h("code", {}, name), ` ${kind}`, said ? h("br") : null, said ?? ""];
 
-// The text with another value at a path of keys, given as JSON; without it if that is null. All else stays as written.
-function altered(source, path, json) {
-  const root = parsed(source);
-  const [keys, last] = [path.slice(0, -1), path.at(-1)];
-  const parent = keys.reduce(child, root);
-  if (parent?.kind !== "{") {
-    // What it stands in is missing, too.
-    return json === null || !keys.length || !root ? source : altered(source, keys, `{ ${JSON.stringify(last)}: ${json} }`);
-  }
-  const { entries, begin, end } = parent;
-  const index = entries.findIndex(entry => entry.key === last);
-  const cut = (from, to, middle) => source.slice(0, from) + middle + source.slice(to);
-  if (index >= 0 && json !== null) return cut(entries[index].value.begin, entries[index].value.end, json);
-  if (index >= 0) {
-    if (entries.length === 1) return cut(begin, end, "{}");
-    return index > 0 ? cut(entries[index - 1].value.end, entries[index].value.end, "") : cut(entries[0].begin, entries[1].begin, "");
-  }
-  if (json === null) return source;
-  const member = `${JSON.stringify(last)}: ${json}`;
-  if (!entries.length) return cut(begin, end, `{ ${member} }`);
-  // As the members before it: on a line of its own, or not.
-  const before = source.slice(entries.length > 1 ? entries.at(-2).value.end + 1 : begin + 1, entries.at(-1).begin);
-  return cut(entries.at(-1).value.end, entries.at(-1).value.end, `,${/\s/.test(before) ? before.match(/\s[^]*$/)[0] : " "}${member}`);
+// What the field means that the cursor stands in: for who has no mouse.
+function showField() {
+  const known = schema && meaning(text.value, pathAt(text.value, view.state.selection.main.head).path);
+  $("keys").hidden = Boolean(known);
+  $("field").replaceChildren(...known ? explained(known).filter(part => part !== null) : []);
 }
 
 // ---- what stood there before
 
 // What is written is kept: for the tab, and for the next one.
 const DRAFT = "vpd-draft";
-const past = [], future = [];
-let draft = { text: "", from: "", edited: false, at: 0 };
-let typed = 0;
+
+const edited = () => text.value !== view.state.field(placed).text;
 
 function keep() {
-  for (const store of [sessionStorage, localStorage]) try { store.setItem(DRAFT, JSON.stringify(draft)); } catch { /* Full, or not allowed. */ }
+  const draft = JSON.stringify({ text: text.value, from: view.state.field(placed).from, edited: edited(), at: view.state.selection.main.head });
+  for (const store of [sessionStorage, localStorage]) try { store.setItem(DRAFT, draft); } catch { /* Full, or not allowed. */ }
 }
 
 function kept() {
@@ -94,104 +87,87 @@ function kept() {
   return null;
 }
 
-// Takes note of a new text. Letters typed one after another are one step back.
-function noted(fresh, letters = false) {
-  const now = Date.now();
-  if (!letters || now - typed > 1000) past.push(draft);
-  if (past.length > 300) past.shift();
-  typed = letters ? now : 0;
-  future.length = 0;
-  draft = fresh;
-  keep();
+// Goes on with a draft. Nothing was there before it.
+function restore({ text: found, from, edited, at }) {
+  view.dispatch({
+    changes: { from: 0, to: view.state.doc.length, insert: found }, selection: { anchor: Math.min(at || 0, EditorState.create({ doc: found }).doc.length) },
+    effects: setPlaced.of({ from: from ?? "", text: edited ? null : view.state.toText(found).toString() }), annotations: codemirror.Transaction.addToHistory.of(false),
+  });
 }
 
-function showDraft() {
-  unmark();
-  text.value = draft.text;
-  text.setSelectionRange(draft.at, draft.at);
-  $("shipped").value = draft.from;
+function showPlaced() {
+  $("shipped").value = view.state.field(placed).from;
   $("about").textContent = $("shipped").selectedOptions[0]?.dataset.about ?? "";
-  fillForm();
 }
 
 // Puts another text into the editor; one that somebody wrote can be had back.
 function replaceText(fresh, from, what) {
-  const lost = draft.edited && draft.text.trim() && draft.text !== fresh;
-  noted({ text: fresh, from, edited: false, at: 0 });
-  showDraft();
-  text.scrollTop = 0;
+  if (!text.value) { restore({ text: fresh, from }); return; }
+  const lost = edited() && text.value.trim() && text.value !== fresh;
+  view.dispatch({
+    changes: { from: 0, to: view.state.doc.length, insert: fresh }, selection: { anchor: 0 }, scrollIntoView: true,
+    effects: setPlaced.of({ from, text: view.state.toText(fresh).toString() }), annotations: codemirror.isolateHistory.of("full"),
+  });
   $("replaced").hidden = !lost;
   if (lost) put($("replaced-by"), `Your text was replaced by ${what}.`);
 }
 
-// Changes the text as the form says.
+// Changes the text as the form says: only the part that differs, so that the cursor stays where it was.
 function alter(change) {
-  const fresh = change(text.value);
-  if (fresh === text.value) return;
-  noted({ ...draft, text: fresh, edited: true });
-  text.value = fresh;
-  unmark();
+  const before = text.value, fresh = change(before);
+  if (fresh === before) return;
+  let from = 0, end = 0;
+  while (from < before.length && before[from] === fresh[from]) from += 1;
+  while (end < Math.min(before.length, fresh.length) - from && before.at(-1 - end) === fresh.at(-1 - end)) end += 1;
+  view.dispatch({ changes: { from, to: before.length - end, insert: fresh.slice(from, fresh.length - end) }, userEvent: "input.form" });
 }
 
-function back(from, to) {
-  if (!from.length) return;
-  to.push(draft);
-  draft = from.pop();
-  typed = 0;
-  keep();
-  showDraft();
-  $("replaced").hidden = true;
-}
-
-text.oninput = () => {
-  if (text.value === draft.text) return;
-  const letters = Math.abs(text.value.length - draft.text.length) <= 2;
-  noted({ ...draft, text: text.value, edited: true, at: text.selectionStart }, letters);
-  $("replaced").hidden = true;
-  unmark();
-  fillForm();
-};
-text.addEventListener("beforeinput", event => {
-  if (!event.inputType.startsWith("history")) return;
-  event.preventDefault();
-  if (event.inputType === "historyUndo") back(past, future); else back(future, past);
-});
-text.onkeydown = event => {
-  const key = event.ctrlKey || event.metaKey ? event.key.toLowerCase() : "";
-  if (key !== "z" && key !== "y") return;
-  event.preventDefault();
-  if (key === "y" || event.shiftKey) back(future, past); else back(past, future);
-};
-$("undo").onclick = () => { back(past, future); text.focus(); };
+$("undo").onclick = () => { codemirror.undo(view); text.focus(); };
+$("text-label").onclick = () => text.focus();
 $("editor").onkeydown = event => {
-  if (event.key === "Enter" && (event.ctrlKey || event.metaKey)) { event.preventDefault(); $("editor").requestSubmit(); }
+  if (event.key === "Enter" && (event.ctrlKey || event.metaKey) && !event.defaultPrevented) { event.preventDefault(); run(); }
 };
 
 // ---- what is wrong
 
+// What the service refused, until the text changes.
+let refused = [];
+let checking = 0;
+
 function unmark() {
-  $("marks").replaceChildren();
+  refused = [];
   $("problem").replaceChildren();
-  text.removeAttribute("aria-invalid");
+  view.contentDOM.removeAttribute("aria-invalid");
+  clearTimeout(checking);
+  checking = setTimeout(check, 300);
 }
 
-// Shows what is wrong with the text, at the field.
+// Marks what is wrong at its place, and says what is wrong first.
+function check() {
+  clearTimeout(checking);
+  const found = schema && text.value.trim() ? mistakes(text.value) : [];
+  const marks = [...refused, ...found].sort((a, b) => a.from - b.from).map(mark => ({ severity: "error", ...mark }));
+  view.dispatch(codemirror.setDiagnostics(view.state, marks));
+  const [first] = found;
+  put($("check"), refused.length || !first ? "" : `Line ${view.state.doc.lineAt(first.from).number}: ${first.message}${found.length > 1 ? ` (and ${found.length - 1} more)` : ""}`);
+}
+
+// Shows what the service says is wrong with the text, at the field.
 function complain({ body, message }) {
   unmark();
-  text.setAttribute("aria-invalid", "true");
+  view.contentDOM.setAttribute("aria-invalid", "true");
   // What is studied is the text; of a sweep it is in the text.
   const pointer = isSweep(text.value) ? body?.pointer : body?.pointer?.replace(/^\/scenario(?=\/|$)/, "");
   const spot = pointer != null ? place(text.value, pointer) : null;
-  const line = spot && text.value.slice(0, spot[0]).split("\n").length;
+  const line = spot && view.state.doc.lineAt(spot[0]).number;
   $("problem").append(h("strong", {}, line ? `Line ${line}` : "Rejected"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
-  if (!spot) return;
-  const [begin, end] = spot;
-  const short = Math.min(end, begin + 200);
-  $("marks").append(text.value.slice(0, begin), h("mark", {}, text.value.slice(begin, short)), text.value.slice(short));
-  text.focus();
-  text.setSelectionRange(begin, begin);
-  text.scrollTop = Math.max(0, (line - 5) * 18.85);
-  $("marks").scrollTop = text.scrollTop;
+  if (spot) {
+    const [from, end] = spot;
+    refused = [{ from, to: Math.min(end, from + 200), message }];
+    view.dispatch({ selection: { anchor: from }, effects: EditorView.scrollIntoView(from, { y: "center" }) });
+    text.focus();
+  }
+  check();
 }
 
 async function submit(path, body) {
@@ -228,7 +204,6 @@ $("study").onclick = async () => {
   location.hash = `#/studies/${study.id}`;
   await refresh();
 };
-text.onscroll = () => { $("marks").scrollTop = text.scrollTop; $("marks").scrollLeft = text.scrollLeft; };
 $("shipped").onchange = async () => {
   const chosen = $("shipped").value;
   if (chosen) replaceText(await (await call(`scenarios/${chosen}`)).text(), chosen, chosen);

@@ -1,4 +1,4 @@
-// The short form beside the text: what people change first. It shows what the text says, and changes nothing else in it.
+// The short form next to the text: what people change first. It shows what the text says, and changes nothing else in it.
 const EXPLICIT = ["rkmk", "rk", "rk_projected"], COMPOSED = ["splitting", "lgvi"];
 const GAUSS = Array.from({ length: 8 }, (_, k) => `gauss${k + 1}`);
 
@@ -11,7 +11,8 @@ function schemes(method) {
 
 // Methods and channels as the schema lists them.
 async function makeForm() {
-  const { $defs } = await json("scenario.schema.json");
+  schema = await json("scenario.schema.json");
+  const { $defs } = schema;
   const options = $defs.MethodName.oneOf.map(({ const: name, description }) => h("option", { value: name, title: description }, name));
   $("method").replaceChildren(...options);
   $("channels").replaceChildren(...$defs.Channel.oneOf.map(({ const: topic, description }) => h("label", { title: description },

@@ -75,7 +75,7 @@ function fill(list, items, make, empty) {
   nodes.forEach((node, at) => { if ($(list).children[at] !== node) $(list).insertBefore(node, $(list).children[at] ?? null); });
 }
 
-const showJobs = () => fill("jobs", jobs, jobRow, sought.name || sought.state || sought.cursors[0] ? "No job matches." : "No jobs yet.");
+const showJobs = () => fill("jobs", jobs, jobRow, sought.name || sought.state || sought.cursors[0] || $("find-from").value ? "No job matches." : "No jobs yet.");
 
 function heard(job) {
   jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
@@ -104,7 +104,7 @@ let refreshed = 0;
 async function refresh() {
   const turn = ++refreshed;
   try {
-    const page = await json(question(PAGE, sought.cursors.at(-1)), { quiet: true });
+    const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
     // Somebody has asked for another page since.
     if (turn !== refreshed) return;
     jobs = page.jobs;
@@ -140,6 +140,15 @@ function upTo(day) {
   return `${digits.slice(0, 8)}-${digits.slice(8)}-7000-8000-000000000000`;
 }
 
+// Of a page of jobs, newest first, those of a day or later; once there are older ones, it is the last page.
+function since(day, page) {
+  if (!day) return page;
+  const [year, month, date] = day.split("-").map(Number);
+  const from = new Date(year, month - 1, date).getTime();
+  const jobs = page.jobs.filter(({ id }) => parseInt(id.slice(0, 8) + id.slice(9, 13), 16) >= from);
+  return jobs.length < page.jobs.length ? { jobs, next_cursor: null } : page;
+}
+
 async function seek(change) {
   Object.assign(sought, { cursors: [upTo($("find-until").value)] }, change);
   chosen?.clear();
@@ -150,7 +159,7 @@ async function seek(change) {
 let typing = 0;
 $("find").oninput = () => { clearTimeout(typing); typing = setTimeout(() => seek({ name: $("find").value.trim() }), 200); };
 $("find-state").onchange = () => seek({ state: $("find-state").value });
-$("find-until").onchange = () => seek({});
+$("find-from").onchange = $("find-until").onchange = () => seek({});
 $("older").onclick = () => { if (sought.next) { sought.cursors.push(sought.next); refresh(); } };
 $("newer").onclick = () => { if (sought.cursors.length > 1) { sought.cursors.pop(); refresh(); } };
 
@@ -169,7 +178,7 @@ $("choose-end").onclick = () => { chosen = null; showChosen(); $("choose").focus
 $("choose-all").onclick = async () => {
   try {
     for (let cursor = sought.cursors[0]; ;) {
-      const page = await json(question(500, cursor));
+      const page = since($("find-from").value, await json(question(500, cursor)));
       page.jobs.filter(job => ENDED.includes(job.state)).forEach(job => chosen?.add(job.id));
       cursor = page.next_cursor;
       if (!cursor || !chosen) break;

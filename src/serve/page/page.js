@@ -1,5 +1,5 @@
 // The page: one job or study in full, and the way between them.
-let stage = null, chart = null;
+let stage = null, chart = null, members = null;
 // ---- one job
 
 async function picture(path, alt) {
@@ -123,9 +123,10 @@ async function viewJob(id) {
   if (!current()) return;
   const head = h("div");
   const looks = h("div", { id: "looks" });
+  const crowd = h("div", { id: "crowd" });
   const drawn = h("div", { id: "drawn" });
   const rest = h("div");
-  $("view").replaceChildren(h("article", { className: "card" }, head, looks, drawn, rest));
+  $("view").replaceChildren(h("article", { className: "card" }, head, looks, crowd, drawn, rest));
   let body = false, ended = false, before = "";
 
   // Once; what came to nothing while the job ran is tried again when it has ended.
@@ -145,8 +146,13 @@ async function viewJob(id) {
     asked = Infinity;
     if (!chart) {
       chart = new Chart(job, t => stage?.go(t));
-      drawn.replaceChildren(h("h3", {}, "Over time"), chart.root);
+      drawn.replaceChildren(h("h3", {}, job.plan?.ensemble ? "Member 0 over time" : "Over time"), chart.root);
     }
+    if (!members && job.plan?.ensemble) {
+      members = new Members(job, job.plan.dimension);
+      crowd.replaceChildren(members.root);
+    }
+    await members?.load();
     if (ended || !chart.span) await chart.load();
     asked = ended ? Infinity : Date.now() + Math.max(3000, 5 * (Date.now() - begun));
   };
@@ -260,7 +266,8 @@ async function route() {
   if (!ready) return;
   stage?.close();
   chart?.close();
-  stage = chart = null;
+  members?.close();
+  stage = chart = members = null;
   const [, kind, id] = location.hash.split("/");
   document.body.classList.toggle("open", Boolean(id) && kind !== "draft");
   showJobs();
@@ -291,12 +298,13 @@ async function openDraft(letters) {
 // What the editor opens with: what was written last, or an example.
 async function firstText() {
   const found = kept();
-  if (found) { draft = { ...draft, ...found }; showDraft(); return; }
+  if (found) { restore(found); showPlaced(); return; }
   $("shipped").value = "heavy-top";
   await $("shipped").onchange();
 }
 
 async function start() {
+  const described = json("openapi.json").catch(() => ({ paths: {} }));
   const [{ scenarios }] = await Promise.all([json("scenarios"), makeForm()]);
   const options = scenarios.map(({ name, description }) => {
     const option = h("option", { value: name }, name);
@@ -305,7 +313,7 @@ async function start() {
   });
   $("shipped").replaceChildren(h("option", { value: "" }, "your own scenario"), ...options);
   if (!text.value) await firstText();
-  const api = await json("openapi.json").catch(() => ({ paths: {} }));
+  const api = await described;
   if (api.paths["/studies"]?.get) {
     studies = [];
     $("study-row").hidden = $("studies-card").hidden = false;

@@ -31,6 +31,7 @@ pub(super) const PICTURE: &str = "sweep.svg";
 /// What is studied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
+#[schemars(rename = "StudyKind")]
 pub(in crate::serve) enum Kind {
     /// Error against step and work.
     Precision,
@@ -133,7 +134,7 @@ impl Question {
         }
     }
 
-    /// Makes the study; the table of a sweep is written into `folder`, where what an interrupted one left is taken up.
+    /// Makes the study; the table of a sweep is written into `folder`, where what an interrupted one left is resumed.
     ///
     /// # Errors
     /// If the scene cannot be studied, the table cannot be written, or the study is cancelled.

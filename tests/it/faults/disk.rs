@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::process::Service;
 use super::{dipole, scale};
 
-/// The shim that makes calls fail, and the file through which it is told which.
+/// The shim that makes calls fail, and the file that says which.
 pub(super) struct Faults {
     library: PathBuf,
     plan: File,
@@ -291,7 +291,7 @@ fn what_a_running_job_has_written_is_not_counted_twice() {
         scenario["log"] = serde_json::json!({ "every": 100, "compression": "none" });
         scenario
     };
-    // About 10 MiB, and 12 MiB for which there is room beside it from first to last.
+    // About 10 MiB, and 12 MiB for which there is room next to it from first to last.
     let first = service.submit(&sized(15_000));
     let mut job = service.job(&first);
     while job["progress"]["percent"].as_f64() < Some(40.0) {

@@ -105,7 +105,7 @@ fn the_worst_requests_of_clients_that_leave_stall_nobody() {
         p99(&mut read),
         read.len()
     );
-    // An honest one beside them is taken, and refused ones are told the field.
+    // An honest one among them is taken, and answers to refused ones name the field.
     let body = &worst[5].1;
     let answer = service.send("POST", "/jobs", Some(body));
     assert_eq!(answer.status, 422, "{}", String::from_utf8_lossy(&answer.body));

@@ -202,7 +202,7 @@ fn any_number_of_workers_gives_the_same_bytes() {
     }
 }
 
-/// A job that ends its process within its first chunk, beside others, until it is given up; how many processes it
+/// A job that ends its process within its first chunk, next to others, until it is given up; how many processes it
 /// ended. Giving its log an end does so too, unless that `can_end`.
 fn poison(can_end: bool) -> Option<i64> {
     let folder = tempfile::tempdir().expect("a folder");
@@ -291,7 +291,7 @@ fn a_job_that_is_given_up_keeps_the_chunks_it_had() {
     service.kill();
     let part = folder.path().join("data/jobs").join(&poison).join("log.mcap.part");
     // Cut behind the last whole chunk, synced: the third change is within the next chunk. After it each process ends
-    // where it takes up the log.
+    // where it resumes the log.
     faults.arm(3, -1, 3);
     let service = faults.start_on(folder.path(), &part);
     let job = service.ended(&poison);

@@ -151,7 +151,8 @@ fn the_description_names_every_route_and_nothing_elsewhere() {
         for method in methods.as_object().expect("methods").keys() {
             let path = path
                 .replace("{id}", "01999999-9999-7999-8999-999999999999")
-                .replace("{name}", "dipole");
+                .replace("{name}", "dipole")
+                .replace("{member}", if path.starts_with("/jobs") { "7.json" } else { "7" });
             let answer = server.send(&method.to_uppercase(), &path, &[], None);
             assert_ne!(answer.status, 405, "{method} {path}");
             let nothing = serde_json::from_slice::<Value>(&answer.body).unwrap_or_default();
@@ -164,6 +165,75 @@ fn the_description_names_every_route_and_nothing_elsewhere() {
         let name = part.split('"').next().expect("a name");
         assert!(api["components"]["schemas"][name].is_object(), "{name}");
     }
+    // Generators of clients take it: no schema is `true`, parts of a choice have names, each operation a group.
+    without_booleans(&api["paths"], "");
+    without_booleans(&api["components"], "");
+    let schemas = &api["components"]["schemas"];
+    for (of, title) in [("Framed", "FramedBody"), ("PotentialTerm", "PotentialTermSpring")] {
+        let parts = schemas[of]["oneOf"].as_array().expect("a choice");
+        assert!(parts.iter().any(|part| part["title"] == title), "{title}");
+    }
+    for (field, of) in [("plan", "Plan"), ("summary", "Summary"), ("diagnosis", "JobDiagnosis")] {
+        let said = schemas["Job"]["properties"][field].to_string();
+        assert!(said.contains(&format!("#/components/schemas/{of}\"")), "{said}");
+    }
+    for (path, methods) in paths {
+        for (method, operation) in methods.as_object().expect("methods") {
+            assert!(operation["tags"][0].is_string() && operation["operationId"].is_string());
+            let body = &operation["requestBody"]["content"]["application/json"];
+            assert_eq!(body["example"].is_object(), body.is_object(), "{method} {path}");
+        }
+    }
     let docs = String::from_utf8(server.get("/docs").body).expect("text");
     assert!(docs.contains("openapi.json") && !docs.contains("://"), "a page of our own alone");
+}
+
+/// No schema within is `true` or `false`.
+fn without_booleans(value: &Value, at: &str) {
+    match value {
+        Value::Array(values) => values.iter().for_each(|value| without_booleans(value, at)),
+        Value::Object(fields) => {
+            for (key, value) in fields {
+                let is_schema =
+                    at.ends_with("/properties") || ["schema", "items"].contains(&key.as_str());
+                assert!(!is_schema || !value.is_boolean(), "{at}/{key}");
+                let is_choice = ["oneOf", "anyOf"].contains(&key.as_str());
+                assert!(!is_choice || value.is_array(), "{at}/{key}");
+                without_booleans(value, &format!("{at}/{key}"));
+            }
+        }
+        _ => {}
+    }
+}
+
+#[test]
+fn what_is_described_of_a_job_is_what_comes() {
+    let data = directory();
+    let server = service(&data).start();
+    let api = server.get("/openapi.json").json();
+    let schemas = &api["components"]["schemas"];
+    let succeeded = server.finished();
+    let failed = {
+        let mut scenario = super::short();
+        scenario["step_s"] = 5.0.into();
+        let id = server.submit(&scenario);
+        server.wait(&id, "failed");
+        id
+    };
+    for id in [succeeded, failed] {
+        let job = server.get(&format!("/jobs/{id}")).json();
+        let mut seen = 0;
+        for (field, of) in [("plan", "Plan"), ("summary", "Summary"), ("diagnosis", "Diagnosis")] {
+            let Some(found) = job[field].as_object() else { continue };
+            seen += 1;
+            let described = schemas[of]["properties"].as_object().expect("fields");
+            for key in found.keys() {
+                assert!(described.contains_key(key), "{of} has no {key}");
+            }
+            for key in schemas[of]["required"].as_array().expect("fields") {
+                assert!(found.contains_key(key.as_str().expect("a name")), "{of} needs {key}");
+            }
+        }
+        assert!(seen >= 2);
+    }
 }

@@ -244,7 +244,7 @@ fn a_client_that_asks_too_often_waits() {
     }
     // 200 requests at 5 a second would take 39 s; they do not here.
     assert!(!refused.is_empty());
-    // Whoever watches over the service is told all the same.
+    // Whoever watches over the service sees it all the same.
     for probe in ["/healthz", "/readyz"].repeat(50) {
         assert_eq!(server.get(probe).status, 200);
     }
@@ -269,22 +269,69 @@ fn a_body_that_is_too_large_is_answered_not_cut_off() {
 }
 
 #[test]
-fn one_connection_too_many_is_closed_and_harms_no_other() {
+fn one_connection_too_many_is_told_so_and_harms_no_other() {
     let data = directory();
     let server = service(&data).limits(|limits| limits.connections_per_client = 3).start();
     let connect = || {
         let mut stream = TcpStream::connect(server.address).expect("a connection");
         stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
-        let sent = stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n");
+        stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("sent");
         let mut begin = [0; 12];
-        let answered = sent.and_then(|()| stream.read_exact(&mut begin)).is_ok();
-        (stream, answered && &begin == b"HTTP/1.1 200")
+        stream.read_exact(&mut begin).expect("an answer");
+        (stream, String::from_utf8_lossy(&begin).into_owned())
     };
     let mut kept: Vec<_> = (0..3).map(|_| connect()).collect();
-    assert!(kept.iter().all(|(_, answered)| *answered));
-    assert!(!connect().1);
+    assert!(kept.iter().all(|(_, begin)| begin == "HTTP/1.1 200"));
+    let (mut refused, begin) = connect();
+    assert_eq!(begin, "HTTP/1.1 503");
+    let mut rest = String::new();
+    // It ends, and not with a reset.
+    refused.read_to_string(&mut rest).expect("the whole answer");
+    assert!(rest.to_lowercase().contains("retry-after: 1\r\n"), "{rest}");
+    assert!(rest.contains("\"code\":\"too_many_connections\""), "{rest}");
     kept.clear();
-    super::until("a free place", || connect().1.then_some(()));
+    super::until("a free place", || (connect().1 == "HTTP/1.1 200").then_some(()));
+}
+
+#[test]
+fn waves_beyond_the_limit_are_all_answered() {
+    const WAVES: usize = 5;
+    const WAVE: usize = 60;
+    let data = directory();
+    let server = service(&data).limits(|limits| limits.connections_per_client = 20).start();
+    let text = short().to_string();
+    let post = format!(
+        "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{text}",
+        text.len()
+    );
+    let (mut taken, mut refused) = (0, 0);
+    for _ in 0..WAVES {
+        // All of a wave are open at once.
+        let wave: Vec<TcpStream> =
+            (0..WAVE).map(|_| TcpStream::connect(server.address).expect("a connection")).collect();
+        for mut stream in &wave {
+            stream.write_all(post.as_bytes()).expect("sent");
+        }
+        for mut stream in &wave {
+            stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+            let mut begin = [0; 12];
+            stream.read_exact(&mut begin).expect("an answer, no reset");
+            match &begin {
+                b"HTTP/1.1 202" => taken += 1,
+                b"HTTP/1.1 503" => refused += 1,
+                other => panic!("{}", String::from_utf8_lossy(other)),
+            }
+        }
+    }
+    assert_eq!(taken + refused, WAVES * WAVE);
+    // Fewer places than a wave are there, and some of each wave have one.
+    assert!(refused >= WAVES && taken >= WAVES, "{taken} taken, {refused} refused");
+    // Those of the last wave close when they please.
+    let jobs = super::until("a free place", || {
+        let answer = server.get("/jobs?limit=500");
+        (answer.status == 200).then(|| answer.json())
+    });
+    assert_eq!(jobs["jobs"].as_array().map(Vec::len), Some(taken));
 }
 
 #[test]

@@ -160,7 +160,7 @@ fn damage_in_the_record_harms_no_other_job() {
     assert_eq!((&damaged["state"], &damaged["finished"]), (&"failed".into(), &Value::Null));
     assert_eq!(damaged["diagnosis"]["code"], "record_damaged");
     server.get(&format!("/jobs/{half_forgotten}")).problem(404, "unknown_job");
-    // Nobody knows what it is: it is told, and left alone.
+    // Nobody knows what it is: it is reported, and left alone.
     assert_eq!(names(&directory), ["attempt-1", "log.mcap.part"]);
     assert!(server.get("/metrics").text().contains("vpd_set_aside_total 3"));
     assert!(record(&data, "not-a-job").join("kept").exists());
@@ -214,7 +214,7 @@ fn an_interrupted_job_goes_on_from_its_log() {
     let ended = record(&data, &id).join("result.json").exists();
     let server = service(&data).start();
     let job = server.wait(&id, "succeeded");
-    // On a machine that let the job end before the stop there was nothing to take up.
+    // On a machine that let the job end before the stop there was nothing to resume.
     assert!(ended || job["summary"]["resumed_step"].as_u64() > Some(0), "{job}");
     assert!(server.get(&format!("/jobs/{id}/log.mcap")).body == whole);
 }

@@ -258,7 +258,7 @@ fn a_link_planted_as_a_log_leads_nowhere() {
     server.get(&path(&id)).problem(500, "log_damaged");
 }
 
-/// Damage that came after the end of the job: it is told, whoever asks and however often, and no byte of it is served.
+/// Damage that came after the end of the job: it is reported, whoever asks and however often, and no byte of it is served.
 #[test]
 fn a_log_that_is_not_what_the_job_wrote_is_not_served() {
     let data = directory();

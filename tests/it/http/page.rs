@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use super::{Answer, directory, long, service, short, until};
+use super::{Answer, Server, directory, long, service, short, until};
 
 #[test]
 fn the_pages_are_one_file_each_that_may_load_nothing_else() {
@@ -99,6 +99,16 @@ fn a_running_job_leads_to_the_live_view() {
     assert!(done["links"].get("live_viewers").is_none());
 }
 
+/// A job of 20,000 steps that has ended, with a sample every k of them.
+fn finished(server: &Server, every: u64) -> String {
+    let mut scenario = short();
+    scenario["steps"] = json!(20_000);
+    scenario["log"]["every"] = json!(every);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    id
+}
+
 #[test]
 fn charts_are_drawn_from_the_finished_log() {
     let data = directory();
@@ -128,10 +138,7 @@ fn charts_are_drawn_from_the_finished_log() {
 fn attitudes_are_those_of_the_log_from_any_time_on() {
     let data = directory();
     let server = service(&data).start();
-    let mut scenario = short();
-    scenario["steps"] = json!(20_000);
-    let id = server.submit(&scenario);
-    server.wait(&id, "succeeded");
+    let id = finished(&server, 10);
     let path = format!("/jobs/{id}/attitudes.json");
     let ask = |query: &str| server.get(&format!("{path}{query}")).json();
     let times = |answer: &Value| -> Vec<f64> {
@@ -176,10 +183,7 @@ fn attitudes_are_those_of_the_log_from_any_time_on() {
 fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     let data = directory();
     let server = service(&data).start();
-    let mut scenario = short();
-    scenario["steps"] = json!(20_000);
-    let id = server.submit(&scenario);
-    server.wait(&id, "succeeded");
+    let id = finished(&server, 10);
     let path = server.job(&id)["links"]["samples"].as_str().expect("a link").to_owned();
     let ask = |query: &str| server.get(&format!("{path}{query}")).json();
     let numbers = |list: &Value| -> Vec<f64> {
@@ -205,11 +209,7 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     assert_eq!(part, [50.0, 50.1, 50.2]);
 
     // A log so long that several threads read it.
-    let mut scenario = short();
-    scenario["steps"] = json!(20_000);
-    scenario["log"]["every"] = json!(1);
-    let id = server.submit(&scenario);
-    server.wait(&id, "succeeded");
+    let id = finished(&server, 1);
     let dense = server.get(&format!("/jobs/{id}/samples?points=100")).json();
     let (low, high) = (numbers(&dense["low"][0]), numbers(&dense["high"][0]));
     assert!((50..=100).contains(&low.len()) && high.len() == low.len());
@@ -267,6 +267,90 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     server.wait(&id, "succeeded");
     let none = server.get(&format!("/jobs/{id}/attitudes.json")).json();
     assert_eq!(none["time_s"], json!([]));
+}
+
+#[test]
+fn the_members_of_an_ensemble_are_compared_and_each_is_a_run_of_its_own() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario = short();
+    scenario["log"]["channels"] =
+        json!(["/state", "/energy", "/ensemble/members", "/ensemble/statistics"]);
+    scenario["ensemble"] = json!({ "members": 40, "seed": 3, "attitude_spread_rad": 0.1 });
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let path = format!("/jobs/{id}/members");
+    let ask = |query: &str| server.get(&format!("{path}{query}")).json();
+    let numbers = |list: &Value| -> Vec<f64> {
+        let list = list.as_array().expect("a list").iter();
+        list.map(|x| x.as_f64().expect("a number")).collect()
+    };
+    let rows = |answer: &Value| answer["rows"].as_array().expect("rows").clone();
+    let named = |answer: &Value| -> Vec<u64> {
+        rows(answer).iter().map(|row| row["member"].as_u64().expect("a number")).collect()
+    };
+
+    // The quantiles are those of the values of all members.
+    for channel in ["distance", "axis_angle", "angular_velocity", "energy_error"] {
+        let all = ask(&format!("?channel={channel}&order=member&limit=200"));
+        assert_eq!((&all["channel"], &all["members"]), (&json!(channel), &json!(40)));
+        assert_eq!(named(&all), (0..40).collect::<Vec<_>>());
+        let times = numbers(&all["time_s"]);
+        assert_eq!((times[0], times[times.len() - 1], times.len()), (0.0, 1.0, 11));
+        assert_eq!(all["count"], json!(vec![40; 11]));
+        for quantile in all["quantiles"].as_array().expect("quantiles") {
+            let part = quantile["part"].as_f64().expect("a number");
+            for (k, value) in numbers(&quantile["values"]).into_iter().enumerate() {
+                let mut here: Vec<f64> =
+                    rows(&all).iter().map(|row| numbers(&row["values"])[k]).collect();
+                here.sort_by(f64::total_cmp);
+                assert_eq!(value, here[(part * 39.0).ceil() as usize], "{channel} {part} {k}");
+            }
+        }
+        // The order is that of the largest value, and pages follow one another.
+        let size = |row: &Value| row["largest"].as_f64().expect("a number");
+        let worst = rows(&ask(&format!("?channel={channel}&limit=200")));
+        assert!(worst.windows(2).all(|pair| size(&pair[0]) >= size(&pair[1])));
+        let best = ask(&format!("?channel={channel}&order=smallest&limit=200"));
+        assert!(rows(&best).windows(2).all(|pair| size(&pair[0]) <= size(&pair[1])));
+        let page = ask(&format!("?channel={channel}&offset=3&limit=2"));
+        assert_eq!(rows(&page), worst[3..5]);
+    }
+    assert!(numbers(&rows(&ask("?order=member"))[0]["values"]).iter().all(|x| *x == 0.0));
+    assert_ne!(ask("?channel=axis_angle&axis=3"), ask("?channel=axis_angle&axis=2"));
+
+    // A member alone goes where it went among the others.
+    let worst = rows(&ask("?channel=axis_angle&axis=3&limit=1"))[0].clone();
+    let alone = server.get(&format!("{path}/{}.json", worst["member"]));
+    assert_eq!(alone.status, 200);
+    assert_eq!(alone.json()["name"], format!("dipole, member {}", worst["member"]));
+    assert_eq!(alone.json()["log"]["channels"], json!(["/state", "/energy"]));
+    let run = server.submit(&alone.json());
+    server.wait(&run, "succeeded");
+    let samples = server.get(&format!("/jobs/{run}/samples?channel=axis_angle")).json();
+    let single: Vec<f32> = numbers(&samples["high"][2]).iter().map(|x| *x as f32).collect();
+    let among: Vec<f32> = numbers(&worst["values"]).iter().map(|x| *x as f32).collect();
+    assert_eq!(single, among);
+
+    for (query, pointer) in [
+        ("?channel=other", "/channel"),
+        ("?channel=axis_angle&axis=4", "/axis"),
+        ("?axis=0", "/axis"),
+        ("?order=best", "/order"),
+        ("?limit=0", "/limit"),
+        ("?limit=201", "/limit"),
+    ] {
+        let problem = server.get(&format!("{path}{query}")).problem(422, "invalid_input");
+        assert_eq!(problem["pointer"], pointer);
+    }
+    server.get(&format!("{path}?other=1")).problem(400, "bad_query");
+    server.get(&format!("{path}?channel=momentum_drift")).problem(404, "not_found");
+    for member in ["40.json", "-1.json", "1", "x.json"] {
+        server.get(&format!("{path}/{member}")).problem(404, "not_found");
+    }
+    let single = server.finished();
+    server.get(&format!("/jobs/{single}/members")).problem(404, "not_found");
+    server.get("/jobs/no-id/members").problem(404, "unknown_job");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The live view: who may look on, what they see, and that a run does not notice.
+//! The live view: who may follow, what they see, and that a run does not notice.
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpStream};
@@ -212,13 +212,13 @@ fn viewers_beyond_the_seats_wait_outside_and_no_run_notices() {
             }
         }
     }
-    let beside = made_in(Duration::from_millis(500));
+    let followed = made_in(Duration::from_millis(500));
     println!(
-        "{} of {ATTEMPTS} viewers seated: {beside} steps in half a second beside them, {alone} alone",
+        "{} of {ATTEMPTS} viewers seated: {followed} steps in half a second with them, {alone} alone",
         seated.len()
     );
     assert_eq!((seated.len(), turned_away), (64, ATTEMPTS - 64));
-    assert!(beside > 0);
+    assert!(followed > 0);
     // Who leaves makes room.
     seated.pop();
     until("a free seat", || connect(&address, &[]).ok());

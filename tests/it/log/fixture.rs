@@ -22,7 +22,7 @@ use vpd::solve::trajectory::{self, Observables, Sample, Schedule, Sink, integrat
 
 pub(super) const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
 pub(super) const EVERYTHING: Observables =
-    Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true };
+    Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true, pace: false };
 
 /// A sink that keeps what the log should hold.
 pub(super) struct Copying {
@@ -132,6 +132,7 @@ pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<3> {
         momentum_drift: None,
         convergence: None,
         sigma_min: None,
+        pace: None,
     }
 }
 

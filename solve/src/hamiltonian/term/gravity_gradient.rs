@@ -1,9 +1,10 @@
 //! The gradient of gravity: `U = strength / 2 q . M q`.
 
-use super::{Image, Mat, Vector};
+use super::Image;
 
-pub(super) fn value<const N: usize>(strength: f64, m: &Mat<N>, q: &Vector<N>) -> f64 {
-    0.5 * strength * q.dot(&(m * q))
+#[inline(always)]
+pub(super) fn value<V: Image>(strength: f64, m: &[f64], q: &V) -> V::Number {
+    q.dot(&q.times(m)) * (0.5 * strength)
 }
 
 /// `dU/dq = strength M q`.

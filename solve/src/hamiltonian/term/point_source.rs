@@ -1,9 +1,10 @@
 //! A charge: `U = strength / r`, `r = |y - q|`.
 
-use super::{Image, Real, Vector};
+use super::{Image, Real};
 
-pub(super) fn value<const N: usize>(strength: f64, y: &Vector<N>, q: &Vector<N>) -> f64 {
-    strength / (y - q).norm()
+#[inline(always)]
+pub(super) fn value<V: Image>(strength: f64, y: &[f64], q: &V) -> V::Number {
+    q.number(strength) / q.vector(y).minus(q).square().sqrt()
 }
 
 /// `dU/dq = strength (y - q) / r^3`; the part along q has no torque.
@@ -17,6 +18,6 @@ pub(super) fn slope<V: Image>(
 ) -> V {
     let y = q.vector(y);
     let square = y.minus(q).square();
-    *nearness = nearness.larger(square * -reach);
-    y.scaled(q.number(strength) / (square * square.root()))
+    *nearness = nearness.max_or_nan(square * -reach);
+    y.scaled(q.number(strength) / (square * square.sqrt()))
 }

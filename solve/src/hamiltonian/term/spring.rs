@@ -1,15 +1,11 @@
 //! A spring: `U = stiffness / 2 (r - rest_length)^2`, `r = |y - q|`.
 
-use super::{Image, Real, Vector};
+use super::{Image, Real};
 
-pub(super) fn value<const N: usize>(
-    stiffness: f64,
-    rest_length: f64,
-    y: &Vector<N>,
-    q: &Vector<N>,
-) -> f64 {
-    let stretch = (y - q).norm() - rest_length;
-    0.5 * stiffness * stretch * stretch
+#[inline(always)]
+pub(super) fn value<V: Image>(stiffness: f64, rest_length: f64, y: &[f64], q: &V) -> V::Number {
+    let stretch = q.vector(y).minus(q).square().sqrt() + -rest_length;
+    stretch * (0.5 * stiffness) * stretch
 }
 
 /// `dU/dq = -stiffness (1 - rest_length / r) (y - q)`; the part along q has no torque.
@@ -27,7 +23,7 @@ pub(super) fn slope<V: Image>(
         return y.scaled(q.number(-stiffness));
     }
     let square = y.minus(q).square();
-    *nearness = nearness.larger(square * -reach);
-    let ratio = q.number(rest_length) / square.root();
+    *nearness = nearness.max_or_nan(square * -reach);
+    let ratio = q.number(rest_length) / square.sqrt();
     y.scaled((ratio + -1.0) * stiffness)
 }

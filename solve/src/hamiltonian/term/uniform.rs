@@ -1,9 +1,10 @@
 //! A uniform field: `U = weight y . q`.
 
-use super::{Image, Vector};
+use super::Image;
 
-pub(super) fn value<const N: usize>(weight: f64, y: &Vector<N>, q: &Vector<N>) -> f64 {
-    weight * y.dot(q)
+#[inline(always)]
+pub(super) fn value<V: Image>(weight: f64, y: &[f64], q: &V) -> V::Number {
+    q.vector(y).dot(q) * weight
 }
 
 /// `dU/dq = weight y`.

@@ -28,7 +28,7 @@
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use crate::failure::Failure;
-use crate::hamiltonian::{Terms, Torques};
+use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
 use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
 use crate::stack::{Any, Dimension, Known, Numbers, Stack};
 use crate::tableau::Tableau;
@@ -36,9 +36,11 @@ use crate::work;
 
 /// Rounds of any kind after which a step is given up.
 const MOST_ROUNDS: u32 = 40;
+/// Passes over attitudes and momenta for each torque, of a system in a time of its own.
+const PASSES: usize = 2;
 /// What forces anew leave of an error, until it is seen.
 const FORCES_CONTRACTION: f64 = 0.01;
-/// Of the momentum, what the end of a step may lack.
+/// Of the momentum, the shortfall at the end of a step that is allowed.
 const ROUND_OFF: f64 = 1e-16;
 
 /// A system as the step sees it.
@@ -51,6 +53,8 @@ pub(super) enum Source<'a> {
         /// The space vectors of the terms as seen from g0, one after the other.
         seen: &'a [f64],
         work: &'a work::Work,
+        /// In a time of its own.
+        scale: Option<Scale<'a>>,
     },
     /// Any other, one stage after the other.
     Stages(&'a mut dyn AtStage),
@@ -80,6 +84,8 @@ pub(super) struct Start<'a> {
     /// n.
     pub(super) n: usize,
     pub(super) h: f64,
+    /// How long the step is to last, of a system in a time of its own, if that is what is known; h is then a guess.
+    pub(super) lasting: Option<f64>,
     /// p0 and its velocity, row by row.
     pub(super) momentum: &'a [f64],
     pub(super) velocity: &'a [f64],
@@ -170,6 +176,8 @@ struct Unknowns {
     f_lambda: Numbers,
     room: [Numbers; 3],
     slopes: Vec<f64>,
+    /// Of a system in a time of its own.
+    rescaled: AtStages,
 }
 
 impl Unknowns {
@@ -198,6 +206,7 @@ impl Unknowns {
             f_lambda: zeros(),
             room: [zeros(), zeros(), zeros()],
             slopes: Vec::new(),
+            rescaled: AtStages::default(),
         }
     }
 }
@@ -221,6 +230,8 @@ struct End {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved {
     pub(super) rounds: u32,
+    /// The length of the step.
+    pub(super) h: f64,
     /// The last change of a momentum, relative to the largest.
     pub(super) increment: f64,
     /// The largest entry of any F.
@@ -276,17 +287,17 @@ impl Collocation {
         match (lanes, *level) {
             (1, _) => solve_any(Rows([0.0; 1]), coefficients, start, source, u, end),
             (2, Some(level)) => {
-                widest!(level, f64x2, like => solve(like, coefficients, start, source, u, end),
+                widest!(level, f64x2, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end))
             }
             (2, None) => solve_any(Rows([0.0; 2]), coefficients, start, source, u, end),
             (4, Some(level)) => {
-                widest!(level, f64x4, like => solve(like, coefficients, start, source, u, end),
+                widest!(level, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
             }
             (4, None) => solve_any(Rows([0.0; 4]), coefficients, start, source, u, end),
             (_, Some(level)) => {
-                widest!(level, f64x8, like => solve(like, coefficients, start, source, u, end),
+                widest!(level, f64x8, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 8]), coefficients, start, source, u, end))
             }
             (_, None) => solve_any(Rows([0.0; 8]), coefficients, start, source, u, end),
@@ -312,6 +323,11 @@ impl Collocation {
         }
     }
 
+    /// sigma_k, of a system in a time of its own, if it has been looked at.
+    pub(super) fn sigma(&self, k: usize) -> Option<f64> {
+        self.unknowns.rescaled.sigma().get(k).copied()
+    }
+
     /// Entry e of mu_k.
     pub(super) fn momentum(&self, k: usize, e: usize) -> f64 {
         self.unknowns.mu[e * self.lanes + k]
@@ -334,7 +350,7 @@ impl Collocation {
 
 /// Finds the code for so many rows.
 fn solve<'a, R: Stages<Whole = f64>>(
-    like: R,
+    lanes: R,
     coefficients: &'a Coefficients,
     start: &'a Start<'a>,
     source: Source<'a>,
@@ -342,24 +358,25 @@ fn solve<'a, R: Stages<Whole = f64>>(
     end: &'a mut End,
 ) -> Result<Solved, Stuck> {
     match start.n {
-        4 => Step::new(like, Known::<4>, coefficients, start, source, unknowns, end).solve(),
-        5 => Step::new(like, Known::<5>, coefficients, start, source, unknowns, end).solve(),
-        8 => Step::new(like, Known::<8>, coefficients, start, source, unknowns, end).solve(),
-        16 => Step::new(like, Known::<16>, coefficients, start, source, unknowns, end).solve(),
-        _ => solve_any(like, coefficients, start, source, unknowns, end),
+        3 => Step::new(lanes, Known::<3>, coefficients, start, source, unknowns, end).solve(),
+        4 => Step::new(lanes, Known::<4>, coefficients, start, source, unknowns, end).solve(),
+        5 => Step::new(lanes, Known::<5>, coefficients, start, source, unknowns, end).solve(),
+        8 => Step::new(lanes, Known::<8>, coefficients, start, source, unknowns, end).solve(),
+        16 => Step::new(lanes, Known::<16>, coefficients, start, source, unknowns, end).solve(),
+        _ => solve_any(lanes, coefficients, start, source, unknowns, end),
     }
 }
 
 /// The same for any number of rows.
 fn solve_any<'a, R: Stages<Whole = f64>>(
-    like: R,
+    lanes: R,
     coefficients: &'a Coefficients,
     start: &'a Start<'a>,
     source: Source<'a>,
     unknowns: &'a mut Unknowns,
     end: &'a mut End,
 ) -> Result<Solved, Stuck> {
-    Step::new(like, Any(start.n), coefficients, start, source, unknowns, end).solve()
+    Step::new(lanes, Any(start.n), coefficients, start, source, unknowns, end).solve()
 }
 
 /// What turns the body, at all stages.
@@ -374,6 +391,12 @@ enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
         torques: Torques<'a, R, D>,
         work: &'a work::Work,
     },
+    Rescaled {
+        weights: &'a [f64],
+        torques: Torques<'a, R, D>,
+        work: &'a work::Work,
+        scale: Scale<'a>,
+    },
     Stages {
         system: &'a mut dyn AtStage,
         stages: usize,
@@ -386,8 +409,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Forces<'a, R, D> {
             Source::Body { weights, terms, work, .. } if terms.count() == 0 => {
                 Self::None { weights, work }
             }
-            Source::Body { weights, terms, seen, work } => {
-                Self::Body { weights, torques: Torques::new(stack, terms, seen), work }
+            Source::Body { weights, terms, seen, work, scale } => {
+                let torques = Torques::new(stack, terms, seen);
+                match scale {
+                    None => Self::Body { weights, torques, work },
+                    Some(scale) => Self::Rescaled { weights, torques, work, scale },
+                }
             }
             Source::Stages(system) => Self::Stages { system, stages },
         }
@@ -399,6 +426,7 @@ struct Step<'a, R: Stages<Whole = f64>, D: Dimension> {
     stack: Stack<R, D>,
     coefficients: &'a Coefficients,
     start: &'a Start<'a>,
+    h: f64,
     /// h b_k.
     weights: R,
     /// The largest entry of a momentum.
@@ -416,7 +444,7 @@ macro_rules! in_lanes {
         $($(#[$attribute])*
         #[inline(never)]
         fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
-            $this.stack.like.vectorized(
+            $this.stack.lanes.vectorized(
                 #[inline(always)]
                 || $body,
             )
@@ -426,7 +454,7 @@ macro_rules! in_lanes {
 
 impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn new(
-        like: R,
+        lanes: R,
         dimension: D,
         coefficients: &'a Coefficients,
         start: &'a Start<'a>,
@@ -434,10 +462,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         u: &'a mut Unknowns,
         end: &'a mut End,
     ) -> Self {
-        let stack = Stack { like, dimension };
+        let stack = Stack { lanes, dimension };
         let forces = Forces::new(stack, source, coefficients.stages);
-        let weights = like.row(&coefficients.weights) * start.h;
-        Self { stack, coefficients, start, weights, size: 0.0, turn: 0.0, u, end, forces }
+        let weights = lanes.row(&coefficients.weights) * start.h;
+        let (h, size, turn) = (start.h, 0.0, 0.0);
+        Self { stack, coefficients, start, h, weights, size, turn, u, end, forces }
     }
 
     fn solve(mut self) -> Result<Solved, Stuck> {
@@ -451,7 +480,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.first_symmetric_parts();
         let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
         let mut evaluations = Rounds::new(expected, self.order(stages) * self.size);
-        let mut lacking = 0.0;
+        let mut shortfall = 0.0;
         for evaluation in 1..=MOST_ROUNDS {
             rounds += 1;
             self.end_point(1);
@@ -464,12 +493,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let jump = self.defects();
             let momenta = self.momenta_from_space();
             // What attitudes lacked when the defect was evaluated is in it, times the turn.
-            let left = evaluations.left(jump).max(turn * lacking);
+            let left = evaluations.left(jump).max(turn * shortfall);
             // An error of a momentum turns the end by its product with the turn of the step.
             let goal = ROUND_OFF * self.size / turn;
             let passed =
                 self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
-            lacking = passed.left;
+            shortfall = passed.left;
             self.gradients()?;
             // Of few stages the first evaluation is not yet sure of its order.
             if left <= 10.0 * goal && (stages >= 4 || evaluation > 1) {
@@ -490,7 +519,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Passes, each time with new forces, until what these change is `goal`; and the end point.
     fn finish(&mut self, mut before: f64, goal: f64) -> Result<f64, Stuck> {
-        let mut rounds = Rounds::new(FORCES_CONTRACTION, before);
+        // In a time of its own they also follow the momenta.
+        let rescaled = matches!(self.forces, Forces::Rescaled { .. });
+        let contraction = if rescaled { 3.0 * FORCES_CONTRACTION } else { FORCES_CONTRACTION };
+        let mut rounds = Rounds::new(contraction, before);
         for _ in 0..MOST_ROUNDS {
             let Passed { first, last: increment, .. } = self.pass_until(before, goal)?;
             if rounds.left(first) <= goal || matches!(self.forces, Forces::None { .. }) {
@@ -512,10 +544,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         for round in 1..=MOST_ROUNDS {
             self.gradients()?;
             let jump = self.momenta_in_body();
-            // A second time costs little next to a torque.
-            self.momenta_in_body();
-            self.attitudes();
-            self.attitudes();
+            if matches!(self.forces, Forces::Rescaled { .. }) {
+                // What momenta and attitudes make of sigma and H - H0 binds them to each other.
+                for _ in 0..PASSES {
+                    self.attitudes();
+                    self.momenta_in_body();
+                }
+                self.attitudes();
+            } else {
+                // A second time costs little next to a torque.
+                self.momenta_in_body();
+                self.attitudes();
+                self.attitudes();
+            }
             self.measure();
             if !(jump <= 1e3 * self.size) {
                 break;
@@ -561,11 +602,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     fn gradients(&mut self) -> Result<(), Failure> {
+        if matches!(self.forces, Forces::Rescaled { .. }) {
+            return self.look_at_time();
+        }
         let Unknowns { c, mu, omega, gradient, slopes, .. } = &mut *self.u;
         match &mut self.forces {
-            Forces::None { work, .. } => work.begin_sweep(),
+            Forces::None { work, .. } | Forces::Rescaled { work, .. } => work.begin_sweep(),
             Forces::Body { torques, work, .. } => {
                 work.begin_sweep()?;
+                work.add_gradients(self.coefficients.stages as u64);
                 torques.gradient(c, slopes, gradient);
                 Ok(())
             }
@@ -579,21 +624,55 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
+    /// The forces and the time of the stages, and the length of a step that is to last so long:
+    /// `h = t / sum_k b_k sigma_k`.
+    fn look_at_time(&mut self) -> Result<(), Failure> {
+        if let Forces::Rescaled { work, .. } = &self.forces {
+            work.begin_sweep()?;
+            work.add_gradients(self.coefficients.stages as u64);
+        }
+        self.scales();
+        self.velocities_in_lanes();
+        if let Some(lasting) = self.start.lasting {
+            let Coefficients { weights, stages, .. } = self.coefficients;
+            let sigma = self.u.rescaled.sigma();
+            let mean: f64 = (0..*stages).map(|k| weights[k] * sigma[k]).sum();
+            self.h = lasting / mean;
+            self.weights = self.stack.lanes.row(weights) * self.h;
+        }
+        Ok(())
+    }
+
     in_lanes! {
+    /// sigma and the forces.
+    fn scales(&mut self) {
+        if let Forces::Rescaled { torques, scale, .. } = &mut self.forces {
+            let Unknowns { c, rescaled, .. } = &mut *self.u;
+            rescaled.look(torques, scale, c);
+        }
+    }
+
+    fn velocities_in_lanes(&mut self) {
+        self.velocities();
+    }
+
     /// The velocity of the beginning, kept constant.
     fn guess(&mut self) {
         let Self { stack, start, coefficients, u, end, forces, .. } = self;
-        let (n, like) = (stack.n(), stack.like);
-        let angle = like.row(&coefficients.nodes) * start.h;
-        if let Forces::None { weights, .. } | Forces::Body { weights, .. } = forces {
+        let (n, lanes) = (stack.n(), stack.lanes);
+        let angle = lanes.row(&coefficients.nodes) * start.h;
+        if let Forces::None { weights, .. }
+        | Forces::Body { weights, .. }
+        | Forces::Rescaled { weights, .. } = forces
+        {
             stack.spread(weights, &mut u.inertia);
         }
         for i in 0..n {
             for j in 0..n {
                 let e = i * n + j;
-                let omega = like.spread(start.velocity[e]);
+                let omega = lanes.spread(start.velocity[e]);
                 stack.put(&mut u.omega, i, j, omega);
-                stack.put(&mut u.p0, i, j, like.spread(start.momentum[e]));
+                stack.put(&mut u.p0, i, j, lanes.spread(start.momentum[e]));
                 let mut square = 0.0;
                 for k in 0..n {
                     square += start.velocity[i * n + k] * start.velocity[k * n + j];
@@ -616,7 +695,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. Returns the largest change of a momentum.
     fn momenta_in_body(&mut self) -> f64 {
         let Self { stack, coefficients, weights, u, .. } = self;
-        let (n, len, like) = (stack.n(), stack.numbers(), stack.like);
+        let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let Unknowns { p0, mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
         let (mu, omega, gradient) = (&mut mu[..len], &omega[..len], &gradient[..len]);
         let (p0, rate) = (&p0[..len], &mut rate[..len]);
@@ -627,13 +706,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 stack.put(rate, i, j, -(*weights * turning));
             }
         }
-        let columns = like.rows(&coefficients.columns);
-        let mut jump = like.constant(0.0);
+        let columns = lanes.rows(&coefficients.columns);
+        let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
                 let gain = R::combination(&rate[(i * n + j) * R::LANES..], &columns);
                 let now = stack.get(p0, i, j) + gain;
-                jump = jump.larger((now - stack.get(mu, i, j)).size());
+                jump = jump.max_or_nan((now - stack.get(mu, i, j)).abs());
                 stack.put_skew(mu, i, j, now);
             }
         }
@@ -660,18 +739,18 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// The largest momentum, and the largest turn of a step by a stage's velocity.
     fn measure(&mut self) {
-        let Self { stack, start, u, size, turn, .. } = self;
-        let like = stack.like;
-        let (mut square, mut largest) = (like.constant(0.0), like.constant(0.0));
+        let Self { stack, h, u, size, turn, .. } = self;
+        let lanes = stack.lanes;
+        let (mut square, mut largest) = (lanes.constant(0.0), lanes.constant(0.0));
         for i in 0..stack.n() {
             for j in i + 1..stack.n() {
                 let omega = stack.get(&u.omega, i, j);
                 square = square + omega * omega;
-                largest = largest.larger(stack.get(&u.mu, i, j).size());
+                largest = largest.max_or_nan(stack.get(&u.mu, i, j).abs());
             }
         }
         *size = largest.largest();
-        *turn = start.h.abs() * square.largest().sqrt();
+        *turn = h.abs() * square.largest().sqrt();
     }
 
     /// [F], [K] and [C]
@@ -684,14 +763,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// [transport]: pi - p0.
     fn transport(&mut self) {
         let Self { stack, coefficients, weights, u, forces, .. } = self;
-        let (n, len, like) = (stack.n(), stack.numbers(), stack.like);
-        let Unknowns { c, kappa, gain, delta, gradient, slopes, .. } = &mut **u;
+        let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
+        let Unknowns { c, kappa, gain, delta, gradient, slopes, rescaled, .. } = &mut **u;
         match forces {
             Forces::None { .. } => {
                 gain.copy_from_slice(delta);
                 return;
             }
             Forces::Body { torques, .. } => torques.in_space(c, slopes, kappa),
+            Forces::Rescaled { torques, .. } => rescaled.in_space(torques, c, slopes, kappa),
             Forces::Stages { system, stages } => {
                 for stage in 0..*stages {
                     system.in_space(Place { stage, lanes: R::LANES }, c, gradient, kappa);
@@ -699,7 +779,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
         }
         let (kappa, gain, delta) = (&mut kappa[..len], &mut gain[..len], &delta[..len]);
-        let columns = like.rows(&coefficients.columns);
+        let columns = lanes.rows(&coefficients.columns);
         for i in 0..n {
             for j in i + 1..n {
                 stack.put(kappa, i, j, *weights * stack.get(kappa, i, j));
@@ -716,20 +796,20 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// `mu = U^T pi U`, as `p0 + (pi - p0) + asym(pi C) + C^T pi C`, and Omega. Returns the largest change of a momentum.
     fn momenta_from_space(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
-        let (n, len, like) = (stack.n(), stack.numbers(), stack.like);
+        let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let Unknowns { p0, mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
         stack.sum(p0, gain, pi);
         stack.product(pi, c, turned);
         stack.transposed_product(c, turned, twice);
         let (p0, mu, gain) = (&p0[..len], &mut mu[..len], &gain[..len]);
         let (turned, twice) = (&turned[..len], &twice[..len]);
-        let mut jump = like.constant(0.0);
+        let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
                 let once = stack.get(turned, i, j) - stack.get(turned, j, i);
                 let gain = stack.get(gain, i, j) + (once + stack.get(twice, i, j));
                 let now = stack.get(p0, i, j) + gain;
-                jump = jump.larger((now - stack.get(mu, i, j)).size());
+                jump = jump.max_or_nan((now - stack.get(mu, i, j)).abs());
                 stack.put_skew(mu, i, j, now);
             }
         }
@@ -750,7 +830,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 stack.put(both, i, j, *weights * sum * -0.25);
             }
         }
-        let columns = stack.like.rows(&coefficients.transposed);
+        let columns = stack.lanes.rows(&coefficients.transposed);
         for i in 0..n {
             for j in i..n {
                 let part = R::combination(&both[(i * n + j) * R::LANES..], &columns);
@@ -815,7 +895,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 let stretched = stack.asym_of_product(excess, x, i, j);
                 stack.put_skew(next, i, j, (stretched - *weights * load) * 0.5);
             }
-            stack.put(next, i, i, stack.like.constant(0.0));
+            stack.put(next, i, i, stack.lanes.constant(0.0));
         }
         x.copy_from_slice(next);
     }
@@ -845,7 +925,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 stack.put(part, i, j, difference);
             }
         }
-        let columns = stack.like.rows(&coefficients.columns);
+        let columns = stack.lanes.rows(&coefficients.columns);
         for i in 0..n {
             for j in i + 1..n {
                 let sum = R::combination(&part[(i * n + j) * R::LANES..], &columns);
@@ -861,13 +941,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let Unknowns { k, gain, delta, delta_rest, f_lambda, .. } = &mut **u;
         let (k, gain, delta) = (&k[..len], &mut gain[..len], &mut delta[..len]);
         let (delta_rest, f_lambda) = (&delta_rest[..len], &f_lambda[..len]);
-        let mut jump = stack.like.constant(0.0);
+        let mut jump = stack.lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
                 let newest = stack.asym_of_product(f_lambda, k, i, j);
                 let now = newest + stack.get(delta_rest, i, j);
                 let change = now - stack.get(delta, i, j);
-                jump = jump.larger(change.size());
+                jump = jump.max_or_nan(change.abs());
                 stack.put_skew(delta, i, j, now);
                 stack.put_skew(gain, i, j, stack.get(gain, i, j) + change);
             }
@@ -878,37 +958,38 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// The largest change of an attitude since T was set to it, in units of momenta.
     fn turned(&mut self) -> f64 {
         let Self { stack, u, size, .. } = self;
-        let mut change = stack.like.constant(0.0);
+        let mut change = stack.lanes.constant(0.0);
         for (now, before) in u.c.chunks_exact(R::LANES).zip(u.t.chunks_exact(R::LANES)) {
-            change = change.larger((stack.like.get(now) - stack.like.get(before)).size());
+            change = change.max_or_nan((stack.lanes.get(now) - stack.lanes.get(before)).abs());
         }
         change.largest() * *size
     }
 
     /// What a solution is judged by.
     fn judged(&mut self, rounds: u32, increment: f64) -> Solved {
-        let Self { stack, u, end, forces, .. } = self;
-        let like = stack.like;
-        let (mut stretch, mut turn) = (like.constant(0.0), like.constant(0.0));
+        let Self { stack, u, end, forces, h, .. } = self;
+        let lanes = stack.lanes;
+        let (mut stretch, mut turn) = (lanes.constant(0.0), lanes.constant(0.0));
         let (mut end_stretch, mut end_turn) = (0.0_f64, 0.0_f64);
         for i in 0..stack.n() {
             for j in 0..stack.n() {
                 let c = stack.get(&u.c, i, j);
                 turn = turn + c * c;
-                stretch = stretch.larger(stack.get(&u.f, i, j).size());
+                stretch = stretch.max_or_nan(stack.get(&u.f, i, j).abs());
             }
         }
         for (c, f) in end.c.iter().zip(end.f.iter()) {
             end_turn += c * c;
-            end_stretch = Real::larger(end_stretch, f.abs());
+            end_stretch = Real::max_or_nan(end_stretch, f.abs());
         }
         Solved {
             rounds,
+            h: *h,
             increment,
-            stretch: Real::larger(end_stretch, stretch.largest()),
-            turn: Real::larger(end_turn, turn.largest()),
+            stretch: Real::max_or_nan(end_stretch, stretch.largest()),
+            turn: Real::max_or_nan(end_turn, turn.largest()),
             nearness: match forces {
-                Forces::Body { torques, .. } => torques.nearness,
+                Forces::Body { torques, .. } | Forces::Rescaled { torques, .. } => torques.nearness,
                 Forces::None { .. } | Forces::Stages { .. } => -1.0,
             },
         }
@@ -924,8 +1005,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Omega. Returns by how much it is not yet what mu asks for, in units of mu.
     #[inline(always)]
     fn velocities(&mut self) -> f64 {
-        let Unknowns { inertia, c, mu, omega, .. } = &mut *self.u;
+        let Unknowns { inertia, c, mu, omega, gradient, rescaled, .. } = &mut *self.u;
         match &mut self.forces {
+            Forces::Rescaled { scale, .. } => {
+                rescaled.derivatives(self.stack, scale, inertia, [c, mu], omega, gradient);
+                0.0
+            }
             Forces::None { .. } | Forces::Body { .. } => {
                 self.stack.entrywise_product(inertia, mu, omega);
                 0.0
@@ -935,7 +1020,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 for stage in 0..*stages {
                     let at = Place { stage, lanes: R::LANES };
                     let [changed, now] = system.velocity(at, c, mu, omega);
-                    (change, size) = (Real::larger(change, changed), size.max(now));
+                    (change, size) = (Real::max_or_nan(change, changed), size.max(now));
                 }
                 if change == 0.0 { 0.0 } else { change / size * self.size }
             }

@@ -13,13 +13,11 @@
 //!
 //! Invariant: lanes beyond the stages stand at the beginning, and weigh nothing.
 
-use nalgebra::Quaternion;
-
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{self, Real, Row, WIDTH};
 use crate::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, mat3, minus, plus, product, scaled, symmetric_product,
-    vec3, with_one,
+    Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
+    symmetric_product, vec3, with_one,
 };
 use crate::tableau::Tableau;
 
@@ -124,8 +122,8 @@ impl Stages {
     fn keep<R: Lanes>(
         &mut self,
         given: &Given<'_, R>,
-        x: &Turn<R>,
-        d: &Turn<R>,
+        x: &Quaternion<R>,
+        d: &Quaternion<R>,
         torque: &Vec3<R>,
         shrink: R,
     ) {
@@ -139,16 +137,16 @@ impl Stages {
     }
 
     /// u_k.
-    pub(super) fn turn(&self, k: usize) -> Quaternion<f64> {
+    pub(super) fn turn(&self, k: usize) -> nalgebra::Quaternion<f64> {
         let [w, x, y, z] = self.x.each_ref().map(|row| row.0[k]);
-        Quaternion::new(1.0 + w, x, y, z)
+        nalgebra::Quaternion::new(1.0 + w, x, y, z)
     }
 }
 
 /// Where a step leads to.
 pub(super) struct End {
     /// `q0* q1`
-    pub(super) turn: Turn<f64>,
+    pub(super) turn: Quaternion<f64>,
     /// What the momentum in space changes by, in the frame of q0.
     pub(super) kick: Vec3<f64>,
     /// `p1 - p0`
@@ -170,15 +168,15 @@ struct Given<'a, R> {
 
 impl<'a, R: Lanes> Given<'a, R> {
     #[inline(always)]
-    fn new(like: R, start: &'a Start<'a>) -> Self {
-        let mut inverse = [like; 6];
+    fn new(lanes: R, start: &'a Start<'a>) -> Self {
+        let mut inverse = [lanes; 6];
         for i in 0..6 {
-            inverse[i] = like.constant(start.inverse[i]);
+            inverse[i] = lanes.constant(start.inverse[i]);
         }
         Self {
             start,
-            momentum: vec3!(i => like.constant(start.momentum[i])),
-            weight: like.row(&start.tableau.weights) * start.step,
+            momentum: vec3!(i => lanes.constant(start.momentum[i])),
+            weight: lanes.row(&start.tableau.weights) * start.step,
             inverse,
         }
     }
@@ -195,7 +193,7 @@ impl<'a, R: Lanes> Given<'a, R> {
 
     /// `mu = vec(u* r) = p0 + vec(y + x* r)` with `r = p0 + y`, `y = p0 x + d`.
     #[inline(always)]
-    fn body_momentum(&self, x: &Turn<R>, d: &Turn<R>) -> Vec3<R> {
+    fn body_momentum(&self, x: &Quaternion<R>, d: &Quaternion<R>) -> Vec3<R> {
         let p = &self.momentum;
         let c = cross(p, &x.v);
         let y: Vec3<R> = vec3!(i => (p[i] * x.w + c[i]) + d.v[i]);
@@ -207,31 +205,36 @@ impl<'a, R: Lanes> Given<'a, R> {
 
     /// w for h b Omega / 2.
     #[inline(always)]
-    fn turning(&self, x: &Turn<R>, half: &Vec3<R>) -> Turn<R> {
-        let Turn { w, v } = x.rate(half);
-        Turn { w, v: plus(half, &v) }
+    fn turning(&self, x: &Quaternion<R>, half: &Vec3<R>) -> Quaternion<R> {
+        let Quaternion { w, v } = x.rate(half);
+        Quaternion { w, v: plus(half, &v) }
     }
 
     /// `sum_j e_ij z_j`
     #[inline(always)]
-    fn collocated(&self, z: &Turn<R>) -> Turn<R> {
+    fn collocated(&self, z: &Quaternion<R>) -> Quaternion<R> {
         let columns = &self.start.tableau.columns;
-        Turn { w: z.w.combined(columns), v: vec3!(i => z.v[i].combined(columns)) }
+        Quaternion { w: z.w.apply_tableau(columns), v: vec3!(i => z.v[i].apply_tableau(columns)) }
     }
 
     /// u and d from those before, with h b tau / |u|^2 as it is.
     #[inline(always)]
-    fn pass(&self, x: &Turn<R>, d: &Turn<R>, push: &Vec3<R>) -> (Turn<R>, Turn<R>) {
+    fn pass(
+        &self,
+        x: &Quaternion<R>,
+        d: &Quaternion<R>,
+        push: &Vec3<R>,
+    ) -> (Quaternion<R>, Quaternion<R>) {
         let omega = self.velocity(&self.body_momentum(x, d));
         let half = scaled(&omega, self.weight * 0.5);
         let (turned, pushed) = (d.rate(&half), self.turning(x, push));
-        let z = Turn { w: turned.w - pushed.w, v: minus(&turned.v, &pushed.v) };
+        let z = Quaternion { w: turned.w - pushed.w, v: minus(&turned.v, &pushed.v) };
         (self.collocated(&self.turning(x, &half)), self.collocated(&z))
     }
 
     /// tau, the nearness and 1 / |u|^2.
     #[inline(always)]
-    fn torque(&self, x: &Turn<R>) -> (Vec3<R>, R, R) {
+    fn torque(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
         let (u, shrink) = self.rotation(x);
         let (torque, nearness) = self.start.body.torque(&u, self.start.seen);
         (torque, nearness, shrink)
@@ -239,8 +242,8 @@ impl<'a, R: Lanes> Given<'a, R> {
 
     /// That of u / |u|, and 1 / |u|^2.
     #[inline(always)]
-    fn rotation(&self, x: &Turn<R>) -> (Mat3<R>, R) {
-        let u = Turn { w: x.w + 1.0, v: x.v };
+    fn rotation(&self, x: &Quaternion<R>) -> (Mat3<R>, R) {
+        let u = Quaternion { w: x.w + 1.0, v: x.v };
         let shrink = x.w.constant(1.0) / u.square();
         let change = u.change();
         (with_one(&mat3!(i, j => change[i][j] * shrink)), shrink)
@@ -257,20 +260,20 @@ impl<'a, R: Lanes> Given<'a, R> {
 /// that it turns. Its stages are those of the step but for terms of the order of the quadrature. The torque couples weakly:
 /// every third round takes it. A function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) {
-    let given = Given::new(like, start);
+pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
+    let given = Given::new(lanes, start);
     let LaneTableau { columns, nodes, rounds, .. } = start.tableau;
     let p = given.momentum;
     let half_weight = given.weight * 0.5;
-    let elapsed = like.row(nodes) * (0.5 * start.step);
-    let zero = like.constant(0.0);
-    let kept_on = Turn { w: zero, v: vec3!(i => elapsed * given.velocity(&p)[i]) };
+    let elapsed = lanes.row(nodes) * (0.5 * start.step);
+    let zero = lanes.constant(0.0);
+    let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * given.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
     let (mut torque, _, mut shrink) = given.torque(&x);
     for round in 1..=*rounds {
         let omega = given.velocity(&mu);
         let turned = cross(&mu, &omega);
-        mu = vec3!(i => p[i] + (given.weight * (turned[i] - torque[i])).combined(columns));
+        mu = vec3!(i => p[i] + (given.weight * (turned[i] - torque[i])).apply_tableau(columns));
         let half = scaled(&given.velocity(&mu), half_weight);
         x = given.collocated(&given.turning(&x, &half));
         if round % TORQUE_EVERY == 0 {
@@ -283,10 +286,14 @@ pub(super) fn guess<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) {
     let d_w = r.w + dot(&p, &x.v);
     let d_v: Vec3<R> = vec3!(i => (mu[i] - p[i]) + (r.v[i] - (p[i] * x.w + s[i])));
     // Rounds that went astray are worse than none.
-    let square = Turn { w: x.w + 1.0, v: x.v }.square();
-    let deficit = like.constant((square + -1.0).size().largest());
-    let x = x.within(deficit, MOST_DEFICIT, &kept_on);
-    let d = Turn { w: d_w, v: d_v }.within(deficit, MOST_DEFICIT, &Turn { w: zero, v: [zero; 3] });
+    let square = Quaternion { w: x.w + 1.0, v: x.v }.square();
+    let deficit = lanes.constant((square + -1.0).abs().largest());
+    let x = x.select(deficit, MOST_DEFICIT, &kept_on);
+    let d = Quaternion { w: d_w, v: d_v }.select(
+        deficit,
+        MOST_DEFICIT,
+        &Quaternion { w: zero, v: [zero; 3] },
+    );
     let (torque, _, shrink) = given.torque(&x);
     stages.keep(&given, &x, &d, &torque, shrink);
 }
@@ -294,19 +301,22 @@ pub(super) fn guess<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) {
 /// Passes over u and d with the torques as they are, then the torques: passes cost a third of them, for they couple the stages
 /// by J^-1. Returns by how much u has changed, or d relative to the momentum; not finite if an unknown is not.
 #[inline(always)]
-pub(super) fn sweep<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -> f64 {
-    let given = Given::new(like, start);
-    let (old_x, old_d) = (load(like, &stages.x), load(like, &stages.d));
-    let push: Vec3<R> = vec3!(i => like.load(&stages.push[i]));
+pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> f64 {
+    let given = Given::new(lanes, start);
+    let (old_x, old_d) = (load(lanes, &stages.x), load(lanes, &stages.d));
+    let push: Vec3<R> = vec3!(i => lanes.load(&stages.push[i]));
     let (mut x, mut d) = (old_x, old_d);
     for _ in 0..start.tableau.passes {
         (x, d) = given.pass(&x, &d, &push);
     }
     let (torque, nearness, shrink) = given.torque(&x);
     stages.keep(&given, &x, &d, &torque, shrink);
-    let p = start.momentum[0].abs().larger(start.momentum[1].abs()).larger(start.momentum[2].abs());
-    let size = largest(&d).larger(like.constant(p.larger(f64::MIN_POSITIVE)));
-    let change = largest(&less(&x, &old_x)).larger(largest(&less(&d, &old_d)) / size);
+    let p = start.momentum[0]
+        .abs()
+        .max_or_nan(start.momentum[1].abs())
+        .max_or_nan(start.momentum[2].abs());
+    let size = largest(&d).max_or_nan(lanes.constant(p.max_or_nan(f64::MIN_POSITIVE)));
+    let change = largest(&less(&x, &old_x)).max_or_nan(largest(&less(&d, &old_d)) / size);
     // Zero where all is finite.
     let total = (x.w + (x.v[0] + x.v[1]) + x.v[2]) + (d.w + (d.v[0] + d.v[1]) + d.v[2]);
     stages.nearness = nearness.largest();
@@ -316,45 +326,45 @@ pub(super) fn sweep<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -
 /// The end of the step, from the newest stages: a last pass brings u and d up to the newest torques. What they lag behind
 /// would lean.
 #[inline(always)]
-pub(super) fn end<R: Lanes>(like: R, start: &Start<'_>, stages: &mut Stages) -> End {
-    let given = Given::new(like, start);
-    let push: Vec3<R> = vec3!(i => like.load(&stages.push[i]));
-    let old_x = load(like, &stages.x);
-    let (x, d) = given.pass(&old_x, &load(like, &stages.d), &push);
+pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> End {
+    let given = Given::new(lanes, start);
+    let push: Vec3<R> = vec3!(i => lanes.load(&stages.push[i]));
+    let old_x = load(lanes, &stages.x);
+    let (x, d) = given.pass(&old_x, &load(lanes, &stages.d), &push);
     let mu = given.body_momentum(&x, &d);
     let omega = given.velocity(&mu);
     let w = given.turning(&x, &scaled(&omega, given.weight * 0.5));
     let turned = cross(&mu, &omega);
-    let torque: Vec3<R> = vec3!(i => like.load(&stages.torque[i]));
+    let torque: Vec3<R> = vec3!(i => lanes.load(&stages.torque[i]));
     let rate = minus(&turned, &torque);
     // In the frame of q0, by the matrices that the torques are of: what a potential leaves alone in space stays as it is.
     let pushed = product(&given.rotation(&old_x).0, &torque);
     End {
-        turn: Turn { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
+        turn: Quaternion { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
         kick: vec3!(i => -(given.weight * pushed[i]).sum()),
         gain: vec3!(i => (given.weight * rate[i]).sum()),
     }
 }
 
 #[inline(always)]
-fn less<R: Real>(a: &Turn<R>, b: &Turn<R>) -> Turn<R> {
-    Turn { w: a.w - b.w, v: minus(&a.v, &b.v) }
+fn less<R: Real>(a: &Quaternion<R>, b: &Quaternion<R>) -> Quaternion<R> {
+    Quaternion { w: a.w - b.w, v: minus(&a.v, &b.v) }
 }
 
 /// The largest component.
 #[inline(always)]
-fn largest<R: Real>(a: &Turn<R>) -> R {
+fn largest<R: Real>(a: &Quaternion<R>) -> R {
     let [x, y, z] = a.v;
-    (a.w.size().larger(x.size())).larger(y.size().larger(z.size()))
+    (a.w.abs().max_or_nan(x.abs())).max_or_nan(y.abs().max_or_nan(z.abs()))
 }
 
 #[inline(always)]
-fn load<R: Lanes>(like: R, [w, x, y, z]: &[Row; 4]) -> Turn<R> {
-    Turn { w: like.load(w), v: [like.load(x), like.load(y), like.load(z)] }
+fn load<R: Lanes>(lanes: R, [w, x, y, z]: &[Row; 4]) -> Quaternion<R> {
+    Quaternion { w: lanes.load(w), v: [lanes.load(x), lanes.load(y), lanes.load(z)] }
 }
 
 #[inline(always)]
-fn store<R: Lanes>(value: &Turn<R>, plain: &mut [Row; 4]) {
+fn store<R: Lanes>(value: &Quaternion<R>, plain: &mut [Row; 4]) {
     let [w, v @ ..] = plain;
     value.w.store(w);
     for i in 0..3 {

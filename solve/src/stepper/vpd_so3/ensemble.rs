@@ -19,31 +19,31 @@ use crate::failure::Failure;
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Real, Row, Rows, Stages, WIDTH, Whole, aligned_zero};
 use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
-use crate::space::{Turn, Vec3, dot};
+use crate::space::{Quaternion, Vec3, dot};
 use crate::stepper::Stepper;
 use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `like` is so many
+/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `lanes` is so many
 /// stages in lanes.
 macro_rules! in_member_lanes {
-    ($level:ident, $stages:literal, $like:ident => $work:expr) => {{
+    ($level:ident, $stages:literal, $lanes:ident => $work:expr) => {{
         #[cfg(target_arch = "x86_64")]
         match ($level.as_avx512(), $level.as_avx2()) {
-            (Some(simd), _) => in_member_lanes!(@on simd, $stages, $like => $work),
-            (None, Some(simd)) => in_member_lanes!(@on simd, $stages, $like => $work),
+            (Some(simd), _) => in_member_lanes!(@on simd, $stages, $lanes => $work),
+            (None, Some(simd)) => in_member_lanes!(@on simd, $stages, $lanes => $work),
             (None, None) => unreachable!("members go by themselves here"),
         }
         #[cfg(not(target_arch = "x86_64"))]
         unreachable!("members go by themselves here")
     }};
-    (@on $simd:ident, $stages:literal, $like:ident => $work:expr) => {
+    (@on $simd:ident, $stages:literal, $lanes:ident => $work:expr) => {
         $simd.vectorize(
             #[inline(always)]
             || {
                 let zero = f64x8::from_slice($simd, &aligned_zero().0);
-                let $like = Rows([zero; $stages]);
+                let $lanes = Rows([zero; $stages]);
                 $work
             },
         )
@@ -137,19 +137,19 @@ impl VpdEnsemble {
         macro_rules! step {
             ($side:ident, $stages:literal) => {{
                 let Side { unknowns, taken } = &mut **$side;
-                in_member_lanes!(level, $stages, like => motion.look(like.0[0], body, seen));
+                in_member_lanes!(level, $stages, lanes => motion.look(lanes.0[0], body, seen));
                 let momentum = motion.body_momentum.value;
                 let start =
                     Start { tableau, body, inertia, seen, step: h, passes, momentum };
-                in_member_lanes!(level, $stages, like => sweep::guess(like, &start, unknowns));
+                in_member_lanes!(level, $stages, lanes => sweep::guess(lanes, &start, unknowns));
                 let mut goes_on = [false; WIDTH];
                 for &m in going {
                     iterations[m].restart();
                     goes_on[m] = true;
                 }
                 while goes_on.contains(&true) {
-                    let increments = in_member_lanes!(level, $stages, like => {
-                        sweep::sweep_to_row(like, &start, unknowns)
+                    let increments = in_member_lanes!(level, $stages, lanes => {
+                        sweep::sweep_to_row(lanes, &start, unknowns)
                     });
                     for &m in going {
                         if !goes_on[m] {
@@ -170,14 +170,14 @@ impl VpdEnsemble {
                     }
                 }
                 if tableau.is_finished {
-                    in_member_lanes!(level, $stages, like => sweep::finish(like, &start, taken));
+                    in_member_lanes!(level, $stages, lanes => sweep::finish(lanes, &start, taken));
                 }
                 let before = *motion;
                 let order = stages.ascending();
-                let doubts = in_member_lanes!(level, $stages, like => {
-                    motion.advance(like.0[0], &taken.end, &taken.kick);
-                    motion.turn_momentum(like.0[0]);
-                    doubts(like, order, taken)
+                let doubts = in_member_lanes!(level, $stages, lanes => {
+                    motion.advance(lanes.0[0], &taken.end, &taken.kick);
+                    motion.turn_momentum(lanes.0[0]);
+                    doubts(lanes, order, taken)
                 });
                 for lane in 0..WIDTH {
                     match swept[lane] {
@@ -224,26 +224,26 @@ impl VpdEnsemble {
 /// stage in the order of their times, and the distances. Not a number where the solution is none.
 #[inline(always)]
 fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
-    like: R,
+    lanes: R,
     ascending: &[usize],
     solution: &Unknowns<R::Plain, Row>,
 ) -> Row {
     let Unknowns { attitude, excess, end, end_excess, nearness, .. } = solution;
-    let whole = like.stage(0);
+    let whole = lanes.stage(0);
     let nearness = whole.load(nearness);
     let mut doubt = nearness + CLOSEST_APPROACH * CLOSEST_APPROACH;
     let mut total = nearness;
-    let mut before = Turn { w: whole.constant(1.0), v: [whole.constant(0.0); 3] };
+    let mut before = Quaternion { w: whole.constant(1.0), v: [whole.constant(0.0); 3] };
     for k in 0..=ascending.len() {
         let (mut e, mut turn) = ([whole; 6], before);
         if k < ascending.len() {
             let k = ascending[k];
             for i in 0..6 {
-                e[i] = like.load(&excess[i]).stage(k);
+                e[i] = lanes.load(&excess[i]).stage(k);
             }
-            turn.w = like.load(&attitude.w).stage(k);
+            turn.w = lanes.load(&attitude.w).stage(k);
             for i in 0..3 {
-                turn.v[i] = like.load(&attitude.v[i]).stage(k);
+                turn.v[i] = lanes.load(&attitude.v[i]).stage(k);
             }
         } else {
             for i in 0..6 {
@@ -255,13 +255,13 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
             }
         }
         let [xx, yy, zz, yz, xz, xy] = e;
-        let [yz, xz, xy] = [yz.size(), xz.size(), xy.size()];
+        let [yz, xz, xy] = [yz.abs(), xz.abs(), xy.abs()];
         for deficit in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
-            doubt = doubt.larger(deficit + -0.5);
+            doubt = doubt.max_or_nan(deficit + -0.5);
             total = total + deficit;
         }
         let cosine = before.w * turn.w + dot(&before.v, &turn.v);
-        doubt = doubt.larger(cosine * cosine * -4.0 + 2.0);
+        doubt = doubt.max_or_nan(cosine * cosine * -4.0 + 2.0);
         total = total + cosine;
         before = turn;
     }

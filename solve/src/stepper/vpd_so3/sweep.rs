@@ -39,7 +39,7 @@
 use super::unknowns::{LaneTableau, Start, TORQUE_EVERY, Unknowns};
 use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::space::{
-    Mat3, Sym3, Turn, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
+    Mat3, Quaternion, Sym3, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
     symmetric_product, times_hat, transposed, transposed_matrix_product, transposed_product, vec3,
     vee_asym, with_one,
 };
@@ -50,12 +50,12 @@ const MOST_DEFICIT: f64 = 0.1;
 /// [`sweep`] for members, with the increment of each in memory.
 #[inline(always)]
 pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
-    like: R,
+    lanes: R,
     start: &Start<'_, Row>,
     unknowns: &mut Unknowns<R::Plain, Row>,
 ) -> Row {
     let mut increments = Row::splat(0.0);
-    sweep(like, start, unknowns).store(&mut increments);
+    sweep(lanes, start, unknowns).store(&mut increments);
     increments
 }
 
@@ -72,54 +72,56 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
 /// repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Stages>(
-    like: R,
+    lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
-    let whole = like.stage(0);
+    let whole = lanes.stage(0);
     let LaneTableau { columns, weights, nodes, rounds, .. } = start.tableau;
     let at_start = vec3!(i => whole.load(&start.momentum[i]));
     let velocity = start.inertia.in_lanes(whole).divides(&at_start);
-    let inertia = start.inertia.in_lanes(like);
-    let p0 = vec3!(i => like.spread(at_start[i]));
-    let weight = like.row(weights) * start.step;
-    let elapsed = like.row(nodes) * start.step;
+    let inertia = start.inertia.in_lanes(lanes);
+    let p0 = vec3!(i => lanes.spread(at_start[i]));
+    let weight = lanes.row(weights) * start.step;
+    let elapsed = lanes.row(nodes) * start.step;
     let half = elapsed * 0.5;
-    let turned = Turn::cayley(&vec3!(i => half * like.spread(velocity[i])));
+    let turned = Quaternion::cayley(&vec3!(i => half * lanes.spread(velocity[i])));
     let u = turned.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
     let pushed = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, pushed);
-    let mut deficit = like.constant(0.0);
+    let mut deficit = lanes.constant(0.0);
     for round in 0..*rounds {
         let u = attitude.matrix();
         if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
             let (torque, _) = start.body.torque(&u, start.seen);
             let kick = scaled(&product(&u, &torque), weight);
-            momentum = vec3!(i => -kick[i].combined(columns));
+            momentum = vec3!(i => -kick[i].apply_tableau(columns));
         }
         let mu = transposed_product(&u, &plus(&p0, &momentum));
         let rate = attitude.rate(&scaled(&inertia.divides(&mu), weight * 0.5));
-        let next =
-            Turn { w: rate.w.combined(columns) + 1.0, v: vec3!(i => rate.v[i].combined(columns)) };
-        deficit = (next.square() + -1.0).size();
+        let next = Quaternion {
+            w: rate.w.apply_tableau(columns) + 1.0,
+            v: vec3!(i => rate.v[i].apply_tableau(columns)),
+        };
+        deficit = (next.square() + -1.0).abs();
         attitude = next.lengthened();
     }
     // Rounds that went astray are worse than none.
     let last_deficit = deficit.largest();
-    let deficit = like.spread(last_deficit);
-    let attitude = attitude.within(deficit, MOST_DEFICIT, &turned);
+    let deficit = lanes.spread(last_deficit);
+    let attitude = attitude.select(deficit, MOST_DEFICIT, &turned);
     let u = attitude.matrix();
     let (torque, _) = start.body.torque(&u, start.seen);
     let kick = scaled(&product(&u, &torque), weight);
     let momentum =
-        vec3!(i => (-kick[i].combined(columns)).within(deficit, MOST_DEFICIT, pushed[i]));
+        vec3!(i => (-kick[i].apply_tableau(columns)).select(deficit, MOST_DEFICIT, pushed[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
     let omega = inertia.divides(&mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
-    let end = Turn { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
-    let kept_on = Turn::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
-    let end = end.normalised().within(last_deficit, MOST_DEFICIT, &kept_on);
+    let end = Quaternion { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
+    let kept_on = Quaternion::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
+    let end = end.normalised().select(last_deficit, MOST_DEFICIT, &kept_on);
     // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
     let c = cross(&mu, &omega);
     let weight = weight * 0.5;
@@ -129,7 +131,7 @@ pub(super) fn guess<R: Stages>(
     store(&x, &mut unknowns.x);
     // K(I)^-1
     for (i, entry) in unknowns.inverse.iter_mut().enumerate() {
-        like.constant(if i < 3 { 0.5 } else { 0.0 }).store(entry);
+        lanes.constant(if i < 3 { 0.5 } else { 0.0 }).store(entry);
     }
     end.w.store(&mut unknowns.end.w);
     for i in 0..3 {
@@ -141,33 +143,33 @@ pub(super) fn guess<R: Stages>(
 /// of an attitude in the last pass. NaN or infinite if an unknown is.
 #[inline(always)]
 pub(super) fn sweep<R: Stages>(
-    like: R,
+    lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> R::Whole {
-    let whole = like.stage(0);
+    let whole = lanes.stage(0);
     let LaneTableau { rows, present, .. } = start.tableau;
     let [kinematic, linear] = &start.passes;
-    let momentum: Vec3<R> = load(like, &unknowns.momentum);
+    let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
-        kinematics(like, start, &momentum, unknowns, *kinematic);
+        kinematics(lanes, start, &momentum, unknowns, *kinematic);
     let u = with_one(&turn);
     let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick, gain } =
-        end_point(like, start, &u, weight, &w, unknowns);
+        end_point(lanes, start, &u, weight, &w, unknowns);
     let p0 = vec3!(i => whole.load(&start.momentum[i]));
     let pi1 = plus(&p0, &kick);
     let p1 = plus(&p0, &gain);
     let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(&end_turn), &lambda);
-    let f_lambda: Mat3<R> = mat3!(i, j => like.spread(f_lambda[i][j]));
+    let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(f_lambda[i][j]));
     // -vee asym(f hat(lambda)) - p0
     let stretched = symmetric_product(&end_inverse, &k_less_two(&stretch, &p1));
     let beyond = vee_asym(&times_hat(&end_turn, &lambda));
-    let common: Vec3<R> = vec3!(i => like.spread(gain[i] - (stretched[i] + beyond[i])));
+    let common: Vec3<R> = vec3!(i => lanes.spread(gain[i] - (stretched[i] + beyond[i])));
 
     // The embedded momenta W_k.
     let half_weight = weight * 0.5;
-    let mut x: Vec3<R> = load(like, &unknowns.x);
+    let mut x: Vec3<R> = load(lanes, &unknowns.x);
     let mut y = embedded(&u, &x, rows);
     let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     // N^T Omega = W^T U Omega
@@ -179,7 +181,7 @@ pub(super) fn sweep<R: Stages>(
         let load: Vec3<R> = vec3!(i => -(weight * ((trace * omega[i] - turned[i]) + torque[i])));
         let next = symmetric_product(&inverse_k, &load);
         // What it brings about itself.
-        let change: Vec3<R> = vec3!(i => (next[i] - x[i]).combined(rows));
+        let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
         let follows = cross(&omega, &change);
         x = vec3!(i => next[i] + follows[i] * half_weight);
         y = embedded(&u, &x, rows);
@@ -193,20 +195,20 @@ pub(super) fn sweep<R: Stages>(
     ];
     let own = vee_asym(&y);
     // A lane of no stage must not be what the sweeps seem to change.
-    let present = like.row(present);
+    let present = lanes.row(present);
     let next: Vec3<R> = vec3!(i => present * (common[i] + (turned_off[i] - own[i])));
     let change = minus(&next, &momentum);
-    let change = change[0].size().larger(change[1].size()).larger(change[2].size()).largest();
-    let size = next[0].size().larger(next[1].size()).larger(next[2].size()).largest();
-    let size = size.larger(pi1[0].size()).larger(pi1[1].size()).larger(pi1[2].size());
+    let change = change[0].abs().max_or_nan(change[1].abs()).max_or_nan(change[2].abs()).largest();
+    let size = next[0].abs().max_or_nan(next[1].abs()).max_or_nan(next[2].abs()).largest();
+    let size = size.max_or_nan(pi1[0].abs()).max_or_nan(pi1[1].abs()).max_or_nan(pi1[2].abs());
     // Zero where all is finite.
     let total = ((next[0] + next[1]) + next[2]).sum();
     let poison = total * 0.0;
     store(&next, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
     // At rest nothing moves, and nothing changes.
-    let relative = change / size.larger(whole.constant(f64::MIN_POSITIVE));
-    relative.larger(turned.largest()) + poison
+    let relative = change / size.max_or_nan(whole.constant(f64::MIN_POSITIVE));
+    relative.max_or_nan(turned.largest()) + poison
 }
 
 /// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
@@ -222,30 +224,30 @@ pub(super) fn sweep<R: Stages>(
 /// ```
 #[inline(always)]
 pub(super) fn finish<R: Stages>(
-    like: R,
+    lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
-    let momentum: Vec3<R> = load(like, &unknowns.momentum);
+    let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let Kinematics { change, omega, weight, w, .. } =
-        kinematics(like, start, &momentum, unknowns, 1);
+        kinematics(lanes, start, &momentum, unknowns, 1);
     let u = with_one(&change);
     let EndPoint { stretch, torque, kick, gain, .. } =
-        end_point(like, start, &u, weight, &w, unknowns);
+        end_point(lanes, start, &u, weight, &w, unknowns);
     let gain = if start.tableau.own_partner {
-        let p0 = vec3!(i => like.stage(0).load(&start.momentum[i]));
+        let p0 = vec3!(i => lanes.stage(0).load(&start.momentum[i]));
         let p1 = plus(&p0, &gain);
         let square = symmetric_product(&stretch, &symmetric_product(&stretch, &p1));
-        let p1: Vec3<R> = vec3!(i => like.spread(p1[i]));
-        let pi: Vec3<R> = vec3!(i => like.spread(p0[i]) + momentum[i]);
+        let p1: Vec3<R> = vec3!(i => lanes.spread(p1[i]));
+        let pi: Vec3<R> = vec3!(i => lanes.spread(p0[i]) + momentum[i]);
         let mu = plus(&pi, &transposed_product(&change, &pi));
         let turned = cross(&mu, &omega);
-        let to_come: Vec3<R> = vec3!(i => like.spread(kick[i]) - momentum[i]);
+        let to_come: Vec3<R> = vec3!(i => lanes.spread(kick[i]) - momentum[i]);
         let to_come = cross(&transposed_product(&u, &to_come), &omega);
         let pushed = product(&u, &torque);
-        let mut excess: Sym3<R> = [like; 6];
+        let mut excess: Sym3<R> = [lanes; 6];
         for i in 0..6 {
-            excess[i] = like.load(&unknowns.excess[i]);
+            excess[i] = lanes.load(&unknowns.excess[i]);
         }
         let stretched = minus(
             &symmetric_product(&excess, &cross(&omega, &p1)),
@@ -278,21 +280,21 @@ struct Kinematics<R> {
 /// U_k and Omega_k for the momenta p0 + `momentum`.
 #[inline(always)]
 fn kinematics<R: Stages>(
-    like: R,
+    lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     momentum: &Vec3<R>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
     passes: u32,
 ) -> Kinematics<R> {
     let LaneTableau { columns, weights, .. } = start.tableau;
-    let weight = like.row(weights) * start.step;
-    let inertia = start.inertia.in_lanes(like);
-    let mut attitude = load_turn(like, &unknowns.attitude);
-    let mut inverse_k: Sym3<R> = [like; 6];
+    let weight = lanes.row(weights) * start.step;
+    let inertia = start.inertia.in_lanes(lanes);
+    let mut attitude = load_turn(lanes, &unknowns.attitude);
+    let mut inverse_k: Sym3<R> = [lanes; 6];
     for i in 0..6 {
-        inverse_k[i] = like.load(&unknowns.inverse[i]);
+        inverse_k[i] = lanes.load(&unknowns.inverse[i]);
     }
-    let p0 = vec3!(i => like.spread(like.stage(0).load(&start.momentum[i])));
+    let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     let momentum = plus(&p0, momentum);
     // J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi
     let unturned = inertia.divides(&momentum);
@@ -301,16 +303,16 @@ fn kinematics<R: Stages>(
     let mut turned_by = transposed_product(&change, &momentum);
     let mut omega = plus(&unturned, &inertia.divides(&turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
-    let mut turned = like.constant(0.0);
+    let mut turned = lanes.constant(0.0);
     let mut excess = inverse_k;
     for pass in 1..=passes {
-        let d: Mat3<R> = mat3!(i, j => w[i][j].combined(columns));
+        let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
         let half = symmetric_product(&inverse_k, &residual(&attitude, &u, &d));
-        let half = scaled(&half, like.constant(0.5));
+        let half = scaled(&half, lanes.constant(0.5));
         // What it brings about itself, through the velocities.
         let faster = inertia.divides(&cross(&plus(&momentum, &turned_by), &half));
-        let bent = cross(&half, &scaled(&omega, like.constant(0.5)));
-        let follows: Vec3<R> = vec3!(i => (weight * (faster[i] + bent[i])).combined(columns));
+        let bent = cross(&half, &scaled(&omega, lanes.constant(0.5)));
+        let follows: Vec3<R> = vec3!(i => (weight * (faster[i] + bent[i])).apply_tableau(columns));
         let half = plus(&half, &follows);
         // The last pass looks at the stretch for what is to come; the others take it from the sweep before.
         if pass == passes {
@@ -318,7 +320,7 @@ fn kinematics<R: Stages>(
             inverse_k = inverse_of_k(&excess);
         }
         attitude = attitude.turned(&half);
-        turned = half[0].size().larger(half[1].size()).larger(half[2].size());
+        turned = half[0].abs().max_or_nan(half[1].abs()).max_or_nan(half[2].abs());
         change = attitude.change();
         u = with_one(&change);
         turned_by = transposed_product(&change, &momentum);
@@ -352,17 +354,19 @@ struct EndPoint<R: Stages> {
 /// The end point, and the momentum there.
 #[inline(always)]
 fn end_point<R: Stages>(
-    like: R,
+    lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     u: &Mat3<R>,
     weight: R,
     w: &Mat3<R>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> EndPoint<R> {
-    let whole = like.stage(0);
+    let whole = lanes.stage(0);
     let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
-    let end =
-        Turn { w: whole.load(&unknowns.end.w), v: vec3!(i => whole.load(&unknowns.end.v[i])) };
+    let end = Quaternion {
+        w: whole.load(&unknowns.end.w),
+        v: vec3!(i => whole.load(&unknowns.end.v[i])),
+    };
     let f = end.matrix();
     let excess = stretch_excess(&end, &f, &d);
     let inverse = inverse_of_k(&excess);
@@ -391,7 +395,7 @@ fn end_point<R: Stages>(
 #[inline(always)]
 fn embedded<R: Stages>(u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> Mat3<R> {
     let y = times_hat(u, x);
-    mat3!(i, j => y[i][j].combined(rows))
+    mat3!(i, j => y[i][j].apply_tableau(rows))
 }
 
 /// `(K(P) - 2) v` for `P = I + E`.
@@ -404,7 +408,7 @@ fn k_less_two<T: Real>(excess: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
 
 /// `vee asym(U^T A)` for `A = I + D`: vee asym(U^T) = -4 w v without cancellation.
 #[inline(always)]
-fn residual<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3<T> {
+fn residual<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3<T> {
     let [u, d] = [transposed(u), transposed(d)];
     let factor = attitude.w * -4.0;
     [
@@ -416,7 +420,7 @@ fn residual<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3<T> {
 
 /// `E = P - I = sym(U^T A) - I` for `A = I + D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
 #[inline(always)]
-fn stretch_excess<T: Real>(attitude: &Turn<T>, u: &Mat3<T>, d: &Mat3<T>) -> Sym3<T> {
+fn stretch_excess<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat3<T>) -> Sym3<T> {
     let [x, y, z] = attitude.v;
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let b = transposed_matrix_product(u, d);
@@ -437,8 +441,8 @@ fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
 }
 
 #[inline(always)]
-fn load<R: Stages>(like: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
-    vec3!(i => like.load(&plain[i]))
+fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
+    vec3!(i => lanes.load(&plain[i]))
 }
 
 #[inline(always)]
@@ -449,12 +453,12 @@ fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
 }
 
 #[inline(always)]
-fn load_turn<R: Stages>(like: R, plain: &Turn<R::Plain>) -> Turn<R> {
-    Turn { w: like.load(&plain.w), v: load(like, &plain.v) }
+fn load_turn<R: Stages>(lanes: R, plain: &Quaternion<R::Plain>) -> Quaternion<R> {
+    Quaternion { w: lanes.load(&plain.w), v: load(lanes, &plain.v) }
 }
 
 #[inline(always)]
-fn store_turn<R: Stages>(value: &Turn<R>, plain: &mut Turn<R::Plain>) {
+fn store_turn<R: Stages>(value: &Quaternion<R>, plain: &mut Quaternion<R::Plain>) {
     value.w.store(&mut plain.w);
     store(&value.v, &mut plain.v);
 }

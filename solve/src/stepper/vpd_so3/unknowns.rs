@@ -4,7 +4,7 @@
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Real, Row, WIDTH};
-use crate::space::{Sym3, Turn, Vec3, dot, symmetric_product, vec3};
+use crate::space::{Quaternion, Sym3, Vec3, dot, symmetric_product, vec3};
 use crate::tableau::Tableau;
 
 /// Fewer passes take more sweeps; many stages are for large steps, and those need more.
@@ -141,10 +141,10 @@ impl Inertia<f64> {
 
     /// The same for all lanes.
     #[inline(always)]
-    pub(super) fn in_lanes<R: Real>(&self, like: R) -> Inertia<R> {
-        let mut inverse = [like; 6];
+    pub(super) fn in_lanes<R: Real>(&self, lanes: R) -> Inertia<R> {
+        let mut inverse = [lanes; 6];
         for i in 0..6 {
-            inverse[i] = like.constant(self.inverse[i]);
+            inverse[i] = lanes.constant(self.inverse[i]);
         }
         Inertia { inverse, principal: self.principal }
     }
@@ -166,13 +166,13 @@ impl<R: Real> Inertia<R> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Unknowns<S, P> {
     /// U_k.
-    pub(super) attitude: Turn<S>,
+    pub(super) attitude: Quaternion<S>,
     /// pi_k - p0.
     pub(super) momentum: Vec3<S>,
     /// x_k.
     pub(super) x: Vec3<S>,
     /// f.
-    pub(super) end: Turn<P>,
+    pub(super) end: Quaternion<P>,
     /// K(P_k)^-1.
     pub(super) inverse: Sym3<S>,
     /// E_k = P_k - I.
@@ -191,10 +191,10 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
     /// Nothing yet, in the size of `stages` and `whole`.
     pub(super) fn blank(stages: S, whole: P) -> Self {
         Self {
-            attitude: Turn { w: stages, v: [stages; 3] },
+            attitude: Quaternion { w: stages, v: [stages; 3] },
             momentum: [stages; 3],
             x: [stages; 3],
-            end: Turn { w: whole, v: [whole; 3] },
+            end: Quaternion { w: whole, v: [whole; 3] },
             inverse: [stages; 6],
             excess: [stages; 6],
             end_excess: [whole; 6],
@@ -222,7 +222,7 @@ impl Unknowns<Row, f64> {
         let Self { attitude, momentum, x, end, .. } = self;
         let Some((numbers, v)) = numbers.split_last_chunk::<3>() else { return };
         let scalar = |square: f64| (1.0 - square).max(0.0).sqrt();
-        *end = Turn { w: scalar(dot(v, v)).copysign(end.w), v: *v };
+        *end = Quaternion { w: scalar(dot(v, v)).copysign(end.w), v: *v };
         let rows = attitude.v.iter_mut().chain(momentum).chain(x);
         for (row, numbers) in rows.zip(numbers.as_chunks::<L>().0) {
             if let Some(row) = row.0.first_chunk_mut::<L>() {

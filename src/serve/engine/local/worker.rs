@@ -12,13 +12,14 @@ use std::time::{Duration, Instant};
 
 use uuid::Uuid;
 
-use super::{Identity, Index, Refusal, Shared};
+use super::{Identity, Index, Shared};
 use crate::advise::Settled;
 use crate::plan::Plan;
-use crate::run::{Control, Outcome, Summary};
+use crate::run::{Control, Summary};
 use crate::scenario::Scenario;
 use crate::serve::apart;
 use crate::serve::chain;
+use crate::serve::engine::Refusal;
 use crate::serve::errand::{Broken, Done, Errand};
 use crate::serve::job::{Fault, Phase, State, Trouble};
 use crate::serve::store::{Ending, KeptPlan, Line, LogSum, Record, Size, StoreError, Waiting};
@@ -232,22 +233,7 @@ impl Shared {
         let index = self.index();
         let job = index.jobs.get(&turn.id)?;
         let mut record = match result {
-            Ok(summary) => {
-                let state = match summary.outcome {
-                    Outcome::Succeeded => State::Succeeded,
-                    Outcome::Failed => State::Failed,
-                    Outcome::Cancelled => State::Cancelled,
-                };
-                let diagnosis =
-                    summary.diagnosis.as_ref().and_then(|found| serde_json::to_value(found).ok());
-                let mut summary = serde_json::to_value(summary).unwrap_or_default();
-                // Where the log stands is our affair; clients have a link.
-                if let Some(summary) = summary.as_object_mut() {
-                    summary.remove("log");
-                }
-                let summary = Some(summary);
-                Record { has_log: true, summary, diagnosis, ..job.record(state, None) }
-            }
+            Ok(summary) => job.record_of(summary),
             Err((state, fault)) => job.record(state, fault),
         };
         record.steps_done = turn.control.steps_done.load(Ordering::Relaxed);

@@ -1,0 +1,97 @@
+//! What the forms of VPD carry from step to step, next to the system: the shared step, the motion, and the time and work of
+//! a driven body.
+//!
+//! Invariant: a step that fails leaves the motion as it was.
+
+use super::{GalerkinStep, Motion};
+use crate::failure::Failure;
+use crate::hamiltonian::{Moment, RigidBody};
+use crate::nonlinear::{Convergence, Rung, StopRule};
+use crate::so::{Mat, Vector};
+use crate::stepper::{Clock, check_root};
+use crate::tableau::Tableau;
+use crate::trajectory::State;
+
+/// The step, the motion and the clock.
+#[derive(Clone, Debug)]
+pub(in crate::stepper) struct Carried<const N: usize> {
+    pub(in crate::stepper) step: GalerkinStep<N>,
+    pub(in crate::stepper) motion: Motion<N>,
+    clock: Clock,
+    /// Of a driven body, at the stages and the end of the step.
+    pub(in crate::stepper) moments: Vec<Moment<N>>,
+    /// The space vectors of the potential, from where the step begins.
+    pub(in crate::stepper) seen: Vec<Vector<N>>,
+}
+
+impl<const N: usize> Carried<N> {
+    /// For steps of `tableau` that are solved until `stop`.
+    pub(in crate::stepper) fn new(tableau: Tableau, stop: StopRule) -> Self {
+        let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
+        Self {
+            step: GalerkinStep::new(tableau, stop),
+            motion: Motion::new(&state),
+            clock: Clock::default(),
+            moments: Vec::new(),
+            seen: Vec::new(),
+        }
+    }
+
+    /// As [`crate::stepper::Stepper::start`].
+    pub(in crate::stepper) fn start(&mut self, state: &State<N>) {
+        self.motion = Motion::new(state);
+        self.clock = Clock::default();
+    }
+
+    /// As [`crate::stepper::Stepper::set_time`].
+    pub(in crate::stepper) fn set_time(&mut self, time_s: f64) {
+        self.clock.time = time_s;
+    }
+
+    /// As [`crate::stepper::Stepper::work`].
+    pub(in crate::stepper) fn work(&self) -> f64 {
+        self.clock.work
+    }
+
+    /// Looks at `body` over a step of length `h`: moment by moment if it is driven.
+    pub(in crate::stepper) fn look(&mut self, body: Option<&RigidBody<N>>, h: f64) {
+        self.moments.clear();
+        if let Some(body) = body.filter(|body| body.is_driven()) {
+            self.moments = self.step.moments(body, self.clock.time, h);
+        }
+    }
+
+    /// Carries the motion forward by a step of length `h`, whose equations `solve` solves for any root.
+    ///
+    /// # Errors
+    /// Those of `solve`, and those of [`check_root`].
+    pub(in crate::stepper) fn step(
+        &mut self,
+        h: f64,
+        mut solve: impl FnMut(&mut Self, f64) -> Result<Convergence, Failure>,
+    ) -> Result<Convergence, Failure> {
+        let convergence = solve(self, h)?;
+        if convergence.rung == Rung::Newton {
+            let mut end = self.motion.clone();
+            end.advance(self.step.solution());
+            let mut halves = Self { step: self.step.by_sweeps(), ..self.clone() };
+            let half = || {
+                solve(&mut halves, 0.5 * h)?;
+                halves.advance(0.5 * h);
+                Ok(Some(*halves.motion.attitude()))
+            };
+            check_root(convergence, self.step.order(), end.attitude(), half)?;
+        }
+        self.advance(h);
+        Ok(convergence)
+    }
+
+    /// Goes on by the step that was solved.
+    fn advance(&mut self, h: f64) {
+        if !self.moments.is_empty() {
+            let work = self.step.work(h, &self.moments, self.motion.attitude());
+            self.clock.advance(h, work);
+        }
+        self.motion.advance(self.step.solution());
+    }
+}

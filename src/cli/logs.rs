@@ -1,0 +1,177 @@
+//! `vpd export` and `vpd diff`: logs as tables, and next to each other.
+
+use std::fs;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use clap::Args;
+use clap::builder::PossibleValuesParser;
+
+use super::{CliError, a_log, enough, print_json, show};
+use crate::diff::{self, Comparison, Quantity, Tolerance};
+use crate::export::{self, Choice, ExportError, Format};
+use crate::log::schema::Channel;
+
+#[derive(Debug, Args)]
+pub(super) struct ExportArgs {
+    /// The log, finished or not.
+    log: PathBuf,
+    /// The table: .csv, .parquet or .arrow; CSV on stdout if absent.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// Channels, separated by commas: any of samples, or /ensemble/members or /ensemble/statistics; all of samples if absent.
+    #[arg(long = "channels", value_name = "TOPIC", value_delimiter = ',',
+        value_parser = PossibleValuesParser::new(Channel::all().map(Channel::topic)))]
+    channels: Vec<String>,
+    /// The member of an ensemble whose samples are meant.
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    member: u64,
+    /// Replace a file that stands in its place.
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Debug, Args)]
+pub(super) struct DiffArgs {
+    /// One log, finished or not.
+    first: PathBuf,
+    /// The other one.
+    second: PathBuf,
+    /// Largest difference that is taken for none, in rad, kg m^2/s and J; or of one quantity alone: angle=1e-6, energy=1e-9. With
+    /// none given each difference counts.
+    #[arg(long = "tolerance", value_name = "[QUANTITY=]X")]
+    tolerances: Vec<Tolerance>,
+    /// The member of ensembles whose samples are compared.
+    #[arg(long, value_name = "K", default_value_t = 0)]
+    member: u64,
+    /// Rows of the table over time, at most.
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    rows: usize,
+    /// Draw the differences over time.
+    #[cfg(feature = "chart")]
+    #[arg(long, value_name = "PICTURE.svg")]
+    chart: Option<PathBuf>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Writes a table.
+pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
+    let log = a_log(&args.log)?;
+    let channels = args.channels.iter().filter_map(|topic| Channel::from_topic(topic)).collect();
+    let choice = Choice { channels, member: args.member };
+    let exported = match &args.output {
+        None => match export::export(log, &choice, Format::Csv, BufWriter::new(io::stdout())) {
+            Err(ExportError::Write(error)) => {
+                return Ok(enough(Err(error)).map(|()| ExitCode::SUCCESS)?);
+            }
+            exported => exported?,
+        },
+        Some(path) => {
+            let ending = path.extension().unwrap_or_default().to_string_lossy();
+            let format = ending.parse::<Format>().map_err(CliError::Format)?;
+            if !args.force && path.symlink_metadata().is_ok() {
+                return Err(CliError::Exists(path.clone()));
+            }
+            let exported = to_file(path, |out| Ok(export::export(log, &choice, format, out)?))?;
+            let columns = exported.columns.len();
+            show(format!(
+                "table           {}, {} rows of {columns} columns\n",
+                path.display(),
+                exported.rows
+            ))?;
+            exported
+        }
+    };
+    if let Some(damage) = exported.ending.damage {
+        // Said next to the table, which may be on stdout.
+        let _ = writeln!(
+            io::stderr(),
+            "vpd: {}: {damage}; what stands before it is exported",
+            log.display()
+        );
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes a file under another name first: what stands at `path` is whole.
+fn to_file<T>(
+    path: &Path,
+    write: impl FnOnce(&fs::File) -> Result<T, CliError>,
+) -> Result<T, CliError> {
+    let failed = |source| CliError::Write { path: path.to_owned(), source };
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".vpd-");
+    // As any file that this user makes: what umask leaves of it.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let new = builder.tempfile_in(folder.unwrap_or(Path::new("."))).map_err(failed)?;
+    let written = write(new.as_file())?;
+    new.persist(path).map_err(|error| failed(error.error))?;
+    Ok(written)
+}
+
+/// Compares two logs: 0 if they agree, 1 if they do not.
+pub(super) fn diff(args: &DiffArgs) -> Result<ExitCode, CliError> {
+    let logs = [a_log(&args.first)?, a_log(&args.second)?];
+    let mut found = diff::diff(logs, args.member, &args.tolerances)?;
+    #[cfg(feature = "chart")]
+    if let Some(path) = &args.chart {
+        let names = logs.map(|log| log.display().to_string());
+        let svg = crate::chart::differences(&names.join(" and "), &found)?;
+        fs::write(path, svg).map_err(|source| CliError::Write { path: path.clone(), source })?;
+    }
+    let agree = found.first_beyond.is_none();
+    found.over_time = found.rows(args.rows);
+    if args.json {
+        print_json(&found)?;
+    } else {
+        show(text(&found))?;
+    }
+    Ok(if agree { ExitCode::SUCCESS } else { ExitCode::from(1) })
+}
+
+/// A comparison in a table and a few lines.
+fn text(found: &Comparison) -> String {
+    let shown: Vec<Quantity> = found.largest.iter().map(|largest| largest.quantity).collect();
+    let mut text = format!("{:>14}", "time in s");
+    for quantity in &shown {
+        text += &format!("  {:>26}", format!("{} in {}", quantity.name(), quantity.unit()));
+    }
+    text += "\n";
+    for row in &found.over_time {
+        text += &format!("{:>14.6}", row.time_s);
+        for (by, quantity) in row.by.iter().zip(Quantity::ALL) {
+            if shown.contains(&quantity) {
+                let by = by.map_or_else(|| "-".to_owned(), |by| format!("{by:.3e}"));
+                text += &format!("  {by:>26}");
+            }
+        }
+        text += "\n";
+    }
+    let Comparison { samples, only_first, only_second, .. } = found;
+    text += &format!("samples           {samples} at the same times");
+    if only_first + only_second > 0 {
+        text +=
+            &format!(", {only_first} of the first log alone, {only_second} of the second alone");
+    }
+    text += "\n";
+    for diff::Largest { quantity, unit, largest, time_s, last } in &found.largest {
+        text += &format!(
+            "{:<17} {largest:.3e} {unit} at most, at t = {time_s} s; {last:.3e} {unit} at the end\n",
+            quantity.name()
+        );
+    }
+    text += &match &found.first_beyond {
+        None => "they agree\n".to_owned(),
+        Some(diff::Beyond { time_s, quantity, difference, tolerance }) => format!(
+            "first beyond      t = {time_s} s: {} differs by {difference:.3e} {unit}, more than {tolerance:e} {unit}\n",
+            quantity.name(),
+            unit = quantity.unit()
+        ),
+    };
+    text
+}

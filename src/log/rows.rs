@@ -1,0 +1,88 @@
+//! The samples of a log one after another, each with all that its channels say of it: for tables and comparisons.
+//!
+//! Invariant: one row a sample, in the order of the file; memory for one at a time.
+
+use std::ops::ControlFlow;
+use std::path::Path;
+
+use super::LogError;
+use super::messages::{Energy, Momentum, Orthogonality, Pace, Solver, State};
+use super::reader::{self, Ending, Item, Message};
+use super::schema::Topic;
+
+/// What a log says of a sample; `None` where a channel is not logged, or says nothing of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// Log time, in nanoseconds since 1970.
+    pub time_ns: u64,
+    /// Attitude, body momentum and velocity.
+    pub state: Option<State>,
+    /// Energy.
+    pub energy: Option<Energy>,
+    /// Distance from the group.
+    pub orthogonality: Option<Orthogonality>,
+    /// Spatial momentum.
+    pub momentum: Option<Momentum>,
+    /// How the step was solved.
+    pub solver: Option<Solver>,
+    /// How time passes for steps that adapt.
+    pub pace: Option<Pace>,
+}
+
+impl Row {
+    fn take_in(&mut self, message: Message) {
+        match message {
+            Message::State(state) => self.state = Some(state),
+            Message::Energy(energy) => self.energy = Some(energy),
+            Message::Orthogonality(found) => self.orthogonality = Some(found),
+            Message::Momentum(momentum) => self.momentum = Some(momentum),
+            Message::Solver(solver) => self.solver = Some(solver),
+            Message::Pace(pace) => self.pace = Some(pace),
+        }
+    }
+}
+
+/// Shows the samples of a run, or of a member of an ensemble (a run is member 0), to `visit`, until that breaks off.
+///
+/// Damage is no error: it ends the reading and is reported in the [`Ending`].
+///
+/// # Errors
+/// If the file cannot be opened or read.
+pub fn read_rows(
+    path: &Path,
+    member: u64,
+    mut visit: impl FnMut(Row) -> ControlFlow<()>,
+) -> Result<Ending, LogError> {
+    let mut open: Option<(u32, Row)> = None;
+    let mut stopped = false;
+    let ending = reader::read(path, |item| {
+        let Item::Message { topic, schema, time_ns, sequence, data } = item else {
+            return ControlFlow::Continue(());
+        };
+        let message = Topic::parse(topic)
+            .filter(|topic| topic.member == member)
+            .and_then(|topic| Message::decode(topic.channel.topic(), schema, data));
+        let Some(message) = message else { return ControlFlow::Continue(()) };
+        if let Some((number, row)) = &mut open
+            && (*number, row.time_ns) == (sequence, time_ns)
+        {
+            row.take_in(message);
+            return ControlFlow::Continue(());
+        }
+        let mut row = Row { time_ns, ..Row::default() };
+        row.take_in(message);
+        match open.replace((sequence, row)) {
+            Some((_, whole)) => {
+                let flow = visit(whole);
+                stopped = flow.is_break();
+                flow
+            }
+            None => ControlFlow::Continue(()),
+        }
+    })?;
+    if !stopped && let Some((_, row)) = open {
+        // Nothing comes after it.
+        let _ = visit(row);
+    }
+    Ok(ending)
+}

@@ -1,0 +1,109 @@
+//! Steps that adapt to the point sources of a scene: near which of them, from where on, and how long a step is easy.
+
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::{Model, ModelKinetic};
+use crate::scenario::{Adaptive, PointSource, PotentialTerm};
+use crate::solve::hamiltonian::TimeScale;
+
+/// Steps in a time of their own.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct OwnSteps {
+    /// The longest, in seconds: that far from all point sources.
+    pub largest_step_s: f64,
+    /// Of each modelled term the distance in metres below which steps shorten; 0 of one that is no point source.
+    pub near_m: Vec<f64>,
+}
+
+impl OwnSteps {
+    /// Those of a scenario with the terms `given`, of which `modelled` are left.
+    pub(super) fn new(
+        asked: &Adaptive,
+        step_s: f64,
+        given: &[PotentialTerm],
+        modelled: &[PotentialTerm],
+    ) -> Self {
+        let sources: Vec<&PointSource> =
+            given.iter().filter_map(PotentialTerm::as_point_source).collect();
+        let near_of = |k: usize| match asked.near_m.as_slice() {
+            [] => length(&sources[k].body_point),
+            [all] => *all,
+            each => each[k],
+        };
+        // Sources between the same points are one.
+        let near = |term: &PotentialTerm| {
+            let Some(own) = term.as_point_source() else { return 0.0 };
+            let is_own = |other: &&PointSource| {
+                (&other.body_point, &other.position) == (&own.body_point, &own.position)
+            };
+            let all = sources.iter().enumerate().filter(|(_, other)| is_own(other));
+            all.map(|(k, _)| near_of(k)).fold(0.0, f64::max)
+        };
+        Self {
+            largest_step_s: asked.largest_step_s.unwrap_or(step_s),
+            near_m: modelled.iter().map(near).collect(),
+        }
+    }
+
+    /// The rate of their time.
+    pub(crate) fn scale(&self) -> TimeScale {
+        TimeScale::new(self.near_m.clone())
+    }
+}
+
+impl Model {
+    /// A step in seconds that a tableau of so many stages takes easily in a time of its own. Near a source of strength s at
+    /// the distance d turns go as fast as `sqrt(s |y|^2 / (J d^3))`, and sigma takes the last of it away, so what is left is
+    /// about the sum of the squares with near in the place of d, of those of the other terms, and of the start.
+    pub(super) fn easy_own_step_s(&self, near_m: &[f64], stages: usize) -> f64 {
+        const RAD_A_STAGE: f64 = 0.1;
+        let mobility = |y: &[f64]| match &self.kinetic {
+            ModelKinetic::Principal { weights } => (0..y.len())
+                .flat_map(|i| (0..i).map(move |j| (i, j)))
+                .map(|(i, j)| weights[(i, j)] * (y[i] * y[i] + y[j] * y[j]))
+                .fold(0.0, f64::max),
+            ModelKinetic::Tensor { .. } => self.kinetic.mobility() * length(y) * length(y),
+        };
+        // Of the start the square of |Omega|.
+        let mut square = match &self.kinetic {
+            ModelKinetic::Principal { weights } => {
+                self.momentum.component_mul(weights).norm_squared() / 2.0
+            }
+            ModelKinetic::Tensor { .. } => {
+                self.momentum.norm_squared() / 2.0 * self.kinetic.mobility().powi(2)
+            }
+        };
+        for (term, near) in self.terms.iter().zip(near_m) {
+            square += match term {
+                PotentialTerm::PointSource(source) => {
+                    source.strength.abs() * mobility(&source.body_point) / (near * near * near)
+                }
+                PotentialTerm::Uniform(field) => {
+                    let arms = length(&field.body_point) * length(&field.direction);
+                    field.weight.abs() * arms * mobility(&unit(&field.body_point))
+                }
+                PotentialTerm::Spring(spring) => {
+                    let arms = length(&spring.body_point) * length(&spring.position);
+                    spring.stiffness * arms * mobility(&unit(&spring.body_point))
+                }
+                PotentialTerm::GravityGradient(gradient) => {
+                    let rows = gradient.matrix.iter().flatten().flatten();
+                    let largest = rows.fold(0.0, |largest: f64, x| largest.max(x.abs()));
+                    let size = length(&gradient.direction);
+                    gradient.strength.abs() * size * size * largest * self.kinetic.mobility()
+                }
+            };
+        }
+        RAD_A_STAGE * stages as f64 / square.sqrt()
+    }
+}
+
+fn length(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn unit(v: &[f64]) -> Vec<f64> {
+    let size = length(v);
+    v.iter().map(|x| x / size).collect()
+}

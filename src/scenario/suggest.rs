@@ -1,0 +1,80 @@
+//! What to write in the place of a value that is of the wrong form: of what the schema allows there, the first that the value
+//! fits into.
+//!
+//! Invariant: only what would be read is suggested.
+
+use serde_json::{Value, json};
+
+use super::parse::typed;
+use super::{Scenario, ScenarioError, schema};
+
+/// Characters of a value that are repeated in a suggestion.
+const SHOWN: usize = 120;
+
+/// Adds to the error of a scenario's text what to write instead, if that can be told.
+pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioError {
+    let pointer = error.pointer.clone();
+    let found = error.message.starts_with("invalid type").then(|| suggestion(tree, &pointer));
+    let Some((keys, written)) = found.flatten() else { return error };
+    let named: Vec<String> = keys.iter().map(|key| format!("`{key}`")).collect();
+    let mut message = error.message;
+    // serde's word for what names one of several forms.
+    if let Some((before, _)) = message.split_once("expected string or map") {
+        message = format!("{before}expected an object with one of {}", named.join(", "));
+    }
+    match (written, with_unit(tree, &pointer)) {
+        (_, Some(key)) => message += &format!("; a number is given as `{key}`"),
+        (Some(written), None) => message += &format!("; write {written}"),
+        (None, None) => {}
+    }
+    ScenarioError::invalid(pointer, message)
+}
+
+/// The same key with its unit, if there is one and a number was given.
+fn with_unit(tree: &Value, pointer: &str) -> Option<String> {
+    tree.pointer(pointer)?.as_number()?;
+    let (parent, key) = pointer.rsplit_once('/')?;
+    let start = format!("{key}_");
+    keys_at(&schema(), parent).into_iter().find(|other| other.starts_with(&start))
+}
+
+/// The keys that an object may have at a pointer, and what fits there.
+fn suggestion(tree: &Value, pointer: &str) -> Option<(Vec<String>, Option<String>)> {
+    let given = tree.pointer(pointer)?;
+    let schema = schema();
+    let keys = keys_at(&schema, pointer);
+    let number =
+        given.as_str().and_then(|text| text.parse::<f64>().ok()).map(|number| json!(number));
+    let in_object = keys.iter().map(|key| json!({ key: given }));
+    let candidates = number.into_iter().chain(in_object).chain([json!([given])]);
+    let fits = |candidate: &Value| {
+        let mut whole = tree.clone();
+        let Some(place) = whole.pointer_mut(pointer) else { return false };
+        *place = candidate.clone();
+        // What else is wrong is of another place.
+        typed::<Scenario>(&whole).map_or_else(|other| !other.pointer.starts_with(pointer), |_| true)
+    };
+    let written = candidates.into_iter().find(fits).map(|found| found.to_string());
+    Some((keys, written.filter(|text| text.len() <= SHOWN)))
+}
+
+/// The keys of the objects that a schema allows at a pointer.
+pub(super) fn keys_at(schema: &Value, pointer: &str) -> Vec<String> {
+    let mut places = alternatives(schema, schema);
+    for key in pointer.split('/').skip(1) {
+        let inner = places
+            .iter()
+            .filter_map(|place| place["properties"].get(key).or_else(|| place.get("items")));
+        places = inner.flat_map(|inner| alternatives(schema, inner)).collect();
+    }
+    let keys = places.iter().filter_map(|place| place["properties"].as_object());
+    keys.flat_map(|properties| properties.keys().cloned()).collect()
+}
+
+/// A schema, or what it is one of, without references.
+fn alternatives<'a>(root: &'a Value, schema: &'a Value) -> Vec<&'a Value> {
+    let referred = schema["$ref"].as_str().and_then(|at| root.pointer(at.strip_prefix('#')?));
+    let several = ["oneOf", "anyOf", "allOf"].iter().filter_map(|word| schema[*word].as_array());
+    let several = several.flatten().chain(referred).flat_map(|inner| alternatives(root, inner));
+    std::iter::once(schema).chain(several).collect()
+}

@@ -1,0 +1,629 @@
+//! A worker: Temporal gives it jobs, it runs them in a directory of its own, and the bucket gets what comes of it.
+//!
+//! ```text
+//! look → fetch what is durable of the log → note the attempt → run, and meanwhile keep the log → upload → publish
+//! ```
+//!
+//! Invariants: a worker keeps nothing that another one needs. What it says is durable is in the bucket. It stops when it is
+//! told to, and ends a job as cancelled only if the bucket says that somebody wants that; its result counts only if it is the
+//! first.
+
+// What the macros make of a workflow and its activity has to be as open as these.
+#![allow(unreachable_pub)]
+
+use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+use temporalio_client::RetryPolicy;
+use temporalio_macros::{activities, workflow, workflow_methods};
+use temporalio_sdk::activities::{ActivityContext, ActivityError};
+use temporalio_sdk::runtime::worker_tuner::{FixedSizeSlotSupplier, TunerHolder};
+use temporalio_sdk::{
+    ActivityCancellationType, ActivityOptions, Runtime, Worker, WorkerOptions,
+    WorkflowCancellationToken, WorkflowContext, WorkflowResult,
+};
+use tokio::sync::oneshot;
+use uuid::Uuid;
+
+use super::sweeps::{self, PartTask, sweep_object};
+use super::{ClusterConfig, ClusterError, LOOK, connect, lock};
+use crate::advise::Settled;
+use crate::log::part_path;
+use crate::log::resume::last_checkpoint;
+use crate::run::Control;
+use crate::scenario::Scenario;
+use crate::serve::apart::{self, MAX_FRUITLESS};
+use crate::serve::errand::{Broken, Done, Errand};
+use crate::serve::job::{Fault, Job, State};
+use crate::serve::store::bucket::{Bucket, Held};
+use crate::serve::store::{DataLock, KeptPlan, LogSum, Record, StoreError};
+use crate::serve::{Limits, ServeError, chain, give_way};
+use crate::study::Watch;
+
+/// Signs of life in the time of a lease.
+const BEATS_IN_A_LEASE: u32 = 4;
+
+/// The longest time between two pieces of an unfinished log that go to the bucket.
+const LONGEST_PACE: Duration = Duration::from_secs(5);
+
+/// The longest time between two signs of life that are sent.
+const THROTTLE: Duration = Duration::from_secs(2);
+
+/// The longest pause before a job is given to a worker again; half a lease, if that is less.
+const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+
+/// Longer than any job may take.
+const EVER: Duration = Duration::from_secs(90 * 86_400);
+
+/// How long a worker that stops waits for its jobs.
+const DRAIN: Duration = Duration::from_secs(9);
+
+/// Processes of their own that may end while a job is given up.
+const MAX_GIVING_UP: u32 = 3;
+
+/// What a worker needs to know.
+#[derive(Clone, Debug)]
+pub struct WorkConfig {
+    /// Where record and queue are.
+    pub cluster: ClusterConfig,
+    /// A directory for the logs that are being written; of this worker alone, and emptied at its start.
+    pub scratch: PathBuf,
+    /// How many jobs run at once, at least 1.
+    pub workers: usize,
+    /// What a job may take whose method and step this worker settles.
+    pub limits: Limits,
+    /// The `vpd` program, which runs in a process of its own what may have ended a worker.
+    pub program: Option<PathBuf>,
+}
+
+/// What a workflow is given.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Task {
+    pub(super) id: Uuid,
+    pub(super) lease_s: f64,
+}
+
+/// What a sign of life says.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(in crate::serve) struct Beat {
+    pub(super) steps_done: u64,
+    /// The step up to which the log is in the bucket.
+    pub(super) durable_step: u64,
+    pub(super) eta_s: Option<f64>,
+}
+
+/// When what did not come to its end is tried again; so often at most, or without an end if that is 0.
+fn pauses(lease_s: f64, attempts: u32) -> RetryPolicy {
+    let longest = Duration::from_secs_f64(lease_s / 2.0).min(LONGEST_PAUSE);
+    RetryPolicy::builder()
+        .initial_interval(longest.min(Duration::from_secs(1)))
+        .maximum_interval(longest)
+        .maximum_attempts(attempts)
+        .build()
+}
+
+/// The workflow of a job: one activity.
+#[workflow]
+#[derive(Default)]
+pub struct Flow;
+
+#[workflow_methods]
+impl Flow {
+    /// Gives the job to workers until one brings it to its end.
+    #[run]
+    pub async fn run(ctx: &mut WorkflowContext<Self>, task: Task) -> WorkflowResult<()> {
+        let asked = || {
+            ActivityOptions::with_start_to_close_timeout(EVER)
+                .heartbeat_timeout(Duration::from_secs_f64(task.lease_s))
+                // A job that was told to stop still ends in order.
+                .cancellation_type(ActivityCancellationType::WaitCancellationCompleted)
+                .retry_policy(pauses(task.lease_s, 0))
+        };
+        let turn = ctx.execute_activity(Hands::turn, task.clone(), asked().build()).await;
+        if turn.is_err() {
+            // Cancelled before its worker could end it: another one does.
+            let apart = asked().cancellation_token(WorkflowCancellationToken::new()).build();
+            ctx.execute_activity(Hands::turn, task, apart).await?;
+        }
+        Ok(())
+    }
+}
+
+/// The name of the workflow of a part of a sweep.
+pub(super) fn part_flow_id(task: &PartTask) -> String {
+    format!("sweep-{}-{}-{}", task.digest, task.build, task.part)
+}
+
+/// The workflow of a part of a sweep: one activity.
+#[workflow]
+#[derive(Default)]
+pub struct Part;
+
+#[workflow_methods]
+impl Part {
+    /// Gives the part to workers until one has made it, or as many have failed as may.
+    #[run]
+    pub async fn run(ctx: &mut WorkflowContext<Self>, task: PartTask) -> WorkflowResult<()> {
+        let tries = pauses(task.lease_s, MAX_FRUITLESS);
+        let options = ActivityOptions::with_start_to_close_timeout(EVER)
+            .heartbeat_timeout(Duration::from_secs_f64(task.lease_s))
+            .retry_policy(tries)
+            .build();
+        ctx.execute_activity(Hands::part, task, options).await?;
+        Ok(())
+    }
+}
+
+/// Why a turn is to be tried again.
+#[derive(Debug, thiserror::Error)]
+enum Later {
+    #[error("the worker stops")]
+    Stopping,
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error("the worker could not use its disk")]
+    Disk(#[from] std::io::Error),
+    #[error("{0}")]
+    Trouble(String),
+}
+
+/// What a worker works with; copies are the same worker.
+#[derive(Clone)]
+pub struct Hands(Arc<Inner>);
+
+struct Inner {
+    bucket: Bucket,
+    scratch: PathBuf,
+    limits: Limits,
+    program: Option<PathBuf>,
+    stopping: AtomicBool,
+    /// Those who work on jobs at this moment.
+    running: Mutex<HashMap<Uuid, Arc<Control>>>,
+}
+
+/// A job in the hands of a worker.
+struct Turn {
+    id: Uuid,
+    control: Arc<Control>,
+    /// The step up to which the log is in the bucket.
+    kept_step: AtomicU64,
+    /// How often pieces of the log go there.
+    pace: Duration,
+    begun: Instant,
+}
+
+impl Turn {
+    fn beat(&self) -> Beat {
+        let control = &self.control;
+        let steps_done = control.steps_done.load(Ordering::Relaxed);
+        Beat { steps_done, durable_step: self.kept_step.load(Ordering::Relaxed), eta_s: None }
+    }
+}
+
+#[activities]
+impl Hands {
+    /// Works on a job until it has a result.
+    #[activity]
+    pub async fn turn(
+        self: Arc<Self>,
+        ctx: ActivityContext,
+        task: Task,
+    ) -> Result<(), ActivityError> {
+        let lease = Duration::from_secs_f64(task.lease_s);
+        let turn = Arc::new(Turn {
+            id: task.id,
+            control: Arc::default(),
+            kept_step: AtomicU64::new(0),
+            pace: (lease / 2).min(LONGEST_PACE),
+            begun: Instant::now(),
+        });
+        let mine = self.0.clone();
+        lock(&mine.running).insert(turn.id, turn.control.clone());
+        if mine.stopping.load(Ordering::Relaxed) {
+            turn.control.interrupt();
+        }
+        let (working, worked) = (mine.clone(), turn.clone());
+        let mut work = tokio::spawn(async move { working.carry_out(&worked).await });
+        let mut told = false;
+        let done = loop {
+            tokio::select! {
+                done = &mut work => break done,
+                () = tokio::time::sleep(lease / BEATS_IN_A_LEASE) => {
+                    ctx.record_heartbeat(turn.beat()).await?;
+                }
+                () = ctx.cancelled(), if !told => {
+                    told = true;
+                    mine.told_to_stop(&turn).await;
+                }
+            }
+        };
+        lock(&mine.running).remove(&turn.id);
+        match done {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(later)) => {
+                tracing::warn!(job = %turn.id, error = chain(&later), "job goes back");
+                Err(later.into())
+            }
+            Err(broken) => Err(broken.into()),
+        }
+    }
+
+    /// Makes a part of a sweep.
+    #[activity]
+    pub async fn part(
+        self: Arc<Self>,
+        ctx: ActivityContext,
+        task: PartTask,
+    ) -> Result<(), ActivityError> {
+        let lease = Duration::from_secs_f64(task.lease_s);
+        let watch = Arc::<Watch>::default();
+        let mine = self.0.clone();
+        let (working, watched) = (mine.clone(), watch.clone());
+        let mut work = tokio::spawn(async move { working.make_part(&task, &watched).await });
+        let done = loop {
+            tokio::select! {
+                done = &mut work => break done,
+                () = tokio::time::sleep((lease / BEATS_IN_A_LEASE).min(LOOK)) => {
+                    ctx.record_heartbeat(watch.done.load(Ordering::Relaxed)).await?;
+                    if ctx.is_cancelled() || mine.stopping.load(Ordering::Relaxed) {
+                        watch.cancelled.store(true, Ordering::Relaxed);
+                    }
+                }
+            }
+        };
+        match done {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(later)) => Err(later.into()),
+            Err(broken) => Err(broken.into()),
+        }
+    }
+}
+
+impl Hands {
+    /// Interrupts what runs.
+    fn stop(&self) {
+        self.0.stopping.store(true, Ordering::Relaxed);
+        lock(&self.0.running).values().for_each(|control| control.interrupt());
+    }
+}
+
+impl Inner {
+    /// Stops a run: for good if somebody wants that, else so that another worker goes on.
+    async fn told_to_stop(&self, turn: &Turn) {
+        let wanted = self.bucket.is_cancelled(turn.id).await;
+        match wanted {
+            Ok(true) => turn.control.cancel(),
+            _ => turn.control.interrupt(),
+        }
+    }
+
+    async fn make_part(&self, task: &PartTask, watch: &Arc<Watch>) -> Result<(), Later> {
+        if task.build != env!("VPD_BUILD") {
+            return Err(Later::Trouble("this worker is another build of vpd".to_owned()));
+        }
+        let object = task.object();
+        if self.bucket.kept(&object).await?.is_some() {
+            return Ok(());
+        }
+        let Some(text) = self.bucket.kept(&sweep_object(&task.digest)).await? else {
+            return Err(Later::Trouble("the bucket does not hold the sweep".to_owned()));
+        };
+        let (answer, answered) = oneshot::channel();
+        let (part, scratch, watch) = (task.part.clone(), self.scratch.clone(), watch.clone());
+        std::thread::Builder::new().name("part".to_owned()).spawn(move || {
+            give_way();
+            let _ = answer.send(sweeps::make(&text, &part, &scratch, &watch));
+        })?;
+        let made = answered.await.map_err(|_| Later::Trouble("the part panicked".to_owned()))?;
+        let made = made.map_err(|error| Later::Trouble(error.to_string()))?;
+        self.bucket.keep(&object, made).await?;
+        tracing::info!(part = task.part, sweep = task.digest, "part of a sweep made");
+        Ok(())
+    }
+
+    async fn carry_out(self: &Arc<Self>, turn: &Turn) -> Result<(), Later> {
+        let id = turn.id;
+        let held = self.bucket.look(id).await?;
+        if !held.accepted || held.ended {
+            return Ok(());
+        }
+        let folder = tempfile::tempdir_in(&self.scratch)?;
+        let log = folder.path().join("log.mcap");
+        let kept_bytes = self.bucket.fetch_part(id, &part_path(&log)).await?;
+        let from_step = {
+            let log = log.clone();
+            let found = tokio::task::spawn_blocking(move || last_checkpoint(&log).ok().flatten());
+            found.await.ok().flatten().unwrap_or(0)
+        };
+        if held.cancelled {
+            turn.control.cancel();
+        }
+        let attempt = self.bucket.begin_attempt(id, held.attempts, from_step).await?;
+        turn.kept_step.store(from_step, Ordering::Relaxed);
+        tracing::info!(job = %id, attempt, from_step, "job runs");
+        let done = self.attempt(turn, &held, attempt, (&log, kept_bytes, from_step)).await;
+        if done.is_err() {
+            let taken_back = self.bucket.take_back_attempt(id, attempt).await;
+            if let Err(error) = taken_back {
+                tracing::warn!(job = %id, error = chain(&error), "attempt counted");
+            }
+        }
+        done
+    }
+
+    /// One run of a job, from what is durable of its log.
+    async fn attempt(
+        self: &Arc<Self>,
+        turn: &Turn,
+        held: &Held,
+        attempt: u32,
+        (log, kept_bytes, from_step): (&Path, u64, u64),
+    ) -> Result<(), Later> {
+        let (id, suspect) = (turn.id, attempt > 1);
+        let Some(text) = self.bucket.scenario(id).await? else { return Ok(()) };
+        let scenario = match Scenario::from_json(&text) {
+            Ok(scenario) => scenario,
+            Err(error) => {
+                let job = Job::new("", attempt);
+                return self.fail(turn, &job, &Fault::rejected(&error)).await;
+            }
+        };
+        let job = Job::new(scenario.name(), attempt);
+        if held.cancelled && kept_bytes == 0 {
+            return self.publish(turn, job.record(State::Cancelled, None), None).await;
+        }
+        let (settled, is_new) = match self.bucket.settled(id).await? {
+            Some(settled) => (Box::new(settled), false),
+            None => {
+                let settle = Errand::Settle { scenario: Box::new(scenario) };
+                match self.errand(turn, settle, suspect).await {
+                    Ok(Done::Settled(settled)) => (settled, true),
+                    Ok(_) => return self.fail(turn, &job, &Fault::panicked()).await,
+                    Err(broken) => return self.broken(turn, &job, broken).await,
+                }
+            }
+        };
+        let plan = match settled.plan() {
+            Ok(plan) => plan,
+            Err(error) => return self.fail(turn, &job, &Fault::rejected(&error)).await,
+        };
+        let job = job.planned(&plan);
+        if let Err(refusal) = self.limits.admit(&plan) {
+            return self.fail(turn, &job, &Fault::beyond(&refusal)).await;
+        }
+        if is_new {
+            self.bucket.keep_plan(id, &KeptPlan::new(Settled::clone(&settled), &plan)?).await?;
+        }
+        let log_path = log.to_owned();
+        if self.bucket.is_stuck(id, held.attempts, MAX_FRUITLESS, from_step).await? {
+            return self.give_up(turn, &job, settled, log_path, Fault::worker_crashed()).await;
+        }
+        let trace = suspect.then(|| log.with_extension("trace"));
+        let run = Errand::Run { settled: settled.clone(), log: log_path.clone(), trace };
+        let mut run = std::pin::pin!(self.errand(turn, run, suspect));
+        let mut kept_bytes = kept_bytes;
+        let ran = loop {
+            tokio::select! {
+                ran = &mut run => break ran,
+                () = tokio::time::sleep(turn.pace) => {
+                    self.keep(turn, log, from_step, &mut kept_bytes).await;
+                }
+            }
+        };
+        match ran {
+            Ok(Done::Ran(summary)) => {
+                self.publish(turn, job.record_of(&summary), Some((log, kept_bytes > 0))).await
+            }
+            Ok(_) => self.fail(turn, &job, &Fault::panicked()).await,
+            Err(Broken::Fault(fault)) if fault.is_of_the_process() => {
+                self.give_up(turn, &job, settled, log_path, fault).await
+            }
+            Err(broken) => {
+                self.keep(turn, log, from_step, &mut kept_bytes).await;
+                self.broken(turn, &job, broken).await
+            }
+        }
+    }
+
+    /// Sends what is new of an unfinished log to the bucket; what cannot be sent now goes with the next piece.
+    async fn keep(&self, turn: &Turn, log: &Path, from_step: u64, kept_bytes: &mut u64) {
+        let control = &turn.control;
+        // Before its bytes, of which there are then enough.
+        let step = control.durable_step.load(Ordering::Acquire);
+        let bytes = control.durable_bytes.load(Ordering::Acquire);
+        if step <= turn.kept_step.load(Ordering::Relaxed) {
+            return;
+        }
+        let resumed = control.resumed_step.load(Ordering::Relaxed);
+        let kept = async {
+            if resumed < from_step && *kept_bytes > 0 {
+                // What stood there was not taken up: this is another log.
+                self.bucket.drop_parts(turn.id).await?;
+                *kept_bytes = 0;
+            }
+            if bytes > *kept_bytes {
+                self.bucket.keep_part(turn.id, &part_path(log), *kept_bytes..bytes).await?;
+                *kept_bytes = bytes;
+            }
+            Ok::<_, StoreError>(())
+        };
+        match kept.await {
+            Ok(()) => turn.kept_step.store(step, Ordering::Relaxed),
+            Err(error) if part_path(log).exists() => {
+                tracing::warn!(job = %turn.id, error = chain(&error), "log not kept; trying again");
+            }
+            // Finished by now.
+            Err(_) => {}
+        }
+    }
+
+    /// Does what is to be done for a job on a thread of its own, in a process of its own if the last run did not
+    /// come back.
+    async fn errand(
+        self: &Arc<Self>,
+        turn: &Turn,
+        errand: Errand,
+        suspect: bool,
+    ) -> Result<Done, Broken> {
+        let max_deaths = matches!(errand, Errand::GiveUp { .. }).then_some(MAX_GIVING_UP);
+        let (mine, control) = (self.clone(), turn.control.clone());
+        let (answer, answered) = oneshot::channel();
+        let work = move || {
+            give_way();
+            let done = catch_unwind(AssertUnwindSafe(|| {
+                match mine.program.as_ref().filter(|_| suspect) {
+                    Some(program) => apart::carry_out(program, &errand, &control, max_deaths),
+                    None => errand.carry_out(&control),
+                }
+            }));
+            let _ = answer.send(done.unwrap_or_else(|_| Err(Fault::panicked().into())));
+        };
+        let thread = std::thread::Builder::new().name("run".to_owned()).spawn(work);
+        if thread.is_err() {
+            return Err(Broken::Stopped);
+        }
+        answered.await.unwrap_or_else(|_| Err(Fault::panicked().into()))
+    }
+
+    /// Gives the log of a job that ends its processes an end.
+    async fn give_up(
+        self: &Arc<Self>,
+        turn: &Turn,
+        job: &Job,
+        settled: Box<Settled>,
+        log: PathBuf,
+        fault: Fault,
+    ) -> Result<(), Later> {
+        tracing::warn!(job = %turn.id, "job given up: its runs end the process");
+        let errand = Errand::GiveUp { settled, log: log.clone(), fault: fault.clone() };
+        match self.errand(turn, errand, true).await {
+            Ok(Done::Ran(summary)) => {
+                turn.control.steps_done.store(summary.steps, Ordering::Relaxed);
+                self.publish(turn, job.record_of(&summary), Some((&log, true))).await
+            }
+            Ok(_) | Err(Broken::Fault(_) | Broken::Unanswered(_)) => {
+                tracing::error!(job = %turn.id, "its log has no end");
+                self.fail(turn, job, &fault).await
+            }
+            Err(broken) => self.broken(turn, job, broken).await,
+        }
+    }
+
+    async fn fail(&self, turn: &Turn, job: &Job, fault: &Fault) -> Result<(), Later> {
+        self.publish(turn, job.record(State::Failed, Some(fault)), None).await
+    }
+
+    /// What becomes of a job whose run has no result.
+    async fn broken(&self, turn: &Turn, job: &Job, broken: Broken) -> Result<(), Later> {
+        match broken {
+            Broken::Fault(fault) => self.fail(turn, job, &fault).await,
+            Broken::Unanswered(_) => self.fail(turn, job, &Fault::panicked()).await,
+            Broken::Stopped if turn.control.interrupted.load(Ordering::Relaxed) => {
+                Err(Later::Stopping)
+            }
+            // Its search was stopped, and it has no log.
+            Broken::Stopped => self.publish(turn, job.record(State::Cancelled, None), None).await,
+            Broken::Trouble(trouble) => Err(Later::Trouble(format!("{trouble:?}"))),
+            Broken::Aside(fault) => Err(Later::Trouble(fault.to_string())),
+        }
+    }
+
+    /// Uploads the log, whose parts may be in the bucket, and ends the job. The first result counts.
+    async fn publish(
+        &self,
+        turn: &Turn,
+        mut record: Record,
+        log: Option<(&Path, bool)>,
+    ) -> Result<(), Later> {
+        let id = turn.id;
+        record.steps_done = turn.control.steps_done.load(Ordering::Relaxed);
+        if let Some((path, _)) = log {
+            let of = path.to_owned();
+            let sum = tokio::task::spawn_blocking(move || LogSum::of(&of, || false)).await;
+            let sum = sum.map_err(|_| Later::Stopping)??.ok_or(Later::Stopping)?;
+            self.bucket.keep_log(id, path, &sum).await?;
+            record.log = Some(sum);
+        }
+        let stands = self.bucket.publish(id, &record).await?;
+        if stands.log != record.log
+            && let Some(sum) = &record.log
+        {
+            self.bucket.drop_log(id, sum).await;
+        }
+        if log.is_none_or(|(_, has_parts)| has_parts)
+            && let Err(error) = self.bucket.drop_parts(id).await
+        {
+            tracing::warn!(job = %id, error = chain(&error), "parts of a finished log stay");
+        }
+        let (steps, seconds) = (stands.steps_done, turn.begun.elapsed().as_secs_f64());
+        tracing::info!(job = %id, state = ?stands.state, steps, seconds, "job ended");
+        Ok(())
+    }
+}
+
+/// Works on the jobs of a queue until `shutdown` completes; then what runs is interrupted, kept and left to others. Returns
+/// within ten seconds of that.
+///
+/// # Errors
+/// If the scratch directory is in use, or bucket or Temporal do not answer at the start.
+pub async fn work(
+    config: WorkConfig,
+    shutdown: impl Future<Output = ()> + Send + 'static,
+) -> Result<(), ServeError> {
+    let _lock = DataLock::take(&config.scratch)?;
+    let scratch = config.scratch.join("jobs");
+    let failed = |source| ServeError::Data { path: scratch.clone(), source };
+    match std::fs::remove_dir_all(&scratch) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(failed(error)),
+        _ => {}
+    }
+    std::fs::create_dir_all(&scratch).map_err(failed)?;
+    let bucket = Bucket::open(&config.cluster.bucket).await.map_err(ClusterError::from)?;
+    let client = connect(&config.cluster).await?;
+    let hands = Hands(Arc::new(Inner {
+        bucket,
+        scratch,
+        limits: config.limits,
+        program: config.program,
+        stopping: AtomicBool::new(false),
+        running: Mutex::default(),
+    }));
+    let broke = |message: String| ClusterError::Worker { message };
+    let slots = |number: usize| FixedSizeSlotSupplier::new(number);
+    let tuner = TunerHolder::builder()
+        .workflow_task_slot_supplier(slots(100))
+        .activity_task_slot_supplier(slots(config.workers.max(1)))
+        .local_activity_task_slot_supplier(slots(1))
+        .nexus_task_slot_supplier(slots(1))
+        .build();
+    let options = WorkerOptions::new(config.cluster.queue.clone())
+        .tuner(tuner)
+        .max_heartbeat_throttle_interval(THROTTLE)
+        .graceful_shutdown_period(DRAIN)
+        .register_activities(hands.clone())
+        .register_workflow::<Flow>()
+        .and_then(|options| options.register_workflow::<Part>())
+        .map_err(|error| broke(chain(&error)))?
+        .build();
+    let runtime = Runtime::from_current_tokio(Default::default());
+    let runtime = runtime.map_err(|error| broke(chain(&error)))?;
+    let worker = Worker::new(&runtime, client, options);
+    let mut worker = worker.map_err(|error| broke(error.to_string()))?;
+    let stop = worker.shutdown_handle();
+    tokio::spawn(async move {
+        shutdown.await;
+        tracing::info!("stopping");
+        hands.stop();
+        stop();
+    });
+    let (queue, jobs) = (&config.cluster.queue, config.workers);
+    tracing::info!(queue, jobs, "works");
+    worker.run().await.map_err(|error| broke(chain(&error)))?;
+    tracing::info!("stopped");
+    Ok(())
+}

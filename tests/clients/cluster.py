@@ -1,0 +1,750 @@
+"""The service on many machines: with a Temporal, an S3 server and workers of its own, all real and all on this machine.
+
+    python cluster.py [--large] [NAME ...]
+
+Runs the tests with these names, or all. Sizes are those of a coffee break; --large takes those of an evening.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import boto3
+import yaml
+
+ROOT = Path(__file__).resolve().parents[2]
+VPD = os.path.abspath(os.environ.get("VPD", ROOT / "target/release/vpd"))
+BIN = Path(sys.executable).parent
+KEYS = {"AWS_ACCESS_KEY_ID": "vpdkey", "AWS_SECRET_ACCESS_KEY": "vpdsecret", "AWS_REGION": "us-east-1"}
+LEASE_S = 4
+# Long, for machines under load: no test waits so long where all is well.
+PATIENCE_S = 300
+LARGE = "--large" in sys.argv
+
+
+def free_port(host="127.0.0.1"):
+    with socket.socket() as one:
+        one.bind((host, 0))
+        return one.getsockname()[1]
+
+
+def call(url, body=None, method=None, headers=None, raw=False):
+    """One request: status and JSON, or bytes."""
+    data = None if body is None else json.dumps(body).encode()
+    headers = {"content-type": "application/json"} | (headers or {})
+    request = urllib.request.Request(url, data=data, headers=headers, method=method)
+    try:
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            status, content = answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        status, content = error.code, error.read()
+    return status, content if raw else json.loads(content or b"null")
+
+
+def wait(what, condition, patience_s=PATIENCE_S):
+    """Waits for a condition; what it found."""
+    end = time.monotonic() + patience_s
+    while True:
+        with contextlib.suppress(OSError):
+            if found := condition():
+                return found
+        assert time.monotonic() < end, f"waited in vain for {what}"
+        time.sleep(0.05)
+
+
+class Process:
+    """A process of the test's own; what it says goes to a file."""
+
+    def __init__(self, name, command, folder, env=None, prefix=()):
+        self.name, self.command, self.folder = name, [*prefix, *map(str, command)], Path(folder)
+        self.env, self.child = os.environ | (env or {}), None
+        self.start()
+
+    def start(self):
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with open(self.said_in, "a") as out:
+            self.child = subprocess.Popen(self.command, cwd=self.folder, env=self.env, stdout=out, stderr=out,
+                                          start_new_session=True)
+
+    @property
+    def said_in(self):
+        return self.folder / f"{self.name}.log"
+
+    def said(self):
+        return re.sub(r"\x1b\[[\d;]*m", "", self.said_in.read_text(errors="replace"))
+
+    def send(self, what):
+        os.kill(self.child.pid, what)
+
+    def kill(self):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.child.pid, signal.SIGKILL)
+        self.child.wait()
+
+    def stop(self):
+        """Asks it to stop; its exit code."""
+        self.send(signal.SIGTERM)
+        return self.child.wait(timeout=60)
+
+
+class Cluster:
+    """The servers, a service and workers."""
+
+    def __init__(self, folder, host="127.0.0.1"):
+        self.folder, self.host, self.started = Path(folder), host, []
+        self.temporal_at, self.s3_at = f"{host}:{free_port(host)}", f"{host}:{free_port(host)}"
+        self.address, self.workers = None, {}
+        self.env = KEYS | {"AWS_ENDPOINT": f"http://{self.s3_at}", "AWS_ALLOW_HTTP": "true", "RUST_LOG": "info"}
+        self.temporal = self.run("temporal", [
+            # On another address it would not find itself.
+            BIN / "temporal", "server", "start-dev", "--ip", "127.0.0.1" if host == "127.0.0.1" else "0.0.0.0", "--port", self.temporal_at.rsplit(":")[-1],
+            "--headless", "--db-filename", "temporal.db", "--log-level", "error"])
+        s3 = {"identities": [{"name": "vpd", "actions": ["Admin", "Read", "Write", "List", "Tagging"], "credentials": [
+            {"accessKey": KEYS["AWS_ACCESS_KEY_ID"], "secretKey": KEYS["AWS_SECRET_ACCESS_KEY"]}]}]}
+        (self.folder / "s3.json").write_text(json.dumps(s3))
+        (self.folder / "blobs").mkdir()
+        ports = {name: free_port(host) for name in ["master", "volume", "filer"]}
+        # Each has a second port for its own protocol, 10,000 above unless it is told.
+        grpc = {name: free_port(host) for name in [*ports, "s3"]}
+        self.store = self.run("store", [
+            BIN / "weed", "server", "-dir=blobs", f"-ip={host}", f"-ip.bind={host}", "-s3", "-s3.config=s3.json",
+            f"-s3.port={self.s3_at.rsplit(':')[-1]}", "-s3.port.iceberg=0", "-s3.port.lance=0",
+            "-volume.max=50", "-master.volumeSizeLimitMB=256",
+            *(f"-{name}.port={port}" for name, port in ports.items()),
+            *(f"-{name}.port.grpc={port}" for name, port in grpc.items())])
+        self.s3 = boto3.client("s3", endpoint_url=f"http://{self.s3_at}", region_name="us-east-1",
+                               aws_access_key_id="vpdkey", aws_secret_access_key="vpdsecret")
+        wait("the store", self.made_bucket, 120)
+        self.await_temporal()
+
+    def run(self, name, command, env=None, prefix=()):
+        process = Process(name, command, self.folder, env, prefix)
+        self.started.append(process)
+        return process
+
+    def made_bucket(self):
+        try:
+            self.s3.create_bucket(Bucket="vpd")
+            self.s3.put_object(Bucket="vpd", Key="probe", Body=b"probe")
+            return True
+        except Exception:
+            return False
+
+    def await_temporal(self):
+        check = [BIN / "temporal", "operator", "cluster", "health", "--address", self.temporal_at]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        wait("Temporal", lambda: subprocess.run(check, **quiet).returncode == 0, 120)
+
+    def together(self):
+        return ["--bucket", "s3://vpd/record", "--temporal", self.temporal_at]
+
+    def serve(self, *args, name="service", env=None):
+        service = self.run(name, [
+            VPD, "serve", "--engine", "cluster", *self.together(), "--lease-s", LEASE_S, "--listen", "127.0.0.1:0",
+            "--data", self.folder / name, "--requests-per-s", 100_000, *args], self.env | (env or {}))
+        self.address = wait("the service", lambda: re.findall(r"listening on (\S+)", service.said()))[-1]
+        return service
+
+    def work(self, number, *args, env=None, prefix=(), workers=1):
+        worker = self.run(f"worker-{number}", [
+            VPD, "worker", *self.together(), "--scratch", self.folder / f"scratch-{number}", "--workers", workers,
+            *args], self.env | (env or {}), prefix)
+        self.workers[number] = worker
+        return worker
+
+    def submit(self, scenario, key=None):
+        status, job = call(f"{self.address}/jobs", scenario, headers={"idempotency-key": key} if key else {})
+        assert status in (200, 202), (status, job)
+        return job["id"]
+
+    def job(self, id):
+        status, job = call(f"{self.address}/jobs/{id}")
+        assert status == 200, (status, job)
+        return job
+
+    def ended(self, id, patience_s=PATIENCE_S):
+        def found():
+            job = self.job(id)
+            return job if job["state"] in ("succeeded", "failed", "cancelled") else None
+        return wait(f"the end of {id}", found, patience_s)
+
+    def log(self, id):
+        status, log = call(f"{self.address}/jobs/{id}/log.mcap", raw=True)
+        assert status == 200, (status, log[:300])
+        return log
+
+    def durable(self, id, beyond=0):
+        """Waits until the log of a job is in the bucket beyond a step."""
+        return wait("a durable step", lambda: (step := self.job(id)["progress"]["durable_step"]) > beyond and step)
+
+    def holder(self, id, beyond=0):
+        """The worker that runs a job: the one that said so last."""
+        def found():
+            last = []
+            for worker in self.workers.values():
+                if worker.child.poll() is None:
+                    lines = [line for line in worker.said().splitlines() if "job runs" in line and id in line]
+                    last += [(re.sub(r"\x1b\[[\d;]*m", "", line)[:27], worker) for line in lines[-1:]]
+            return max(last, key=lambda pair: pair[0])[1] if last else None
+        return wait("a worker with the job", found)
+
+    def close(self):
+        for process in reversed(self.started):
+            process.kill()
+
+
+def scenario(steps, every=10, name="dipole"):
+    text = json.loads((ROOT / "scenarios/dipole.json").read_text())
+    text.pop("expect", None)
+    text |= {"name": name, "steps": steps, "log": {"every": every}}
+    return text
+
+
+def alone(text, folder):
+    """SHA-256 of the log of a scenario that this machine runs alone."""
+    path = Path(folder) / "alone.json"
+    path.write_text(json.dumps(text))
+    log = path.with_suffix(".mcap")
+    subprocess.run([VPD, "run", path, "-o", log, "--force", "--json"], check=True, stdout=subprocess.DEVNULL)
+    sha256 = hashlib.sha256(log.read_bytes()).hexdigest()
+    log.unlink()
+    return sha256
+
+
+# Steps that take about a second on the machine where this was written.
+SECOND = 800_000
+
+
+@contextlib.contextmanager
+def cluster(workers=2, slots=1, host="127.0.0.1"):
+    folder = tempfile.mkdtemp(prefix="vpd-cluster-")
+    made = None
+    try:
+        made = Cluster(folder, host)
+        made.serve()
+        for number in range(1, workers + 1):
+            made.work(number, workers=slots)
+        yield made
+        shutil.rmtree(folder, ignore_errors=True)
+    finally:
+        if made:
+            made.close()
+        if os.path.exists(folder):
+            print(f"      what they said is in {folder}")
+
+
+def test_life():
+    """Submit, follow, result, download with ranges, the same bytes as alone; cancel; keys; forget; drain."""
+    with cluster() as made:
+        text = scenario(300_000)
+        wanted = alone(text, made.folder)
+        id = made.submit(text, key="one")
+        assert made.submit(text, key="one") == id
+        status, refused = call(f"{made.address}/jobs", scenario(300_001), headers={"idempotency-key": "one"})
+        assert (status, refused["code"]) == (422, "idempotency_key_reused"), refused
+        status, live = call(f"{made.address}/jobs/{id}/live.mcap", raw=True)
+        assert status == 200 and hashlib.sha256(live).hexdigest() == wanted
+        job = made.ended(id)
+        assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
+        log = made.log(id)
+        assert hashlib.sha256(log).hexdigest() == wanted
+        url = f"{made.address}/jobs/{id}/log.mcap"
+        for place, bytes_ in [("0-19", log[:20]), ("-30", log[-30:]), ("1000-70000", log[1000:70001])]:
+            assert call(url, headers={"range": f"bytes={place}"}, raw=True) == (206, bytes_), place
+        assert call(url, headers={"range": f"bytes={len(log)}-"}, raw=True)[0] == 416
+        with urllib.request.urlopen(url) as answer:
+            etag = answer.headers["etag"]
+        assert call(url, headers={"if-none-match": etag}, raw=True)[0] == 304
+        assert call(url, headers={"range": "bytes=0-1", "if-range": '"other"'}, raw=True) == (200, log)
+        for path in ["charts/energy.svg", "attitudes.json", "samples?channel=energy_error", "sent.json"]:
+            assert call(f"{made.address}/jobs/{id}/{path}", raw=True)[0] == 200, path
+        assert [job["id"] for job in call(f"{made.address}/jobs?state=succeeded")[1]["jobs"]] == [id]
+        assert 'vpd_jobs{state="succeeded"} 1' in call(f"{made.address}/metrics", raw=True)[1].decode()
+        assert call(f"{made.address}/studies")[1] == {"studies": []}
+        # What is refused, is refused as ever.
+        status, refused = call(f"{made.address}/jobs", scenario(0))
+        assert (status, refused["pointer"]) == (422, "/steps"), refused
+        # A running job ends with a finished log.
+        id = made.submit(scenario(400 * SECOND, every=100_000))
+        wait("a run", lambda: made.job(id)["progress"]["steps_done"] > 0)
+        assert call(f"{made.address}/jobs/{id}", method="DELETE")[1]["code"] == "job_running"
+        assert call(f"{made.address}/jobs/{id}/cancel", method="POST")[0] == 202
+        job = made.ended(id)
+        assert job["state"] == "cancelled" and job["log"] and len(made.log(id)) == job["log"]["bytes"]
+        assert call(f"{made.address}/jobs/{id}/cancel", method="POST")[1]["code"] == "job_ended"
+        assert call(f"{made.address}/jobs/{id}", method="DELETE")[0] == 204
+        assert call(f"{made.address}/jobs/{id}")[0] == 404
+        # A waiting one ends at once.
+        for worker in made.workers.values():
+            assert worker.stop() == 0, worker.said()
+        id = made.submit(scenario(1000))
+        status, job = call(f"{made.address}/jobs/{id}/cancel", method="POST")
+        assert (status, job["state"]) == (200, "cancelled"), job
+        # A job that asks for an accuracy is settled by a worker.
+        text = scenario(1000) | {"accuracy": {"error": 1e-6}}
+        for field in ["method", "step_s", "steps"]:
+            text.pop(field)
+        id = made.submit(text | {"duration_s": 1.0})
+        made.work(3)
+        job = made.ended(id)
+        assert job["state"] == "succeeded" and job["plan"]["step_s"] > 0, job
+
+
+def test_drain():
+    """A worker that is asked to stop leaves its job to another one, which goes on."""
+    with cluster() as made:
+        text = scenario(10 * SECOND, every=100)
+        id = made.submit(text)
+        made.durable(id)
+        first = made.holder(id)
+        begun = time.monotonic()
+        assert first.stop() == 0, first.said()
+        assert time.monotonic() - begun < 10 + 5
+        job = made.ended(id)
+        assert job["state"] == "succeeded" and job["summary"]["resumed_step"] > 0, job
+        # An attempt that comes back is not counted.
+        assert job["attempts"] == 1, job
+        assert job["log"]["sha256"] == alone(text, made.folder)
+
+
+def test_kill():
+    """Workers are killed in mid-job: others go on from what is durable, and the logs are those of one machine."""
+    with cluster() as made:
+        kills = 200 if LARGE else 20
+        text = scenario(8 * SECOND, every=100)
+        wanted, waits, jobs, killed = alone(text, made.folder), [], [], 0
+        number = 10
+        while killed < kills:
+            id = made.submit(text)
+            jobs.append(id)
+            durable = 0
+            # Four times at most: then another job.
+            for _ in range(4):
+                def further(before=durable):
+                    job = made.job(id)
+                    return job["state"] if job["state"] == "succeeded" else max(job["progress"]["durable_step"] - before, 0)
+                if killed == kills or wait("progress", further) == "succeeded":
+                    break
+                durable, holder = made.job(id)["progress"]["durable_step"], made.holder(id)
+                holder.kill()
+                killed, died = killed + 1, time.monotonic()
+                made.workers = {at: worker for at, worker in made.workers.items() if worker is not holder}
+                number += 1
+                made.work(number)
+
+                def again():
+                    lines = [line for worker in made.workers.values() for line in worker.said().splitlines()
+                             if "job runs" in line and id in line]
+                    steps = [int(re.search(r"from_step=(\d+)", line)[1]) for line in lines]
+                    return [step for step in steps if step >= durable]
+                wait("another worker that goes on from what is durable", again)
+                waits.append(time.monotonic() - died)
+        for id in jobs:
+            job = made.ended(id)
+            assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
+        listed = call(f"{made.address}/jobs?limit=500")[1]["jobs"]
+        assert sorted(job["id"] for job in listed) == sorted(jobs)
+        names = [entry["Key"] for page in made.s3.get_paginator("list_objects_v2").paginate(
+            Bucket="vpd", Prefix="record/") for entry in page.get("Contents", [])]
+        assert sum(name.endswith("result.json") for name in names) == len(jobs)
+        assert sum(name.startswith("record/logs/") for name in names) == len(jobs)
+        wait("the parts to go", lambda: not any(
+            page.get("KeyCount") for page in [made.s3.list_objects_v2(Bucket="vpd", Prefix="record/parts/")]))
+        waits.sort()
+        print(f"      {killed} kills in {len(jobs)} jobs: taken up again after {waits[len(waits) // 2]:.1f} s, "
+              f"at most {waits[-1]:.1f} s, with a lease of {LEASE_S} s")
+        assert waits[-1] <= 3 * LEASE_S, waits
+
+
+def test_pause():
+    """A worker sleeps past its lease and wakes: one result, of the right bytes."""
+    with cluster() as made:
+        text = scenario(16 * SECOND, every=100)
+        wanted = alone(text, made.folder)
+        id = made.submit(text)
+        made.durable(id)
+        sleeper = made.holder(id)
+        sleeper.send(signal.SIGSTOP)
+        wait("another worker", lambda: made.holder(id) is not sleeper)
+        sleeper.send(signal.SIGCONT)
+        job = made.ended(id)
+        assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
+        wait("the sleeper to give up", lambda: "job goes back" in sleeper.said() or "job ended" in sleeper.said())
+        assert made.ended(id)["finished"] == job["finished"]
+        logs = made.s3.list_objects_v2(Bucket="vpd", Prefix="record/logs/")["Contents"]
+        assert [entry["Key"].rsplit("/")[-1] for entry in logs] == [f"{wanted}.mcap"]
+
+
+def test_poison():
+    """A job whose runs end their process is given up, and the others go on."""
+    with cluster() as made:
+        poison = made.submit(scenario(400 * SECOND, every=100_000, name="poison"))
+        wait("a run", lambda: made.job(poison)["progress"]["steps_done"] > 0)
+        others = [made.submit(scenario(SECOND, name="other")) for _ in range(4)]
+        made.holder(poison).kill()
+        made.work(3)
+        deaths, over = 0, threading.Event()
+
+        def execute():
+            nonlocal deaths
+            while not over.is_set():
+                for pid in filter(str.isdigit, os.listdir("/proc")):
+                    with contextlib.suppress(OSError):
+                        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+                        if words[1:2] == [b"apart"] and str(made.folder).encode() in (
+                                os.readlink(f"/proc/{pid}/cwd").encode()):
+                            os.kill(int(pid), signal.SIGKILL)
+                            deaths += 1
+                time.sleep(0.002)
+
+        executor = threading.Thread(target=execute)
+        executor.start()
+        try:
+            job = made.ended(poison)
+        finally:
+            over.set()
+            executor.join()
+        assert (job["state"], job["diagnosis"]["code"]) == ("failed", "worker_crashed"), job
+        for id in others:
+            assert made.ended(id)["state"] == "succeeded"
+        print(f"      given up after {deaths} processes of its own; {len(others)} others done")
+
+
+def test_temporal_dies():
+    """Temporal is killed and comes back, with what it knew and without: jobs finish."""
+    with cluster() as made:
+        text = scenario(5 * SECOND, every=100)
+        wanted = alone(text, made.folder)
+        jobs = [made.submit(text) for _ in range(4)]
+        wait("a run", lambda: any(made.job(id)["progress"]["steps_done"] for id in jobs))
+        made.temporal.kill()
+        # What was accepted is in the bucket, and what is submitted now is accepted.
+        jobs.append(made.submit(text))
+        time.sleep(2)
+        made.temporal.start()
+        made.await_temporal()
+        for id in jobs:
+            job = made.ended(id)
+            assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
+        # Everything that it knew is lost.
+        for worker in made.workers.values():
+            worker.kill()
+        id = made.submit(text)
+        made.temporal.kill()
+        for path in made.folder.glob("temporal.db*"):
+            path.unlink()
+        made.temporal.start()
+        made.await_temporal()
+        made.work(3)
+        made.job(id)
+        assert made.ended(id)["log"]["sha256"] == wanted
+
+
+class Proxy:
+    """Between the program and the store: answers some requests with 500, and cuts some uploads."""
+
+    def __init__(self, target, seed):
+        self.target, self.random, self.lock = target, random.Random(seed), threading.Lock()
+        self.refused = self.cut = 0
+        self.share = 0.0
+        self.server = socket.create_server(("127.0.0.1", 0))
+        self.address = "127.0.0.1:%d" % self.server.getsockname()[1]
+        threading.Thread(target=self.accept, daemon=True).start()
+
+    def accept(self):
+        while True:
+            try:
+                client, _ = self.server.accept()
+            except OSError:
+                return
+            threading.Thread(target=self.pass_on, args=(client,), daemon=True).start()
+
+    def fate(self):
+        with self.lock:
+            return self.random.random() < self.share, self.random.random() < 0.5
+
+    def pass_on(self, client):
+        with contextlib.suppress(OSError), client:
+            host, port = self.target.split(":")
+            store = socket.create_connection((host, int(port)))
+            with store:
+                back = threading.Thread(target=self.copy, args=(store, client), daemon=True)
+                back.start()
+                head = b""
+                while piece := client.recv(65536):
+                    head += piece
+                    # One request a connection at a time: its head is where a fate is drawn.
+                    if b"\r\n\r\n" in head and re.match(rb"(PUT|POST|GET|HEAD|DELETE) ", head):
+                        bad, refuse = self.fate()
+                        if bad and refuse:
+                            self.refused += 1
+                            client.sendall(b"HTTP/1.1 500 Internal Server Error\r\ncontent-length: 0\r\n"
+                                           b"connection: close\r\n\r\n")
+                            return
+                        if bad:
+                            self.cut += 1
+                            store.sendall(head[:len(head) // 2])
+                            return
+                    store.sendall(head)
+                    head = b""
+
+    @staticmethod
+    def copy(source, target):
+        with contextlib.suppress(OSError):
+            while piece := source.recv(65536):
+                target.sendall(piece)
+            target.shutdown(socket.SHUT_WR)
+
+
+def test_store_fails():
+    """The store answers 500 and cuts uploads, and is killed and comes back: jobs finish with the right bytes."""
+    with cluster(workers=0) as made:
+        proxy = Proxy(made.s3_at, seed=7)
+        env = {"AWS_ENDPOINT": f"http://{proxy.address}"}
+        made.serve(name="service-2", env=env)
+        for number in (1, 2):
+            made.work(number, env=env)
+        text = scenario(6 * SECOND, every=20)
+        wanted = alone(text, made.folder)
+        proxy.share = 0.2
+        jobs = [made.submit(text) for _ in range(6)]
+        wait("a run", lambda: any(made.job(id)["progress"]["steps_done"] for id in jobs))
+        made.store.kill()
+        time.sleep(3)
+        made.store.start()
+        for id in jobs:
+            def over():
+                status, job = call(f"{made.address}/jobs/{id}")
+                return job if status == 200 and job["state"] == "succeeded" else None
+            assert wait("the end", over)["log"]["sha256"] == wanted
+        assert proxy.refused and proxy.cut
+        print(f"      {proxy.refused} requests answered 500, {proxy.cut} cut off in the middle")
+
+
+def test_services():
+    """Two services of one record give the same answers; one that is killed loses nothing that it answered 202."""
+    with cluster(workers=0) as made:
+        first, at_first = made.started[-1], made.address
+        jobs = [made.submit(scenario(1000)) for _ in range(20)]
+        first.kill()
+        made.serve("--tokens", tokens(made.folder), name="service-2")
+        at_second, secret = made.address, {"authorization": f"Bearer {'s' * 20}"}
+        assert at_second != at_first
+        made.work(1)
+        for id in jobs:
+            def over():
+                status, job = call(f"{at_second}/jobs/{id}", headers=secret)
+                return status == 200 and job["state"] == "succeeded" and job
+            job = wait("the end", over)
+        # A link that one service signs opens at the other.
+        made.serve("--tokens", tokens(made.folder), name="service-3")
+        assert call(made.address + job["links"]["log"], raw=True)[0] == 200
+        assert call(made.address + f"/jobs/{job['id']}/log.mcap", raw=True)[0] == 401
+
+
+def tokens(folder):
+    path = Path(folder) / "tokens"
+    path.write_text(f"admin {'s' * 20}\n")
+    return path
+
+
+def test_sweep():
+    """A sweep in parts, with a worker killed on the way: the table of one machine, byte for byte."""
+    with cluster() as made:
+        text = json.loads((ROOT / "scenarios/heavy-top.json").read_text())
+        text.pop("expect", None)
+        members = 10_000 if LARGE else 2_000
+        sweep = {"scenario": text, "seed": 3, "vary": [
+            {"pointer": "/scene/initial/attitude/axis_angle/angle_rad",
+             "values": {"linear": {"from": 0.1, "to": 3.1, "count": members}}}]}
+        path = made.folder / "sweep.json"
+        path.write_text(json.dumps(sweep))
+        alone, together = made.folder / "alone.csv", made.folder / "together.csv"
+        begun = time.monotonic()
+        subprocess.run([VPD, "sweep", path, "-o", alone], check=True, stdout=subprocess.DEVNULL)
+        alone_s, begun = time.monotonic() - begun, time.monotonic()
+        client = made.run("sweep", [VPD, "sweep", path, "-o", together, "--engine", "cluster", *made.together()], made.env)
+        wait("a part", lambda: "part of a sweep made" in made.workers[1].said())
+        made.workers[1].kill()
+        made.work(3)
+        # Who asked is killed as well: the same command goes on.
+        client.kill()
+        client.start()
+        assert client.child.wait(timeout=PATIENCE_S) == 0, client.said()
+        parts = sum(worker.said().count("part of a sweep made") for worker in [*made.workers.values()])
+        print(f"      {members} members in about {parts} parts: {time.monotonic() - begun:.1f} s, alone {alone_s:.1f} s")
+        assert together.read_bytes() == alone.read_bytes()
+        again = subprocess.run([VPD, "sweep", path, "-o", together, "--engine", "cluster", *made.together()],
+                               env=made.env | os.environ, capture_output=True, text=True)
+        assert again.returncode == 2 and "--force" in again.stderr, again.stderr
+
+
+@contextlib.contextmanager
+def hosts(number):
+    """Hosts with networks of their own, on one bridge: its address, their names and their lines."""
+    mark = f"v{os.getpid() % 10_000}"
+
+    def do(*words):
+        subprocess.run(words, check=True)
+
+    try:
+        do("ip", "link", "add", f"{mark}b", "type", "bridge")
+        do("ip", "address", "add", "10.231.7.1/24", "dev", f"{mark}b")
+        do("ip", "link", "set", f"{mark}b", "up")
+        names = [f"{mark}h{at}" for at in range(number)]
+        for at, name in enumerate(names):
+            do("ip", "netns", "add", name)
+            do("ip", "link", "add", f"{name}o", "type", "veth", "peer", "name", f"{name}i", "netns", name)
+            do("ip", "link", "set", f"{name}o", "master", f"{mark}b", "up")
+            do("ip", "-n", name, "address", "add", f"10.231.7.{at + 2}/24", "dev", f"{name}i")
+            do("ip", "-n", name, "link", "set", f"{name}i", "up")
+            do("ip", "-n", name, "link", "set", "lo", "up")
+        yield "10.231.7.1", names, [f"{name}o" for name in names]
+    finally:
+        for name in names:
+            subprocess.run(["ip", "netns", "del", name], stderr=subprocess.DEVNULL)
+        subprocess.run(["ip", "link", "del", f"{mark}b"], stderr=subprocess.DEVNULL)
+
+
+def test_hosts():
+    """Two hosts: one is cut off in mid-job and comes back, the other has a slow line; one result, of the right bytes."""
+    if os.geteuid() != 0 or not shutil.which("ip") or not shutil.which("tc"):
+        print("      SKIPPED: networks of their own need root, ip and tc (on Debian: apt-get install iproute2)")
+        return
+    with hosts(2) as (host, names, lines), cluster(workers=0, host=host) as made:
+        for number, name in enumerate(names):
+            made.work(number, prefix=["ip", "netns", "exec", name])
+        text = scenario(12 * SECOND, every=1000)
+        wanted = alone(text, made.folder)
+        id = made.submit(text)
+        made.durable(id)
+        cut = made.holder(id)
+        at = next(at for at, worker in made.workers.items() if worker is cut)
+        # The other one has to fetch what is durable over a line of 4 Mbit/s.
+        slow = ["tc", "qdisc", "add", "dev", lines[1 - at], "root", "tbf", "rate", "4mbit", "burst", "32kbit", "latency", "400ms"]
+        subprocess.run(slow, check=True)
+        subprocess.run(["ip", "link", "set", lines[at], "down"], check=True)
+        wait("the other host", lambda: made.holder(id) is not cut)
+        subprocess.run(["ip", "link", "set", lines[at], "up"], check=True)
+        job = made.ended(id)
+        assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
+        wait("the host that was cut off", lambda: "job goes back" in cut.said() or "job ended" in cut.said())
+        logs = made.s3.list_objects_v2(Bucket="vpd", Prefix="record/logs/")["Contents"]
+        assert [entry["Key"].rsplit("/")[-1] for entry in logs] == [f"{wanted}.mcap"]
+
+
+def test_refused():
+    """What is missing or wrong is refused with exit code 2, and named."""
+    for given, named in [
+        (["serve", "--engine", "cluster"], "--bucket"),
+        (["serve", "--engine", "cluster", "--bucket", "file:///tmp/x"], "--temporal"),
+        (["serve", "--bucket", "file:///tmp/x"], "--bucket"),
+        (["serve", "--engine", "cluster", "--bucket", "ftp://x", "--temporal", "127.0.0.1:1"], "ftp://x"),
+        (["serve", "--lease-s", "0"], "--lease-s"),
+        (["serve", "--engine", "cluster", "--foxglove-listen", "127.0.0.1:0"], "--foxglove-listen"),
+        (["worker"], "--bucket"),
+        (["worker", "--bucket", "s3://x", "--workers", "0"], "--workers"),
+        (["sweep", ROOT / "scenarios/sweeps/pendulum-chaos.json", "--engine", "cluster"], "--bucket"),
+        (["sweep", ROOT / "scenarios/sweeps/pendulum-chaos.json", "--engine", "cluster", "--shard", "1/2"], "--shard"),
+    ]:
+        with tempfile.TemporaryDirectory() as folder:
+            done = subprocess.run([VPD, *map(str, given)], cwd=folder, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 2 and named in done.stderr, (given, done.returncode, done.stderr)
+
+
+def test_deploy():
+    """The manifests: what they start serves and works, and every variable they set is one that is read."""
+    started = []
+    compose = yaml.safe_load((ROOT / "deploy/compose.yaml").read_text())
+    for service in compose["services"].values():
+        if service["image"] == "vpd":
+            started.append((service["command"], service["environment"]))
+    parts = [part for path in sorted((ROOT / "deploy/kubernetes").glob("*.yaml"))
+             for part in yaml.safe_load_all(path.read_text())]
+    held = {part["kind"]: part.get("data") or part.get("stringData") for part in parts
+            if part["kind"] in ("ConfigMap", "Secret")}
+    for part in parts:
+        if part["kind"] == "Deployment":
+            pod = part["spec"]["template"]["spec"]
+            assert part["spec"]["selector"]["matchLabels"] == part["spec"]["template"]["metadata"]["labels"]
+            started += [(container["args"], held["ConfigMap"] | held["Secret"]) for container in pod["containers"]]
+    assert [words[0] for words, _ in started] == ["serve", "worker"] * 2, started
+    read = {"AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_REGION", "AWS_ENDPOINT", "AWS_ALLOW_HTTP",
+            "TEMPORAL_NAMESPACE", "VPD_TOKENS"}
+    for command in ["serve", "worker"]:
+        helped = subprocess.run([VPD, command, "--help"], capture_output=True, text=True, check=True).stdout
+        read |= set(re.findall(r"\[env: (\w+)=", helped))
+    with cluster(workers=0) as made:
+        for number, (words, env) in enumerate(started):
+            assert set(env) <= read, set(env) - read
+            here = {"VPD_SCRATCH": str(made.folder / f"here-{number}"), "TEMPORAL_ADDRESS": made.temporal_at,
+                    "VPD_TOKENS": f"admin {'s' * 20}", "VPD_LISTEN": "127.0.0.1:0", "VPD_DATA": str(made.folder / f"here-{number}")}
+            words = [str(made.folder / f"here-{number}") if word == "/data" else word for word in words]
+            process = made.run(f"here-{number}", [VPD, *words], env | made.env | here)
+            wanted = r"listening on (\S+)" if words[0] == "serve" else r'works( queue|","queue)'
+            wait("a start", lambda: re.search(wanted, process.said()), 60)
+
+
+def test_share():
+    """Many jobs over two workers: fair, and not much slower than on one machine."""
+    with cluster() as made:
+        count = 2000 if LARGE else 30
+        text = scenario(2 * SECOND, every=20_000)
+        begun = time.monotonic()
+        jobs = [made.submit(text) for _ in range(count)]
+        submitted = time.monotonic() - begun
+        for id in jobs:
+            made.ended(id, 3600 if LARGE else PATIENCE_S)
+        cluster_s = time.monotonic() - begun
+        shares = [worker.said().count("job ended") for worker in made.workers.values()]
+        assert sum(shares) == count, shares
+        made.close()
+        made.started.clear()
+        service = made.run("local", [VPD, "serve", "--listen", "127.0.0.1:0", "--data", made.folder / "local",
+                                     "--workers", 2, "--requests-per-s", 100_000])
+        made.address = wait("the service", lambda: re.findall(r"listening on (\S+)", service.said()))[-1]
+        begun = time.monotonic()
+        jobs = [made.submit(text) for _ in range(count)]
+        for id in jobs:
+            made.ended(id, 3600)
+        local_s = time.monotonic() - begun
+        fair = abs(shares[0] - shares[1]) / count
+        print(f"      {count} jobs: {cluster_s:.1f} s ({submitted:.1f} s to submit), alone {local_s:.1f} s, "
+              f"{100 * local_s / cluster_s:.0f} %; shares {shares}")
+        assert fair <= 0.2, shares
+
+
+def main():
+    wanted = [word for word in sys.argv[1:] if not word.startswith("-")]
+    tests = {name.removeprefix("test_"): test for name, test in globals().items() if name.startswith("test_")}
+    unknown = [name for name in wanted if name not in tests]
+    if unknown:
+        sys.exit(f"there is no test {unknown[0]}; there are {', '.join(tests)}")
+    bad = 0
+    for name in wanted or tests:
+        begun = time.monotonic()
+        try:
+            tests[name]()
+            print(f"pass  {name}: {tests[name].__doc__.splitlines()[0]} ({time.monotonic() - begun:.0f} s)", flush=True)
+        except Exception as error:
+            bad += 1
+            print(f"FAIL  {name}: {type(error).__name__}: {str(error)[:2000]}", flush=True)
+    sys.exit(1 if bad else 0)
+
+
+if __name__ == "__main__":
+    main()
