@@ -14,6 +14,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub mod course;
+mod end;
 pub mod inspect;
 pub mod members;
 pub mod messages;
@@ -36,8 +37,8 @@ pub const JOB_RECORD: &str = "vpd.job";
 pub const OUTCOME_RECORD: &str = "vpd.outcome";
 /// Name of the attachment that holds the scenario.
 pub const SCENARIO_ATTACHMENT: &str = "scenario.json";
-/// Name of the attachment of a long log that holds what charts show of it, a `vpd.Overview`.
-pub const OVERVIEW_ATTACHMENT: &str = "overview.pb";
+/// What the names of the attachments of a long log begin with that hold what charts show of it, each a `vpd.Overview`.
+pub const OVERVIEW_ATTACHMENTS: &str = "overview/";
 
 /// A layout of panels for these logs, for Foxglove and Lichtblick: both read the same.
 pub const LAYOUT: &str = include_str!("log/layout.json");

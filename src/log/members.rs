@@ -12,10 +12,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::LogError;
+use super::end::End;
 use super::messages::{Figures, Member, State, Waypoints};
 use super::reader::{self, Item};
 use super::schema::Channel;
-use super::stretch::{messages, start_and_end, summary};
 
 /// What the members of an ensemble are compared by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -263,16 +263,14 @@ fn each(path: &Path, mut visit: impl FnMut(Member) -> ControlFlow<()>) -> Result
         Ok(member) => visit(member),
         Err(_) => ControlFlow::Continue(()),
     };
-    // A log that grows ends nowhere in particular: what its end looks like means nothing.
-    let Ok(Some(summary)) = summary(&mut file) else {
+    let Some(end) = End::read(&mut file) else {
         reader::read(path, |item| match item {
             Item::Message { topic: of, data, .. } if of == topic => seen(data),
             _ => ControlFlow::Continue(()),
         })?;
         return Ok(());
     };
-    let (start_ns, _) = start_and_end(&summary);
-    messages(&mut file, &summary, &[topic], start_ns, |_, data| seen(data))
+    end.messages(&mut file, &[topic], 0..u64::MAX, |_, data| seen(data))
         .map_err(|source| LogError::mcap(path, "read", source))
 }
 

@@ -1,21 +1,20 @@
-//! What charts of a long log show, gathered while it is written and attached at its end: with it a chart of
-//! 10^7 samples takes some 20 ms.
+//! What charts of a long log show, gathered while it is written and attached at its end: each quantity by itself, finely
+//! and coarsely, so that whoever draws a part of it reads little more than what is drawn.
 //!
 //! Invariant: memory is bounded, no extreme is lost, and a resumed writer gathers what the one before it did: both take
 //! what stands in the messages.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 
-use mcap::Summary;
-use mcap::records::{Record, op};
+use mcap::records::AttachmentIndex;
 use prost::Message as _;
 
-use super::messages::{Message, Overview, OverviewCurve, OverviewLine};
+use super::OVERVIEW_ATTACHMENTS;
+use super::end::{End, attachment};
+use super::messages::{Message, Overview, OverviewLine};
 use super::samples::Curve;
 use super::schema::Topic;
-use super::{MAX_CHUNK_BYTES, OVERVIEW_ATTACHMENT};
 use crate::solve::so;
 
 /// Samples from which on a log has an overview: fewer are read themselves in no time.
@@ -25,10 +24,16 @@ const LEAST_SAMPLES: u64 = 1 << 16;
 const LEAST_EACH: u64 = 1 << 6;
 
 /// Values of a quantity, points times components: what bounds the memory.
-const VALUES: usize = 1 << 17;
+const VALUES: usize = 1 << 19;
 
 /// Points of a quantity, at most, and at least: with too many components for these there is no overview of it.
-const POINTS: Range<usize> = 1 << 10..1 << 15;
+const POINTS: Range<usize> = 1 << 10..1 << 17;
+
+/// Of more points than this there are fewer as well, each of [`COARSER`] of them.
+const FEW: usize = 1 << 13;
+
+/// A power of two.
+const COARSER: u64 = 1 << 4;
 
 /// A quantity over time in few points, each the smallest and the largest value of as many samples.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,6 +106,34 @@ impl Points {
         halve(&mut self.high, f64::max);
     }
 
+    /// Makes points of so many samples each, at least.
+    fn coarsen(&mut self, each: u64) {
+        while self.each < each {
+            self.halve();
+        }
+    }
+
+    fn overview(self, curve: Curve) -> Overview {
+        let lines = self.low.into_iter().zip(self.high);
+        Overview {
+            curve: curve.name().to_owned(),
+            each: self.each,
+            since_ns: self.since_ns,
+            lines: lines.map(|(low, high)| OverviewLine { low, high }).collect(),
+        }
+    }
+
+    /// `None` if it is not what [`Points::overview`] makes.
+    fn of(overview: Overview, curve: Curve) -> Option<Self> {
+        let Overview { curve: name, each, since_ns, lines } = overview;
+        let (low, high): (Vec<_>, Vec<_>) =
+            lines.into_iter().map(|line| (line.low, line.high)).unzip();
+        let whole = low.iter().chain(&high).all(|line| line.len() == since_ns.len());
+        let ascending = since_ns.windows(2).all(|pair| pair[0] <= pair[1]);
+        let good = name == curve.name() && whole && ascending && !since_ns.is_empty() && each > 0;
+        good.then_some(Self { since_ns, low, high, each, held: each })
+    }
+
     /// Takes the points of the part of time that follows.
     pub(super) fn append(&mut self, part: Self) {
         if part.since_ns.is_empty() {
@@ -157,39 +190,37 @@ impl Curves {
         }
     }
 
-    /// What a log of so many samples has attached.
-    pub(super) fn overview(self, samples: u64) -> Option<Overview> {
-        if samples < LEAST_SAMPLES {
-            return None;
-        }
-        let curve = |(curve, mut points): (Curve, Points)| {
-            while points.each < LEAST_EACH {
-                points.halve();
-            }
-            let lines = points.low.into_iter().zip(points.high);
-            OverviewCurve {
-                curve: curve.name().to_owned(),
-                each: points.each,
-                since_ns: points.since_ns,
-                lines: lines.map(|(low, high)| OverviewLine { low, high }).collect(),
-            }
-        };
+    /// What a log of so many samples has attached, by names.
+    pub(super) fn overviews(self, samples: u64) -> impl Iterator<Item = (String, Overview)> {
         let curves = Curve::ALL.into_iter().zip(self.points);
-        let curves = curves.filter(|(_, points)| !points.since_ns.is_empty()).map(curve).collect();
-        Some(Overview { curves })
+        let long = move |(_, points): &(Curve, Points)| {
+            samples >= LEAST_SAMPLES && !points.since_ns.is_empty()
+        };
+        curves.filter(long).flat_map(|(curve, mut points)| {
+            points.coarsen(LEAST_EACH);
+            let mut levels = vec![points.clone()];
+            while points.since_ns.len() > FEW {
+                points.coarsen(points.each * COARSER);
+                levels.push(points.clone());
+            }
+            let name = move |each| format!("{OVERVIEW_ATTACHMENTS}{}-{each}.pb", curve.name());
+            levels.into_iter().map(move |level| (name(level.each), level.overview(curve)))
+        })
     }
 }
 
-/// About how many bytes the overview of so many samples takes with all channels.
+/// About how many bytes the overviews of so many samples take with all channels, in the log and before.
 pub(crate) fn bytes(samples: u64, n: usize) -> u64 {
-    let vectors = so::dimension(n);
-    let points = limit(vectors).unwrap_or(0).min((samples / LEAST_EACH) as usize);
-    let components = 3 + 3 * vectors + n;
     if samples < LEAST_SAMPLES {
-        0
-    } else {
-        (points * (16 * components + 8 * Curve::ALL.len())) as u64
+        return 0;
     }
+    let momentum = so::dimension(n);
+    let of_curve = |components: usize| {
+        let points = limit(components).unwrap_or(0).min((samples / LEAST_EACH) as usize);
+        points * (8 + 16 * components)
+    };
+    let fine: usize = [1, 1, 1, 1, n, momentum, momentum, momentum].map(of_curve).iter().sum();
+    fine as u64 * (COARSER + 1) / COARSER
 }
 
 /// Points of a quantity with so many components.
@@ -198,38 +229,25 @@ fn limit(components: usize) -> Option<usize> {
     (components > 0 && points >= POINTS.start).then_some(points)
 }
 
-/// The overview of a quantity that a finished log has attached; `None` if there is none, or none that can be read: the
-/// samples say the same.
-pub(super) fn read(file: &mut File, summary: &Summary, curve: Curve) -> Option<Points> {
-    let index = summary.attachment_indexes.iter().find(|at| at.name == OVERVIEW_ATTACHMENT)?;
-    if index.length > MAX_CHUNK_BYTES {
-        return None;
-    }
-    // Its opcode, its length, and the rest.
-    let mut record = vec![0; index.length as usize];
-    file.seek(SeekFrom::Start(index.offset)).ok()?;
-    file.read_exact(&mut record).ok()?;
-    let body = record.get(9..)?;
-    let Ok(Record::Attachment { data, crc, .. }) = mcap::parse_record(op::ATTACHMENT, body) else {
-        return None;
-    };
-    let covered = body.get(..body.len().checked_sub(4)?)?;
-    if record[0] != op::ATTACHMENT || (crc != 0 && crc32fast::hash(covered) != crc) {
-        return None;
-    }
-    let overview = Overview::decode(data.as_ref()).ok()?;
-    let found = overview.curves.into_iter().find(|found| found.curve == curve.name())?;
-    let (low, high): (Vec<_>, Vec<_>) =
-        found.lines.into_iter().map(|line| (line.low, line.high)).unzip();
-    let count = found.since_ns.len();
-    let whole = low.iter().chain(&high).all(|line| line.len() == count);
-    let ascending = found.since_ns.windows(2).all(|pair| pair[0] <= pair[1]);
-    (whole && ascending && count > 0 && found.each > 0).then_some(Points {
-        since_ns: found.since_ns,
-        low,
-        high,
-        each: found.each,
-        held: found.each,
+/// What is attached of a quantity in points, coarse ones first, as far as they can be read; of those that cannot have
+/// `least` points in `part` of the log nothing is read. The samples say the same.
+pub(super) fn of_curve(
+    end: &End,
+    file: &mut File,
+    curve: Curve,
+    part: f64,
+    least: usize,
+) -> impl Iterator<Item = Points> {
+    let prefix = format!("{OVERVIEW_ATTACHMENTS}{}-", curve.name());
+    let mut found: Vec<&AttachmentIndex> =
+        end.attachments.iter().filter(|at| at.name.starts_with(&prefix)).collect();
+    found.sort_by_key(|at| at.length);
+    // A time, and of one component or more two values.
+    let most = move |at: &AttachmentIndex| part * (at.length / 24) as f64;
+    let enough = found.into_iter().filter(move |at| most(at) >= least as f64);
+    enough.filter_map(move |at| {
+        let overview = Overview::decode(attachment(file, at)?.as_slice()).ok()?;
+        Points::of(overview, curve)
     })
 }
 

@@ -11,11 +11,11 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::LogError;
+use super::end::End;
 use super::messages::Message;
 use super::overview::{self, Points};
 use super::reader::{self, Item};
 use super::schema::Channel;
-use super::stretch::{messages, start_and_end, summary};
 
 /// What a chart shows over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -184,8 +184,7 @@ pub fn read_course(
         seen: 0,
         values: Vec::new(),
     };
-    // A log that grows ends nowhere in particular: what its end looks like means nothing.
-    let Ok(Some(summary)) = summary(&mut file) else {
+    let Some(end) = End::read(&mut file) else {
         let mut reading = reading(whole, window.points);
         let (mut start_ns, mut stop) = (None, Ok(()));
         reader::read(path, |item| {
@@ -205,41 +204,36 @@ pub fn read_course(
         })?;
         return Ok(stop.ok().map(|()| Samples::of(curve, reading.points, None)));
     };
-    let (start_ns, end_ns) = start_and_end(&summary);
+    let (start_ns, end_ns) = end.span_ns;
     let last_ns = end_ns - start_ns;
     let whole = whole.start..whole.end.min(last_ns.saturating_add(1));
     let one = |span: Range<u64>, limit: usize| {
         let mut reading = reading(span, limit.max(2));
-        if reading.span.is_empty() {
-            return Ok(Some(reading.points));
-        }
         let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
-        let (from_ns, mut stop) = (start_ns.saturating_add(reading.span.start), Ok(()));
-        messages(&mut file, &summary, &[curve.channel().topic()], from_ns, |time_ns, data| {
-            let since_ns = time_ns.saturating_sub(start_ns);
-            stop = reading.note(since_ns, data);
-            if stop.is_err() || reading.is_over(since_ns) {
-                return ControlFlow::Break(());
-            }
-            ControlFlow::Continue(())
+        let log_time = |since_ns: u64| start_ns.saturating_add(since_ns);
+        let stretch = log_time(reading.span.start)..log_time(reading.span.end);
+        let mut stop = Ok(());
+        end.messages(&mut file, &[curve.channel().topic()], stretch, |time_ns, data| {
+            stop = reading.note(time_ns.saturating_sub(start_ns), data);
+            if stop.is_err() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })
         .map_err(|source| LogError::mcap(path, "read", source))?;
         Ok(stop.ok().map(|()| reading.points))
     };
-    let parts: Vec<Result<Option<Points>, LogError>> =
-        match overview::read(&mut file, &summary, curve)
-            .and_then(|overview| Inside::of(overview, &whole, last_ns, window.points))
-        {
-            Some(Inside { overview, range, span }) => vec![
-                one(whole.start..span.start, EDGE_POINTS),
-                Ok(Some(overview.part(range, window.points - 2 * EDGE_POINTS))),
-                one(span.end..whole.end, EDGE_POINTS),
-            ],
-            None => {
-                let count = summary.stats.as_ref().map_or(0, |stats| stats.message_count);
-                in_parallel(&whole, if count < LONG { 1 } else { MOST_THREADS }, window.points, one)
-            }
-        };
+    let part = whole.end.saturating_sub(whole.start) as f64 / last_ns.max(1) as f64;
+    let inside = overview::of_curve(&end, &mut file, curve, part, window.points / 2)
+        .find_map(|overview| Inside::of(overview, &whole, last_ns, window.points));
+    let parts: Vec<Result<Option<Points>, LogError>> = match inside {
+        Some(Inside { overview, range, span }) => vec![
+            one(whole.start..span.start, EDGE_POINTS),
+            Ok(Some(overview.part(range, window.points - 2 * EDGE_POINTS))),
+            one(span.end..whole.end, EDGE_POINTS),
+        ],
+        None => {
+            let threads = if end.messages < LONG { 1 } else { MOST_THREADS };
+            in_parallel(&whole, threads, window.points, one)
+        }
+    };
     let mut all = Points::default();
     for part in parts {
         let Some(part) = part? else { return Ok(None) };

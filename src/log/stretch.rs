@@ -4,27 +4,20 @@
 //! unfinished one only the beginning is read.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 use std::ops::ControlFlow;
 use std::path::Path;
 
 use foxglove::messages::{Color, Pose, SceneUpdate, Vector3};
-use mcap::sans_io::indexed_reader::{
-    IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
-};
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
-use mcap::{McapError, Summary};
+use mcap::McapError;
 use prost::Message as _;
 use schemars::JsonSchema;
 use serde::Serialize;
 
+use super::LogError;
+use super::end::End;
 use super::messages::State;
 use super::reader::{self, Item};
 use super::schema::Channel;
-use super::{LogError, MAX_CHUNK_BYTES};
-
-/// Bytes asked of the file at once.
-const READ_AT_ONCE: usize = 64 << 10;
 
 /// Attitudes one after another, and the drawings of the scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
@@ -88,89 +81,26 @@ pub struct Wanted {
 pub fn read_stretch(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
     let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
     let damaged = |source| LogError::mcap(path, "read", source);
-    match summary(&mut file) {
-        Ok(Some(summary)) => finished(&mut file, &summary, wanted).map_err(damaged),
-        // A log that grows ends nowhere in particular: what its end looks like means nothing.
-        Ok(None) | Err(_) => beginning(path, wanted),
+    match End::read(&mut file) {
+        Some(end) => finished(&mut file, &end, wanted).map_err(damaged),
+        None => beginning(path, wanted),
     }
 }
 
-/// The index at the end of a finished log.
-pub(super) fn summary(file: &mut File) -> Result<Option<Summary>, McapError> {
-    let options = SummaryReaderOptions::default()
-        .with_file_size(file.metadata()?.len())
-        .with_record_length_limit(MAX_CHUNK_BYTES as usize);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event? {
-            SummaryReadEvent::ReadRequest(wanted) => {
-                let got = file.read(reader.insert(wanted.clamp(1, READ_AT_ONCE)))?;
-                reader.notify_read(got);
-            }
-            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
-        }
-    }
-    Ok(reader.finish())
-}
-
-/// The log times of the first and of the last message.
-pub(super) fn start_and_end(summary: &Summary) -> (u64, u64) {
-    let times = summary.stats.as_ref();
-    let (start, end) = times.map_or((0, 0), |s| (s.message_start_time, s.message_end_time));
-    (start.min(end), end)
-}
-
-fn finished(file: &mut File, summary: &Summary, wanted: Wanted) -> Result<Stretch, McapError> {
+fn finished(file: &mut File, end: &End, wanted: Wanted) -> Result<Stretch, McapError> {
     let mut stretch = Stretch::default();
-    let (start_ns, end_ns) = start_and_end(summary);
+    let (start_ns, end_ns) = end.span_ns;
     stretch.end_s = Some((end_ns - start_ns) as f64 * 1e-9);
     let scene = [Channel::SceneBody.topic(), Channel::SceneSources.topic()];
-    messages(file, summary, &scene, start_ns, |_, data| {
+    // The scene is of the start.
+    end.messages(file, &scene, start_ns..start_ns.saturating_add(1), |_, data| {
         stretch.draw(data);
         ControlFlow::Continue(())
     })?;
     let from_ns = start_ns.saturating_add((wanted.from_s.max(0.0) * 1e9) as u64);
-    messages(file, summary, &[Channel::State.topic()], from_ns, |_, data| {
-        stretch.add(data, wanted)
-    })?;
+    let topic = [Channel::State.topic()];
+    end.messages(file, &topic, from_ns..u64::MAX, |_, data| stretch.add(data, wanted))?;
     Ok(stretch)
-}
-
-/// Shows the messages of some topics from a time on with their log times, chunk by chunk, until `visit` has enough.
-pub(super) fn messages(
-    file: &mut File,
-    summary: &Summary,
-    topics: &[&str],
-    from_ns: u64,
-    mut visit: impl FnMut(u64, &[u8]) -> ControlFlow<()>,
-) -> Result<(), McapError> {
-    // To the reader no topic is every topic.
-    if !summary.channels.values().any(|channel| topics.contains(&channel.topic.as_str())) {
-        return Ok(());
-    }
-    let options = IndexedReaderOptions::default()
-        .with_order(ReadOrder::File)
-        .include_topics(topics.iter().copied())
-        .starting_at(from_ns)
-        .with_record_length_limit(MAX_CHUNK_BYTES as usize);
-    let mut reader = IndexedReader::new_with_options(summary, options)?;
-    let mut chunk = Vec::new();
-    while let Some(event) = reader.next_event() {
-        match event? {
-            IndexedReadEvent::ReadChunkRequest { offset, length } => {
-                file.seek(SeekFrom::Start(offset))?;
-                chunk.resize(length, 0);
-                file.read_exact(&mut chunk)?;
-                reader.insert_chunk_record_data(offset, &chunk)?;
-            }
-            IndexedReadEvent::Message { header, data } => {
-                if visit(header.log_time, data).is_break() {
-                    break;
-                }
-            }
-        }
-    }
-    Ok(())
 }
 
 /// The first samples of a log that is being written.

@@ -27,8 +27,8 @@ use super::part::{Part, Syncer, folder, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
 use super::schema::{Channel, Compression, ENCODING, Topic};
 use super::{
-    CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, OVERVIEW_ATTACHMENT,
-    SCENARIO_ATTACHMENT, is_transient, resume,
+    CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
+    is_transient, resume,
 };
 use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
@@ -323,9 +323,9 @@ impl<const N: usize> LogWriter<N> {
         for (name, svg) in &outcome.charts {
             self.attach(self.last_ns, name, "image/svg+xml", svg.as_bytes())?;
         }
-        if let Some(overview) = std::mem::take(&mut self.curves).overview(self.samples) {
+        for (name, overview) in std::mem::take(&mut self.curves).overviews(self.samples) {
             let bytes = overview.encode_to_vec();
-            self.attach(self.last_ns, OVERVIEW_ATTACHMENT, "application/protobuf", &bytes)?;
+            self.attach(self.last_ns, &name, "application/protobuf", &bytes)?;
         }
         let mut metadata = outcome.entries;
         metadata.insert("state".to_owned(), outcome.state);

@@ -254,12 +254,13 @@ impl Plan {
     /// What a run takes of the memory in addition to its members.
     fn memory(&self, sample_bytes: u64) -> f64 {
         let n = self.dimension as f64;
-        // The program with its charts, the overview, and the two parts of a chunk, before and after compression.
-        const RUN_BYTES: f64 = 22e6;
+        // The program with its charts, and the two parts of a chunk, before and after compression.
+        const RUN_BYTES: f64 = 14e6;
+        let overview = overview::bytes(self.samples, self.dimension) as f64;
         let chunk = 2.0 * (self.samples_per_chunk * sample_bytes) as f64;
         // As JSON, as numbers and as what the threads compute with.
         let terms = self.model.terms.len() as f64 * (2_000.0 + 16.0 * 8.0 * n * n);
-        RUN_BYTES + chunk + terms
+        RUN_BYTES + overview + chunk + terms
     }
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 use vpd::advise;
-use vpd::log::OVERVIEW_ATTACHMENT;
+use vpd::log::OVERVIEW_ATTACHMENTS;
 use vpd::log::reader::{Message, read_samples};
 use vpd::log::samples::{Curve, Samples, Window, read_course};
 use vpd::run::{Control, JobContext, execute};
@@ -82,14 +82,16 @@ fn a_chart_of_a_long_log_is_drawn_from_its_overview_and_loses_no_extreme() {
     // Where the samples are gone the chart of the whole stands: it reads none of them.
     let mut bytes = fs::read(&log).expect("a log");
     let summary = mcap::Summary::read(&bytes).expect("whole").expect("has a summary");
-    assert!(summary.attachment_indexes.iter().any(|at| at.name == OVERVIEW_ATTACHMENT));
+    assert!(summary.attachment_indexes.iter().any(|at| at.name.starts_with(OVERVIEW_ATTACHMENTS)));
     let [mut of_chunks, mut of_overview] = [0, 0];
     for chunk in &summary.chunk_indexes {
         let (from, length) = (chunk.chunk_start_offset as usize, chunk.chunk_length as usize);
         bytes[from + 64..from + length].fill(0);
         of_chunks += length;
     }
-    for at in summary.attachment_indexes.iter().filter(|at| at.name == OVERVIEW_ATTACHMENT) {
+    for at in
+        summary.attachment_indexes.iter().filter(|at| at.name.starts_with(OVERVIEW_ATTACHMENTS))
+    {
         of_overview += at.length as usize;
     }
     assert!(of_overview * 25 < of_chunks, "{of_overview} bytes next to {of_chunks}");

@@ -1,0 +1,199 @@
+//! The end of a finished log: where its messages and attachments stand.
+//!
+//! Invariant: however long a log is, what is read and kept is bounded by what is asked for. The places of the chunks, of
+//! which a long log has tens of thousands, are looked through where they stand.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::ops::{ControlFlow, Range};
+use std::sync::Arc;
+
+use mcap::read::LinearReader;
+use mcap::records::{AttachmentIndex, Footer, Record, Statistics, op};
+use mcap::sans_io::indexed_reader::{
+    IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
+};
+use mcap::{McapError, Summary};
+
+use super::MAX_CHUNK_BYTES;
+
+/// Bytes of the opcode and of the length before what a record says.
+const HEAD: usize = 1 + 8;
+
+/// Where a finished log has what.
+pub(super) struct End {
+    /// Log times of the first message and of the last.
+    pub(super) span_ns: (u64, u64),
+    /// Messages in all.
+    pub(super) messages: u64,
+    /// Of the attachments.
+    pub(super) attachments: Vec<AttachmentIndex>,
+    /// With the channels, and without the chunks.
+    summary: Summary,
+    /// In the file.
+    chunks: Range<u64>,
+}
+
+impl End {
+    /// `None` if the log has no end, or one that is damaged: so it is with one that grows, whose last bytes mean nothing.
+    pub(super) fn read(file: &mut File) -> Option<Self> {
+        let footer_bytes = HEAD + 20;
+        let length = file.seek(SeekFrom::End(0)).ok()?;
+        let footer_at = length.checked_sub((footer_bytes + mcap::MAGIC.len()) as u64)?;
+        let last = bytes_at(file, footer_at..length)?;
+        let (footer, magic) = last.split_at(footer_bytes);
+        let Ok(Record::Footer(footer)) = mcap::parse_record(footer[0], &footer[HEAD..]) else {
+            return None;
+        };
+        let Footer { summary_offset_start: groups_at, .. } = footer;
+        if magic != mcap::MAGIC || groups_at == 0 {
+            return None;
+        }
+        let mut end = Self {
+            span_ns: (0, 0),
+            messages: 0,
+            attachments: Vec::new(),
+            summary: Summary::default(),
+            chunks: 0..0,
+        };
+        let groups = bytes_at(file, groups_at..footer_at)?;
+        for group in LinearReader::sans_magic(&groups) {
+            let Record::SummaryOffset(group) = group.ok()? else { return None };
+            let at = group.group_start..group.group_start.checked_add(group.group_length)?;
+            match group.group_opcode {
+                op::CHUNK_INDEX => end.chunks = at,
+                op::STATISTICS | op::ATTACHMENT_INDEX | op::CHANNEL => {
+                    for record in LinearReader::sans_magic(&bytes_at(file, at)?) {
+                        end.note(record.ok()?)?;
+                    }
+                }
+                _ => {}
+            }
+        }
+        (end.span_ns.0 <= end.span_ns.1).then_some(end)
+    }
+
+    fn note(&mut self, record: Record<'_>) -> Option<()> {
+        match record {
+            Record::Statistics(Statistics {
+                message_start_time: start_ns,
+                message_end_time: end_ns,
+                message_count,
+                ..
+            }) => (self.span_ns, self.messages) = ((start_ns, end_ns), message_count),
+            Record::AttachmentIndex(index) => self.attachments.push(index),
+            Record::Channel(channel) => {
+                let channel = mcap::Channel {
+                    id: channel.id,
+                    topic: channel.topic,
+                    schema: None,
+                    message_encoding: channel.message_encoding,
+                    metadata: channel.metadata,
+                };
+                self.summary.channels.insert(channel.id, Arc::new(channel));
+            }
+            _ => return None,
+        }
+        Some(())
+    }
+
+    /// Shows the messages of some topics in a stretch of log times, chunk by chunk, until `visit` has enough.
+    pub(super) fn messages(
+        &self,
+        file: &mut File,
+        topics: &[&str],
+        stretch: Range<u64>,
+        mut visit: impl FnMut(u64, &[u8]) -> ControlFlow<()>,
+    ) -> Result<(), McapError> {
+        let channels = self.summary.channels.values();
+        let channels = channels.filter(|at| topics.contains(&at.topic.as_str()));
+        let channels: Vec<u16> = channels.map(|at| at.id).collect();
+        // To the reader no topic is every topic.
+        if stretch.is_empty() || channels.is_empty() {
+            return Ok(());
+        }
+        let summary = self.chunks_of(file, &channels, &stretch)?;
+        let options = IndexedReaderOptions::default()
+            .with_order(ReadOrder::File)
+            .include_topics(topics.iter().copied())
+            .starting_at(stretch.start)
+            .with_record_length_limit(MAX_CHUNK_BYTES as usize);
+        let mut reader = IndexedReader::new_with_options(&summary, options)?;
+        let mut chunk = Vec::new();
+        while let Some(event) = reader.next_event() {
+            match event? {
+                IndexedReadEvent::ReadChunkRequest { offset, length } => {
+                    file.seek(SeekFrom::Start(offset))?;
+                    chunk.resize(length, 0);
+                    file.read_exact(&mut chunk)?;
+                    reader.insert_chunk_record_data(offset, &chunk)?;
+                }
+                IndexedReadEvent::Message { header, data } => {
+                    let inside = header.log_time < stretch.end;
+                    if inside && visit(header.log_time, data).is_break() {
+                        break;
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The chunks with messages of some channels in a stretch, as the reader wants them.
+    fn chunks_of(
+        &self,
+        file: &mut File,
+        channels: &[u16],
+        stretch: &Range<u64>,
+    ) -> Result<Summary, McapError> {
+        let mut summary = self.summary.clone();
+        file.seek(SeekFrom::Start(self.chunks.start))?;
+        let places = self.chunks.end.saturating_sub(self.chunks.start);
+        let mut places = BufReader::with_capacity(1 << 16, file).take(places);
+        let (mut head, mut place) = ([0; HEAD], Vec::new());
+        while places.limit() > 0 {
+            places.read_exact(&mut head)?;
+            let [opcode, length @ ..] = head;
+            let length = u64::from_le_bytes(length);
+            if length > MAX_CHUNK_BYTES {
+                return Err(McapError::RecordTooLarge { opcode, len: length });
+            }
+            place.resize(length as usize, 0);
+            places.read_exact(&mut place)?;
+            // Times of its first message and of its last come first.
+            let time = |at: usize| {
+                let bytes = place.get(at..at + 8).and_then(|bytes| bytes.try_into().ok());
+                bytes.map_or(0, u64::from_le_bytes)
+            };
+            if time(0) < stretch.end
+                && time(8) >= stretch.start
+                && let Record::ChunkIndex(index) = mcap::parse_record(opcode, &place)?
+                && channels.iter().any(|id| index.message_index_offsets.contains_key(id))
+            {
+                summary.chunk_indexes.push(index);
+            }
+        }
+        Ok(summary)
+    }
+}
+
+/// What is attached, if its checksum agrees.
+pub(super) fn attachment(file: &mut File, index: &AttachmentIndex) -> Option<Vec<u8>> {
+    let record = bytes_at(file, index.offset..index.offset.checked_add(index.length)?)?;
+    let (head, body) = record.split_at_checked(HEAD)?;
+    let Ok(Record::Attachment { data, crc, .. }) = mcap::parse_record(op::ATTACHMENT, body) else {
+        return None;
+    };
+    let covered = body.get(..body.len().checked_sub(4)?)?;
+    let good = head[0] == op::ATTACHMENT && (crc == 0 || crc32fast::hash(covered) == crc);
+    good.then(|| data.into_owned())
+}
+
+/// What a file holds at a place, if that is not more than any record of ours.
+fn bytes_at(file: &mut File, at: Range<u64>) -> Option<Vec<u8>> {
+    let length = at.end.checked_sub(at.start).filter(|&length| length <= MAX_CHUNK_BYTES)?;
+    let mut bytes = vec![0; length as usize];
+    file.seek(SeekFrom::Start(at.start)).ok()?;
+    file.read_exact(&mut bytes).ok()?;
+    Some(bytes)
+}
