@@ -15,7 +15,7 @@
 //!
 //! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link`
 //! (signed addresses), `api` (routes, thin handlers) with `openapi` (their description), `view` (what answers look
-//! like) and `problem` (the only place that knows status codes), `desk` (where submissions are checked), `download`
+//! like) and `problem` (the only place that knows status codes), `submission` (slots in which they are checked), `download`
 //! and `follow` (the log over HTTP, finished and growing), `viewers` (the live view), `engine` (queue and workers),
 //! `errand` (what a worker does) and `apart` (in a process of its own), `job` (its life), `store` (the record),
 //! `metrics`.
@@ -23,7 +23,6 @@
 mod api;
 pub(crate) mod apart;
 mod config;
-mod desk;
 mod download;
 mod engine;
 mod errand;
@@ -39,6 +38,7 @@ mod page;
 mod problem;
 mod store;
 mod studies;
+mod submission;
 mod view;
 mod viewers;
 
@@ -64,7 +64,6 @@ pub use engine::cluster::{ClusterConfig, ClusterError};
 pub use store::bucket::BucketError;
 
 use api::App;
-use desk::Desk;
 use engine::Engine;
 #[cfg(feature = "cluster")]
 use engine::cluster::Cluster;
@@ -76,6 +75,7 @@ use listen::Open;
 use store::bucket::Bucket;
 use store::{DataLock, Store, StudyStore};
 use studies::Studies;
+use submission::SubmissionSlots;
 
 /// How long a stop waits for runs to end; together with what comes before and after, less than ten seconds.
 const DRAIN: Duration = Duration::from_secs(9);
@@ -164,7 +164,7 @@ pub async fn serve(
     let Parts { engine, studies, links, drained } = parts(&config, limits, live.clone()).await?;
     let gate = Gate::new(&config, links.clone());
     let (stop, stopped) = watch::channel(false);
-    let app = App::new(engine.clone(), studies.clone(), Desk::open()?, &config, links);
+    let app = App::new(engine.clone(), studies.clone(), SubmissionSlots::open()?, &config, links);
     let app = match &door {
         Some(door) => app.with_live(door.local_addr()?),
         None => app,

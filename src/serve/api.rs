@@ -20,7 +20,6 @@ use tower_http::trace::TraceLayer;
 use uuid::Uuid;
 
 use super::config::{Cors, Scope};
-use super::desk::Desk;
 use super::engine::{Engine, Refusal};
 use super::gate::{self, Gate};
 use super::job::State;
@@ -29,6 +28,7 @@ use super::openapi::{self, Operation};
 use super::page::{self, Pictures};
 use super::problem::{self, Problem};
 use super::studies::{Body as StudyRequest, Studies, StudyList, StudyView};
+use super::submission::SubmissionSlots;
 use super::view::{JobEvent, JobList, JobView, ScenarioList, Status};
 use super::{ServeConfig, download, metrics};
 use crate::log::members::{MemberOrder, MemberQuantity, Members};
@@ -57,20 +57,20 @@ pub(super) struct App {
     /// Where there are tokens.
     links: Option<LinkKey>,
     /// Where what is submitted is checked.
-    desk: Desk,
+    submissions: SubmissionSlots,
 }
 
 impl App {
     pub(super) fn new(
         engine: Engine,
         studies: Option<Studies>,
-        desk: Desk,
+        submissions: SubmissionSlots,
         config: &ServeConfig,
         links: Option<LinkKey>,
     ) -> Self {
         let public_url = config.public_url.as_ref().map(|url| url.trim_end_matches('/').to_owned());
         let pictures = Pictures::new();
-        Self { engine, studies, pictures, public_url, live: None, links, desk }
+        Self { engine, studies, pictures, public_url, live: None, links, submissions }
     }
 
     fn studies(&self) -> Result<&Studies, Refusal> {

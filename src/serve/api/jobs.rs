@@ -133,7 +133,7 @@ pub(super) async fn submit_job(
         };
         Ok::<_, ScenarioError>((scenario, planned))
     };
-    let (scenario, planned) = app.desk.check(checked).await??;
+    let (scenario, planned) = app.submissions.check(checked).await??;
     let view = app.engine.submit(scenario, planned, key, sent).await?;
     let location = [(LOCATION, format!("/jobs/{}", view.id))];
     let status = if view.state.is_final() { StatusCode::OK } else { StatusCode::ACCEPTED };

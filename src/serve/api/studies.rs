@@ -23,7 +23,7 @@ pub(super) async fn submit_study(
         return Err(Problem::not_json());
     }
     let text = body.clone();
-    let question = app.desk.check(move || Question::from_json(&text)).await??;
+    let question = app.submissions.check(move || Question::from_json(&text)).await??;
     let submit = move || Ok::<_, Problem>(app.studies()?.submit(question, &body)?);
     let view = off_thread(submit).await?;
     let location = [(LOCATION, format!("/studies/{}", view.id))];

@@ -1,6 +1,6 @@
-//! The desk: what is submitted is checked here, on a few threads that give way to those that answer.
+//! Submission slots: what is submitted is checked here, on a few threads that give way to those that answer.
 //!
-//! Invariant: a place at the desk is held by the work and not by the client: one who leaves frees none, and what nobody
+//! Invariant: a slot is held by the work and not by the client: one who leaves frees none, and what nobody
 //! waits for any more is not begun.
 
 use std::sync::mpsc::{self, Receiver, Sender};
@@ -14,22 +14,22 @@ use super::give_way;
 
 /// Submissions that are checked at once. More of them would be kept a little sooner, and everybody who asks for a
 /// state would wait behind them all.
-const PLACES: usize = 4;
+const SLOTS: usize = 4;
 
 type Work = Box<dyn FnOnce() + Send>;
 
-/// A handle on the desk; copies are the same.
+/// A handle on the slots; copies are the same.
 #[derive(Clone, Debug)]
-pub(super) struct Desk(Sender<Work>);
+pub(super) struct SubmissionSlots(Sender<Work>);
 
-impl Desk {
+impl SubmissionSlots {
     /// Starts its threads; they end when the last handle is gone.
     pub(super) fn open() -> io::Result<Self> {
         let (work, waiting) = mpsc::channel();
         let waiting = Arc::new(Mutex::new(waiting));
-        for number in 1..=PLACES {
+        for number in 1..=SLOTS {
             let waiting = waiting.clone();
-            thread::Builder::new().name(format!("desk-{number}")).spawn(move || {
+            thread::Builder::new().name(format!("submission-{number}")).spawn(move || {
                 give_way();
                 while let Some(work) = next(&waiting) {
                     work();
@@ -39,7 +39,7 @@ impl Desk {
         Ok(Self(work))
     }
 
-    /// Waits for a place and does the work there. It fails, and says so, where that panics.
+    /// Waits for a slot and does the work in it. It fails, and says so, where that panics.
     pub(super) async fn check<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,
