@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -357,7 +358,7 @@ def test_kill():
             job = made.ended(id)
             assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
         listed = call(f"{made.address}/jobs?limit=500")[1]["jobs"]
-        assert sorted(job["id"] for job in listed) == sorted(jobs)
+        assert sorted(job["id"] for job in listed) == sorted(jobs), (listed, jobs)
         names = [entry["Key"] for page in made.s3.get_paginator("list_objects_v2").paginate(
             Bucket="vpd", Prefix="record/") for entry in page.get("Contents", [])]
         assert sum(name.endswith("result.json") for name in names) == len(jobs)
@@ -368,6 +369,19 @@ def test_kill():
         print(f"      {killed} kills in {len(jobs)} jobs: taken up again after {waits[len(waits) // 2]:.1f} s, "
               f"at most {waits[-1]:.1f} s, with a lease of {LEASE_S} s")
         assert waits[-1] <= 3 * LEASE_S, waits
+
+
+def test_listed():
+    """A job that has run for more than a minute stands in the list all the while."""
+    with cluster() as made:
+        id = made.submit(scenario(90 * SECOND, every=100_000))
+        begun, state = time.monotonic(), None
+        while (since := time.monotonic() - begun) < 80:
+            listed = call(f"{made.address}/jobs")[1]["jobs"]
+            assert [job["id"] for job in listed] == [id], f"after {since:.0f} s: {listed}"
+            state = listed[0]["state"]
+            time.sleep(0.5)
+        assert state == "running", state
 
 
 def test_pause():
@@ -742,7 +756,8 @@ def main():
             print(f"pass  {name}: {tests[name].__doc__.splitlines()[0]} ({time.monotonic() - begun:.0f} s)", flush=True)
         except Exception as error:
             bad += 1
-            print(f"FAIL  {name}: {type(error).__name__}: {str(error)[:2000]}", flush=True)
+            where = "".join(traceback.format_tb(error.__traceback__)[1:])
+            print(f"FAIL  {name}: {type(error).__name__}: {str(error)[:2000]}\n{where}", flush=True)
     sys.exit(1 if bad else 0)
 
 

@@ -215,7 +215,9 @@ impl Bucket {
         &self,
         from: Uuid,
     ) -> Result<BTreeMap<Uuid, Held>, StoreError> {
-        let (prefix, offset) = (Key::from(JOBS), Key::from_iter([JOBS, &from.to_string()]));
+        // Names begin after the offset: some stores take all names below a folder of that name for the folder itself.
+        let before = Uuid::from_u128(from.as_u128().saturating_sub(1));
+        let (prefix, offset) = (Key::from(JOBS), Key::from_iter([JOBS, &before.to_string()]));
         let mut jobs = BTreeMap::<Uuid, Held>::new();
         let mut names = self.0.list_with_offset(Some(&prefix), &offset);
         while let Some(found) = names.next().await {

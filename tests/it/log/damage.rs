@@ -5,7 +5,9 @@ use std::fs;
 use vpd::log::inspect::inspect;
 use vpd::log::part_path;
 use vpd::log::resume::last_checkpoint;
+use vpd::log::samples::{Curve, Window, read_course};
 use vpd::log::schema::Compression;
+use vpd::log::stretch::{Wanted, read_stretch};
 use vpd::log::writer::{Level, LogHeader, LogWriter};
 
 use super::fixture::*;
@@ -155,4 +157,47 @@ fn a_full_disk_fails_the_log_and_leaves_what_it_holds() {
     assert_eq!(log.finish(succeeded()).expect_err("given up").code(), "log_given_up");
     assert!(!path.exists());
     assert!(last_checkpoint(&path).expect("readable") > Some(0));
+}
+
+/// Charts and drawings look for a part by the index at the end: where that is damaged they say so, or show samples.
+#[test]
+fn a_damaged_end_leads_to_samples_or_to_an_error() {
+    let (_folder, path) = write_dipole(25);
+    let bytes = fs::read(&path).expect("read");
+    let summary = mcap::Summary::read(&bytes).expect("whole").expect("has a summary");
+    let last = summary.chunk_indexes.last().expect("chunks");
+    let end = (last.chunk_start_offset + last.chunk_length) as usize;
+    let damaged = path.with_extension("damaged");
+    let energies = |from_s: f64| {
+        let window = Window { from_s, to_s: f64::MAX, points: 100 };
+        read_course(&damaged, Curve::EnergyError, window, &|_| Vec::new(), &|| false)
+            .map(|course| course.expect("nobody stopped it").low.concat())
+    };
+    let attitudes = || {
+        let wanted = Wanted { from_s: 0.1, every_s: 0.0, samples: 100 };
+        read_stretch(&damaged, wanted).map(|stretch| stretch.attitude)
+    };
+    fs::write(&damaged, &bytes).expect("write");
+    let (all, some) = (energies(0.0).expect("whole"), energies(0.1).expect("whole"));
+    let turned = attitudes().expect("whole");
+    assert_eq!((all.len(), some.len(), turned.len()), (26, 16, 16));
+    let (mut errors, mut others) = (0, 0);
+    for at in end..bytes.len() {
+        for flip in [1, 0x80, 0xff] {
+            let mut bytes = bytes.clone();
+            bytes[at] ^= flip;
+            fs::write(&damaged, bytes).expect("write");
+            for from_s in [0.0, 0.1] {
+                match energies(from_s) {
+                    Ok(found) => {
+                        assert!(found.iter().all(|x| all.contains(x)), "byte {at}, {flip:#x}");
+                        others += usize::from(found.len() != if from_s > 0.0 { 16 } else { 26 });
+                    }
+                    Err(_) => errors += 1,
+                }
+            }
+            errors += usize::from(attitudes().is_err());
+        }
+    }
+    assert!(errors > 0 && others > 0, "{errors} errors, {others} other answers");
 }
