@@ -182,22 +182,22 @@ fn a_damaged_end_leads_to_samples_or_to_an_error() {
     let turned = attitudes().expect("whole");
     assert_eq!((all.len(), some.len(), turned.len()), (26, 16, 16));
     let (mut errors, mut others) = (0, 0);
-    for at in end..bytes.len() {
-        for flip in [1, 0x80, 0xff] {
-            let mut bytes = bytes.clone();
-            bytes[at] ^= flip;
-            fs::write(&damaged, bytes).expect("write");
-            for from_s in [0.0, 0.1] {
-                match energies(from_s) {
-                    Ok(found) => {
-                        assert!(found.iter().all(|x| all.contains(x)), "byte {at}, {flip:#x}");
-                        others += usize::from(found.len() != if from_s > 0.0 { 16 } else { 26 });
-                    }
-                    Err(_) => errors += 1,
+    // Every byte takes seconds a kilobyte.
+    for at in (end..bytes.len()).step_by(11) {
+        let flip = [1, 0x80, 0xff][at % 3];
+        let mut bytes = bytes.clone();
+        bytes[at] ^= flip;
+        fs::write(&damaged, bytes).expect("write");
+        for from_s in [0.0, 0.1] {
+            match energies(from_s) {
+                Ok(found) => {
+                    assert!(found.iter().all(|x| all.contains(x)), "byte {at}, {flip:#x}");
+                    others += usize::from(found.len() != if from_s > 0.0 { 16 } else { 26 });
                 }
+                Err(_) => errors += 1,
             }
-            errors += usize::from(attitudes().is_err());
         }
+        errors += usize::from(attitudes().is_err());
     }
     assert!(errors > 0 && others > 0, "{errors} errors, {others} other answers");
 }
