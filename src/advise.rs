@@ -237,12 +237,13 @@ fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
     }
     let run = measure(settled, probe, &watch)?;
     let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
-    let Counts { steps, sweeps, gradients } = run.counts();
+    let Counts { steps, sweeps, gradients, pieces } = run.counts();
     let steps = steps.max(1.0);
     Ok((!failed).then_some(Counts {
         steps: 1.0,
         sweeps: sweeps / steps,
         gradients: gradients / steps,
+        pieces: pieces / steps,
     }))
 }
 

@@ -120,7 +120,10 @@ impl Show {
         let turn = floor.turn;
         messages.extend(Channel::all().into_iter().filter_map(|channel| {
             let bytes = match channel {
-                Channel::Tf => messages::frames(turn?, time_ns, BODY_FRAME).encode_to_vec(),
+                Channel::Tf => {
+                    let sources = self.scene.frames(sample.time_s, time_ns);
+                    messages::frames(turn?, time_ns, BODY_FRAME, sources).encode_to_vec()
+                }
                 _ => Message::of_sample(channel, sample, turn)?.encode(),
             };
             Some((channel, bytes))

@@ -31,6 +31,7 @@ pub(crate) use model::{Model, ModelKinetic};
 use model::{
     attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
 };
+pub(crate) use problem::driven_term;
 use terms::{Extent, Terms};
 
 /// About what a log takes in addition to its samples: schemas, scenario, plan, index.
@@ -411,7 +412,6 @@ impl Plan {
     fn add_driven(&mut self, inertia: &DMatrix<f64>) {
         for (index, driven) in self.model.driven.iter_mut().enumerate() {
             driven.term = with_matrix(&driven.term, inertia);
-            self.model.shown.push(driven.term.clone());
             let pointer = format!("/scene/driven/{index}");
             let why = "changes with time".to_owned();
             self.potential.push(TermPlan { pointer, kept: true, why });

@@ -249,7 +249,7 @@ fn run<const N: usize>(
         diagnosis => (outcome, diagnosis),
     };
     let Recorder { writer, figures, course, .. } = recorder;
-    let energy = EnergySeen::at_the_ends(body, initial, &reached.state());
+    let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
     let end = End { outcome, reached, diagnosis, ensemble: None, energy };
     let summary = finish(Asked::of(plan), context.log, writer, (&figures, &course), end)?;
     Ok(Summary {

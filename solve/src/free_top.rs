@@ -27,6 +27,10 @@
 //! The integral of the last term (an elliptic one of the third kind) is taken by Gauss quadrature on pieces
 //! so short that it is exact to round-off.
 //!
+//! The momentum has the period `4 K / l = 2 pi / agm(sqrt(max(a, b)), sqrt(|a - b|))` (Gauss 1799; Abramowitz, Stegun,
+//! 17.6), and `e . mu`, a dn, half of it: of a longer motion the whole periods leave the momentum where it is, and
+//! each adds the same to psi. So a motion costs at most a period and a half, however long it is.
+//!
 //! Invariant: the spatial momentum and the kinetic energy are kept to round-off.
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
@@ -57,40 +61,53 @@ const SHORT_RULE: [(f64, f64); 3] = [
     (0.887_298_334_620_741_7, 0.277_777_777_777_777_8),
 ];
 
-/// How a free body moves in `h`, given its inverse principal moments of inertia and its momentum.
+/// How a free body moves in `h`, given its inverse principal moments of inertia and its momentum, and in how many pieces that
+/// was computed: see [`pieces`].
 ///
 /// `None` if the values are not finite or the body turns by more than about 10^4 radians.
-pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> {
+pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift, f64)> {
     let size = mu.norm();
     if size == 0.0 {
-        return Some(Drift { turn: Quaternion::identity(), gain: Vector3::zeros() });
+        let none = Drift { turn: Quaternion::identity(), gain: Vector3::zeros() };
+        return Some((none, 1.0));
     }
     let axes = Axes::new(inverse);
-    let mut m = axes.0.map(|axis| mu[axis]);
+    let m = axes.0.map(|axis| mu[axis]);
     let constants = Constants::new(axes.0.map(|axis| inverse[axis]), m);
     let [a, b] = constants.squares;
     let longest = constants.length(h);
     if !(longest <= MAX_PIECES * LONGEST_PIECE) || !size.is_finite() {
         return None;
     }
-    let pieces = (longest / LONGEST_PIECE).ceil().max(1.0);
-    let rule: &[(f64, f64)] = if longest <= SHORT { &SHORT_RULE } else { &RULE };
     // Of x and z the one that keeps its sign: it belongs to dn.
     let place = if a >= b { 2 } else { 0 };
     let pole = Pole { axis: axes.0[place], sign: 1.0_f64.copysign(m[place]) };
-    let t = h / pieces;
-    let series = constants.series(t);
-    let (mut integral, mut gains) = (0.0, [0.0; 3]);
-    for _ in 0..pieces as u32 {
-        for &(node, weight) in rule {
-            // t / (G + e . mu)
-            let [numerator, divisor] = constants.place(place, m, series.at(node));
-            integral += weight * t * divisor / (size * divisor + pole.sign * numerator);
+    // From m on: the integral of 1 / (G + e . mu), and what m gains.
+    let along = |h: f64, mut m: [f64; 3]| {
+        let longest = constants.length(h);
+        let rule: &[(f64, f64)] = if longest <= SHORT { &SHORT_RULE } else { &RULE };
+        let pieces = count(longest);
+        let t = h / pieces;
+        let series = constants.series(t);
+        let (mut integral, mut gains) = (0.0, [0.0; 3]);
+        for _ in 0..pieces as u32 {
+            for &(node, weight) in rule {
+                let [numerator, divisor] = constants.place(place, m, series.at(node));
+                integral += weight * t * divisor / (size * divisor + pole.sign * numerator);
+            }
+            let change = constants.change(m, &series);
+            for i in 0..3 {
+                (m[i], gains[i]) = (m[i] + change[i], gains[i] + change[i]);
+            }
         }
-        let change = constants.change(m, &series);
-        for i in 0..3 {
-            (m[i], gains[i]) = (m[i] + change[i], gains[i] + change[i]);
-        }
+        (integral, gains, pieces)
+    };
+    let Course { periods, period, rest } = constants.course(h);
+    let (mut integral, gains, mut pieces) = along(rest, m);
+    if periods > 0.0 {
+        let (of_half, _, more) = along(0.5 * period, m);
+        integral += 2.0 * periods * of_half;
+        pieces += more;
     }
     let mut gain = Vector3::zeros();
     for (axis, value) in axes.0.into_iter().zip(gains) {
@@ -106,7 +123,7 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> 
     direction[pole.axis] = pole.sign;
     let turn = Quaternion::from_parts(libm::cos(half), direction * libm::sin(half));
     let (start, end) = (pole.to(mu, size), pole.to(&(mu + gain), size));
-    Some(Drift { turn: (start * turn * end.conjugate()).normalize(), gain })
+    Some((Drift { turn: (start * turn * end.conjugate()).normalize(), gain }, pieces))
 }
 
 /// The pieces in which [`flow`] computes a motion, of a body given by its inverse principal moments and its momentum: what it
@@ -114,7 +131,21 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<Drift> 
 pub fn pieces(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> f64 {
     let axes = Axes::new(inverse);
     let constants = Constants::new(axes.0.map(|axis| inverse[axis]), axes.0.map(|axis| mu[axis]));
-    (constants.length(h) / LONGEST_PIECE).ceil().clamp(1.0, MAX_PIECES)
+    let Course { periods, period, rest } = constants.course(h);
+    let of_period = if periods > 0.0 { count(constants.length(0.5 * period)) } else { 0.0 };
+    count(constants.length(rest)) + of_period
+}
+
+/// The pieces of a motion over which the argument u goes so far.
+fn count(length: f64) -> f64 {
+    (length / LONGEST_PIECE).ceil().clamp(1.0, MAX_PIECES)
+}
+
+/// A motion: whole periods of the momentum, and a rest with its sign.
+struct Course {
+    periods: f64,
+    period: f64,
+    rest: f64,
 }
 
 /// Puts `mu + gain` back to where the size of the momentum and the energy are those of `mu`.
@@ -164,6 +195,8 @@ struct Constants {
     rates: [f64; 3],
     /// a and b.
     squares: [f64; 2],
+    /// a - b, in which what both have is left out.
+    difference: f64,
 }
 
 impl Constants {
@@ -171,7 +204,8 @@ impl Constants {
         let [alpha, beta, gamma] = [wz - wy, wx - wz, wy - wx];
         let middle = alpha * gamma * y * y;
         let squares = [middle - alpha * beta * z * z, middle - beta * gamma * x * x];
-        Self { rates: [alpha, beta, gamma], squares }
+        let difference = beta * (gamma * x * x - alpha * z * z);
+        Self { rates: [alpha, beta, gamma], squares, difference }
     }
 
     /// How far the argument u goes in `h`.
@@ -179,6 +213,24 @@ impl Constants {
         let [a, b] = self.squares;
         // The sum keeps a NaN, a maximum would not.
         h.abs() * (a + b).sqrt()
+    }
+
+    /// Of the momentum; infinite on a separatrix and where it rests.
+    fn period(&self) -> f64 {
+        let [a, b] = self.squares;
+        std::f64::consts::TAU / agm(a.max(b).sqrt(), self.difference.abs().sqrt())
+    }
+
+    /// What `h` is in periods of the momentum.
+    fn course(&self, h: f64) -> Course {
+        // K is at least pi / 2.
+        if self.length(h) < 6.0 {
+            return Course { periods: 0.0, period: 0.0, rest: h };
+        }
+        let period = self.period();
+        // Exact, and h where there is no period.
+        let rest = if period.is_finite() { h % period } else { h };
+        Course { periods: ((h - rest) / period).abs().round(), period: period.copysign(h), rest }
     }
 
     /// `S^2(s t) / (s t)^2` as a polynomial in s^2: with `p = a + b`, `q = a b`,
@@ -219,6 +271,16 @@ impl Constants {
             if i == 0 { x * c + alpha * s * d * y * z } else { z * d + gamma * s * c * x * y };
         [numerator, 1.0 - alpha * gamma * (s * y) * (s * y)]
     }
+}
+
+/// The arithmetic-geometric mean of two numbers that are not negative.
+fn agm(mut arithmetic: f64, mut geometric: f64) -> f64 {
+    // Its digits double in each round, once the two are of one size.
+    while geometric > 0.0 && (arithmetic - geometric).abs() > 4.0 * f64::EPSILON * arithmetic {
+        let product = arithmetic.sqrt() * geometric.sqrt();
+        (arithmetic, geometric) = (0.5 * (arithmetic + geometric), product);
+    }
+    if geometric > 0.0 { arithmetic } else { 0.0 }
 }
 
 /// S, c and d on one piece.
@@ -270,7 +332,7 @@ mod tests {
 
     /// Where the body is after `h`.
     fn after(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
-        let Drift { turn, gain } = flow(inverse, &top.momentum, h)?;
+        let (Drift { turn, gain }, _) = flow(inverse, &top.momentum, h)?;
         let attitude = so3::renormalised(&(top.attitude * turn));
         Some(Top { attitude, momentum: top.momentum + gain })
     }
@@ -309,6 +371,69 @@ mod tests {
         let spin = Top { momentum: Vector3::new(1.0, 0.0, 0.0), ..Top::at_rest() };
         assert_eq!(after(&Vector3::repeat(f64::NAN), &spin, 1.0), None);
         assert_eq!(after(&Vector3::new(1.0, 2.0, 3.0), &spin, 1e9), None);
+    }
+
+    #[test]
+    fn whole_periods_are_what_their_pieces_are() {
+        let bodies =
+            [[1.0, 0.5, 0.25], [0.99, 1.0, 100.0], [0.7, 0.7, 2.0], [1.0, 1.0 + 1e-9, 1.2]];
+        let momenta = [
+            [3.0, -2.0, 5.0],
+            [1e-2, 4.0, 1e-2],
+            [0.1, 0.2, -7.0],
+            // Next to the separatrix of the first body.
+            [1.0, 0.4, 1.41],
+        ];
+        let mut periods_seen = 0.0;
+        for inverse in bodies.map(Vector3::from) {
+            for momentum in momenta.map(Vector3::from) {
+                let attitude = Quaternion::new(0.1, -0.7, 0.5, 0.5).normalize();
+                let start = Top { attitude, momentum };
+                let axes = Axes::new(&inverse);
+                let constants = Constants::new(
+                    axes.0.map(|axis| inverse[axis]),
+                    axes.0.map(|axis| momentum[axis]),
+                );
+                let period = constants.period();
+                // The parts of a period, one after the other, in which none is whole.
+                let around = |top: &Top| {
+                    (0..8).fold(*top, |top, _| after(&inverse, &top, period / 8.0).expect("finite"))
+                };
+                let apart = |one: &Top, other: &Top| {
+                    let turned = (one.attitude - other.attitude).norm();
+                    turned + (one.momentum - other.momentum).norm() / momentum.norm()
+                };
+                let long = |top: &Top| after(&inverse, top, 2.0 * period).expect("finite");
+                let end = long(&start);
+                // What rounding of the start alone makes, which is much next to a separatrix.
+                let nudged = |axis: usize| {
+                    let mut top = start;
+                    top.momentum[axis] += 1e-15 * momentum.norm();
+                    apart(&long(&top), &end)
+                };
+                let turns = momentum.norm() * inverse.amax() * period;
+                let nudges: f64 = (0..3).map(nudged).sum();
+                let least = 1e-15 * (8.0 + turns) + 16.0 * nudges;
+                let apart = [
+                    apart(&around(&start), &Top { attitude: around(&start).attitude, ..start }),
+                    apart(&around(&around(&start)), &end),
+                    apart(&after(&inverse, &end, -2.0 * period).expect("finite"), &start),
+                ];
+                assert!(apart.iter().all(|x| *x < least), "{apart:?}, {least:e}");
+                assert!(least < 1e-9, "{least:e}");
+                // However long: no more than a period and a half.
+                let most = 1.5 * constants.length(period) / LONGEST_PIECE + 2.0;
+                for k in 0..40 {
+                    let h = period * 1.37 * f64::from(k);
+                    assert!(pieces(&inverse, &momentum, h) <= most);
+                    periods_seen += constants.course(h).periods;
+                }
+            }
+        }
+        assert!(periods_seen > 1000.0);
+        assert_eq!((agm(1.0, 0.0), agm(3.0, 3.0)), (0.0, 3.0));
+        // Gauss's constant is 1 / agm(1, sqrt 2).
+        assert!((agm(1.0, std::f64::consts::SQRT_2) - 1.198_140_234_735_592_2).abs() < 4e-16);
     }
 
     #[test]

@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::failure::{Failure, FailureCode};
 
-/// Counts gradients and sweeps, and refuses a sweep past the most allowed or after somebody said stop. A step may be
+/// Counts gradients, sweeps and pieces, and refuses a sweep past the most allowed or after somebody said stop. A step may be
 /// many sweeps, and a sweep long: it is asked before each.
 #[derive(Clone, Debug)]
 pub struct Work {
     gradients: Cell<u64>,
     sweeps: Cell<u64>,
+    pieces: Cell<u64>,
     most_sweeps: u64,
     stop: Arc<AtomicBool>,
 }
@@ -28,7 +29,8 @@ impl Default for Work {
 impl Work {
     /// At most so many sweeps, and none once `stop` is set.
     pub fn limited(most_sweeps: u64, stop: Arc<AtomicBool>) -> Self {
-        Self { gradients: Cell::new(0), sweeps: Cell::new(0), most_sweeps, stop }
+        let none = || Cell::new(0);
+        Self { gradients: none(), sweeps: none(), pieces: none(), most_sweeps, stop }
     }
 
     /// Gradients of the potential taken so far.
@@ -41,6 +43,11 @@ impl Work {
         self.sweeps.get()
     }
 
+    /// Pieces in which motions of the free body were computed, beyond the first of each.
+    pub fn pieces(&self) -> u64 {
+        self.pieces.get()
+    }
+
     /// Are all allowed sweeps made?
     pub fn is_spent(&self) -> bool {
         self.sweeps() >= self.most_sweeps
@@ -49,6 +56,11 @@ impl Work {
     /// Takes note of gradients.
     pub(super) fn add_gradients(&self, gradients: u64) {
         self.gradients.set(self.gradients() + gradients);
+    }
+
+    /// Takes note of the pieces of a free motion.
+    pub(super) fn add_pieces(&self, pieces: f64) {
+        self.pieces.set(self.pieces() + (pieces - 1.0) as u64);
     }
 
     /// Takes note of a sweep that begins.

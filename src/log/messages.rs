@@ -199,17 +199,21 @@ impl Figures {
     }
 }
 
-/// The body's frame as seen from space, for viewers.
-pub fn frames([w, x, y, z]: [f64; 4], time_ns: u64, body_frame: &str) -> FrameTransforms {
-    FrameTransforms {
-        transforms: vec![FrameTransform {
-            timestamp: timestamp(time_ns),
-            parent_frame_id: super::scene::SPACE_FRAME.to_owned(),
-            child_frame_id: body_frame.to_owned(),
-            translation: Some(Vector3::default()),
-            rotation: Some(Quaternion { x, y, z, w }),
-        }],
-    }
+/// The body's frame as seen from space, for viewers, and behind it those of what moves around it.
+pub fn frames(
+    [w, x, y, z]: [f64; 4],
+    time_ns: u64,
+    body_frame: &str,
+    sources: Vec<FrameTransform>,
+) -> FrameTransforms {
+    let body = FrameTransform {
+        timestamp: timestamp(time_ns),
+        parent_frame_id: super::scene::SPACE_FRAME.to_owned(),
+        child_frame_id: body_frame.to_owned(),
+        translation: Some(Vector3::default()),
+        rotation: Some(Quaternion { x, y, z, w }),
+    };
+    FrameTransforms { transforms: std::iter::once(body).chain(sources).collect() }
 }
 
 /// The quaternion of a sample, of the two signs the one nearer to the quaternion of the sample before, so that its components

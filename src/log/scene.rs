@@ -1,6 +1,6 @@
 //! What a viewer draws: the body's box of inertia with its points, and what stands around it.
 //!
-//! Invariant: the body moves by its frame alone, so each drawing is sent once, at the start.
+//! Invariant: body and sources move by their frames alone, so each drawing is sent once, at the start.
 //!
 //! Drawings are in units of the scene's own length, not in metres, so that one camera sees a gyroscope of
 //! centimetres as well as a satellite.
@@ -8,11 +8,12 @@
 use std::borrow::Cow;
 
 use foxglove::messages::{
-    ArrowPrimitive, Color, CubePrimitive, Duration, Pose, Quaternion, SceneEntity, SceneUpdate,
-    SpherePrimitive, Vector3,
+    ArrowPrimitive, Color, CubePrimitive, Duration, FrameTransform, Pose, Quaternion, SceneEntity,
+    SceneUpdate, SpherePrimitive, Vector3,
 };
 
 use super::messages::timestamp;
+use crate::solve::hamiltonian::DrivenTerm;
 
 /// Name of the inertial frame.
 pub const SPACE_FRAME: &str = "space";
@@ -22,6 +23,11 @@ pub const BODY_FRAME: &str = "body";
 /// Name of the frame that turns with a member of an ensemble; that of member 0 is the body's.
 pub fn body_frame(member: u64) -> Cow<'static, str> {
     if member == 0 { BODY_FRAME.into() } else { format!("{BODY_FRAME}/{member}").into() }
+}
+
+/// Name of the frame of the k-th source that moves.
+fn source_frame(k: usize) -> String {
+    format!("source/{k}")
 }
 
 /// What to draw; empty unless n = 3.
@@ -37,6 +43,17 @@ pub struct SceneGeometry {
     pub space_points: Vec<Marker>,
     /// Directions of uniform fields and of gravity, in the space frame; lengths are ignored.
     pub directions: Vec<[f64; 3]>,
+    /// What moves, each in a frame of its own.
+    pub moving: Vec<Mover>,
+}
+
+/// A source that moves.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mover {
+    /// How.
+    pub term: DrivenTerm<3>,
+    /// A charge or an anchor at its place; `None` of a direction.
+    pub ball: Option<Sign>,
 }
 
 /// A point to draw.
@@ -84,7 +101,7 @@ impl SceneGeometry {
 
     /// Whether anything stands around the body.
     pub fn has_sources(&self) -> bool {
-        !self.space_points.is_empty() || !self.directions.is_empty()
+        !self.space_points.is_empty() || !self.directions.is_empty() || !self.moving.is_empty()
     }
 
     /// Charges, anchors and directions, in space; `None` if there are none.
@@ -97,7 +114,41 @@ impl SceneGeometry {
         entity.spheres.extend(self.space_points.iter().map(|point| sphere(point, unit, 0.12)));
         let yellow = [0.93, 0.75, 0.15];
         entity.arrows.extend(self.directions.iter().map(|&along| arrow(along, 1.5, 0.03, yellow)));
-        Some(update(entity))
+        let fixed = !entity.spheres.is_empty() || !entity.arrows.is_empty();
+        let mut entities: Vec<SceneEntity> = fixed.then_some(entity).into_iter().collect();
+        entities.extend(self.moving.iter().enumerate().map(|(k, mover)| {
+            let frame = source_frame(k);
+            let mut entity = self::entity(&frame, &frame, time_ns);
+            match mover.ball {
+                Some(sign) => {
+                    entity.spheres.push(sphere(&Marker { position: [0.0; 3], sign }, unit, 0.12));
+                }
+                None => entity.arrows.push(arrow([1.0, 0.0, 0.0], 1.5, 0.03, yellow)),
+            }
+            entity
+        }));
+        Some(SceneUpdate { deletions: Vec::new(), entities })
+    }
+
+    /// The frames of what moves as seen from space, for viewers: a charge is at the origin of its frame, a direction
+    /// along the x axis.
+    pub fn frames(&self, time_s: f64, time_ns: u64) -> Vec<FrameTransform> {
+        let frame = |(k, mover): (usize, &Mover)| {
+            let now = <[f64; 3]>::from(mover.term.space_at(time_s));
+            let pose = match mover.ball {
+                Some(_) => pose(now.map(|x| x / self.unit()), [1.0, 0.0, 0.0, 0.0]),
+                None => pose([0.0; 3], turn_to(now)),
+            };
+            let Pose { position, orientation } = pose.unwrap_or_default();
+            FrameTransform {
+                timestamp: timestamp(time_ns),
+                parent_frame_id: SPACE_FRAME.to_owned(),
+                child_frame_id: source_frame(k),
+                translation: position,
+                rotation: orientation,
+            }
+        };
+        self.moving.iter().enumerate().map(frame).collect()
     }
 
     /// The length that is drawn as 1: half the longest edge, or how far the farthest body point is.

@@ -76,7 +76,7 @@ channels! {
     Tf = "/tf",
     /// The body's box of inertia and its points, once; n = 3.
     SceneBody = "/scene/body",
-    /// Charges, anchors and directions in space, once; n = 3.
+    /// Charges, anchors and directions in space, once; those that move by frames in `/tf`; n = 3.
     SceneSources = "/scene/sources",
     /// How each member of an ensemble began and ended.
     EnsembleMembers = "/ensemble/members",

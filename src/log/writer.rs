@@ -94,6 +94,7 @@ pub struct LogWriter<const N: usize> {
     /// What becomes of the file when the writer is dropped.
     rest: Rest,
     pub(super) epoch_ns: u64,
+    scene: SceneGeometry,
     samples_per_chunk: u64,
     /// What is to be written, in the order of the channel ids.
     topics: Vec<Topic>,
@@ -214,6 +215,7 @@ impl<const N: usize> LogWriter<N> {
             given_up: false,
             rest: Rest::Removed,
             epoch_ns: header.epoch_ns,
+            scene: header.scene.clone(),
             samples_per_chunk: header
                 .samples_per_chunk
                 .min(MAX_CHUNK_BYTES / 2 / sample_bytes.max(1))
@@ -472,7 +474,13 @@ impl<const N: usize> LogWriter<N> {
             }
             if topic.channel == Channel::Tf {
                 if let Some(turn) = turn {
-                    let frames = messages::frames(turn, time_ns, &body_frame(member));
+                    // What moves moves for all members alike.
+                    let sources = if member == 0 {
+                        self.scene.frames(sample.time_s, time_ns)
+                    } else {
+                        Vec::new()
+                    };
+                    let frames = messages::frames(turn, time_ns, &body_frame(member), sources);
                     self.put_encoded(topic, time_ns, &frames.encode_to_vec())?;
                 }
             } else if let Some(message) = SampleMessage::of_sample(topic.channel, sample, turn) {

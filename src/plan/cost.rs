@@ -29,6 +29,9 @@ pub struct Counts {
     pub sweeps: f64,
     /// Gradients of the potential, each at one attitude.
     pub gradients: f64,
+    /// Of the exact free body, beyond the first of each of its motions: the faster it turns, the more there are.
+    #[serde(default)]
+    pub pieces: f64,
 }
 
 /// What the parts of a method cost.
@@ -130,16 +133,17 @@ impl Plan {
         const AT_REST_NS: f64 = 5.0;
         /// Of what it takes in space, in a plane.
         const IN_PLANE: f64 = 0.7;
+        const PIECE_NS: f64 = 70.0;
         let part = match self.formulation.motion {
             Motion::AtRest => return work.steps * AT_REST_NS,
             Motion::InPlane => IN_PLANE,
             Motion::General => 1.0,
         };
         let Scheme { step_ns, sweep_ns, terms } = self.scheme();
-        let step_ns = step_ns + self.turning_ns();
         let gradient_ns = terms * self.terms_cost_ns() + self.driven_ns();
         let step_ns = step_ns + self.driven_ns() * self.formulation.stages as f64;
-        part * (work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns)
+        let parts = work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns;
+        part * (parts + work.pieces * PIECE_NS)
     }
 
     /// About what it costs to look at a driven body, or one with wheels, at one stage.
@@ -154,10 +158,8 @@ impl Plan {
         STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n
     }
 
-    /// What the free parts of a step of `splitting` cost beyond the first piece of each: the faster the body turns, the more
-    /// pieces there are.
-    fn turning_ns(&self) -> f64 {
-        const PIECE_NS: f64 = 70.0;
+    /// The pieces of a step of `splitting` beyond the first of each free part, as the body turns at the start.
+    fn usual_pieces(&self) -> f64 {
         let Formulation { method: Integrator::Splitting, order, .. } = self.formulation else {
             return 0.0;
         };
@@ -166,22 +168,24 @@ impl Plan {
         let momentum = momentum.map(|x| x.abs() + spread);
         let pieces = |part: &f64| free_top::pieces(&inverse, &momentum, part * self.step_s) - 1.0;
         let parts = Composition::new(order);
-        PIECE_NS * parts.map_or(0.0, |composition| composition.parts().iter().map(pieces).sum())
+        parts.map_or(0.0, |composition| composition.parts().iter().map(pieces).sum())
     }
 
     /// The work of a step whose sweeps nobody has counted.
     fn usual_work(&self) -> Counts {
         let Formulation { method, stages, .. } = self.formulation;
         let sweeps = method.facts().sweeps[usize::from(self.dimension != 3)];
-        Counts { steps: 1.0, sweeps, gradients: sweeps * stages as f64 }
+        let gradients = sweeps * stages as f64;
+        Counts { steps: 1.0, sweeps, gradients, pieces: self.usual_pieces() }
     }
 
     /// About what one sweep over all stages costs with all that belongs to it, in nanoseconds: of a method without sweeps
     /// a step.
     pub(crate) fn sweep_cost_ns(&self) -> f64 {
-        let Counts { sweeps, gradients, .. } = self.usual_work();
+        let Counts { sweeps, gradients, pieces, .. } = self.usual_work();
         let steps = if sweeps == 1.0 { 1.0 } else { 0.0 };
-        self.work_ns(Counts { steps, sweeps: 1.0, gradients: gradients / sweeps }).max(1.0)
+        let gradients = gradients / sweeps;
+        self.work_ns(Counts { steps, sweeps: 1.0, gradients, pieces }).max(1.0)
     }
 
     /// What the method's parts cost with so many stages, in this dimension.

@@ -112,7 +112,7 @@ fn over_time(given: &Table) -> body::Table<1> {
     }
 }
 
-fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTerm<N> {
+pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTerm<N> {
     let vector = |v: &[f64]| Vector::<N>::from_fn(|i, _| v[i]);
     // What of a vector is across a unit vector, of length one.
     let across = |v: Vector<N>, unit: &Vector<N>| {

@@ -102,7 +102,7 @@ impl Ensemble<'_> {
         let first = first.unwrap_or_else(|| reached.state());
         let end = End {
             outcome,
-            energy: EnergySeen::at_the_ends(&assembly.body, &first, &reached.state()),
+            energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached,
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),

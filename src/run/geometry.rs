@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-use crate::log::scene::{Marker, SceneGeometry, Sign};
-use crate::plan::{ModelKinetic, Plan};
-use crate::scenario::Drawn;
+use crate::log::scene::{Marker, Mover, SceneGeometry, Sign};
+use crate::plan::{ModelKinetic, Plan, driven_term};
+use crate::scenario::{Drawn, DrivenTerm};
 
 /// The drawing of a scene; empty unless n = 3.
 pub(super) fn scene(plan: &Plan) -> SceneGeometry {
@@ -14,17 +14,25 @@ pub(super) fn scene(plan: &Plan) -> SceneGeometry {
     let (box_size, box_axes) = inertia_box(&plan.model.kinetic);
     let mut scene = SceneGeometry { box_size, box_axes, ..SceneGeometry::default() };
     let mut directions = Vec::new();
-    for term in &plan.model.shown {
+    let stays = |driven: &DrivenTerm| driven.path.is_none();
+    let driven = plan.model.driven.iter();
+    for term in plan
+        .model
+        .shown
+        .iter()
+        .chain(driven.clone().filter(|term| stays(term)).map(|fixed| &fixed.term))
+    {
         let Drawn { body_point, position, direction, charge } = term.law().drawn();
-        let sign = match charge {
-            0.0 => Sign::Neutral,
-            charge if charge > 0.0 => Sign::Positive,
-            _ => Sign::Negative,
-        };
-        let marker = |point: &[f64]| Marker { position: three(point), sign };
+        let marker = |point: &[f64]| Marker { position: three(point), sign: sign(charge) };
         scene.body_points.extend(body_point.map(marker));
         scene.space_points.extend(position.map(marker));
         directions.extend(direction.map(three));
+    }
+    for mover in driven.filter(|driven| !stays(driven)) {
+        let Drawn { body_point, position, direction: _, charge } = mover.term.law().drawn();
+        let sign = sign(charge);
+        scene.body_points.extend(body_point.map(|at| Marker { position: three(at), sign }));
+        scene.moving.push(Mover { term: driven_term(mover), ball: position.map(|_| sign) });
     }
     for direction in directions {
         if !scene.directions.contains(&direction) {
@@ -32,6 +40,14 @@ pub(super) fn scene(plan: &Plan) -> SceneGeometry {
         }
     }
     scene
+}
+
+fn sign(charge: f64) -> Sign {
+    match charge {
+        0.0 => Sign::Neutral,
+        charge if charge > 0.0 => Sign::Positive,
+        _ => Sign::Negative,
+    }
 }
 
 fn three(v: &[f64]) -> [f64; 3] {

@@ -91,6 +91,7 @@ impl Task for GiveUp<'_> {
         let resumed_step = reached.step;
         let diagnosis = Some(diagnosis);
         let energy = EnergySeen::at_the_ends(&assembly.body, &assembly.initial, &reached.state());
+        let energy = Some(energy);
         let end = End { outcome: Outcome::Failed, reached, diagnosis, ensemble: None, energy };
         let summary = finish(Asked::of(plan), log, writer, (&figures, &course), end)?;
         Ok(Summary { resumed_step, ..summary })

@@ -236,15 +236,12 @@ impl EnergySeen {
         })
     }
 
-    /// At the start and at the end alone; `None` of a driven body, whose energy changes.
+    /// At the start and at the end alone, where nothing is seen of what a driven body was given on its way.
     pub(super) fn at_the_ends<const N: usize>(
         body: &RigidBody<N>,
         start: &State<N>,
         end: &State<N>,
-    ) -> Option<Self> {
-        if body.is_driven() {
-            return None;
-        }
+    ) -> Self {
         let [first, last] = [start, end].map(|at| body.energy(&at.attitude, &at.momentum));
         // A run that begins and ends at rest has moved between: by about as much as the torque does in a radian.
         let torque = |at: &State<N>| {
@@ -252,8 +249,9 @@ impl EnergySeen {
             so::inner(&torque, &torque).sqrt()
         };
         let moved = first.kinetic.max(last.kinetic).max(torque(start)).max(torque(end));
-        let error = (last.total() - first.total()).abs();
-        Some(Self { initial: first.total(), error, kinetic: moved })
+        let change = (last.total() - first.total()).abs();
+        let error = if body.is_driven() { 0.0 } else { change };
+        Self { initial: first.total(), error, kinetic: moved }
     }
 }
 

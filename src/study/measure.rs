@@ -121,6 +121,8 @@ pub(crate) struct Measured {
     pub(crate) force_evaluations: u64,
     /// Sweeps, those of Newton's method and of a step that failed included.
     pub(crate) sweeps: u64,
+    /// Of the exact free body, beyond the first of each of its motions.
+    pub(crate) pieces: u64,
     /// What it costs by the plan's figures.
     pub(crate) cost_ns: f64,
     /// Largest size of the body angular velocity at a sample, rad/s.
@@ -147,6 +149,7 @@ impl Measured {
             steps: self.steps as f64,
             sweeps: self.sweeps as f64,
             gradients: self.force_evaluations as f64,
+            pieces: self.pieces as f64,
         }
     }
 
@@ -273,6 +276,7 @@ impl Task for Measurement<'_> {
             rung: reached.convergence.map(|solved| solved.rung),
             force_evaluations: body.work().gradients(),
             sweeps: body.work().sweeps(),
+            pieces: body.work().pieces(),
             cost_ns: 0.0,
             fastest_rad_s: fastest.0,
             fastest_sample: fastest.1,
@@ -373,7 +377,7 @@ pub fn effort(scenario: &Scenario) -> Result<Effort, ScenarioError> {
     let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &Watch::default())?;
     let plan = variant(scenario, &scenario.method, step_s, steps)?;
     let turns = (0..TURNS).map(|_| assembled(&plan, Timing { step_s, steps }));
-    let Counts { steps, sweeps, gradients } = run.counts();
+    let Counts { steps, sweeps, gradients, pieces: _ } = run.counts();
     let steps = steps.max(1.0);
     Ok(Effort {
         step_ns: turns.fold(f64::INFINITY, f64::min),

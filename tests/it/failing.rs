@@ -314,6 +314,18 @@ fn lost_energy_is_noticed_without_its_channel() {
     let mut swing = past(0.5);
     swing["initial"]["angular_velocity"] = json!({ "body": [0, 0, 0] });
     assert_eq!(warning(swing, json!(["/state"])), None);
+    // Of a body that is pushed by its balance.
+    let pushed = |distance: f64, damping: f64| {
+        let mut scene = past(distance);
+        scene["torques"] = json!([{ "viscous": { "coefficient": damping } }]);
+        let scenario = json!({
+            "name": "pushed", "scene": scene, "method": { "name": "rk", "tableau": "rk4" },
+            "step_s": 0.01, "steps": 200, "log": { "channels": ["/energy"] }
+        });
+        run(&scenario.to_string(), &directory.path().join("run.mcap")).warning
+    };
+    assert!(pushed(1e-6, 0.05).is_some());
+    assert_eq!(pushed(0.5, 0.05), None);
 }
 
 #[test]

@@ -225,6 +225,11 @@ impl Time {
 }
 
 impl<const N: usize> DrivenTerm<N> {
+    /// Its space vector at a time in seconds.
+    pub fn space_at(&self, t: f64) -> Vector<N> {
+        self.at(Time::of(t)).space
+    }
+
     fn at(&self, t: Time) -> Changing<N> {
         let own = self.term.space;
         let tidal = matches!(self.term.law, Law::GravityGradient { .. });

@@ -60,12 +60,13 @@ impl Stepper<3> for Splitting {
         }
         let axes = &self.axes;
         let (state, _) = self.composition.step(body, &mut self.seen, self.state, h, |top, h| {
-            let drift = axes.free(top, h).ok_or(Failure::new(
+            let (drift, pieces) = axes.free(top, h).ok_or(Failure::new(
                 FailureCode::NonFinite,
                 None,
                 f64::INFINITY,
                 f64::MAX,
             ))?;
+            body.work().add_pieces(pieces);
             Ok((drift, Convergence::EXPLICIT))
         })?;
         self.state = state;
@@ -115,7 +116,7 @@ impl PrincipalAxes {
         Self { tensor: *tensor, inverse: d.diagonal(), turn }
     }
 
-    fn free(&self, top: &Top, h: f64) -> Option<Drift> {
+    fn free(&self, top: &Top, h: f64) -> Option<(Drift, f64)> {
         let Some(turn) = self.turn else {
             return free_top::flow(&self.inverse, &top.momentum, h);
         };
@@ -123,9 +124,9 @@ impl PrincipalAxes {
             Vector3::from((*q * so3::pure(v) * q.conjugate()).vector())
         };
         let principal = rotate(&turn.conjugate(), &top.momentum);
-        let Drift { turn: f, gain } = free_top::flow(&self.inverse, &principal, h)?;
+        let (Drift { turn: f, gain }, pieces) = free_top::flow(&self.inverse, &principal, h)?;
         let gain = free_top::on_orbit(&self.tensor, &top.momentum, rotate(&turn, &gain));
-        Some(Drift { turn: turn * f * turn.conjugate(), gain })
+        Some((Drift { turn: turn * f * turn.conjugate(), gain }, pieces))
     }
 }
 

@@ -254,6 +254,7 @@ fn grown(
                         let runs: Vec<&[f64]> = means.iter().map(|run| run[i].as_slice()).collect();
                         exponent(&runs)
                     });
+                    println!("{}", row(&methods[m], &scenes[s], &exponents));
                     found.lock().expect("no panic").push((m, s, exponents));
                 }
             });
@@ -268,21 +269,25 @@ fn grown(
 /// half.
 const WALK: f64 = 0.6;
 
+/// A row of the table for people.
+fn row(method: &Method, scene: &Scene, exponents: &[Option<Exponent>; 2]) -> String {
+    let Method { name, size, h, .. } = method;
+    let cell = |exponent: &Option<Exponent>| match exponent {
+        Some(Exponent { value, half, change }) => {
+            format!("{value:.2} \u{b1} {half:.2} | {change:.1e}")
+        }
+        None => "nothing changes | 0".to_owned(),
+    };
+    let [energy, momentum] = exponents.each_ref().map(cell);
+    format!("| {name} {size} | {h} | {} | {energy} | {momentum} |", scene.name)
+}
+
 /// A table for people, and what grows faster than a random walk.
 fn judged(methods: &[Method], steps: usize, members: usize) -> (String, String) {
     let (mut table, mut lines) = (String::new(), String::new());
     let scenes = scenes();
     for (m, s, exponents) in grown(methods, steps, members) {
-        let (Method { name, size, h, .. }, scene) = (&methods[m], scenes[s].name);
-        let cell = |exponent: &Option<Exponent>| match exponent {
-            Some(Exponent { value, half, change }) => {
-                format!("{value:.2} \u{b1} {half:.2} | {change:.1e}")
-            }
-            None => "nothing changes | 0".to_owned(),
-        };
-        let [energy, momentum] = exponents.each_ref().map(cell);
-        let row = format!("| {name} {size} | {h} | {scene} | {energy} | {momentum} |");
-        println!("{row}");
+        let row = row(&methods[m], &scenes[s], &exponents);
         let _ = writeln!(table, "{row}");
         if exponents.iter().flatten().any(|e| e.value - 2.0 * e.half > WALK) {
             let _ = writeln!(lines, "{row}");

@@ -64,6 +64,7 @@ pub(super) fn header() -> LogHeader {
         scenario_json: Some(b"{\"name\":\"dipole\"}".to_vec()),
         job: BTreeMap::from([("name".to_owned(), "dipole".to_owned())]),
         scene: SceneGeometry {
+            moving: Vec::new(),
             box_size: [0.2, 0.2, 2.0],
             box_axes: [1.0, 0.0, 0.0, 0.0],
             body_points: vec![

@@ -1,6 +1,8 @@
 //! What is made for the eye: frames, drawings, logarithms.
 
+use foxglove::messages::{FrameTransforms, SceneUpdate};
 use nalgebra::{Matrix3, Vector3};
+use prost::Message;
 use vpd::log::messages::{self, quaternion};
 use vpd::log::scene::SceneGeometry;
 use vpd::solve::so::Mat;
@@ -63,4 +65,64 @@ fn arrows_point_along_their_directions() {
         assert!((tip - Vector3::from(along).normalize()).amax() < 1e-15, "{along:?}");
     }
     assert_eq!(SceneGeometry::default().sources(EPOCH_NS), None);
+}
+
+/// The frames of what moves carry the drawings along.
+#[test]
+fn moving_sources_are_drawn_where_they_are() {
+    let scenario = serde_json::json!({
+        "name": "moving",
+        "scene": {
+            "inertia": { "principal": [1.0, 0.8, 0.5] },
+            "driven": [
+                { "term": { "kind": "uniform", "weight": 1.0, "body_point": [0, 0, 0.5], "direction": [1, 0, 0] },
+                  "path": { "turning": { "from": [1, 0, 0], "towards": [0, 1, 0], "rate_rad_s": 2.0 } } },
+                { "term": { "kind": "point_source", "strength": 0.1, "body_point": [0, 0, 0.5], "position": [0, 2, 0] },
+                  "path": { "orbit": { "towards": [0, 0, 1], "mean_motion_rad_s": 0.5 } } },
+                { "term": { "kind": "uniform", "weight": 0.1, "body_point": [0, 0.5, 0], "direction": [0, 0, 1] },
+                  "factor": { "harmonic": { "mean": 1.0, "amplitude": 0.5, "rate_rad_s": 1.0 } } }
+            ],
+            "initial": { "angular_velocity": { "body": [0.1, 0.2, 0.3] } }
+        },
+        "step_s": 0.01, "steps": 100, "log": { "every": 10, "channels": ["/tf", "/scene/sources"] }
+    });
+    let scenario = vpd::scenario::Scenario::from_json(scenario.to_string().as_bytes())
+        .expect("a good scenario");
+    let plan = vpd::advise::plan(&scenario).expect("a plan");
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let path = directory.path().join("moving.mcap");
+    let control = vpd::run::Control::default();
+    vpd::run::execute(&plan, &vpd::run::JobContext { log: &path, control: &control })
+        .expect("a log");
+    let bytes = std::fs::read(&path).expect("a log");
+    let (mut frames, mut drawings) = (Vec::new(), Vec::new());
+    for message in mcap::MessageStream::new(&bytes).expect("a log") {
+        let message = message.expect("a message");
+        match message.channel.topic.as_str() {
+            "/tf" => frames.push(FrameTransforms::decode(&*message.data).expect("frames")),
+            "/scene/sources" => drawings.push(SceneUpdate::decode(&*message.data).expect("drawn")),
+            _ => {}
+        }
+    }
+    let [drawn] = drawings.as_slice() else { panic!("{drawings:?}") };
+    let names: Vec<&str> = drawn.entities.iter().map(|entity| entity.frame_id.as_str()).collect();
+    assert_eq!(names, ["space", "source/0", "source/1"]);
+    assert_eq!((drawn.entities[1].arrows.len(), drawn.entities[2].spheres.len()), (1, 1));
+    assert_eq!(frames.len(), 11);
+    // A unit is what the farthest thing of the body is drawn at.
+    let unit = 2.0 / frames[0].transforms[2].translation.expect("a place").y;
+    for (k, frame) in frames.iter().enumerate() {
+        let t = 0.1 * k as f64;
+        let [body, arrow, ball] = frame.transforms.as_slice() else { panic!("{frame:?}") };
+        assert_eq!(body.child_frame_id, "body");
+        let turn = arrow.rotation.expect("a rotation");
+        let turn = nalgebra::Quaternion::new(turn.w, turn.x, turn.y, turn.z);
+        let along = nalgebra::Unit::new_normalize(turn) * Vector3::x();
+        let expected = Vector3::new((2.0 * t).cos(), (2.0 * t).sin(), 0.0);
+        assert!((along - expected).amax() < 1e-14, "{along}");
+        let place = ball.translation.expect("a place");
+        let place = Vector3::new(place.x, place.y, place.z) * unit;
+        let expected = Vector3::new(0.0, 2.0 * (0.5 * t).cos(), 2.0 * (0.5 * t).sin());
+        assert!((place - expected).amax() < 1e-13, "{place}");
+    }
 }
