@@ -9,10 +9,13 @@ use serde_json::{Value, json};
 use vpd::advise;
 use vpd::method::{Integrator, Takes};
 use vpd::scenario::Scenario;
+use vpd::solve::tableau::Tableau;
 use vpd::study::measure::{Effort, effort};
 
 const GAUSS: &[&str] = &["gauss1", "gauss2", "gauss3", "gauss4", "gauss5", "gauss6", "gauss8"];
 const FEW: &[&str] = &["gauss1", "gauss2", "gauss4"];
+/// Before the name of a tableau: one next to it that is not its own partner.
+const BY_SWEEPS: &str = "next to ";
 const EXPLICIT: &[&str] = &["rk3", "rk4", "rk8"];
 const ORDERS: &[&str] = &["2", "4", "8"];
 const DIMENSIONS: [usize; 8] = [2, 3, 4, 5, 6, 8, 12, 16];
@@ -36,6 +39,9 @@ fn main() {
     for (method, tableau, n) in measured() {
         schemes.push(scheme(method, tableau, n, &terms));
     }
+    for (method, tableau, n) in swept() {
+        schemes.push(scheme(method, &format!("{BY_SWEEPS}{tableau}"), n, &terms));
+    }
     let line = |row: &Value| format!("    {row}");
     let lines = |rows: &[Value]| rows.iter().map(line).collect::<Vec<_>>().join(",\n");
     say(&format!(
@@ -58,6 +64,17 @@ fn measured() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
         let dimensions =
             move || DIMENSIONS.into_iter().filter(move |n| !method.facts().three || *n == 3);
         tableaux.iter().flat_map(move |tableau| dimensions().map(move |n| (method, *tableau, n)))
+    })
+}
+
+/// Those of them that solve by sweeps over the unknowns, where the tableau is not its own partner.
+fn swept() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
+    let methods = [Integrator::Vpd, Integrator::VpdLagrangian, Integrator::VpdReduced];
+    methods.into_iter().flat_map(|method| {
+        // The others have lanes for n = 3, of any tableau.
+        let has = move |n: &usize| *n != 3 || method == Integrator::VpdLagrangian;
+        let dimensions = move || DIMENSIONS.into_iter().filter(has);
+        FEW.iter().flat_map(move |tableau| dimensions().map(move |n| (method, *tableau, n)))
     })
 }
 
@@ -100,10 +117,14 @@ fn scheme(method: Integrator, tableau: &str, n: usize, terms: &[Value]) -> Value
     let [step, sweep, share] = fitted(&equations);
     let plan = advise::plan(&scenario(method.as_str(), tableau, n, &[], 0, SMALL_RAD))
         .expect("a good scene");
-    json!({
+    let mut row = json!({
         "method": method.as_str(), "stages": plan.formulation.stages, "n": n, "step_ns": rounded(step),
         "sweep_ns": rounded(sweep), "terms": rounded(share),
-    })
+    });
+    if tableau.starts_with(BY_SWEEPS) {
+        row["swept"] = json!(true);
+    }
+    row
 }
 
 /// Costs, none below zero, with which the rows come nearest to one: of all choices of costs that are zero the best.
@@ -148,6 +169,17 @@ fn compare(asked: &[String]) {
             ));
         }
     }
+}
+
+/// A tableau so near to that of this name that it is its own partner no more.
+fn next_to(name: &str) -> Value {
+    const OFF: f64 = 1e-9;
+    let stages = name.strip_prefix("gauss").and_then(|stages| stages.parse().ok());
+    let tableau = stages.and_then(Tableau::gauss).expect("a Gauss tableau");
+    let stages = tableau.stages();
+    let a = |i: usize, j: usize| tableau.a(i, j) + if i == j { OFF } else { 0.0 };
+    let rows: Vec<Vec<f64>> = (0..stages).map(|i| (0..stages).map(|j| a(i, j)).collect()).collect();
+    json!({ "a": rows, "b": (0..stages).map(|j| tableau.b(j)).collect::<Vec<f64>>() })
 }
 
 fn timed(method: &str, tableau: &str, n: usize, kinds: &[&str], count: usize, turn: f64) -> Effort {
@@ -197,9 +229,12 @@ fn scenario(
         })
         .collect();
     let mut chosen = json!({ "name": method });
-    match tableau.parse::<u32>() {
-        Ok(order) => chosen["order"] = json!(order),
-        Err(_) => chosen["tableau"] = json!(tableau),
+    if let Some(tableau) = tableau.strip_prefix(BY_SWEEPS) {
+        chosen["tableau"] = next_to(tableau);
+    } else if let Ok(order) = tableau.parse::<u32>() {
+        chosen["order"] = json!(order);
+    } else {
+        chosen["tableau"] = json!(tableau);
     }
     // The velocity's size is between a half and one.
     let scenario: Value = json!({

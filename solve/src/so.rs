@@ -287,6 +287,16 @@ fn series_of_exp_minus_one<const N: usize>(x: &Mat<N>) -> Mat<N> {
 ///
 /// `None` where the operator is singular to working precision.
 pub fn lyapunov<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> Option<Mat<N>> {
+    lyapunov_in(m, c, guess, &mut 0)
+}
+
+/// [`lyapunov`], its iterations added to those before: what is far from the identity takes many times the usual ones.
+pub(super) fn lyapunov_in<const N: usize>(
+    m: &Mat<N>,
+    c: &Mat<N>,
+    guess: &Mat<N>,
+    iterations: &mut u32,
+) -> Option<Mat<N>> {
     match N {
         // M X + X M^T = tr(M) X
         2 => {
@@ -294,7 +304,7 @@ pub fn lyapunov<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> Optio
             (trace.abs() > SINGULAR * m.amax()).then(|| c / trace)
         }
         3 => lyapunov_vector(m, c),
-        _ => lyapunov_gradient(m, c, guess),
+        _ => lyapunov_gradient(m, c, guess, iterations),
     }
 }
 
@@ -329,7 +339,12 @@ fn lyapunov_vector<const N: usize>(m: &Mat<N>, c: &Mat<N>) -> Option<Mat<N>> {
 ///
 /// The operator is `L(X) = asym(M X)` and its adjoint `Y -> asym(M^T Y)`: one product each. `M` is
 /// near the identity in a step, so a handful of sweeps reaches round-off.
-fn lyapunov_gradient<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> Option<Mat<N>> {
+fn lyapunov_gradient<const N: usize>(
+    m: &Mat<N>,
+    c: &Mat<N>,
+    guess: &Mat<N>,
+    iterations: &mut u32,
+) -> Option<Mat<N>> {
     let mut x = *guess;
     let mut residual = c - asym(&product(m, &x));
     let mut gradient = asym(&transposed_product(m, &residual));
@@ -342,6 +357,7 @@ fn lyapunov_gradient<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> 
         if best.0 <= goal || gamma == 0.0 || stalled == 3 {
             break;
         }
+        *iterations += 1;
         let image = asym(&product(m, &direction));
         let alpha = gamma / inner(&image, &image);
         if !alpha.is_finite() {

@@ -179,6 +179,15 @@ impl Tableau {
         self.order
     }
 
+    /// Is it symplectic by itself, but for rounding: `b_i a_ij + b_j a_ji = b_i b_j`?
+    pub fn is_own_partner(&self) -> bool {
+        /// What rounding may make of a coefficient.
+        const ROUNDED: f64 = 1e-14;
+        let part = |i: usize, j: usize| self.a[i][j] / self.b[j];
+        let stages = self.stages();
+        (0..stages).all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED))
+    }
+
     /// Does each stage need the earlier ones only?
     pub fn is_explicit(&self) -> bool {
         self.a.iter().enumerate().all(|(i, row)| row[i..].iter().all(|&a| a == 0.0))

@@ -18,6 +18,8 @@ use crate::scenario::PotentialTerm;
 use crate::solve::composition::Composition;
 use crate::solve::free_top;
 use crate::solve::lanes::WIDTH;
+use crate::solve::nonlinear::Rungs;
+use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::Observables;
 
 /// Work that was counted, or is expected.
@@ -47,6 +49,9 @@ struct Scheme {
 #[derive(Debug, Deserialize)]
 struct SchemeRow {
     method: Integrator,
+    /// Of a tableau that is not its own partner, or by Newton's method alone: the unknowns are found by sweeps over them.
+    #[serde(default)]
+    swept: bool,
     stages: usize,
     n: usize,
     #[serde(flatten)]
@@ -188,18 +193,38 @@ impl Plan {
         self.work_ns(Counts { steps, sweeps: 1.0, gradients, pieces }).max(1.0)
     }
 
+    /// The same of steps that adapt, by a Gauss tableau of so many stages.
+    pub(crate) fn own_sweep_cost_ns(&self, stages: usize) -> f64 {
+        let Some(tableau) = Tableau::gauss(stages) else { return self.sweep_cost_ns() };
+        let mut adapting = self.clone();
+        adapting.model.tableau = tableau;
+        let formulation = &mut adapting.formulation;
+        (formulation.method, formulation.stages) = (Integrator::VpdAdaptive, stages);
+        adapting.sweep_cost_ns()
+    }
+
     /// What the method's parts cost with so many stages, in this dimension.
     fn scheme(&self) -> Scheme {
         let Formulation { method, stages, .. } = self.formulation;
         // More stages than lanes go the way of general n.
         let alone = self.model.is_driven() || self.model.wheels.is_some();
+        let adapts = method == Integrator::VpdAdaptive;
         let method = method.costs_as();
-        let general = method.facts().lanes && (stages > WIDTH || alone || self.own_steps.is_some());
-        let rows: Vec<&SchemeRow> = TABLE
-            .schemes
-            .iter()
-            .filter(|row| row.method == method && !(general && row.n == 3))
-            .collect();
+        let general = method.facts().lanes && (stages > WIDTH || alone || adapts);
+        let tableau = &self.model.tableau;
+        let by_sweeps =
+            stages > WIDTH || !tableau.is_own_partner() || self.model.stop.rungs == Rungs::Newton;
+        let in_lanes = method.facts().lanes && self.dimension == 3 && !general;
+        let of_method = |swept: bool| {
+            let row_fits = move |row: &&SchemeRow| {
+                row.method == method && row.swept == swept && !(general && row.n == 3)
+            };
+            TABLE.schemes.iter().filter(row_fits).collect::<Vec<_>>()
+        };
+        let mut rows = of_method(by_sweeps && !in_lanes);
+        if rows.is_empty() {
+            rows = of_method(false);
+        }
         let n = self.dimension as f64;
         let mut counts: Vec<usize> = rows.iter().map(|row| row.stages).collect();
         counts.sort_unstable();

@@ -34,6 +34,8 @@ const MOST_NS: f64 = 2e9;
 const NEAR: f64 = 1.2;
 /// A part of the search that one try may take: there are some that fail, one that does not, and a few between.
 const SHARE: f64 = 1.0 / 8.0;
+/// Stages of steps that adapt.
+const OWN_STAGES: usize = 2;
 /// Sweeps of a step, for want of knowing: most take fewer.
 const SWEEPS: f64 = 8.0;
 /// Looks at the energy in a try.
@@ -45,6 +47,8 @@ const LOST: f64 = 0.5 * summary::MEANINGLESS;
 #[derive(Clone, Debug)]
 pub(super) struct Patience {
     most_sweeps: u64,
+    /// The same work in steps that adapt.
+    most_own_sweeps: u64,
     stop: Arc<AtomicBool>,
 }
 
@@ -52,8 +56,12 @@ impl Patience {
     /// For one of so many members of a run.
     pub(super) fn of(plan: &Plan, control: &Control, members: u64) -> Self {
         let most_ns = (RUNS * plan.run_s * 1e9).clamp(LEAST_NS, MOST_NS);
-        let most = most_ns / plan.sweep_cost_ns() / members.max(1) as f64;
-        Self { most_sweeps: most as u64, stop: control.settling.cancelled.clone() }
+        let most = |sweep_ns: f64| (most_ns / sweep_ns / members.max(1) as f64) as u64;
+        Self {
+            most_sweeps: most(plan.sweep_cost_ns()),
+            most_own_sweeps: most(plan.own_sweep_cost_ns(OWN_STAGES)),
+            stop: control.settling.cancelled.clone(),
+        }
     }
 }
 
@@ -73,11 +81,10 @@ pub(super) fn own_steps<const N: usize>(
     plan: &Plan,
     body: &RigidBody<N>,
 ) -> Option<(Box<dyn Stepper<N>>, f64)> {
-    const STAGES: usize = 2;
     let scale = TimeScale::of(body).filter(|_| plan.own_steps.is_none())?;
     let plain = !body.is_driven() && plan.model.wheels.is_none();
-    let own_s = shorter(plan.easy_own_step_s(STAGES), 1.0);
-    let tableau = Tableau::gauss(STAGES).filter(|_| plain)?;
+    let own_s = shorter(plan.easy_own_step_s(OWN_STAGES), 1.0);
+    let tableau = Tableau::gauss(OWN_STAGES).filter(|_| plain)?;
     let stepper = VpdAdaptive::new(tableau, StopRule::default(), scale).with_steps_of(own_s);
     Some((Box::new(stepper), own_s))
 }
@@ -92,7 +99,7 @@ pub(super) fn diagnosis<const N: usize>(
 ) -> Diagnosis {
     let Broken { initial, reached, schedule, failure } = broken;
     let stiffness = stiffness(body, broken);
-    let Patience { most_sweeps, stop } = patience;
+    let Patience { most_sweeps, most_own_sweeps, stop } = patience;
     let body = body.clone().with_work(Work::limited(most_sweeps, stop.clone()));
     let start = body.energy(&initial.attitude, &initial.momentum);
     // Of steps that adapt the longest is what may be shorter.
@@ -118,10 +125,10 @@ pub(super) fn diagnosis<const N: usize>(
     if adapts {
         advised = advised.of_own_steps();
     } else if let Some((mut stepper, own_s)) = own_steps {
-        let body = body.clone().with_work(Work::limited(most_sweeps, stop));
+        let body = body.clone().with_work(Work::limited(most_own_sweeps, stop));
         let stepper = stepper.as_mut();
         let mut search = Search { body: &body, stepper, broken, start, adapts, nearest: None };
-        let tried = search.passes(own_s, most_sweeps as f64);
+        let tried = search.passes(own_s, most_own_sweeps as f64);
         passed = tried.map(|tried| (own_s, tried));
     }
     let diagnosis = summary::diagnosis(failure, stiffness, reached.step, schedule.step_s, advised);

@@ -21,6 +21,8 @@ use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat};
+use crate::solve::stepper::Stepper;
+use crate::solve::system::System;
 use crate::solve::trajectory::{
     self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
 };
@@ -42,7 +44,8 @@ impl Point {
         Self { attitude: sized(attitude), momentum: sized(momentum) }
     }
 
-    fn state<const N: usize>(&self) -> State<N> {
+    /// As a state of this dimension, which is its own.
+    pub(super) fn state<const N: usize>(&self) -> State<N> {
         let sized = |m: &DMatrix<f64>| Mat::<N>::from_fn(|i, j| m[(i, j)]);
         State { attitude: sized(&self.attitude), momentum: sized(&self.momentum) }
     }
@@ -62,10 +65,10 @@ fn half_norm(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
     (0.5 * a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sqrt()
 }
 
-/// A run to be made on a scene.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Probe<'a> {
-    pub(crate) method: &'a Method,
+/// A run to be made.
+#[derive(Debug)]
+pub(crate) struct Probe<'a, M = Method> {
+    pub(crate) method: &'a M,
     pub(crate) step_s: f64,
     pub(crate) steps: u64,
     /// A sample every k steps.
@@ -80,9 +83,17 @@ pub(crate) struct Probe<'a> {
     pub(crate) member: u64,
 }
 
-impl<'a> Probe<'a> {
+impl<M> Clone for Probe<'_, M> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<M> Copy for Probe<'_, M> {}
+
+impl<'a, M> Probe<'a, M> {
     /// From the start of the scene to the end, whatever the energy does, with a sample at either.
-    pub(crate) fn of(method: &'a Method, step_s: f64, steps: u64) -> Self {
+    pub(crate) fn of(method: &'a M, step_s: f64, steps: u64) -> Self {
         Self {
             method,
             step_s,
@@ -93,6 +104,15 @@ impl<'a> Probe<'a> {
             from: None,
             member: 0,
         }
+    }
+
+    /// The same run of another method.
+    pub(crate) fn with<'b, P>(self, method: &'b P) -> Probe<'b, P>
+    where
+        'a: 'b,
+    {
+        let Self { method: _, step_s, steps, every, energy_limit, keep, from, member } = self;
+        Probe { method, step_s, steps, every, energy_limit, keep, from, member }
     }
 }
 
@@ -227,69 +247,85 @@ impl Task for Measurement<'_> {
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
         let Assembly { body, mut stepper, initial, .. } = assembly;
         let body = body.with_work(Work::limited(self.most_sweeps, self.watch.cancelled.clone()));
-        let Probe { step_s, steps, every, energy_limit, keep, from, member, .. } = self.probe;
+        let Probe { from, member, .. } = self.probe;
         let initial = match (from, self.ensemble) {
             (Some(point), _) => point.state(),
             (None, Some(ensemble)) => spread::start(&initial, ensemble, member),
             (None, None) => initial,
         };
-        let blown = Cell::new(false);
-        let mut gauge = Gauge {
-            body: &body,
-            energy_limit,
-            blown: &blown,
-            keep,
-            points: Vec::new(),
-            series: Vec::new(),
-            fastest: (0.0, 0),
-            kinetic: 0.0,
-            momentum: 0.0,
-            least_sigma: None,
-        };
-        let observables =
-            Observables { energy: true, orthogonality: true, pace: true, ..Observables::default() };
-        let trajectory = trajectory::integrate(
-            &body,
-            stepper.as_mut(),
-            &initial,
-            Schedule { step_s, steps, every },
-            observables,
-            &mut gauge,
-            |_| !blown.get() && !self.watch.is_cancelled(),
-        );
-        let Ok(Trajectory { ending, reached }) = trajectory;
-        let Gauge { points, series, fastest, kinetic, momentum, least_sigma, .. } = gauge;
-        let State { attitude, momentum: last } = reached.state();
-        Measured {
-            end: match ending {
-                Ending::Completed if blown.get() => End::BlewUp,
-                Ending::Cancelled if blown.get() => End::BlewUp,
-                Ending::Completed => End::Completed,
-                Ending::Cancelled => End::Cancelled,
-                Ending::Failed(failure) => End::Failed(failure),
-            },
-            steps: reached.step,
-            last: Point::of(&attitude, &last),
-            points,
-            series,
-            iterations: reached.iterations,
-            rung: reached.convergence.map(|solved| solved.rung),
-            force_evaluations: body.work().gradients(),
-            sweeps: body.work().sweeps(),
-            pieces: body.work().pieces(),
-            cost_ns: 0.0,
-            fastest_rad_s: fastest.0,
-            fastest_sample: fastest.1,
-            largest_kinetic: kinetic,
-            largest_momentum: momentum,
-            least_sigma,
-        }
+        let mut run = run_of(&body, stepper.as_mut(), &initial, self.probe, self.watch);
+        run.force_evaluations = body.work().gradients();
+        run.sweeps = body.work().sweeps();
+        run.pieces = body.work().pieces();
+        run
+    }
+}
+
+/// Runs a system, whatever its law; its work is not counted.
+pub(super) fn run_of<const N: usize, Y: System<N> + ?Sized, M>(
+    system: &Y,
+    stepper: &mut dyn Stepper<N, Y>,
+    initial: &State<N>,
+    probe: Probe<'_, M>,
+    watch: &Watch,
+) -> Measured {
+    let Probe { step_s, steps, every, energy_limit, keep, .. } = probe;
+    let blown = Cell::new(false);
+    let mut gauge = Gauge {
+        system,
+        energy_limit,
+        blown: &blown,
+        keep,
+        points: Vec::new(),
+        series: Vec::new(),
+        fastest: (0.0, 0),
+        kinetic: 0.0,
+        momentum: 0.0,
+        least_sigma: None,
+    };
+    let observables =
+        Observables { energy: true, orthogonality: true, pace: true, ..Observables::default() };
+    let trajectory = trajectory::integrate(
+        system,
+        stepper,
+        initial,
+        Schedule { step_s, steps, every },
+        observables,
+        &mut gauge,
+        |_| !blown.get() && !watch.is_cancelled(),
+    );
+    let Ok(Trajectory { ending, reached }) = trajectory;
+    let Gauge { points, series, fastest, kinetic, momentum, least_sigma, .. } = gauge;
+    let State { attitude, momentum: last } = reached.state();
+    Measured {
+        end: match ending {
+            Ending::Completed if blown.get() => End::BlewUp,
+            Ending::Cancelled if blown.get() => End::BlewUp,
+            Ending::Completed => End::Completed,
+            Ending::Cancelled => End::Cancelled,
+            Ending::Failed(failure) => End::Failed(failure),
+        },
+        steps: reached.step,
+        last: Point::of(&attitude, &last),
+        points,
+        series,
+        iterations: reached.iterations,
+        rung: reached.convergence.map(|solved| solved.rung),
+        force_evaluations: 0,
+        sweeps: 0,
+        pieces: 0,
+        cost_ns: 0.0,
+        fastest_rad_s: fastest.0,
+        fastest_sample: fastest.1,
+        largest_kinetic: kinetic,
+        largest_momentum: momentum,
+        least_sigma,
     }
 }
 
 /// Takes the figures of each sample.
-struct Gauge<'a, const N: usize> {
-    body: &'a RigidBody<N>,
+struct Gauge<'a, Y: ?Sized> {
+    system: &'a Y,
     energy_limit: f64,
     blown: &'a Cell<bool>,
     keep: bool,
@@ -302,7 +338,7 @@ struct Gauge<'a, const N: usize> {
     least_sigma: Option<f64>,
 }
 
-impl<const N: usize> Sink<N> for Gauge<'_, N> {
+impl<const N: usize, Y: System<N> + ?Sized> Sink<N> for Gauge<'_, Y> {
     type Error = Infallible;
 
     fn record(&mut self, sample: &Sample<N>) -> Result<(), Infallible> {
@@ -310,7 +346,9 @@ impl<const N: usize> Sink<N> for Gauge<'_, N> {
         let orthogonality = sample.orthogonality_error.unwrap_or_default();
         self.series.push((sample.time_s, energy_error, orthogonality));
         self.blown.set(self.blown.get() || energy_error.abs() > self.energy_limit);
-        let rate = size(&self.body.velocity(&sample.momentum));
+        let attitude = sample.attitude.unwrap_or_else(Mat::identity);
+        let velocity = self.system.angular_velocity(&attitude, &sample.momentum);
+        let rate = velocity.map_or(0.0, |velocity| size(&velocity));
         if rate > self.fastest.0 {
             self.fastest = (rate, self.series.len() - 1);
         }
@@ -321,7 +359,6 @@ impl<const N: usize> Sink<N> for Gauge<'_, N> {
         self.momentum = self.momentum.max(size(&sample.momentum));
         self.kinetic = self.kinetic.max(sample.energy.map_or(0.0, |energy| energy.kinetic));
         if self.keep {
-            let attitude = sample.attitude.unwrap_or_else(Mat::identity);
             self.points.push(Point::of(&attitude, &sample.momentum));
         }
         Ok(())

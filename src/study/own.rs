@@ -1,18 +1,18 @@
-//! Work and precision on a system of one's own: steppers, one table.
+//! Work and precision, and the map of stability, of a system of one's own: steppers, one table.
 //!
-//! What it does not do: gradients are not counted (their column is 0), there is no stability map and no search for an
-//! accuracy; for these a scene is needed, of which the plan knows the cost and the speed.
+//! What it does not do: gradients are not counted (their column is 0), and there is no search for an accuracy; for these a
+//! scene is needed, of which the plan knows the cost.
 //!
 //! Invariant: all figures but the times repeat to the bit.
 
 use std::convert::Infallible;
 use std::time::Instant;
 
-use super::StudyError;
-use super::Watch;
-use super::measure::Point;
+use super::measure::{Measured, Point, Probe, run_of};
 use super::reference::ReferenceError;
+use super::stability::{Map, Mapper, Runs};
 use super::table::{Row, Table};
+use super::{Scales, StudyError, Watch};
 use crate::solve::nonlinear::Rung;
 use crate::solve::so;
 use crate::solve::stepper::Stepper;
@@ -98,6 +98,91 @@ pub fn precision<const N: usize, Y: System<N> + ?Sized>(
         }
     }
     Ok(OwnPrecision { reference, error, table })
+}
+
+/// Where each candidate fails on the system, as [`stability`](super::stability::stability) does it for scenes: a sweep of
+/// the step, and the border of what is usable. Steps are held against those of `exact`, best of order 16.
+///
+/// The body turns by as much as [`System::angular_velocity`] says, or by a radian in each of the question's first steps.
+///
+/// # Errors
+/// If no step of `exact` keeps the energy, or the study is cancelled.
+pub fn stability<const N: usize, Y: System<N> + ?Sized>(
+    question: Question<'_, N, Y>,
+    exact: &Candidate<'_, N, Y>,
+    candidates: &[Candidate<'_, N, Y>],
+    watch: &Watch,
+) -> Result<Map, StudyError> {
+    let scales = scales(&question, exact, watch)?;
+    let mapper = Mapper { runs: OfSystem { question: &question, exact }, scales };
+    let steps_s = mapper.sweep();
+    watch.expect((candidates.len() * steps_s.len()) as u64);
+    let along = |candidate| mapper.along(candidate, &steps_s, watch);
+    let methods = candidates.iter().map(along).collect::<Result<Vec<_>, _>>()?;
+    Ok(mapper.map(steps_s, methods))
+}
+
+/// How fast a system moves, and a step in which `exact` keeps its energy.
+fn scales<const N: usize, Y: System<N> + ?Sized>(
+    question: &Question<'_, N, Y>,
+    exact: &Candidate<'_, N, Y>,
+    watch: &Watch,
+) -> Result<Scales, StudyError> {
+    /// Of the energy that moves, what an easy step may lose.
+    const KEPT: f64 = 1e-6;
+    let Question { time_s, first_steps, halvings, .. } = *question;
+    let first_steps = first_steps.max(1);
+    // Of an energy in one part that part may be below zero.
+    let State { attitude, momentum } = question.initial;
+    let at_start = question.system.energy(attitude, momentum).kinetic.abs();
+    for halving in 0..=halvings {
+        let Some(steps) = first_steps.checked_shl(halving) else { break };
+        let step_s = time_s / steps as f64;
+        let probe = Probe { every: 1, ..Probe::of(exact, step_s, steps) };
+        let run = OfSystem { question, exact }.run(probe, watch)?;
+        watch.advance(0)?;
+        let kinetic = run.largest_kinetic.max(at_start);
+        if run.completed() && run.energy_error() <= KEPT * kinetic {
+            let named = (run.fastest_rad_s > 0.0).then_some(run.fastest_rad_s);
+            return Ok(Scales {
+                fastest_rad_s: named.unwrap_or(first_steps as f64 / time_s),
+                kinetic,
+                easy_step_s: step_s,
+                adapts: false,
+            });
+        }
+    }
+    Err(ReferenceError::NoStep { time_s }.into())
+}
+
+/// A system of one's own, to be mapped.
+struct OfSystem<'a, const N: usize, Y: ?Sized> {
+    question: &'a Question<'a, N, Y>,
+    exact: &'a Candidate<'a, N, Y>,
+}
+
+impl<'a, const N: usize, Y: System<N> + ?Sized> Runs for OfSystem<'a, N, Y> {
+    type Method = Candidate<'a, N, Y>;
+
+    fn run(&self, probe: Probe<'_, Self::Method>, watch: &Watch) -> Result<Measured, StudyError> {
+        let mut stepper = (probe.method.stepper)();
+        let initial = probe.from.map(Point::state);
+        let initial = initial.as_ref().unwrap_or(self.question.initial);
+        Ok(run_of(self.question.system, stepper.as_mut(), initial, probe, watch))
+    }
+
+    fn exact(&self) -> &Self::Method {
+        self.exact
+    }
+
+    fn label(&self, candidate: &Self::Method) -> String {
+        format!("{} {}", candidate.name, candidate.tableau)
+    }
+
+    fn row(&self, candidate: &Self::Method, step_s: f64, run: &Measured) -> Row {
+        let order = (candidate.stepper)().order();
+        Row::named((candidate.name, candidate.tableau, order), "", step_s, run, None)
+    }
 }
 
 /// The solution of a family and how far its last two are apart, or how near they come to another's. `None` if no two

@@ -157,39 +157,11 @@ pub(super) fn on_threads(
     watch: &Watch,
     threads: usize,
 ) -> Result<Map, StudyError> {
-    let judge = Judge::of(scene, watch)?;
-    let steps_s = judge.sweep();
+    let mapper = Judge::of(scene, watch)?.0;
+    let steps_s = mapper.sweep();
     watch.expect((entries.len() * SWEEP) as u64);
-    let methods = of_each(entries, threads, |entry| {
-        let mut cells = Vec::with_capacity(SWEEP);
-        for &step_s in &steps_s {
-            cells.push(judge.cell(entry, step_s, watch)?);
-            watch.advance(1)?;
-        }
-        let broken = cells.iter().position(|cell| !cell.class.is_usable());
-        let bracket = Bracket {
-            usable_step_s: match broken {
-                Some(at) => at.checked_sub(1).map(|at| steps_s[at]),
-                None => steps_s.last().copied(),
-            },
-            broken: broken.map(|at| (steps_s[at], cells[at].class)),
-        };
-        let (mut border, tried) = judge.border(entry, bracket, watch)?;
-        let usable =
-            |cell: &&Cell| cell.class.is_usable() && Some(cell.row.step_s) <= border.usable_step_s;
-        let mut along: Vec<Cell> = cells.iter().chain(&tried).filter(usable).cloned().collect();
-        along.sort_by(|a, b| a.row.step_s.total_cmp(&b.row.step_s));
-        border.resonances = judge.resonances(entry, &along, watch)?;
-        Ok((cells, border))
-    })?;
-    let (cells, borders) = methods.into_iter().unzip();
-    Ok(Map {
-        cells,
-        borders,
-        energy_scale: judge.scales.kinetic,
-        fastest_rad_s: judge.scales.fastest_rad_s,
-        steps_s,
-    })
+    let methods = of_each(entries, threads, |entry| mapper.along(entry, &steps_s, watch))?;
+    Ok(mapper.map(steps_s, methods))
 }
 
 impl Map {
@@ -209,10 +181,7 @@ struct Bracket {
 
 /// Judges cells of one scene.
 #[derive(Debug)]
-pub struct Judge<'a> {
-    scene: &'a Scenario,
-    scales: Scales,
-}
+pub struct Judge<'a>(Mapper<OfScene<'a>>);
 
 impl<'a> Judge<'a> {
     /// Measures the scales of the scene over about ten turns.
@@ -221,13 +190,9 @@ impl<'a> Judge<'a> {
     /// If no step works on the scene.
     pub fn of(scene: &'a Scenario, watch: &Watch) -> Result<Self, StudyError> {
         let time_s = 10.0 * usual_time(scene)?;
-        Ok(Self { scene, scales: Scales::of(scene, time_s, watch)? })
-    }
-
-    fn sweep(&self) -> Vec<f64> {
-        let (low, high) = TURNS_RAD;
-        let ratio = libm::pow(high / low, 1.0 / (SWEEP - 1) as f64);
-        (0..SWEEP).map(|k| low * libm::pow(ratio, k as f64) / self.scales.fastest_rad_s).collect()
+        let scales = Scales::of(scene, time_s, watch)?;
+        let exact = Entry::new(scene, with_tableau(Integrator::Vpd, TableauName::Gauss8))?;
+        Ok(Self(Mapper { runs: OfScene { scene, exact }, scales }))
     }
 
     /// A method at a step.
@@ -235,16 +200,121 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// If the scene cannot be planned with the method, or the study is cancelled.
     pub fn cell(&self, entry: &Entry, step_s: f64, watch: &Watch) -> Result<Cell, StudyError> {
-        let energy_limit = MEANINGLESS * self.scales.kinetic;
-        let whole = Probe::of(&entry.method, step_s, RUN_STEPS);
-        let probe = Probe { every: 1, energy_limit, keep: true, ..whole };
-        let run = measure(self.scene, probe, watch)?;
-        watch.advance(0)?;
-        let class = self.class(probe, &run, watch)?;
-        Ok(Cell { class, row: Row::new(entry, step_s, &run, None), swing_rad: swing_rad(&run) })
+        self.0.cell(entry, step_s, watch)
+    }
+}
+
+/// What is mapped: methods on a scene, or on a system of one's own.
+pub(super) trait Runs {
+    /// A method.
+    type Method;
+
+    /// Makes a run.
+    fn run(&self, probe: Probe<'_, Self::Method>, watch: &Watch) -> Result<Measured, StudyError>;
+
+    /// The method that is held for exact in steps that are known to work.
+    fn exact(&self) -> &Self::Method;
+
+    /// A method's name, for the map.
+    fn label(&self, method: &Self::Method) -> String;
+
+    /// The figures of a run.
+    fn row(&self, method: &Self::Method, step_s: f64, run: &Measured) -> Row;
+}
+
+#[derive(Debug)]
+struct OfScene<'a> {
+    scene: &'a Scenario,
+    exact: Entry,
+}
+
+impl Runs for OfScene<'_> {
+    type Method = Entry;
+
+    fn run(&self, probe: Probe<'_, Entry>, watch: &Watch) -> Result<Measured, StudyError> {
+        Ok(measure(self.scene, probe.with(&probe.method.method), watch)?)
     }
 
-    fn class(&self, probe: Probe<'_>, run: &Measured, watch: &Watch) -> Result<Class, StudyError> {
+    fn exact(&self) -> &Entry {
+        &self.exact
+    }
+
+    fn label(&self, entry: &Entry) -> String {
+        entry.label()
+    }
+
+    fn row(&self, entry: &Entry, step_s: f64, run: &Measured) -> Row {
+        Row::new(entry, step_s, run, None)
+    }
+}
+
+/// Makes the cells of a map, and finds borders and resonances among them.
+#[derive(Debug)]
+pub(super) struct Mapper<R> {
+    pub(super) runs: R,
+    pub(super) scales: Scales,
+}
+
+impl<R: Runs> Mapper<R> {
+    pub(super) fn map(self, steps_s: Vec<f64>, methods: Vec<(Vec<Cell>, Border)>) -> Map {
+        let (cells, borders) = methods.into_iter().unzip();
+        let Scales { kinetic: energy_scale, fastest_rad_s, .. } = self.scales;
+        Map { steps_s, cells, borders, energy_scale, fastest_rad_s }
+    }
+
+    /// The cells of a method, and its border.
+    pub(super) fn along(
+        &self,
+        method: &R::Method,
+        steps_s: &[f64],
+        watch: &Watch,
+    ) -> Result<(Vec<Cell>, Border), StudyError> {
+        let mut cells = Vec::with_capacity(SWEEP);
+        for &step_s in steps_s {
+            cells.push(self.cell(method, step_s, watch)?);
+            watch.advance(1)?;
+        }
+        let broken = cells.iter().position(|cell| !cell.class.is_usable());
+        let bracket = Bracket {
+            usable_step_s: match broken {
+                Some(at) => at.checked_sub(1).map(|at| steps_s[at]),
+                None => steps_s.last().copied(),
+            },
+            broken: broken.map(|at| (steps_s[at], cells[at].class)),
+        };
+        let (mut border, tried) = self.border(method, bracket, watch)?;
+        let usable =
+            |cell: &&Cell| cell.class.is_usable() && Some(cell.row.step_s) <= border.usable_step_s;
+        let mut along: Vec<Cell> = cells.iter().chain(&tried).filter(usable).cloned().collect();
+        along.sort_by(|a, b| a.row.step_s.total_cmp(&b.row.step_s));
+        border.resonances = self.resonances(method, &along, watch)?;
+        Ok((cells, border))
+    }
+
+    /// The steps of the sweep in seconds, rising.
+    pub(super) fn sweep(&self) -> Vec<f64> {
+        let (low, high) = TURNS_RAD;
+        let ratio = libm::pow(high / low, 1.0 / (SWEEP - 1) as f64);
+        (0..SWEEP).map(|k| low * libm::pow(ratio, k as f64) / self.scales.fastest_rad_s).collect()
+    }
+
+    fn cell(&self, method: &R::Method, step_s: f64, watch: &Watch) -> Result<Cell, StudyError> {
+        let energy_limit = MEANINGLESS * self.scales.kinetic;
+        let whole = Probe::of(method, step_s, RUN_STEPS);
+        let probe = Probe { every: 1, energy_limit, keep: true, ..whole };
+        let run = self.runs.run(probe, watch)?;
+        watch.advance(0)?;
+        let class = self.class(probe, &run, watch)?;
+        let row = self.runs.row(method, step_s, &run);
+        Ok(Cell { class, row, swing_rad: swing_rad(&run) })
+    }
+
+    fn class(
+        &self,
+        probe: Probe<'_, R::Method>,
+        run: &Measured,
+        watch: &Watch,
+    ) -> Result<Class, StudyError> {
         if let End::Failed(failure) = &run.end {
             return Ok(Class::Failed(failure.code));
         }
@@ -282,12 +352,12 @@ impl<'a> Judge<'a> {
     /// Does the trend of a run go on in a longer one?
     fn drifts_on(
         &self,
-        probe: Probe<'_>,
+        probe: Probe<'_, R::Method>,
         run: &Measured,
         watch: &Watch,
     ) -> Result<bool, StudyError> {
         let probe = Probe { steps: LONGER * probe.steps, every: LONGER, keep: false, ..probe };
-        let longer = measure(self.scene, probe, watch)?;
+        let longer = self.runs.run(probe, watch)?;
         watch.advance(0)?;
         let late = |run: &Measured| {
             let late = &run.series[run.series.len() * 3 / 4..];
@@ -306,16 +376,16 @@ impl<'a> Judge<'a> {
         run: &Measured,
         watch: &Watch,
     ) -> Result<bool, StudyError> {
-        let exact = with_tableau(Integrator::Vpd, TableauName::Gauss8);
+        let exact = self.runs.exact();
         let parts = (step_s / self.scales.easy_step_s).ceil().max(1.0) as u64;
         let made = run.points.len().saturating_sub(1);
         let spread = (0..CHECKED_STEPS).map(|k| k * made / CHECKED_STEPS);
         for at in spread.chain([run.fastest_sample]) {
             let [start, end] = run.points.get(at..at + 2).unwrap_or_default() else { continue };
-            let whole = Probe::of(&exact, step_s / parts as f64, parts);
+            let whole = Probe::of(exact, step_s / parts as f64, parts);
             let probe = Probe { from: Some(start), ..whole };
-            let exact = measure(self.scene, probe, watch)?;
-            if exact.completed() && end.attitude_distance(&exact.last) > WRONG_BRANCH {
+            let solved = self.runs.run(probe, watch)?;
+            if solved.completed() && end.attitude_distance(&solved.last) > WRONG_BRANCH {
                 return Ok(true);
             }
         }
@@ -324,7 +394,7 @@ impl<'a> Judge<'a> {
 
     fn border(
         &self,
-        entry: &Entry,
+        method: &R::Method,
         mut bracket: Bracket,
         watch: &Watch,
     ) -> Result<(Border, Vec<Cell>), StudyError> {
@@ -333,7 +403,7 @@ impl<'a> Judge<'a> {
             && broken > BORDER_RATIO * usable
         {
             let middle = (usable * broken).sqrt();
-            let cell = self.cell(entry, middle, watch)?;
+            let cell = self.cell(method, middle, watch)?;
             let class = cell.class;
             tried.push(cell);
             if class.is_usable() {
@@ -344,7 +414,7 @@ impl<'a> Judge<'a> {
         }
         let Bracket { usable_step_s, broken } = bracket;
         let border = Border {
-            label: entry.label(),
+            label: self.runs.label(method),
             usable_step_s,
             turn_rad: usable_step_s.map(|step_s| step_s * self.scales.fastest_rad_s),
             broken_step_s: broken.map(|(step_s, _)| step_s),
@@ -360,7 +430,7 @@ impl<'a> Judge<'a> {
     /// `2 pi / m` steps are tried close by.
     fn resonances(
         &self,
-        entry: &Entry,
+        method: &R::Method,
         along: &[Cell],
         watch: &Watch,
     ) -> Result<Vec<Resonance>, StudyError> {
@@ -372,11 +442,11 @@ impl<'a> Judge<'a> {
                 low.is_some_and(|low| low < target) && high.is_some_and(|high| high >= target)
             };
             let Some(pair) = along.windows(2).find(passes) else { continue };
-            let at = self.aimed(entry, target, [pair[0].clone(), pair[1].clone()], watch)?;
+            let at = self.aimed(method, target, [pair[0].clone(), pair[1].clone()], watch)?;
             let largest = along.last().map_or(at, |cell| cell.row.step_s);
             let mut cells = Vec::with_capacity(ABOUT.len());
             for step_s in ABOUT.map(|part| part * at).into_iter().filter(|&h| h <= largest) {
-                cells.push(self.cell(entry, step_s, watch)?);
+                cells.push(self.cell(method, step_s, watch)?);
             }
             found.extend(self.window(steps_per_swing, &cells));
         }
@@ -386,7 +456,7 @@ impl<'a> Judge<'a> {
     /// The step between two at which the motion swings by `target`.
     fn aimed(
         &self,
-        entry: &Entry,
+        method: &R::Method,
         target: f64,
         [mut low, mut high]: [Cell; 2],
         watch: &Watch,
@@ -397,7 +467,7 @@ impl<'a> Judge<'a> {
             low.row.step_s * libm::pow(high.row.step_s / low.row.step_s, part.clamp(0.0, 1.0))
         };
         for _ in 0..AIMS {
-            let cell = self.cell(entry, between(&low, &high), watch)?;
+            let cell = self.cell(method, between(&low, &high), watch)?;
             match cell.swing_rad {
                 Some(swing) if (swing - target).abs() > AIMED * target => {
                     if swing < target {
@@ -488,12 +558,12 @@ mod tests {
         let step_s = 0.05;
         let probe = Probe { every: 1, keep: true, ..Probe::of(&method, step_s, 400) };
         let mut run = measure(&scene, probe, &watch).expect("a run");
-        assert!(!judge.leaves_branch(step_s, &run, &watch).expect("judged"));
+        assert!(!judge.0.leaves_branch(step_s, &run, &watch).expect("judged"));
         // Half a turn about the body's third axis: a rotation still, of the same energy where it is a symmetry.
         let made = run.points.len() - 1;
         let end = &mut run.points[3 * made / CHECKED_STEPS + 1].attitude;
         end.column_mut(0).neg_mut();
         end.column_mut(1).neg_mut();
-        assert!(judge.leaves_branch(step_s, &run, &watch).expect("judged"));
+        assert!(judge.0.leaves_branch(step_s, &run, &watch).expect("judged"));
     }
 }

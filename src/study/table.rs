@@ -42,6 +42,19 @@ pub struct Row {
 impl Row {
     /// The row of a run.
     pub(crate) fn new(entry: &Entry, step_s: f64, run: &Measured, error: Option<f64>) -> Self {
+        let solver = super::solver_word(entry.method.solver.kind);
+        let name = (entry.integrator.as_str(), entry.tableau.as_str(), entry.order);
+        Self::named(name, solver, step_s, run, error)
+    }
+
+    /// The row of a run of a method with this name, tableau and order.
+    pub(super) fn named(
+        (method, tableau, order): (&str, &str, u32),
+        solver: &str,
+        step_s: f64,
+        run: &Measured,
+        error: Option<f64>,
+    ) -> Self {
         let (outcome, failed_step) = match &run.end {
             End::Completed => ("succeeded", None),
             End::Cancelled => ("cancelled", None),
@@ -50,13 +63,10 @@ impl Row {
         };
         let any = (run.steps > 0).then_some(());
         Self {
-            method: entry.integrator.as_str().to_owned(),
-            tableau: entry.tableau.clone(),
-            order: entry.order,
-            solver: run
-                .rung
-                .map_or(super::solver_word(entry.method.solver.kind), |rung| rung.as_str())
-                .to_owned(),
+            method: method.to_owned(),
+            tableau: tableau.to_owned(),
+            order,
+            solver: run.rung.map_or(solver, |rung| rung.as_str()).to_owned(),
             step_s,
             steps: run.steps,
             error: error.filter(|_| run.completed()),

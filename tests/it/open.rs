@@ -3,20 +3,23 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 
-use vpd::chart::draw_logs;
+use serde_json::json;
+use vpd::chart::{draw_logs, stability_map};
 use vpd::log::inspect::inspect;
 use vpd::run::{Control, JobContext, Outcome, Recording};
 use vpd::scenario::{Inertia, Scenario, Scene};
-use vpd::solve::hamiltonian::{Energy, Hamiltonian};
-use vpd::solve::nonlinear::StopRule;
-use vpd::solve::so::{self, Mat};
+use vpd::solve::hamiltonian::{Energy, Hamiltonian, Kinetic, Law, RigidBody, Term};
+use vpd::solve::nonlinear::{Rungs, StopRule};
+use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::stepper::Stepper;
 use vpd::solve::stepper::vpd::Vpd;
+use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::system::System;
 use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::{Schedule, State};
-use vpd::study::Watch;
 use vpd::study::own::{self, Candidate, Question};
+use vpd::study::stability::stability;
+use vpd::study::{Entry, Watch, all_methods};
 use vpd::verify::verify;
 
 #[path = "../../examples/custom_lagrangian.rs"]
@@ -187,4 +190,67 @@ fn a_scenario_needs_no_json() {
     assert_eq!(Scenario::from_json(&text).expect("the same"), scenario);
     let refused = Scenario::of("free", Scene::free(inertia), -0.01, 100).expect_err("a step");
     assert_eq!(refused.pointer, "/step_s");
+}
+
+/// The map of a scene, and of the body that it is made of as a system of one's own: the same borders.
+#[test]
+fn the_map_of_a_system_of_ones_own() {
+    let watch = Watch::default();
+    let text = json!({
+        "name": "top", "step_s": 0.01, "steps": 100,
+        "scene": {
+            "inertia": {"principal": [2.0, 2.0, 1.0]},
+            "potential": [{"kind": "uniform", "weight": 1.0, "body_point": [0.0, 0.0, 1.0], "direction": [0.3, 0.0, 1.0]}],
+            "initial": {"momentum": {"body": [[0.0, -1.0, 0.5], [1.0, 0.0, -0.3], [-0.5, 0.3, 0.0]]}}
+        }
+    });
+    let scene = Scenario::from_json(text.to_string().as_bytes()).expect("a scene");
+    let entries: Vec<Entry> = all_methods(&scene)
+        .into_iter()
+        .filter(|entry| {
+            ["vpd gauss1, fixed point", "vpd gauss2, fixed point"]
+                .contains(&entry.label().replace('_', " ").as_str())
+        })
+        .collect();
+    assert_eq!(
+        entries.len(),
+        2,
+        "{:?}",
+        all_methods(&scene).iter().map(Entry::label).collect::<Vec<_>>()
+    );
+    let of_scene = stability(&scene, &entries, &watch).expect("a map");
+
+    let moments = [2.0, 2.0, 1.0];
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+    let law = Law::Uniform { weight: 1.0, body_point: Vector::<3>::new(0.0, 0.0, 1.0) };
+    let field = Term { law, space: Vector::<3>::new(0.3, 0.0, 1.0) };
+    let body = RigidBody::new(Kinetic::Principal { weights }, vec![field], 0.0);
+    let momentum = so::hat(&[0.3, 0.5, 1.0]);
+    let initial = State { attitude: Mat::identity(), momentum };
+    let by = |stages: usize, rungs: Rungs| {
+        move || -> Box<dyn Stepper<3>> {
+            let stop = StopRule { rungs, ..StopRule::default() };
+            Box::new(VpdSo3::new(Tableau::gauss(stages).expect("1 to 8"), stop).expect("lanes"))
+        }
+    };
+    let (one, two) = (by(1, Rungs::FixedPoint), by(2, Rungs::FixedPoint));
+    let eight = by(8, Rungs::Both);
+    let candidate = |tableau, stepper| Candidate { name: "vpd", tableau, stepper };
+    let question =
+        Question { system: &body, initial: &initial, time_s: 20.0, first_steps: 40, halvings: 5 };
+    let map = own::stability(
+        question,
+        &candidate("gauss8", &eight),
+        &[candidate("gauss1", &one), candidate("gauss2", &two)],
+        &watch,
+    )
+    .expect("a map");
+    for (own, scene) in map.borders.iter().zip(&of_scene.borders) {
+        let [own_s, scene_s] = [own, scene].map(|border| border.usable_step_s.expect("usable"));
+        let ratio = own_s / scene_s;
+        assert!((0.9..1.1).contains(&ratio), "{}: {own_s} and {scene_s}", own.label);
+        assert_eq!(own.broken, scene.broken);
+    }
+    assert!(stability_map("top", &map).expect("drawn").contains("vpd gauss2"));
+    assert_eq!(map.table().rows.len(), 2 * map.steps_s.len());
 }

@@ -557,8 +557,17 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
     }
 
     fn sweep(&mut self) -> Result<f64, Failure> {
+        /// Iterations of a Lyapunov equation that are usual.
+        const USUAL: u32 = 16;
         self.dynamics.begin_sweep()?;
-        sweep(self.tableau, self.dynamics, self.h, self.p0, self.stages, self.end)
+        let mut iterations = 0;
+        let swept = self.over_all(&mut iterations);
+        // What takes as long as several sweeps counts as several.
+        let equations = self.stages.len() as u32 + 1;
+        for _ in 1..iterations / (USUAL * equations) {
+            self.dynamics.begin_sweep()?;
+        }
+        swept
     }
 
     fn unknowns(&self, values: &mut Vec<f64>) {
@@ -600,75 +609,70 @@ impl<const N: usize> Continued for Sweeps<'_, N> {
 }
 
 impl<const N: usize> Sweeps<'_, N> {
+    /// One sweep over all unknowns, each from the newest of the others; returns the largest change of a
+    /// stage momentum relative to the largest momentum. Counts the iterations of the Lyapunov equations.
+    fn over_all(&mut self, iterations: &mut u32) -> Result<f64, Failure> {
+        let Self { tableau, dynamics, h, p0, stages, end, .. } = self;
+        let h = *h;
+        let s = stages.len();
+        for i in 0..s {
+            let mut d = Mat::zeros();
+            for j in 0..s {
+                d += stages[j].u_omega * (h * tableau.a(i, j));
+            }
+            let stage = &mut stages[i];
+            (stage.u, stage.e) = polar(&d, Some(i))?;
+            stage.u_omega = so::product(&stage.u, &stage.omega);
+        }
+        let mut d = Mat::zeros();
+        for j in 0..s {
+            d += stages[j].u_omega * (h * tableau.b(j));
+        }
+        (end.f, end.e) = polar(&d, None)?;
+        let mut sum = Mat::zeros();
+        for k in 0..s {
+            let stage = &mut stages[k];
+            let mut load =
+                -so::asym(&so::product(&so::transposed_product(&stage.u, &stage.v), &stage.omega));
+            let weight = h * tableau.b(k);
+            // Of the unknowns, not of the sweep before.
+            let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
+            if let Some(gradient) = dynamics.gradient(k, &stage.u, &mu, &stage.omega) {
+                load -= gradient * weight;
+            }
+            stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k), iterations)?;
+            stage.u_x = so::product(&stage.u, &stage.x);
+            sum += stage.u_x;
+        }
+        // M X + X M^T is asym(M X) for skew X.
+        end.lambda = lyapunov(&end.f, &(-*p0 - so::asym(&sum)), &end.lambda, None, iterations)?;
+        let f_lambda = so::product(&end.f, &end.lambda);
+        let (mut change, mut size) = (0.0_f64, p0.amax());
+        for k in 0..s {
+            let weight = h * tableau.b(k);
+            let mut v = f_lambda * weight;
+            for i in 0..s {
+                v += stages[i].u_x * (h * tableau.a(i, k));
+            }
+            let stage = &mut stages[k];
+            let mu = -so::asym(&so::transposed_product(&stage.u, &v)) / weight;
+            if !mu.iter().all(|x| x.is_finite()) {
+                return Err(not_finite(Some(k)));
+            }
+            change = change.max((mu - stage.mu).amax());
+            size = size.max(mu.amax());
+            stage.omega = dynamics.velocity(k, &stage.u, &mu, &stage.omega);
+            stage.u_omega = so::product(&stage.u, &stage.omega);
+            (stage.v, stage.mu) = (v, mu);
+        }
+        Ok(if change == 0.0 { 0.0 } else { change / size })
+    }
+
     /// The units of velocities and of the embedded momenta.
     fn units(&self) -> (f64, f64) {
         let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
         (unit(self.omega.amax()), unit(self.h.abs() * self.p0.amax()))
     }
-}
-
-/// One sweep over all unknowns, each from the newest of the others; returns the largest change of a
-/// stage momentum relative to the largest momentum.
-fn sweep<const N: usize>(
-    tableau: &Tableau,
-    dynamics: &mut dyn Dynamics<N>,
-    h: f64,
-    p0: &Mat<N>,
-    stages: &mut [Stage<N>],
-    end: &mut End<N>,
-) -> Result<f64, Failure> {
-    let s = stages.len();
-    for i in 0..s {
-        let mut d = Mat::zeros();
-        for j in 0..s {
-            d += stages[j].u_omega * (h * tableau.a(i, j));
-        }
-        let stage = &mut stages[i];
-        (stage.u, stage.e) = polar(&d, Some(i))?;
-        stage.u_omega = so::product(&stage.u, &stage.omega);
-    }
-    let mut d = Mat::zeros();
-    for j in 0..s {
-        d += stages[j].u_omega * (h * tableau.b(j));
-    }
-    (end.f, end.e) = polar(&d, None)?;
-    let mut sum = Mat::zeros();
-    for k in 0..s {
-        let stage = &mut stages[k];
-        let mut load =
-            -so::asym(&so::product(&so::transposed_product(&stage.u, &stage.v), &stage.omega));
-        let weight = h * tableau.b(k);
-        // Of the unknowns, not of the sweep before.
-        let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
-        if let Some(gradient) = dynamics.gradient(k, &stage.u, &mu, &stage.omega) {
-            load -= gradient * weight;
-        }
-        stage.x = lyapunov(&(stage.e + Mat::identity()), &load, &stage.x, Some(k))?;
-        stage.u_x = so::product(&stage.u, &stage.x);
-        sum += stage.u_x;
-    }
-    // M X + X M^T is asym(M X) for skew X.
-    end.lambda = lyapunov(&end.f, &(-p0 - so::asym(&sum)), &end.lambda, None)?;
-    let f_lambda = so::product(&end.f, &end.lambda);
-    let (mut change, mut size) = (0.0_f64, p0.amax());
-    for k in 0..s {
-        let weight = h * tableau.b(k);
-        let mut v = f_lambda * weight;
-        for i in 0..s {
-            v += stages[i].u_x * (h * tableau.a(i, k));
-        }
-        let stage = &mut stages[k];
-        let mu = -so::asym(&so::transposed_product(&stage.u, &v)) / weight;
-        if !mu.iter().all(|x| x.is_finite()) {
-            return Err(not_finite(Some(k)));
-        }
-        change = change.max((mu - stage.mu).amax());
-        size = size.max(mu.amax());
-        stage.omega = dynamics.velocity(k, &stage.u, &mu, &stage.omega);
-        stage.u_omega = so::product(&stage.u, &stage.omega);
-        (stage.v, stage.mu) = (v, mu);
-    }
-    Ok(if change == 0.0 { 0.0 } else { change / size })
 }
 
 /// `U` and `P - I` of `I + d = U P`.
@@ -690,11 +694,17 @@ fn lyapunov<const N: usize>(
     c: &Mat<N>,
     guess: &Mat<N>,
     stage: Option<usize>,
+    iterations: &mut u32,
 ) -> Result<Mat<N>, Failure> {
     if !c.iter().all(|x| x.is_finite()) {
         return Err(not_finite(stage));
     }
-    so::lyapunov(m, c, guess).ok_or(Failure::new(FailureCode::LyapunovSingular, stage, 0.0, 0.0))
+    so::lyapunov_in(m, c, guess, iterations).ok_or(Failure::new(
+        FailureCode::LyapunovSingular,
+        stage,
+        0.0,
+        0.0,
+    ))
 }
 
 fn not_finite(stage: Option<usize>) -> Failure {

@@ -22,7 +22,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
 use crate::nonlinear::{Convergence, StopRule};
-use crate::so::Mat;
+use crate::so::{Mat, Vector};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -47,7 +47,11 @@ fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
     h: f64,
 ) -> Result<Convergence, Failure> {
     carried.look(lagrangian.as_body(), h);
-    let Carried { step, motion, moments, .. } = carried;
+    let Carried { step, motion, moments, seen, .. } = carried;
+    let body = lagrangian.as_body().filter(|_| moments.is_empty());
+    if let Some(body) = body {
+        body.seen_from(motion.attitude(), seen);
+    }
     let (g0, p0, zero) = (*motion.attitude(), *motion.body_momentum(), Mat::zeros());
     let singular = || {
         let has_values = lagrangian.momentum(&g0, &zero).iter().all(|x| x.is_finite());
@@ -56,13 +60,17 @@ fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
     };
     let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
     let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
-    step.solve(&mut Euler { lagrangian, g0, inverse, moments }, h, &p0, &omega)
+    step.solve(&mut Euler { lagrangian, body, g0, seen, inverse, moments }, h, &p0, &omega)
 }
 
-/// (22a, vil1) and the force, in the frame of g0.
+/// (22a, vil1) and the force, in the frame of g0; of a rigid body from the space vectors as seen from there, so that no
+/// rounding of an attitude pushes along them.
 struct Euler<'a, const N: usize, S: ?Sized> {
     lagrangian: &'a S,
+    /// The Lagrangian, where it is a body that nothing drives.
+    body: Option<&'a RigidBody<N>>,
     g0: Mat<N>,
+    seen: &'a [Vector<N>],
     inverse: DMatrix<f64>,
     moments: &'a [Moment<N>],
 }
@@ -80,11 +88,11 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         mu: &dyn Fn() -> Mat<N>,
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
-        let g = self.g0 * u;
-        Some(match self.moments.get(k) {
-            Some(moment) => moment.gradient(&g, &mu(), omega),
+        Some(match (self.body, self.moments.get(k)) {
+            (_, Some(moment)) => moment.gradient(&(self.g0 * u), &mu(), omega),
+            (Some(body), None) => body.gradient(u, self.seen),
             // dH/dg = -dL/dg
-            None => -self.lagrangian.force(&g, omega),
+            (None, None) => -self.lagrangian.force(&(self.g0 * u), omega),
         })
     }
 
@@ -93,9 +101,10 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
-        match self.moments.get(k) {
-            Some(moment) => moment.check(&(self.g0 * u)),
-            None => self.lagrangian.check(&(self.g0 * u)),
+        match (self.body, self.moments.get(k)) {
+            (_, Some(moment)) => moment.check(&(self.g0 * u)),
+            (Some(body), None) => body.check_distances(u, self.seen),
+            (None, None) => self.lagrangian.check(&(self.g0 * u)),
         }
     }
 }

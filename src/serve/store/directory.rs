@@ -6,10 +6,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, DirBuilder, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use uuid::Uuid;
 
 use super::{KEY, SENT, ServeError, parse_id};
+
+/// How long a directory may be another's before it is said to be.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
 /// The data directory is ours while this lives: two services on one record would run each other's jobs.
 #[derive(Debug)]
@@ -31,10 +35,19 @@ impl DataLock {
             File::options().create(true).truncate(false).write(true).open(data.join("lock"))
         };
         let file = file.map_err(failed)?;
-        match file.try_lock() {
-            Ok(()) => Ok(Self { _file: file }),
-            Err(TryLockError::WouldBlock) => Err(ServeError::DataInUse { path: data.into() }),
-            Err(TryLockError::Error(source)) => Err(failed(source)),
+        let begun = Instant::now();
+        loop {
+            match file.try_lock() {
+                Ok(()) => return Ok(Self { _file: file }),
+                // A process that a killed service was just starting has its locks until it is itself.
+                Err(TryLockError::WouldBlock) if begun.elapsed() < LOCK_PATIENCE => {
+                    std::thread::sleep(Duration::from_millis(20));
+                }
+                Err(TryLockError::WouldBlock) => {
+                    return Err(ServeError::DataInUse { path: data.into() });
+                }
+                Err(TryLockError::Error(source)) => return Err(failed(source)),
+            }
         }
     }
 }

@@ -119,13 +119,9 @@ struct Coefficients {
 
 impl Coefficients {
     fn new(tableau: &Tableau) -> Option<Self> {
-        /// What rounding may make of a coefficient.
-        const ROUNDED: f64 = 1e-14;
         let stages = tableau.stages();
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        let own_partner = (0..stages)
-            .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
-        if stages > WIDTH || !own_partner {
+        if stages > WIDTH || !tableau.is_own_partner() {
             return None;
         }
         let zero = Row::splat(0.0);
