@@ -25,8 +25,8 @@ const TERMS: [usize; 2] = [2, 16];
 /// A step that few sweeps solve, in radians.
 const SMALL_RAD: f64 = 0.02;
 /// Terms, and radians of a step, of the runs that a method's costs are fitted to.
-const RUNS: [(usize, f64); 6] =
-    [(1, SMALL_RAD), (1, 0.2), (1, 0.6), (4, 0.2), (16, SMALL_RAD), (16, 0.6)];
+const RUNS: [(usize, f64); 7] =
+    [(1, SMALL_RAD), (1, 0.2), (1, 0.6), (4, 0.2), (16, SMALL_RAD), (16, 0.6), (200, 0.2)];
 
 fn main() {
     let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();

@@ -274,7 +274,9 @@ impl Plan {
         let Observables { energy, orthogonality, momentum: _, sigma_min, pace: _ } =
             self.observables();
         let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
-        let matrices = of(orthogonality, 1.0) + of(sigma_min, 1.0 + self.formulation.stages as f64);
+        let at_rest = self.formulation.motion == Motion::AtRest;
+        let stages = 1.0 + self.formulation.stages as f64;
+        let matrices = of(orthogonality, 1.0) + of(sigma_min && !at_rest, stages);
         WRITTEN_BYTE_NS * raw as f64
             + matrices * eigenvalues
             + of(energy, 0.5) * self.terms_cost_ns()

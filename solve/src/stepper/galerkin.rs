@@ -48,6 +48,8 @@ pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 const MODEST_STRETCH: f64 = 0.5;
 /// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: there `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
 const MODEST_TURN: f64 = 1.0;
+/// What a sweep over all unknowns takes, in rounds of the collocation: it is where that leads nowhere.
+const ROUNDS_OF_A_SWEEP: u32 = 4;
 /// Minus the square of the relative distance to a point of the potential that is near.
 const FAR_ENOUGH: f64 = -CLOSEST_APPROACH * CLOSEST_APPROACH;
 
@@ -251,8 +253,9 @@ impl<const N: usize> GalerkinStep<N> {
         }
         let h = length.h;
         (self.solution.collocated, self.solution.h) = (false, h);
-        let Self { tableau, solver, past, stages, end, .. } = self;
-        let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end };
+        let Self { tableau, solver, past, stages, end, collocation, .. } = self;
+        let worth = if collocation.is_some() { ROUNDS_OF_A_SWEEP } else { 1 };
+        let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end, worth };
         match solver.solve_after(past, &mut equations) {
             Ok(convergence) => {
                 self.check(dynamics)?;
@@ -533,6 +536,8 @@ struct Sweeps<'a, const N: usize> {
     omega: &'a Mat<N>,
     stages: &'a mut [Stage<N>],
     end: &'a mut End<N>,
+    /// What one of these is in sweeps of the way that the tableau usually goes.
+    worth: u32,
 }
 
 impl<const N: usize> Equations for Sweeps<'_, N> {
@@ -564,7 +569,8 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
         let swept = self.over_all(&mut iterations);
         // What takes as long as several sweeps counts as several.
         let equations = self.stages.len() as u32 + 1;
-        for _ in 1..iterations / (USUAL * equations) {
+        let several = (iterations / (USUAL * equations)).max(1) * self.worth;
+        for _ in 1..several {
             self.dynamics.begin_sweep()?;
         }
         swept
