@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use crate::plan::{Advice, Counts, Plan};
 use crate::scenario::{Accuracy, Scenario, ScenarioError};
-use crate::study::measure::{End, Probe, measure};
+use crate::study::measure::{End, Measured, Probe, measure};
 use crate::study::reference::{Growth, MOST_STEPS, Reference, ReferenceError};
 use crate::study::{Scales, StudyError, Watch, nearest_sigma};
 
@@ -32,6 +32,8 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
+/// A single step that takes more than all of that may take so many times as much.
+const HARD_STEP: f64 = 20.0;
 /// Steps that adapt are not all alike: of these so many times more.
 const OWN_STEPS_MORE: f64 = 30.0;
 /// Easy steps of the scene that pilots are worth.
@@ -222,20 +224,17 @@ impl Settled {
 }
 
 /// The work of a step at the start of the run; `None` if the first fails, for then there are no others. A few milliseconds at
-/// most, as counted.
+/// most, as counted, unless a single step is more.
 fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
-    let settled = &plan.settled;
     let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     if plan.own_steps.is_some() {
         most_ns *= OWN_STEPS_MORE;
     }
-    let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
-    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
-    // Where steps adapt samples are steps, too.
-    if plan.own_steps.is_some() {
-        probe.every = plan.every.min(probe.steps);
-    }
-    let run = measure(settled, probe, &watch)?;
+    let run = first_steps(plan, most_ns)?;
+    let run = match run.end {
+        End::Cancelled if run.steps == 0 => first_steps(plan, HARD_STEP * most_ns)?,
+        _ => run,
+    };
     let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
     let Counts { steps, sweeps, gradients, pieces } = run.counts();
     let steps = steps.max(1.0);
@@ -245,6 +244,18 @@ fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
         gradients: gradients / steps,
         pieces: pieces / steps,
     }))
+}
+
+/// The first steps of a run, as far as so much work goes.
+fn first_steps(plan: &Plan, most_ns: f64) -> Result<Measured, ScenarioError> {
+    let settled = &plan.settled;
+    let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
+    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    // Where steps adapt samples are steps, too.
+    if plan.own_steps.is_some() {
+        probe.every = plan.every.min(probe.steps);
+    }
+    measure(settled, probe, &watch)
 }
 
 /// The error at the end of a run, as well as a reference shows it.

@@ -570,9 +570,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn pass_until(&mut self, before: f64, goal: f64) -> Result<Passed, Stuck> {
         /// Below this part of the momentum a change that no longer falls is rounding.
         const FLOOR: f64 = 1e-14;
+        /// What a sweep has of them; more count as one each.
+        const USUAL_PASSES: u32 = 8;
         let mut rounds = Rounds::new((0.15 * self.turn).clamp(0.01, 0.3), before);
         let (mut first, mut last) = (None, f64::INFINITY);
-        for _ in 0..MOST_ROUNDS {
+        for pass in 0..MOST_ROUNDS {
+            if pass >= USUAL_PASSES {
+                self.begin_sweep()?;
+            }
             // In a plane a momentum does not see the attitude.
             let sees = self.start.n > 2;
             if !sees {
@@ -597,34 +602,41 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
+    fn begin_sweep(&self) -> Result<(), Failure> {
+        match &self.forces {
+            Forces::None { work, .. }
+            | Forces::Body { work, .. }
+            | Forces::Rescaled { work, .. } => work.begin_sweep(),
+            Forces::Stages { system, .. } => system.begin_sweep(),
+        }
+    }
+
     fn gradients(&mut self) -> Result<(), Failure> {
+        self.begin_sweep()?;
         if matches!(self.forces, Forces::Rescaled { .. }) {
-            return self.look_at_time();
+            self.look_at_time();
+            return Ok(());
         }
         let Unknowns { c, mu, omega, gradient, slopes, .. } = &mut *self.u;
         match &mut self.forces {
-            Forces::None { work, .. } | Forces::Rescaled { work, .. } => work.begin_sweep(),
+            Forces::None { .. } | Forces::Rescaled { .. } => {}
             Forces::Body { torques, work, .. } => {
-                work.begin_sweep()?;
                 work.add_gradients(self.coefficients.stages as u64);
                 torques.gradient(c, slopes, gradient);
-                Ok(())
             }
             Forces::Stages { system, stages } => {
-                system.begin_sweep()?;
                 for stage in 0..*stages {
                     system.gradient(Place { stage, lanes: R::LANES }, c, mu, omega, gradient);
                 }
-                Ok(())
             }
         }
+        Ok(())
     }
 
     /// The forces and the time of the stages, and the length of a step that is to last so long:
     /// `h = t / sum_k b_k sigma_k`.
-    fn look_at_time(&mut self) -> Result<(), Failure> {
+    fn look_at_time(&mut self) {
         if let Forces::Rescaled { work, .. } = &self.forces {
-            work.begin_sweep()?;
             work.add_gradients(self.coefficients.stages as u64);
         }
         self.scales();
@@ -636,7 +648,6 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.h = lasting / mean;
             self.weights = self.stack.lanes.row(weights) * self.h;
         }
-        Ok(())
     }
 
     in_lanes! {
