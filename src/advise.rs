@@ -7,7 +7,7 @@
 //! 3. A run longer than any reference has its errors carried on as the power of time by which they grew; where they grow
 //!    exponentially, or round-off alone grows past what is asked, it is refused with the time until which it can be had.
 //!
-//! Cost is counted in steps, sweeps and gradients, never timed.
+//! Cost is counted in steps, sweeps and gradients; only the estimate of a run's time is timed, on its first steps.
 //!
 //! Invariant: the choice is a function of the scenario alone: the same scenario, the same bytes.
 
@@ -16,7 +16,7 @@ use thiserror::Error;
 
 use crate::plan::{Advice, Counts, Plan};
 use crate::scenario::{Accuracy, Scenario, ScenarioError};
-use crate::study::measure::{End, Measured, Probe, measure};
+use crate::study::measure::{End, Measured, Probe, measure, time_of_step};
 use crate::study::reference::{Growth, MOST_STEPS, Reference, ReferenceError};
 use crate::study::{Scales, StudyError, Watch, nearest_sigma};
 
@@ -32,8 +32,9 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
-/// A single step that takes more than all of that may take so many times as much.
+/// A single step that takes more than all of that may take so many times as much, or so long.
 const HARD_STEP: f64 = 20.0;
+const HARD_NS: f64 = 5e7;
 /// Steps that adapt are not all alike: of these so many times more.
 const OWN_STEPS_MORE: f64 = 30.0;
 /// Easy steps of the scene that pilots are worth.
@@ -171,6 +172,9 @@ pub struct Settled {
     choice: Option<(Scenario, Advice)>,
     /// The work of a step; absent where the first fails.
     step: Option<Counts>,
+    /// The nanoseconds that it took on the machine that made it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    step_ns: Option<f64>,
     /// The least sigma that steps of their own would meet, where the potential has point sources.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nearest_sigma: Option<f64>,
@@ -187,9 +191,11 @@ impl Settled {
         scenario.check().map_err(Unsettled::Refused)?;
         let asked = scenario.clone();
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
-        let mut settled = Self { asked, choice, step: None, nearest_sigma: None };
-        settled.step = work_of_step(&settled.plan().map_err(Unsettled::Refused)?)
-            .map_err(Unsettled::Refused)?;
+        let mut settled = Self { asked, choice, step: None, step_ns: None, nearest_sigma: None };
+        let plan = settled.plan().map_err(Unsettled::Refused)?;
+        let (steps, work) = work_of_steps(&plan).map_err(Unsettled::Refused)?;
+        settled.step = work;
+        settled.step_ns = work.filter(|_| steps > 0).and_then(|_| time_of_step(&plan, steps));
         let plan = settled.plan().map_err(Unsettled::Refused)?;
         settled.nearest_sigma = nearest_sigma(&plan.settled, plan.steps as f64 * plan.step_s)
             .map_err(Unsettled::Refused)?;
@@ -199,7 +205,8 @@ impl Settled {
     /// What a record of an older build holds: how an accuracy was settled.
     #[cfg(feature = "serve")]
     pub(crate) fn chosen(asked: Scenario, settled: Scenario, advice: Advice) -> Self {
-        Self { asked, choice: Some((settled, advice)), step: None, nearest_sigma: None }
+        let choice = Some((settled, advice));
+        Self { asked, choice, step: None, step_ns: None, nearest_sigma: None }
     }
 
     /// The plan. No run is made.
@@ -209,12 +216,12 @@ impl Settled {
     pub fn plan(&self) -> Result<Plan, ScenarioError> {
         let Some((settled, advice)) = &self.choice else {
             let mut plan = Plan::new(&self.asked)?;
-            plan.estimate(self.step);
+            plan.estimate(self.step, self.step_ns);
             plan.offer_own_steps(self.nearest_sigma);
             return Ok(plan);
         };
         let mut plan = Plan::new(settled)?;
-        plan.estimate(self.step);
+        plan.estimate(self.step, self.step_ns);
         plan.offer_own_steps(self.nearest_sigma);
         plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
         plan.advice = Some(advice.clone());
@@ -223,27 +230,28 @@ impl Settled {
     }
 }
 
-/// The work of a step at the start of the run; `None` if the first fails, for then there are no others. A few milliseconds at
-/// most, as counted, unless a single step is more.
-fn work_of_step(plan: &Plan) -> Result<Option<Counts>, ScenarioError> {
+/// How many steps were made at the start of the run, and the work of one; `None` if the first fails, for then there are no
+/// others. A few milliseconds at most, as counted, unless a single step is more.
+fn work_of_steps(plan: &Plan) -> Result<(u64, Option<Counts>), ScenarioError> {
     let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     if plan.own_steps.is_some() {
         most_ns *= OWN_STEPS_MORE;
     }
     let run = first_steps(plan, most_ns)?;
     let run = match run.end {
-        End::Cancelled if run.steps == 0 => first_steps(plan, HARD_STEP * most_ns)?,
+        End::Cancelled if run.steps == 0 => first_steps(plan, HARD_NS.max(HARD_STEP * most_ns))?,
         _ => run,
     };
     let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
     let Counts { steps, sweeps, gradients, pieces } = run.counts();
     let steps = steps.max(1.0);
-    Ok((!failed).then_some(Counts {
+    let work = (!failed).then_some(Counts {
         steps: 1.0,
         sweeps: sweeps / steps,
         gradients: gradients / steps,
         pieces: pieces / steps,
-    }))
+    });
+    Ok((run.steps, work))
 }
 
 /// The first steps of a run, as far as so much work goes.

@@ -76,8 +76,8 @@ pub struct Plan {
     pub samples_per_chunk: u64,
     /// Estimated size of the log in bytes.
     pub log_bytes: u64,
-    /// Estimated cost of a step in nanoseconds, on one core of a common machine: by the sweeps of the first steps
-    /// where they were made, see [`crate::advise::Settled`].
+    /// Estimated time of a step in nanoseconds, on one core: of the first steps where they were timed on this machine,
+    /// see [`crate::advise::Settled`]; else what it takes a common machine.
     pub step_ns: f64,
     /// Estimated time of the run on one core in seconds, samples included.
     pub run_s: f64,
@@ -95,6 +95,9 @@ pub struct Plan {
     /// The scenario with method and step.
     #[serde(skip)]
     pub settled: Scenario,
+    /// The time of the run on a common machine, in seconds: what searches are allowed by, for the same end on any machine.
+    #[serde(skip)]
+    pub(crate) work_s: f64,
     #[serde(skip)]
     pub(crate) model: Model,
 }
@@ -279,6 +282,7 @@ impl Plan {
             log_bytes: 0,
             step_ns: 0.0,
             run_s: 0.0,
+            work_s: 0.0,
             memory_bytes: 0,
             ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
             advice: None,
@@ -326,7 +330,7 @@ impl Plan {
         plan.free_directions = plan.model.free_directions(n);
         plan.balance = plan.model.balance();
         plan.warnings.extend(no_body(&inertia));
-        plan.estimate(None);
+        plan.estimate(None, None);
         Ok(plan)
     }
 

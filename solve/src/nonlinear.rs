@@ -227,7 +227,10 @@ impl Solver {
                     // From the beginning: where other sweeps went is no better a place.
                     equations.guess()?;
                     let newton = self.newton.solve(self.rule, equations);
-                    newton.map_err(|failure| stuck.err().unwrap_or(failure))
+                    newton.map_err(|failure| match failure.code {
+                        FailureCode::Stopped => failure,
+                        _ => stuck.err().unwrap_or(failure),
+                    })
                 }
             },
         }

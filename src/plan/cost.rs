@@ -2,9 +2,10 @@
 //!
 //! A step costs what belongs to each step, to each sweep and to each gradient: figures for each method, number of stages
 //! and n, measured on one core of a common machine and kept in `costs.json`, which `cargo bench --bench costs` writes
-//! anew when a solver has changed. How many sweeps and gradients there are is counted in the first steps.
+//! anew when a solver has changed. How many sweeps and gradients there are is counted in the first steps. Where these
+//! were timed as well, times are estimated by that: machines differ by up to eight times, and not alike in all methods.
 //!
-//! Invariant: estimates are finite and depend on the plan and the table alone.
+//! Invariant: estimates are finite; all that shapes a log or ends a search depends on the plan and the table alone.
 
 use std::sync::LazyLock;
 
@@ -93,8 +94,9 @@ fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
 }
 
 impl Plan {
-    /// Fills in the estimates of size and time, by the work of a step if it was counted.
-    pub(crate) fn estimate(&mut self, of_step: Option<Counts>) {
+    /// Fills in the estimates of size and time, by the work of a step if it was counted, and by the nanoseconds that it
+    /// took here if it was timed.
+    pub(crate) fn estimate(&mut self, of_step: Option<Counts>, timed_ns: Option<f64>) {
         let compression = self.settled.log.compression;
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
@@ -105,12 +107,15 @@ impl Plan {
         let mut log = LOG_FIXED_BYTES as f64
             + samples * compressed(raw, raw_dense, compression)
             + overview::bytes(self.samples, n) as f64;
-        self.step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
+        let step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
+        self.step_ns = timed_ns.unwrap_or(step_ns);
         let sample_ns = self.sample_cost_ns(raw);
-        let steps_ns = self.steps as f64 * self.step_ns;
-        let mut run_ns = START_NS + steps_ns + self.samples as f64 * sample_ns;
+        let samples_ns = self.samples as f64 * sample_ns;
+        let steps = self.steps as f64;
+        let run_ns = |step_ns: f64| START_NS + steps * step_ns + samples_ns;
+        (self.work_s, self.run_s) = (1e-9 * run_ns(step_ns), 1e-9 * run_ns(self.step_ns));
         self.samples_per_chunk =
-            samples_per_chunk(raw, 1e-9 * (self.every as f64 * self.step_ns + sample_ns));
+            samples_per_chunk(raw, 1e-9 * (self.every as f64 * step_ns + sample_ns));
         let mut kept = 0.0;
         let mut chunks = samples / self.samples_per_chunk as f64;
         if let Some(ensemble) = &mut self.ensemble {
@@ -121,14 +126,16 @@ impl Plan {
             log += members * compressed(end_bytes, dense, compression);
             // Of the others samples are looked at and not written; each begins and ends once.
             let looked_at_ns = self.samples as f64 * (sample_ns - WRITTEN_BYTE_NS * raw as f64);
-            let member_ns = steps_ns + looked_at_ns + 10_000.0 + 30.0 * libm::pow(n as f64, 3.0);
-            run_ns = in_full as f64 * run_ns + (members - in_full as f64) * member_ns;
-            ensemble.members_per_chunk = samples_per_chunk(end_bytes, 1e-9 * member_ns);
+            let ends_ns = 10_000.0 + 30.0 * libm::pow(n as f64, 3.0);
+            let member_s = |step_ns: f64| 1e-9 * (steps * step_ns + looked_at_ns + ends_ns);
+            let others = members - in_full as f64;
+            self.work_s = in_full as f64 * self.work_s + others * member_s(step_ns);
+            self.run_s = in_full as f64 * self.run_s + others * member_s(self.step_ns);
+            ensemble.members_per_chunk = samples_per_chunk(end_bytes, member_s(step_ns));
             chunks += members / ensemble.members_per_chunk as f64;
             kept = members * EnsemblePlan::KEPT_BYTES;
         }
         self.log_bytes = log as u64;
-        self.run_s = 1e-9 * run_ns;
         self.memory_bytes = (self.memory(raw) + kept + chunks * CHUNK_INDEX_BYTES) as u64;
     }
 

@@ -55,7 +55,7 @@ pub(super) struct Patience {
 impl Patience {
     /// For one of so many members of a run.
     pub(super) fn of(plan: &Plan, control: &Control, members: u64) -> Self {
-        let most_ns = (RUNS * plan.run_s * 1e9).clamp(LEAST_NS, MOST_NS);
+        let most_ns = (RUNS * plan.work_s * 1e9).clamp(LEAST_NS, MOST_NS);
         let most = |sweep_ns: f64| (most_ns / sweep_ns / members.max(1) as f64) as u64;
         Self {
             most_sweeps: most(plan.sweep_cost_ns()),

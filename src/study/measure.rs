@@ -444,6 +444,22 @@ pub(crate) fn time(
     Ok(least)
 }
 
+/// Nanoseconds that one of the first steps of a run takes on this machine, the least of some turns; `None` if one of them
+/// fails.
+pub(crate) fn time_of_step(plan: &Plan, steps: u64) -> Option<f64> {
+    const TURNS: usize = 3;
+    /// A turn so long, in nanoseconds, is one that nothing disturbs by much.
+    const LONG_NS: f64 = 2e6;
+    let mut least = f64::INFINITY;
+    for _ in 0..TURNS {
+        least = least.min(assembled(plan, Timing { step_s: plan.step_s, steps }));
+        if least * steps as f64 > LONG_NS {
+            break;
+        }
+    }
+    least.is_finite().then_some(least)
+}
+
 struct Timing {
     step_s: f64,
     steps: u64,

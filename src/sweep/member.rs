@@ -57,7 +57,7 @@ pub(super) fn plan(scenario: &Scenario, stop: &Arc<AtomicBool>) -> Result<Plan, 
         return settled();
     }
     let plan = Plan::new(scenario)?;
-    if plan.run_s > LONG_S { settled() } else { Ok(plan) }
+    if plan.work_s > LONG_S { settled() } else { Ok(plan) }
 }
 
 /// Runs a planned member; `None` if `stop` was set before its end.

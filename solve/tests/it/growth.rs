@@ -316,11 +316,17 @@ fn rounding_makes_a_random_walk_and_no_line() {
     assert!(exponent.value - 2.0 * exponent.half > WALK, "{exponent:?}");
 }
 
-/// `cargo test --release growth_over_a_million_steps -- --ignored --nocapture`
+/// `cargo test --release growth_over_a_million_steps -- --ignored --nocapture`; `VPD_ONLY="quaternion_gauss 6"` keeps to the
+/// methods whose name has that.
 #[test]
 #[ignore = "half an hour: cargo test --release growth_over_a_million_steps -- --ignored --nocapture"]
 fn growth_over_a_million_steps() {
-    let (table, lines) = judged(&methods(), 1_000_000, 6);
+    let only = std::env::var("VPD_ONLY").unwrap_or_default();
+    let methods: Vec<Method> = methods()
+        .into_iter()
+        .filter(|m| format!("{} {}", m.name, m.size).contains(&only))
+        .collect();
+    let (table, lines) = judged(&methods, 1_000_000, 6);
     println!("{table}");
     assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
 }
