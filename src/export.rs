@@ -200,6 +200,7 @@ impl Fields {
                     fields.number("energy_potential", energy.map(|energy| energy.potential));
                     fields.number("energy_total", energy.map(|energy| energy.total));
                     fields.number("energy_error", energy.map(|energy| energy.error));
+                    fields.number("jacobi_error", energy.and_then(|energy| energy.jacobi_error));
                 }
                 Channel::Orthogonality => {
                     let error = row.orthogonality.as_ref().map(|found| found.error);

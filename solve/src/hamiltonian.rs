@@ -337,6 +337,11 @@ impl<const N: usize> System<N> for RigidBody<N> {
         self.conserved_directions()
     }
 
+    fn turning_frame(&self) -> Option<Mat<N>> {
+        let own = self.own.space_vectors();
+        self.driven.turning_frame(self.terms.iter().map(|term| &term.space).chain(&own))
+    }
+
     fn angular_velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
         Some(self.velocity(mu))
     }

@@ -37,6 +37,13 @@ pub trait System<const N: usize> {
         None
     }
 
+    /// The rate `W` (skew, n x n, in space, rad/s) of a uniformly turning frame in which nothing of a driven system changes:
+    /// then the Jacobi integral `H - <W, m>` is conserved, `m = g mu g^T` and `<A, B> = tr(A^T B) / 2`. `None` if there is
+    /// none, or none is known.
+    fn turning_frame(&self) -> Option<Mat<N>> {
+        None
+    }
+
     /// Refuses an attitude at which the law has lost its meaning.
     ///
     /// # Errors

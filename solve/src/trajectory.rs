@@ -118,6 +118,9 @@ pub struct Sample<const N: usize> {
     pub energy: Option<Energy>,
     /// Energy now minus energy at the start, and of a driven system minus what was put in since.
     pub energy_error: Option<f64>,
+    /// Change of the Jacobi integral since the start, in J; `None` also of a system that has none, see
+    /// [`System::turning_frame`].
+    pub jacobi_error: Option<f64>,
     /// Spectral norm of g g^T - I.
     pub orthogonality_error: Option<f64>,
     /// Spatial momentum g mu g^T.
@@ -144,6 +147,7 @@ impl<const N: usize> Sample<N> {
             ref angular_velocity,
             energy,
             energy_error,
+            jacobi_error,
             orthogonality_error,
             ref spatial_momentum,
             momentum_drift,
@@ -157,6 +161,7 @@ impl<const N: usize> Sample<N> {
             energy.map(|energy| energy.potential),
             energy.map(|energy| energy.total()),
             energy_error,
+            jacobi_error,
             orthogonality_error,
             momentum_drift,
             convergence.map(|convergence| convergence.increment),
@@ -432,6 +437,7 @@ struct Observer<const N: usize> {
     initial: State<N>,
     initial_energy: f64,
     conserved: Option<Mat<N>>,
+    turning_frame: Option<Mat<N>>,
 }
 
 impl<const N: usize> Observer<N> {
@@ -445,7 +451,13 @@ impl<const N: usize> Observer<N> {
             initial: initial.clone(),
             initial_energy: system.energy_at(0.0, &initial.attitude, &initial.momentum).total(),
             conserved: system.conserved_directions(),
+            turning_frame: system.turning_frame(),
         }
+    }
+
+    /// `<W, m>`, m the spatial momentum.
+    fn along(&self, rate: &Mat<N>, state: &State<N>) -> f64 {
+        so::inner(rate, &so::conjugate(&state.attitude, &state.momentum))
     }
 
     fn sample<Y: System<N> + ?Sized>(
@@ -470,6 +482,11 @@ impl<const N: usize> Observer<N> {
             angular_velocity: system.angular_velocity(&g, &momentum),
             energy,
             energy_error: energy.map(|now| now.total() - self.initial_energy - work),
+            jacobi_error: energy.zip(self.turning_frame).map(|(now, rate)| {
+                // H - <W, m>, less what it was.
+                let turned = self.along(&rate, &State { attitude: g, momentum });
+                (now.total() - turned) - (self.initial_energy - self.along(&rate, &self.initial))
+            }),
             orthogonality_error: attitude
                 .filter(|_| asked.orthogonality)
                 .map(|g| so::orthogonality_error(&g)),

@@ -123,6 +123,7 @@ impl Energy {
             total: energy.total(),
             error,
             log10_abs_error: log10_size(error),
+            jacobi_error: sample.jacobi_error,
         })
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use vpd::advise;
 use vpd::chart::draw_log;
 use vpd::log::course::LogChart;
-use vpd::log::reader::Item;
+use vpd::log::reader::{Item, Message, read_samples};
 use vpd::run::{Control, JobContext, Outcome, Summary, execute};
 use vpd::scenario::{SHIPPED, Scenario};
 
@@ -28,6 +28,36 @@ fn shipped_scenarios_keep_to_what_they_expect() {
         assert_eq!(summary.outcome, Outcome::Succeeded, "{name}: {:?}", summary.diagnosis);
         assert!(summary.unmet.is_empty(), "{name}: {:?}", summary.unmet);
     }
+}
+
+/// On a circular orbit the balance of energy and the Jacobi integral are one, but for the quadrature of the work.
+#[test]
+fn a_circular_orbit_has_a_jacobi_integral() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let errors = |text: &str| {
+        let log = directory.path().join("satellite.mcap");
+        let _ = std::fs::remove_file(&log);
+        run(text, &log);
+        let mut errors = Vec::new();
+        read_samples(&log, |_, message| {
+            if let Message::Energy(energy) = message {
+                errors.push((energy.error, energy.jacobi_error));
+            }
+        })
+        .expect("a log");
+        errors
+    };
+    let circular = errors(include_str!("../../scenarios/satellite.json"));
+    assert!(circular.len() > 1000);
+    let (mut jacobi, mut apart) = (0.0_f64, 0.0_f64);
+    for (error, found) in circular {
+        let found = found.expect("a circular orbit");
+        (jacobi, apart) = (jacobi.max(found.abs()), apart.max((found - error).abs()));
+    }
+    println!("Jacobi {jacobi:e}, next to the balance {apart:e}");
+    assert!(jacobi > 0.0 && jacobi <= 1e-10 && apart <= 1e-10, "{jacobi:e}, {apart:e}");
+    let elliptic = errors(include_str!("../../scenarios/satellite-elliptic.json"));
+    assert!(elliptic.iter().all(|(_, jacobi)| jacobi.is_none()));
 }
 
 #[test]

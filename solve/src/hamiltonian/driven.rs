@@ -172,6 +172,25 @@ impl<const N: usize> Driven<N> {
     }
 }
 
+impl<const N: usize> Driven<N> {
+    /// The common rate of the driven terms, if each turns uniformly with a constant strength: see
+    /// [`crate::system::System::turning_frame`]. Also `None` if that frame moves one of the `fixed` vectors, or torques act.
+    pub(super) fn turning_frame<'a>(
+        &self,
+        fixed: impl Iterator<Item = &'a Vector<N>>,
+    ) -> Option<Mat<N>> {
+        /// Relative to the rate: rounding of what a scenario gives.
+        const NEAR: f64 = 1e-12;
+        let rates: Option<Vec<Mat<N>>> = self.terms.iter().map(DrivenTerm::turning).collect();
+        let rates = rates.filter(|_| self.torques.is_empty())?;
+        let rate = *rates.first()?;
+        let near = NEAR * rate.norm();
+        let alike = rates.iter().all(|other| (other - rate).norm() <= near);
+        let stay = |v: &Vector<N>| (rate * v).norm() <= near * v.norm();
+        (alike && fixed.into_iter().all(stay)).then_some(rate)
+    }
+}
+
 /// A driven body at one moment.
 #[derive(Clone, Debug)]
 pub(crate) struct Moment<const N: usize> {
@@ -228,6 +247,22 @@ impl<const N: usize> DrivenTerm<N> {
     /// Its space vector at a time in seconds.
     pub fn space_at(&self, t: f64) -> Vector<N> {
         self.at(Time::of(t)).space
+    }
+
+    /// The rate `W` by which its space vector v turns, `v' = W v`, if that and its strength are constant.
+    fn turning(&self) -> Option<Mat<N>> {
+        let turning = |a: &Vector<N>, b: &Vector<N>| b * a.transpose() - a * b.transpose();
+        match (&self.factor, &self.path) {
+            (Factor::Constant, Path::Turning { plane: [a, b], rate }) => {
+                Some(turning(a, b) * *rate)
+            }
+            (Factor::Constant, Path::Orbit { across, mean_motion, eccentricity, .. })
+                if *eccentricity == 0.0 =>
+            {
+                Some(turning(&self.term.space.try_normalize(0.0)?, across) * *mean_motion)
+            }
+            _ => None,
+        }
     }
 
     fn at(&self, t: Time) -> Changing<N> {

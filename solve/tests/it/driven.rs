@@ -266,6 +266,22 @@ fn the_integral_of_jacobi_is_kept() {
         swing = swing.max((now - begun).abs());
     }
     println!("Jacobi {off:e}, balance {balance:e}, energy swings by {swing:e}");
+    let frame = body.turning_frame().expect("all turns alike");
+    assert!((frame - so::hat(&[0.0, 0.0, RATE])).norm() <= 1e-15, "{frame}");
+    // A direction across the axis stands still, another strength changes: there is no such frame.
+    let gravity = Law::Uniform { weight: 1.0, body_point: axis(0) };
+    let leaning = |space| {
+        body.clone().with_driven_term(DrivenTerm {
+            term: Term { law: gravity.clone(), space },
+            path: Path::Fixed,
+            factor: Factor::Constant,
+        })
+    };
+    assert_eq!(leaning(axis(1)).turning_frame(), None);
+    let factor = Factor::Harmonic { mean: 1.0, amplitude: 0.1, rate: 1.0, phase: 0.0 };
+    let term = Term { law: gravity.clone(), space: axis(0) };
+    let pulsing = body.clone().with_driven_term(DrivenTerm { term, path: turning(), factor });
+    assert_eq!(pulsing.turning_frame(), None);
     assert!(swing > 1e-2, "{swing:e}");
     assert!(off <= 1e-9, "{off:e}");
     assert!(balance <= 1e-9, "{balance:e}");

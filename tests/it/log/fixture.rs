@@ -130,6 +130,7 @@ pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<3> {
         energy_error: None,
         orthogonality_error: None,
         spatial_momentum: None,
+        jacobi_error: None,
         momentum_drift: None,
         convergence: None,
         sigma_min: None,
