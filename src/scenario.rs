@@ -25,8 +25,7 @@ pub use driven::{
 pub use ensemble::Ensemble;
 pub(crate) use parse::{from_tree, tree as read_tree};
 pub use steps::{Adaptive, Steps};
-pub(crate) use term::Drawn;
-pub use term::{GravityGradient, PointSource, PotentialTerm, Spring, Uniform};
+pub use term::*;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::{Model, ModelKinetic};
-use crate::scenario::{Adaptive, PointSource, PotentialTerm};
+use crate::scenario::{Adaptive, Mobility, PointSource, PotentialTerm};
 use crate::solve::hamiltonian::TimeScale;
 
 /// Steps in a time of their own.
@@ -74,26 +74,9 @@ impl Model {
                 self.momentum.norm_squared() / 2.0 * self.kinetic.mobility().powi(2)
             }
         };
+        let mobility = Mobility { at: &mobility, most: self.kinetic.mobility() };
         for (term, near) in self.terms.iter().zip(near_m) {
-            square += match term {
-                PotentialTerm::PointSource(source) => {
-                    source.strength.abs() * mobility(&source.body_point) / (near * near * near)
-                }
-                PotentialTerm::Uniform(field) => {
-                    let arms = length(&field.body_point) * length(&field.direction);
-                    field.weight.abs() * arms * mobility(&unit(&field.body_point))
-                }
-                PotentialTerm::Spring(spring) => {
-                    let arms = length(&spring.body_point) * length(&spring.position);
-                    spring.stiffness * arms * mobility(&unit(&spring.body_point))
-                }
-                PotentialTerm::GravityGradient(gradient) => {
-                    let rows = gradient.matrix.iter().flatten().flatten();
-                    let largest = rows.fold(0.0, |largest: f64, x| largest.max(x.abs()));
-                    let size = length(&gradient.direction);
-                    gradient.strength.abs() * size * size * largest * self.kinetic.mobility()
-                }
-            };
+            square += term.law().squared_rate(*near, &mobility);
         }
         RAD_A_STAGE * stages as f64 / square.sqrt()
     }
@@ -101,9 +84,4 @@ impl Model {
 
 fn length(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
-}
-
-fn unit(v: &[f64]) -> Vec<f64> {
-    let size = length(v);
-    v.iter().map(|x| x / size).collect()
 }

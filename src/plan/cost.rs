@@ -7,6 +7,7 @@
 //!
 //! Invariant: estimates are finite; all that shapes a log or ends a search depends on the plan and the table alone.
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use serde::{Deserialize, Serialize};
@@ -15,7 +16,6 @@ use super::{EnsemblePlan, Formulation, LOG_FIXED_BYTES, Motion, Plan};
 use crate::log::overview;
 use crate::log::schema::{Channel, Compression, bytes_per_member, dense_bytes_per_member};
 use crate::method::Integrator;
-use crate::scenario::PotentialTerm;
 use crate::solve::composition::Composition;
 use crate::solve::free_top;
 use crate::solve::lanes::WIDTH;
@@ -59,14 +59,20 @@ struct SchemeRow {
     costs: Scheme,
 }
 
-/// What a gradient of one term costs, in nanoseconds.
+/// What a gradient of one term costs, in nanoseconds, by its kind.
 #[derive(Debug, Deserialize)]
 struct TermRow {
     n: usize,
-    uniform: f64,
-    point_source: f64,
-    spring: f64,
-    gravity_gradient: f64,
+    #[serde(flatten)]
+    of_kind: BTreeMap<String, f64>,
+}
+
+impl TermRow {
+    /// A kind that was not measured yet counts as the dearest.
+    fn of(&self, kind: &str) -> f64 {
+        let dearest = || self.of_kind.values().copied().fold(0.0, f64::max);
+        self.of_kind.get(kind).copied().unwrap_or_else(dearest)
+    }
 }
 
 #[derive(Debug, Deserialize)]
@@ -258,20 +264,16 @@ impl Plan {
     /// About what the gradient of the potential costs at one attitude by itself.
     fn terms_cost_ns(&self) -> f64 {
         let n = self.dimension as f64;
-        let of = |cost: fn(&TermRow) -> f64| {
+        let mut kinds: BTreeMap<&str, f64> = BTreeMap::new();
+        for term in &self.model.terms {
+            *kinds.entry(term.law().kind()).or_default() += 1.0;
+        }
+        let of_one = |kind: &str| {
             let points: Vec<(f64, f64)> =
-                TABLE.terms.iter().map(|row| (row.n as f64, cost(row))).collect();
+                TABLE.terms.iter().map(|row| (row.n as f64, row.of(kind))).collect();
             between(&points, n, libm::log)
         };
-        let (uniform, gradient) = (of(|row| row.uniform), of(|row| row.gravity_gradient));
-        let (source, spring) = (of(|row| row.point_source), of(|row| row.spring));
-        let cost = |term: &PotentialTerm| match term {
-            PotentialTerm::Uniform(_) => uniform,
-            PotentialTerm::PointSource(_) => source,
-            PotentialTerm::Spring(_) => spring,
-            PotentialTerm::GravityGradient(_) => gradient,
-        };
-        self.model.terms.iter().map(cost).sum()
+        kinds.into_iter().map(|(kind, count)| count * of_one(kind)).sum()
     }
 
     /// About what a sample of so many bytes costs: its figures, its messages and its part of a compressed chunk.

@@ -3,9 +3,9 @@
 use super::model::skew;
 use super::{Model, ModelKinetic};
 use crate::scenario::{
-    DrivenTerm, Entry, Factor, Framed, Path, PotentialTerm, Table, Torque, TorqueTable,
+    DrivenTerm, Entry, Factor, Framed, Path, PotentialTerm, Table, Torque, TorqueTable, vector,
 };
-use crate::solve::hamiltonian::{self as body, Kinetic, Law, RigidBody, Term};
+use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
 use crate::solve::so::{self, Mat, Vector};
 use crate::solve::trajectory::State;
 
@@ -113,7 +113,6 @@ fn over_time(given: &Table) -> body::Table<1> {
 }
 
 pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTerm<N> {
-    let vector = |v: &[f64]| Vector::<N>::from_fn(|i, _| v[i]);
     // What of a vector is across a unit vector, of length one.
     let across = |v: Vector<N>, unit: &Vector<N>| {
         let v = v.normalize();
@@ -124,7 +123,7 @@ pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTer
     let path = match &given.path {
         None => body::Path::Fixed,
         Some(Path::Turning(turning)) => {
-            let from = vector(&turning.from).normalize();
+            let from = vector::<N>(&turning.from).normalize();
             let towards = across(vector(&turning.towards), &from);
             body::Path::Turning { plane: [from, towards], rate: turning.rate_rad_s }
         }
@@ -149,27 +148,5 @@ pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTer
 }
 
 fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {
-    let point = |v: &[f64]| Vector::<N>::from_fn(|i, _| v.get(i).copied().unwrap_or(0.0));
-    let law = match given {
-        PotentialTerm::Uniform(t) => {
-            Law::Uniform { weight: t.weight, body_point: point(&t.body_point) }
-        }
-        PotentialTerm::PointSource(t) => {
-            Law::PointSource { strength: t.strength, body_point: point(&t.body_point) }
-        }
-        PotentialTerm::Spring(t) => Law::Spring {
-            stiffness: t.stiffness,
-            rest_length: t.rest_length,
-            body_point: point(&t.body_point),
-        },
-        PotentialTerm::GravityGradient(t) => {
-            let rows = t.matrix.as_ref().expect("the plan filled in the matrix");
-            let entry =
-                |i: usize, j: usize| rows.get(i).and_then(|row| row.get(j)).copied().unwrap_or(0.0);
-            // Exactly symmetric: text may leave the two halves a digit apart.
-            let matrix = so::symmetric_part(&Mat::from_fn(entry));
-            Law::GravityGradient { strength: t.strength, matrix }
-        }
-    };
-    Term { law, space: point(given.law().space_vector()) }
+    Term { law: given.modelled(), space: vector(given.law().space_vector()) }
 }

@@ -17,10 +17,8 @@
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Dyn, OMatrix};
 
-use super::model::rows;
 use super::{Model, TermPlan};
 use crate::scenario::{GravityGradient, PotentialTerm, Uniform};
-use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::space;
 
 /// What rounding may make of a number: a few units in its last place.
@@ -201,7 +199,7 @@ impl Terms {
             match &mut term {
                 PotentialTerm::PointSource(t) => t.strength = sum[0],
                 PotentialTerm::Spring(t) => t.stiffness = sum[0],
-                PotentialTerm::Uniform(_) | PotentialTerm::GravityGradient(_) => {}
+                _ => {}
             }
             self.stands(first, term);
         }
@@ -211,7 +209,7 @@ impl Terms {
     fn add_isotropic(&mut self) {
         let mut looked_at = vec![false; self.left.len()];
         for first in 0..self.left.len() {
-            let Some(matrix) = self.gradient(first).map(matrix_of) else { continue };
+            let Some(matrix) = self.gradient(first).map(GravityGradient::matrix) else { continue };
             if looked_at[first] {
                 continue;
             }
@@ -279,7 +277,7 @@ impl Terms {
                     let t = self.gradient(k)?;
                     let own = DVector::from_column_slice(&t.direction);
                     let c = own.dot(&direction) / direction.norm_squared();
-                    Some(matrix_of(t) * (t.strength * c * c))
+                    Some(t.matrix() * (t.strength * c * c))
                 })
                 .collect();
             let n = direction.len();
@@ -312,8 +310,9 @@ impl Terms {
     /// it anyway and turns the body by less than can be seen: `w tau T^2 <= 1e-16`.
     fn leave_out_unseen(&mut self, extent: &Extent, model: &Model) {
         let Extent { duration_s, momentum, mobility } = *extent;
+        let torque = |term: &PotentialTerm| term.law().largest_torque();
         let torques: Vec<f64> =
-            self.left.iter().map(|term| term.as_ref().map_or(f64::NAN, largest_torque)).collect();
+            self.left.iter().map(|term| term.as_ref().map_or(f64::NAN, torque)).collect();
         let largest = torques.iter().copied().filter(|x| x.is_finite()).fold(0.0, f64::max);
         // All of them together.
         let unseen = UNSEEN / torques.len().max(1) as f64;
@@ -356,9 +355,7 @@ impl Linear {
                     0.5 * t.stiffness * (direction.norm_squared() + point.norm_squared());
                 Some(Self { weight: -t.stiffness, direction, point, constant })
             }
-            PotentialTerm::PointSource(_)
-            | PotentialTerm::Spring(_)
-            | PotentialTerm::GravityGradient(_) => None,
+            _ => None,
         }
     }
 }
@@ -488,42 +485,6 @@ fn equal_strength(term: &PotentialTerm, other: &PotentialTerm) -> Option<f64> {
                 && same(&t.position, &o.position))
             .then_some(o.stiffness)
         }
-        PotentialTerm::Uniform(_) | PotentialTerm::GravityGradient(_) => None,
-    }
-}
-
-/// M; the plan fills it in before.
-fn matrix_of(term: &GravityGradient) -> DMatrix<f64> {
-    term.matrix.as_ref().map_or_else(|| DMatrix::zeros(0, 0), |given| rows(given))
-}
-
-/// A bound on the torque of a term at any attitude; infinite if the body point may come too near to its place. With
-/// `|y x F| <= |y| |F|` and, the force pointing from z to y, `|y x F| = |F| |y x z| / r`.
-fn largest_torque(term: &PotentialTerm) -> f64 {
-    let size = |v: &[f64]| DVector::from_column_slice(v).norm();
-    let reach = size(term.law().space_vector());
-    // The smallest distance, of points that stay apart.
-    let apart = |y: f64| {
-        let distance = (y - reach).abs();
-        if distance > CLOSEST_APPROACH * (y + reach) { distance } else { 0.0 }
-    };
-    match term {
-        PotentialTerm::Uniform(t) => t.weight.abs() * size(&t.body_point) * reach,
-        PotentialTerm::PointSource(t) => {
-            let y = size(&t.body_point);
-            let r = apart(y);
-            t.strength.abs() * y * reach / (r * r * r)
-        }
-        PotentialTerm::Spring(t) => {
-            let y = size(&t.body_point);
-            let bent = if t.rest_length > 0.0 { t.rest_length / apart(y) } else { 0.0 };
-            t.stiffness.abs() * y * reach * (1.0 + bent)
-        }
-        PotentialTerm::GravityGradient(t) => {
-            let m = matrix_of(t);
-            let n = m.nrows();
-            let level = m.trace() / n as f64;
-            t.strength.abs() * (m - DMatrix::identity(n, n) * level).norm() * reach * reach
-        }
+        _ => None,
     }
 }

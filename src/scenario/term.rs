@@ -1,12 +1,15 @@
-//! The terms of the potential, one file each: its fields, their range, what of it the plan may drop, what viewers draw.
+//! The terms of the potential, one file each: its fields, their range, what of it the plan may drop, its law, what viewers
+//! draw.
 //!
-//! A new term is its file here and its line below, its law in `solve/hamiltonian/term`, and what `plan` makes of it:
-//! nothing compiles until all of it is there.
+//! A new term is its file here and its two lines below, and its file and its lines in `solve/hamiltonian/term`: nothing compiles
+//! until all of it is there. Then `cargo bench --bench costs` measures what it costs; until then it counts as the dearest.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::check::Check;
+use crate::solve::hamiltonian;
+use crate::solve::so::Vector;
 
 mod gravity_gradient;
 mod point_source;
@@ -53,6 +56,13 @@ macro_rules! terms {
                     $(Self::$term(term) => term,)*
                 }
             }
+
+            /// The law that is modelled, once the plan has filled in what may be absent.
+            pub(crate) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
+                match self {
+                    $(Self::$term(term) => term.modelled(),)*
+                }
+            }
         }
     };
 }
@@ -92,8 +102,27 @@ pub(crate) trait Law {
     /// The space vector through whose body image the term depends on the attitude.
     fn space_vector(&self) -> &[f64];
 
+    /// A bound on the torque at any attitude; infinite if the body point may come too near to its place. With `|y x F| <= |y|
+    /// |F|` and, the force pointing from z to y, `|y x F| = |F| |y x z| / r`.
+    fn largest_torque(&self) -> f64;
+
+    /// About the square of the fastest rate that it gives the body, in 1/s^2; a body point no nearer to its place than
+    /// `near_m`, if that is positive.
+    fn squared_rate(&self, near_m: f64, mobility: &Mobility<'_>) -> f64;
+
     /// What viewers draw.
     fn drawn(&self) -> Drawn<'_>;
+
+    /// The name in scenarios and in the table of costs.
+    fn kind(&self) -> &'static str;
+}
+
+/// How easily a body is turned, in 1/(kg m^2).
+pub(crate) struct Mobility<'a> {
+    /// By a force at a body point, times the square of its arm.
+    pub(crate) at: &'a dyn Fn(&[f64]) -> f64,
+    /// By a torque, at most.
+    pub(crate) most: f64,
 }
 
 /// What viewers draw of a term.
@@ -112,6 +141,26 @@ const FIXED: &str = "is the same at every attitude: its body point or its place 
 
 fn is_zero(v: &[f64]) -> bool {
     v.iter().all(|&x| x == 0.0)
+}
+
+fn length(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn unit(v: &[f64]) -> Vec<f64> {
+    let size = length(v);
+    v.iter().map(|x| x / size).collect()
+}
+
+/// The smallest distance of two points at these distances from the fixed point; zero if they may meet.
+fn apart(y: f64, z: f64) -> f64 {
+    let distance = (y - z).abs();
+    if distance > hamiltonian::CLOSEST_APPROACH * (y + z) { distance } else { 0.0 }
+}
+
+/// The first n coordinates, or zeros beyond them.
+pub(crate) fn vector<const N: usize>(v: &[f64]) -> Vector<N> {
+    Vector::from_fn(|i, _| v.get(i).copied().unwrap_or(0.0))
 }
 
 fn distance(y: &[f64], z: &[f64]) -> f64 {

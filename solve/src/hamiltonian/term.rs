@@ -6,6 +6,7 @@
 use super::super::lanes::Real;
 use super::super::so::{Mat, Vector};
 use super::super::stack::Dimension;
+use super::plane::is_axis;
 
 mod gravity_gradient;
 mod point_source;
@@ -126,6 +127,32 @@ impl<const N: usize> Law<N> {
             }
             Self::Uniform { .. } | Self::GravityGradient { .. } => None,
         }
+    }
+}
+
+impl Law<3> {
+    /// The law in the plane of axes i and j, if it never pulls out of it.
+    pub(super) fn in_plane(&self, axes: [usize; 3]) -> Option<Law<2>> {
+        let [i, j, k] = axes;
+        let point = |y: &Vector<3>| (y[k] == 0.0).then_some(Vector::<2>::new(y[i], y[j]));
+        Some(match self {
+            Self::Uniform { weight, body_point } => {
+                Law::Uniform { weight: *weight, body_point: point(body_point)? }
+            }
+            Self::PointSource { strength, body_point } => {
+                Law::PointSource { strength: *strength, body_point: point(body_point)? }
+            }
+            Self::Spring { stiffness, rest_length, body_point } => Law::Spring {
+                stiffness: *stiffness,
+                rest_length: *rest_length,
+                body_point: point(body_point)?,
+            },
+            Self::GravityGradient { strength, matrix: m } => {
+                let block = Mat::<2>::new(m[(i, i)], m[(i, j)], m[(j, i)], m[(j, j)]);
+                is_axis(m, axes)
+                    .then_some(Law::GravityGradient { strength: *strength, matrix: block })?
+            }
+        })
     }
 }
 

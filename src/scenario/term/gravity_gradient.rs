@@ -1,10 +1,13 @@
 //! The gradient of gravity.
 
+use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, direction, largest, matrix, size, strength, symmetry};
-use super::{Drawn, Law, NO_STRENGTH};
+use super::{Drawn, Law, Mobility, NO_STRENGTH, length};
+use crate::solve::hamiltonian;
+use crate::solve::so::{self, Mat};
 
 /// The gradient of a distant body's gravity over this one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -17,6 +20,23 @@ pub struct GravityGradient {
     /// Symmetric matrix in body coordinates; the inertia matrix if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub matrix: Option<Vec<Vec<f64>>>,
+}
+
+impl GravityGradient {
+    pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
+        let rows = self.matrix.as_ref().expect("the plan filled in the matrix");
+        let entry =
+            |i: usize, j: usize| rows.get(i).and_then(|row| row.get(j)).copied().unwrap_or(0.0);
+        // Exactly symmetric: text may leave the two halves a digit apart.
+        let matrix = so::symmetric_part(&Mat::from_fn(entry));
+        hamiltonian::Law::GravityGradient { strength: self.strength, matrix }
+    }
+
+    /// M; the plan fills it in before.
+    pub(crate) fn matrix(&self) -> DMatrix<f64> {
+        let rows = self.matrix.as_deref().unwrap_or_default();
+        DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j])
+    }
 }
 
 impl Law for GravityGradient {
@@ -58,7 +78,25 @@ impl Law for GravityGradient {
         &self.direction
     }
 
+    fn largest_torque(&self) -> f64 {
+        let m = self.matrix();
+        let n = m.nrows();
+        let level = m.trace() / n as f64;
+        let reach = length(&self.direction);
+        self.strength.abs() * (m - DMatrix::identity(n, n) * level).norm() * reach * reach
+    }
+
+    fn squared_rate(&self, _near_m: f64, mobility: &Mobility<'_>) -> f64 {
+        let most = largest(self.matrix.iter().flatten().flatten());
+        let size = length(&self.direction);
+        self.strength.abs() * size * size * most * mobility.most
+    }
+
     fn drawn(&self) -> Drawn<'_> {
         Drawn { direction: Some(&self.direction), ..Drawn::default() }
+    }
+
+    fn kind(&self) -> &'static str {
+        "gravity_gradient"
     }
 }

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, point, strength};
-use super::{Drawn, FIXED, Law, NO_STRENGTH, distance, is_zero};
+use super::{Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, is_zero, length, vector};
+use crate::solve::hamiltonian;
 
 /// A point of space that attracts or repels a body point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -16,6 +17,13 @@ pub struct PointSource {
     pub body_point: Vec<f64>,
     /// Place of the source, in space coordinates.
     pub position: Vec<f64>,
+}
+
+impl PointSource {
+    pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
+        let body_point = vector(&self.body_point);
+        hamiltonian::Law::PointSource { strength: self.strength, body_point }
+    }
 }
 
 impl Law for PointSource {
@@ -41,6 +49,16 @@ impl Law for PointSource {
         &self.position
     }
 
+    fn largest_torque(&self) -> f64 {
+        let (y, z) = (length(&self.body_point), length(&self.position));
+        let r = apart(y, z);
+        self.strength.abs() * y * z / (r * r * r)
+    }
+
+    fn squared_rate(&self, near_m: f64, mobility: &Mobility<'_>) -> f64 {
+        self.strength.abs() * (mobility.at)(&self.body_point) / (near_m * near_m * near_m)
+    }
+
     fn drawn(&self) -> Drawn<'_> {
         Drawn {
             body_point: Some(&self.body_point),
@@ -48,5 +66,9 @@ impl Law for PointSource {
             charge: self.strength,
             ..Drawn::default()
         }
+    }
+
+    fn kind(&self) -> &'static str {
+        "point_source"
     }
 }

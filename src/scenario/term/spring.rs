@@ -4,7 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, ensure, number, point, size, strength};
-use super::{Drawn, FIXED, Law, NO_STRENGTH, distance, is_zero};
+use super::{
+    Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, is_zero, length, unit, vector,
+};
+use crate::solve::hamiltonian;
 
 /// A spring from a body point to a point of space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -19,6 +22,16 @@ pub struct Spring {
     pub body_point: Vec<f64>,
     /// The anchor, in space coordinates.
     pub position: Vec<f64>,
+}
+
+impl Spring {
+    pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
+        hamiltonian::Law::Spring {
+            stiffness: self.stiffness,
+            rest_length: self.rest_length,
+            body_point: vector(&self.body_point),
+        }
+    }
 }
 
 impl Law for Spring {
@@ -52,11 +65,26 @@ impl Law for Spring {
         &self.position
     }
 
+    fn largest_torque(&self) -> f64 {
+        let (y, z) = (length(&self.body_point), length(&self.position));
+        let bent = if self.rest_length > 0.0 { self.rest_length / apart(y, z) } else { 0.0 };
+        self.stiffness.abs() * y * z * (1.0 + bent)
+    }
+
+    fn squared_rate(&self, _near_m: f64, mobility: &Mobility<'_>) -> f64 {
+        let arms = length(&self.body_point) * length(&self.position);
+        self.stiffness * arms * (mobility.at)(&unit(&self.body_point))
+    }
+
     fn drawn(&self) -> Drawn<'_> {
         Drawn {
             body_point: Some(&self.body_point),
             position: Some(&self.position),
             ..Drawn::default()
         }
+    }
+
+    fn kind(&self) -> &'static str {
+        "spring"
     }
 }

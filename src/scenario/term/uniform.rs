@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, direction, point, strength};
-use super::{Drawn, FIXED, Law, NO_STRENGTH, is_zero};
+use super::{Drawn, FIXED, Law, Mobility, NO_STRENGTH, is_zero, length, unit, vector};
+use crate::solve::hamiltonian;
 
 /// A uniform field that pulls at a body point.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -16,6 +17,12 @@ pub struct Uniform {
     pub body_point: Vec<f64>,
     /// Direction in space coordinates, against the pull; used as given, not normalised.
     pub direction: Vec<f64>,
+}
+
+impl Uniform {
+    pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
+        hamiltonian::Law::Uniform { weight: self.weight, body_point: vector(&self.body_point) }
+    }
 }
 
 impl Law for Uniform {
@@ -40,11 +47,24 @@ impl Law for Uniform {
         &self.direction
     }
 
+    fn largest_torque(&self) -> f64 {
+        self.weight.abs() * length(&self.body_point) * length(&self.direction)
+    }
+
+    fn squared_rate(&self, _near_m: f64, mobility: &Mobility<'_>) -> f64 {
+        let arms = length(&self.body_point) * length(&self.direction);
+        self.weight.abs() * arms * (mobility.at)(&unit(&self.body_point))
+    }
+
     fn drawn(&self) -> Drawn<'_> {
         Drawn {
             body_point: Some(&self.body_point),
             direction: Some(&self.direction),
             ..Drawn::default()
         }
+    }
+
+    fn kind(&self) -> &'static str {
+        "uniform"
     }
 }
