@@ -20,6 +20,7 @@ mod potential;
 mod rescaled;
 mod term;
 mod torque;
+mod views;
 
 use driven::Driven;
 pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
@@ -30,6 +31,7 @@ pub(crate) use rescaled::{AtStages, Scale};
 pub use rescaled::{Rescaled, TimeScale};
 pub use term::{Law, Term};
 pub(crate) use torque::{Terms, Torques};
+pub(crate) use views::{Looked, Views, wheels};
 
 /// A Hamiltonian H(g, mu) by its two derivatives, for [`crate::stepper::vpd::Vpd`].
 ///

@@ -169,17 +169,21 @@ impl<T: Real> Quaternion<T> {
         Self { w: half[0].constant(1.0), v: *half }.normalised()
     }
 
-    /// `self (1 + half)`, of length one to the fourth order of `half` and the second of the deficit of `self`.
+    /// Of length one, to second order in the deficit. It goes to w rather than to v, which holds the angle: (1 + v^2) w^2 +
+    /// v^2 v^2 = 1. A common factor near one lies on one side of it more often than on the other, and the energy of a run
+    /// with it.
     #[inline(always)]
-    pub fn turned(&self, half: &Vec3<T>) -> Self {
-        // The deficit of the length by rounding goes to w rather than to v, which holds the angle: (1 + v^2) w^2 + v^2 v^2
-        // = 1. A common factor near one lies on one side of it more often than on the other, and the energy of a run
-        // with it.
+    pub fn lengthened_by_w(&self) -> Self {
         let square = dot(&self.v, &self.v);
         let deficit = ((-self.w + 1.0) * (self.w + 1.0) - square) * 0.5;
         let (for_w, for_v) = (deficit * (square + 1.0), deficit * square);
-        let w = self.w + self.w * for_w;
-        let v: Vec3<T> = vec3!(i => self.v[i] + self.v[i] * for_v);
+        Self { w: self.w + self.w * for_w, v: vec3!(i => self.v[i] + self.v[i] * for_v) }
+    }
+
+    /// `self (1 + half)`, of length one to the fourth order of `half` and the second of the deficit of `self`.
+    #[inline(always)]
+    pub fn turned(&self, half: &Vec3<T>) -> Self {
+        let Self { w, v } = self.lengthened_by_w();
         // |q (1 + a)|^2 = |q|^2 + |a|^2, and 1 / sqrt(1 + e) = 1 - e / 2 to second order.
         let shrink = dot(half, half) * -0.5;
         let c = cross(&v, half);

@@ -145,8 +145,8 @@ pub enum Torque<const N: usize> {
 /// What of a body changes with time, or pushes it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Driven<const N: usize> {
-    terms: Vec<DrivenTerm<N>>,
-    torques: Vec<Torque<N>>,
+    pub(super) terms: Vec<DrivenTerm<N>>,
+    pub(super) torques: Vec<Torque<N>>,
 }
 
 impl<const N: usize> Driven<N> {
@@ -196,17 +196,19 @@ impl<const N: usize> Driven<N> {
 pub(crate) struct Moment<const N: usize> {
     /// Its potential as it is then.
     pub(crate) body: RigidBody<N>,
-    torques: Vec<Torque<N>>,
-    changing: Vec<Changing<N>>,
+    pub(super) torques: Vec<Torque<N>>,
+    pub(super) changing: Vec<Changing<N>>,
 }
 
 /// A driven term then.
 #[derive(Clone, Debug)]
-struct Changing<const N: usize> {
+pub(super) struct Changing<const N: usize> {
+    /// What its strength is multiplied by.
+    pub(super) factor: f64,
     /// The law with the rate of its strength in the place of that.
     strengthening: Law<N>,
     law: Law<N>,
-    space: Vector<N>,
+    pub(super) space: Vector<N>,
     /// The rate of the space vector.
     moving: Vector<N>,
 }
@@ -314,7 +316,13 @@ impl<const N: usize> DrivenTerm<N> {
             }
         };
         let law = |factor: f64| self.term.law.times(factor);
-        Changing { strengthening: law(strengthening), law: law(strength), space, moving }
+        Changing {
+            factor: strength,
+            strengthening: law(strengthening),
+            law: law(strength),
+            space,
+            moving,
+        }
     }
 }
 
@@ -371,7 +379,7 @@ impl<const N: usize> Moment<N> {
     /// `dH/dt + <F, Omega>`: what time and the torques put into the energy.
     pub(crate) fn power(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> f64 {
         let mut power = so::inner(&self.torque(g, mu, omega), omega);
-        for Changing { strengthening, law, space, moving } in &self.changing {
+        for Changing { strengthening, law, space, moving, .. } in &self.changing {
             let q = g.tr_mul(space);
             power += strengthening.value(&q) + law.change(&q, &g.tr_mul(moving));
         }

@@ -143,9 +143,9 @@ impl<const N: usize> Hamiltonian<N> for Rescaled<'_, N> {
 /// sigma as the stages see it.
 pub(crate) struct Scale<'a> {
     /// As of [`TimeScale`].
-    near_m: &'a [f64],
+    pub(crate) near_m: &'a [f64],
     /// H0 less the part of H that does not depend on the state.
-    energy: f64,
+    pub(crate) energy: f64,
 }
 
 impl<'a, const N: usize> From<&Rescaled<'a, N>> for Scale<'a> {

@@ -24,6 +24,8 @@
 //!
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
 
+use std::any::Any;
+
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
@@ -36,10 +38,12 @@ use crate::tableau::Tableau;
 mod carried;
 mod deferred;
 mod motion;
+mod vectors;
 
 pub(super) use carried::Carried;
 use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck};
 pub(super) use motion::{Motion, Sum};
+use vectors::InVectors;
 
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
 pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
@@ -76,6 +80,11 @@ pub(super) trait Dynamics<const N: usize> {
         None
     }
 
+    /// The same whatever drives it, from the attitude where the step begins; unless a potential of one's own acts.
+    fn solid(&self) -> Option<Solid<'_, N>> {
+        None
+    }
+
     /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
     fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
@@ -89,6 +98,21 @@ pub(super) struct Seen<'a, const N: usize> {
     pub(super) vectors: &'a [Vector<N>],
     /// Of one in a time of its own.
     pub(super) scale: Option<Scale<'a>>,
+}
+
+/// A rigid body, and what drives it.
+pub(super) struct Solid<'a, const N: usize> {
+    pub(super) body: &'a RigidBody<N>,
+    pub(super) g0: &'a Mat<N>,
+    /// Of a driven one, at the stages and the end of the step.
+    pub(super) moments: &'a Vec<Moment<N>>,
+    /// Of one in a time of its own.
+    pub(super) scale: Option<Scale<'a>>,
+}
+
+/// `value` as what it is for n = 3.
+fn for_three<T: Any, U: Any>(value: &T) -> Option<&U> {
+    (value as &dyn Any).downcast_ref()
 }
 
 /// The length of a step.
@@ -114,6 +138,8 @@ pub(super) struct GalerkinStep<const N: usize> {
     solver: Solver,
     /// The quick way, of a tableau that has it.
     collocation: Option<Collocation>,
+    /// The same for a rigid body with n = 3.
+    in_vectors: Option<InVectors>,
     /// The steps before, if they show where the next one leads.
     past: Option<Past>,
     stages: Vec<Stage<N>>,
@@ -131,8 +157,17 @@ pub(super) struct Solution<const N: usize> {
     pub(super) impulse: Mat<N>,
     /// The length of the step.
     h: f64,
-    /// Is it the collocation's?
-    collocated: bool,
+    by: By,
+}
+
+/// What solved a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum By {
+    Sweeps,
+    /// [`Collocation`].
+    Matrices,
+    /// [`InVectors`].
+    Vectors,
 }
 
 impl<const N: usize> Solution<N> {
@@ -186,9 +221,10 @@ impl<const N: usize> GalerkinStep<N> {
         let (stages, solver) = (vec![stage; tableau.stages()], Solver::new(stop));
         let by_sweeps_alone = stop.rungs == Rungs::Newton;
         let collocation = if by_sweeps_alone { None } else { Collocation::new(&tableau, N) };
-        let solution = Solution { turn: zero, impulse: zero, h: 0.0, collocated: false };
+        let in_vectors = if by_sweeps_alone || N != 3 { None } else { InVectors::new(&tableau) };
+        let solution = Solution { turn: zero, impulse: zero, h: 0.0, by: By::Sweeps };
         let (past, seen) = (None, Vec::new());
-        Self { stages, end, tableau, solver, collocation, past, solution, seen }
+        Self { stages, end, tableau, solver, collocation, in_vectors, past, solution, seen }
     }
 
     /// The same for steps that follow one another smoothly: each begins where those before lead to, until
@@ -213,6 +249,9 @@ impl<const N: usize> GalerkinStep<N> {
     pub(super) fn on_level(mut self, level: Option<Level>) -> Self {
         if let Some(collocation) = &mut self.collocation {
             collocation.level = level;
+        }
+        if let Some(in_vectors) = &mut self.in_vectors {
+            in_vectors.level = level;
         }
         self
     }
@@ -252,7 +291,7 @@ impl<const N: usize> GalerkinStep<N> {
             return Ok(solved);
         }
         let h = length.h;
-        (self.solution.collocated, self.solution.h) = (false, h);
+        (self.solution.by, self.solution.h) = (By::Sweeps, h);
         let Self { tableau, solver, past, stages, end, collocation, .. } = self;
         let worth = if collocation.is_some() { ROUNDS_OF_A_SWEEP } else { 1 };
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end, worth };
@@ -283,7 +322,74 @@ impl<const N: usize> GalerkinStep<N> {
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Option<Convergence>, Failure> {
-        let Some(collocation) = &mut self.collocation else { return Ok(None) };
+        let solved = match self.in_vectors(dynamics, length, p0, omega) {
+            Some(solved) => solved,
+            None => self.in_matrices(dynamics, length, p0, omega),
+        };
+        let solved = match solved {
+            Ok(solved) => solved,
+            Err(Stuck::Stopped(stopped)) => return Err(stopped),
+            Err(Stuck::Lost) => return Ok(None),
+        };
+        let allowed = solved.rounds <= self.solver.rule().max_iterations;
+        if !(allowed
+            && solved.stretch * (N as f64) <= MODEST_STRETCH
+            && solved.nearness <= FAR_ENOUGH)
+        {
+            return Ok(None);
+        }
+        // Where no attitude is far from where the step began, none is far from the next.
+        if !(solved.turn <= MODEST_TURN) && self.check_continuity().is_err() {
+            return Ok(None);
+        }
+        if dynamics.body().is_none_or(|seen| seen.body.has_own()) {
+            self.check_dynamics(dynamics)?;
+        }
+        let Solved { rounds: iterations, increment, .. } = solved;
+        self.solution.checked()?;
+        Ok(Some(Convergence { iterations, increment, rung: Rung::FixedPoint }))
+    }
+
+    /// Solves the step of a rigid body for n = 3 in vectors; `None` of anything else.
+    fn in_vectors(
+        &mut self,
+        dynamics: &dyn Dynamics<N>,
+        Length { h, lasting }: Length,
+        p0: &Mat<N>,
+        omega: &Mat<N>,
+    ) -> Option<Result<Solved, Stuck>> {
+        let in_vectors = self.in_vectors.as_mut()?;
+        let Solid { body, g0, moments, scale } = dynamics.solid()?;
+        let source = vectors::Source {
+            body: for_three(body)?,
+            g0: for_three(g0)?,
+            moments: for_three::<_, Vec<Moment<3>>>(moments)?,
+            scale,
+        };
+        let vee = |x: &Mat<N>| [x[(2, 1)], x[(0, 2)], x[(1, 0)]];
+        let start = vectors::Start { h, lasting, momentum: vee(p0), velocity: vee(omega) };
+        let solved = in_vectors.solve(&start, &source);
+        if let Ok(solved) = &solved {
+            let change = in_vectors.change(self.stages.len());
+            self.solution = Solution {
+                turn: Mat::from_fn(|i, j| change[(i, j)]),
+                impulse: so::hat(&in_vectors.impulse()),
+                h: solved.h,
+                by: By::Vectors,
+            };
+        }
+        Some(solved)
+    }
+
+    /// Solves the step of any system in matrices.
+    fn in_matrices(
+        &mut self,
+        dynamics: &mut dyn Dynamics<N>,
+        length: Length,
+        p0: &Mat<N>,
+        omega: &Mat<N>,
+    ) -> Result<Solved, Stuck> {
+        let Some(collocation) = &mut self.collocation else { return Err(Stuck::Lost) };
         let (momentum, velocity) = (p0.transpose(), omega.transpose());
         let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
         let Length { h, lasting } = length;
@@ -303,34 +409,14 @@ impl<const N: usize> GalerkinStep<N> {
                 Source::Stages(&mut one_stage)
             }
         };
-        let solved = match collocation.solve(&start, source) {
-            Ok(solved) => solved,
-            Err(Stuck::Stopped(stopped)) => return Err(stopped),
-            Err(Stuck::Lost) => return Ok(None),
-        };
-        let allowed = solved.rounds <= self.solver.rule().max_iterations;
-        if !(allowed
-            && solved.stretch * (N as f64) <= MODEST_STRETCH
-            && solved.nearness <= FAR_ENOUGH)
-        {
-            return Ok(None);
-        }
+        let solved = collocation.solve(&start, source)?;
         self.solution = Solution {
             turn: Mat::from_row_slice(collocation.turn()),
             impulse: Mat::from_row_slice(collocation.impulse()),
             h: solved.h,
-            collocated: true,
+            by: By::Matrices,
         };
-        // Where no attitude is far from where the step began, none is far from the next.
-        if !(solved.turn <= MODEST_TURN) && self.check_continuity().is_err() {
-            return Ok(None);
-        }
-        if dynamics.body().is_none_or(|seen| seen.body.has_own()) {
-            self.check_dynamics(dynamics)?;
-        }
-        let Solved { rounds: iterations, increment, .. } = solved;
-        self.solution.checked()?;
-        Ok(Some(Convergence { iterations, increment, rung: Rung::FixedPoint }))
+        Ok(solved)
     }
 
     /// What the step changes.
@@ -340,9 +426,13 @@ impl<const N: usize> GalerkinStep<N> {
 
     /// U_k, or f after the last stage.
     fn attitude(&self, k: usize) -> Mat<N> {
-        match &self.collocation {
-            Some(collocation) if self.solution.collocated => {
+        match (self.solution.by, &self.collocation, &self.in_vectors) {
+            (By::Matrices, Some(collocation), _) => {
                 Mat::identity() + Mat::from_fn(|i, j| collocation.change(k, i * N + j))
+            }
+            (By::Vectors, _, Some(in_vectors)) => {
+                let change = in_vectors.change(k);
+                Mat::identity() + Mat::from_fn(|i, j| change[(i, j)])
             }
             _ => self.stages.get(k).map_or(self.end.f, |stage| stage.u),
         }
@@ -352,11 +442,15 @@ impl<const N: usize> GalerkinStep<N> {
     pub(super) fn work(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> f64 {
         let mut work = 0.0;
         for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
-            let (mu, omega) = match &self.collocation {
-                Some(collocation) if self.solution.collocated => (
+            let (mu, omega) = match (self.solution.by, &self.collocation, &self.in_vectors) {
+                (By::Matrices, Some(collocation), _) => (
                     Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
                     Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
                 ),
+                (By::Vectors, _, Some(in_vectors)) => {
+                    let [mu, omega] = in_vectors.motion(k);
+                    (so::hat(&mu), so::hat(&omega))
+                }
                 _ => (self.stages[k].mu, self.stages[k].omega),
             };
             let g = so::product(g0, &self.attitude(k));
@@ -368,10 +462,12 @@ impl<const N: usize> GalerkinStep<N> {
     /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`.
     pub(super) fn lasted(&self, system: &Rescaled<'_, N>, g0: &Mat<N>) -> f64 {
         let in_lanes = system.body.principal().is_some() && !system.body.has_own();
-        let collocated = self.collocation.as_ref();
-        let collocated = collocated.filter(|_| self.solution.collocated && in_lanes);
         let sigma = |k: usize| {
-            let seen = collocated.and_then(|collocation| collocation.sigma(k));
+            let seen = match (self.solution.by, &self.collocation, &self.in_vectors) {
+                (By::Matrices, Some(collocation), _) if in_lanes => collocation.sigma(k),
+                (By::Vectors, _, Some(in_vectors)) => Some(in_vectors.sigma(k)),
+                _ => None,
+            };
             seen.unwrap_or_else(|| system.sigma(&so::product(g0, &self.attitude(k))))
         };
         self.solution.h * (0..self.stages.len()).map(|k| self.tableau.b(k) * sigma(k)).sum::<f64>()
@@ -389,8 +485,11 @@ impl<const N: usize> GalerkinStep<N> {
 
     /// The smallest singular value of the interpolated matrix of stage `k`, or of the end after the last.
     fn smallest_singular_value(&self, k: usize) -> f64 {
-        match &self.collocation {
-            Some(collocation) if self.solution.collocated => {
+        match (self.solution.by, &self.collocation, &self.in_vectors) {
+            (By::Vectors, _, Some(in_vectors)) => {
+                1.0 + so::smallest_eigenvalue(&in_vectors.stretch(k))
+            }
+            (By::Matrices, Some(collocation), _) => {
                 // F = I - P^-1
                 let f = Mat::<N>::from_fn(|i, j| collocation.stretch(k, i * N + j));
                 1.0 / (1.0 - so::smallest_eigenvalue(&f))

@@ -26,8 +26,8 @@ use crate::tableau::Tableau;
 use crate::trajectory::State;
 
 pub mod ensemble;
-mod sweep;
-mod unknowns;
+pub(super) mod sweep;
+pub(super) mod unknowns;
 
 use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
 

@@ -35,13 +35,13 @@ use crate::tableau::Tableau;
 use crate::work;
 
 /// Rounds of any kind after which a step is given up.
-const MOST_ROUNDS: u32 = 40;
+pub(super) const MOST_ROUNDS: u32 = 40;
 /// Passes over attitudes and momenta for each torque, of a system in a time of its own.
 const PASSES: usize = 2;
 /// What forces anew leave of an error, until it is seen.
 const FORCES_CONTRACTION: f64 = 0.01;
 /// Of the momentum, the shortfall at the end of a step that is allowed.
-const ROUND_OFF: f64 = 1e-16;
+pub(super) const ROUND_OFF: f64 = 1e-16;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -1061,7 +1061,7 @@ struct Passed {
 
 /// How rounds converge.
 #[derive(Debug)]
-struct Rounds {
+pub(super) struct Rounds {
     /// What a round leaves of an error, until it is seen.
     expected: f64,
     /// The last change, or what went before the first; a change that is much smaller than expected may be luck.
@@ -1070,12 +1070,12 @@ struct Rounds {
 }
 
 impl Rounds {
-    fn new(expected: f64, before: f64) -> Self {
+    pub(super) fn new(expected: f64, before: f64) -> Self {
         Self { expected, last: before, first: true }
     }
 
     /// What is left of an error after a round that changed so much.
-    fn left(&mut self, change: f64) -> f64 {
+    pub(super) fn left(&mut self, change: f64) -> f64 {
         let change = change.max(0.3 * self.expected * self.last);
         let contraction =
             if self.first { self.expected } else { (change / self.last).clamp(0.0, 1.0) };

@@ -393,7 +393,11 @@ fn end_point<R: Stages>(
 
 /// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
 #[inline(always)]
-fn embedded<R: Stages>(u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> Mat3<R> {
+pub(in crate::stepper) fn embedded<R: Stages>(
+    u: &Mat3<R>,
+    x: &Vec3<R>,
+    rows: &[Row; WIDTH],
+) -> Mat3<R> {
     let y = times_hat(u, x);
     mat3!(i, j => y[i][j].apply_tableau(rows))
 }
@@ -408,7 +412,11 @@ fn k_less_two<T: Real>(excess: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
 
 /// `vee asym(U^T A)` for `A = I + D`: vee asym(U^T) = -4 w v without cancellation.
 #[inline(always)]
-fn residual<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3<T> {
+pub(in crate::stepper) fn residual<T: Real>(
+    attitude: &Quaternion<T>,
+    u: &Mat3<T>,
+    d: &Mat3<T>,
+) -> Vec3<T> {
     let [u, d] = [transposed(u), transposed(d)];
     let factor = attitude.w * -4.0;
     [
@@ -420,7 +428,11 @@ fn residual<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat3<T>) -> Vec3
 
 /// `E = P - I = sym(U^T A) - I` for `A = I + D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
 #[inline(always)]
-fn stretch_excess<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat3<T>) -> Sym3<T> {
+pub(in crate::stepper) fn stretch_excess<T: Real>(
+    attitude: &Quaternion<T>,
+    u: &Mat3<T>,
+    d: &Mat3<T>,
+) -> Sym3<T> {
     let [x, y, z] = attitude.v;
     let (xx, yy, zz) = (x * x, y * y, z * z);
     let b = transposed_matrix_product(u, d);
@@ -436,29 +448,35 @@ fn stretch_excess<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat3<T>) -
 
 /// `(tr(P) I - P)^-1` for `P = I + E`.
 #[inline(always)]
-fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
+pub(in crate::stepper) fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
     inverse(&[*yy + *zz + 2.0, *xx + *zz + 2.0, *xx + *yy + 2.0, -*yz, -*xz, -*xy])
 }
 
 #[inline(always)]
-fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
+pub(in crate::stepper) fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
     vec3!(i => lanes.load(&plain[i]))
 }
 
 #[inline(always)]
-fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
+pub(in crate::stepper) fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
     for i in 0..3 {
         value[i].store(&mut plain[i]);
     }
 }
 
 #[inline(always)]
-fn load_turn<R: Stages>(lanes: R, plain: &Quaternion<R::Plain>) -> Quaternion<R> {
+pub(in crate::stepper) fn load_turn<R: Stages>(
+    lanes: R,
+    plain: &Quaternion<R::Plain>,
+) -> Quaternion<R> {
     Quaternion { w: lanes.load(&plain.w), v: load(lanes, &plain.v) }
 }
 
 #[inline(always)]
-fn store_turn<R: Stages>(value: &Quaternion<R>, plain: &mut Quaternion<R::Plain>) {
+pub(in crate::stepper) fn store_turn<R: Stages>(
+    value: &Quaternion<R>,
+    plain: &mut Quaternion<R::Plain>,
+) {
     value.w.store(&mut plain.w);
     store(&value.v, &mut plain.v);
 }

@@ -49,13 +49,13 @@ impl Passes {
 
 /// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
 #[derive(Clone, Debug)]
-pub(super) struct LaneTableau {
+pub(in crate::stepper) struct LaneTableau {
     /// `e_ij`, column by column.
-    pub(super) columns: [Row; WIDTH],
+    pub(in crate::stepper) columns: [Row; WIDTH],
     /// `e_ij`, row by row: the columns of its transpose.
-    pub(super) rows: [Row; WIDTH],
-    pub(super) weights: Row,
-    pub(super) nodes: Row,
+    pub(in crate::stepper) rows: [Row; WIDTH],
+    pub(in crate::stepper) weights: Row,
+    pub(in crate::stepper) nodes: Row,
     /// One for each stage.
     pub(super) present: Row,
     pub(super) passes: Passes,
@@ -64,11 +64,12 @@ pub(super) struct LaneTableau {
     /// Rounds of the first guess.
     pub(super) rounds: u32,
     /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
-    pub(super) own_partner: bool,
+    pub(in crate::stepper) own_partner: bool,
+    pub(in crate::stepper) stages: usize,
 }
 
 impl LaneTableau {
-    pub(super) fn new(tableau: &Tableau) -> Self {
+    pub(in crate::stepper) fn new(tableau: &Tableau) -> Self {
         let zero = Row::splat(0.0);
         let stages = tableau.stages();
         let few = stages <= FEW_STAGES;
@@ -82,6 +83,7 @@ impl LaneTableau {
             is_finished: stages >= FINISHED_STAGES,
             rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
             own_partner: false,
+            stages,
         };
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
         lanes.own_partner = (0..stages)
@@ -100,6 +102,12 @@ impl LaneTableau {
             }
         }
         lanes
+    }
+
+    /// About the size of the defects of a step that turns by `turn`: `turn^(s+1) / (s+1)!`.
+    #[inline(always)]
+    pub(in crate::stepper) fn order_of_defect(&self, turn: f64) -> f64 {
+        (1..=self.stages + 1).fold(1.0, |product, m| product * turn / m as f64)
     }
 
     /// How often the first guess takes the torque at the stages: before its rounds, in them, and after.
@@ -125,7 +133,7 @@ pub(super) struct Start<'a, P> {
 
 /// The inertia J of the body, as what divides a momentum.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Inertia<T> {
+pub(in crate::stepper) struct Inertia<T> {
     /// J^-1.
     inverse: Sym3<T>,
     /// Is it diagonal, as in principal axes?
@@ -133,7 +141,8 @@ pub(super) struct Inertia<T> {
 }
 
 impl Inertia<f64> {
-    pub(super) fn of(body: &RigidBody<3>) -> Self {
+    /// That of a body.
+    pub(in crate::stepper) fn of(body: &RigidBody<3>) -> Self {
         let m = body.inverse_inertia();
         let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
         Self { inverse, principal: inverse[3..] == [0.0; 3] }
@@ -141,7 +150,7 @@ impl Inertia<f64> {
 
     /// The same for all lanes.
     #[inline(always)]
-    pub(super) fn in_lanes<R: Real>(&self, lanes: R) -> Inertia<R> {
+    pub(in crate::stepper) fn in_lanes<R: Real>(&self, lanes: R) -> Inertia<R> {
         let mut inverse = [lanes; 6];
         for i in 0..6 {
             inverse[i] = lanes.constant(self.inverse[i]);
@@ -153,7 +162,7 @@ impl Inertia<f64> {
 impl<R: Real> Inertia<R> {
     /// `J^-1 v`
     #[inline(always)]
-    pub(super) fn divides(&self, v: &Vec3<R>) -> Vec3<R> {
+    pub(in crate::stepper) fn divides(&self, v: &Vec3<R>) -> Vec3<R> {
         if self.principal {
             vec3!(i => self.inverse[i] * v[i])
         } else {

@@ -1,0 +1,716 @@
+//! The step of [`super`] for n = 3, in quaternions and vectors: [`super::deferred`] with attitudes collocated, too.
+//!
+//! With the tags of docs/derivation.md, `r_j = h b_j u_j Omega_j / 2` and vectors in the place of skew matrices,
+//!
+//! ```text
+//! [turn]       u_k = 1 + sum_j e_kj r_j + theta_k
+//! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j vee(dH/dg(U_j))
+//! [defect]     delta_k = vee(asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T))
+//! ```
+//!
+//! theta is what makes the quaternion u_k the polar factor of `I + D_k`. With theta and delta zero this is collocation of
+//! quaternion and momentum; both are of order h^(s+1). So a round takes four sums over the stages, and matrices are formed
+//! where the two are evaluated.
+//!
+//! A body in a time of its own has `Omega = sigma J^-1 mu` and the gradient of `sigma (H - H0)`. Both follow the momenta, and
+//! to first order the attitudes, between two torques: with `eta = 2 vec(u*' u)`, u' where the torque was taken,
+//!
+//! ```text
+//! U = U' + vee(dU/dg) . eta,      S = S' + vee(dS/dg) . eta,      sigma = S^(-1/2)
+//! ```
+//!
+//! Invariant: a step that is not solved here to round-off is given up, for [`super`] to solve in its own way.
+
+use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
+
+use super::deferred::{MOST_ROUNDS, ROUND_OFF, Rounds, Solved, Stuck};
+use crate::hamiltonian::{Looked, Moment, RigidBody, Scale, Views, wheels};
+use crate::lanes::{Real, Row, Rows, Stages, widest};
+use crate::so::Mat;
+use crate::space::{
+    Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
+    symmetric_product, times_hat, transposed_product, vec3, with_one,
+};
+use crate::stepper::motion::unsigned_zeros;
+use crate::stepper::vpd_so3::sweep::{embedded, inverse_of_k, residual, store, stretch_excess};
+use crate::stepper::vpd_so3::unknowns::{Inertia, LaneTableau};
+use crate::tableau::Tableau;
+
+/// Rounds between two torques.
+const ROUNDS: u32 = 2;
+/// Rounds after an evaluation of the defects.
+const ROUNDS_AFTER: u32 = 4;
+/// What torques anew leave of an error, until it is seen.
+const TORQUE_CONTRACTION: f64 = 0.02;
+/// Of the momentum, what may be missing in a collocation that is to be improved upon.
+const ENOUGH: f64 = 1e-15;
+/// What a step that went astray may leave of S.
+const LEAST: f64 = 0.25;
+/// From so many stages on the stretch of the end is nothing.
+const MANY: usize = 5;
+
+/// A body as the step sees it.
+pub(super) struct Source<'a> {
+    pub(super) body: &'a RigidBody<3>,
+    pub(super) g0: &'a Mat<3>,
+    /// Of a driven body.
+    pub(super) moments: &'a [Moment<3>],
+    /// In a time of its own.
+    pub(super) scale: Option<Scale<'a>>,
+}
+
+/// What a step begins from.
+pub(super) struct Start {
+    pub(super) h: f64,
+    /// As of [`super::deferred::Start`].
+    pub(super) lasting: Option<f64>,
+    pub(super) momentum: Vec3<f64>,
+    pub(super) velocity: Vec3<f64>,
+}
+
+/// The stepper's part of it, kept from step to step.
+#[derive(Clone, Debug)]
+pub(super) struct InVectors {
+    tableau: LaneTableau,
+    /// The instruction set; without one, one number at a time.
+    pub(super) level: Option<Level>,
+    views: Views,
+    found: Found,
+}
+
+/// What was found.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    attitude: Quaternion<Row>,
+    mu: Vec3<Row>,
+    omega: Vec3<Row>,
+    stretch: Sym3<Row>,
+    sigma: Row,
+    end: Quaternion<f64>,
+    end_stretch: Sym3<f64>,
+    impulse: Vec3<f64>,
+}
+
+impl InVectors {
+    /// For `tableau`; `None` if it is not its own partner, or has more stages than there are lanes.
+    pub(super) fn new(tableau: &Tableau) -> Option<Self> {
+        if !tableau.is_own_partner() || tableau.stages() > crate::lanes::WIDTH {
+            return None;
+        }
+        let zero = Row::splat(0.0);
+        let found = Found {
+            attitude: Quaternion { w: Row::splat(1.0), v: [zero; 3] },
+            mu: [zero; 3],
+            omega: [zero; 3],
+            stretch: [zero; 6],
+            sigma: Row::splat(1.0),
+            end: Quaternion { w: 1.0, v: [0.0; 3] },
+            end_stretch: [0.0; 6],
+            impulse: [0.0; 3],
+        };
+        let (tableau, views) = (LaneTableau::new(tableau), Views::default());
+        Some(Self { tableau, level: Some(Level::new()), views, found })
+    }
+
+    /// Solves a step.
+    ///
+    /// # Errors
+    /// [`Stuck`].
+    pub(super) fn solve(&mut self, start: &Start, source: &Source<'_>) -> Result<Solved, Stuck> {
+        let Self { tableau, level, views, found } = self;
+        views.look(source.body, source.g0, source.moments);
+        let given = Given {
+            tableau,
+            views,
+            inertia: Inertia::of(source.body),
+            wheels: wheels(source.body),
+            start,
+            source,
+        };
+        let given = &given;
+        match (tableau.stages, *level) {
+            (1, _) => solve(Rows([0.0; 1]), given, found),
+            (2, Some(level)) => {
+                widest!(level, f64x2, lanes => solve(lanes, given, found), else solve(Rows([0.0; 2]), given, found))
+            }
+            (2, None) => solve(Rows([0.0; 2]), given, found),
+            (3 | 4, Some(level)) => {
+                widest!(level, f64x4, lanes => solve(lanes, given, found), else solve(Rows([0.0; 4]), given, found))
+            }
+            (3 | 4, None) => solve(Rows([0.0; 4]), given, found),
+            (_, Some(level)) => {
+                widest!(level, f64x8, lanes => solve(lanes, given, found), else solve(Rows([0.0; 8]), given, found))
+            }
+            (_, None) => solve(Rows([0.0; 8]), given, found),
+        }
+    }
+
+    /// `U_k - I`, or `f - I` after the last stage.
+    pub(super) fn change(&self, k: usize) -> Mat<3> {
+        let turn = if k == self.tableau.stages {
+            self.found.end
+        } else {
+            let Quaternion { w, v } = &self.found.attitude;
+            Quaternion { w: w[k], v: vec3!(i => v[i][k]) }
+        };
+        let change = turn.change();
+        Mat::from_fn(|i, j| change[i][j])
+    }
+
+    /// vee of `pi1 - p0`.
+    pub(super) fn impulse(&self) -> Vec3<f64> {
+        self.found.impulse
+    }
+
+    /// vee(mu_k) and vee(Omega_k).
+    pub(super) fn motion(&self, k: usize) -> [Vec3<f64>; 2] {
+        let Found { mu, omega, .. } = &self.found;
+        [vec3!(i => mu[i][k]), vec3!(i => omega[i][k])]
+    }
+
+    /// sigma_k.
+    pub(super) fn sigma(&self, k: usize) -> f64 {
+        self.found.sigma[k]
+    }
+
+    /// `P_k - I`, or that of the end after the last stage.
+    pub(super) fn stretch(&self, k: usize) -> Mat<3> {
+        let stretch = if k == self.tableau.stages {
+            self.found.end_stretch
+        } else {
+            self.found.stretch.each_ref().map(|row| row[k])
+        };
+        let [xx, yy, zz, yz, xz, xy] = stretch;
+        Mat::<3>::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
+    }
+}
+
+/// What is the same in all rounds.
+struct Given<'a> {
+    tableau: &'a LaneTableau,
+    views: &'a Views,
+    inertia: Inertia<f64>,
+    wheels: Option<Vec3<f64>>,
+    start: &'a Start,
+    source: &'a Source<'a>,
+}
+
+fn solve<R: Stages<Whole = f64, Plain = Row>>(
+    lanes: R,
+    given: &Given<'_>,
+    found: &mut Found,
+) -> Result<Solved, Stuck> {
+    let step = lanes.vectorized(
+        #[inline(always)]
+        || Step::new(lanes, given),
+    );
+    step.solve(found)
+}
+
+/// A step being solved.
+struct Step<'a, R> {
+    lanes: R,
+    given: &'a Given<'a>,
+    h: f64,
+    /// h b
+    weight: R,
+    p0: Vec3<R>,
+    /// u.
+    attitude: Quaternion<R>,
+    /// pi - p0
+    gain: Vec3<R>,
+    mu: Vec3<R>,
+    omega: Vec3<R>,
+    /// What the attitudes said, and which they were.
+    looked: Looked<R>,
+    at: Quaternion<R>,
+    sigma: R,
+    /// vee(dH/dg), less the torque.
+    gradient: Vec3<R>,
+    kappa: Vec3<R>,
+    theta: Quaternion<R>,
+    delta: Vec3<R>,
+    x: Vec3<R>,
+    y: Mat3<R>,
+    w: Mat3<R>,
+    d: Mat3<R>,
+    /// P - I and K(P)^-1.
+    stretch: Sym3<R>,
+    inverse: Sym3<R>,
+    f: Quaternion<f64>,
+    end_stretch: Sym3<f64>,
+    /// f hat(Lambda)
+    f_lambda: Mat3<f64>,
+    /// Do forces follow the motion?
+    follows: bool,
+    evaluations: u32,
+}
+
+/// Functions whose bodies are compiled for the instruction set of the lanes, each once.
+macro_rules! in_lanes {
+    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident) $(-> $result:ty)? $body:block)*) => {
+        $($(#[$attribute])*
+        #[inline(never)]
+        fn $name(&mut $this) $(-> $result)? {
+            $this.lanes.vectorized(
+                #[inline(always)]
+                || $body,
+            )
+        })*
+    };
+}
+
+impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
+    /// The velocity of the beginning, kept constant.
+    #[inline(always)]
+    fn new(lanes: R, given: &'a Given<'a>) -> Self {
+        let LaneTableau { weights, nodes, .. } = given.tableau;
+        let Start { h, momentum, velocity, .. } = given.start;
+        let half = lanes.row(nodes) * (0.5 * h);
+        let attitude = Quaternion::cayley(&vec3!(i => half * velocity[i]));
+        let p0: Vec3<R> = vec3!(i => lanes.spread(momentum[i]));
+        let zero = lanes.constant(0.0);
+        let none = [zero; 3];
+        let looked = Looked {
+            torque: none,
+            nearness: zero,
+            potential: zero,
+            sum: lanes.constant(1.0),
+            of_sum: none,
+        };
+        Self {
+            lanes,
+            given,
+            h: *h,
+            weight: lanes.row(weights) * *h,
+            p0,
+            attitude,
+            gain: none,
+            mu: p0,
+            omega: vec3!(i => lanes.spread(velocity[i])),
+            looked,
+            at: attitude,
+            sigma: lanes.constant(1.0),
+            gradient: none,
+            kappa: none,
+            theta: Quaternion { w: zero, v: none },
+            delta: none,
+            x: none,
+            y: [none; 3],
+            w: [none; 3],
+            d: [none; 3],
+            stretch: [zero; 6],
+            inverse: [zero; 6],
+            f: Quaternion { w: 1.0, v: [0.0; 3] },
+            end_stretch: [0.0; 6],
+            f_lambda: [[0.0; 3]; 3],
+            follows: given.source.scale.is_some() || given.views.follows_motion(),
+            evaluations: 0,
+        }
+    }
+
+    fn solve(mut self, found: &mut Found) -> Result<Solved, Stuck> {
+        let stages = self.given.tableau.stages;
+        self.look()?;
+        self.push();
+        let turn = self.collocate()?;
+        let order = self.given.tableau.order_of_defect(turn);
+        let first = if stages == 1 { turn } else { turn * turn };
+        let mut evaluations = Rounds::new((0.4 * first).clamp(1e-4, 0.1), order);
+        let mut last = f64::INFINITY;
+        for evaluation in 1..=MOST_ROUNDS {
+            let jump = self.evaluate()?;
+            if !(jump <= 1.0) {
+                break;
+            }
+            let left = evaluations.left(jump);
+            let enough = 0.1 * left.max(ROUND_OFF);
+            let mut rounds = Rounds::new(of_round(turn), jump);
+            for _ in 0..ROUNDS_AFTER {
+                if rounds.left(self.round()) <= enough {
+                    break;
+                }
+            }
+            // Of few stages the first evaluation is not yet sure of its order.
+            let is_sure = stages >= 4 || evaluation > 1;
+            if (is_sure && left <= ROUND_OFF) || is_rounding(jump, last) {
+                let increment = self.finish(jump)?;
+                let lanes = self.lanes;
+                return Ok(lanes.vectorized(
+                    #[inline(always)]
+                    || self.judged(increment, found),
+                ));
+            }
+            last = jump;
+        }
+        Err(Stuck::Lost)
+    }
+
+    /// The forces at the attitudes as they are.
+    fn look(&mut self) -> Result<(), Stuck> {
+        let Given { tableau, source, .. } = self.given;
+        let work = source.body.work();
+        work.begin_sweep()?;
+        work.add_gradients(tableau.stages as u64);
+        self.seen();
+        Ok(())
+    }
+
+    in_lanes! {
+    /// What [`Step::look`] looks at, and the length of a step that is to last so long.
+    fn seen(&mut self) {
+        let Given { tableau, views, source, start, .. } = self.given;
+        let near_m = source.scale.as_ref().map(|scale| scale.near_m);
+        self.looked = views.at(source.body, near_m, &self.attitude.matrix());
+        self.at = self.attitude;
+        self.momenta();
+        if let Some(lasting) = start.lasting {
+            let weights = self.lanes.row(&tableau.weights);
+            self.h = lasting / (weights * self.sigma).sum();
+            self.weight = weights * self.h;
+        }
+    }
+    }
+
+    in_lanes! {
+    /// As if the force at a stage had acted until then.
+    fn push(&mut self) {
+        let elapsed = self.lanes.row(&self.given.tableau.nodes) * self.h;
+        let pushed = product(&self.attitude.matrix(), &self.gradient);
+        self.gain = vec3!(i => -(pushed[i] * elapsed));
+        self.momenta();
+    }
+
+    /// The largest turn of a velocity over the step.
+    fn turn(&mut self) -> f64 {
+        self.h.abs() * dot(&self.omega, &self.omega).largest().sqrt()
+    }
+
+    /// [transport] with the newest forces.
+    fn pushed(&mut self) {
+        self.transport();
+    }
+
+    /// The same, and the momenta.
+    fn transported(&mut self) {
+        self.transport();
+        self.momenta();
+    }
+    }
+
+    /// mu, Omega and what follows them: `J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi`.
+    #[inline(always)]
+    fn momenta(&mut self) {
+        let Given { views, inertia, wheels, source, .. } = self.given;
+        let inertia = inertia.in_lanes(self.lanes);
+        let pi = plus(&self.p0, &self.gain);
+        let turned = transposed_product(&self.attitude.change(), &pi);
+        self.mu = plus(&pi, &turned);
+        let mut omega = plus(&inertia.divides(&pi), &inertia.divides(&turned));
+        let mut own = self.mu;
+        if let Some(wheels) = wheels {
+            let wheels: Vec3<R> = vec3!(i => self.lanes.spread(wheels[i]));
+            omega = minus(&omega, &inertia.divides(&wheels));
+            own = minus(&own, &wheels);
+        }
+        let Looked { torque, potential, sum, of_sum, .. } = &self.looked;
+        let Some(scale) = &source.scale else {
+            self.gradient = views.resistance(torque, &omega, &self.mu);
+            self.omega = omega;
+            return;
+        };
+        let (a, u) = (&self.at, &self.attitude);
+        let c = cross(&u.v, &a.v);
+        let eta: Vec3<R> = vec3!(i => ((a.w * u.v[i] - u.w * a.v[i]) + c[i]) * 2.0);
+        let sum = (*sum + dot(of_sum, &eta)).max_or_nan(*sum * LEAST);
+        self.sigma = self.lanes.constant(1.0) / sum.sqrt();
+        let sigma = self.sigma;
+        let potential = *potential + dot(torque, &eta);
+        let above = dot(&own, &omega) * 0.5 + (potential + -scale.energy);
+        let factor = above * (sigma * sigma * sigma) * -0.5;
+        self.gradient = vec3!(i => sigma * torque[i] + factor * of_sum[i]);
+        self.omega = scaled(&omega, sigma);
+    }
+
+    /// `sum_j e_kj r_j`
+    #[inline(always)]
+    fn collocated(&self) -> Quaternion<R> {
+        let columns = &self.given.tableau.columns;
+        let rate = self.attitude.rate(&scaled(&self.omega, self.weight * 0.5));
+        Quaternion {
+            w: rate.w.apply_tableau(columns),
+            v: vec3!(i => rate.v[i].apply_tableau(columns)),
+        }
+    }
+
+    in_lanes! {
+    /// [turn], and the momenta there. Returns the largest change of an attitude.
+    fn round(&mut self) -> f64 {
+        let Quaternion { w, v } = self.collocated();
+        let theta = &self.theta;
+        let next = Quaternion { w: (w + theta.w) + 1.0, v: plus(&v, &theta.v) };
+        let next = next.lengthened_by_w();
+        let change = minus(&next.v, &self.attitude.v);
+        self.attitude = next;
+        if self.follows {
+            self.transport();
+        }
+        self.momenta();
+        largest(&change)
+    }
+    }
+
+    /// [transport]
+    #[inline(always)]
+    fn transport(&mut self) {
+        let columns = &self.given.tableau.columns;
+        let u = self.attitude.matrix();
+        self.kappa = scaled(&product(&u, &self.gradient), self.weight);
+        self.gain = vec3!(i => self.delta[i] - self.kappa[i].apply_tableau(columns));
+    }
+
+    /// Collocation, until what is left is smaller than the defects are. Returns the largest turn of a velocity over the step.
+    fn collocate(&mut self) -> Result<f64, Stuck> {
+        let mut last = f64::INFINITY;
+        for _ in 0..MOST_ROUNDS {
+            self.transported();
+            let first = self.round();
+            let turn = self.turn();
+            let enough = (0.1 * self.given.tableau.order_of_defect(turn)).max(ENOUGH);
+            let mut rounds = Rounds::new(of_round(turn), first);
+            let (mut change, mut of_rounds) = (first, first * of_round(turn));
+            for _ in 0..ROUNDS {
+                if of_rounds <= enough {
+                    break;
+                }
+                change = self.round();
+                of_rounds = rounds.left(change);
+            }
+            if !(change <= 2.0) {
+                break;
+            }
+            // What rounds leave, and torques.
+            let seen =
+                if last < f64::INFINITY { (first / last).min(1.0) } else { TORQUE_CONTRACTION };
+            if of_rounds.max(first * seen) <= enough {
+                return Ok(turn);
+            }
+            last = first;
+            self.look()?;
+        }
+        Err(Stuck::Lost)
+    }
+
+    /// Evaluates theta and delta, with new forces. Returns their largest change, of delta relative to the momentum.
+    fn evaluate(&mut self) -> Result<f64, Stuck> {
+        self.evaluations += 1;
+        let turned = self.polar_factors();
+        self.look()?;
+        self.pushed();
+        if self.evaluations == 1 || self.given.tableau.stages < MANY {
+            self.end();
+        }
+        Ok(Real::max_or_nan(turned, self.defects()))
+    }
+
+    in_lanes! {
+    /// [w], [D] and [turn]. Returns the largest change of theta.
+    fn polar_factors(&mut self) -> f64 {
+        let columns = &self.given.tableau.columns;
+        let u = self.attitude.matrix();
+        let w = times_hat(&u, &scaled(&self.omega, self.weight));
+        let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
+        self.stretch = stretch_excess(&self.attitude, &u, &d);
+        self.inverse = inverse_of_k(&self.stretch);
+        let half = symmetric_product(&self.inverse, &residual(&self.attitude, &u, &d));
+        let polar = self.attitude.turned(&scaled(&half, self.lanes.constant(0.5)));
+        let Quaternion { w: along, v } = self.collocated();
+        let theta = Quaternion { w: (polar.w + -1.0) - along, v: minus(&polar.v, &v) };
+        let turned = minus(&theta.v, &self.theta.v);
+        (self.attitude, self.theta, self.w, self.d) = (polar, theta, w, d);
+        largest(&turned)
+    }
+
+    /// X, [Y] and [defect]; what it changes goes to pi. Returns the largest change of delta, relative to the momentum.
+    fn defects(&mut self) -> f64 {
+        let lanes = self.lanes;
+        let LaneTableau { columns, rows, .. } = self.given.tableau;
+        // [C] and [K]
+        let c = self.attitude.change();
+        let u = with_one(&c);
+        let k: Mat3<R> = mat3!(i, j => self.d[i][j] - c[i][j]);
+        let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(self.f_lambda[i][j]));
+        let (mu, omega) = (&self.mu, &self.omega);
+        // -[mu, Omega] / 2 + dH/dg
+        let commutator = cross(mu, omega);
+        let known: Vec3<R> = vec3!(i => self.gradient[i] - commutator[i] * 0.5);
+        if self.evaluations == 1 {
+            // [S] to first order: -sum_j e_jk h b_j (Omega mu + mu Omega)_j / 4
+            let m = scaled(mu, self.weight * -0.25);
+            let twice = dot(&m, omega) * -2.0;
+            let mut s = [
+                m[0] * omega[0] * 2.0 + twice,
+                m[1] * omega[1] * 2.0 + twice,
+                m[2] * omega[2] * 2.0 + twice,
+                m[1] * omega[2] + m[2] * omega[1],
+                m[0] * omega[2] + m[2] * omega[0],
+                m[0] * omega[1] + m[1] * omega[0],
+            ];
+            for i in 0..6 {
+                s[i] = s[i].apply_tableau(rows);
+            }
+            let trace = s[0] + s[1] + s[2];
+            let stretched = symmetric_product(&s, omega);
+            let load: Vec3<R> = vec3!(i => (stretched[i] - trace * omega[i]) - known[i]);
+            self.x = symmetric_product(&self.inverse, &scaled(&load, self.weight));
+            self.y = embedded(&u, &self.x, rows);
+        }
+        // K(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of the Y before
+        let m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + self.y[i][j]);
+        let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
+        let one = transposed_product(&m, &product(&u, omega));
+        let other = transposed_product(&u, &product(&m, omega));
+        let load: Vec3<R> = vec3!(i => ((one[i] + other[i]) * 0.5 - trace * omega[i]) - known[i]);
+        self.x = symmetric_product(&self.inverse, &scaled(&load, self.weight));
+        // [T], [Y] and [defect]
+        let t = times_hat(&u, &self.x);
+        let y: Mat3<R> = mat3!(i, j => t[i][j].apply_tableau(rows));
+        let parts = minus(&asym_of_product(&t, &self.d), &asym_of_product(&y, &self.w));
+        let parts: Vec3<R> = vec3!(i => parts[i].apply_tableau(columns));
+        let (of_end, of_turn) = (asym_of_product(&f_lambda, &k), asym_of_product(&y, &c));
+        let delta: Vec3<R> = vec3!(i => of_end[i] - (of_turn[i] + parts[i]));
+        let change = minus(&delta, &self.delta);
+        (self.delta, self.y) = (delta, y);
+        self.gain = plus(&self.gain, &change);
+        self.momenta();
+        // At rest nothing moves, and nothing changes.
+        largest(&change) / largest(&self.mu).max(f64::MIN_POSITIVE)
+    }
+
+    /// [end]: f and the multiplier, `K(P_e) lambda = -f^T pi1`.
+    fn end(&mut self) {
+        if self.evaluations <= 1 {
+            let Quaternion { w, v } =
+                self.attitude.rate(&scaled(&self.omega, self.weight * 0.5));
+            self.f = Quaternion { w: w.sum() + 1.0, v: vec3!(i => v[i].sum()) }.normalised();
+        }
+        let mut inverse = [0.5, 0.5, 0.5, 0.0, 0.0, 0.0];
+        if self.given.tableau.stages < MANY {
+            inverse = self.turn_end();
+        }
+        let f = self.f.matrix();
+        let pi1: Vec3<f64> = vec3!(i => self.given.start.momentum[i] - self.kappa[i].sum());
+        let lambda = symmetric_product(&inverse, &scaled(&transposed_product(&f, &pi1), -1.0));
+        self.f_lambda = times_hat(&f, &lambda);
+    }
+
+    /// The polar factor of the end; returns K(P_e)^-1.
+    fn turn_end(&mut self) -> Sym3<f64> {
+        let d: Mat3<f64> = mat3!(i, j => self.w[i][j].sum());
+        let mut inverse = [0.0; 6];
+        // It begins as near as the stages are to collocation of quaternions: of few stages that wants a second pass.
+        let passes = if self.given.tableau.stages < MANY && self.evaluations == 1 { 2 } else { 1 };
+        for _ in 0..passes {
+            let f = self.f.matrix();
+            self.end_stretch = stretch_excess(&self.f, &f, &d);
+            inverse = inverse_of_k(&self.end_stretch);
+            let half = symmetric_product(&inverse, &residual(&self.f, &f, &d));
+            self.f = self.f.turned(&scaled(&half, 0.5));
+        }
+        inverse
+    }
+
+    /// [w] and [transport], as they are at last.
+    fn last(&mut self) {
+        self.transport();
+        let u = self.attitude.matrix();
+        self.w = times_hat(&u, &scaled(&self.omega, self.weight));
+    }
+    }
+
+    /// Rounds with new forces, until these change nothing, and the end point.
+    fn finish(&mut self, jump: f64) -> Result<f64, Stuck> {
+        let contraction = if self.follows { 3.0 } else { 1.0 } * TORQUE_CONTRACTION;
+        let mut forces = Rounds::new(contraction, jump);
+        let mut last = f64::INFINITY;
+        for _ in 0..MOST_ROUNDS {
+            self.look()?;
+            self.transported();
+            let change = self.round();
+            if self.follows {
+                self.round();
+            }
+            if !(change <= 1.0) {
+                break;
+            }
+            if forces.left(change) <= ROUND_OFF || is_rounding(change, last) {
+                self.last();
+                self.turn_end();
+                return Ok(change);
+            }
+            last = change;
+        }
+        Err(Stuck::Lost)
+    }
+
+    /// What was found, and what it is judged by.
+    #[inline(always)]
+    fn judged(&self, increment: f64, found: &mut Found) -> Solved {
+        let Self { attitude, mu, omega, sigma, stretch, f, end_stretch, .. } = self;
+        attitude.w.store(&mut found.attitude.w);
+        store(&attitude.v, &mut found.attitude.v);
+        store(mu, &mut found.mu);
+        store(omega, &mut found.omega);
+        sigma.store(&mut found.sigma);
+        for i in 0..6 {
+            stretch[i].store(&mut found.stretch[i]);
+        }
+        found.end = *f;
+        found.end_stretch = unsigned_zeros(*end_stretch);
+        found.impulse = unsigned_zeros(vec3!(i => -self.kappa[i].sum()));
+        let mut most = stretch[0].abs();
+        for entry in &stretch[1..] {
+            most = most.max_or_nan(entry.abs());
+        }
+        let most =
+            end_stretch.iter().fold(most.largest(), |most, x| Real::max_or_nan(most, x.abs()));
+        // |U - I|_F^2 = 8 |v|^2
+        let turn = dot(&attitude.v, &attitude.v).largest();
+        Solved {
+            rounds: self.evaluations,
+            h: self.h,
+            increment,
+            stretch: most,
+            turn: 8.0 * Real::max_or_nan(turn, dot(&f.v, &f.v)),
+            nearness: self.looked.nearness.largest(),
+        }
+    }
+}
+
+/// What a round leaves of an error, until it is seen.
+fn of_round(turn: f64) -> f64 {
+    (0.15 * turn).clamp(0.01, 0.3)
+}
+
+/// Is a change, after the one before it, what rounding makes of none?
+fn is_rounding(change: f64, last: f64) -> bool {
+    /// A few units in the last place.
+    const FLOOR: f64 = 4e-15;
+    change <= FLOOR && change >= 0.5 * last
+}
+
+/// The largest component of a vector.
+#[inline(always)]
+fn largest<R: Stages<Whole = f64>>(v: &Vec3<R>) -> f64 {
+    v[0].abs().max_or_nan(v[1].abs()).max_or_nan(v[2].abs()).largest()
+}
+
+/// `vee(asym(A B^T))`
+#[inline(always)]
+fn asym_of_product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Vec3<T> {
+    [
+        dot(&a[2], &b[1]) - dot(&a[1], &b[2]),
+        dot(&a[0], &b[2]) - dot(&a[2], &b[0]),
+        dot(&a[1], &b[0]) - dot(&a[0], &b[1]),
+    ]
+}
