@@ -32,9 +32,10 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
-/// A single step that takes more than all of that may take so many times as much, or so long.
-const HARD_STEP: f64 = 20.0;
-const HARD_NS: f64 = 5e7;
+/// Of these steps a few are made even if they take more than all of that: so many times as much, within these bounds.
+const FEW_STEPS: u64 = 4;
+const HARD_STEPS: f64 = 20.0;
+const HARD_NS: [f64; 2] = [5e7, 3e8];
 /// Steps that adapt are not all alike: of these so many times more.
 const OWN_STEPS_MORE: f64 = 30.0;
 /// Easy steps of the scene that pilots are worth.
@@ -231,15 +232,18 @@ impl Settled {
 }
 
 /// How many steps were made at the start of the run, and the work of one; `None` if the first fails, for then there are no
-/// others. A few milliseconds at most, as counted, unless a single step is more.
+/// others. A few milliseconds as counted, and at most 0.3 s where steps are hard.
 fn work_of_steps(plan: &Plan) -> Result<(u64, Option<Counts>), ScenarioError> {
     let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     if plan.own_steps.is_some() {
         most_ns *= OWN_STEPS_MORE;
     }
-    let run = first_steps(plan, most_ns)?;
+    let run = first_steps(plan, FIRST_STEPS, most_ns)?;
     let run = match run.end {
-        End::Cancelled if run.steps == 0 => first_steps(plan, HARD_NS.max(HARD_STEP * most_ns))?,
+        End::Cancelled if run.steps < FEW_STEPS => {
+            let [least, most] = HARD_NS;
+            first_steps(plan, FEW_STEPS, (HARD_STEPS * most_ns).clamp(least, most))?
+        }
         _ => run,
     };
     let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
@@ -254,11 +258,11 @@ fn work_of_steps(plan: &Plan) -> Result<(u64, Option<Counts>), ScenarioError> {
     Ok((run.steps, work))
 }
 
-/// The first steps of a run, as far as so much work goes.
-fn first_steps(plan: &Plan, most_ns: f64) -> Result<Measured, ScenarioError> {
+/// So many first steps of a run, as far as so much work goes.
+fn first_steps(plan: &Plan, steps: u64, most_ns: f64) -> Result<Measured, ScenarioError> {
     let settled = &plan.settled;
     let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
-    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(steps));
     // Where steps adapt samples are steps, too.
     if plan.own_steps.is_some() {
         probe.every = plan.every.min(probe.steps);
