@@ -194,9 +194,7 @@ impl Settled {
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
         let mut settled = Self { asked, choice, step: None, step_ns: None, nearest_sigma: None };
         let plan = settled.plan().map_err(Unsettled::Refused)?;
-        let (steps, work) = work_of_steps(&plan).map_err(Unsettled::Refused)?;
-        settled.step = work;
-        settled.step_ns = work.filter(|_| steps > 0).and_then(|_| time_of_step(&plan, steps));
+        (settled.step, settled.step_ns) = first_of_each(&plan).map_err(Unsettled::Refused)?;
         let plan = settled.plan().map_err(Unsettled::Refused)?;
         settled.nearest_sigma = nearest_sigma(&plan.settled, plan.steps as f64 * plan.step_s)
             .map_err(Unsettled::Refused)?;
@@ -231,18 +229,44 @@ impl Settled {
     }
 }
 
-/// How many steps were made at the start of the run, and the work of one; `None` if the first fails, for then there are no
-/// others. A few milliseconds as counted, and at most 0.3 s where steps are hard.
-fn work_of_steps(plan: &Plan) -> Result<(u64, Option<Counts>), ScenarioError> {
+/// The work of a step and the nanoseconds that it takes here, by the first steps of the run; of an ensemble by those of a few
+/// members, for they begin elsewhere. `None` where no first step succeeds, for then there are no others.
+fn first_of_each(plan: &Plan) -> Result<(Option<Counts>, Option<f64>), ScenarioError> {
+    let mut members = vec![0];
+    if let Some(ensemble) = &plan.ensemble {
+        members.extend([1, ensemble.members / 2, ensemble.members - 1]);
+        members.dedup();
+    }
+    let (mut works, mut times_ns) = (Vec::new(), Vec::new());
+    for &member in &members {
+        let (steps, work) = work_of_steps(plan, member, members.len() as f64)?;
+        let Some(work) = work else { continue };
+        // A step so hard that none was made has its work alone.
+        let timed_ns = if steps > 0 { time_of_step(plan, steps, member) } else { None };
+        times_ns.push(timed_ns.unwrap_or_else(|| plan.work_ns(work)));
+        works.push(work);
+    }
+    let time_ns = times_ns.iter().sum::<f64>() / times_ns.len() as f64;
+    Ok((Counts::mean(&works), (!times_ns.is_empty()).then_some(time_ns)))
+}
+
+/// How many steps were made at the start of a member's run, and the work of one; `None` if the first fails. A few milliseconds
+/// as counted, and at most 0.3 s for all that are looked at where steps are hard.
+fn work_of_steps(
+    plan: &Plan,
+    member: u64,
+    members: f64,
+) -> Result<(u64, Option<Counts>), ScenarioError> {
     let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     if plan.own_steps.is_some() {
         most_ns *= OWN_STEPS_MORE;
     }
-    let run = first_steps(plan, FIRST_STEPS, most_ns)?;
+    let run = first_steps(plan, member, FIRST_STEPS, most_ns)?;
     let run = match run.end {
         End::Cancelled if run.steps < FEW_STEPS => {
-            let [least, most] = HARD_NS;
-            first_steps(plan, FEW_STEPS, (HARD_STEPS * most_ns).clamp(least, most))?
+            let [least, most] = HARD_NS.map(|ns| ns / members);
+            let most_ns = (HARD_STEPS * most_ns).clamp(least, most);
+            first_steps(plan, member, FEW_STEPS, most_ns)?
         }
         _ => run,
     };
@@ -258,11 +282,17 @@ fn work_of_steps(plan: &Plan) -> Result<(u64, Option<Counts>), ScenarioError> {
     Ok((run.steps, work))
 }
 
-/// So many first steps of a run, as far as so much work goes.
-fn first_steps(plan: &Plan, steps: u64, most_ns: f64) -> Result<Measured, ScenarioError> {
+/// So many first steps of a member's run, as far as so much work goes.
+fn first_steps(
+    plan: &Plan,
+    member: u64,
+    steps: u64,
+    most_ns: f64,
+) -> Result<Measured, ScenarioError> {
     let settled = &plan.settled;
     let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
-    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(steps));
+    let probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(steps));
+    let mut probe = Probe { member, ..probe };
     // Where steps adapt samples are steps, too.
     if plan.own_steps.is_some() {
         probe.every = plan.every.min(probe.steps);
