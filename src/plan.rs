@@ -26,7 +26,8 @@ mod problem;
 mod terms;
 
 pub use adaptive::OwnSteps;
-pub use cost::Counts;
+pub(crate) use cost::Fails;
+pub use cost::{Counts, FirstSteps};
 pub(crate) use model::{Model, ModelKinetic};
 use model::{
     attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
@@ -335,7 +336,7 @@ impl Plan {
         plan.free_directions = plan.model.free_directions(n);
         plan.balance = plan.model.balance();
         plan.warnings.extend(no_body(&inertia));
-        plan.estimate(None, None);
+        plan.estimate(FirstSteps::default());
         Ok(plan)
     }
 

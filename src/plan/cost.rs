@@ -37,6 +37,28 @@ pub struct Counts {
     pub pieces: f64,
 }
 
+/// What is known of the first steps of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FirstSteps {
+    /// The work of a step; absent where the first fails.
+    pub(crate) step: Option<Counts>,
+    /// The nanoseconds that it took on the machine that made it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) step_ns: Option<f64>,
+    /// Of a first step that fails: there are no others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) fails: Option<Fails>,
+}
+
+/// What becomes of runs whose first step fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Fails {
+    /// Of the members that were looked at those that fail: of a run by itself all.
+    pub(crate) part: f64,
+    /// The nanoseconds that the step took on the machine that made it.
+    pub(crate) ns: f64,
+}
+
 impl Counts {
     /// The mean of some, if there are any.
     pub(crate) fn mean(of: &[Self]) -> Option<Self> {
@@ -115,7 +137,9 @@ fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
 impl Plan {
     /// Fills in the estimates of size and time, by the work of a step if it was counted, and by the nanoseconds that it
     /// took here if it was timed.
-    pub(crate) fn estimate(&mut self, of_step: Option<Counts>, timed_ns: Option<f64>) {
+    pub(crate) fn estimate(&mut self, first: FirstSteps) {
+        let FirstSteps { step: of_step, step_ns: timed_ns, fails } = first;
+        let Fails { part, ns: failing_ns } = fails.unwrap_or_default();
         let compression = self.settled.log.compression;
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
@@ -132,7 +156,8 @@ impl Plan {
         let samples_ns = self.samples as f64 * sample_ns;
         let steps = self.steps as f64;
         let run_ns = |step_ns: f64| START_NS + steps * step_ns + samples_ns;
-        (self.work_s, self.run_s) = (1e-9 * run_ns(step_ns), 1e-9 * run_ns(self.step_ns));
+        self.work_s = 1e-9 * run_ns(step_ns);
+        self.run_s = 1e-9 * (part * failing_ns + (1.0 - part) * run_ns(self.step_ns));
         self.samples_per_chunk =
             samples_per_chunk(raw, 1e-9 * (self.every as f64 * step_ns + sample_ns));
         let mut kept = 0.0;
@@ -149,7 +174,8 @@ impl Plan {
             let member_s = |step_ns: f64| 1e-9 * (steps * step_ns + looked_at_ns + ends_ns);
             let others = members - in_full as f64;
             self.work_s = in_full as f64 * self.work_s + others * member_s(step_ns);
-            self.run_s = in_full as f64 * self.run_s + others * member_s(self.step_ns);
+            let each_s = part * 1e-9 * failing_ns + (1.0 - part) * member_s(self.step_ns);
+            self.run_s = in_full as f64 * self.run_s + others * each_s;
             ensemble.members_per_chunk = samples_per_chunk(end_bytes, member_s(step_ns));
             chunks += members / ensemble.members_per_chunk as f64;
             kept = members * EnsemblePlan::KEPT_BYTES;
@@ -339,7 +365,7 @@ impl Plan {
 /// What a run takes before its steps find everything at hand.
 const START_NS: f64 = 5_000.0;
 /// What a log takes to begin and to end: files, charts, and the disk that has to have it.
-const LOG_NS: f64 = 2e6;
+const LOG_NS: f64 = 3e6;
 /// What a byte of a sample costs on its way into the log: 700 of them take 5.9 us, `docs/performance.md`.
 const WRITTEN_BYTE_NS: f64 = 8.0;
 /// What the writer keeps of a chunk until the log is finished.
