@@ -2,7 +2,7 @@
 //! log of finite numbers. `VPD_FAULTS=10` draws ten times as many; `VPD_SEED` draws others,
 //! and `VPD_ONLY=12,345` tries these alone.
 //!
-//! Times are printed next to the estimates and decide nothing.
+//! Each is refused, or planned and run. Times are printed next to the estimates and decide nothing.
 
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -223,6 +223,8 @@ fn extreme_scenes_are_planned_or_refused() {
         try_one(&scenario, number, directory.path(), &mut seen);
     }
     let Seen { accepted, refused, run, succeeded, .. } = seen;
+    // Each made its log: finite numbers, by an estimate that is finite.
+    assert_eq!(run, accepted);
     println!("{accepted} planned, {refused} refused; {run} run, {succeeded} to their end");
     let slowest = |mut list: Vec<(f64, usize)>| {
         list.sort_by(|a, b| b.0.total_cmp(&a.0));
