@@ -11,12 +11,14 @@
 //!
 //! Invariant: the choice is a function of the scenario alone: the same scenario, the same bytes.
 
+use std::time::Instant;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::plan::{Advice, Counts, Plan};
+use crate::plan::{Advice, Counts, Fails, FirstSteps, Plan};
 use crate::scenario::{Accuracy, Scenario, ScenarioError};
-use crate::study::measure::{End, Measured, Probe, measure, time_of_step};
+use crate::study::measure::{End, Measured, Probe, measure, time_of_step, variant};
 use crate::study::reference::{Growth, MOST_STEPS, Reference, ReferenceError};
 use crate::study::{Scales, StudyError, Watch, nearest_sigma};
 
@@ -32,9 +34,12 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
-/// A single step that takes more than all of that may take so many times as much, or so long.
-const HARD_STEP: f64 = 20.0;
-const HARD_NS: f64 = 5e7;
+/// Of steps that are harder a few are made, of so much work; one that has not ended by then is taken for so many times as hard.
+const FEW_STEPS: u64 = 4;
+const HARD_NS: f64 = 3e8;
+const UNENDED: f64 = 4.0;
+/// Steps that took so long, in nanoseconds, are not timed again: what others take of the machine's time matters little then.
+const LONG_NS: f64 = 2e7;
 /// Steps that adapt are not all alike: of these so many times more.
 const OWN_STEPS_MORE: f64 = 30.0;
 /// Easy steps of the scene that pilots are worth.
@@ -170,11 +175,9 @@ pub struct Settled {
     asked: Scenario,
     /// With the method and the step that were chosen for its accuracy, and how.
     choice: Option<(Scenario, Advice)>,
-    /// The work of a step; absent where the first fails.
-    step: Option<Counts>,
-    /// The nanoseconds that it took on the machine that made it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    step_ns: Option<f64>,
+    /// What the first steps are like.
+    #[serde(flatten)]
+    first: FirstSteps,
     /// The least sigma that steps of their own would meet, where the potential has point sources.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nearest_sigma: Option<f64>,
@@ -191,11 +194,9 @@ impl Settled {
         scenario.check().map_err(Unsettled::Refused)?;
         let asked = scenario.clone();
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
-        let mut settled = Self { asked, choice, step: None, step_ns: None, nearest_sigma: None };
+        let mut settled = Self { asked, choice, first: FirstSteps::default(), nearest_sigma: None };
         let plan = settled.plan().map_err(Unsettled::Refused)?;
-        let (steps, work) = work_of_steps(&plan).map_err(Unsettled::Refused)?;
-        settled.step = work;
-        settled.step_ns = work.filter(|_| steps > 0).and_then(|_| time_of_step(&plan, steps));
+        settled.first = first_of_each(&plan).map_err(Unsettled::Refused)?;
         let plan = settled.plan().map_err(Unsettled::Refused)?;
         settled.nearest_sigma = nearest_sigma(&plan.settled, plan.steps as f64 * plan.step_s)
             .map_err(Unsettled::Refused)?;
@@ -206,7 +207,7 @@ impl Settled {
     #[cfg(feature = "serve")]
     pub(crate) fn chosen(asked: Scenario, settled: Scenario, advice: Advice) -> Self {
         let choice = Some((settled, advice));
-        Self { asked, choice, step: None, step_ns: None, nearest_sigma: None }
+        Self { asked, choice, first: FirstSteps::default(), nearest_sigma: None }
     }
 
     /// The plan. No run is made.
@@ -216,12 +217,12 @@ impl Settled {
     pub fn plan(&self) -> Result<Plan, ScenarioError> {
         let Some((settled, advice)) = &self.choice else {
             let mut plan = Plan::new(&self.asked)?;
-            plan.estimate(self.step, self.step_ns);
+            plan.estimate(self.first);
             plan.offer_own_steps(self.nearest_sigma);
             return Ok(plan);
         };
         let mut plan = Plan::new(settled)?;
-        plan.estimate(self.step, self.step_ns);
+        plan.estimate(self.first);
         plan.offer_own_steps(self.nearest_sigma);
         plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
         plan.advice = Some(advice.clone());
@@ -230,35 +231,98 @@ impl Settled {
     }
 }
 
-/// How many steps were made at the start of the run, and the work of one; `None` if the first fails, for then there are no
-/// others. A few milliseconds at most, as counted, unless a single step is more.
-fn work_of_steps(plan: &Plan) -> Result<(u64, Option<Counts>), ScenarioError> {
+/// The work of a step and the nanoseconds that it takes here, by the first steps of the run; of an ensemble by those of a few
+/// members, for they begin elsewhere.
+fn first_of_each(plan: &Plan) -> Result<FirstSteps, ScenarioError> {
+    let mut members = vec![0];
+    if let Some(ensemble) = &plan.ensemble {
+        members.extend([1, ensemble.members / 2, ensemble.members - 1]);
+        members.dedup();
+    }
+    let (mut works, mut times_ns) = (Vec::new(), Vec::new());
+    let mut failing_ns = Vec::new();
+    let mut looked_at = 0.0;
+    for &member in &members {
+        let First { steps, work, fails, hard_ns, ns } = work_of_steps(plan, member)?;
+        looked_at += 1.0;
+        if fails {
+            failing_ns.push(ns);
+        } else {
+            let timed_ns = hard_ns.or_else(|| time_of_step(plan, steps, member));
+            times_ns.push(timed_ns.unwrap_or_else(|| plan.work_ns(work)));
+            works.push(work);
+        }
+        // What is hard takes all that may be taken.
+        if hard_ns.is_some() {
+            break;
+        }
+    }
+    let part = failing_ns.len() as f64 / looked_at;
+    let fails = mean(&failing_ns).map(|ns| Fails { part, ns });
+    Ok(FirstSteps { step: Counts::mean(&works), step_ns: mean(&times_ns), fails })
+}
+
+fn mean(of: &[f64]) -> Option<f64> {
+    (!of.is_empty()).then(|| of.iter().sum::<f64>() / of.len() as f64)
+}
+
+/// The first steps of a member.
+struct First {
+    /// Those made.
+    steps: u64,
+    /// The work of one.
+    work: Counts,
+    /// Did the very first fail?
+    fails: bool,
+    /// The nanoseconds that one took here, where they are hard.
+    hard_ns: Option<f64>,
+    /// The nanoseconds that all took here.
+    ns: f64,
+}
+
+/// Makes them: a few milliseconds as counted, and 0.3 s where they are hard.
+fn work_of_steps(plan: &Plan, member: u64) -> Result<First, ScenarioError> {
     let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     if plan.own_steps.is_some() {
         most_ns *= OWN_STEPS_MORE;
     }
-    let run = first_steps(plan, most_ns)?;
-    let run = match run.end {
-        End::Cancelled if run.steps == 0 => first_steps(plan, HARD_NS.max(HARD_STEP * most_ns))?,
-        _ => run,
-    };
-    let failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
-    let Counts { steps, sweeps, gradients, pieces } = run.counts();
-    let steps = steps.max(1.0);
-    let work = (!failed).then_some(Counts {
+    let mut begun = Instant::now();
+    let mut run = first_steps(plan, member, FIRST_STEPS, most_ns)?;
+    let hard = run.end == End::Cancelled && run.steps < FEW_STEPS;
+    if hard {
+        begun = Instant::now();
+        run = first_steps(plan, member, FEW_STEPS, HARD_NS.max(most_ns))?;
+    }
+    let ns = begun.elapsed().as_nanos() as f64;
+    let first_failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
+    let unended = run.steps == 0 && !first_failed;
+    let part = if unended { UNENDED } else { 1.0 / run.steps.max(1) as f64 };
+    let Counts { sweeps, gradients, pieces, .. } = run.counts();
+    let work = Counts {
         steps: 1.0,
-        sweeps: sweeps / steps,
-        gradients: gradients / steps,
-        pieces: pieces / steps,
-    });
-    Ok((run.steps, work))
+        sweeps: part * sweeps,
+        gradients: part * gradients,
+        pieces: part * pieces,
+    };
+    let hard_ns = (hard && (ns > LONG_NS || run.steps == 0)).then_some(part * ns);
+    Ok(First { steps: run.steps, work, fails: first_failed, hard_ns, ns })
 }
 
-/// The first steps of a run, as far as so much work goes.
-fn first_steps(plan: &Plan, most_ns: f64) -> Result<Measured, ScenarioError> {
+/// So many first steps of a member's run, as far as so much work goes.
+fn first_steps(
+    plan: &Plan,
+    member: u64,
+    steps: u64,
+    most_ns: f64,
+) -> Result<Measured, ScenarioError> {
     let settled = &plan.settled;
-    let watch = Watch { allowance_ns: Some((most_ns as u64).into()), ..Watch::default() };
-    let mut probe = Probe::of(&settled.method, plan.step_s, plan.steps.min(FIRST_STEPS));
+    let steps = plan.steps.min(steps);
+    // A body that rests or stays in a plane has members that do not.
+    let by_itself = variant(settled, &settled.method, plan.step_s, steps)?.sweep_cost_ns();
+    let most_ns = most_ns * by_itself / plan.sweep_cost_ns();
+    let watch = Watch { allowance_ns: Some((most_ns.ceil() as u64).into()), ..Watch::default() };
+    let probe = Probe::of(&settled.method, plan.step_s, steps);
+    let mut probe = Probe { member, ..probe };
     // Where steps adapt samples are steps, too.
     if plan.own_steps.is_some() {
         probe.every = plan.every.min(probe.steps);

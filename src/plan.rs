@@ -26,7 +26,8 @@ mod problem;
 mod terms;
 
 pub use adaptive::OwnSteps;
-pub use cost::Counts;
+pub(crate) use cost::Fails;
+pub use cost::{Counts, FirstSteps};
 pub(crate) use model::{Model, ModelKinetic};
 use model::{
     attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
@@ -79,7 +80,7 @@ pub struct Plan {
     /// Estimated time of a step in nanoseconds, on one core: of the first steps where they were timed on this machine,
     /// see [`crate::advise::Settled`]; else what it takes a common machine.
     pub step_ns: f64,
-    /// Estimated time of the run on one core in seconds, samples included.
+    /// Estimated time of the run on one core in seconds, with its samples, and with the beginning and the end of its log.
     pub run_s: f64,
     /// Estimated peak of the run's memory in bytes.
     pub memory_bytes: u64,
@@ -95,9 +96,13 @@ pub struct Plan {
     /// The scenario with method and step.
     #[serde(skip)]
     pub settled: Scenario,
-    /// The time of the run on a common machine, in seconds: what searches are allowed by, for the same end on any machine.
+    /// The time of the run on a common machine, in seconds, without a log's beginning and end: what searches are allowed by,
+    /// for the same end on any machine.
     #[serde(skip)]
     pub(crate) work_s: f64,
+    /// The nanoseconds of a step, likewise.
+    #[serde(skip)]
+    pub(crate) work_step_ns: f64,
     #[serde(skip)]
     pub(crate) model: Model,
 }
@@ -283,6 +288,7 @@ impl Plan {
             step_ns: 0.0,
             run_s: 0.0,
             work_s: 0.0,
+            work_step_ns: 0.0,
             memory_bytes: 0,
             ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
             advice: None,
@@ -330,7 +336,7 @@ impl Plan {
         plan.free_directions = plan.model.free_directions(n);
         plan.balance = plan.model.balance();
         plan.warnings.extend(no_body(&inertia));
-        plan.estimate(None, None);
+        plan.estimate(FirstSteps::default());
         Ok(plan)
     }
 

@@ -391,7 +391,7 @@ fn header(plan: &Plan) -> LogHeader {
         ("vpd_build".to_owned(), env!("VPD_BUILD").to_owned()),
         ("name".to_owned(), scenario.name().to_owned()),
         ("scenario".to_owned(), json(scenario)),
-        ("plan".to_owned(), json(plan)),
+        ("plan".to_owned(), json(&plan.on_a_common_machine())),
     ]);
     LogHeader {
         epoch_ns: scenario.epoch_ns(),

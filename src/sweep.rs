@@ -203,7 +203,7 @@ impl Sweep {
             ensure(scenario.accuracy.is_none(), "/scenario/accuracy", || {
                 "is no part of a sweep of the service; give method and step".into()
             })?;
-            seconds.extend(Plan::new(&scenario).map(|plan| plan.run_s));
+            seconds.extend(Plan::new(&scenario).map(|plan| plan.work_s));
         }
         // The shadow of a Lyapunov exponent takes as long as the run.
         let runs = if self.file.has_exponent() { 2.0 } else { 1.0 };

@@ -37,6 +37,41 @@ pub struct Counts {
     pub pieces: f64,
 }
 
+/// What is known of the first steps of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FirstSteps {
+    /// The work of a step; absent where the first fails.
+    pub(crate) step: Option<Counts>,
+    /// The nanoseconds that it took on the machine that made it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) step_ns: Option<f64>,
+    /// Of a first step that fails: there are no others.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) fails: Option<Fails>,
+}
+
+/// What becomes of runs whose first step fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Fails {
+    /// Of the members that were looked at those that fail: of a run by itself all.
+    pub(crate) part: f64,
+    /// The nanoseconds that the step took on the machine that made it.
+    pub(crate) ns: f64,
+}
+
+impl Counts {
+    /// The mean of some, if there are any.
+    pub(crate) fn mean(of: &[Self]) -> Option<Self> {
+        let part = |part: fn(&Self) -> f64| of.iter().map(part).sum::<f64>() / of.len() as f64;
+        (!of.is_empty()).then(|| Self {
+            steps: part(|work| work.steps),
+            sweeps: part(|work| work.sweeps),
+            gradients: part(|work| work.gradients),
+            pieces: part(|work| work.pieces),
+        })
+    }
+}
+
 /// What the parts of a method cost.
 #[derive(Clone, Copy, Debug, Deserialize)]
 struct Scheme {
@@ -102,7 +137,9 @@ fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
 impl Plan {
     /// Fills in the estimates of size and time, by the work of a step if it was counted, and by the nanoseconds that it
     /// took here if it was timed.
-    pub(crate) fn estimate(&mut self, of_step: Option<Counts>, timed_ns: Option<f64>) {
+    pub(crate) fn estimate(&mut self, first: FirstSteps) {
+        let FirstSteps { step: of_step, step_ns: timed_ns, fails } = first;
+        let Fails { part, ns: failing_ns } = fails.unwrap_or_default();
         let compression = self.settled.log.compression;
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
@@ -114,12 +151,13 @@ impl Plan {
             + samples * compressed(raw, raw_dense, compression)
             + overview::bytes(self.samples, n) as f64;
         let step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
-        self.step_ns = timed_ns.unwrap_or(step_ns);
-        let sample_ns = self.sample_cost_ns(raw);
+        (self.work_step_ns, self.step_ns) = (step_ns, timed_ns.unwrap_or(step_ns));
+        let (sample_ns, written_ns) = (self.sample_cost_ns(raw), self.written_ns(raw));
         let samples_ns = self.samples as f64 * sample_ns;
         let steps = self.steps as f64;
         let run_ns = |step_ns: f64| START_NS + steps * step_ns + samples_ns;
-        (self.work_s, self.run_s) = (1e-9 * run_ns(step_ns), 1e-9 * run_ns(self.step_ns));
+        self.work_s = 1e-9 * run_ns(step_ns);
+        self.run_s = 1e-9 * (part * failing_ns + (1.0 - part) * run_ns(self.step_ns));
         self.samples_per_chunk =
             samples_per_chunk(raw, 1e-9 * (self.every as f64 * step_ns + sample_ns));
         let mut kept = 0.0;
@@ -131,18 +169,27 @@ impl Plan {
             let members = ensemble.members as f64;
             log += members * compressed(end_bytes, dense, compression);
             // Of the others samples are looked at and not written; each begins and ends once.
-            let looked_at_ns = self.samples as f64 * (sample_ns - WRITTEN_BYTE_NS * raw as f64);
+            let looked_at_ns = self.samples as f64 * (sample_ns - written_ns);
             let ends_ns = 10_000.0 + 30.0 * libm::pow(n as f64, 3.0);
             let member_s = |step_ns: f64| 1e-9 * (steps * step_ns + looked_at_ns + ends_ns);
             let others = members - in_full as f64;
             self.work_s = in_full as f64 * self.work_s + others * member_s(step_ns);
-            self.run_s = in_full as f64 * self.run_s + others * member_s(self.step_ns);
+            let each_s = part * 1e-9 * failing_ns + (1.0 - part) * member_s(self.step_ns);
+            self.run_s = in_full as f64 * self.run_s + others * each_s;
             ensemble.members_per_chunk = samples_per_chunk(end_bytes, member_s(step_ns));
             chunks += members / ensemble.members_per_chunk as f64;
             kept = members * EnsemblePlan::KEPT_BYTES;
         }
+        self.run_s += 1e-9 * LOG_NS;
         self.log_bytes = log as u64;
         self.memory_bytes = (self.memory(raw) + kept + chunks * CHUNK_INDEX_BYTES) as u64;
+    }
+
+    /// The plan as a log holds it: with the times of a common machine in the place of those of this one, for logs have the same
+    /// bytes wherever they are made.
+    pub fn on_a_common_machine(&self) -> Self {
+        let run_s = self.work_s + 1e-9 * LOG_NS;
+        Self { step_ns: self.work_step_ns, run_s, ..self.clone() }
     }
 
     /// About what so much work costs, in nanoseconds.
@@ -279,16 +326,27 @@ impl Plan {
     /// About what a sample of so many bytes costs: its figures, its messages and its part of a compressed chunk.
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
-        let eigenvalues = if self.dimension == 3 { 100.0 } else { 10.0 * n * n * n };
+        let matrix_ns = if self.dimension == 3 { 200.0 } else { 50.0 * n * n };
         let Observables { energy, orthogonality, momentum: _, sigma_min, pace: _ } =
             self.observables();
         let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
-        let at_rest = self.formulation.motion == Motion::AtRest;
-        let stages = 1.0 + self.formulation.stages as f64;
-        let matrices = of(orthogonality, 1.0) + of(sigma_min && !at_rest, stages);
-        WRITTEN_BYTE_NS * raw as f64
-            + matrices * eigenvalues
-            + of(energy, 0.5) * self.terms_cost_ns()
+        let Formulation { method, stages, .. } = self.formulation;
+        let interpolates = matches!(
+            method,
+            Integrator::Vpd
+                | Integrator::VpdAdaptive
+                | Integrator::VpdLagrangian
+                | Integrator::VpdReduced
+        );
+        let singular = interpolates && self.formulation.motion != Motion::AtRest;
+        let matrices = of(orthogonality, 1.0) + of(sigma_min && singular, 1.0 + stages as f64);
+        self.written_ns(raw) + matrices * matrix_ns + of(energy, 0.5) * self.terms_cost_ns()
+    }
+
+    /// About what it costs to write so many bytes of a sample. What repeats itself is compressed in half the time.
+    fn written_ns(&self, raw: u64) -> f64 {
+        let part = if self.formulation.motion == Motion::AtRest { 0.5 } else { 1.0 };
+        part * WRITTEN_BYTE_NS * raw as f64
     }
 
     /// What a run takes of the memory in addition to its members.
@@ -306,6 +364,8 @@ impl Plan {
 
 /// What a run takes before its steps find everything at hand.
 const START_NS: f64 = 5_000.0;
+/// What a log takes to begin and to end: files, charts, and the disk that has to have it.
+const LOG_NS: f64 = 3e6;
 /// What a byte of a sample costs on its way into the log: 700 of them take 5.9 us, `docs/performance.md`.
 const WRITTEN_BYTE_NS: f64 = 8.0;
 /// What the writer keeps of a chunk until the log is finished.

@@ -413,7 +413,7 @@ pub fn effort(scenario: &Scenario) -> Result<Effort, ScenarioError> {
     let Plan { step_s, steps, .. } = Plan::new(scenario)?;
     let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &Watch::default())?;
     let plan = variant(scenario, &scenario.method, step_s, steps)?;
-    let turns = (0..TURNS).map(|_| assembled(&plan, Timing { step_s, steps }));
+    let turns = (0..TURNS).map(|_| assembled(&plan, Timing::of(step_s, steps)));
     let Counts { steps, sweeps, gradients, pieces: _ } = run.counts();
     let steps = steps.max(1.0);
     Ok(Effort {
@@ -438,48 +438,66 @@ pub(crate) fn time(
                 return Ok(Vec::new());
             }
             let plan = variant(scene, &entry.method, step_s, steps)?;
-            *least = least.min(assembled(&plan, Timing { step_s, steps }));
+            *least = least.min(assembled(&plan, Timing::of(step_s, steps)));
         }
     }
     Ok(least)
 }
 
-/// Nanoseconds that one of the first steps of a run takes on this machine: the least of some turns, until three agree; `None`
-/// if a step fails.
-pub(crate) fn time_of_step(plan: &Plan, steps: u64) -> Option<f64> {
+/// Nanoseconds that one of the first steps of a member's run takes on this machine: the least of some turns, until three agree or
+/// enough time has gone by; `None` if a step fails.
+pub(crate) fn time_of_step(plan: &Plan, steps: u64, member: u64) -> Option<f64> {
     const MOST_TURNS: usize = 12;
     const AGREEING: usize = 3;
     /// What two turns differ by that nothing disturbed.
     const NEAR: f64 = 1.1;
-    /// A turn so long, in nanoseconds, is one that nothing disturbs by much.
-    const LONG_NS: f64 = 2e6;
+    /// Enough, in nanoseconds: a few times what others keep a core for, so that a turn that was interrupted is not the only one.
+    const ENOUGH_NS: u128 = 20_000_000;
+    let begun = Instant::now();
     let (mut least, mut agreeing) = (f64::INFINITY, 0);
     for _ in 0..MOST_TURNS {
-        let turn = assembled(plan, Timing { step_s: plan.step_s, steps });
+        let timing = Timing {
+            ensemble: plan.settled.ensemble.as_ref(),
+            member,
+            ..Timing::of(plan.step_s, steps)
+        };
+        let turn = assembled(plan, timing);
         if turn * NEAR < least {
             agreeing = 0;
         }
         least = least.min(turn);
         agreeing += usize::from(turn <= NEAR * least);
-        if agreeing == AGREEING || !least.is_finite() || least * steps as f64 > LONG_NS {
+        if agreeing == AGREEING || !least.is_finite() || begun.elapsed().as_nanos() > ENOUGH_NS {
             break;
         }
     }
     least.is_finite().then_some(least)
 }
 
-struct Timing {
+struct Timing<'a> {
     step_s: f64,
     steps: u64,
+    ensemble: Option<&'a Ensemble>,
+    member: u64,
 }
 
-impl Task for Timing {
+impl Timing<'_> {
+    fn of(step_s: f64, steps: u64) -> Self {
+        Self { step_s, steps, ensemble: None, member: 0 }
+    }
+}
+
+impl Task for Timing<'_> {
     type Output = f64;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
         let Assembly { body, mut stepper, initial, .. } = assembly;
         // Long enough for the clock.
         const LEAST_NS: u128 = 100_000;
+        let initial = match self.ensemble {
+            Some(ensemble) => spread::start(&initial, ensemble, self.member),
+            None => initial,
+        };
         let begun = Instant::now();
         let mut made = 0;
         while made == 0 || begun.elapsed().as_nanos() < LEAST_NS {

@@ -103,6 +103,7 @@ impl Newton {
                     std::mem::swap(&mut self.at, &mut self.image);
                     return Ok(increment);
                 }
+                Err(stopped) if stopped.code == FailureCode::Stopped => return Err(stopped),
                 _ => self.correction.iter_mut().for_each(|d| *d *= 0.5),
             }
         }
