@@ -7,9 +7,10 @@
 //! H(t) - H(0) = integral of dH/dt + <F, Omega>
 //! ```
 //!
-//! is what the drive has put in: [`Moment::power`], summed by the stepper with the weights of its tableau.
+//! is what the drive has put in: [`Moment::input`], summed by the stepper with the weights of its tableau. Along rotations that
+//! leave the potential as it is, the momentum in space changes by the torques alone, by the integral of `g F g^T`.
 //!
-//! Invariant: [`Moment::power`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
+//! Invariant: [`Moment::input`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
 
 use super::term::{Law, Term};
 use super::{Energy, RigidBody};
@@ -154,12 +155,13 @@ impl<const N: usize> Driven<N> {
         self.terms.is_empty() && self.torques.is_empty()
     }
 
-    /// The space vectors through which the driven terms see the attitude at any time; `None` if torques act, which no
-    /// direction is free of.
-    pub(super) fn space_vectors(&self) -> Option<Vec<Vector<N>>> {
-        if !self.torques.is_empty() {
-            return None;
-        }
+    /// Do torques act?
+    pub(super) fn has_torques(&self) -> bool {
+        !self.torques.is_empty()
+    }
+
+    /// The space vectors through which the driven terms see the attitude at any time.
+    pub(super) fn space_vectors(&self) -> Vec<Vector<N>> {
         let of = |driven: &DrivenTerm<N>| {
             let own = driven.term.space;
             match &driven.path {
@@ -168,7 +170,7 @@ impl<const N: usize> Driven<N> {
                 Path::Orbit { across, .. } => vec![own, *across],
             }
         };
-        Some(self.terms.iter().flat_map(of).collect())
+        self.terms.iter().flat_map(of).collect()
     }
 }
 
@@ -198,6 +200,25 @@ pub(crate) struct Moment<const N: usize> {
     pub(crate) body: RigidBody<N>,
     torques: Vec<Torque<N>>,
     changing: Vec<Changing<N>>,
+}
+
+/// What time and torques put into a driven body: at a moment, or, times the weights of a step, in a step.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Input<const N: usize> {
+    /// Into the energy.
+    pub(crate) power: f64,
+    /// Of torques that are no potential's, into the momentum in space; `None` if none act.
+    pub(crate) torque: Option<Mat<N>>,
+}
+
+impl<const N: usize> Input<N> {
+    /// Adds what goes in at a stage of such a weight.
+    pub(crate) fn add(&mut self, weight: f64, at_stage: &Self) {
+        self.power += weight * at_stage.power;
+        if let Some(torque) = &at_stage.torque {
+            *self.torque.get_or_insert_with(Mat::zeros) += torque * weight;
+        }
+    }
 }
 
 /// A driven term then.
@@ -368,14 +389,15 @@ impl<const N: usize> Moment<N> {
         self.body.spatial_gradient(g) - so::conjugate(g, &torque)
     }
 
-    /// `dH/dt + <F, Omega>`: what time and the torques put into the energy.
-    pub(crate) fn power(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> f64 {
-        let mut power = so::inner(&self.torque(g, mu, omega), omega);
+    /// What goes in: `dH/dt + <F, Omega>` into the energy, `g F g^T` into the momentum in space.
+    pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Input<N> {
+        let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
+        let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
         for Changing { strengthening, law, space, moving } in &self.changing {
             let q = g.tr_mul(space);
             power += strengthening.value(&q) + law.change(&q, &g.tr_mul(moving));
         }
-        power
+        Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)) }
     }
 
     /// Refuses an attitude at which the potential has lost its meaning.

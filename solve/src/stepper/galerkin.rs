@@ -27,7 +27,7 @@
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, Moment, Rescaled, RigidBody, Scale};
+use crate::hamiltonian::{CLOSEST_APPROACH, Input, Moment, Rescaled, RigidBody, Scale};
 use crate::lanes::Real;
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
@@ -348,9 +348,9 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// What a driven body's motion has put into its energy in a step of length `h`: `h sum_k b_k power_k`.
-    pub(super) fn work(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> f64 {
-        let mut work = 0.0;
+    /// What went into a driven body in a step of length `h`: `h sum_k b_k input_k`.
+    pub(super) fn put_in(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> Input<N> {
+        let mut put_in = Input::default();
         for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
             let (mu, omega) = match &self.collocation {
                 Some(collocation) if self.solution.collocated => (
@@ -360,9 +360,9 @@ impl<const N: usize> GalerkinStep<N> {
                 _ => (self.stages[k].mu, self.stages[k].omega),
             };
             let g = so::product(g0, &self.attitude(k));
-            work += h * self.tableau.b(k) * moment.power(&g, &mu, &omega);
+            put_in.add(h * self.tableau.b(k), &moment.input(&g, &mu, &omega));
         }
-        work
+        put_in
     }
 
     /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`.

@@ -141,6 +141,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
         self.carried.work()
     }
 
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.carried.impulse())
+    }
+
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {
         self.carried.step(h, |carried, h| solve(carried, system, h))
     }

@@ -126,6 +126,10 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<
         self.carried.work()
     }
 
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.carried.impulse())
+    }
+
     /// # Errors
     /// Any failure; [`FailureCode::Diverged`] also where the momentum has no velocity: the Lagrangian is not hyperregular
     /// there.

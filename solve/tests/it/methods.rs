@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
+use vpd_solve::hamiltonian::{DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Term, TimeScale};
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
@@ -24,27 +24,27 @@ use crate::laws::{advance, body};
 use crate::verification::trend;
 
 /// Makes a fresh stepper.
-type Make<const N: usize> = Box<dyn Fn() -> Box<dyn Stepper<N>>>;
+pub(crate) type Make<const N: usize> = Box<dyn Fn() -> Box<dyn Stepper<N>>>;
 
 /// A method: what is made of it in each dimension, and what is expected.
-struct Method {
-    name: &'static str,
-    order: f64,
-    three: Make<3>,
+pub(crate) struct Method {
+    pub(crate) name: &'static str,
+    pub(crate) order: f64,
+    pub(crate) three: Make<3>,
     /// n = 4 and 5, where the method runs there.
-    beyond: Option<(Make<4>, Make<5>)>,
+    pub(crate) beyond: Option<(Make<4>, Make<5>)>,
     /// Numbers of steps between which the order is measured: the dipole, half a second; and a body with one
     /// term of each kind, one second. The same number twice: too accurate for a slope, the error alone counts.
     steps: [[usize; 2]; 2],
     /// Is a step of -h the inverse of a step of h?
-    symmetric: bool,
+    pub(crate) symmetric: bool,
     /// Is the method for free bodies only?
     free: bool,
     /// The largest orthogonality error of the attitude after the runs for the order, times 1e-16;
     /// `None` where it leaves the group.
     on_group: Option<f64>,
     /// How near its slope comes to its order above round-off.
-    slope: f64,
+    pub(crate) slope: f64,
 }
 
 impl Method {
@@ -72,6 +72,16 @@ impl Method {
 
     fn drifts_off_the_group_by_round_off(self) -> Self {
         Self { on_group: Some(300.0), ..self }
+    }
+
+    /// Can it run what changes with time or is pushed?
+    pub(crate) fn can_be_driven(&self) -> bool {
+        self.beyond.is_some() && !self.free && !self.name.starts_with("vpd_adaptive")
+    }
+
+    /// Does it come of a variational principle?
+    pub(crate) fn is_variational(&self) -> bool {
+        self.name.starts_with('v')
     }
 
     /// The eighth order of twelve stages meets round-off before its slope is straight.
@@ -116,7 +126,7 @@ fn to_round_off() -> StopRule {
 
 /// The table. A new method is one row.
 #[rustfmt::skip]
-fn methods() -> Vec<Method> {
+pub(crate) fn methods() -> Vec<Method> {
     vec![
         any_n!("vpd gauss 1", 2, [[32, 256], [10, 80]], Vpd::new(gauss(1), to_round_off())).symmetric(),
         any_n!("vpd gauss 2", 4, [[8, 128], [10, 40]], Vpd::new(gauss(2), to_round_off())),
@@ -324,12 +334,24 @@ fn failed_steps_leave_the_state_alone() {
         law: Law::PointSource { strength: 1.0, body_point: at_the_charge },
         space: at_the_charge,
     };
-    let met = RigidBody::<3>::new(Kinetic::Principal { weights }, vec![charge], 0.0);
+    let met = RigidBody::<3>::new(Kinetic::Principal { weights }, vec![charge.clone()], 0.0);
     let free = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+    let plane = [at_the_charge, Vector::<3>::new(1.0, 0.0, 0.0)];
+    let moving = free.clone().with_driven_term(DrivenTerm {
+        term: charge,
+        path: Path::Turning { plane, rate: 1.0 },
+        factor: Factor::Constant,
+    });
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, -0.2, 0.5]) };
     let huge = State { attitude: Mat::identity(), momentum: so::hat(&[1e200, -1e200, 1e200]) };
     for method in methods() {
         let cases = [("a charge met", &met, &start, 0.0), ("overflow", &free, &huge, 1e120)];
+        let cases = cases.into_iter().chain(method.can_be_driven().then_some((
+            "a moving charge met",
+            &moving,
+            &start,
+            0.0,
+        )));
         for (what, body, start, h) in cases {
             if method.free && !body.is_free() {
                 continue;
