@@ -506,3 +506,113 @@ fn symmetric_methods_are_their_own_reverse() {
     law::<3, Three>("wheels", &with_wheels());
     law::<4, Four>("wheels", &with_wheels());
 }
+
+/// A figure over a run: its means over equal blocks.
+struct Blocks {
+    each: u32,
+    seen: u32,
+    sum: f64,
+    means: Vec<f64>,
+    most: f64,
+}
+
+/// The rate of a figure over the blocks of a run, and how far it is known.
+struct Drift {
+    per_block: f64,
+    error: f64,
+}
+
+impl Blocks {
+    fn new(steps: u32, blocks: u32) -> Self {
+        Self { each: steps / blocks, seen: 0, sum: 0.0, means: Vec::new(), most: 0.0 }
+    }
+
+    fn take(&mut self, x: f64) {
+        self.sum += x;
+        self.most = self.most.max(x.abs());
+        self.seen += 1;
+        if self.seen == self.each {
+            self.means.push(self.sum / f64::from(self.each));
+            (self.seen, self.sum) = (0, 0.0);
+        }
+    }
+
+    /// Samples of a run are not independent: rounding adds up to a random walk, whose distance from a line says nothing of
+    /// how far the line is known. The changes from one block to the next are, or if the figure only swings they cancel: then
+    /// the error is too large rather than too small. So the mean change is the drift and its standard error that of a mean of
+    /// independent changes.
+    fn drift(&self) -> Drift {
+        let changes: Vec<f64> = self.means.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let count = changes.len() as f64;
+        let mean = changes.iter().sum::<f64>() / count;
+        let square = changes.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / (count - 1.0);
+        Drift { per_block: mean, error: (square / count).sqrt() }
+    }
+}
+
+/// The shipped satellites over so many steps of 20 s with four stages: balance, and Jacobi's integral where there is one.
+fn satellites(steps: u32) {
+    const RATE: f64 = 0.001_107_549_848;
+    const STEP: f64 = 20.0;
+    let moments = [2100.0, 2000.0, 200.0];
+    let matrix = Mat::<3>::from_fn(|i, j| if i == j { moments[i] } else { 0.0 });
+    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+    let tilt = 0.4 / 1.04_f64.sqrt();
+    for (name, eccentricity, turn, omega) in [
+        ("circular", 0.0, [tilt, 0.2 * tilt, 0.0], [0.0011, 0.0002, 0.0005]),
+        ("elliptic", 0.1, [0.0; 3], [0.001_360_5, 0.0, 0.0]),
+    ] {
+        let law = Law::GravityGradient { strength: 3.68e-6, matrix };
+        let across = -axis::<3>(1);
+        let path = Path::Orbit { across, mean_motion: RATE, eccentricity, mean_anomaly: 0.0 };
+        let term = Term { law, space: axis(2) };
+        let body = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+            .with_driven_term(DrivenTerm { term, path, factor: Factor::Constant });
+        let start =
+            State { attitude: so::exp(&so::hat(&turn)), momentum: body.momentum(&so::hat(&omega)) };
+        let mut stepper = Vpd::new(gauss(4), StopRule::default());
+        stepper.start(&start);
+        let frame = body.turning_frame();
+        let along = |g: &Mat<3>, mu: &Mat<3>| {
+            frame.map_or(0.0, |frame| so::inner(&frame, &so::conjugate(g, mu)))
+        };
+        let energy = |t, g: &Mat<3>, mu: &Mat<3>| body.energy_at(t, g, mu).total();
+        let first = energy(0.0, &start.attitude, &start.momentum);
+        let turned = along(&start.attitude, &start.momentum);
+        let mut balance = Blocks::new(steps, 100);
+        let mut jacobi = Blocks::new(steps, 100);
+        for k in 0..steps {
+            stepper.set_time(f64::from(k) * STEP);
+            stepper.step(&body, STEP).expect("a small step");
+            let (g, mu) = (stepper.attitude().expect("carried"), stepper.momentum());
+            let now = energy(f64::from(k + 1) * STEP, &g, &mu);
+            balance.take(now - first - stepper.work());
+            jacobi.take((now - along(&g, &mu)) - (first - turned));
+        }
+        let figures = [("balance", balance), ("Jacobi", jacobi)];
+        let known = if frame.is_some() { 2 } else { 1 };
+        for (what, blocks) in figures.into_iter().take(known) {
+            let Drift { per_block, error } = blocks.drift();
+            let (all, most) = (100.0 * per_block, blocks.most);
+            println!(
+                "{name}: {what} at most {most:.1e} J of {first:.1e}, over the run {all:.1e} +- {:.1e}: {:.1} errors",
+                100.0 * error,
+                (per_block / error).abs()
+            );
+            assert!(most <= 1e-13 * first.abs(), "{name}: {what} {most:e} of {first:e}");
+            assert!(per_block.abs() <= 3.0 * error, "{name}: {what} {per_block:e} +- {error:e}");
+        }
+    }
+}
+
+/// In the time of a test; `satellites_over_a_million_steps` is the whole.
+#[test]
+fn the_balance_of_satellites_does_not_drift() {
+    satellites(40_000);
+}
+
+#[test]
+#[ignore = "a minute: cargo test --release satellites_over_a_million_steps -- --ignored --nocapture"]
+fn satellites_over_a_million_steps() {
+    satellites(1_000_000);
+}
