@@ -14,7 +14,7 @@
 
 use super::term::{Law, Term};
 use super::{Energy, RigidBody};
-use crate::failure::Failure;
+use crate::failure::{Failure, FailureCode};
 use crate::so::{self, Mat, Vector};
 
 /// How the space vector of a term moves.
@@ -78,7 +78,20 @@ pub struct Table<const M: usize> {
 }
 
 impl<const M: usize> Table<M> {
-    /// The values at a time, and their rates. Before its first time and after its last a table stays as it is there.
+    /// Refuses a time that is not covered, but for a rounding: the last step of a run ends one away from its end.
+    fn check(&self, t: f64) -> Result<(), Failure> {
+        const ROUNDING: f64 = 1e-9;
+        let (first, last) = (self.times[0], self.times[self.times.len() - 1]);
+        let near = ROUNDING * (last - first);
+        if t >= first - near && t <= last + near {
+            return Ok(());
+        }
+        let limit = if t < first { first } else { last };
+        Err(Failure::new(FailureCode::OutsideTable, None, t, limit))
+    }
+
+    /// The values at a time, and their rates. Before its first time and after its last a table stays as it is there: see
+    /// [`Table::check`].
     fn at(&self, t: f64) -> ([f64; M], [f64; M]) {
         let last = self.times.len() - 1;
         let after = self.times.partition_point(|&time| time <= t);
@@ -155,6 +168,24 @@ impl<const N: usize> Driven<N> {
         self.terms.is_empty() && self.torques.is_empty()
     }
 
+    /// Refuses a time that a table does not cover, and orbits that do not close.
+    fn check(&self, t: Time) -> Result<(), Failure> {
+        for DrivenTerm { path, factor, .. } in &self.terms {
+            if let Path::Orbit { eccentricity, .. } = path
+                && !(0.0..1.0).contains(eccentricity)
+            {
+                return Err(Failure::new(FailureCode::OpenOrbit, None, *eccentricity, 1.0));
+            }
+            if let Factor::Table(table) = factor {
+                table.check(t.seconds())?;
+            }
+        }
+        self.torques.iter().try_for_each(|torque| match torque {
+            Torque::Table { table, .. } => table.check(t.seconds()),
+            _ => Ok(()),
+        })
+    }
+
     /// Do torques act?
     pub(super) fn has_torques(&self) -> bool {
         !self.torques.is_empty()
@@ -200,6 +231,8 @@ pub(crate) struct Moment<const N: usize> {
     pub(crate) body: RigidBody<N>,
     torques: Vec<Torque<N>>,
     changing: Vec<Changing<N>>,
+    /// Why there is no such moment.
+    refused: Option<Failure>,
 }
 
 /// What time and torques put into a driven body: at a moment, or, times the weights of a step, in a step.
@@ -400,8 +433,11 @@ impl<const N: usize> Moment<N> {
         Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)) }
     }
 
-    /// Refuses an attitude at which the potential has lost its meaning.
+    /// Refuses a time that the drive does not know, and an attitude at which the potential has lost its meaning.
     pub(crate) fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
+        if let Some(refused) = &self.refused {
+            return Err(refused.clone());
+        }
         self.body.check_distances_at(g)
     }
 
@@ -459,7 +495,8 @@ impl<const N: usize> RigidBody<N> {
             }
             other => other.clone(),
         };
-        Moment { body, torques: self.driven.torques.iter().map(now).collect(), changing }
+        let refused = self.driven.check(t).err();
+        Moment { body, torques: self.driven.torques.iter().map(now).collect(), changing, refused }
     }
 
     /// The body at the nodes of a step from `t`, and at its end.

@@ -2,7 +2,10 @@
 
 use std::time::Instant;
 
-use vpd_solve::hamiltonian::{DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Term, TimeScale};
+use vpd_solve::failure::FailureCode;
+use vpd_solve::hamiltonian::{
+    DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Table, Term, TimeScale, Torque,
+};
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
@@ -342,16 +345,34 @@ fn failed_steps_leave_the_state_alone() {
         path: Path::Turning { plane, rate: 1.0 },
         factor: Factor::Constant,
     });
+    // Known until the middle of the step.
+    let table = Table { times: vec![-1.0, 0.02], values: vec![[1.0], [2.0]], smooth: true };
+    let late = free.clone().with_torque(Torque::Table {
+        along: so::hat(&[0.0, 0.0, 1.0]),
+        in_space: true,
+        table,
+    });
+    let law = Law::GravityGradient { strength: 1.0, matrix: Mat::from_diagonal_element(1.0) };
+    let open = free.clone().with_driven_term(DrivenTerm {
+        term: Term { law, space: at_the_charge },
+        path: Path::Orbit {
+            across: plane[1],
+            mean_motion: 1.0,
+            eccentricity: 1.0,
+            mean_anomaly: 0.5,
+        },
+        factor: Factor::Constant,
+    });
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, -0.2, 0.5]) };
     let huge = State { attitude: Mat::identity(), momentum: so::hat(&[1e200, -1e200, 1e200]) };
     for method in methods() {
         let cases = [("a charge met", &met, &start, 0.0), ("overflow", &free, &huge, 1e120)];
-        let cases = cases.into_iter().chain(method.can_be_driven().then_some((
-            "a moving charge met",
-            &moving,
-            &start,
-            0.0,
-        )));
+        let driven = [
+            ("a moving charge met", &moving, &start, 0.0),
+            ("a table read outside", &late, &start, 0.1),
+            ("an open orbit", &open, &start, 0.1),
+        ];
+        let cases = cases.into_iter().chain(driven.into_iter().filter(|_| method.can_be_driven()));
         for (what, body, start, h) in cases {
             if method.free && !body.is_free() {
                 continue;
@@ -362,6 +383,11 @@ fn failed_steps_leave_the_state_alone() {
             let failure = stepper.step(body, h).expect_err(method.name);
             assert_eq!((stepper.attitude(), stepper.momentum()), before, "{}", method.name);
             println!("{}, {what}: {}", method.name, failure.code);
+            match what {
+                "a table read outside" => assert_eq!(failure.code, FailureCode::OutsideTable),
+                "an open orbit" => assert_eq!(failure.code, FailureCode::OpenOrbit),
+                _ => {}
+            }
         }
     }
 }
