@@ -145,6 +145,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             }
             let rate = match &moment {
                 Some(moment) => {
+                    body.count(1);
                     put_in.add(h * self.tableau.b(i), &moment.input(&g, &mu, &omega));
                     moment.momentum_rate(&g, &mu, &omega)
                 }

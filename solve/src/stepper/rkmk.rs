@@ -125,6 +125,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
             let k = self.dexpinv(&sigma, &omega);
             let rate = match &moment {
                 Some(moment) => {
+                    body.count(1);
                     put_in.add(h * self.tableau.b(i), &moment.input(&g(), &mu, &omega));
                     moment.momentum_rate(&g(), &mu, &omega)
                 }

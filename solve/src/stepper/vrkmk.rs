@@ -287,6 +287,7 @@ impl<const N: usize> Step<'_, N> {
             let (xi, f) = match moments.get(i) {
                 None => slopes(body, &stage.g, &m),
                 Some(moment) => {
+                    body.count(1);
                     let (slopes, input) = driven_slopes(moment, &stage.g, &m);
                     stage.input = input;
                     slopes
