@@ -74,7 +74,7 @@ fn the_table_shows_the_orders_and_repeats() {
 #[test]
 fn so_does_that_of_driven_scenes() {
     table_of("satellite-elliptic", 4000.0, 5);
-    table_of("dual-spin", 20.0, 5);
+    table_of("dual-spin", 10.0, 5);
 }
 
 /// A study of a shipped scene up to a time, in which at least so many orders are to be seen.
