@@ -201,6 +201,7 @@ impl Fields {
                     fields.number("energy_total", energy.map(|energy| energy.total));
                     fields.number("energy_error", energy.map(|energy| energy.error));
                     fields.number("jacobi_error", energy.and_then(|energy| energy.jacobi_error));
+                    fields.number("energy_work", energy.and_then(|energy| energy.work));
                 }
                 Channel::Orthogonality => {
                     let error = row.orthogonality.as_ref().map(|found| found.error);
@@ -211,6 +212,8 @@ impl Fields {
                     let vector = momentum.map_or(&[][..], |momentum| &momentum.spatial_momentum);
                     fields.numbers("spatial_momentum", vector);
                     fields.number("momentum_drift", momentum.and_then(|momentum| momentum.drift));
+                    let impulse = momentum.map_or(&[][..], |momentum| &momentum.impulse);
+                    fields.numbers("momentum_impulse", impulse);
                 }
                 Channel::Solver => {
                     let solver = row.solver.as_ref();
@@ -318,6 +321,7 @@ fn names(field: &str, width: usize) -> Vec<String> {
         (
             "body_momentum"
             | "spatial_momentum"
+            | "momentum_impulse"
             | "angular_velocity"
             | "mean_body_momentum"
             | "body_momentum_deviation",

@@ -61,11 +61,18 @@ pub struct Plan {
     pub own_steps: Option<OwnSteps>,
     /// The terms of the potential, kept and dropped.
     pub potential: Vec<TermPlan>,
-    /// Directions of space that the potential leaves free; the spatial momentum among them is conserved.
+    /// Directions of space that the potential leaves free; the spatial momentum among them is conserved, or changes by the
+    /// torques alone.
     pub free_directions: usize,
     /// What is kept, and logged as the energy error, of a scene that changes with time, is pushed or has wheels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub balance: Option<String>,
+    /// What is kept of the momentum of a scene that is pushed, and logged as its drift.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub momentum_balance: Option<String>,
+    /// The Jacobi integral of a scene that has one; its change is logged as `jacobi_error`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub jacobi_integral: Option<String>,
     /// What somebody should know before the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(default)]
@@ -281,6 +288,8 @@ impl Plan {
             potential: Vec::new(),
             free_directions: n,
             balance: None,
+            momentum_balance: None,
+            jacobi_integral: None,
             warnings: Vec::new(),
             channels: channels(scenario),
             samples_per_chunk: 0,
@@ -335,6 +344,9 @@ impl Plan {
         }
         plan.free_directions = plan.model.free_directions(n);
         plan.balance = plan.model.balance();
+        plan.momentum_balance =
+            plan.model.momentum_balance(n, plan.free_directions, plan.formulation.method);
+        plan.jacobi_integral = plan.model.jacobi_integral();
         plan.warnings.extend(no_body(&inertia));
         plan.estimate(FirstSteps::default());
         Ok(plan)

@@ -386,13 +386,21 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
 /// What the log says of the job before its first sample.
 fn header(plan: &Plan) -> LogHeader {
     let scenario = &plan.asked;
-    let job = BTreeMap::from([
+    let mut job = BTreeMap::from([
         ("vpd_version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         ("vpd_build".to_owned(), env!("VPD_BUILD").to_owned()),
         ("name".to_owned(), scenario.name().to_owned()),
         ("scenario".to_owned(), json(scenario)),
         ("plan".to_owned(), json(&plan.on_a_common_machine())),
     ]);
+    // What the errors in the log are of, where that is no plain conservation.
+    for (key, statement) in [
+        ("energy_balance", &plan.balance),
+        ("momentum_balance", &plan.momentum_balance),
+        ("jacobi_integral", &plan.jacobi_integral),
+    ] {
+        job.extend(statement.clone().map(|statement| (key.to_owned(), statement)));
+    }
     LogHeader {
         epoch_ns: scenario.epoch_ns(),
         channels: plan.channels.iter().map(|channel| channel.topic).collect(),

@@ -26,6 +26,10 @@ pub enum FailureCode {
     LyapunovSingular,
     /// A body point came too close to a point of the potential.
     PotentialSingularity,
+    /// A table over time was read at a time that it does not cover.
+    OutsideTable,
+    /// A term follows an orbit that does not close.
+    OpenOrbit,
     /// A value is infinite or not a number.
     NonFinite,
     /// Whoever wanted the step wants it no more: see [`super::work`]. No log shows it.
@@ -45,6 +49,8 @@ impl FailureCode {
             Self::BranchJump => "polar.branch_jump",
             Self::LyapunovSingular => "lyapunov_singular",
             Self::PotentialSingularity => "potential_singularity",
+            Self::OutsideTable => "outside_table",
+            Self::OpenOrbit => "open_orbit",
             Self::NonFinite => "non_finite",
             Self::Stopped => "stopped",
         }
@@ -79,6 +85,10 @@ impl FailureCode {
             }
             Self::PotentialSingularity => {
                 "a body point came too close to a point of the potential for the force to mean anything"
+            }
+            Self::OutsideTable => "a table over time does not cover the time of the step",
+            Self::OpenOrbit => {
+                "a term follows an orbit whose eccentricity is one or more: Kepler's equation has no answer"
             }
             Self::NonFinite => "a value of the step is infinite or not a number",
             Self::Stopped => "the step was stopped before its end",

@@ -24,7 +24,7 @@ mod views;
 
 use driven::Driven;
 pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
-pub(crate) use driven::{Moment, Time};
+pub(crate) use driven::{Input, Moment, Time};
 use potential::Own;
 pub use potential::Potential;
 pub(crate) use rescaled::{AtStages, Scale};
@@ -325,7 +325,7 @@ impl<const N: usize> RigidBody<N> {
     /// subspace are symmetries, so by Noether `Q m Q` is conserved, m the spatial momentum. `None` if
     /// fewer than two directions are free.
     pub fn conserved_directions(&self) -> Option<Mat<N>> {
-        let (own, driven) = (self.own.space_vectors(), self.driven.space_vectors()?);
+        let (own, driven) = (self.own.space_vectors(), self.driven.space_vectors());
         free_directions(self.terms.iter().map(|term| &term.space).chain(&own).chain(&driven))
     }
 }
@@ -354,6 +354,10 @@ impl<const N: usize> System<N> for RigidBody<N> {
 
     fn is_driven(&self) -> bool {
         self.is_driven()
+    }
+
+    fn is_pushed(&self) -> bool {
+        self.driven.has_torques()
     }
 
     fn check(&self, g: &Mat<N>) -> Result<(), Failure> {

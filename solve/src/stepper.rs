@@ -4,10 +4,11 @@
 //! body momentum out on demand; a step that fails leaves that state as it was.
 
 use super::failure::{Failure, FailureCode};
-use super::hamiltonian::{RigidBody, Time};
+use super::hamiltonian::{Input, RigidBody, Time};
 use super::nonlinear::Convergence;
 use super::so::Mat;
 use super::trajectory::{Checkpoint, OwnTime, Pace, State};
+use galerkin::Sum;
 
 mod galerkin;
 mod motion;
@@ -77,6 +78,12 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
         0.0
     }
 
+    /// What torques that are no potential's have put into the momentum in space since [`Stepper::start`], skew, in N m s,
+    /// by the weights of the scheme; `None` of a scheme that takes no such torques.
+    fn impulse(&self) -> Option<Mat<N>> {
+        None
+    }
+
     /// The attitude g; `None` from a scheme that carries none.
     fn attitude(&self) -> Option<Mat<N>>;
 
@@ -90,25 +97,36 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     }
 }
 
-/// The time of a driven system, and what was put into its energy.
-#[derive(Clone, Copy, Debug, Default)]
-struct Clock {
+/// The time of a driven system, and what was put into its energy and its momentum.
+#[derive(Clone, Debug)]
+struct Clock<const N: usize> {
     time: f64,
     work: f64,
     /// What rounding left of the sum.
     carry: f64,
+    impulse: Sum<N>,
 }
 
-impl Clock {
+impl<const N: usize> Default for Clock<N> {
+    fn default() -> Self {
+        Self { time: 0.0, work: 0.0, carry: 0.0, impulse: Sum::new(Mat::zeros()) }
+    }
+}
+
+impl<const N: usize> Clock<N> {
     /// So long after the beginning of the step.
     fn at(&self, after: f64) -> Time {
         Time { begun: self.time, after }
     }
 
-    /// Goes on by a step, with the work done in it.
-    fn advance(&mut self, h: f64, work: f64) {
+    /// Goes on by a step, with what was put in during it.
+    fn advance(&mut self, h: f64, put_in: &Input<N>) {
         self.time += h;
-        (self.work, self.carry) = super::space::sum(self.work, work + self.carry);
+        (self.work, self.carry) = super::space::sum(self.work, put_in.power + self.carry);
+        // Not without torques: then it stays zero.
+        if let Some(torque) = &put_in.torque {
+            self.impulse.add(torque);
+        }
     }
 }
 

@@ -30,9 +30,14 @@ pub trait System<const N: usize> {
         false
     }
 
-    /// The projection `Q` (symmetric, n x n, in space) onto directions whose rotations leave the system as it is, two or
-    /// more: then `Q m Q` is conserved, `m = g mu g^T`. `None` if there are none, or none are known. See
-    /// [`free_directions`].
+    /// Do torques act that are no potential's? Then what the stepper says of [`super::stepper::Stepper::impulse`] counts.
+    fn is_pushed(&self) -> bool {
+        false
+    }
+
+    /// The projection `Q` (symmetric, n x n, in space) onto directions whose rotations leave the energy as it is, two or
+    /// more: then `Q m Q` is conserved, `m = g mu g^T`, but for the impulse of torques that are no potential's. `None` if
+    /// there are none, or none are known. See [`free_directions`].
     fn conserved_directions(&self) -> Option<Mat<N>> {
         None
     }

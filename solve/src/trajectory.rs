@@ -118,6 +118,8 @@ pub struct Sample<const N: usize> {
     pub energy: Option<Energy>,
     /// Energy now minus energy at the start, and of a driven system minus what was put in since.
     pub energy_error: Option<f64>,
+    /// What time and torques have put into the energy since the start, in J; `None` also of a system that is not driven.
+    pub work: Option<f64>,
     /// Change of the Jacobi integral since the start, in J; `None` also of a system that has none, see
     /// [`System::turning_frame`].
     pub jacobi_error: Option<f64>,
@@ -125,9 +127,12 @@ pub struct Sample<const N: usize> {
     pub orthogonality_error: Option<f64>,
     /// Spatial momentum g mu g^T.
     pub spatial_momentum: Option<Mat<N>>,
-    /// Size of the change of the conserved part of the spatial momentum since the start; `None` also
-    /// where the scene conserves none.
+    /// Size of the change of the conserved part of the spatial momentum since the start, and of a system that is pushed
+    /// less the impulse since; `None` also where the scene conserves none.
     pub momentum_drift: Option<f64>,
+    /// What torques that are no potential's have put into the spatial momentum since the start, in N m s; `None` also of a
+    /// system that is not pushed.
+    pub impulse: Option<Mat<N>>,
     /// How the nonlinear solver ended the step; `None` at the start.
     pub convergence: Option<Convergence>,
     /// Smallest singular value of the interpolated matrices of the step; `None` at the start.
@@ -147,10 +152,12 @@ impl<const N: usize> Sample<N> {
             ref angular_velocity,
             energy,
             energy_error,
+            work,
             jacobi_error,
             orthogonality_error,
             ref spatial_momentum,
             momentum_drift,
+            ref impulse,
             convergence,
             sigma_min,
             pace,
@@ -161,6 +168,7 @@ impl<const N: usize> Sample<N> {
             energy.map(|energy| energy.potential),
             energy.map(|energy| energy.total()),
             energy_error,
+            work,
             jacobi_error,
             orthogonality_error,
             momentum_drift,
@@ -172,6 +180,7 @@ impl<const N: usize> Sample<N> {
             Some(momentum),
             angular_velocity.as_ref(),
             spatial_momentum.as_ref(),
+            impulse.as_ref(),
         ];
         figures.into_iter().flatten().all(f64::is_finite)
             && pace.is_none_or(|pace| pace.is_finite())
@@ -221,6 +230,9 @@ pub struct Checkpoint<const N: usize> {
     pub convergence: Option<Convergence>,
     /// What was put into the energy since the start, in J: see [`Stepper::work`].
     pub work: f64,
+    /// What torques that are no potential's have put into the spatial momentum since the start, in N m s: see
+    /// [`Stepper::impulse`].
+    pub impulse: Mat<N>,
     /// Of a scheme with a time of its own.
     pub own_time: Option<OwnTime<N>>,
 }
@@ -303,6 +315,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && books.goes_on() && sink.wants_checkpoint() {
                 books.reached.work += stepper.work();
+                books.reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
                 books.reached.own_time = stepper.own_time();
                 sink.checkpoint(&books.reached)?;
                 stepper.resume(&books.reached);
@@ -349,6 +362,7 @@ impl<const N: usize> Books<N> {
             iterations: 0,
             convergence: None,
             work: 0.0,
+            impulse: Mat::zeros(),
             own_time: None,
         };
         let observer = Observer::new(system, initial, observables);
@@ -400,10 +414,13 @@ impl<const N: usize> Books<N> {
         let Self { observer, step_s, ending, reached, sampled } = self;
         let step = reached.step;
         let time_s = step as f64 * *step_s;
-        let work = reached.work + stepper.work();
+        let put_in = PutIn {
+            work: reached.work + stepper.work(),
+            impulse: stepper.impulse().map(|since| reached.impulse + since),
+        };
         let sample = settled.and_then(|sweeps| {
             reached.iterations += u64::from(sweeps);
-            observer.sample(system, stepper, step, time_s, reached.convergence, work)
+            observer.sample(system, stepper, step, time_s, reached.convergence, &put_in)
         });
         match sample {
             Ok(sample) => {
@@ -431,9 +448,18 @@ impl<const N: usize> Books<N> {
     }
 }
 
+/// What was put into a driven system since the start.
+struct PutIn<const N: usize> {
+    work: f64,
+    /// `None` from a stepper that does not know.
+    impulse: Option<Mat<N>>,
+}
+
 /// Computes what a sample holds in addition to the state, measured against the start.
 struct Observer<const N: usize> {
     observables: Observables,
+    driven: bool,
+    pushed: bool,
     initial: State<N>,
     initial_energy: f64,
     conserved: Option<Mat<N>>,
@@ -448,6 +474,8 @@ impl<const N: usize> Observer<N> {
     ) -> Self {
         Self {
             observables,
+            driven: system.is_driven(),
+            pushed: system.is_pushed(),
             initial: initial.clone(),
             initial_energy: system.energy_at(0.0, &initial.attitude, &initial.momentum).total(),
             conserved: system.conserved_directions(),
@@ -467,9 +495,11 @@ impl<const N: usize> Observer<N> {
         step: u64,
         time_s: f64,
         convergence: Option<Convergence>,
-        work: f64,
+        put_in: &PutIn<N>,
     ) -> Result<Sample<N>, Failure> {
         let asked = self.observables;
+        let &PutIn { work, impulse } = put_in;
+        let impulse = impulse.filter(|_| self.pushed);
         let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
         // A scheme without an attitude serves free bodies, whose energy needs none.
         let g = attitude.unwrap_or_else(Mat::identity);
@@ -482,6 +512,7 @@ impl<const N: usize> Observer<N> {
             angular_velocity: system.angular_velocity(&g, &momentum),
             energy,
             energy_error: energy.map(|now| now.total() - self.initial_energy - work),
+            work: energy.filter(|_| self.driven).map(|_| work),
             jacobi_error: energy.zip(self.turning_frame).map(|(now, rate)| {
                 // H - <W, m>, less what it was.
                 let turned = self.along(&rate, &State { attitude: g, momentum });
@@ -493,7 +524,12 @@ impl<const N: usize> Observer<N> {
             spatial_momentum: attitude
                 .filter(|_| asked.momentum)
                 .map(|g| so::conjugate(&g, &momentum)),
-            momentum_drift: if asked.momentum { self.drift(attitude, &momentum) } else { None },
+            momentum_drift: if asked.momentum {
+                self.drift(attitude, &momentum, impulse.as_ref())
+            } else {
+                None
+            },
+            impulse: impulse.filter(|_| asked.momentum),
             convergence,
             sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
             pace: if asked.pace { stepper.pace() } else { None },
@@ -505,14 +541,24 @@ impl<const N: usize> Observer<N> {
         }
     }
 
-    /// How far what the scene conserves has moved: the spatial momentum among the free directions, or,
-    /// without an attitude, the coadjoint orbit of the body momentum.
-    fn drift(&self, attitude: Option<Mat<N>>, momentum: &Mat<N>) -> Option<f64> {
+    /// How far what the scene conserves has moved: the spatial momentum among the free directions, less the impulse of
+    /// torques, or, without an attitude, the coadjoint orbit of the body momentum.
+    fn drift(
+        &self,
+        attitude: Option<Mat<N>>,
+        momentum: &Mat<N>,
+        impulse: Option<&Mat<N>>,
+    ) -> Option<f64> {
         let start = &self.initial;
         match attitude {
+            // Nothing is known of a scheme that does not tell what it was pushed by.
+            Some(_) if self.pushed && impulse.is_none() => None,
             Some(g) => self.conserved.map(|q| {
-                let change =
+                let mut change =
                     so::conjugate(&g, momentum) - so::conjugate(&start.attitude, &start.momentum);
+                if let Some(impulse) = impulse {
+                    change -= impulse;
+                }
                 let kept = q * change * q;
                 so::inner(&kept, &kept).sqrt()
             }),

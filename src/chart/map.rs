@@ -253,6 +253,8 @@ fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor)
             }
             Code::LyapunovSingular => upright(10)?,
             Code::PotentialSingularity => flat(10)?,
+            Code::OutsideTable => flat(14)?,
+            Code::OpenOrbit => upright(14)?,
             // Of a study that was stopped there is no map.
             Code::Stopped => {}
             Code::NonFinite => {

@@ -170,18 +170,23 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         let verdict = if term.kept { "kept" } else { "dropped" };
         line("potential", format!("{} {verdict}: {}", term.pointer, term.why));
     }
-    line(
-        "conserved",
-        match plan.free_directions {
-            0 | 1 => "no part of the spatial momentum".to_owned(),
-            free if free == plan.dimension => "the whole spatial momentum".to_owned(),
-            free => format!(
-                "the spatial momentum among the {free} directions that the potential leaves free"
-            ),
-        },
-    );
+    // Of a scene that is pushed it is a balance, or nothing.
+    let conserved = match plan.free_directions {
+        0 | 1 => "no part of the spatial momentum".to_owned(),
+        free if free == plan.dimension => "the whole spatial momentum".to_owned(),
+        free => format!(
+            "the spatial momentum among the {free} directions that the potential leaves free"
+        ),
+    };
+    match &plan.momentum_balance {
+        None => line("conserved", conserved),
+        Some(balance) => line("balance", format!("{balance}: its change is the momentum drift")),
+    }
     if let Some(balance) = &plan.balance {
         line("balance", format!("{balance}: its change is the energy error"));
+    }
+    if let Some(integral) = &plan.jacobi_integral {
+        line("conserved", format!("{integral}: its change is the Jacobi error"));
     }
     if !formulation.carries_attitude {
         line("attitude", "not computed: no term and no channel needs it".to_owned());

@@ -124,6 +124,7 @@ impl Energy {
             error,
             log10_abs_error: log10_size(error),
             jacobi_error: sample.jacobi_error,
+            work: sample.work,
         })
     }
 }
@@ -146,6 +147,7 @@ impl Momentum {
             spatial_momentum: sample.spatial_momentum.as_ref().map_or_else(Vec::new, so::vee),
             drift: sample.momentum_drift,
             log10_drift: sample.momentum_drift.map(log10_size),
+            impulse: sample.impulse.as_ref().map_or_else(Vec::new, so::vee),
         })
     }
 }

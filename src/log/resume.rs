@@ -198,6 +198,11 @@ pub(super) fn encode<const N: usize>(checkpoint: &Checkpoint<N>, figures: Figure
         solver: checkpoint.convergence.map(Into::into),
         figures: Some(figures),
         work: checkpoint.work,
+        impulse: if checkpoint.impulse.iter().all(|x| *x == 0.0) {
+            Vec::new()
+        } else {
+            rows(&checkpoint.impulse)
+        },
         own_time: checkpoint.own_time.as_ref().map(|own| messages::OwnTime {
             attitude: rows(&own.attitude),
             body_momentum: rows(&own.momentum),
@@ -215,6 +220,10 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
     let attitude = match message.attitude.as_slice() {
         [] => None,
         rows => Some(matrix(rows)?),
+    };
+    let impulse = match message.impulse.as_slice() {
+        [] => Mat::zeros(),
+        rows => matrix(rows)?,
     };
     let own_time = match &message.own_time {
         None => None,
@@ -238,6 +247,7 @@ fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
         iterations: message.iterations,
         convergence,
         work: message.work,
+        impulse,
         own_time,
     };
     let figures = message.figures.unwrap_or_default();

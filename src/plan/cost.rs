@@ -20,6 +20,7 @@ use crate::solve::composition::Composition;
 use crate::solve::free_top;
 use crate::solve::lanes::WIDTH;
 use crate::solve::nonlinear::Rungs;
+use crate::solve::so;
 use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::Observables;
 
@@ -143,8 +144,10 @@ impl Plan {
         let compression = self.settled.log.compression;
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
+        let put_in = self.put_in_bytes();
         let raw: u64 = self.channels.iter().map(|plan| plan.topic.bytes_per_sample(n)).sum();
         let raw_dense: u64 = self.channels.iter().map(|plan| dense(plan.topic)).sum();
+        let (raw, raw_dense) = (raw + put_in, raw_dense + put_in);
         let in_full = self.ensemble.as_ref().map_or(1, |ensemble| ensemble.in_full.len() as u64);
         let samples = self.samples.saturating_mul(in_full) as f64;
         let mut log = LOG_FIXED_BYTES as f64
@@ -209,6 +212,21 @@ impl Plan {
         let step_ns = step_ns + self.driven_ns() * self.formulation.stages as f64;
         let parts = work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns;
         part * (parts + work.pieces * PIECE_NS)
+    }
+
+    /// Bytes in a sample of what was put in, of a scene that changes with time or is pushed, and of its Jacobi integral.
+    fn put_in_bytes(&self) -> u64 {
+        /// A tag and eight bytes.
+        const DOUBLE: u64 = 9;
+        let logged = |topic| self.channels.iter().any(|plan| plan.topic == topic);
+        let mut bytes = 0;
+        if self.model.is_driven() && logged(Channel::Energy) {
+            bytes += DOUBLE * (1 + u64::from(self.jacobi_integral.is_some()));
+        }
+        if !self.model.torques.is_empty() && logged(Channel::Momentum) {
+            bytes += 4 + 8 * so::dimension(self.dimension) as u64;
+        }
+        bytes
     }
 
     /// About what it costs to look at a driven body, or one with wheels, at one stage.

@@ -66,11 +66,8 @@ impl Model {
 }
 
 impl Model {
-    /// Directions of space that rotations of the potential leave free at all times; none under torques.
+    /// Directions of space that rotations of the potential leave free at all times.
     pub(super) fn free_directions(&self, n: usize) -> usize {
-        if !self.torques.is_empty() {
-            return 0;
-        }
         let of_path = |driven: &'_ DrivenTerm| -> Vec<Vec<f64>> {
             let own = driven.term.law().space_vector().to_vec();
             match &driven.path {
@@ -106,6 +103,35 @@ impl Model {
             "; under torques that are no potential's no method is symplectic"
         };
         Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
+    }
+
+    /// What is kept of the momentum, and logged as its drift, where torques push and the potential leaves so many of n
+    /// directions free; `None` of a scene that is not pushed, or that leaves none.
+    pub(super) fn momentum_balance(
+        &self,
+        n: usize,
+        free: usize,
+        method: Integrator,
+    ) -> Option<String> {
+        if self.torques.is_empty() || free < 2 {
+            return None;
+        }
+        let part = if free == n {
+            "the whole spatial momentum".to_owned()
+        } else {
+            format!(
+                "the spatial momentum among the {free} directions that the potential leaves free,"
+            )
+        };
+        let kept = if method.facts().symplectic { "rounding" } else { "the order of the method" };
+        Some(format!("{part} less the impulse of the torques, to {kept}"))
+    }
+
+    /// The Jacobi integral, where there is one.
+    pub(super) fn jacobi_integral(&self) -> Option<String> {
+        self.turns_alike().then(|| {
+            "H - w.m, for all that changes turns at one constant rate w; m is the spatial momentum".to_owned()
+        })
     }
 
     /// Refuses a method that cannot run a scene that changes with time, is pushed or has wheels.

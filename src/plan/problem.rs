@@ -7,6 +7,7 @@ use crate::scenario::{
 };
 use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
 use crate::solve::so::{self, Mat, Vector};
+use crate::solve::system::System as _;
 use crate::solve::trajectory::State;
 
 impl Model {
@@ -97,6 +98,18 @@ impl Model {
 
 /// A size into which every body fits: the rest of it is zero.
 const LARGEST: usize = 16;
+
+impl Model {
+    /// Does all that changes turn at one constant rate, and nothing push?
+    pub(super) fn turns_alike(&self) -> bool {
+        if !self.torques.is_empty() {
+            return false;
+        }
+        let moving = self.driven.iter().map(driven_term);
+        let body = moving.fold(potential(&self.terms), RigidBody::with_driven_term);
+        body.turning_frame().is_some()
+    }
+}
 
 /// Terms, and nothing that moves, in whatever dimension.
 fn potential<'a>(terms: impl IntoIterator<Item = &'a PotentialTerm>) -> RigidBody<LARGEST> {

@@ -208,6 +208,7 @@ impl Ensemble<'_> {
             iterations: 0,
             convergence: None,
             work: 0.0,
+            impulse: Mat::zeros(),
             own_time: None,
         };
         log.checkpoint(&checkpoint, Figures::default())?;
@@ -370,6 +371,7 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         iterations: nominal.map_or(0, |end| end.iterations),
         convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
         work: 0.0,
+        impulse: Mat::zeros(),
         own_time: None,
     }
 }

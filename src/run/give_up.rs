@@ -13,6 +13,7 @@ use crate::log::resume::Resumed;
 use crate::log::resume::Seen;
 use crate::log::writer::LogWriter;
 use crate::plan::Plan;
+use crate::solve::so::Mat;
 use crate::solve::trajectory::Checkpoint;
 
 /// Why a job is run no more.
@@ -68,6 +69,7 @@ impl Task for GiveUp<'_> {
                     iterations: 0,
                     convergence: None,
                     work: 0.0,
+                    impulse: Mat::zeros(),
                     own_time: None,
                 };
                 (LogWriter::create(log, &header)?, Figures::default(), start)

@@ -35,6 +35,11 @@ fn ensemble(mut scene: Value, members: u64, steps: u64, method: &Value) -> Value
     scene
 }
 
+/// A scene with a wheel and a torque.
+fn dual_spin() -> Value {
+    serde_json::from_str(include_str!("../../scenarios/dual-spin.json")).expect("shipped")
+}
+
 fn checked(scenario: &Value) -> Scenario {
     Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario")
 }
@@ -138,6 +143,7 @@ fn a_member_is_the_same_in_any_ensemble() {
     for (scene, method) in [
         (dipole(), json!({ "name": "vpd", "tableau": "gauss2" })),
         (free, json!({ "name": "auto", "tableau": "gauss2" })),
+        (dual_spin(), json!({ "name": "vpd", "tableau": "gauss2" })),
     ] {
         let mut ends = Vec::new();
         for (members, in_full) in
@@ -284,24 +290,28 @@ fn a_member_that_fails_is_told_and_the_others_go_on() {
 fn an_interrupted_ensemble_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().expect("a folder");
     let (whole, cut) = (folder.path().join("whole.mcap"), folder.path().join("cut.mcap"));
-    let mut scenario = ensemble(dipole(), 1500, 60, &json!({ "name": "vpd", "tableau": "gauss3" }));
-    scenario["log"]["every"] = json!(1);
-    let scenario = checked(&scenario);
-    let reference = run(&scenario, &whole);
-    let bytes = fs::read(&whole).expect("a log");
-    let mut steps = Vec::new();
-    for part in [0.05, 0.3, 0.7, 0.999] {
-        fs::write(part_path(&cut), &bytes[..(part * bytes.len() as f64) as usize])
-            .expect("written");
-        let found = last_checkpoint(&cut).expect("readable").unwrap_or(0);
-        let summary = run(&scenario, &cut);
-        assert_eq!(summary.resumed_step, found);
-        assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, resumed at {found}");
-        assert_eq!(summary.ensemble, reference.ensemble);
-        steps.push(found);
+    for (scene, tableau) in [(dipole(), "gauss3"), (dual_spin(), "gauss2")] {
+        let method = json!({ "name": "vpd", "tableau": tableau });
+        let mut scenario = ensemble(scene, 1500, 60, &method);
+        scenario["log"]["every"] = json!(1);
+        let scenario = checked(&scenario);
+        let reference = run(&scenario, &whole);
+        let bytes = fs::read(&whole).expect("a log");
+        let mut steps = Vec::new();
+        for part in [0.05, 0.3, 0.7, 0.999] {
+            let _ = fs::remove_file(&cut);
+            fs::write(part_path(&cut), &bytes[..(part * bytes.len() as f64) as usize])
+                .expect("written");
+            let found = last_checkpoint(&cut).expect("readable").unwrap_or(0);
+            let summary = run(&scenario, &cut);
+            assert_eq!(summary.resumed_step, found);
+            assert!(fs::read(&cut).expect("a log") == bytes, "cut at {part}, resumed at {found}");
+            assert_eq!(summary.ensemble, reference.ensemble);
+            steps.push(found);
+        }
+        println!("resumed at the steps {steps:?}");
+        assert!(steps[3] > steps[0] && steps[3] > 0);
     }
-    println!("resumed at the steps {steps:?}");
-    assert!(steps[3] > steps[0] && steps[3] > 0);
 }
 
 #[test]

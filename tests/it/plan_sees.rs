@@ -452,3 +452,36 @@ fn a_step_that_the_plane_cannot_solve_fails_as_in_space() {
     });
     assert_eq!(ends[0].code, ends[1].code);
 }
+
+/// Which statement of conservation holds stands in the plan, and is what is logged.
+#[test]
+fn the_plan_says_what_is_kept() {
+    let plan = |text: &str, changes: &[(&str, Value)]| {
+        let mut scenario: Value = serde_json::from_str(text).expect("JSON");
+        for (field, value) in changes {
+            scenario["scene"][field] = value.clone();
+        }
+        let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        Plan::new(&scenario).expect("a plan")
+    };
+    let top = include_str!("../../scenarios/heavy-top.json");
+    let circular = include_str!("../../scenarios/satellite.json");
+    let elliptic = include_str!("../../scenarios/satellite-elliptic.json");
+    let still = plan(top, &[]);
+    assert_eq!((still.balance, still.momentum_balance, still.jacobi_integral), (None, None, None));
+    let damped = json!([{ "viscous": { "coefficient": 1e-3 } }]);
+    let pushed = plan(top, &[("torques", damped.clone())]);
+    assert_eq!(pushed.free_directions, 2);
+    assert!(pushed.balance.expect("pushed").contains("no method is symplectic"));
+    let momentum = pushed.momentum_balance.expect("the weight leaves two directions");
+    assert!(momentum.contains("2 directions") && momentum.contains("impulse"), "{momentum}");
+    assert_eq!(pushed.jacobi_integral, None);
+    let free = plan(top, &[("torques", damped), ("potential", json!([]))]);
+    assert!(free.momentum_balance.expect("free").starts_with("the whole spatial momentum less"));
+    let turning = plan(circular, &[]);
+    assert!(turning.balance.expect("driven").contains("H + p_t"));
+    assert!(turning.jacobi_integral.is_some() && turning.momentum_balance.is_none());
+    assert_eq!(plan(elliptic, &[]).jacobi_integral, None);
+    let pulled = plan(circular, &[("torques", json!([{ "of_momentum": { "rate_per_s": 1e-6 } }]))]);
+    assert_eq!(pulled.jacobi_integral, None);
+}

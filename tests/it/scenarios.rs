@@ -60,6 +60,49 @@ fn a_circular_orbit_has_a_jacobi_integral() {
     assert!(elliptic.iter().all(|(_, jacobi)| jacobi.is_none()));
 }
 
+/// Of a pushed scene the log holds what was put in: the errors are what is left, and the job record says so.
+#[test]
+fn what_is_put_in_is_logged() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let log = directory.path().join("dual-spin.mcap");
+    let summary = run(include_str!("../../scenarios/dual-spin.json"), &log);
+    let (mut energies, mut momenta) = (Vec::new(), Vec::new());
+    read_samples(&log, |_, message| match message {
+        Message::Energy(energy) => energies.push(energy),
+        Message::Momentum(momentum) => momenta.push(momentum),
+        _ => {}
+    })
+    .expect("a log");
+    assert!(energies.len() > 100 && momenta.len() == energies.len());
+    let first = energies[0].total;
+    let (mut lost, mut pushed) = (0.0_f64, 0.0_f64);
+    for (energy, momentum) in energies.iter().zip(&momenta) {
+        let work = energy.work.expect("a damper");
+        assert!((energy.total - first - work - energy.error).abs() <= 1e-14);
+        lost = lost.max(-work);
+        assert_eq!(momentum.impulse.len(), 3);
+        pushed = pushed.max(momentum.impulse.iter().map(|x| x * x).sum::<f64>().sqrt());
+        assert!(momentum.drift.expect("nothing else acts") <= 1e-11, "{momentum:?}");
+    }
+    println!("the damper took {lost} J, turned the momentum by {pushed} N m s");
+    assert!(lost > 0.1 && pushed > 1.0, "{lost}, {pushed}");
+    assert!(summary.momentum.expect("logged").max_drift <= 1e-11);
+    let found = vpd::log::inspect::inspect(&log).expect("a log");
+    let job = found.job.expect("the record");
+    assert!(job["energy_balance"].contains("work") && job["momentum_balance"].contains("impulse"));
+    // A scene that nothing pushes says nothing of it.
+    let still = directory.path().join("heavy-top.mcap");
+    run(include_str!("../../scenarios/heavy-top.json"), &still);
+    let found = vpd::log::inspect::inspect(&still).expect("a log");
+    assert!(!found.job.expect("the record").contains_key("energy_balance"));
+    read_samples(&still, |_, message| match message {
+        Message::Energy(energy) => assert_eq!(energy.work, None),
+        Message::Momentum(momentum) => assert!(momentum.impulse.is_empty()),
+        _ => {}
+    })
+    .expect("a log");
+}
+
 #[test]
 fn an_expectation_that_is_not_met_is_said() {
     let directory = tempfile::tempdir().expect("a temporary directory");

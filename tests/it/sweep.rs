@@ -335,12 +335,29 @@ fn a_member_that_fails_or_is_refused_has_a_line() {
 
 #[test]
 fn a_line_holds_the_figures_of_the_members_log() {
+    line_of(&json!({}));
+}
+
+/// The same of a scene that is pushed, of which balances are logged.
+#[test]
+fn so_does_a_line_of_a_pushed_scene() {
+    line_of(&json!({
+        "torques": [{ "viscous": { "coefficient": 1e-4 } }, { "constant": { "space": [0, 1e-3, 0] } }],
+        "wheels": [0, 0, 0.01]
+    }));
+}
+
+/// A line of a sweep over a top with more in its scene.
+fn line_of(more: &Value) {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let at = directory.path();
     // Long enough for several chunks, at whose ends the stepper starts anew; and a motion that would show it.
     let mut scenario = top(40_000);
     scenario["log"] = json!({ "every": 1 });
     scenario["scene"]["initial"]["angular_velocity"] = json!({ "body": [3, 1, 5] });
+    for (field, value) in more.as_object().expect("an object") {
+        scenario["scene"][field] = value.clone();
+    }
     fs::write(at.join("top.json"), scenario.to_string()).expect("writable");
     let sweep = json!({
         "scenario": "top.json", "keep_logs": [1],

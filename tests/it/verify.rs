@@ -36,6 +36,26 @@ fn a_log_is_what_its_job_gives_again() {
     assert_eq!(verification.messages, 201 * 6 - 1 + 2);
 }
 
+/// What changes with time, pushes or spins runs again to the same bytes, whoever integrates it.
+#[test]
+fn so_is_the_log_of_a_scene_that_is_driven() {
+    for method in ["vpd", "vpd_lagrangian", "vrkmk", "rkmk", "rk_projected"] {
+        for name in ["satellite-elliptic", "dual-spin"] {
+            let place = tempfile::tempdir().expect("a directory");
+            let path = format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"));
+            let mut scenario: serde_json::Value =
+                serde_json::from_slice(&fs::read(path).expect("a scenario")).expect("JSON");
+            let fields = scenario.as_object_mut().expect("an object");
+            fields.insert("method".into(), serde_json::json!({ "name": method }));
+            fields.insert("duration_s".into(), serde_json::json!(100));
+            let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("accepted");
+            let log = log(&scenario, place.path(), &Control::default());
+            let verification = verify(&log).expect("verified");
+            assert!(verification.same, "{name}, {method}: {verification}");
+        }
+    }
+}
+
 #[test]
 fn so_is_the_log_of_a_cancelled_job() {
     let place = tempfile::tempdir().expect("a directory");

@@ -7,13 +7,14 @@
 //! H(t) - H(0) = integral of dH/dt + <F, Omega>
 //! ```
 //!
-//! is what the drive has put in: [`Moment::power`], summed by the stepper with the weights of its tableau.
+//! is what the drive has put in: [`Moment::input`], summed by the stepper with the weights of its tableau. Along rotations that
+//! leave the potential as it is, the momentum in space changes by the torques alone, by the integral of `g F g^T`.
 //!
-//! Invariant: [`Moment::power`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
+//! Invariant: [`Moment::input`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
 
 use super::term::{Law, Term};
 use super::{Energy, RigidBody};
-use crate::failure::Failure;
+use crate::failure::{Failure, FailureCode};
 use crate::so::{self, Mat, Vector};
 
 /// How the space vector of a term moves.
@@ -77,7 +78,20 @@ pub struct Table<const M: usize> {
 }
 
 impl<const M: usize> Table<M> {
-    /// The values at a time, and their rates. Before its first time and after its last a table stays as it is there.
+    /// Refuses a time that is not covered, but for a rounding: the last step of a run ends one away from its end.
+    fn check(&self, t: f64) -> Result<(), Failure> {
+        const ROUNDING: f64 = 1e-9;
+        let (first, last) = (self.times[0], self.times[self.times.len() - 1]);
+        let near = ROUNDING * (last - first);
+        if t >= first - near && t <= last + near {
+            return Ok(());
+        }
+        let limit = if t < first { first } else { last };
+        Err(Failure::new(FailureCode::OutsideTable, None, t, limit))
+    }
+
+    /// The values at a time, and their rates. Before its first time and after its last a table stays as it is there: see
+    /// [`Table::check`].
     fn at(&self, t: f64) -> ([f64; M], [f64; M]) {
         let last = self.times.len() - 1;
         let after = self.times.partition_point(|&time| time <= t);
@@ -154,12 +168,31 @@ impl<const N: usize> Driven<N> {
         self.terms.is_empty() && self.torques.is_empty()
     }
 
-    /// The space vectors through which the driven terms see the attitude at any time; `None` if torques act, which no
-    /// direction is free of.
-    pub(super) fn space_vectors(&self) -> Option<Vec<Vector<N>>> {
-        if !self.torques.is_empty() {
-            return None;
+    /// Refuses a time that a table does not cover, and orbits that do not close.
+    fn check(&self, t: Time) -> Result<(), Failure> {
+        for DrivenTerm { path, factor, .. } in &self.terms {
+            if let Path::Orbit { eccentricity, .. } = path
+                && !(0.0..1.0).contains(eccentricity)
+            {
+                return Err(Failure::new(FailureCode::OpenOrbit, None, *eccentricity, 1.0));
+            }
+            if let Factor::Table(table) = factor {
+                table.check(t.seconds())?;
+            }
         }
+        self.torques.iter().try_for_each(|torque| match torque {
+            Torque::Table { table, .. } => table.check(t.seconds()),
+            _ => Ok(()),
+        })
+    }
+
+    /// Do torques act?
+    pub(super) fn has_torques(&self) -> bool {
+        !self.torques.is_empty()
+    }
+
+    /// The space vectors through which the driven terms see the attitude at any time.
+    pub(super) fn space_vectors(&self) -> Vec<Vector<N>> {
         let of = |driven: &DrivenTerm<N>| {
             let own = driven.term.space;
             match &driven.path {
@@ -168,7 +201,7 @@ impl<const N: usize> Driven<N> {
                 Path::Orbit { across, .. } => vec![own, *across],
             }
         };
-        Some(self.terms.iter().flat_map(of).collect())
+        self.terms.iter().flat_map(of).collect()
     }
 }
 
@@ -198,6 +231,27 @@ pub(crate) struct Moment<const N: usize> {
     pub(crate) body: RigidBody<N>,
     pub(super) torques: Vec<Torque<N>>,
     pub(super) changing: Vec<Changing<N>>,
+    /// Why there is no such moment.
+    refused: Option<Failure>,
+}
+
+/// What time and torques put into a driven body: at a moment, or, times the weights of a step, in a step.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Input<const N: usize> {
+    /// Into the energy.
+    pub(crate) power: f64,
+    /// Of torques that are no potential's, into the momentum in space; `None` if none act.
+    pub(crate) torque: Option<Mat<N>>,
+}
+
+impl<const N: usize> Input<N> {
+    /// Adds what goes in at a stage of such a weight.
+    pub(crate) fn add(&mut self, weight: f64, at_stage: &Self) {
+        self.power += weight * at_stage.power;
+        if let Some(torque) = &at_stage.torque {
+            *self.torque.get_or_insert_with(Mat::zeros) += torque * weight;
+        }
+    }
 }
 
 /// A driven term then.
@@ -376,18 +430,22 @@ impl<const N: usize> Moment<N> {
         self.body.spatial_gradient(g) - so::conjugate(g, &torque)
     }
 
-    /// `dH/dt + <F, Omega>`: what time and the torques put into the energy.
-    pub(crate) fn power(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> f64 {
-        let mut power = so::inner(&self.torque(g, mu, omega), omega);
+    /// What goes in: `dH/dt + <F, Omega>` into the energy, `g F g^T` into the momentum in space.
+    pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Input<N> {
+        let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
+        let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
         for Changing { strengthening, law, space, moving, .. } in &self.changing {
             let q = g.tr_mul(space);
             power += strengthening.value(&q) + law.change(&q, &g.tr_mul(moving));
         }
-        power
+        Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)) }
     }
 
-    /// Refuses an attitude at which the potential has lost its meaning.
+    /// Refuses a time that the drive does not know, and an attitude at which the potential has lost its meaning.
     pub(crate) fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
+        if let Some(refused) = &self.refused {
+            return Err(refused.clone());
+        }
         self.body.check_distances_at(g)
     }
 
@@ -445,7 +503,8 @@ impl<const N: usize> RigidBody<N> {
             }
             other => other.clone(),
         };
-        Moment { body, torques: self.driven.torques.iter().map(now).collect(), changing }
+        let refused = self.driven.check(t).err();
+        Moment { body, torques: self.driven.torques.iter().map(now).collect(), changing, refused }
     }
 
     /// The body at the nodes of a step from `t`, and at its end.

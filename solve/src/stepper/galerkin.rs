@@ -29,7 +29,7 @@ use std::any::Any;
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, Moment, Rescaled, RigidBody, Scale};
+use crate::hamiltonian::{CLOSEST_APPROACH, Input, Moment, Rescaled, RigidBody, Scale};
 use crate::lanes::Real;
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
@@ -438,9 +438,9 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// What a driven body's motion has put into its energy in a step of length `h`: `h sum_k b_k power_k`.
-    pub(super) fn work(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> f64 {
-        let mut work = 0.0;
+    /// What went into a driven body in a step of length `h`: `h sum_k b_k input_k`.
+    pub(super) fn put_in(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> Input<N> {
+        let mut put_in = Input::default();
         for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
             let (mu, omega) = match (self.solution.by, &self.collocation, &self.in_vectors) {
                 (By::Matrices, Some(collocation), _) => (
@@ -454,9 +454,9 @@ impl<const N: usize> GalerkinStep<N> {
                 _ => (self.stages[k].mu, self.stages[k].omega),
             };
             let g = so::product(g0, &self.attitude(k));
-            work += h * self.tableau.b(k) * moment.power(&g, &mu, &omega);
+            put_in.add(h * self.tableau.b(k), &moment.input(&g, &mu, &omega));
         }
-        work
+        put_in
     }
 
     /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`.

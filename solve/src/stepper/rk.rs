@@ -15,7 +15,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{Input, RigidBody};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
 use crate::stepper::{Clock, Stepper};
@@ -32,7 +32,7 @@ pub struct Rk<const N: usize> {
     /// g' and mu' of each stage.
     rates: Vec<(Mat<N>, Mat<N>)>,
     seen: Vec<Vector<N>>,
-    clock: Clock,
+    clock: Clock<N>,
 }
 
 impl<const N: usize> Rk<N> {
@@ -123,10 +123,14 @@ impl<const N: usize> Stepper<N> for Rk<N> {
         self.clock.work
     }
 
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.clock.impulse.value)
+    }
+
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), &mut self.seen);
-        let mut work = 0.0;
+        let mut put_in = Input::default();
         for i in 0..self.tableau.stages() {
             let State { attitude: g, momentum: mu } =
                 self.at(Some(i), |j| h * self.tableau.a(i, j))?;
@@ -141,7 +145,8 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             }
             let rate = match &moment {
                 Some(moment) => {
-                    work += h * self.tableau.b(i) * moment.power(&g, &mu, &omega);
+                    body.count(1);
+                    put_in.add(h * self.tableau.b(i), &moment.input(&g, &mu, &omega));
                     moment.momentum_rate(&g, &mu, &omega)
                 }
                 None => body.momentum_rate(&g, &mu, &omega, &self.seen),
@@ -164,7 +169,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             end.attitude = factor;
         }
         self.state = end;
-        self.clock.advance(h, work);
+        self.clock.advance(h, &put_in);
         Ok(Convergence::EXPLICIT)
     }
 

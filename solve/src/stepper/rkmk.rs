@@ -17,7 +17,7 @@
 //! Invariant: the attitude is on the group to round-off. The method is not symplectic and not symmetric.
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{Input, RigidBody};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
 use crate::stepper::{Clock, Stepper};
@@ -36,7 +36,7 @@ pub struct Rkmk<const N: usize> {
     /// k_i and l_i.
     rates: Vec<(Mat<N>, Mat<N>)>,
     seen: Vec<Vector<N>>,
-    clock: Clock,
+    clock: Clock<N>,
 }
 
 impl<const N: usize> Rkmk<N> {
@@ -105,10 +105,14 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         self.clock.work
     }
 
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.clock.impulse.value)
+    }
+
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&self.state.attitude, &mut self.seen);
-        let mut work = 0.0;
+        let mut put_in = Input::default();
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
             let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
@@ -121,7 +125,8 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
             let k = self.dexpinv(&sigma, &omega);
             let rate = match &moment {
                 Some(moment) => {
-                    work += h * self.tableau.b(i) * moment.power(&g(), &mu, &omega);
+                    body.count(1);
+                    put_in.add(h * self.tableau.b(i), &moment.input(&g(), &mu, &omega));
                     moment.momentum_rate(&g(), &mu, &omega)
                 }
                 None => body.momentum_rate(&u, &mu, &omega, &self.seen),
@@ -132,7 +137,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         // The product drifts off the group like any product; one correction in space puts it back.
         let attitude = so::orthonormalised(&(self.state.attitude * f));
         self.state = State { attitude, momentum };
-        self.clock.advance(h, work);
+        self.clock.advance(h, &put_in);
         Ok(Convergence::EXPLICIT)
     }
 

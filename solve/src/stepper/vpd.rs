@@ -96,7 +96,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
         match (self.system.as_body(), self.moments.get(k)) {
-            (_, Some(moment)) => Some(moment.gradient(&so::product(self.g0, u), &mu(), omega)),
+            (body, Some(moment)) => {
+                body.inspect(|body| body.count(1));
+                Some(moment.gradient(&so::product(self.g0, u), &mu(), omega))
+            }
             (Some(body), None) => (!body.is_free()).then(|| body.gradient(u, self.seen)),
             (None, None) => Some(self.system.gradient(&so::product(self.g0, u), &mu())),
         }
@@ -149,6 +152,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
 
     fn work(&self) -> f64 {
         self.carried.work()
+    }
+
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.carried.impulse())
     }
 
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {

@@ -89,7 +89,10 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
         Some(match (self.body, self.moments.get(k)) {
-            (_, Some(moment)) => moment.gradient(&(self.g0 * u), &mu(), omega),
+            (_, Some(moment)) => {
+                self.lagrangian.as_body().inspect(|body| body.count(1));
+                moment.gradient(&(self.g0 * u), &mu(), omega)
+            }
             (Some(body), None) => body.gradient(u, self.seen),
             // dH/dg = -dL/dg
             (None, None) => -self.lagrangian.force(&(self.g0 * u), omega),
@@ -124,6 +127,10 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<
 
     fn work(&self) -> f64 {
         self.carried.work()
+    }
+
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.carried.impulse())
     }
 
     /// # Errors

@@ -26,7 +26,7 @@
 use nalgebra::Vector3;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{Moment, RigidBody};
+use crate::hamiltonian::{Input, Moment, RigidBody};
 use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::stepper::{Clock, Stepper, check_root};
@@ -49,7 +49,7 @@ pub struct Vrkmk<const N: usize> {
     /// In space, skew.
     momentum: Mat<N>,
     space: Vec<Vector<N>>,
-    clock: Clock,
+    clock: Clock<N>,
     unknowns: Unknowns<N>,
 }
 
@@ -84,8 +84,8 @@ struct Stage<const N: usize, A> {
     load: A,
     /// Attitude G_i.
     g: Mat<N>,
-    /// Of a driven body, what goes into its energy there.
-    power: f64,
+    /// Of a driven body, what goes into it there.
+    input: Input<N>,
 }
 
 impl<const N: usize> Vrkmk<N> {
@@ -152,6 +152,10 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         self.clock.work
     }
 
+    fn impulse(&self) -> Option<Mat<N>> {
+        Some(self.clock.impulse.value)
+    }
+
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         // Attitudes of the stages are absolute: the potential is seen from space.
         body.seen_from(&Mat::identity(), &mut self.space);
@@ -171,11 +175,11 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         }
         self.attitude = attitude;
         self.momentum = m1;
-        let work = match &self.unknowns {
-            Unknowns::Vector(stages) => stages.work(&self.tableau, h),
-            Unknowns::Bracket(stages) => stages.work(&self.tableau, h),
+        let put_in = match &self.unknowns {
+            Unknowns::Vector(stages) => stages.put_in(&self.tableau, h),
+            Unknowns::Bracket(stages) => stages.put_in(&self.tableau, h),
         };
-        self.clock.advance(h, work);
+        self.clock.advance(h, &put_in);
         Ok(convergence)
     }
 
@@ -189,15 +193,19 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
 }
 
 impl<const N: usize, A: Skew<N>> Stages<N, A> {
-    /// What a driven body's motion has put into its energy.
-    fn work(&self, tableau: &Tableau, h: f64) -> f64 {
-        let work = |(k, stage): (usize, &Stage<N, A>)| h * tableau.b(k) * stage.power;
-        self.stages.iter().enumerate().map(work).sum()
+    /// What went into a driven body in the step.
+    fn put_in(&self, tableau: &Tableau, h: f64) -> Input<N> {
+        let mut put_in = Input::default();
+        for (k, stage) in self.stages.iter().enumerate() {
+            put_in.add(h * tableau.b(k), &stage.input);
+        }
+        put_in
     }
 
     fn new(stages: usize, q: usize) -> Self {
         let zero = A::zero();
-        let stage = Stage { k: zero, p: zero, load: zero, g: Mat::identity(), power: 0.0 };
+        let (g, input) = (Mat::identity(), Input::default());
+        let stage = Stage { k: zero, p: zero, load: zero, g, input };
         let chains = Chains::new(q);
         Self { stages: vec![stage; stages], chains, y: zero, n: zero }
     }
@@ -279,8 +287,9 @@ impl<const N: usize> Step<'_, N> {
             let (xi, f) = match moments.get(i) {
                 None => slopes(body, &stage.g, &m),
                 Some(moment) => {
-                    let (slopes, power) = driven_slopes(moment, &stage.g, &m);
-                    stage.power = power;
+                    body.count(1);
+                    let (slopes, input) = driven_slopes(moment, &stage.g, &m);
+                    stage.input = input;
                     slopes
                 }
             };
@@ -321,8 +330,8 @@ struct Sweeps<'a, 'b, const N: usize, A> {
 impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
     fn guess(&mut self) -> Result<(), Failure> {
         for stage in &mut self.unknowns.stages {
-            *stage =
-                Stage { k: *self.xi, p: *self.m0, load: A::zero(), g: *self.step.g0, power: 0.0 };
+            let (load, input) = (A::zero(), Input::default());
+            *stage = Stage { k: *self.xi, p: *self.m0, load, g: *self.step.g0, input };
         }
         Ok(())
     }
@@ -371,17 +380,17 @@ fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) ->
     (xi, -(xi.bracket(m) + A::from_matrix(&body.spatial_gradient(g))))
 }
 
-/// The same of a driven body at a moment, and its power.
+/// The same of a driven body at a moment, and what goes in.
 fn driven_slopes<const N: usize, A: Skew<N>>(
     moment: &Moment<N>,
     g: &Mat<N>,
     m: &A,
-) -> ((A, A), f64) {
+) -> ((A, A), Input<N>) {
     let mu = m.turned_back(g).matrix();
     let body_omega = moment.body.velocity(&mu);
     let xi = A::from_matrix(&body_omega).turned(g);
     let f = A::from_matrix(&moment.spatial_gradient(g, &mu, &body_omega));
-    ((xi, -(xi.bracket(m) + f)), moment.power(g, &mu, &body_omega))
+    ((xi, -(xi.bracket(m) + f)), moment.input(g, &mu, &body_omega))
 }
 
 #[cfg(test)]

@@ -2,7 +2,10 @@
 
 use std::time::Instant;
 
-use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
+use vpd_solve::failure::FailureCode;
+use vpd_solve::hamiltonian::{
+    DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Table, Term, TimeScale, Torque,
+};
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
@@ -24,27 +27,27 @@ use crate::laws::{advance, body};
 use crate::verification::trend;
 
 /// Makes a fresh stepper.
-type Make<const N: usize> = Box<dyn Fn() -> Box<dyn Stepper<N>>>;
+pub(crate) type Make<const N: usize> = Box<dyn Fn() -> Box<dyn Stepper<N>>>;
 
 /// A method: what is made of it in each dimension, and what is expected.
-struct Method {
-    name: &'static str,
-    order: f64,
-    three: Make<3>,
+pub(crate) struct Method {
+    pub(crate) name: &'static str,
+    pub(crate) order: f64,
+    pub(crate) three: Make<3>,
     /// n = 4 and 5, where the method runs there.
-    beyond: Option<(Make<4>, Make<5>)>,
+    pub(crate) beyond: Option<(Make<4>, Make<5>)>,
     /// Numbers of steps between which the order is measured: the dipole, half a second; and a body with one
     /// term of each kind, one second. The same number twice: too accurate for a slope, the error alone counts.
     steps: [[usize; 2]; 2],
     /// Is a step of -h the inverse of a step of h?
-    symmetric: bool,
+    pub(crate) symmetric: bool,
     /// Is the method for free bodies only?
     free: bool,
     /// The largest orthogonality error of the attitude after the runs for the order, times 1e-16;
     /// `None` where it leaves the group.
     on_group: Option<f64>,
     /// How near its slope comes to its order above round-off.
-    slope: f64,
+    pub(crate) slope: f64,
 }
 
 impl Method {
@@ -72,6 +75,16 @@ impl Method {
 
     fn drifts_off_the_group_by_round_off(self) -> Self {
         Self { on_group: Some(300.0), ..self }
+    }
+
+    /// Can it run what changes with time or is pushed?
+    pub(crate) fn can_be_driven(&self) -> bool {
+        self.beyond.is_some() && !self.free && !self.name.starts_with("vpd_adaptive")
+    }
+
+    /// Does it come of a variational principle?
+    pub(crate) fn is_variational(&self) -> bool {
+        self.name.starts_with('v')
     }
 
     /// The eighth order of twelve stages meets round-off before its slope is straight.
@@ -116,7 +129,7 @@ fn to_round_off() -> StopRule {
 
 /// The table. A new method is one row.
 #[rustfmt::skip]
-fn methods() -> Vec<Method> {
+pub(crate) fn methods() -> Vec<Method> {
     vec![
         any_n!("vpd gauss 1", 2, [[32, 256], [10, 80]], Vpd::new(gauss(1), to_round_off())).symmetric(),
         any_n!("vpd gauss 2", 4, [[8, 128], [10, 40]], Vpd::new(gauss(2), to_round_off())),
@@ -324,12 +337,42 @@ fn failed_steps_leave_the_state_alone() {
         law: Law::PointSource { strength: 1.0, body_point: at_the_charge },
         space: at_the_charge,
     };
-    let met = RigidBody::<3>::new(Kinetic::Principal { weights }, vec![charge], 0.0);
+    let met = RigidBody::<3>::new(Kinetic::Principal { weights }, vec![charge.clone()], 0.0);
     let free = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+    let plane = [at_the_charge, Vector::<3>::new(1.0, 0.0, 0.0)];
+    let moving = free.clone().with_driven_term(DrivenTerm {
+        term: charge,
+        path: Path::Turning { plane, rate: 1.0 },
+        factor: Factor::Constant,
+    });
+    // Known until the middle of the step.
+    let table = Table { times: vec![-1.0, 0.02], values: vec![[1.0], [2.0]], smooth: true };
+    let late = free.clone().with_torque(Torque::Table {
+        along: so::hat(&[0.0, 0.0, 1.0]),
+        in_space: true,
+        table,
+    });
+    let law = Law::GravityGradient { strength: 1.0, matrix: Mat::from_diagonal_element(1.0) };
+    let open = free.clone().with_driven_term(DrivenTerm {
+        term: Term { law, space: at_the_charge },
+        path: Path::Orbit {
+            across: plane[1],
+            mean_motion: 1.0,
+            eccentricity: 1.0,
+            mean_anomaly: 0.5,
+        },
+        factor: Factor::Constant,
+    });
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.3, -0.2, 0.5]) };
     let huge = State { attitude: Mat::identity(), momentum: so::hat(&[1e200, -1e200, 1e200]) };
     for method in methods() {
         let cases = [("a charge met", &met, &start, 0.0), ("overflow", &free, &huge, 1e120)];
+        let driven = [
+            ("a moving charge met", &moving, &start, 0.0),
+            ("a table read outside", &late, &start, 0.1),
+            ("an open orbit", &open, &start, 0.1),
+        ];
+        let cases = cases.into_iter().chain(driven.into_iter().filter(|_| method.can_be_driven()));
         for (what, body, start, h) in cases {
             if method.free && !body.is_free() {
                 continue;
@@ -340,6 +383,11 @@ fn failed_steps_leave_the_state_alone() {
             let failure = stepper.step(body, h).expect_err(method.name);
             assert_eq!((stepper.attitude(), stepper.momentum()), before, "{}", method.name);
             println!("{}, {what}: {}", method.name, failure.code);
+            match what {
+                "a table read outside" => assert_eq!(failure.code, FailureCode::OutsideTable),
+                "an open orbit" => assert_eq!(failure.code, FailureCode::OpenOrbit),
+                _ => {}
+            }
         }
     }
 }

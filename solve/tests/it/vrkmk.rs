@@ -403,7 +403,12 @@ fn schemes<const N: usize>() -> [(&'static str, Constructor<N>, bool); 6] {
 }
 
 /// Holds every scheme against its row of the table, with several tableaux.
-fn check_symplecticity<const N: usize>(body: &RigidBody<N>, start: &State<N>, h: f64, e: f64) {
+pub(crate) fn check_symplecticity<const N: usize>(
+    body: &RigidBody<N>,
+    start: &State<N>,
+    h: f64,
+    e: f64,
+) {
     for (name, constructor, symplectic) in schemes::<N>() {
         for tableau in [gauss(1), Tableau::rk3(), gauss(2), gauss(3), Tableau::rk4()] {
             let stages = tableau.stages();

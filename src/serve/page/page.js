@@ -98,6 +98,8 @@ function facts({ plan, summary, attempts }) {
     add("reason", formulation.why);
     add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
     add("energy error", plan.balance);
+    add("momentum drift", plan.momentum_balance);
+    add("Jacobi error", plan.jacobi_integral);
     (plan.warnings ?? []).forEach(warning => add("warning", warning));
   }
   if (summary) {

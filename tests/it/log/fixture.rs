@@ -131,6 +131,8 @@ pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<3> {
         orthogonality_error: None,
         spatial_momentum: None,
         jacobi_error: None,
+        work: None,
+        impulse: None,
         momentum_drift: None,
         convergence: None,
         sigma_min: None,

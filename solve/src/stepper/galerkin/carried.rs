@@ -17,7 +17,7 @@ use crate::trajectory::State;
 pub(in crate::stepper) struct Carried<const N: usize> {
     pub(in crate::stepper) step: GalerkinStep<N>,
     pub(in crate::stepper) motion: Motion<N>,
-    clock: Clock,
+    clock: Clock<N>,
     /// Of a driven body, at the stages and the end of the step.
     pub(in crate::stepper) moments: Vec<Moment<N>>,
     /// The space vectors of the potential, from where the step begins.
@@ -51,6 +51,11 @@ impl<const N: usize> Carried<N> {
     /// As [`crate::stepper::Stepper::work`].
     pub(in crate::stepper) fn work(&self) -> f64 {
         self.clock.work
+    }
+
+    /// As [`crate::stepper::Stepper::impulse`].
+    pub(in crate::stepper) fn impulse(&self) -> Mat<N> {
+        self.clock.impulse.value
     }
 
     /// Looks at `body` over a step of length `h`: moment by moment if it is driven.
@@ -89,8 +94,8 @@ impl<const N: usize> Carried<N> {
     /// Goes on by the step that was solved.
     fn advance(&mut self, h: f64) {
         if !self.moments.is_empty() {
-            let work = self.step.work(h, &self.moments, self.motion.attitude());
-            self.clock.advance(h, work);
+            let put_in = self.step.put_in(h, &self.moments, self.motion.attitude());
+            self.clock.advance(h, &put_in);
         }
         self.motion.advance(self.step.solution());
     }
