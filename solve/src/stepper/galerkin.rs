@@ -52,6 +52,8 @@ pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 const MODEST_STRETCH: f64 = 0.5;
 /// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: there `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
 const MODEST_TURN: f64 = 1.0;
+/// What f of a solved step may differ from a rotation.
+const MOST_OFF_THE_GROUP: f64 = 1e-9;
 /// What a sweep over all unknowns takes, in rounds of the collocation: it is where that leads nowhere.
 const ROUNDS_OF_A_SWEEP: u32 = 4;
 /// Minus the square of the relative distance to a point of the potential that is near.
@@ -171,6 +173,12 @@ enum By {
 }
 
 impl<const N: usize> Solution<N> {
+    /// How far f is from a rotation: the largest entry of `f^T f - I`.
+    fn off_the_group(&self) -> f64 {
+        let turn = &self.turn;
+        (turn + turn.transpose() + so::transposed_product(turn, turn)).amax()
+    }
+
     /// Refuses what is not a number.
     fn checked(&self) -> Result<(), Failure> {
         let finite = self.turn.iter().chain(&self.impulse).all(|x| x.is_finite());
@@ -299,7 +307,14 @@ impl<const N: usize> GalerkinStep<N> {
             Ok(convergence) => {
                 self.check(dynamics)?;
                 (self.solution.turn, self.solution.impulse) = self.changes(dynamics, h);
-                self.solution.checked().map(|()| convergence)
+                self.solution.checked()?;
+                // Where the equations have no solution nearby Newton's method may stop at what is none.
+                let defect = self.solution.off_the_group();
+                if defect <= MOST_OFF_THE_GROUP {
+                    Ok(convergence)
+                } else {
+                    Err(Failure::new(FailureCode::Diverged, None, defect, MOST_OFF_THE_GROUP))
+                }
             }
             // A charge that was met explains a failed iteration better than the iteration does.
             Err(failure) => Err(match self.check_dynamics(dynamics) {

@@ -46,6 +46,8 @@ const TORQUE_CONTRACTION: f64 = 0.02;
 const ENOUGH: f64 = 1e-15;
 /// What a step that went astray may leave of S.
 const LEAST: f64 = 0.25;
+/// So many torques, or evaluations, and a step that does not converge is left.
+const PATIENCE: u32 = 6;
 /// From so many stages on the stretch of the end is nothing.
 const MANY: usize = 5;
 
@@ -320,7 +322,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let mut last = f64::INFINITY;
         for evaluation in 1..=MOST_ROUNDS {
             let jump = self.evaluate()?;
-            if !(jump <= 1.0) {
+            if !(jump <= 1.0) || (evaluation > PATIENCE && jump > last.max(1e-12)) {
                 break;
             }
             let left = evaluations.left(jump);
@@ -334,7 +336,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             // Of few stages the first evaluation is not yet sure of its order.
             let is_sure = stages >= 4 || evaluation > 1;
             if (is_sure && left <= ROUND_OFF) || is_rounding(jump, last) {
-                let increment = self.finish(jump)?;
+                let increment = self.finish(turn, jump)?;
                 let lanes = self.lanes;
                 return Ok(lanes.vectorized(
                     #[inline(always)]
@@ -472,8 +474,11 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     /// Collocation, until what is left is smaller than the defects are. Returns the largest turn of a velocity over the step.
     fn collocate(&mut self) -> Result<f64, Stuck> {
         let mut last = f64::INFINITY;
-        for _ in 0..MOST_ROUNDS {
-            self.transported();
+        for torques in 0..MOST_ROUNDS {
+            // Where forces follow the motion a round renews them.
+            if !self.follows {
+                self.transported();
+            }
             let first = self.round();
             let turn = self.turn();
             let enough = (0.1 * self.given.tableau.order_of_defect(turn)).max(ENOUGH);
@@ -486,7 +491,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
                 change = self.round();
                 of_rounds = rounds.left(change);
             }
-            if !(change <= 2.0) {
+            if !(change <= 2.0) || (torques > PATIENCE && first > 0.5 * last) {
                 break;
             }
             // What rounds leave, and torques.
@@ -629,15 +634,17 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 
     /// Rounds with new forces, until these change nothing, and the end point.
-    fn finish(&mut self, jump: f64) -> Result<f64, Stuck> {
+    fn finish(&mut self, turn: f64, jump: f64) -> Result<f64, Stuck> {
         let contraction = if self.follows { 3.0 } else { 1.0 } * TORQUE_CONTRACTION;
         let mut forces = Rounds::new(contraction, jump);
         let mut last = f64::INFINITY;
         for _ in 0..MOST_ROUNDS {
             self.look()?;
-            self.transported();
+            if !self.follows {
+                self.transported();
+            }
             let change = self.round();
-            if self.follows {
+            if self.follows && change * of_round(turn) > ROUND_OFF {
                 self.round();
             }
             if !(change <= 1.0) {
