@@ -20,18 +20,16 @@ mod potential;
 mod rescaled;
 mod term;
 mod torque;
-mod views;
 
 use driven::Driven;
 pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
 pub(crate) use driven::{Input, Moment, Time};
 use potential::Own;
 pub use potential::Potential;
-pub(crate) use rescaled::{AtStages, Scale};
+pub(crate) use rescaled::{AtStages, Looked, Scale};
 pub use rescaled::{Rescaled, TimeScale};
 pub use term::{Law, Term};
 pub(crate) use torque::{Terms, Torques};
-pub(crate) use views::{Looked, Views, wheels};
 
 /// A Hamiltonian H(g, mu) by its two derivatives, for [`crate::stepper::vpd::Vpd`].
 ///
@@ -384,6 +382,11 @@ impl<const N: usize> Hamiltonian<N> for RigidBody<N> {
 }
 
 impl RigidBody<3> {
+    /// The wheels as a vector, in kg m^2/s.
+    pub(crate) fn wheels(&self) -> Option<[f64; 3]> {
+        self.wheels.as_ref().map(|wheels| super::so3::vector(wheels).into())
+    }
+
     /// J^-1, the inverse of the inertia tensor: `vee(Omega) = J^-1 vee(mu)`.
     pub fn inverse_inertia(&self) -> Matrix3<f64> {
         match &self.kinetic {

@@ -159,8 +159,8 @@ pub enum Torque<const N: usize> {
 /// What of a body changes with time, or pushes it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Driven<const N: usize> {
-    pub(super) terms: Vec<DrivenTerm<N>>,
-    pub(super) torques: Vec<Torque<N>>,
+    terms: Vec<DrivenTerm<N>>,
+    torques: Vec<Torque<N>>,
 }
 
 impl<const N: usize> Driven<N> {
@@ -229,8 +229,8 @@ impl<const N: usize> Driven<N> {
 pub(crate) struct Moment<const N: usize> {
     /// Its potential as it is then.
     pub(crate) body: RigidBody<N>,
-    pub(super) torques: Vec<Torque<N>>,
-    pub(super) changing: Vec<Changing<N>>,
+    torques: Vec<Torque<N>>,
+    changing: Vec<Changing<N>>,
     /// Why there is no such moment.
     refused: Option<Failure>,
 }
@@ -256,13 +256,11 @@ impl<const N: usize> Input<N> {
 
 /// A driven term then.
 #[derive(Clone, Debug)]
-pub(super) struct Changing<const N: usize> {
-    /// What its strength is multiplied by.
-    pub(super) factor: f64,
+struct Changing<const N: usize> {
     /// The law with the rate of its strength in the place of that.
     strengthening: Law<N>,
     law: Law<N>,
-    pub(super) space: Vector<N>,
+    space: Vector<N>,
     /// The rate of the space vector.
     moving: Vector<N>,
 }
@@ -370,13 +368,7 @@ impl<const N: usize> DrivenTerm<N> {
             }
         };
         let law = |factor: f64| self.term.law.times(factor);
-        Changing {
-            factor: strength,
-            strengthening: law(strengthening),
-            law: law(strength),
-            space,
-            moving,
-        }
+        Changing { strengthening: law(strengthening), law: law(strength), space, moving }
     }
 }
 
@@ -434,7 +426,7 @@ impl<const N: usize> Moment<N> {
     pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Input<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
-        for Changing { strengthening, law, space, moving, .. } in &self.changing {
+        for Changing { strengthening, law, space, moving } in &self.changing {
             let q = g.tr_mul(space);
             power += strengthening.value(&q) + law.change(&q, &g.tr_mul(moving));
         }

@@ -24,7 +24,8 @@ use super::{Energy, Hamiltonian, RigidBody};
 use crate::failure::Failure;
 use crate::lanes::Stages;
 use crate::so::Mat;
-use crate::stack::{Dimension, Stack};
+use crate::space::{Mat3, Vec3, cross, dot, minus, plus, scaled, transposed_product, vec3};
+use crate::stack::{Dimension, Known, Stack};
 use crate::system::System;
 
 /// sigma(g), a function of the distances to the point sources of a body.
@@ -151,6 +152,61 @@ pub(crate) struct Scale<'a> {
 impl<'a, const N: usize> From<&Rescaled<'a, N>> for Scale<'a> {
     fn from(of: &Rescaled<'a, N>) -> Self {
         Self { near_m: &of.scale.near_m, energy: of.energy - of.body.constant }
+    }
+}
+
+/// The same in vectors, for n = 3: what the attitudes of the stages say.
+pub(crate) struct Looked<R> {
+    /// vee(dH/dg).
+    pub(crate) torque: Vec3<R>,
+    /// As of [`RigidBody::torque`].
+    pub(crate) nearness: R,
+    /// The potential energy less its constant.
+    pub(crate) potential: R,
+    /// `S = 1 + sum (near / d)^3`.
+    pub(crate) sum: R,
+    /// vee(dS/dg).
+    pub(crate) of_sum: Vec3<R>,
+}
+
+impl RigidBody<3> {
+    /// Looks from the attitudes `g0 U`, with the space vectors `seen` from g0.
+    #[inline(always)]
+    pub(crate) fn look<R: Stages<Whole = f64>>(
+        &self,
+        scale: &Scale<'_>,
+        u: &Mat3<R>,
+        seen: &[Vec3<f64>],
+    ) -> Looked<R> {
+        let lanes = u[0][0];
+        let zero = lanes.constant(0.0);
+        let mut looked = Looked {
+            torque: [zero; 3],
+            nearness: lanes.constant(-1.0),
+            potential: zero,
+            sum: lanes.constant(1.0),
+            of_sum: [zero; 3],
+        };
+        let terms = self.terms.iter().zip(&self.reaches).zip(scale.near_m);
+        for (((term, reach), near), v) in terms.zip(seen) {
+            let v: Vec3<R> = vec3!(i => lanes.spread(v[i]));
+            let q = transposed_product(u, &v);
+            let in_lanes = Lanes { dimension: Known::<3>, numbers: q };
+            let law = term.law.numbers();
+            let slope = law.slope(&in_lanes, *reach, &mut looked.nearness).numbers;
+            looked.torque = plus(&looked.torque, &cross(&slope, &q));
+            looked.potential = looked.potential + law.value(&in_lanes);
+            if let Law::PointSource { body_point, .. } = &term.law {
+                // dS/dq = 3 near^3 y / d^5, up to multiples of q
+                let y: Vec3<R> = vec3!(i => lanes.constant(body_point[i]));
+                let arm = minus(&y, &q);
+                let square = dot(&arm, &arm);
+                let cube = lanes.constant(near * near * near) / (square * square.sqrt());
+                looked.sum = looked.sum + cube;
+                looked.of_sum = plus(&looked.of_sum, &scaled(&cross(&y, &q), cube / square * 3.0));
+            }
+        }
+        looked
     }
 }
 

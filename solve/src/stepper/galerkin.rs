@@ -82,11 +82,6 @@ pub(super) trait Dynamics<const N: usize> {
         None
     }
 
-    /// The same whatever drives it, from the attitude where the step begins; unless a potential of one's own acts.
-    fn solid(&self) -> Option<Solid<'_, N>> {
-        None
-    }
-
     /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
     fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
@@ -98,16 +93,6 @@ pub(super) struct Seen<'a, const N: usize> {
     pub(super) body: &'a RigidBody<N>,
     /// The space vectors of its potential, as seen from g0.
     pub(super) vectors: &'a [Vector<N>],
-    /// Of one in a time of its own.
-    pub(super) scale: Option<Scale<'a>>,
-}
-
-/// A rigid body, and what drives it.
-pub(super) struct Solid<'a, const N: usize> {
-    pub(super) body: &'a RigidBody<N>,
-    pub(super) g0: &'a Mat<N>,
-    /// Of a driven one, at the stages and the end of the step.
-    pub(super) moments: &'a Vec<Moment<N>>,
     /// Of one in a time of its own.
     pub(super) scale: Option<Scale<'a>>,
 }
@@ -140,7 +125,7 @@ pub(super) struct GalerkinStep<const N: usize> {
     solver: Solver,
     /// The quick way, of a tableau that has it.
     collocation: Option<Collocation>,
-    /// The same for a rigid body with n = 3.
+    /// The same for a rigid body with n = 3 in a time of its own.
     in_vectors: Option<InVectors>,
     /// The steps before, if they show where the next one leads.
     past: Option<Past>,
@@ -163,13 +148,21 @@ pub(super) struct Solution<const N: usize> {
 }
 
 /// What solved a step.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 enum By {
     Sweeps,
     /// [`Collocation`].
     Matrices,
     /// [`InVectors`].
     Vectors,
+}
+
+/// Where the solution of a step stands.
+enum Found<'a> {
+    /// In the stages of [`GalerkinStep`].
+    Sweeps,
+    Matrices(&'a Collocation),
+    Vectors(&'a InVectors),
 }
 
 impl<const N: usize> Solution<N> {
@@ -337,9 +330,11 @@ impl<const N: usize> GalerkinStep<N> {
         p0: &Mat<N>,
         omega: &Mat<N>,
     ) -> Result<Option<Convergence>, Failure> {
-        let solved = match self.in_vectors(dynamics, length, p0, omega) {
-            Some(solved) => solved,
-            None => self.in_matrices(dynamics, length, p0, omega),
+        let in_vectors = self.in_vectors(dynamics, length, p0, omega);
+        let solved = match in_vectors.unwrap_or(Err(Stuck::Lost)) {
+            // Not of a body, or lost there: matrices go a little further.
+            Err(Stuck::Lost) => self.in_matrices(dynamics, length, p0, omega),
+            solved => solved,
         };
         let solved = match solved {
             Ok(solved) => solved,
@@ -365,7 +360,7 @@ impl<const N: usize> GalerkinStep<N> {
         Ok(Some(Convergence { iterations, increment, rung: Rung::FixedPoint }))
     }
 
-    /// Solves the step of a rigid body for n = 3 in vectors; `None` of anything else.
+    /// Solves the step of a rigid body for n = 3 in a time of its own in vectors; `None` of anything else.
     fn in_vectors(
         &mut self,
         dynamics: &dyn Dynamics<N>,
@@ -374,16 +369,15 @@ impl<const N: usize> GalerkinStep<N> {
         omega: &Mat<N>,
     ) -> Option<Result<Solved, Stuck>> {
         let in_vectors = self.in_vectors.as_mut()?;
-        let Solid { body, g0, moments, scale } = dynamics.solid()?;
-        let source = vectors::Source {
-            body: for_three(body)?,
-            g0: for_three(g0)?,
-            moments: for_three::<_, Vec<Moment<3>>>(moments)?,
-            scale,
-        };
+        let Seen { body, vectors, scale } = dynamics.body()?;
+        let (body, scale) = (for_three::<_, RigidBody<3>>(body)?, scale?);
+        if body.has_own() {
+            return None;
+        }
         let vee = |x: &Mat<N>| [x[(2, 1)], x[(0, 2)], x[(1, 0)]];
         let start = vectors::Start { h, lasting, momentum: vee(p0), velocity: vee(omega) };
-        let solved = in_vectors.solve(&start, &source);
+        let seen = vectors.iter().map(|v| [v[0], v[1], v[2]]);
+        let solved = in_vectors.solve(&start, body, seen, scale);
         if let Ok(solved) = &solved {
             let change = in_vectors.change(self.stages.len());
             self.solution = Solution {
@@ -439,17 +433,26 @@ impl<const N: usize> GalerkinStep<N> {
         &self.solution
     }
 
+    /// Where it stands.
+    fn found(&self) -> Found<'_> {
+        match (self.solution.by, &self.collocation, &self.in_vectors) {
+            (By::Matrices, Some(collocation), _) => Found::Matrices(collocation),
+            (By::Vectors, _, Some(in_vectors)) => Found::Vectors(in_vectors),
+            _ => Found::Sweeps,
+        }
+    }
+
     /// U_k, or f after the last stage.
     fn attitude(&self, k: usize) -> Mat<N> {
-        match (self.solution.by, &self.collocation, &self.in_vectors) {
-            (By::Matrices, Some(collocation), _) => {
+        match self.found() {
+            Found::Matrices(collocation) => {
                 Mat::identity() + Mat::from_fn(|i, j| collocation.change(k, i * N + j))
             }
-            (By::Vectors, _, Some(in_vectors)) => {
+            Found::Vectors(in_vectors) => {
                 let change = in_vectors.change(k);
                 Mat::identity() + Mat::from_fn(|i, j| change[(i, j)])
             }
-            _ => self.stages.get(k).map_or(self.end.f, |stage| stage.u),
+            Found::Sweeps => self.stages.get(k).map_or(self.end.f, |stage| stage.u),
         }
     }
 
@@ -457,16 +460,16 @@ impl<const N: usize> GalerkinStep<N> {
     pub(super) fn put_in(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> Input<N> {
         let mut put_in = Input::default();
         for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
-            let (mu, omega) = match (self.solution.by, &self.collocation, &self.in_vectors) {
-                (By::Matrices, Some(collocation), _) => (
+            let (mu, omega) = match self.found() {
+                Found::Matrices(collocation) => (
                     Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
                     Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
                 ),
-                (By::Vectors, _, Some(in_vectors)) => {
+                Found::Vectors(in_vectors) => {
                     let [mu, omega] = in_vectors.motion(k);
                     (so::hat(&mu), so::hat(&omega))
                 }
-                _ => (self.stages[k].mu, self.stages[k].omega),
+                Found::Sweeps => (self.stages[k].mu, self.stages[k].omega),
             };
             let g = so::product(g0, &self.attitude(k));
             put_in.add(h * self.tableau.b(k), &moment.input(&g, &mu, &omega));
@@ -478,10 +481,10 @@ impl<const N: usize> GalerkinStep<N> {
     pub(super) fn lasted(&self, system: &Rescaled<'_, N>, g0: &Mat<N>) -> f64 {
         let in_lanes = system.body.principal().is_some() && !system.body.has_own();
         let sigma = |k: usize| {
-            let seen = match (self.solution.by, &self.collocation, &self.in_vectors) {
-                (By::Matrices, Some(collocation), _) if in_lanes => collocation.sigma(k),
-                (By::Vectors, _, Some(in_vectors)) => Some(in_vectors.sigma(k)),
-                _ => None,
+            let seen = match self.found() {
+                Found::Matrices(collocation) if in_lanes => collocation.sigma(k),
+                Found::Vectors(in_vectors) => Some(in_vectors.sigma(k)),
+                Found::Matrices(_) | Found::Sweeps => None,
             };
             seen.unwrap_or_else(|| system.sigma(&so::product(g0, &self.attitude(k))))
         };
@@ -500,16 +503,14 @@ impl<const N: usize> GalerkinStep<N> {
 
     /// The smallest singular value of the interpolated matrix of stage `k`, or of the end after the last.
     fn smallest_singular_value(&self, k: usize) -> f64 {
-        match (self.solution.by, &self.collocation, &self.in_vectors) {
-            (By::Vectors, _, Some(in_vectors)) => {
-                1.0 + so::smallest_eigenvalue(&in_vectors.stretch(k))
-            }
-            (By::Matrices, Some(collocation), _) => {
+        match self.found() {
+            Found::Vectors(in_vectors) => 1.0 + so::smallest_eigenvalue(&in_vectors.stretch(k)),
+            Found::Matrices(collocation) => {
                 // F = I - P^-1
                 let f = Mat::<N>::from_fn(|i, j| collocation.stretch(k, i * N + j));
                 1.0 / (1.0 - so::smallest_eigenvalue(&f))
             }
-            _ => {
+            Found::Sweeps => {
                 let e = self.stages.get(k).map_or(&self.end.e, |stage| &stage.e);
                 1.0 + so::smallest_eigenvalue(e)
             }

@@ -9,7 +9,7 @@ use std::marker::PhantomData;
 use fearless_simd::Level;
 
 use super::Stepper;
-use super::galerkin::{Carried, Dynamics, Length, Seen, Solid};
+use super::galerkin::{Carried, Dynamics, Length, Seen};
 use crate::failure::Failure;
 use crate::hamiltonian::{Hamiltonian, Moment, Rescaled, RigidBody};
 use crate::nonlinear::{Convergence, StopRule};
@@ -77,7 +77,7 @@ struct Canonical<'a, const N: usize, S: ?Sized> {
     system: &'a S,
     g0: &'a Mat<N>,
     seen: &'a [Vector<N>],
-    moments: &'a Vec<Moment<N>>,
+    moments: &'a [Moment<N>],
 }
 
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N, S> {
@@ -116,16 +116,6 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         }
         let body = self.system.as_body().filter(|_| self.moments.is_empty())?;
         Some(Seen { body, vectors, scale: None })
-    }
-
-    fn solid(&self) -> Option<Solid<'_, N>> {
-        let Self { system, g0, moments, .. } = self;
-        let rescaled = system.as_rescaled();
-        let body = system.as_body().or(rescaled.map(|rescaled| rescaled.body))?;
-        let scale = rescaled.map(Into::into);
-        // Of any other matrices leave less of a line in the energy.
-        let pays = scale.is_some() || !moments.is_empty();
-        (pays && !body.has_own()).then_some(Solid { body, g0, moments, scale })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {

@@ -1,10 +1,11 @@
-//! The step of [`super`] for n = 3, in quaternions and vectors: [`super::deferred`] with attitudes collocated, too.
+//! The step of [`super`] for a rigid body with n = 3 in a time of its own, in quaternions and vectors: [`super::deferred`] with
+//! attitudes collocated, too.
 //!
 //! With the tags of docs/derivation.md, `r_j = h b_j u_j Omega_j / 2` and vectors in the place of skew matrices,
 //!
 //! ```text
 //! [turn]       u_k = 1 + sum_j e_kj r_j + theta_k
-//! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j vee(dH/dg(U_j))
+//! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j vee(dK/dg(U_j))
 //! [defect]     delta_k = vee(asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T))
 //! ```
 //!
@@ -12,7 +13,7 @@
 //! quaternion and momentum; both are of order h^(s+1). So a round takes four sums over the stages, and matrices are formed
 //! where the two are evaluated.
 //!
-//! A body in a time of its own has `Omega = sigma J^-1 mu` and the gradient of `sigma (H - H0)`. Both follow the momenta, and
+//! In a time of its own `Omega = sigma J^-1 mu`, and dK/dg is the gradient of `K = sigma (H - H0)`. Both follow the momenta, and
 //! to first order the attitudes, between two torques: with `eta = 2 vec(u*' u)`, u' where the torque was taken,
 //!
 //! ```text
@@ -24,8 +25,8 @@
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use super::deferred::{MOST_ROUNDS, ROUND_OFF, Rounds, Solved, Stuck};
-use crate::hamiltonian::{Looked, Moment, RigidBody, Scale, Views, wheels};
-use crate::lanes::{Real, Row, Rows, Stages, widest};
+use crate::hamiltonian::{Looked, RigidBody, Scale};
+use crate::lanes::{Real, Row, Rows, Stages, WIDTH, widest};
 use crate::so::Mat;
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
@@ -51,16 +52,6 @@ const PATIENCE: u32 = 6;
 /// From so many stages on the stretch of the end is nothing.
 const MANY: usize = 5;
 
-/// A body as the step sees it.
-pub(super) struct Source<'a> {
-    pub(super) body: &'a RigidBody<3>,
-    pub(super) g0: &'a Mat<3>,
-    /// Of a driven body.
-    pub(super) moments: &'a [Moment<3>],
-    /// In a time of its own.
-    pub(super) scale: Option<Scale<'a>>,
-}
-
 /// What a step begins from.
 pub(super) struct Start {
     pub(super) h: f64,
@@ -76,7 +67,7 @@ pub(super) struct InVectors {
     tableau: LaneTableau,
     /// The instruction set; without one, one number at a time.
     pub(super) level: Option<Level>,
-    views: Views,
+    seen: Vec<Vec3<f64>>,
     found: Found,
 }
 
@@ -96,7 +87,7 @@ pub(super) struct Found {
 impl InVectors {
     /// For `tableau`; `None` if it is not its own partner, or has more stages than there are lanes.
     pub(super) fn new(tableau: &Tableau) -> Option<Self> {
-        if !tableau.is_own_partner() || tableau.stages() > crate::lanes::WIDTH {
+        if !tableau.is_own_partner() || tableau.stages() > WIDTH {
             return None;
         }
         let zero = Row::splat(0.0);
@@ -110,25 +101,26 @@ impl InVectors {
             end_stretch: [0.0; 6],
             impulse: [0.0; 3],
         };
-        let (tableau, views) = (LaneTableau::new(tableau), Views::default());
-        Some(Self { tableau, level: Some(Level::new()), views, found })
+        let (tableau, seen) = (LaneTableau::new(tableau), Vec::new());
+        Some(Self { tableau, level: Some(Level::new()), seen, found })
     }
 
-    /// Solves a step.
+    /// Solves a step of `body`, whose space vectors are `seen` from where it begins, in the time of `scale`.
     ///
     /// # Errors
     /// [`Stuck`].
-    pub(super) fn solve(&mut self, start: &Start, source: &Source<'_>) -> Result<Solved, Stuck> {
-        let Self { tableau, level, views, found } = self;
-        views.look(source.body, source.g0, source.moments);
-        let given = Given {
-            tableau,
-            views,
-            inertia: Inertia::of(source.body),
-            wheels: wheels(source.body),
-            start,
-            source,
-        };
+    pub(super) fn solve(
+        &mut self,
+        start: &Start,
+        body: &RigidBody<3>,
+        vectors: impl Iterator<Item = Vec3<f64>>,
+        scale: Scale<'_>,
+    ) -> Result<Solved, Stuck> {
+        let Self { tableau, level, seen, found } = self;
+        seen.clear();
+        seen.extend(vectors);
+        let (inertia, wheels) = (Inertia::of(body), body.wheels());
+        let given = Given { tableau, body, seen, scale, inertia, wheels, start };
         let given = &given;
         match (tableau.stages, *level) {
             (1, _) => solve(Rows([0.0; 1]), given, found),
@@ -190,11 +182,12 @@ impl InVectors {
 /// What is the same in all rounds.
 struct Given<'a> {
     tableau: &'a LaneTableau,
-    views: &'a Views,
+    body: &'a RigidBody<3>,
+    seen: &'a [Vec3<f64>],
+    scale: Scale<'a>,
     inertia: Inertia<f64>,
     wheels: Option<Vec3<f64>>,
     start: &'a Start,
-    source: &'a Source<'a>,
 }
 
 fn solve<R: Stages<Whole = f64, Plain = Row>>(
@@ -227,7 +220,7 @@ struct Step<'a, R> {
     looked: Looked<R>,
     at: Quaternion<R>,
     sigma: R,
-    /// vee(dH/dg), less the torque.
+    /// vee(dK/dg).
     gradient: Vec3<R>,
     kappa: Vec3<R>,
     theta: Quaternion<R>,
@@ -243,8 +236,6 @@ struct Step<'a, R> {
     end_stretch: Sym3<f64>,
     /// f hat(Lambda)
     f_lambda: Mat3<f64>,
-    /// Do forces follow the motion?
-    follows: bool,
     evaluations: u32,
 }
 
@@ -306,7 +297,6 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             f: Quaternion { w: 1.0, v: [0.0; 3] },
             end_stretch: [0.0; 6],
             f_lambda: [[0.0; 3]; 3],
-            follows: given.source.scale.is_some() || given.views.follows_motion(),
             evaluations: 0,
         }
     }
@@ -350,8 +340,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
 
     /// The forces at the attitudes as they are.
     fn look(&mut self) -> Result<(), Stuck> {
-        let Given { tableau, source, .. } = self.given;
-        let work = source.body.work();
+        let Given { tableau, body, .. } = self.given;
+        let work = body.work();
         work.begin_sweep()?;
         work.add_gradients(tableau.stages as u64);
         self.seen();
@@ -361,9 +351,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     in_lanes! {
     /// What [`Step::look`] looks at, and the length of a step that is to last so long.
     fn seen(&mut self) {
-        let Given { tableau, views, source, start, .. } = self.given;
-        let near_m = source.scale.as_ref().map(|scale| scale.near_m);
-        self.looked = views.at(source.body, near_m, &self.attitude.matrix());
+        let Given { tableau, body, seen, scale, start, .. } = self.given;
+        self.looked = body.look(scale, &self.attitude.matrix(), seen);
         self.at = self.attitude;
         self.momenta();
         if let Some(lasting) = start.lasting {
@@ -389,21 +378,16 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 
     /// [transport] with the newest forces.
-    fn pushed(&mut self) {
+    fn transported(&mut self) {
         self.transport();
     }
 
-    /// The same, and the momenta.
-    fn transported(&mut self) {
-        self.transport();
-        self.momenta();
-    }
     }
 
     /// mu, Omega and what follows them: `J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi`.
     #[inline(always)]
     fn momenta(&mut self) {
-        let Given { views, inertia, wheels, source, .. } = self.given;
+        let Given { scale, inertia, wheels, .. } = self.given;
         let inertia = inertia.in_lanes(self.lanes);
         let pi = plus(&self.p0, &self.gain);
         let turned = transposed_product(&self.attitude.change(), &pi);
@@ -416,11 +400,6 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             own = minus(&own, &wheels);
         }
         let Looked { torque, potential, sum, of_sum, .. } = &self.looked;
-        let Some(scale) = &source.scale else {
-            self.gradient = views.resistance(torque, &omega, &self.mu);
-            self.omega = omega;
-            return;
-        };
         let (a, u) = (&self.at, &self.attitude);
         let c = cross(&u.v, &a.v);
         let eta: Vec3<R> = vec3!(i => ((a.w * u.v[i] - u.w * a.v[i]) + c[i]) * 2.0);
@@ -454,9 +433,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let next = next.lengthened_by_w();
         let change = minus(&next.v, &self.attitude.v);
         self.attitude = next;
-        if self.follows {
-            self.transport();
-        }
+        self.transport();
         self.momenta();
         largest(&change)
     }
@@ -475,10 +452,6 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     fn collocate(&mut self) -> Result<f64, Stuck> {
         let mut last = f64::INFINITY;
         for torques in 0..MOST_ROUNDS {
-            // Where forces follow the motion a round renews them.
-            if !self.follows {
-                self.transported();
-            }
             let first = self.round();
             let turn = self.turn();
             let enough = (0.1 * self.given.tableau.order_of_defect(turn)).max(ENOUGH);
@@ -511,7 +484,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         self.evaluations += 1;
         let turned = self.polar_factors();
         self.look()?;
-        self.pushed();
+        self.transported();
         if self.evaluations == 1 || self.given.tableau.stages < MANY {
             self.end();
         }
@@ -635,16 +608,13 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
 
     /// Rounds with new forces, until these change nothing, and the end point.
     fn finish(&mut self, turn: f64, jump: f64) -> Result<f64, Stuck> {
-        let contraction = if self.follows { 3.0 } else { 1.0 } * TORQUE_CONTRACTION;
-        let mut forces = Rounds::new(contraction, jump);
+        // They also follow the momenta.
+        let mut forces = Rounds::new(3.0 * TORQUE_CONTRACTION, jump);
         let mut last = f64::INFINITY;
         for _ in 0..MOST_ROUNDS {
             self.look()?;
-            if !self.follows {
-                self.transported();
-            }
             let change = self.round();
-            if self.follows && change * of_round(turn) > ROUND_OFF {
+            if change * of_round(turn) > ROUND_OFF {
                 self.round();
             }
             if !(change <= 1.0) {

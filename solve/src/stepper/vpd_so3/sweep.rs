@@ -453,7 +453,7 @@ pub(in crate::stepper) fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<
 }
 
 #[inline(always)]
-pub(in crate::stepper) fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
+fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
     vec3!(i => lanes.load(&plain[i]))
 }
 
@@ -465,18 +465,12 @@ pub(in crate::stepper) fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::
 }
 
 #[inline(always)]
-pub(in crate::stepper) fn load_turn<R: Stages>(
-    lanes: R,
-    plain: &Quaternion<R::Plain>,
-) -> Quaternion<R> {
+fn load_turn<R: Stages>(lanes: R, plain: &Quaternion<R::Plain>) -> Quaternion<R> {
     Quaternion { w: lanes.load(&plain.w), v: load(lanes, &plain.v) }
 }
 
 #[inline(always)]
-pub(in crate::stepper) fn store_turn<R: Stages>(
-    value: &Quaternion<R>,
-    plain: &mut Quaternion<R::Plain>,
-) {
+fn store_turn<R: Stages>(value: &Quaternion<R>, plain: &mut Quaternion<R::Plain>) {
     value.w.store(&mut plain.w);
     store(&value.v, &mut plain.v);
 }

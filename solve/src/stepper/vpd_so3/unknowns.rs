@@ -20,9 +20,6 @@ const FINISHED_STAGES: usize = 3;
 /// So many rounds of the first guess take the same torque.
 pub(super) const TORQUE_EVERY: u32 = 3;
 
-/// What rounding may make of a coefficient.
-const ROUNDED: f64 = 1e-14;
-
 /// Passes within a sweep.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Passes {
@@ -64,7 +61,7 @@ pub(in crate::stepper) struct LaneTableau {
     /// Rounds of the first guess.
     pub(super) rounds: u32,
     /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
-    pub(in crate::stepper) own_partner: bool,
+    pub(super) own_partner: bool,
     pub(in crate::stepper) stages: usize,
 }
 
@@ -86,8 +83,7 @@ impl LaneTableau {
             stages,
         };
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        lanes.own_partner = (0..stages)
-            .all(|i| (0..stages).all(|j| (part(i, j) + part(j, i) - 1.0).abs() < ROUNDED));
+        lanes.own_partner = tableau.is_own_partner();
         for i in 0..stages {
             lanes.weights.0[i] = tableau.b(i);
             lanes.nodes.0[i] = tableau.c(i);
