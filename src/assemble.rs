@@ -47,7 +47,7 @@ pub(crate) fn assembled<T: Task>(plan: &Plan, task: T) -> T::Output {
             }
         };
     }
-    for_dimension!(2 4 5 6 7 8 9 10 11 12 13 14 15 16)
+    for_dimension!(2 4 5 6 7 8 9 10 11 12 13 14 15 16 32)
 }
 
 fn perform<const N: usize, T: Task>(

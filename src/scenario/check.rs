@@ -9,7 +9,9 @@ use super::{
 use crate::method::Integrator;
 
 /// Largest n of SO(n) that the program is built for.
-pub(crate) const MAX_DIMENSION: usize = 16;
+const MAX_DIMENSION: usize = 16;
+/// And the one beyond it: each n costs a fifteenth of the program's build.
+const LARGE_DIMENSION: usize = 32;
 /// Largest size of any number of a scene.
 pub(crate) const MAX_SIZE: f64 = 1e15;
 /// Smallest size of a vector that is not zero: its square, and that of what follows from it, is a number still.
@@ -211,8 +213,10 @@ fn inertia(given: &Inertia) -> Check {
         Inertia::SecondMoments(moments) => {
             let pointer = "/scene/inertia/second_moments";
             let n = moments.len();
-            ensure((2..=MAX_DIMENSION).contains(&n), pointer, || {
-                format!("{n} moments given, n lies from 2 to {MAX_DIMENSION}")
+            ensure((2..=MAX_DIMENSION).contains(&n) || n == LARGE_DIMENSION, pointer, || {
+                format!(
+                    "{n} moments given, n lies from 2 to {MAX_DIMENSION}, or is {LARGE_DIMENSION}"
+                )
             })?;
             vector(pointer, moments, n)?;
             for j in 0..n {

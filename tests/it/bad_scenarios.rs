@@ -216,10 +216,12 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(full(), "/scene/inertia", "{}"), "/scene/inertia");
     add(with(full(), "/scene/inertia", r#"{"principal":[1,1,1],"matrix":[]}"#), "/scene/inertia");
     add(with(full(), "/scene/inertia", r#"{"moments":[1,1,1]}"#), "/scene/inertia");
-    add(
-        with(full(), "/scene/inertia", &format!("{{\"second_moments\":{:?}}}", vec![1.0; 17])),
-        "/scene/inertia/second_moments",
-    );
+    for n in [17, 31, 33] {
+        add(
+            with(full(), "/scene/inertia", &format!("{{\"second_moments\":{:?}}}", vec![1.0; n])),
+            "/scene/inertia/second_moments",
+        );
+    }
     for raw in ["[1,2]", "[1,2,3,4]", "[]"] {
         for pointer in [
             "/scene/potential/0/body_point",

@@ -260,3 +260,57 @@ fn inertia_that_no_body_has_is_warned_of() {
     assert!(!warned(r#"{"principal":[1.01,1,0.01]}"#));
     assert!(!warned(r#"{"second_moments":[0,1,2,3]}"#));
 }
+
+/// The largest n: every method of any n makes the same motion there, on the group.
+#[test]
+fn thirty_two_dimensions_are_a_scene_like_any() {
+    const N: usize = 32;
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let vector =
+        |a: f64, b: f64| -> Vec<f64> { (0..N).map(|i| a + b * (i as f64 * 1.7).sin()).collect() };
+    let entry = |i: usize, j: usize| 0.3 * (j as f64 - i as f64) / (1 + i + j) as f64;
+    let momentum: Vec<Vec<f64>> = (0..N).map(|i| (0..N).map(|j| entry(i, j)).collect()).collect();
+    let end = |name: &str, tableau: &str| {
+        let scenario = serde_json::json!({
+            "name": "large",
+            "scene": {
+                "inertia": { "second_moments": vector(2.0, 0.5) },
+                "potential": [{"kind": "spring", "stiffness": 0.8, "rest_length": 0.4,
+                               "body_point": vector(0.1, 0.6), "position": vector(1.0, -0.4)}],
+                "initial": { "momentum": { "body": momentum } },
+            },
+            "method": { "name": name, "tableau": tableau },
+            "step_s": 0.01,
+            "steps": 4,
+        });
+        let log = directory.path().join(format!("{name}-{tableau}.mcap"));
+        let summary = run(&scenario.to_string(), &log);
+        assert_eq!(summary.outcome, Outcome::Succeeded, "{name}: {:?}", summary.diagnosis);
+        let mut last = Vec::new();
+        read_samples(&log, |_, message| {
+            if let Message::State(state) = message {
+                last = state.attitude;
+            }
+        })
+        .expect("a log");
+        assert_eq!(last.len(), N * N);
+        last
+    };
+    let apart = |a: &[f64], b: &[f64]| {
+        a.iter().zip(b).fold(0.0_f64, |largest, (a, b)| largest.max((a - b).abs()))
+    };
+    let reference = end("vpd", "gauss8");
+    let identity = |e: usize| if e % (N + 1) == 0 { 1.0 } else { 0.0 };
+    let turned = reference.iter().enumerate().map(|(e, x)| (x - identity(e)).abs());
+    assert!(turned.fold(0.0, f64::max) > 1e-3, "it does not move");
+    for (name, tableau, bound) in [
+        ("vpd", "gauss2", 1e-9),
+        ("vpd", "rk3", 1e-7),
+        ("vrkmk", "gauss2", 1e-9),
+        ("rkmk", "rk8", 1e-13),
+        ("rk_projected", "rk8", 1e-13),
+    ] {
+        let found = apart(&reference, &end(name, tableau));
+        assert!(found <= bound, "{name} {tableau}: {found:e}");
+    }
+}
