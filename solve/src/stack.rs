@@ -195,6 +195,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
                     4 => self.groups::<4, T>(s, a, b, c, i, 0),
                     8 => self.groups::<8, T>(s, a, b, c, i, 0),
                     5 => self.groups::<5, T>(s, a, b, c, i, 0),
+                    6 => self.groups::<6, T>(s, a, b, c, i, 0),
                     _ => self.groups::<16, T>(s, a, b, c, i, 0),
                 }
                 group = groups;

@@ -357,6 +357,7 @@ fn solve<'a, R: Stages<Whole = f64>>(
         3 => Step::new(lanes, Known::<3>, coefficients, start, source, unknowns, end).solve(),
         4 => Step::new(lanes, Known::<4>, coefficients, start, source, unknowns, end).solve(),
         5 => Step::new(lanes, Known::<5>, coefficients, start, source, unknowns, end).solve(),
+        6 => Step::new(lanes, Known::<6>, coefficients, start, source, unknowns, end).solve(),
         8 => Step::new(lanes, Known::<8>, coefficients, start, source, unknowns, end).solve(),
         16 => Step::new(lanes, Known::<16>, coefficients, start, source, unknowns, end).solve(),
         _ => solve_any(lanes, coefficients, start, source, unknowns, end),
