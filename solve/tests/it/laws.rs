@@ -128,7 +128,7 @@ fn polar_factor() {
             let a = Mat::identity() + numbers.matrix() * 0.4;
             let u = so::polar(&a).expect("near the identity");
             assert!(so::orthogonality_error(&u) < 2e-15, "n = {N}");
-            let p = Mat::identity() + so::stretch_excess(&u, &(a - Mat::identity()));
+            let p = Mat::identity() + so::stretch_of(&u, &(a - Mat::identity()));
             let defect: Mat<N> = u * p - a;
             assert!(defect.amax() < 1e-14);
             assert!(so::smallest_eigenvalue(&p) > 0.0);
@@ -485,7 +485,7 @@ fn a_free_body_keeps_its_spatial_momentum() {
 
 #[test]
 fn the_midpoint_step_is_its_own_reverse() {
-    // With more stages the scheme leans on g0 and is symmetric to its order only.
+    // With more stages the scheme is biased towards g0, and symmetric to its order only.
     let mut numbers = Numbers(11);
     let body = body::<3>(&mut numbers);
     let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
