@@ -63,7 +63,7 @@ pub struct JobContext<'a> {
 pub struct Control {
     /// Steps done so far, those of interrupted runs included; the run writes it.
     pub steps_done: AtomicU64,
-    /// The step at which this run took up an interrupted one; the run writes it.
+    /// The step at which this run resumed an interrupted one; the run writes it.
     pub resumed_step: AtomicU64,
     /// The step up to which the log is on the disk; the run writes it.
     pub durable_step: AtomicU64,

@@ -1,4 +1,4 @@
-//! Any bytes as a log, finished or to be taken up: read to an end without a panic and within bounds.
+//! Any bytes as a log, finished or to be resumed: read to an end without a panic and within bounds.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

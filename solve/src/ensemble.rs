@@ -8,7 +8,7 @@ use super::hamiltonian::RigidBody;
 use super::lanes::WIDTH;
 use super::nonlinear::Convergence;
 use super::stepper::Stepper;
-use super::trajectory::{Books, Observables, Sample, Schedule, State, Trajectory};
+use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, State, Trajectory};
 
 /// A few members of an ensemble that take each step together.
 pub trait Members<const N: usize> {
@@ -88,11 +88,11 @@ pub fn integrate<const N: usize, E>(
     let Schedule { step_s, steps, every } = schedule;
     let every = every.max(1);
     members.start(initial);
-    let mut books: Vec<Books<N>> =
-        initial.iter().map(|state| Books::new(body, state, step_s, observables)).collect();
-    let mut sample = |m: usize, books: &mut Books<N>, members: &mut dyn Members<N>| {
-        let settled = books.needs_sample().then(|| members.settle(body, step_s, m));
-        books.sample(body, settled, members.member(m), |sample| record(m, sample))
+    let mut bookkeeping: Vec<Bookkeeping<N>> =
+        initial.iter().map(|state| Bookkeeping::new(body, state, step_s, observables)).collect();
+    let mut sample = |m: usize, bookkeeping: &mut Bookkeeping<N>, members: &mut dyn Members<N>| {
+        let settled = bookkeeping.needs_sample().then(|| members.settle(body, step_s, m));
+        bookkeeping.sample(body, settled, members.member(m), |sample| record(m, sample))
     };
     let mut going: Vec<usize> = (0..initial.len()).collect();
     let mut step = 0;
@@ -100,31 +100,31 @@ pub fn integrate<const N: usize, E>(
         let over = step == steps;
         if over || step % every == 0 {
             for &m in &going {
-                sample(m, &mut books[m], members)?;
+                sample(m, &mut bookkeeping[m], members)?;
             }
-            going.retain(|&m| books[m].goes_on());
+            going.retain(|&m| bookkeeping[m].goes_on());
         }
         if over || going.is_empty() {
             break;
         }
         if !go_on(step) {
             for &m in &going {
-                books[m].cancelled();
-                sample(m, &mut books[m], members)?;
+                bookkeeping[m].cancelled();
+                sample(m, &mut bookkeeping[m], members)?;
             }
             break;
         }
         if body.is_driven() {
             members.set_time(step as f64 * step_s);
         }
-        members.step(body, step_s, &going, &mut |m, result| books[m].stepped(result));
+        members.step(body, step_s, &going, &mut |m, result| bookkeeping[m].stepped(result));
         step += 1;
         for &m in &going {
-            if !books[m].goes_on() {
-                sample(m, &mut books[m], members)?;
+            if !bookkeeping[m].goes_on() {
+                sample(m, &mut bookkeeping[m], members)?;
             }
         }
-        going.retain(|&m| books[m].goes_on());
+        going.retain(|&m| bookkeeping[m].goes_on());
     }
-    Ok(books.into_iter().map(Books::end).collect())
+    Ok(bookkeeping.into_iter().map(Bookkeeping::end).collect())
 }

@@ -129,6 +129,11 @@ impl Failure {
         Self { code, stage, measured, limit, iterations: 0, increments: Vec::new(), turn_rad: None }
     }
 
+    /// A number that is none: of a stage, or of the end.
+    pub(crate) fn not_finite(stage: Option<usize>) -> Self {
+        Self::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
+    }
+
     /// Ratio of the last two increments: how fast the iteration converged, above 1 if it did not.
     pub fn contraction(&self) -> Option<f64> {
         match self.increments.as_slice() {

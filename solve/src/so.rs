@@ -146,12 +146,12 @@ fn inverse_transpose<const N: usize>(a: &Mat<N>) -> Option<Mat<N>> {
     }
 }
 
-/// The excess `E = P - I` of the symmetric polar factor of `A = I + D = U P`.
+/// The stretch `E = P - I` of the symmetric polar factor of `A = I + D = U P`.
 ///
 /// `E = sym(F + D + F^T D)` with `F = U - I`. Next to one, numbers above are spaced twice as wide as numbers
 /// below: a P that is stored is rounded down by 2e-17 on average, and a momentum that passes through it
-/// loses as much at every step. The excess has no such bias.
-pub fn stretch_excess<const N: usize>(u: &Mat<N>, d: &Mat<N>) -> Mat<N> {
+/// loses as much at every step. E has no such bias.
+pub fn stretch_of<const N: usize>(u: &Mat<N>, d: &Mat<N>) -> Mat<N> {
     let f = u - Mat::<N>::identity();
     symmetric_part(&(f + d + transposed_product(&f, d)))
 }

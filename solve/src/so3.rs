@@ -7,7 +7,7 @@
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
-use super::failure::{Failure, FailureCode};
+use super::failure::Failure;
 use super::trajectory::State;
 
 /// A point of T*SO(3): attitude and body momentum.
@@ -33,12 +33,12 @@ impl Top {
     /// The point itself.
     ///
     /// # Errors
-    /// [`FailureCode::NonFinite`].
+    /// [`super::failure::FailureCode::NonFinite`].
     pub fn finite(self) -> Result<Self, Failure> {
         if self.attitude.coords.iter().chain(&self.momentum).all(|x| x.is_finite()) {
             Ok(self)
         } else {
-            Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
+            Err(Failure::not_finite(None))
         }
     }
 }

@@ -1,5 +1,5 @@
 //! The time loop: a stepper carries a state forward, samples go to a sink. ([`super::ensemble`] carries several, by the
-//! same books.)
+//! same bookkeeping.)
 //!
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of
 //! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
@@ -299,45 +299,45 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
     let Schedule { step_s, steps, every } = schedule;
     let every = every.max(1);
     let Origin { initial, checkpoint } = origin.into();
-    let mut books = Books::new(system, initial, step_s, observables);
+    let mut bookkeeping = Bookkeeping::new(system, initial, step_s, observables);
     let driven = system.is_driven();
     stepper.start(initial);
     if let Some(found) = checkpoint {
         stepper.resume(found);
-        books.resume_job(found);
+        bookkeeping.resume_job(found);
     }
     loop {
-        let step = books.reached.step;
-        let over = step == steps || !books.goes_on();
+        let step = bookkeeping.reached.step;
+        let over = step == steps || !bookkeeping.goes_on();
         if over || step % every == 0 {
-            let settled = books.needs_sample().then(|| stepper.settle(system, step_s));
-            books.sample(system, settled, stepper, |sample| sink.record(sample))?;
+            let settled = bookkeeping.needs_sample().then(|| stepper.settle(system, step_s));
+            bookkeeping.sample(system, settled, stepper, |sample| sink.record(sample))?;
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
-            if !over && books.goes_on() && sink.wants_checkpoint() {
-                books.reached.work += stepper.work();
-                books.reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
-                books.reached.own_time = stepper.own_time();
-                sink.checkpoint(&books.reached)?;
-                stepper.resume(&books.reached);
+            if !over && bookkeeping.goes_on() && sink.wants_checkpoint() {
+                bookkeeping.reached.work += stepper.work();
+                bookkeeping.reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
+                bookkeeping.reached.own_time = stepper.own_time();
+                sink.checkpoint(&bookkeeping.reached)?;
+                stepper.resume(&bookkeeping.reached);
             }
         }
-        if over || !books.goes_on() {
+        if over || !bookkeeping.goes_on() {
             break;
         }
         if go_on(step) {
             if driven {
                 stepper.set_time(step as f64 * step_s);
             }
-            books.stepped(stepper.step(system, step_s));
+            bookkeeping.stepped(stepper.step(system, step_s));
         } else {
-            books.cancelled();
+            bookkeeping.cancelled();
         }
     }
-    Ok(books.end())
+    Ok(bookkeeping.end())
 }
 
 /// The progress record of one trajectory: how far it came, and its samples.
-pub(super) struct Books<const N: usize> {
+pub(super) struct Bookkeeping<const N: usize> {
     observer: Observer<N>,
     step_s: f64,
     ending: Ending,
@@ -347,7 +347,7 @@ pub(super) struct Books<const N: usize> {
     sampled: Option<u64>,
 }
 
-impl<const N: usize> Books<N> {
+impl<const N: usize> Bookkeeping<N> {
     pub(super) fn new<Y: System<N> + ?Sized>(
         system: &Y,
         initial: &State<N>,
@@ -534,11 +534,7 @@ impl<const N: usize> Observer<N> {
             sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
             pace: if asked.pace { stepper.pace() } else { None },
         };
-        if sample.is_finite() {
-            Ok(sample)
-        } else {
-            Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX))
-        }
+        if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
     }
 
     /// How far what the scene conserves has moved: the spatial momentum among the free directions, less the impulse of

@@ -141,7 +141,6 @@ impl Extremes {
             *old = Some(old.map_or(new, |old| old.max(new)));
         };
         match message {
-            Message::State(_) => {}
             Message::Pace(pace) => {
                 let least =
                     self.sigma_least.map_or(pace.least_sigma, |old| old.min(pace.least_sigma));
@@ -163,6 +162,8 @@ impl Extremes {
                     self.sigma_min_min = Some(least);
                 }
             }
+            // Others have no extremes.
+            _ => {}
         }
     }
 }

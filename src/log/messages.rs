@@ -25,7 +25,7 @@ pub fn log10_size(x: f64) -> f64 {
 }
 
 macro_rules! messages_of_samples {
-    ($($message:ident)*) => {
+    ($($(#[doc = $doc:literal])* $field:ident: $message:ident,)*) => {
         /// A message of our own that belongs to a sample, named by its channel.
         #[derive(Clone, Debug, PartialEq)]
         #[allow(missing_docs)]
@@ -44,6 +44,22 @@ macro_rules! messages_of_samples {
                 match channel {
                     $(Channel::$message => $message::decode(data).ok().map(Self::$message),)*
                     _ => None,
+                }
+            }
+        }
+
+        /// What a log says of a sample; `None` where a channel is not logged, or says nothing of it.
+        #[derive(Clone, Debug, Default, PartialEq)]
+        pub struct Row {
+            /// Log time, in nanoseconds since 1970.
+            pub time_ns: u64,
+            $($(#[doc = $doc])* pub $field: Option<$message>,)*
+        }
+
+        impl Row {
+            pub(super) fn take_in(&mut self, message: Message) {
+                match message {
+                    $(Message::$message(message) => self.$field = Some(message),)*
                 }
             }
         }
@@ -76,7 +92,20 @@ macro_rules! messages_of_samples {
     };
 }
 
-messages_of_samples!(State Energy Orthogonality Momentum Solver Pace);
+messages_of_samples! {
+    /// Attitude, body momentum and velocity.
+    state: State,
+    /// Energy.
+    energy: Energy,
+    /// Distance from the group.
+    orthogonality: Orthogonality,
+    /// Spatial momentum.
+    momentum: Momentum,
+    /// How the step was solved.
+    solver: Solver,
+    /// How time passes for steps that adapt.
+    pace: Pace,
+}
 
 impl State {
     /// Attitude and momentum of a sample.

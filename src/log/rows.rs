@@ -6,41 +6,9 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use super::LogError;
-use super::messages::{Energy, Momentum, Orthogonality, Pace, Solver, State};
+pub use super::messages::Row;
 use super::reader::{self, Ending, Item, Message};
 use super::schema::Topic;
-
-/// What a log says of a sample; `None` where a channel is not logged, or says nothing of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Row {
-    /// Log time, in nanoseconds since 1970.
-    pub time_ns: u64,
-    /// Attitude, body momentum and velocity.
-    pub state: Option<State>,
-    /// Energy.
-    pub energy: Option<Energy>,
-    /// Distance from the group.
-    pub orthogonality: Option<Orthogonality>,
-    /// Spatial momentum.
-    pub momentum: Option<Momentum>,
-    /// How the step was solved.
-    pub solver: Option<Solver>,
-    /// How time passes for steps that adapt.
-    pub pace: Option<Pace>,
-}
-
-impl Row {
-    fn take_in(&mut self, message: Message) {
-        match message {
-            Message::State(state) => self.state = Some(state),
-            Message::Energy(energy) => self.energy = Some(energy),
-            Message::Orthogonality(found) => self.orthogonality = Some(found),
-            Message::Momentum(momentum) => self.momentum = Some(momentum),
-            Message::Solver(solver) => self.solver = Some(solver),
-            Message::Pace(pace) => self.pace = Some(pace),
-        }
-    }
-}
 
 /// Shows the samples of a run, or of a member of an ensemble (a run is member 0), to `visit`, until that breaks off.
 ///

@@ -331,7 +331,7 @@ impl Plan {
         let n = self.dimension as f64;
         let mut kinds: BTreeMap<&str, f64> = BTreeMap::new();
         for term in &self.model.terms {
-            *kinds.entry(term.law().kind()).or_default() += 1.0;
+            *kinds.entry(term.kind()).or_default() += 1.0;
         }
         let of_one = |kind: &str| {
             let points: Vec<(f64, f64)> =

@@ -47,7 +47,7 @@ pub struct Summary {
     pub time_s: f64,
     /// Samples logged.
     pub samples: u64,
-    /// The step at which this run took up an interrupted one; 0 if it began at the start.
+    /// The step at which this run resumed an interrupted one; 0 if it began at the start.
     pub resumed_step: u64,
     /// The last state.
     #[serde(rename = "final")]

@@ -11,7 +11,7 @@ use super::{Scenario, ScenarioError, schema};
 /// Characters of a value that are repeated in a suggestion.
 const SHOWN: usize = 120;
 
-/// Adds to the error of a scenario's text what to write instead, if that can be told.
+/// Adds to the error of a scenario's text what to write instead, if that can be known.
 pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioError {
     let pointer = error.pointer.clone();
     let found = error.message.starts_with("invalid type").then(|| suggestion(tree, &pointer));

@@ -1,8 +1,9 @@
 //! The terms of the potential, one file each: its fields, their range, what of it the plan may drop, its law, what viewers
-//! draw.
+//! draw, an example.
 //!
-//! A new term is its file here and its two lines below, and its file and its lines in `solve/hamiltonian/term`: nothing compiles
-//! until all of it is there. Then `cargo bench --bench costs` measures what it costs; until then it counts as the dearest.
+//! The list is that of the laws, `solve/hamiltonian/term.rs`; everything that goes over the terms is made from it here. A new
+//! term is its file next to this one, and its file and its entry there: nothing compiles until all of it is there. Then `cargo
+//! bench --bench costs` measures what it costs; until then it counts as the dearest.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -11,23 +12,23 @@ use super::check::Check;
 use crate::solve::hamiltonian;
 use crate::solve::so::Vector;
 
-mod gravity_gradient;
-mod point_source;
-mod spring;
-mod uniform;
-
-pub use gravity_gradient::GravityGradient;
-pub use point_source::PointSource;
-pub use spring::Spring;
-pub use uniform::Uniform;
-
 macro_rules! terms {
-    ($($(#[doc = $doc:literal])* $term:ident,)*) => {
+    ($($(#[$doc:meta])* $module:ident $term:ident { $($fields:tt)* })*) => {
+        // `cargo fmt` does not see these: .ci/run and CONTRIBUTING.md name the files.
+        $(
+            mod $module;
+            pub use $module::$term;
+        )*
+
         /// One term of the potential. `g` turns body coordinates into space coordinates.
         #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
         #[serde(tag = "kind", rename_all = "snake_case")]
         pub enum PotentialTerm {
-            $($(#[doc = $doc])* $term($term),)*
+            $(
+                #[doc = concat!("See [`", stringify!($term), "`].")]
+                #[schemars(description = $term::FORMULA)]
+                $term($term),
+            )*
         }
 
         /// What stands at `kind`.
@@ -50,10 +51,22 @@ macro_rules! terms {
         }
 
         impl PotentialTerm {
+            /// One of each kind, every field given, in n dimensions: what the tests of every term go through.
+            pub fn examples(n: usize) -> Vec<Self> {
+                vec![$(Self::$term($term::example(n)),)*]
+            }
+
             /// What every term can be asked.
             pub(crate) fn law(&self) -> &dyn Law {
                 match self {
                     $(Self::$term(term) => term,)*
+                }
+            }
+
+            /// The name in scenarios and in the table of costs.
+            pub(crate) fn kind(&self) -> &'static str {
+                match self {
+                    $(Self::$term(_) => stringify!($module),)*
                 }
             }
 
@@ -67,16 +80,7 @@ macro_rules! terms {
     };
 }
 
-terms! {
-    /// weight * direction . (g body_point)
-    Uniform,
-    /// strength / |g body_point - position|
-    PointSource,
-    /// stiffness / 2 * (|g body_point - position| - rest_length)^2
-    Spring,
-    /// strength / 2 * (g^T direction) . matrix (g^T direction)
-    GravityGradient,
-}
+crate::solve::laws!(terms);
 
 impl PotentialTerm {
     /// The term as a point source, if it is one.
@@ -112,9 +116,6 @@ pub(crate) trait Law {
 
     /// What viewers draw.
     fn drawn(&self) -> Drawn<'_>;
-
-    /// The name in scenarios and in the table of costs.
-    fn kind(&self) -> &'static str;
 }
 
 /// How easily a body is turned, in 1/(kg m^2).
@@ -156,6 +157,12 @@ fn unit(v: &[f64]) -> Vec<f64> {
 fn apart(y: f64, z: f64) -> f64 {
     let distance = (y - z).abs();
     if distance > hamiltonian::CLOSEST_APPROACH * (y + z) { distance } else { 0.0 }
+}
+
+/// A vector of this size along no axis.
+fn example_vector(n: usize, size: f64) -> Vec<f64> {
+    let direction: Vec<f64> = (0..n).map(|i| 1.0 + i as f64).collect();
+    unit(&direction).iter().map(|x| size * x).collect()
 }
 
 /// The first n coordinates, or zeros beyond them.

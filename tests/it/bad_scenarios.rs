@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 use vpd::plan::Plan;
-use vpd::scenario::{Scenario, ScenarioError, ScenarioErrorKind};
+use vpd::scenario::{PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind};
 
 /// A scenario with one thing wrong, and the pointer of the field that must be named.
 pub(crate) struct Bad {
@@ -729,6 +729,54 @@ fn every_bad_scenario_is_refused_at_its_field() {
         }
     }
     assert!(wrong.is_empty(), "{} of {} wrong:\n{}", wrong.len(), table.len(), wrong.join("\n"));
+}
+
+/// Of every kind of term, a new one included: it is read back as it was written, and every field that is missing, unknown, of
+/// the wrong type or of the wrong size is refused by its pointer.
+#[test]
+fn every_term_is_read_back_and_refuses_bad_fields() {
+    const TERM: &str = "/scene/potential/0";
+    let mut wrong = Vec::new();
+    for (n, base) in [(3, dipole()), (4, so4())] {
+        for term in PotentialTerm::examples(n) {
+            let mut good = base.clone();
+            good["scene"]["potential"] = json!([term]);
+            good.as_object_mut().expect("an object").remove("expect");
+            let text = good.to_string();
+            assert_eq!(refused(text.as_bytes()), None, "{text}");
+            let read = Scenario::from_json(text.as_bytes()).expect("accepted");
+            assert_eq!(read.scene.potential, [term]);
+
+            let mut refuse = |text: String, pointer: &str| match refused(text.as_bytes()) {
+                Some(error) if error.pointer == pointer => {}
+                other => wrong.push(format!("{pointer} expected: {other:?}: {text}")),
+            };
+            let optional = ["rest_length", "matrix"];
+            let fields = good.pointer(TERM).and_then(Value::as_object).expect("an object").clone();
+            for (field, value) in fields {
+                let pointer = format!("{TERM}/{field}");
+                if !optional.contains(&field.as_str()) {
+                    refuse(without(good.clone(), &pointer), TERM);
+                    refuse(with(good.clone(), &pointer, "null"), &pointer);
+                }
+                for raw in ["true", "{}", "\"text\"", if value.is_array() { "1" } else { "[1]" }] {
+                    refuse(with(good.clone(), &pointer, raw), &pointer);
+                }
+                if let Value::Array(mut numbers) = value {
+                    numbers.pop();
+                    refuse(
+                        with(good.clone(), &pointer, &Value::Array(numbers).to_string()),
+                        &pointer,
+                    );
+                } else if value.is_number() {
+                    refuse(with(good.clone(), &pointer, "1e400"), &pointer);
+                }
+            }
+            let unknown = format!("{TERM}/colour");
+            refuse(with(good.clone(), &unknown, "1"), &unknown);
+        }
+    }
+    assert!(wrong.is_empty(), "{} wrong:\n{}", wrong.len(), wrong.join("\n"));
 }
 
 #[test]

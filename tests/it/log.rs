@@ -329,6 +329,17 @@ fn a_log_refuses_what_it_cannot_hold() {
 }
 
 #[test]
+fn what_a_sample_says_on_a_channel_of_ours_can_be_read() {
+    let ours = |channel: &Channel| {
+        channel.bytes_per_sample(3) > 0 && channel.schema_name().starts_with("vpd.")
+    };
+    for channel in Channel::all().into_iter().filter(ours) {
+        let message = Message::decode(channel.topic(), channel.schema_name(), &[]);
+        assert!(message.is_some(), "{} is not in the list of log/messages.rs", channel.topic());
+    }
+}
+
+#[test]
 fn the_estimate_of_the_size_is_close() {
     let (_folder, path) = place();
     let header = LogHeader { compression: Compression::None, samples_per_chunk: 100, ..header() };

@@ -194,7 +194,7 @@ fn studies_refuse_what_makes_none() {
 }
 
 #[test]
-fn a_run_tells_its_error_if_asked() {
+fn a_run_shows_its_error_if_asked() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let at = directory.path();
     let done = vpd(at, &["run", &file("dipole"), "--set", "/steps=50", "--error", "--json"]);

@@ -12,7 +12,7 @@
 //!
 //! Invariant: [`Moment::input`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
 
-use super::term::{Law, Term};
+use super::term::{Law, Space, Term};
 use super::{Energy, RigidBody};
 use crate::failure::{Failure, FailureCode};
 use crate::so::{self, Mat, Vector};
@@ -321,8 +321,6 @@ impl<const N: usize> DrivenTerm<N> {
 
     fn at(&self, t: Time) -> Changing<N> {
         let own = self.term.space;
-        let tidal = matches!(self.term.law, Law::GravityGradient { .. });
-        let place = matches!(self.term.law, Law::PointSource { .. } | Law::Spring { .. });
         let (mut strength, mut strengthening) = match &self.factor {
             Factor::Constant => (1.0, 0.0),
             Factor::Harmonic { mean, amplitude, rate, phase } => {
@@ -355,15 +353,15 @@ impl<const N: usize> DrivenTerm<N> {
                 let size = own.norm();
                 let direction = own * x + across * (size * y);
                 let sideways = (across * (size * x) - own * y) * turning;
-                if tidal {
-                    let cube = 1.0 / (r * r * r);
-                    strengthening = strengthening * cube - 3.0 * strength * cube / r * receding;
-                    strength *= cube;
-                }
-                if place {
-                    (direction * r, sideways * r + direction * receding)
-                } else {
-                    (direction, sideways)
+                match self.term.law.space() {
+                    Space::Direction => (direction, sideways),
+                    Space::Place => (direction * r, sideways * r + direction * receding),
+                    Space::Tide => {
+                        let cube = 1.0 / (r * r * r);
+                        strengthening = strengthening * cube - 3.0 * strength * cube / r * receding;
+                        strength *= cube;
+                        (direction, sideways)
+                    }
                 }
             }
         };

@@ -1,10 +1,19 @@
 //! The terms of the potential: each law is written once, in its file, for one attitude in n dimensions and for several
 //! attitudes in lanes.
 //!
-//! A new law is its file, its variant here and its line in each `match`, none of which compiles without it.
+//! A new law is its file, its `mod` here and its entry in the list, which the program reads, too (`scenario/term`). Nothing
+//! compiles until its file has all that is asked of it:
+//!
+//! ```text
+//! SPACE                                            what its space vector is
+//! value(fields.., q)                               U(q)
+//! slope(fields.., q, reach, nearness)              dU/dq, see [`Numbers::slope`]
+//! change(fields.., q, rate)                        dU/dq . rate
+//! singular_point(fields..)                         the body point y, if U is singular at q = y
+//! ```
 
 use super::super::lanes::Real;
-use super::super::so::{Mat, Vector};
+use super::super::so::{self, Mat, Vector};
 use super::super::stack::Dimension;
 use super::plane::is_axis;
 
@@ -12,6 +21,47 @@ mod gravity_gradient;
 mod point_source;
 mod spring;
 mod uniform;
+
+/// The list of the laws, handed to the macro `$then`: of each its module, its name and its fields, each a `number`, a body
+/// `vector` or a symmetric `matrix` of the body. The first is the strength: U is proportional to it.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! laws {
+    ($then:ident) => {
+        $then! {
+            /// `weight v . (g y) = weight y . q`
+            uniform Uniform {
+                /// Weight.
+                weight: number,
+                /// Body point y.
+                body_point: vector,
+            }
+            /// `strength / |g y - v| = strength / |y - q|`
+            point_source PointSource {
+                /// Strength.
+                strength: number,
+                /// Body point y.
+                body_point: vector,
+            }
+            /// `stiffness / 2 (|g y - v| - rest_length)^2`
+            spring Spring {
+                /// Stiffness.
+                stiffness: number,
+                /// Length at rest.
+                rest_length: number,
+                /// Body point y.
+                body_point: vector,
+            }
+            /// `strength / 2 q . M q`
+            gravity_gradient GravityGradient {
+                /// Strength.
+                strength: number,
+                /// The symmetric matrix M.
+                matrix: matrix,
+            }
+        }
+    };
+}
 
 /// One term of the potential, `x = g y` being the place of the body point y.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,39 +72,160 @@ pub struct Term<const N: usize> {
     pub space: Vector<N>,
 }
 
-/// How a term depends on `q = g^T v`.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Law<const N: usize> {
-    /// `weight v . (g y) = weight y . q`
-    Uniform {
-        /// Weight.
-        weight: f64,
-        /// Body point y.
-        body_point: Vector<N>,
-    },
-    /// `strength / |g y - v| = strength / |y - q|`
-    PointSource {
-        /// Strength.
-        strength: f64,
-        /// Body point y.
-        body_point: Vector<N>,
-    },
-    /// `stiffness / 2 (|g y - v| - rest_length)^2`
-    Spring {
-        /// Stiffness.
-        stiffness: f64,
-        /// Length at rest.
-        rest_length: f64,
-        /// Body point y.
-        body_point: Vector<N>,
-    },
-    /// `strength / 2 q . M q`
-    GravityGradient {
-        /// Strength.
-        strength: f64,
-        /// The symmetric matrix M.
-        matrix: Mat<N>,
-    },
+/// What the space vector of a law is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Space {
+    /// A direction.
+    Direction,
+    /// A place.
+    Place,
+    /// The direction of a mass whose pull falls with the cube of its distance.
+    Tide,
+}
+
+/// Of a field by what it is: its type in a law, its type in [`Numbers`] and the way there; the same in a plane; an example.
+macro_rules! field {
+    (type number $n:ident) => { f64 };
+    (type vector $n:ident) => { Vector<$n> };
+    (type matrix $n:ident) => { Mat<$n> };
+    (numbers number $life:lifetime) => { f64 };
+    (numbers $kind:ident $life:lifetime) => { &$life [f64] };
+    (seen number $own:ident) => { *$own };
+    (seen $kind:ident $own:ident) => { $own.as_slice() };
+    (plane number $own:ident $axes:ident) => { *$own };
+    (plane vector $own:ident $axes:ident) => { point_in_plane($own, $axes)? };
+    (plane matrix $own:ident $axes:ident) => { matrix_in_plane($own, $axes)? };
+    (example number $next:ident) => { 0.2 + $next().abs() };
+    (example vector $next:ident) => { Vector::from_fn(|_, _| $next()) };
+    (example matrix $next:ident) => { so::symmetric_part(&Mat::from_fn(|_, _| $next())) };
+}
+
+macro_rules! declare {
+    ($(
+        $(#[$doc:meta])*
+        $module:ident $law:ident {
+            $(#[$first_doc:meta])* $first:ident: number,
+            $($(#[$field_doc:meta])* $field:ident: $kind:ident,)*
+        }
+    )*) => {
+        /// How a term depends on `q = g^T v`.
+        #[derive(Clone, Debug, PartialEq)]
+        pub enum Law<const N: usize> {
+            $(
+                $(#[$doc])*
+                $law {
+                    $(#[$first_doc])*
+                    $first: f64,
+                    $($(#[$field_doc])* $field: field!(type $kind N),)*
+                },
+            )*
+        }
+
+        /// A law as its formulas see it: vectors and matrices (column by column) by their numbers.
+        #[derive(Clone, Copy, Debug)]
+        pub(crate) enum Numbers<'a> {
+            $($law { $first: f64, $($field: field!(numbers $kind 'a),)* },)*
+        }
+
+        impl<const N: usize> Law<N> {
+            /// One of each law, its fields from numbers in [-1, 1): what the tests of every law go through.
+            pub fn examples(mut next: impl FnMut() -> f64) -> Vec<Self> {
+                vec![$(Self::$law {
+                    $first: field!(example number next),
+                    $($field: field!(example $kind next),)*
+                },)*]
+            }
+
+            /// What the space vector is.
+            pub(super) fn space(&self) -> Space {
+                match self {
+                    $(Self::$law { .. } => $module::SPACE,)*
+                }
+            }
+
+            /// The same law, so many times as strong.
+            pub(super) fn times(&self, factor: f64) -> Self {
+                let mut law = self.clone();
+                match &mut law {
+                    $(Self::$law { $first: strength, .. })|* => *strength *= factor,
+                }
+                law
+            }
+
+            /// `dU/dq . q'`
+            pub(super) fn change(&self, q: &Vector<N>, rate: &Vector<N>) -> f64 {
+                match self {
+                    $(Self::$law { $first, $($field,)* } => {
+                        $module::change(*$first, $($field,)* q, rate)
+                    })*
+                }
+            }
+
+            /// The law as its formulas see it.
+            pub(crate) fn numbers(&self) -> Numbers<'_> {
+                match self {
+                    $(Self::$law { $first, $($field,)* } => Numbers::$law {
+                        $first: *$first,
+                        $($field: field!(seen $kind $field),)*
+                    },)*
+                }
+            }
+
+            /// The body point at which a law is singular, if it is.
+            fn singular_point(&self) -> Option<&Vector<N>> {
+                match self {
+                    $(Self::$law { $first, $($field,)* } => {
+                        $module::singular_point(*$first, $($field,)*)
+                    })*
+                }
+            }
+        }
+
+        impl Law<3> {
+            /// The law in the plane of axes i and j, if it never pulls out of it. An [`Image`] knows no handedness: a law
+            /// whose body vectors are in the plane, and whose matrices leave its normal alone, does not.
+            pub(super) fn in_plane(&self, axes: [usize; 3]) -> Option<Law<2>> {
+                Some(match self {
+                    $(Self::$law { $first, $($field,)* } => Law::$law {
+                        $first: *$first,
+                        $($field: field!(plane $kind $field axes),)*
+                    },)*
+                })
+            }
+        }
+
+        impl Numbers<'_> {
+            /// U(q).
+            #[inline(always)]
+            pub(super) fn value<V: Image>(&self, q: &V) -> V::Number {
+                match *self {
+                    $(Self::$law { $first, $($field,)* } => $module::value($first, $($field,)* q),)*
+                }
+            }
+
+            /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular
+            /// at zero distance, `nearness` becomes at least `-reach` times the square of the distance.
+            #[inline(always)]
+            pub(super) fn slope<V: Image>(&self, q: &V, reach: f64, nearness: &mut V::Number) -> V {
+                match *self {
+                    $(Self::$law { $first, $($field,)* } => {
+                        $module::slope($first, $($field,)* q, reach, nearness)
+                    })*
+                }
+            }
+        }
+    };
+}
+
+laws!(declare);
+
+fn point_in_plane(y: &Vector<3>, [i, j, k]: [usize; 3]) -> Option<Vector<2>> {
+    (y[k] == 0.0).then_some(Vector::<2>::new(y[i], y[j]))
+}
+
+fn matrix_in_plane(m: &Mat<3>, axes: [usize; 3]) -> Option<Mat<2>> {
+    let [i, j, _] = axes;
+    is_axis(m, axes).then_some(Mat::<2>::new(m[(i, i)], m[(i, j)], m[(j, i)], m[(j, j)]))
 }
 
 impl<const N: usize> Law<N> {
@@ -63,96 +234,9 @@ impl<const N: usize> Law<N> {
         self.numbers().value(q)
     }
 
-    /// The same law, so many times as strong.
-    pub(super) fn times(&self, factor: f64) -> Self {
-        let mut law = self.clone();
-        match &mut law {
-            Self::Uniform { weight: strength, .. }
-            | Self::PointSource { strength, .. }
-            | Self::Spring { stiffness: strength, .. }
-            | Self::GravityGradient { strength, .. } => *strength *= factor,
-        }
-        law
-    }
-
-    /// `dU/dq . q'`
-    pub(super) fn change(&self, q: &Vector<N>, rate: &Vector<N>) -> f64 {
-        match self {
-            Self::Uniform { weight, body_point } => weight * body_point.dot(rate),
-            Self::PointSource { strength, body_point } => {
-                let arm = body_point - q;
-                let distance = arm.norm();
-                strength * arm.dot(rate) / (distance * distance * distance)
-            }
-            Self::Spring { stiffness, rest_length, body_point } => {
-                let arm = q - body_point;
-                let bent = if *rest_length > 0.0 { rest_length / arm.norm() } else { 0.0 };
-                stiffness * (1.0 - bent) * arm.dot(rate)
-            }
-            Self::GravityGradient { strength, matrix } => strength * (matrix * q).dot(rate),
-        }
-    }
-
-    /// The law as its formulas see it.
-    pub(crate) fn numbers(&self) -> Numbers<'_> {
-        match self {
-            Self::Uniform { weight, body_point } => {
-                Numbers::Uniform { weight: *weight, body_point: body_point.as_slice() }
-            }
-            Self::PointSource { strength, body_point } => {
-                Numbers::PointSource { strength: *strength, body_point: body_point.as_slice() }
-            }
-            Self::Spring { stiffness, rest_length, body_point } => Numbers::Spring {
-                stiffness: *stiffness,
-                rest_length: *rest_length,
-                body_point: body_point.as_slice(),
-            },
-            Self::GravityGradient { strength, matrix } => {
-                Numbers::GravityGradient { strength: *strength, matrix: matrix.as_slice() }
-            }
-        }
-    }
-
     /// `|y - q|` relative to the arms where the law is singular at zero distance.
     pub(super) fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
         self.singular_point().map(|y| (y - q).norm() / (y.norm() + q.norm()))
-    }
-
-    /// The body point at which a law is singular, if it is.
-    fn singular_point(&self) -> Option<&Vector<N>> {
-        match self {
-            Self::PointSource { body_point, .. } => Some(body_point),
-            Self::Spring { rest_length, body_point, .. } => {
-                (*rest_length > 0.0).then_some(body_point)
-            }
-            Self::Uniform { .. } | Self::GravityGradient { .. } => None,
-        }
-    }
-}
-
-impl Law<3> {
-    /// The law in the plane of axes i and j, if it never pulls out of it.
-    pub(super) fn in_plane(&self, axes: [usize; 3]) -> Option<Law<2>> {
-        let [i, j, k] = axes;
-        let point = |y: &Vector<3>| (y[k] == 0.0).then_some(Vector::<2>::new(y[i], y[j]));
-        Some(match self {
-            Self::Uniform { weight, body_point } => {
-                Law::Uniform { weight: *weight, body_point: point(body_point)? }
-            }
-            Self::PointSource { strength, body_point } => {
-                Law::PointSource { strength: *strength, body_point: point(body_point)? }
-            }
-            Self::Spring { stiffness, rest_length, body_point } => Law::Spring {
-                stiffness: *stiffness,
-                rest_length: *rest_length,
-                body_point: point(body_point)?,
-            },
-            Self::GravityGradient { strength, matrix: m } => {
-                let block = Mat::<2>::new(m[(i, i)], m[(i, j)], m[(j, i)], m[(j, j)]);
-                is_axis(m, axes)
-                    .then_some(Law::GravityGradient { strength: *strength, matrix: block })?
-            }
-        })
     }
 }
 
@@ -163,52 +247,6 @@ impl<const N: usize> Term<N> {
             let arms = y.norm() + self.space.norm();
             1.0 / (arms * arms)
         })
-    }
-}
-
-/// A law as its formulas see it: vectors and matrices (column by column) by their numbers.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Numbers<'a> {
-    Uniform { weight: f64, body_point: &'a [f64] },
-    PointSource { strength: f64, body_point: &'a [f64] },
-    Spring { stiffness: f64, rest_length: f64, body_point: &'a [f64] },
-    GravityGradient { strength: f64, matrix: &'a [f64] },
-}
-
-impl Numbers<'_> {
-    /// U(q).
-    #[inline(always)]
-    pub(super) fn value<V: Image>(&self, q: &V) -> V::Number {
-        match *self {
-            Self::Uniform { weight, body_point } => uniform::value(weight, body_point, q),
-            Self::PointSource { strength, body_point } => {
-                point_source::value(strength, body_point, q)
-            }
-            Self::Spring { stiffness, rest_length, body_point } => {
-                spring::value(stiffness, rest_length, body_point, q)
-            }
-            Self::GravityGradient { strength, matrix } => {
-                gravity_gradient::value(strength, matrix, q)
-            }
-        }
-    }
-
-    /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular at zero
-    /// distance, `nearness` becomes at least `-reach` times the square of the distance.
-    #[inline(always)]
-    pub(super) fn slope<V: Image>(&self, q: &V, reach: f64, nearness: &mut V::Number) -> V {
-        match *self {
-            Self::Uniform { weight, body_point } => uniform::slope(weight, body_point, q),
-            Self::PointSource { strength, body_point } => {
-                point_source::slope(strength, body_point, q, reach, nearness)
-            }
-            Self::Spring { stiffness, rest_length, body_point } => {
-                spring::slope(stiffness, rest_length, body_point, q, reach, nearness)
-            }
-            Self::GravityGradient { strength, matrix } => {
-                gravity_gradient::slope(strength, matrix, q)
-            }
-        }
     }
 }
 

@@ -175,7 +175,7 @@ impl<const N: usize> Solution<N> {
     /// Refuses what is not a number.
     fn checked(&self) -> Result<(), Failure> {
         let finite = self.turn.iter().chain(&self.impulse).all(|x| x.is_finite());
-        if finite { Ok(()) } else { Err(not_finite(None)) }
+        if finite { Ok(()) } else { Err(Failure::not_finite(None)) }
     }
 }
 
@@ -543,25 +543,17 @@ impl<const N: usize> GalerkinStep<N> {
         values.fold(f64::INFINITY, f64::min)
     }
 
-    fn excesses(&self) -> impl Iterator<Item = &Mat<N>> {
+    fn stretches(&self) -> impl Iterator<Item = &Mat<N>> {
         self.stages.iter().map(|stage| &stage.e).chain([&self.end.e])
     }
 
     /// Refuses a solution on which the polar factors or the dynamics are not to be trusted.
     fn check(&self, dynamics: &dyn Dynamics<N>) -> Result<(), Failure> {
-        for (k, e) in self.excesses().enumerate() {
+        for (k, e) in self.stretches().enumerate() {
             let stage = (k < self.stages.len()).then_some(k);
             // The cheap bound decides nearly always.
             if so::smallest_eigenvalue_bound(e) < -0.5 {
-                let sigma = 1.0 + so::smallest_eigenvalue(e);
-                if !(sigma >= SMALLEST_SINGULAR_VALUE) {
-                    let code = if sigma > 0.0 {
-                        FailureCode::IllConditioned
-                    } else {
-                        FailureCode::LeftGlPlus
-                    };
-                    return Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE));
-                }
+                check_singular_value(1.0 + so::smallest_eigenvalue(e), stage)?;
             }
         }
         self.check_continuity()?;
@@ -577,9 +569,7 @@ impl<const N: usize> GalerkinStep<N> {
         for (stage, k) in nodes.chain([(None, self.stages.len())]) {
             let u = self.attitude(k);
             let trace = before.dot(&u);
-            if !(trace > limit) {
-                return Err(Failure::new(FailureCode::BranchJump, stage, trace, limit));
-            }
+            check_branch(trace, limit, stage)?;
             before = u;
         }
         Ok(())
@@ -658,7 +648,8 @@ struct Sweeps<'a, const N: usize> {
 impl<const N: usize> Equations for Sweeps<'_, N> {
     fn guess(&mut self) -> Result<(), Failure> {
         let Self { tableau, h, p0, omega, .. } = *self;
-        let turn = |angle: f64| so::retraction(&(omega * angle)).ok_or_else(|| not_finite(None));
+        let turn =
+            |angle: f64| so::retraction(&(omega * angle)).ok_or_else(|| Failure::not_finite(None));
         *self.end = End { f: turn(h)?, e: Mat::zeros(), lambda: p0 * -0.5 };
         for (k, stage) in self.stages.iter_mut().enumerate() {
             let u = turn(h * tableau.c(k))?;
@@ -778,7 +769,7 @@ impl<const N: usize> Sweeps<'_, N> {
             let stage = &mut stages[k];
             let mu = -so::asym(&so::transposed_product(&stage.u, &v)) / weight;
             if !mu.iter().all(|x| x.is_finite()) {
-                return Err(not_finite(Some(k)));
+                return Err(Failure::not_finite(Some(k)));
             }
             change = change.max((mu - stage.mu).amax());
             size = size.max(mu.amax());
@@ -796,10 +787,28 @@ impl<const N: usize> Sweeps<'_, N> {
     }
 }
 
+/// Refuses a matrix that is nearly singular, or reflects: by its smallest singular value, less than zero if it reflects.
+pub(super) fn check_singular_value(sigma: f64, stage: Option<usize>) -> Result<(), Failure> {
+    if sigma >= SMALLEST_SINGULAR_VALUE {
+        return Ok(());
+    }
+    let code = if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
+    Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE))
+}
+
+/// Refuses a turn of a quarter or more from one node to the next, by its trace or cosine and that of a quarter turn: it may
+/// be of another branch of the polar factor.
+pub(super) fn check_branch(found: f64, limit: f64, stage: Option<usize>) -> Result<(), Failure> {
+    if found > limit {
+        return Ok(());
+    }
+    Err(Failure::new(FailureCode::BranchJump, stage, found, limit))
+}
+
 /// `U` and `P - I` of `I + d = U P`.
 fn polar<const N: usize>(d: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Mat<N>), Failure> {
     if !d.iter().all(|x| x.is_finite()) {
-        return Err(not_finite(stage));
+        return Err(Failure::not_finite(stage));
     }
     let u = so::polar(&(d + Mat::identity())).ok_or(Failure::new(
         FailureCode::LeftGlPlus,
@@ -807,7 +816,7 @@ fn polar<const N: usize>(d: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Ma
         0.0,
         SMALLEST_SINGULAR_VALUE,
     ))?;
-    Ok((u, so::stretch_excess(&u, d)))
+    Ok((u, so::stretch_of(&u, d)))
 }
 
 fn lyapunov<const N: usize>(
@@ -818,7 +827,7 @@ fn lyapunov<const N: usize>(
     iterations: &mut u32,
 ) -> Result<Mat<N>, Failure> {
     if !c.iter().all(|x| x.is_finite()) {
-        return Err(not_finite(stage));
+        return Err(Failure::not_finite(stage));
     }
     so::lyapunov_in(m, c, guess, iterations).ok_or(Failure::new(
         FailureCode::LyapunovSingular,
@@ -826,8 +835,4 @@ fn lyapunov<const N: usize>(
         0.0,
         0.0,
     ))
-}
-
-fn not_finite(stage: Option<usize>) -> Failure {
-    Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
 }

@@ -167,7 +167,7 @@ impl Stepper<3> for QuaternionGauss {
             motion.turn_momentum(0.0);
         }
         if !motion.is_finite() {
-            return Err(Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX));
+            return Err(Failure::not_finite(None));
         }
         self.motion = motion;
         Ok(convergence)

@@ -14,6 +14,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
+use super::galerkin::check_branch;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Input, RigidBody};
 use crate::nonlinear::Convergence;
@@ -64,7 +65,7 @@ impl<const N: usize> Rk<N> {
         if g.iter().chain(&mu).all(|x| x.is_finite()) {
             Ok(State { attitude: g, momentum: mu })
         } else {
-            Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))
+            Err(Failure::not_finite(stage))
         }
     }
 }
@@ -163,9 +164,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             ))?;
             // A quarter turn in one plane, or a reflection: tr(U^T V) <= n - 2.
             let (trace, limit) = (self.state.attitude.dot(&factor), N as f64 - 2.0);
-            if !(trace > limit) {
-                return Err(Failure::new(FailureCode::BranchJump, None, trace, limit));
-            }
+            check_branch(trace, limit, None)?;
             end.attitude = factor;
         }
         self.state = end;

@@ -16,7 +16,7 @@
 //!
 //! Invariant: the attitude is on the group to round-off. The method is not symplectic and not symmetric.
 
-use crate::failure::{Failure, FailureCode};
+use crate::failure::Failure;
 use crate::hamiltonian::{Input, RigidBody};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
@@ -70,7 +70,7 @@ impl<const N: usize> Rkmk<N> {
         if u.iter().chain(&mu).all(|x| x.is_finite()) {
             Ok((sigma, u, mu))
         } else {
-            Err(Failure::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX))
+            Err(Failure::not_finite(stage))
         }
     }
 

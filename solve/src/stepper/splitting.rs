@@ -13,7 +13,7 @@
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
 use crate::composition::{Composition, Drift, Sum};
-use crate::failure::{Failure, FailureCode};
+use crate::failure::Failure;
 use crate::free_top;
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::Convergence;
@@ -60,12 +60,7 @@ impl Stepper<3> for Splitting {
         }
         let axes = &self.axes;
         let (state, _) = self.composition.step(body, &mut self.seen, self.state, h, |top, h| {
-            let (drift, pieces) = axes.free(top, h).ok_or(Failure::new(
-                FailureCode::NonFinite,
-                None,
-                f64::INFINITY,
-                f64::MAX,
-            ))?;
+            let (drift, pieces) = axes.free(top, h).ok_or(Failure::not_finite(None))?;
             body.work().add_pieces(pieces);
             Ok((drift, Convergence::EXPLICIT))
         })?;

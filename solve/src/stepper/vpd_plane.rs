@@ -20,7 +20,7 @@
 use nalgebra::Complex;
 
 use super::Stepper;
-use super::galerkin::SMALLEST_SINGULAR_VALUE;
+use super::galerkin::{SMALLEST_SINGULAR_VALUE, check_branch};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::{Convergence, Equations, Solver, StopRule};
@@ -333,9 +333,7 @@ impl Sweeps<'_> {
         let ascending = self.tableau.ascending().iter().map(|&k| stages[k].point.turn);
         for turn in ascending.chain([end.turn]) {
             let cosine = (before.conj() * turn).re;
-            if !(cosine > 0.0) {
-                return Err(Failure::new(FailureCode::BranchJump, None, cosine, 0.0));
-            }
+            check_branch(cosine, 0.0, None)?;
             before = turn;
         }
         stages
@@ -437,7 +435,7 @@ impl Equations for Sweeps<'_> {
         for k in 0..s {
             let mu = -2.0 * embedded(stages, k).re;
             if !mu.is_finite() {
-                return Err(Failure::new(FailureCode::NonFinite, Some(k), f64::INFINITY, f64::MAX));
+                return Err(Failure::not_finite(Some(k)));
             }
             let stage = &mut stages[k];
             change = change.max((mu - stage.mu).abs());

@@ -12,7 +12,7 @@
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
-use super::galerkin::SMALLEST_SINGULAR_VALUE;
+use super::galerkin::{check_branch, check_singular_value};
 use super::motion::{Motion, Sum, unsigned_zeros};
 use super::{Stepper, check_root};
 use crate::failure::{Failure, FailureCode};
@@ -124,13 +124,13 @@ impl VpdSo3 {
     }
 
     /// E of stage `k`, or of the end point after the last.
-    fn excess(&self, k: usize) -> Sym3<f64> {
-        let excess = if k < self.tableau.stages() {
-            self.unknowns.excess.each_ref().map(|row| row[k])
+    fn stretch(&self, k: usize) -> Sym3<f64> {
+        let stretch = if k < self.tableau.stages() {
+            self.unknowns.stretch.each_ref().map(|row| row[k])
         } else {
-            self.unknowns.end_excess
+            self.unknowns.end_stretch
         };
-        unsigned_zeros(excess)
+        unsigned_zeros(stretch)
     }
 
     /// U_k, or f after the last.
@@ -148,20 +148,12 @@ impl VpdSo3 {
         let stages = self.tableau.stages();
         let stage = |k: usize| (k < stages).then_some(k);
         for k in 0..=stages {
-            let [xx, yy, zz, yz, xz, xy] = self.excess(k);
+            let [xx, yy, zz, yz, xz, xy] = self.stretch(k);
             // Gershgorin's discs decide nearly always.
             let [yz_, xz_, xy_] = [yz.abs(), xz.abs(), xy.abs()];
             let bound = (xx - xy_ - xz_).min(yy - xy_ - yz_).min(zz - xz_ - yz_);
             if !(bound >= -0.5) {
-                let sigma = smallest_singular_value(&self.excess(k));
-                if !(sigma >= SMALLEST_SINGULAR_VALUE) {
-                    let code = if sigma > 0.0 {
-                        FailureCode::IllConditioned
-                    } else {
-                        FailureCode::LeftGlPlus
-                    };
-                    return Err(Failure::new(code, stage(k), sigma, SMALLEST_SINGULAR_VALUE));
-                }
+                check_singular_value(smallest_singular_value(&self.stretch(k)), stage(k))?;
             }
         }
         let mut before = Quaternion { w: 1.0, v: [0.0; 3] };
@@ -170,9 +162,7 @@ impl VpdSo3 {
             // tr(U^T V) = 4 (p . q)^2 - 1; a quarter turn has 1.
             let cosine = before.w * turn.w + dot(&before.v, &turn.v);
             let trace = 4.0 * cosine * cosine - 1.0;
-            if !(trace > 1.0) {
-                return Err(Failure::new(FailureCode::BranchJump, stage(k), trace, 1.0));
-            }
+            check_branch(trace, 1.0, stage(k))?;
             before = turn;
         }
         // What is not a number is refused, too.
@@ -374,7 +364,7 @@ impl Stepper<3> for VpdSo3 {
     }
 
     fn sigma_min(&self) -> Option<f64> {
-        let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.excess(k)));
+        let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.stretch(k)));
         Some(sigmas.fold(f64::INFINITY, f64::min))
     }
 }
@@ -399,7 +389,7 @@ impl VpdSo3 {
         // What a law of one's own answers after the last sweep, nobody has looked at.
         let Unknowns { kick, gain, .. } = &self.unknowns;
         if body.has_own() && !kick.iter().chain(gain).all(|x| x.is_finite()) {
-            let failure = Failure::new(FailureCode::NonFinite, None, f64::INFINITY, f64::MAX);
+            let failure = Failure::not_finite(None);
             return Err(self.turned(body, h, failure));
         }
         let before = self.state;
@@ -430,7 +420,7 @@ impl VpdSo3 {
         match &mut self.state {
             Carried::Full(motion) => {
                 motion.advance(0.0, end, kick);
-                // A free body has the one in space to the bit, and the sum would lean by 1e-18 a step.
+                // A free body has the one in space to the bit, and the sum would drift by 1e-18 a step.
                 if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
                     motion.gain(gain);
                 } else {

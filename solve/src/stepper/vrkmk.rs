@@ -25,7 +25,7 @@
 
 use nalgebra::Vector3;
 
-use crate::failure::{Failure, FailureCode};
+use crate::failure::Failure;
 use crate::hamiltonian::{Input, Moment, RigidBody};
 use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
@@ -278,7 +278,7 @@ impl<const N: usize> Step<'_, N> {
                 x += stages[j].k * (h * tableau.a(i, j));
             }
             if !x.size().is_finite() {
-                return Err(Failure::new(FailureCode::NonFinite, Some(i), f64::INFINITY, f64::MAX));
+                return Err(Failure::not_finite(Some(i)));
             }
             let stage = &mut stages[i];
             let turn = so::exp(&x.matrix());

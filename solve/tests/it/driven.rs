@@ -601,7 +601,7 @@ fn balances(eccentricity: f64, member: u32, steps: u32) -> Vec<(&'static str, Bl
     figures
 }
 
-/// Holds each run of the satellites to no drift beyond three of its standard errors, and tells the mean.
+/// Holds each run of the satellites to no drift beyond three of its standard errors, and shows the mean.
 fn check_satellites(steps: u32, members: u32) {
     for (name, eccentricity) in [("circular", 0.0), ("elliptic", 0.1)] {
         let runs: Vec<_> = (0..members).map(|m| balances(eccentricity, m, steps)).collect();

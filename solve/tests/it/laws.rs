@@ -1,20 +1,21 @@
 //! Laws of the group, the potential and the step, for n = 2 to 8.
 
-use nalgebra::{DMatrix, Matrix3, Vector3};
-use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use nalgebra::{Matrix3, Vector3};
+use vpd_solve::hamiltonian::{DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
+use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::State;
 
 use crate::given::Numbers;
+use crate::literal;
 
 /// A body with one term of each kind.
 pub(crate) fn body<const N: usize>(numbers: &mut Numbers) -> RigidBody<N> {
-    let weights =
-        Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (2.0 + 0.2 * (i + j) as f64) });
     let far = |numbers: &mut Numbers| numbers.vector::<N>() + Vector::<N>::repeat(2.0);
     let term = |law, space| Term { law, space };
     let terms = vec![
@@ -33,7 +34,26 @@ pub(crate) fn body<const N: usize>(numbers: &mut Numbers) -> RigidBody<N> {
             numbers.vector(),
         ),
     ];
-    RigidBody::new(Kinetic::Principal { weights }, terms, 0.0)
+    RigidBody::new(kinetic(), terms, 0.0)
+}
+
+fn kinetic<const N: usize>() -> Kinetic<N> {
+    let weights =
+        Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (2.0 + 0.2 * (i + j) as f64) });
+    Kinetic::Principal { weights }
+}
+
+/// One term of each law, a new one included.
+fn every_term<const N: usize>(numbers: &mut Numbers) -> Vec<Term<N>> {
+    let laws = Law::examples(|| numbers.next());
+    let far = |law| Term { law, space: numbers.vector() + Vector::<N>::repeat(2.0) };
+    laws.into_iter().map(far).collect()
+}
+
+/// For each law a body with it alone.
+fn every_law<const N: usize>(numbers: &mut Numbers) -> Vec<RigidBody<N>> {
+    let body = |term| RigidBody::new(kinetic(), vec![term], 0.0);
+    every_term(numbers).into_iter().map(body).collect()
 }
 
 /// Takes steps of the given sizes.
@@ -128,7 +148,7 @@ fn polar_factor() {
             let a = Mat::identity() + numbers.matrix() * 0.4;
             let u = so::polar(&a).expect("near the identity");
             assert!(so::orthogonality_error(&u) < 2e-15, "n = {N}");
-            let p = Mat::identity() + so::stretch_excess(&u, &(a - Mat::identity()));
+            let p = Mat::identity() + so::stretch_of(&u, &(a - Mat::identity()));
             let defect: Mat<N> = u * p - a;
             assert!(defect.amax() < 1e-14);
             assert!(so::smallest_eigenvalue(&p) > 0.0);
@@ -281,28 +301,60 @@ fn the_exponential_is_the_sum_of_its_series() {
 fn the_gradient_is_the_derivative_of_the_energy() {
     fn law<const N: usize>() {
         let mut numbers = Numbers(7);
-        let body = body::<N>(&mut numbers);
-        let g0 = numbers.rotation::<N>();
-        let u = numbers.rotation::<N>();
-        let mut seen = Vec::new();
-        body.seen_from(&g0, &mut seen);
-        let gradient = body.gradient(&u, &seen);
-        let potential = |turn: &Mat<N>| {
-            let attitude = g0 * u * so::retraction(turn).expect("small");
-            body.energy(&attitude, &Mat::zeros()).potential
-        };
-        for _ in 0..10 {
-            let eta = numbers.skew::<N>();
-            // Five points, fourth order: e^4 and round-off over e balance near 1e-3.
-            let e = 1e-3;
-            let at = |k: f64| potential(&(eta * (k * e)));
-            let difference = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * e);
-            assert!((difference - so::inner(&gradient, &eta)).abs() < 1e-10, "n = {N}");
+        let all = body::<N>(&mut numbers);
+        let each = every_law(&mut numbers);
+        for body in [all].into_iter().chain(each) {
+            let g0 = numbers.rotation::<N>();
+            let u = numbers.rotation::<N>();
+            let mut seen = Vec::new();
+            body.seen_from(&g0, &mut seen);
+            let gradient = body.gradient(&u, &seen);
+            let potential = |turn: &Mat<N>| {
+                let attitude = g0 * u * so::retraction(turn).expect("small");
+                body.energy(&attitude, &Mat::zeros()).potential
+            };
+            for _ in 0..10 {
+                let eta = numbers.skew::<N>();
+                // Five points, fourth order: e^4 and round-off over e balance near 1e-3.
+                let e = 1e-3;
+                let at = |k: f64| potential(&(eta * (k * e)));
+                let difference = (8.0 * (at(1.0) - at(-1.0)) - (at(2.0) - at(-2.0))) / (12.0 * e);
+                let error = (difference - so::inner(&gradient, &eta)).abs();
+                let size = 1.0 + gradient.norm() * eta.norm();
+                assert!(error < 1e-10 * size, "n = {N}, {body:?}: {error:e} of {size}");
+            }
+            // The same from the other side.
+            let g = g0 * u;
+            let difference = so::conjugate(&g, &gradient) - body.spatial_gradient(&g);
+            let size = N as f64 * gradient.norm().max(1.0);
+            assert!(difference.amax() < 1e-14 * size, "n = {N}: {:e}", difference.amax());
         }
-        // The same from the other side.
-        let g = g0 * u;
-        let difference = so::conjugate(&g, &gradient) - body.spatial_gradient(&g);
-        assert!(difference.amax() < 1e-14 * N as f64, "n = {N}: {:e}", difference.amax());
+    }
+    for_sizes!(law);
+}
+
+/// Where the strength of a term swings and its space vector turns, the energy changes by what both put in.
+#[test]
+fn the_power_of_every_law_is_the_rate_of_its_energy() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(12);
+        let axis = |k: usize| Vector::<N>::from_fn(|i, _| f64::from(u8::from(i == k)));
+        for term in every_term::<N>(&mut numbers) {
+            let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
+            let plain = RigidBody::new(kinetic(), Vec::new(), 0.0);
+            let body = plain.with_driven_term(DrivenTerm {
+                term,
+                path: Path::Turning { plane: [axis(0), axis(1)], rate: 1.3 },
+                factor: Factor::Harmonic { mean: 1.0, amplitude: 0.3, rate: 2.1, phase: 0.5 },
+            });
+            let energy =
+                |t, state: &State<N>| body.energy_at(t, &state.attitude, &state.momentum).total();
+            let mut stepper = Vpd::new(Tableau::gauss(4).expect("4 stages"), StopRule::default());
+            let end = advance(&mut stepper, &body, &start, &[0.02]);
+            let change = energy(0.02, &end) - energy(0.0, &start);
+            assert!(change.abs() > 1e-5, "{body:?}: {change:e}");
+            assert!((change - stepper.work()).abs() < 1e-13, "{body:?}: {change:e}");
+        }
     }
     for_sizes!(law);
 }
@@ -348,90 +400,6 @@ fn conserved_directions_are_those_the_potential_leaves_free() {
     );
 }
 
-/// Paper, (24, vih), by its own maps and with its nested inverse of phi~*: an oracle for one step, written
-/// without the rearrangement and without the product's solver.
-fn step_of_the_paper<const N: usize>(
-    body: &RigidBody<N>,
-    tableau: &Tableau,
-    h: f64,
-    state: &State<N>,
-) -> State<N> {
-    let s = tableau.stages();
-    let (g0, p0) = (state.attitude, state.momentum);
-    let polar = |a: &Mat<N>| {
-        // (newtoniterate), often enough.
-        (0..30).fold(*a, |u, _| (u + u.try_inverse().expect("regular").transpose()) * 0.5)
-    };
-    // Lyap(M, C): the dense system for M X + X M^T = C.
-    let lyapunov = |m: &Mat<N>, c: &Mat<N>| {
-        let identity = DMatrix::<f64>::identity(N, N);
-        let m = DMatrix::from_column_slice(N, N, m.as_slice());
-        let system = identity.kronecker(&m) + m.kronecker(&identity);
-        let rhs = nalgebra::DVector::from_column_slice(c.as_slice());
-        Mat::<N>::from_column_slice(system.lu().solve(&rhs).expect("regular").as_slice())
-    };
-    let gradient = |u: &Mat<N>| {
-        let mut seen = Vec::new();
-        body.seen_from(&Mat::identity(), &mut seen);
-        body.gradient(u, &seen)
-    };
-    let mut mu = vec![p0; s];
-    let mut u = vec![g0; s];
-    let mut g1 = g0;
-    let mut lambda = -p0 * 0.5;
-    for _ in 0..200 {
-        let omega: Vec<Mat<N>> = mu.iter().map(|mu| body.velocity(mu)).collect();
-        let internal = |i: usize, u: &[Mat<N>]| {
-            (0..s).fold(g0, |a, j| a + u[j] * omega[j] * (h * tableau.a(i, j)))
-        };
-        let a: Vec<Mat<N>> = (0..s).map(|i| internal(i, &u)).collect();
-        let next_u: Vec<Mat<N>> = a.iter().map(polar).collect();
-        let end = (0..s).fold(g0, |e, j| e + u[j] * omega[j] * (h * tableau.b(j)));
-        let next_g1 = polar(&end);
-        // b_i F_i, F_i = dH/dU - asym(U_i^T g1 Lambda Omega_i^T)
-        let force: Vec<Mat<N>> = (0..s)
-            .map(|i| {
-                let f = gradient(&u[i])
-                    - so::asym(&(u[i].transpose() * g1 * lambda * omega[i].transpose()));
-                f * tableau.b(i)
-            })
-            .collect();
-        // (17a, f1): S_j - asym(h U_j^T sum_l a_lj dP*_l(S_l) Omega_j^T) = b_j F_j, by its own iteration.
-        let adjoint = |l: usize, s_l: &Mat<N>| {
-            let p = so::symmetric_part(&(next_u[l].transpose() * a[l]));
-            next_u[l] * lyapunov(&p, s_l)
-        };
-        let mut stack = force.clone();
-        for _ in 0..100 {
-            let images: Vec<Mat<N>> = (0..s).map(|l| adjoint(l, &stack[l])).collect();
-            stack = (0..s)
-                .map(|j| {
-                    let sum = (0..s).fold(Mat::zeros(), |sum, l| sum + images[l] * tableau.a(l, j));
-                    force[j] + so::asym(&(u[j].transpose() * sum * omega[j].transpose())) * h
-                })
-                .collect();
-        }
-        let images: Vec<Mat<N>> = (0..s).map(|l| adjoint(l, &stack[l])).collect();
-        // (24a, vih1): (17b, f2) with the weights of the sum inside the stack.
-        mu = (0..s)
-            .map(|k| {
-                let sum = (0..s).fold(Mat::zeros(), |sum, l| sum + images[l] * tableau.a(l, k));
-                so::asym(&(u[k].transpose() * sum)) * (h / tableau.b(k))
-                    - so::asym(&(u[k].transpose() * g1 * lambda))
-            })
-            .collect();
-        // (24d, vih4): asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_l(S_l))
-        let sum = images.iter().fold(Mat::zeros(), |sum, image| sum + image);
-        let rhs = -p0 + so::asym(&(g0.transpose() * sum)) * h;
-        lambda = lyapunov(&(g0.transpose() * g1), &rhs);
-        (u, g1) = (next_u, next_g1);
-    }
-    let end = (0..s).fold(g0, |e, j| e + u[j] * body.velocity(&mu[j]) * (h * tableau.b(j)));
-    // (24e, vih5)
-    let momentum = so::asym(&(g1.transpose() * end * lambda.transpose()));
-    State { attitude: g1, momentum }
-}
-
 #[test]
 fn the_rearranged_step_is_the_papers() {
     fn law<const N: usize>(stages: &[usize], steps: &[f64]) {
@@ -441,7 +409,7 @@ fn the_rearranged_step_is_the_papers() {
         let tableaux = stages.iter().copied().map(Tableau::gauss);
         for tableau in tableaux.chain([Some(Tableau::rk3())]).flatten() {
             for &h in steps {
-                let oracle = step_of_the_paper(&body, &tableau, h, &state);
+                let oracle = literal::step(&body, &tableau, h, &state);
                 let mut ours = Vpd::new(tableau.clone(), StopRule::default());
                 let ours = advance(&mut ours, &body, &state, &[h]);
                 let attitude = (ours.attitude - oracle.attitude).amax();
@@ -457,6 +425,37 @@ fn the_rearranged_step_is_the_papers() {
     law::<5>(&[1, 2, 3, 8], &[0.05, 0.4]);
     law::<6>(&[2, 3], &[0.05, 0.4]);
     law::<8>(&[2], &[0.2]);
+}
+
+/// In matrices and, for n = 3, in vectors: the formulas of a law in lanes next to those for one attitude.
+#[test]
+fn the_step_of_every_law_is_the_papers() {
+    fn law<const N: usize>(in_lanes: impl Fn(&Tableau) -> Vec<Box<dyn Stepper<N>>>) {
+        let mut numbers = Numbers(14);
+        let tableau = Tableau::gauss(2).expect("2 stages");
+        for body in every_law::<N>(&mut numbers) {
+            let state = State { attitude: numbers.rotation(), momentum: numbers.skew() };
+            let oracle = literal::step(&body, &tableau, 0.1, &state);
+            for mut stepper in in_lanes(&tableau) {
+                let ours = advance(stepper.as_mut(), &body, &state, &[0.1]);
+                let attitude = (ours.attitude - oracle.attitude).amax();
+                let difference = attitude.max((ours.momentum - oracle.momentum).amax());
+                assert!(difference < 3e-15, "{body:?}: {difference:e}");
+            }
+        }
+    }
+    fn matrices<const N: usize>(tableau: &Tableau) -> Vec<Box<dyn Stepper<N>>> {
+        vec![Box::new(Vpd::new(tableau.clone(), StopRule::default()))]
+    }
+    law::<2>(matrices);
+    law::<3>(|tableau| {
+        let vectors = VpdSo3::new(tableau.clone(), StopRule::default()).expect("2 stages");
+        let mut steppers = matrices::<3>(tableau);
+        steppers.push(Box::new(vectors));
+        steppers
+    });
+    law::<4>(matrices);
+    law::<5>(matrices);
 }
 
 #[test]
@@ -485,7 +484,7 @@ fn a_free_body_keeps_its_spatial_momentum() {
 
 #[test]
 fn the_midpoint_step_is_its_own_reverse() {
-    // With more stages the scheme leans on g0 and is symmetric to its order only.
+    // With more stages the scheme is biased towards g0, and symmetric to its order only.
     let mut numbers = Numbers(11);
     let body = body::<3>(&mut numbers);
     let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };

@@ -12,6 +12,7 @@ mod given;
 mod growth;
 mod lanes;
 mod laws;
+mod literal;
 mod methods;
 mod open;
 mod published;

@@ -402,7 +402,7 @@ fn implicit_tableaux_are_no_explicit_methods() {
 }
 
 #[test]
-fn an_inertia_tensor_is_a_turned_frame_for_the_rivals_too() {
+fn an_inertia_tensor_is_a_turned_frame_for_the_other_methods_too() {
     // The same body in principal axes and in axes turned by r: g' = g r, mu' = r^T mu r.
     let moments = [2.0, 1.5, 0.7];
     let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
@@ -476,7 +476,7 @@ impl LongRun {
 }
 
 #[test]
-fn the_rivals_reach_their_energy_figures() {
+fn the_other_methods_reach_their_energy_figures() {
     let stop = to_round_off();
     let runs: [(&str, Box<dyn Stepper<3>>, f64, f64); 4] = [
         ("splitting 4", Box::new(Splitting::new(4).expect("even")), 0.01, 2.4e-10),

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, direction, largest, matrix, size, strength, symmetry};
-use super::{Drawn, Law, Mobility, NO_STRENGTH, length};
+use super::{Drawn, Law, Mobility, NO_STRENGTH, example_vector, length};
 use crate::solve::hamiltonian;
 use crate::solve::so::{self, Mat};
 
@@ -23,6 +23,15 @@ pub struct GravityGradient {
 }
 
 impl GravityGradient {
+    pub(super) const FORMULA: &'static str =
+        "strength / 2 * (g^T direction) . matrix (g^T direction)";
+
+    pub(super) fn example(n: usize) -> Self {
+        let entry = |i, j| if i == j { 1.0 + i as f64 } else { 0.1 };
+        let matrix = (0..n).map(|i| (0..n).map(|j| entry(i, j)).collect()).collect();
+        Self { strength: 0.6, direction: example_vector(n, 1.0), matrix: Some(matrix) }
+    }
+
     pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
         let rows = self.matrix.as_ref().expect("the plan filled in the matrix");
         let entry =
@@ -94,9 +103,5 @@ impl Law for GravityGradient {
 
     fn drawn(&self) -> Drawn<'_> {
         Drawn { direction: Some(&self.direction), ..Drawn::default() }
-    }
-
-    fn kind(&self) -> &'static str {
-        "gravity_gradient"
     }
 }

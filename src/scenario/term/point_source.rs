@@ -4,7 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, point, strength};
-use super::{Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, is_zero, length, vector};
+use super::{
+    Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, example_vector, is_zero, length,
+    vector,
+};
 use crate::solve::hamiltonian;
 
 /// A point of space that attracts or repels a body point.
@@ -20,6 +23,16 @@ pub struct PointSource {
 }
 
 impl PointSource {
+    pub(super) const FORMULA: &'static str = "strength / |g body_point - position|";
+
+    pub(super) fn example(n: usize) -> Self {
+        Self {
+            strength: -0.5,
+            body_point: example_vector(n, 0.3),
+            position: example_vector(n, 2.0),
+        }
+    }
+
     pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
         let body_point = vector(&self.body_point);
         hamiltonian::Law::PointSource { strength: self.strength, body_point }
@@ -66,9 +79,5 @@ impl Law for PointSource {
             charge: self.strength,
             ..Drawn::default()
         }
-    }
-
-    fn kind(&self) -> &'static str {
-        "point_source"
     }
 }

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, ensure, number, point, size, strength};
 use super::{
-    Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, is_zero, length, unit, vector,
+    Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, example_vector, is_zero, length,
+    unit, vector,
 };
 use crate::solve::hamiltonian;
 
@@ -25,6 +26,18 @@ pub struct Spring {
 }
 
 impl Spring {
+    pub(super) const FORMULA: &'static str =
+        "stiffness / 2 * (|g body_point - position| - rest_length)^2";
+
+    pub(super) fn example(n: usize) -> Self {
+        Self {
+            stiffness: 2.0,
+            rest_length: 0.1,
+            body_point: example_vector(n, 0.3),
+            position: example_vector(n, 2.0),
+        }
+    }
+
     pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
         hamiltonian::Law::Spring {
             stiffness: self.stiffness,
@@ -82,9 +95,5 @@ impl Law for Spring {
             position: Some(&self.position),
             ..Drawn::default()
         }
-    }
-
-    fn kind(&self) -> &'static str {
-        "spring"
     }
 }

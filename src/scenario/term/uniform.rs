@@ -4,7 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::super::check::{Check, direction, point, strength};
-use super::{Drawn, FIXED, Law, Mobility, NO_STRENGTH, is_zero, length, unit, vector};
+use super::{
+    Drawn, FIXED, Law, Mobility, NO_STRENGTH, example_vector, is_zero, length, unit, vector,
+};
 use crate::solve::hamiltonian;
 
 /// A uniform field that pulls at a body point.
@@ -20,6 +22,12 @@ pub struct Uniform {
 }
 
 impl Uniform {
+    pub(super) const FORMULA: &'static str = "weight * direction . (g body_point)";
+
+    pub(super) fn example(n: usize) -> Self {
+        Self { weight: 1.5, body_point: example_vector(n, 0.3), direction: example_vector(n, 0.7) }
+    }
+
     pub(super) fn modelled<const N: usize>(&self) -> hamiltonian::Law<N> {
         hamiltonian::Law::Uniform { weight: self.weight, body_point: vector(&self.body_point) }
     }
@@ -62,9 +70,5 @@ impl Law for Uniform {
             direction: Some(&self.direction),
             ..Drawn::default()
         }
-    }
-
-    fn kind(&self) -> &'static str {
-        "uniform"
     }
 }

@@ -1,6 +1,8 @@
 //! The gradient of gravity: `U = strength / 2 q . M q`.
 
-use super::Image;
+use super::{Image, Mat, Space, Vector};
+
+pub(super) const SPACE: Space = Space::Tide;
 
 #[inline(always)]
 pub(super) fn value<V: Image>(strength: f64, m: &[f64], q: &V) -> V::Number {
@@ -9,6 +11,19 @@ pub(super) fn value<V: Image>(strength: f64, m: &[f64], q: &V) -> V::Number {
 
 /// `dU/dq = strength M q`.
 #[inline(always)]
-pub(super) fn slope<V: Image>(strength: f64, m: &[f64], q: &V) -> V {
+pub(super) fn slope<V: Image>(strength: f64, m: &[f64], q: &V, _: f64, _: &mut V::Number) -> V {
     q.times(m).scaled(q.number(strength))
+}
+
+pub(super) fn change<const N: usize>(
+    strength: f64,
+    m: &Mat<N>,
+    q: &Vector<N>,
+    rate: &Vector<N>,
+) -> f64 {
+    strength * (m * q).dot(rate)
+}
+
+pub(super) fn singular_point<const N: usize>(_: f64, _: &Mat<N>) -> Option<&Vector<N>> {
+    None
 }

@@ -1,6 +1,8 @@
 //! A charge: `U = strength / r`, `r = |y - q|`.
 
-use super::{Image, Real};
+use super::{Image, Real, Space, Vector};
+
+pub(super) const SPACE: Space = Space::Place;
 
 #[inline(always)]
 pub(super) fn value<V: Image>(strength: f64, y: &[f64], q: &V) -> V::Number {
@@ -20,4 +22,19 @@ pub(super) fn slope<V: Image>(
     let square = y.minus(q).square();
     *nearness = nearness.max_or_nan(square * -reach);
     y.scaled(q.number(strength) / (square * square.sqrt()))
+}
+
+pub(super) fn change<const N: usize>(
+    strength: f64,
+    y: &Vector<N>,
+    q: &Vector<N>,
+    rate: &Vector<N>,
+) -> f64 {
+    let arm = y - q;
+    let distance = arm.norm();
+    strength * arm.dot(rate) / (distance * distance * distance)
+}
+
+pub(super) fn singular_point<const N: usize>(_: f64, y: &Vector<N>) -> Option<&Vector<N>> {
+    Some(y)
 }

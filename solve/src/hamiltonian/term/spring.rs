@@ -1,6 +1,8 @@
 //! A spring: `U = stiffness / 2 (r - rest_length)^2`, `r = |y - q|`.
 
-use super::{Image, Real};
+use super::{Image, Real, Space, Vector};
+
+pub(super) const SPACE: Space = Space::Place;
 
 #[inline(always)]
 pub(super) fn value<V: Image>(stiffness: f64, rest_length: f64, y: &[f64], q: &V) -> V::Number {
@@ -26,4 +28,24 @@ pub(super) fn slope<V: Image>(
     *nearness = nearness.max_or_nan(square * -reach);
     let ratio = q.number(rest_length) / square.sqrt();
     y.scaled((ratio + -1.0) * stiffness)
+}
+
+pub(super) fn change<const N: usize>(
+    stiffness: f64,
+    rest_length: &f64,
+    y: &Vector<N>,
+    q: &Vector<N>,
+    rate: &Vector<N>,
+) -> f64 {
+    let arm = q - y;
+    let bent = if *rest_length > 0.0 { rest_length / arm.norm() } else { 0.0 };
+    stiffness * (1.0 - bent) * arm.dot(rate)
+}
+
+pub(super) fn singular_point<'a, const N: usize>(
+    _: f64,
+    rest_length: &f64,
+    y: &'a Vector<N>,
+) -> Option<&'a Vector<N>> {
+    (*rest_length > 0.0).then_some(y)
 }

@@ -1,6 +1,8 @@
 //! A uniform field: `U = weight y . q`.
 
-use super::Image;
+use super::{Image, Space, Vector};
+
+pub(super) const SPACE: Space = Space::Direction;
 
 #[inline(always)]
 pub(super) fn value<V: Image>(weight: f64, y: &[f64], q: &V) -> V::Number {
@@ -9,6 +11,19 @@ pub(super) fn value<V: Image>(weight: f64, y: &[f64], q: &V) -> V::Number {
 
 /// `dU/dq = weight y`.
 #[inline(always)]
-pub(super) fn slope<V: Image>(weight: f64, y: &[f64], q: &V) -> V {
+pub(super) fn slope<V: Image>(weight: f64, y: &[f64], q: &V, _: f64, _: &mut V::Number) -> V {
     q.vector(y).scaled(q.number(weight))
+}
+
+pub(super) fn change<const N: usize>(
+    weight: f64,
+    y: &Vector<N>,
+    _: &Vector<N>,
+    rate: &Vector<N>,
+) -> f64 {
+    weight * y.dot(rate)
+}
+
+pub(super) fn singular_point<const N: usize>(_: f64, _: &Vector<N>) -> Option<&Vector<N>> {
+    None
 }

@@ -33,7 +33,7 @@ use crate::space::{
     symmetric_product, times_hat, transposed_product, vec3, with_one,
 };
 use crate::stepper::motion::unsigned_zeros;
-use crate::stepper::vpd_so3::sweep::{embedded, inverse_of_k, residual, store, stretch_excess};
+use crate::stepper::vpd_so3::sweep::{embedded, inverse_of_k, residual, store, stretch_of};
 use crate::stepper::vpd_so3::unknowns::{Inertia, LaneTableau};
 use crate::tableau::Tableau;
 
@@ -498,7 +498,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let u = self.attitude.matrix();
         let w = times_hat(&u, &scaled(&self.omega, self.weight));
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
-        self.stretch = stretch_excess(&self.attitude, &u, &d);
+        self.stretch = stretch_of(&self.attitude, &u, &d);
         self.inverse = inverse_of_k(&self.stretch);
         let half = symmetric_product(&self.inverse, &residual(&self.attitude, &u, &d));
         let polar = self.attitude.turned(&scaled(&half, self.lanes.constant(0.5)));
@@ -590,7 +590,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let passes = if self.given.tableau.stages < MANY && self.evaluations == 1 { 2 } else { 1 };
         for _ in 0..passes {
             let f = self.f.matrix();
-            self.end_stretch = stretch_excess(&self.f, &f, &d);
+            self.end_stretch = stretch_of(&self.f, &f, &d);
             inverse = inverse_of_k(&self.end_stretch);
             let half = symmetric_product(&inverse, &residual(&self.f, &f, &d));
             self.f = self.f.turned(&scaled(&half, 0.5));

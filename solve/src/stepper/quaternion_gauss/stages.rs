@@ -323,8 +323,8 @@ pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     change.largest() + total.sum() * 0.0
 }
 
-/// The end of the step, from the newest stages: a last pass brings u and d up to the newest torques. What they lag behind
-/// would lean.
+/// The end of the step, from the newest stages: a last pass brings u and d up to the newest torques. Their lag
+/// would be a bias.
 #[inline(always)]
 pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> End {
     let given = Given::new(lanes, start);

@@ -228,7 +228,7 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
     ascending: &[usize],
     solution: &Unknowns<R::Plain, Row>,
 ) -> Row {
-    let Unknowns { attitude, excess, end, end_excess, nearness, .. } = solution;
+    let Unknowns { attitude, stretch, end, end_stretch, nearness, .. } = solution;
     let whole = lanes.stage(0);
     let nearness = whole.load(nearness);
     let mut doubt = nearness + CLOSEST_APPROACH * CLOSEST_APPROACH;
@@ -239,7 +239,7 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
         if k < ascending.len() {
             let k = ascending[k];
             for i in 0..6 {
-                e[i] = lanes.load(&excess[i]).stage(k);
+                e[i] = lanes.load(&stretch[i]).stage(k);
             }
             turn.w = lanes.load(&attitude.w).stage(k);
             for i in 0..3 {
@@ -247,7 +247,7 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
             }
         } else {
             for i in 0..6 {
-                e[i] = whole.load(&end_excess[i]);
+                e[i] = whole.load(&end_stretch[i]);
             }
             turn.w = whole.load(&end.w);
             for i in 0..3 {
@@ -337,7 +337,7 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
                 rows[k][lane] = from[k][lane];
             }
         };
-        let Self { attitude, momentum, inverse, excess, end, end_excess, kick, nearness, .. } =
+        let Self { attitude, momentum, inverse, stretch, end, end_stretch, kick, nearness, .. } =
             self;
         stages(&mut attitude.w, &solved.attitude.w);
         for i in 0..3 {
@@ -348,8 +348,8 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
         }
         for i in 0..6 {
             stages(&mut inverse[i], &solved.inverse[i]);
-            stages(&mut excess[i], &solved.excess[i]);
-            end_excess[i][lane] = solved.end_excess[i][lane];
+            stages(&mut stretch[i], &solved.stretch[i]);
+            end_stretch[i][lane] = solved.end_stretch[i][lane];
         }
         end.w[lane] = solved.end.w[lane];
         nearness[lane] = solved.nearness[lane];
@@ -362,7 +362,7 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
                 row[k] = rows[k][lane];
             }
         };
-        let Self { attitude, excess, end, end_excess, kick, nearness, .. } = self;
+        let Self { attitude, stretch, end, end_stretch, kick, nearness, .. } = self;
         stages(&attitude.w, &mut own.attitude.w);
         for i in 0..3 {
             stages(&attitude.v[i], &mut own.attitude.v[i]);
@@ -370,8 +370,8 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
             own.kick[i] = kick[i][lane];
         }
         for i in 0..6 {
-            stages(&excess[i], &mut own.excess[i]);
-            own.end_excess[i] = end_excess[i][lane];
+            stages(&stretch[i], &mut own.stretch[i]);
+            own.end_stretch[i] = end_stretch[i][lane];
         }
         own.end.w = end.w[lane];
         own.nearness = nearness[lane];

@@ -245,13 +245,13 @@ pub(super) fn finish<R: Stages>(
         let to_come: Vec3<R> = vec3!(i => lanes.spread(kick[i]) - momentum[i]);
         let to_come = cross(&transposed_product(&u, &to_come), &omega);
         let pushed = product(&u, &torque);
-        let mut excess: Sym3<R> = [lanes; 6];
+        let mut stretch: Sym3<R> = [lanes; 6];
         for i in 0..6 {
-            excess[i] = lanes.load(&unknowns.excess[i]);
+            stretch[i] = lanes.load(&unknowns.stretch[i]);
         }
         let stretched = minus(
-            &symmetric_product(&excess, &cross(&omega, &p1)),
-            &cross(&omega, &symmetric_product(&excess, &p1)),
+            &symmetric_product(&stretch, &cross(&omega, &p1)),
+            &cross(&omega, &symmetric_product(&stretch, &p1)),
         );
         let rate: Vec3<R> = vec3!(i => turned[i] + (to_come[i] - pushed[i]));
         vec3!(i => (weight * rate[i]).sum() - ((weight * stretched[i]).sum() - square[i]) * 0.5)
@@ -304,7 +304,7 @@ fn kinematics<R: Stages>(
     let mut omega = plus(&unturned, &inertia.divides(&turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = lanes.constant(0.0);
-    let mut excess = inverse_k;
+    let mut stretch = inverse_k;
     for pass in 1..=passes {
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
         let half = symmetric_product(&inverse_k, &residual(&attitude, &u, &d));
@@ -316,8 +316,8 @@ fn kinematics<R: Stages>(
         let half = plus(&half, &follows);
         // The last pass looks at the stretch for what is to come; the others take it from the sweep before.
         if pass == passes {
-            excess = stretch_excess(&attitude, &u, &d);
-            inverse_k = inverse_of_k(&excess);
+            stretch = stretch_of(&attitude, &u, &d);
+            inverse_k = inverse_of_k(&stretch);
         }
         attitude = attitude.turned(&half);
         turned = half[0].abs().max_or_nan(half[1].abs()).max_or_nan(half[2].abs());
@@ -330,7 +330,7 @@ fn kinematics<R: Stages>(
     store_turn(&attitude, &mut unknowns.attitude);
     for i in 0..6 {
         inverse_k[i].store(&mut unknowns.inverse[i]);
-        excess[i].store(&mut unknowns.excess[i]);
+        stretch[i].store(&mut unknowns.stretch[i]);
     }
     Kinematics { change, omega, weight, inverse_k, turned, w }
 }
@@ -368,8 +368,8 @@ fn end_point<R: Stages>(
         v: vec3!(i => whole.load(&unknowns.end.v[i])),
     };
     let f = end.matrix();
-    let excess = stretch_excess(&end, &f, &d);
-    let inverse = inverse_of_k(&excess);
+    let stretch = stretch_of(&end, &f, &d);
+    let inverse = inverse_of_k(&stretch);
     let half = symmetric_product(&inverse, &residual(&end, &f, &d));
     let half = scaled(&half, whole.constant(0.5));
     let end = end.turned(&half);
@@ -377,7 +377,7 @@ fn end_point<R: Stages>(
     let kicks = scaled(&product(u, &torque), -weight);
     let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
     for i in 0..6 {
-        excess[i].store(&mut unknowns.end_excess[i]);
+        stretch[i].store(&mut unknowns.end_stretch[i]);
     }
     end.w.store(&mut unknowns.end.w);
     for i in 0..3 {
@@ -388,7 +388,7 @@ fn end_point<R: Stages>(
     let change = end.change();
     let p0 = vec3!(i => whole.load(&start.momentum[i]));
     let gain = plus(&kick, &transposed_product(&change, &plus(&p0, &kick)));
-    EndPoint { change, stretch: excess, inverse, torque, kick, gain }
+    EndPoint { change, stretch, inverse, torque, kick, gain }
 }
 
 /// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
@@ -404,9 +404,9 @@ pub(in crate::stepper) fn embedded<R: Stages>(
 
 /// `(K(P) - 2) v` for `P = I + E`.
 #[inline(always)]
-fn k_less_two<T: Real>(excess: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
-    let trace = excess[0] + excess[1] + excess[2];
-    let stretched = symmetric_product(excess, v);
+fn k_less_two<T: Real>(stretch: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+    let trace = stretch[0] + stretch[1] + stretch[2];
+    let stretched = symmetric_product(stretch, v);
     vec3!(i => trace * v[i] - stretched[i])
 }
 
@@ -428,7 +428,7 @@ pub(in crate::stepper) fn residual<T: Real>(
 
 /// `E = P - I = sym(U^T A) - I` for `A = I + D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
 #[inline(always)]
-pub(in crate::stepper) fn stretch_excess<T: Real>(
+pub(in crate::stepper) fn stretch_of<T: Real>(
     attitude: &Quaternion<T>,
     u: &Mat3<T>,
     d: &Mat3<T>,

@@ -181,9 +181,9 @@ pub(super) struct Unknowns<S, P> {
     /// K(P_k)^-1.
     pub(super) inverse: Sym3<S>,
     /// E_k = P_k - I.
-    pub(super) excess: Sym3<S>,
+    pub(super) stretch: Sym3<S>,
     /// The same of the end point.
-    pub(super) end_excess: Sym3<P>,
+    pub(super) end_stretch: Sym3<P>,
     /// pi1 - p0.
     pub(super) kick: Vec3<P>,
     /// p1 - p0, where it is needed to the last digit.
@@ -201,8 +201,8 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
             x: [stages; 3],
             end: Quaternion { w: whole, v: [whole; 3] },
             inverse: [stages; 6],
-            excess: [stages; 6],
-            end_excess: [whole; 6],
+            stretch: [stages; 6],
+            end_stretch: [whole; 6],
             kick: [whole; 3],
             gain: [whole; 3],
             nearness: whole,

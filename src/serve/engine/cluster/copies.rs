@@ -133,7 +133,7 @@ impl Copies {
     }
 }
 
-/// Brings what a file lacks of a finished log.
+/// Brings the missing part of a finished log.
 async fn fetch(bucket: &Bucket, id: Uuid, sum: &LogSum, part: &Path) -> Result<(), Refusal> {
     let failed = StoreError::reading_a_log;
     let file = tokio::fs::File::options().create(true).append(true).open(part).await;

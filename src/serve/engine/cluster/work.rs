@@ -442,7 +442,7 @@ impl Inner {
         let resumed = control.resumed_step.load(Ordering::Relaxed);
         let kept = async {
             if resumed < from_step && *kept_bytes > 0 {
-                // What stood there was not taken up: this is another log.
+                // What stood there was not resumed: this is another log.
                 self.bucket.drop_parts(turn.id).await?;
                 *kept_bytes = 0;
             }
