@@ -43,7 +43,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     say(
         "| n | error at most | method | h, s | error | us a step | us a unit |\n|---|---|---|---|---|---|---|",
     );
-    let mut cheapest: Vec<(String, Vec<(f64, f64)>, Vec<(f64, f64)>)> = Vec::new();
+    let mut curves: Vec<Curve> = Vec::new();
     for (n, charted) in DIMENSIONS {
         let (scene, entries) = scene(n)?;
         let study = precision(&scene, &entries, Some(UNTIL_S), &Watch::default())?;
@@ -59,13 +59,13 @@ fn main() -> Result<(), Box<dyn Error>> {
                 ));
                 if error == ERRORS[1] {
                     let label = entry.label();
-                    let at = cheapest.iter().position(|(of, ..)| *of == label);
+                    let at = curves.iter().position(|curve| curve.label == label);
                     let at = at.unwrap_or_else(|| {
-                        cheapest.push((label, Vec::new(), Vec::new()));
-                        cheapest.len() - 1
+                        curves.push(Curve { label, steps: Vec::new(), units: Vec::new() });
+                        curves.len() - 1
                     });
-                    cheapest[at].1.push((n as f64, step_us));
-                    cheapest[at].2.push((n as f64, unit_us));
+                    curves[at].steps.push((n as f64, step_us));
+                    curves[at].units.push((n as f64, unit_us));
                 }
             }
         }
@@ -95,13 +95,24 @@ fn main() -> Result<(), Box<dyn Error>> {
             guides: vec![[(3.0, 1.0), (30.0, 316.0)]],
             guide_label: "n^2.5".to_owned(),
         };
-        let (steps, units) =
-            cheapest.into_iter().map(|(of, step, unit)| ((of.clone(), step), (of, unit))).unzip();
+        let (steps, units) = curves
+            .into_iter()
+            .map(|Curve { label, steps, units }| ((label.clone(), steps), (label, units)))
+            .unzip();
         let step = plot("The cost of a step against n", steps).draw()?;
         let unit = plot("The cost of a unit of time against n", units).draw()?;
         write(&directory, &[("step.svg", step), ("unit.svg", unit)])?;
     }
     Ok(())
+}
+
+/// What a method costs for each n, in microseconds.
+struct Curve {
+    label: String,
+    /// A step.
+    steps: Vec<(f64, f64)>,
+    /// A unit of time.
+    units: Vec<(f64, f64)>,
 }
 
 fn say(line: &str) {

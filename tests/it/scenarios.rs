@@ -300,7 +300,7 @@ fn thirty_two_dimensions_are_a_scene_like_any() {
         a.iter().zip(b).fold(0.0_f64, |largest, (a, b)| largest.max((a - b).abs()))
     };
     let reference = end("vpd", "gauss8");
-    let identity = |e: usize| if e % (N + 1) == 0 { 1.0 } else { 0.0 };
+    let identity = |e: usize| if e.is_multiple_of(N + 1) { 1.0 } else { 0.0 };
     let turned = reference.iter().enumerate().map(|(e, x)| (x - identity(e)).abs());
     assert!(turned.fold(0.0, f64::max) > 1e-3, "it does not move");
     for (name, tableau, bound) in [
