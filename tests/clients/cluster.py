@@ -6,7 +6,6 @@ Runs the tests with these names, or all. Sizes are those of a coffee break; --la
 """
 
 import contextlib
-import hashlib
 import json
 import os
 import random
@@ -19,21 +18,14 @@ import sys
 import tempfile
 import threading
 import time
-import traceback
-import urllib.error
-import urllib.request
 from pathlib import Path
 
 import boto3
 import yaml
+from engine import LEASE_S, PATIENCE_S, ROOT, SECOND, VPD, Bench, Local, alone, call, on, place, report, scenario, wait
 
-ROOT = Path(__file__).resolve().parents[2]
-VPD = os.path.abspath(os.environ.get("VPD", ROOT / "target/release/vpd"))
 BIN = Path(sys.executable).parent
 KEYS = {"AWS_ACCESS_KEY_ID": "vpdkey", "AWS_SECRET_ACCESS_KEY": "vpdsecret", "AWS_REGION": "us-east-1"}
-LEASE_S = 4
-# Long, for machines under load: no test waits so long where all is well.
-PATIENCE_S = 300
 LARGE = "--large" in sys.argv
 
 
@@ -43,72 +35,13 @@ def free_port(host="127.0.0.1"):
         return one.getsockname()[1]
 
 
-def call(url, body=None, method=None, headers=None, raw=False):
-    """One request: status and JSON, or bytes."""
-    data = None if body is None else json.dumps(body).encode()
-    headers = {"content-type": "application/json"} | (headers or {})
-    request = urllib.request.Request(url, data=data, headers=headers, method=method)
-    try:
-        with urllib.request.urlopen(request, timeout=60) as answer:
-            status, content = answer.status, answer.read()
-    except urllib.error.HTTPError as error:
-        status, content = error.code, error.read()
-    return status, content if raw else json.loads(content or b"null")
-
-
-def wait(what, condition, patience_s=PATIENCE_S):
-    """Waits for a condition; what it found."""
-    end = time.monotonic() + patience_s
-    while True:
-        with contextlib.suppress(OSError):
-            if found := condition():
-                return found
-        assert time.monotonic() < end, f"waited in vain for {what}"
-        time.sleep(0.05)
-
-
-class Process:
-    """A process of the test's own; what it says goes to a file."""
-
-    def __init__(self, name, command, folder, env=None, prefix=()):
-        self.name, self.command, self.folder = name, [*prefix, *map(str, command)], Path(folder)
-        self.env, self.child = os.environ | (env or {}), None
-        self.start()
-
-    def start(self):
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with open(self.said_in, "a") as out:
-            self.child = subprocess.Popen(self.command, cwd=self.folder, env=self.env, stdout=out, stderr=out,
-                                          start_new_session=True)
-
-    @property
-    def said_in(self):
-        return self.folder / f"{self.name}.log"
-
-    def said(self):
-        return re.sub(r"\x1b\[[\d;]*m", "", self.said_in.read_text(errors="replace"))
-
-    def send(self, what):
-        os.kill(self.child.pid, what)
-
-    def kill(self):
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.child.pid, signal.SIGKILL)
-        self.child.wait()
-
-    def stop(self):
-        """Asks it to stop; its exit code."""
-        self.send(signal.SIGTERM)
-        return self.child.wait(timeout=60)
-
-
-class Cluster:
+class Cluster(Bench):
     """The servers, a service and workers."""
 
     def __init__(self, folder, host="127.0.0.1"):
-        self.folder, self.host, self.started = Path(folder), host, []
+        super().__init__(folder)
+        self.host, self.workers = host, {}
         self.temporal_at, self.s3_at = f"{host}:{free_port(host)}", f"{host}:{free_port(host)}"
-        self.address, self.workers = None, {}
         self.env = KEYS | {"AWS_ENDPOINT": f"http://{self.s3_at}", "AWS_ALLOW_HTTP": "true", "RUST_LOG": "info"}
         self.temporal = self.run("temporal", [
             # On another address it would not find itself.
@@ -119,23 +52,19 @@ class Cluster:
         (self.folder / "s3.json").write_text(json.dumps(s3))
         (self.folder / "blobs").mkdir()
         ports = {name: free_port(host) for name in ["master", "volume", "filer"]}
+        self.metrics = free_port(host)
         # Each has a second port for its own protocol, 10,000 above unless it is told.
         grpc = {name: free_port(host) for name in [*ports, "s3"]}
         self.store = self.run("store", [
             BIN / "weed", "server", "-dir=blobs", f"-ip={host}", f"-ip.bind={host}", "-s3", "-s3.config=s3.json",
             f"-s3.port={self.s3_at.rsplit(':')[-1]}", "-s3.port.iceberg=0", "-s3.port.lance=0",
             "-volume.max=50", "-master.volumeSizeLimitMB=256",
-            *(f"-{name}.port={port}" for name, port in ports.items()),
+            f"-metricsPort={self.metrics}", *(f"-{name}.port={port}" for name, port in ports.items()),
             *(f"-{name}.port.grpc={port}" for name, port in grpc.items())])
         self.s3 = boto3.client("s3", endpoint_url=f"http://{self.s3_at}", region_name="us-east-1",
                                aws_access_key_id="vpdkey", aws_secret_access_key="vpdsecret")
         wait("the store", self.made_bucket, 120)
         self.await_temporal()
-
-    def run(self, name, command, env=None, prefix=()):
-        process = Process(name, command, self.folder, env, prefix)
-        self.started.append(process)
-        return process
 
     def made_bucket(self):
         try:
@@ -154,11 +83,8 @@ class Cluster:
         return ["--bucket", "s3://vpd/record", "--temporal", self.temporal_at]
 
     def serve(self, *args, name="service", env=None):
-        service = self.run(name, [
-            VPD, "serve", "--engine", "cluster", *self.together(), "--lease-s", LEASE_S, "--listen", "127.0.0.1:0",
-            "--data", self.folder / name, "--requests-per-s", 100_000, *args], self.env | (env or {}))
-        self.address = wait("the service", lambda: re.findall(r"listening on (\S+)", service.said()))[-1]
-        return service
+        return self.listen(name, ["--engine", "cluster", *self.together(), "--lease-s", LEASE_S, *args],
+                           self.env | (env or {}))
 
     def work(self, number, *args, env=None, prefix=(), workers=1):
         worker = self.run(f"worker-{number}", [
@@ -166,31 +92,6 @@ class Cluster:
             *args], self.env | (env or {}), prefix)
         self.workers[number] = worker
         return worker
-
-    def submit(self, scenario, key=None):
-        status, job = call(f"{self.address}/jobs", scenario, headers={"idempotency-key": key} if key else {})
-        assert status in (200, 202), (status, job)
-        return job["id"]
-
-    def job(self, id):
-        status, job = call(f"{self.address}/jobs/{id}")
-        assert status == 200, (status, job)
-        return job
-
-    def ended(self, id, patience_s=PATIENCE_S):
-        def found():
-            job = self.job(id)
-            return job if job["state"] in ("succeeded", "failed", "cancelled") else None
-        return wait(f"the end of {id}", found, patience_s)
-
-    def log(self, id):
-        status, log = call(f"{self.address}/jobs/{id}/log.mcap", raw=True)
-        assert status == 200, (status, log[:300])
-        return log
-
-    def durable(self, id, beyond=0):
-        """Waits until the log of a job is in the bucket beyond a step."""
-        return wait("a durable step", lambda: (step := self.job(id)["progress"]["durable_step"]) > beyond and step)
 
     def holder(self, id, beyond=0):
         """The worker that runs a job: the one that said so last."""
@@ -203,106 +104,24 @@ class Cluster:
             return max(last, key=lambda pair: pair[0])[1] if last else None
         return wait("a worker with the job", found)
 
-    def close(self):
-        for process in reversed(self.started):
-            process.kill()
+    def replace(self, _process):
+        self.work(max(self.workers) + 1)
 
+    def taken_over(self, id, sleeper):
+        wait("another worker", lambda: self.holder(id) is not sleeper)
 
-def scenario(steps, every=10, name="dipole"):
-    text = json.loads((ROOT / "scenarios/dipole.json").read_text())
-    text.pop("expect", None)
-    text |= {"name": name, "steps": steps, "log": {"every": every}}
-    return text
-
-
-def alone(text, folder):
-    """SHA-256 of the log of a scenario that this machine runs alone."""
-    path = Path(folder) / "alone.json"
-    path.write_text(json.dumps(text))
-    log = path.with_suffix(".mcap")
-    subprocess.run([VPD, "run", path, "-o", log, "--force", "--json"], check=True, stdout=subprocess.DEVNULL)
-    sha256 = hashlib.sha256(log.read_bytes()).hexdigest()
-    log.unlink()
-    return sha256
-
-
-# Steps that take about a second on the machine where this was written.
-SECOND = 800_000
+    def logs(self, _ids):
+        listed = self.s3.list_objects_v2(Bucket="vpd", Prefix="record/logs/")["Contents"]
+        return [entry["Key"].rsplit("/")[-1].removesuffix(".mcap") for entry in listed]
 
 
 @contextlib.contextmanager
 def cluster(workers=2, slots=1, host="127.0.0.1"):
-    folder = tempfile.mkdtemp(prefix="vpd-cluster-")
-    made = None
-    try:
-        made = Cluster(folder, host)
+    with place(lambda folder: Cluster(folder, host)) as made:
         made.serve()
         for number in range(1, workers + 1):
             made.work(number, workers=slots)
         yield made
-        shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        if made:
-            made.close()
-        if os.path.exists(folder):
-            print(f"      what they said is in {folder}")
-
-
-def test_life():
-    """Submit, follow, result, download with ranges, the same bytes as alone; cancel; keys; forget; drain."""
-    with cluster() as made:
-        text = scenario(300_000)
-        wanted = alone(text, made.folder)
-        id = made.submit(text, key="one")
-        assert made.submit(text, key="one") == id
-        status, refused = call(f"{made.address}/jobs", scenario(300_001), headers={"idempotency-key": "one"})
-        assert (status, refused["code"]) == (422, "idempotency_key_reused"), refused
-        status, live = call(f"{made.address}/jobs/{id}/live.mcap", raw=True)
-        assert status == 200 and hashlib.sha256(live).hexdigest() == wanted
-        job = made.ended(id)
-        assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
-        log = made.log(id)
-        assert hashlib.sha256(log).hexdigest() == wanted
-        url = f"{made.address}/jobs/{id}/log.mcap"
-        for place, bytes_ in [("0-19", log[:20]), ("-30", log[-30:]), ("1000-70000", log[1000:70001])]:
-            assert call(url, headers={"range": f"bytes={place}"}, raw=True) == (206, bytes_), place
-        assert call(url, headers={"range": f"bytes={len(log)}-"}, raw=True)[0] == 416
-        with urllib.request.urlopen(url) as answer:
-            etag = answer.headers["etag"]
-        assert call(url, headers={"if-none-match": etag}, raw=True)[0] == 304
-        assert call(url, headers={"range": "bytes=0-1", "if-range": '"other"'}, raw=True) == (200, log)
-        for path in ["charts/energy.svg", "attitudes.json", "samples?channel=energy_error", "sent.json"]:
-            assert call(f"{made.address}/jobs/{id}/{path}", raw=True)[0] == 200, path
-        assert [job["id"] for job in call(f"{made.address}/jobs?state=succeeded")[1]["jobs"]] == [id]
-        assert 'vpd_jobs{state="succeeded"} 1' in call(f"{made.address}/metrics", raw=True)[1].decode()
-        assert call(f"{made.address}/studies")[1] == {"studies": []}
-        # What is refused, is refused as ever.
-        status, refused = call(f"{made.address}/jobs", scenario(0))
-        assert (status, refused["pointer"]) == (422, "/steps"), refused
-        # A running job ends with a finished log.
-        id = made.submit(scenario(400 * SECOND, every=100_000))
-        wait("a run", lambda: made.job(id)["progress"]["steps_done"] > 0)
-        assert call(f"{made.address}/jobs/{id}", method="DELETE")[1]["code"] == "job_running"
-        assert call(f"{made.address}/jobs/{id}/cancel", method="POST")[0] == 202
-        job = made.ended(id)
-        assert job["state"] == "cancelled" and job["log"] and len(made.log(id)) == job["log"]["bytes"]
-        assert call(f"{made.address}/jobs/{id}/cancel", method="POST")[1]["code"] == "job_ended"
-        assert call(f"{made.address}/jobs/{id}", method="DELETE")[0] == 204
-        assert call(f"{made.address}/jobs/{id}")[0] == 404
-        # A waiting one ends at once.
-        for worker in made.workers.values():
-            assert worker.stop() == 0, worker.said()
-        id = made.submit(scenario(1000))
-        status, job = call(f"{made.address}/jobs/{id}/cancel", method="POST")
-        assert (status, job["state"]) == (200, "cancelled"), job
-        # A job that asks for an accuracy is settled by a worker.
-        text = scenario(1000) | {"accuracy": {"error": 1e-6}}
-        for field in ["method", "step_s", "steps"]:
-            text.pop(field)
-        id = made.submit(text | {"duration_s": 1.0})
-        made.work(3)
-        job = made.ended(id)
-        assert job["state"] == "succeeded" and job["plan"]["step_s"] > 0, job
 
 
 def test_drain():
@@ -382,60 +201,6 @@ def test_listed():
             state = listed[0]["state"]
             time.sleep(0.5)
         assert state == "running", state
-
-
-def test_pause():
-    """A worker sleeps past its lease and wakes: one result, of the right bytes."""
-    with cluster() as made:
-        text = scenario(16 * SECOND, every=100)
-        wanted = alone(text, made.folder)
-        id = made.submit(text)
-        made.durable(id)
-        sleeper = made.holder(id)
-        sleeper.send(signal.SIGSTOP)
-        wait("another worker", lambda: made.holder(id) is not sleeper)
-        sleeper.send(signal.SIGCONT)
-        job = made.ended(id)
-        assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
-        wait("the sleeper to give up", lambda: "job goes back" in sleeper.said() or "job ended" in sleeper.said())
-        assert made.ended(id)["finished"] == job["finished"]
-        logs = made.s3.list_objects_v2(Bucket="vpd", Prefix="record/logs/")["Contents"]
-        assert [entry["Key"].rsplit("/")[-1] for entry in logs] == [f"{wanted}.mcap"]
-
-
-def test_poison():
-    """A job whose runs end their process is given up, and the others go on."""
-    with cluster() as made:
-        poison = made.submit(scenario(400 * SECOND, every=100_000, name="poison"))
-        wait("a run", lambda: made.job(poison)["progress"]["steps_done"] > 0)
-        others = [made.submit(scenario(SECOND, name="other")) for _ in range(4)]
-        made.holder(poison).kill()
-        made.work(3)
-        deaths, over = 0, threading.Event()
-
-        def execute():
-            nonlocal deaths
-            while not over.is_set():
-                for pid in filter(str.isdigit, os.listdir("/proc")):
-                    with contextlib.suppress(OSError):
-                        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-                        if words[1:2] == [b"apart"] and str(made.folder).encode() in (
-                                os.readlink(f"/proc/{pid}/cwd").encode()):
-                            os.kill(int(pid), signal.SIGKILL)
-                            deaths += 1
-                time.sleep(0.002)
-
-        executor = threading.Thread(target=execute)
-        executor.start()
-        try:
-            job = made.ended(poison)
-        finally:
-            over.set()
-            executor.join()
-        assert (job["state"], job["diagnosis"]["code"]) == ("failed", "worker_crashed"), job
-        for id in others:
-            assert made.ended(id)["state"] == "succeeded"
-        print(f"      given up after {deaths} processes of its own; {len(others)} others done")
 
 
 def test_temporal_dies():
@@ -657,8 +422,7 @@ def test_hosts():
         job = made.ended(id)
         assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
         wait("the host that was cut off", lambda: "job goes back" in cut.said() or "job ended" in cut.said())
-        logs = made.s3.list_objects_v2(Bucket="vpd", Prefix="record/logs/")["Contents"]
-        assert [entry["Key"].rsplit("/")[-1] for entry in logs] == [f"{wanted}.mcap"]
+        assert made.logs([id]) == [wanted]
 
 
 def test_refused():
@@ -726,11 +490,7 @@ def test_share():
         cluster_s = time.monotonic() - begun
         shares = [worker.said().count("job ended") for worker in made.workers.values()]
         assert sum(shares) == count, shares
-        made.close()
-        made.started.clear()
-        service = made.run("local", [VPD, "serve", "--listen", "127.0.0.1:0", "--data", made.folder / "local",
-                                     "--workers", 2, "--requests-per-s", 100_000])
-        made.address = wait("the service", lambda: re.findall(r"listening on (\S+)", service.said()))[-1]
+    with place(Local) as made:
         begun = time.monotonic()
         jobs = [made.submit(text) for _ in range(count)]
         for id in jobs:
@@ -742,23 +502,73 @@ def test_share():
         assert fair <= 0.2, shares
 
 
+class Spent:
+    """What servers, service and workers have spent: CPU seconds each, requests to the store, memory now."""
+
+    def __init__(self, made):
+        self.made = made
+        self.cpu_s = {process.name: self.cpu(process) for process in made.started}
+        text = call(f"http://{made.host}:{made.metrics}/metrics", raw=True)[1].decode()
+        self.requests = sum(float(line.split()[-1]) for line in text.splitlines()
+                            if line.startswith("SeaweedFS_s3_request_total{"))
+
+    @staticmethod
+    def cpu(process):
+        fields = Path(f"/proc/{process.child.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def since(self, before):
+        """CPU by kind of process, and requests."""
+        by_kind = {}
+        for name, seconds in self.cpu_s.items():
+            kind = name.split("-")[0]
+            by_kind[kind] = by_kind.get(kind, 0.0) + seconds - before.cpu_s[name]
+        return by_kind, self.requests - before.requests
+
+
+def memory_mb(process):
+    status = Path(f"/proc/{process.child.pid}/status").read_text()
+    return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1e3
+
+
+def test_capacity():
+    """What a job takes of store, Temporal, service and worker, and how quickly a log gets into the store."""
+    with cluster(slots=4) as made:
+        # A worker's first job also sets it up.
+        for id in [made.submit(scenario(1000)) for _ in range(8)]:
+            made.ended(id)
+        count = 1000 if LARGE else 100
+        before, begun = Spent(made), time.monotonic()
+        jobs = [made.submit(scenario(1000)) for _ in range(count)]
+        submitted_s = time.monotonic() - begun
+        wait("the jobs", lambda: f'vpd_jobs{{state="succeeded"}} {count + 8}' in call(
+            f"{made.address}/metrics", raw=True)[1].decode(), 3600)
+        took_s = time.monotonic() - begun
+        cpu_s, requests = Spent(made).since(before)
+        command = [BIN / "temporal", "workflow", "list", "--address", made.temporal_at, "--output", "json", "--limit", "50"]
+        listed = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+        events = [int(flow["historyLength"]) for flow in listed]
+        print(f"      {count} jobs of milliseconds in {took_s:.1f} s ({submitted_s:.1f} s to submit): {count / took_s:.1f} jobs/s; "
+              f"a job takes {requests / count:.1f} requests to the store, {max(events)} events of Temporal, CPU ms: "
+              + ", ".join(f"{kind} {1e3 * seconds / count:.1f}" for kind, seconds in cpu_s.items()))
+        before, begun = Spent(made), time.monotonic()
+        logs = [made.ended(made.submit(scenario(400_000 if LARGE else 100_000, every=1)))["log"]["bytes"] for _ in range(4)]
+        took_s = time.monotonic() - begun
+        cpu_s, _ = Spent(made).since(before)
+        print(f"      four logs of {logs[0] / 1e6:.0f} MB, one after the other: {sum(logs) / took_s / 1e6:.1f} MB/s; a gigabyte takes CPU s: "
+              + ", ".join(f"{kind} {1e9 * seconds / sum(logs):.0f}" for kind, seconds in cpu_s.items()))
+        print("      memory, MB: " + ", ".join(f"{process.name} {memory_mb(process):.0f}" for process in made.started))
+        assert requests / count <= 16, requests / count
+        assert events and max(events) <= 12, events
+
+
 def main():
     wanted = [word for word in sys.argv[1:] if not word.startswith("-")]
-    tests = {name.removeprefix("test_"): test for name, test in globals().items() if name.startswith("test_")}
+    tests = on(cluster) | {name.removeprefix("test_"): test for name, test in globals().items() if name.startswith("test_")}
     unknown = [name for name in wanted if name not in tests]
     if unknown:
         sys.exit(f"there is no test {unknown[0]}; there are {', '.join(tests)}")
-    bad = 0
-    for name in wanted or tests:
-        begun = time.monotonic()
-        try:
-            tests[name]()
-            print(f"pass  {name}: {tests[name].__doc__.splitlines()[0]} ({time.monotonic() - begun:.0f} s)", flush=True)
-        except Exception as error:
-            bad += 1
-            where = "".join(traceback.format_tb(error.__traceback__)[1:])
-            print(f"FAIL  {name}: {type(error).__name__}: {str(error)[:2000]}\n{where}", flush=True)
-    sys.exit(1 if bad else 0)
+    report({name: tests[name] for name in wanted or tests})
 
 
 if __name__ == "__main__":
