@@ -318,7 +318,7 @@ impl Trial<'_> {
             error => error.into(),
         };
         let time_s = self.far.time_s;
-        let mut reference = self.far.of_member(self.scenario, member, watch)?;
+        let mut reference = self.far.of_member(self.scenario, member, needed(self.asked), watch)?;
         let mut is_sure = false;
         for _ in 0..MEMBER_TRIES {
             let steps = self.steps(choice.step_s, time_s);

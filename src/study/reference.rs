@@ -6,6 +6,8 @@
 //!
 //! Where errors grow with time no step brings two solutions closer than round-off has grown: that distance is
 //! then the error of the reference, and nothing below it can be measured. How it grew shows whether the motion is chaotic.
+//! There two solutions may be near each other by luck; so a third one, from a start moved a little, shows what a rounding of the
+//! start grows to.
 //!
 //! Invariant: a [`Reference`] is met by two families of methods to within its stated error.
 
@@ -132,6 +134,14 @@ pub(crate) const MOST_STEPS: f64 = 20_000.0;
 const AGREED: f64 = 1e-13;
 /// A reference worse than this is none.
 const USELESS: f64 = 1e-6;
+/// By how much of the momentum a start is moved: a thousand roundings, so that those of the run do not matter.
+const MOVED: f64 = 1e-13;
+/// Two solutions that are nearer to each other than this part of what is asked are not so by luck.
+const NO_LUCK: f64 = 1e-4;
+/// What a start is off by whose numbers, some ten of them with those of the body, are each rounded.
+const ROUNDED: f64 = 1.5 * f64::EPSILON;
+/// Growth by less may be that of a power of time: of as many radians as a reference may have.
+const CARRIED_OFF: f64 = 1e6;
 /// The second family may differ by so many errors of the first, its own round-off having grown as well. If it differs by
 /// more, two solutions of the first have met by luck: its error is taken for as much larger.
 const OTHER_ROUND_OFF: f64 = 100.0;
@@ -196,6 +206,9 @@ impl Reference {
         if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
             reference = solve([second, first])?;
         }
+        if reference.error > NO_LUCK * asked {
+            reference.round_start(scene, member, watch)?;
+        }
         if reference.error > asked {
             return Err(reference.chaotic(asked).into());
         }
@@ -218,7 +231,8 @@ impl Reference {
         let mut before: Option<Vec<Point>> = None;
         let mut best: Option<Self> = None;
         for _ in 0..8 {
-            let run = solution(scene, member, &first, time_s, (steps, points), watch)?;
+            let start = Start { member, from: None };
+            let run = solution(scene, start, &first, time_s, (steps, points), watch)?;
             if let (Some(before), Some(run)) = (&before, &run) {
                 let mut reference = Self::from_run(time_s, &first, run);
                 reference.compare(before);
@@ -261,17 +275,56 @@ impl Reference {
         &self,
         scene: &Scenario,
         member: u64,
+        asked: f64,
         watch: &Watch,
     ) -> Result<Option<Self>, StudyError> {
         let solved = |steps: u64| {
-            solution(scene, member, &self.method, self.time_s, (steps, QUARTERS), watch)
+            let start = Start { member, from: None };
+            solution(scene, start, &self.method, self.time_s, (steps, QUARTERS), watch)
         };
         let (Some(half), Some(whole)) = (solved(self.steps / 2)?, solved(self.steps)?) else {
             return Ok(None);
         };
         let mut reference = Self::from_run(self.time_s, &self.method, &whole);
         reference.compare(&half.points);
+        if reference.error > NO_LUCK * asked {
+            reference.round_start(scene, member, watch)?;
+        }
         Ok(Some(reference))
+    }
+
+    /// Where errors grow exponentially takes what a rounding of the start grows to for the error, if it is more. The start is
+    /// moved along the momentum of the first point, which is in the plane of a motion that stays in one.
+    fn round_start(
+        &mut self,
+        scene: &Scenario,
+        member: u64,
+        watch: &Watch,
+    ) -> Result<(), StudyError> {
+        let (start, along) = (&self.points[0], &self.points[1].momentum);
+        let size = MOVED * self.momentum_scale / along.amax();
+        if !size.is_finite() {
+            return Ok(());
+        }
+        let momentum = &start.momentum + along * size;
+        let moved = Point { attitude: start.attitude.clone(), momentum };
+        let rounding = ROUNDED / self.apart_from(start, &moved);
+        let steps = (self.steps, (self.points.len() - 1) as u64);
+        let from = Start { member, from: Some(&moved) };
+        let Some(run) = solution(scene, from, &self.method, self.time_s, steps, watch)? else {
+            return Ok(());
+        };
+        let mut rounded = self.clone();
+        rounded.compare(&run.points);
+        rounded.apart.iter_mut().for_each(|apart| *apart *= rounding);
+        rounded.error *= rounding;
+        if rounded.error > CARRIED_OFF * ROUNDED {
+            for (apart, grown) in self.apart.iter_mut().zip(rounded.apart) {
+                *apart = apart.max(grown);
+            }
+            self.error = self.error.max(rounded.error);
+        }
+        Ok(())
     }
 
     fn from_run(time_s: f64, method: &Method, run: &Measured) -> Self {
@@ -361,8 +414,8 @@ impl Reference {
         let (mut difference, mut own) = (f64::INFINITY, 0.0_f64);
         let mut before: Option<Self> = None;
         for halvings in 0..4 {
-            let run =
-                solution(scene, member, &second, self.time_s, (steps << halvings, points), watch)?;
+            let (start, steps) = (Start { member, from: None }, steps << halvings);
+            let run = solution(scene, start, &second, self.time_s, (steps, points), watch)?;
             if let Some(run) = &run {
                 difference = difference.min(self.worst(&run.points));
                 own = before.as_ref().map_or(0.0, |before| before.worst(&run.points));
@@ -459,10 +512,19 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
     (slope, points.iter().map(|p| missed(p) * missed(p)).sum())
 }
 
+/// Where a solution begins.
+#[derive(Clone, Copy)]
+struct Start<'a> {
+    /// The member of the scene's ensemble.
+    member: u64,
+    /// If not where the member does.
+    from: Option<&'a Point>,
+}
+
 /// The end of a run in `steps` steps, with the states at `points` points on its way; `None` if it fails.
 fn solution(
     scene: &Scenario,
-    member: u64,
+    Start { member, from }: Start<'_>,
     method: &Method,
     time_s: f64,
     (steps, points): (u64, u64),
@@ -470,7 +532,7 @@ fn solution(
 ) -> Result<Option<Measured>, StudyError> {
     let every = steps / points;
     let whole = Probe::of(method, time_s / steps as f64, steps);
-    let probe = Probe { every, keep: true, member, ..whole };
+    let probe = Probe { every, keep: true, member, from, ..whole };
     watch.expect(1);
     let run = measure(scene, probe, watch)?;
     watch.advance(1)?;
