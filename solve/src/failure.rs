@@ -134,6 +134,15 @@ impl Failure {
         Self::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
     }
 
+    /// This failure of an iteration, or the close approach that `check` found in it: a charge that was met explains a failed
+    /// iteration better than the iteration does. What the solver counted stays.
+    pub(crate) fn explained_by(self, check: Result<(), Self>) -> Self {
+        match check {
+            Ok(()) => self,
+            Err(met) => Self { iterations: self.iterations, increments: self.increments, ..met },
+        }
+    }
+
     /// Ratio of the last two increments: how fast the iteration converged, above 1 if it did not.
     pub fn contraction(&self) -> Option<f64> {
         match self.increments.as_slice() {

@@ -309,15 +309,7 @@ impl<const N: usize> GalerkinStep<N> {
                     Err(Failure::new(FailureCode::Diverged, None, defect, MOST_OFF_THE_GROUP))
                 }
             }
-            // A charge that was met explains a failed iteration better than the iteration does.
-            Err(failure) => Err(match self.check_dynamics(dynamics) {
-                Err(met) => Failure {
-                    iterations: failure.iterations,
-                    increments: failure.increments,
-                    ..met
-                },
-                Ok(()) => failure,
-            }),
+            Err(failure) => Err(failure.explained_by(self.check_dynamics(dynamics))),
         }
     }
 
