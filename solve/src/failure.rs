@@ -32,7 +32,7 @@ pub enum FailureCode {
     OpenOrbit,
     /// A value is infinite or not a number.
     NonFinite,
-    /// Whoever wanted the step wants it no more: see [`super::work`]. No log shows it.
+    /// The caller has stopped the work: see [`super::work`]. No log shows it.
     Stopped,
 }
 
@@ -129,7 +129,7 @@ impl Failure {
         Self { code, stage, measured, limit, iterations: 0, increments: Vec::new(), turn_rad: None }
     }
 
-    /// A number that is none: of a stage, or of the end.
+    /// A value that is infinite or not a number: of a stage, or of the end.
     pub(crate) fn not_finite(stage: Option<usize>) -> Self {
         Self::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
     }

@@ -301,7 +301,7 @@ impl<const N: usize> GalerkinStep<N> {
                 self.check(dynamics)?;
                 (self.solution.turn, self.solution.impulse) = self.changes(dynamics, h);
                 self.solution.checked()?;
-                // Where the equations have no solution nearby Newton's method may stop at what is none.
+                // Where the equations have no solution nearby Newton's method may stop at what is not one.
                 let defect = self.solution.off_the_group();
                 if defect <= MOST_OFF_THE_GROUP {
                     Ok(convergence)
@@ -616,7 +616,7 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         let before = of_stage(omega, at);
         let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
         to_stage(&now, omega, at);
-        // Of what is no number the change is none either.
+        // The change of a NaN is a NaN.
         let change =
             (now - before).iter().fold(0.0, |most: f64, x| Real::max_or_nan(most, x.abs()));
         [change, now.amax()]
