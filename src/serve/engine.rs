@@ -1,6 +1,6 @@
 //! What the service asks of an engine, and the two that there are: on this machine (`local`), and on many (`cluster`).
 //!
-//! Invariant: whoever is asked, the answers are the same. The record holds the jobs, an engine only what is in flight.
+//! Invariant: both engines give the same answers. The record holds the jobs, an engine only what is in flight.
 
 #[cfg(feature = "cluster")]
 pub(super) mod cluster;

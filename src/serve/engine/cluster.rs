@@ -84,7 +84,7 @@ pub struct ClusterConfig {
 /// Why there is no way to the other machines.
 #[derive(Debug, thiserror::Error)]
 pub enum ClusterError {
-    /// The address of Temporal is none, or its variables hold what cannot be used.
+    /// The address of Temporal is not valid, or its variables hold what cannot be used.
     #[error("Temporal at {given:?} cannot be asked: {message}; write HOST:PORT")]
     Address {
         /// The address.
@@ -605,7 +605,7 @@ impl Cluster {
                 (true, true) => return Err(Refusal::JobEnded),
                 (true, false) => {}
             }
-            // First here: a worker that is told to stop looks whether somebody wants it.
+            // First here: a worker that is cancelled looks here whether a client asked for it.
             bucket.note_cancel(id).await?;
             tracing::info!(job = %id, "job to be cancelled");
             if held.attempts == 0 {
@@ -617,7 +617,7 @@ impl Cluster {
             let handle = cluster.0.client.get_workflow_handle::<Flow>(flow_id(id));
             if let Err(error) = handle.cancel(WorkflowCancelOptions::default()).await {
                 // Its next worker finds the note.
-                tracing::warn!(job = %id, error = chain(&error), "worker not told");
+                tracing::warn!(job = %id, error = chain(&error), "worker not notified");
             }
             lock(&cluster.0.seen).remove(&id);
             cluster.brief(id).await
