@@ -286,7 +286,7 @@ impl<const N: usize> Search<'_, N> {
                 let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);
                 off = off.max((energy.total() - begun - stepper.work()).abs());
-                // A number that is none is no energy.
+                // No energy: infinite, or not a number.
                 if !energy.total().is_finite() {
                     return Went::Badly;
                 }

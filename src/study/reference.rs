@@ -73,7 +73,7 @@ pub enum Growth {
         /// Seconds.
         tenfold_s: f64,
     },
-    /// As this power of time, or too little to be told from one.
+    /// As this power of time, or too little to be distinguished from one.
     Power {
         /// The exponent.
         exponent: f64,
@@ -130,7 +130,7 @@ const STEEPEST: f64 = 6.0;
 pub(crate) const MOST_STEPS: f64 = 20_000.0;
 /// Two solutions that agree to this are taken.
 const AGREED: f64 = 1e-13;
-/// A reference worse than this is none.
+/// A reference worse than this is of no use.
 const USELESS: f64 = 1e-6;
 /// The second family may differ by so many errors of the first, its own round-off having grown as well. If it differs by
 /// more, two solutions of the first have met by luck: its error is taken for as much larger.

@@ -119,7 +119,7 @@ class Cluster:
         (self.folder / "s3.json").write_text(json.dumps(s3))
         (self.folder / "blobs").mkdir()
         ports = {name: free_port(host) for name in ["master", "volume", "filer"]}
-        # Each has a second port for its own protocol, 10,000 above unless it is told.
+        # Each has a second port for its own protocol, 10,000 above unless specified.
         grpc = {name: free_port(host) for name in [*ports, "s3"]}
         self.store = self.run("store", [
             BIN / "weed", "server", "-dir=blobs", f"-ip={host}", f"-ip.bind={host}", "-s3", "-s3.config=s3.json",
@@ -404,7 +404,7 @@ def test_pause():
 
 
 def test_poison():
-    """A job whose runs end their process is given up, and the others go on."""
+    """A job whose runs end their process is abandoned, and the others go on."""
     with cluster() as made:
         poison = made.submit(scenario(400 * SECOND, every=100_000, name="poison"))
         wait("a run", lambda: made.job(poison)["progress"]["steps_done"] > 0)
@@ -435,7 +435,7 @@ def test_poison():
         assert (job["state"], job["diagnosis"]["code"]) == ("failed", "worker_crashed"), job
         for id in others:
             assert made.ended(id)["state"] == "succeeded"
-        print(f"      given up after {deaths} processes of its own; {len(others)} others done")
+        print(f"      abandoned after {deaths} processes of its own; {len(others)} others done")
 
 
 def test_temporal_dies():
