@@ -161,10 +161,13 @@ impl Failure {
         };
         const EASY_TURN_RAD: f64 = 0.5;
         let gentle = self.turn_rad.map_or(1.0, |turn| EASY_TURN_RAD / turn.max(EASY_TURN_RAD));
-        let target = h * factor.min(gentle);
-        // Two decimal digits, as they would be written.
-        let exponent = libm::log10(target).floor() - 1.0;
-        let digits = (target / libm::pow(10.0, exponent)).floor();
-        format!("{digits}e{exponent}").parse().unwrap_or(target)
+        two_digits(h * factor.min(gentle))
     }
+}
+
+/// A positive number rounded down to two decimal digits, as they would be written.
+pub fn two_digits(x: f64) -> f64 {
+    let exponent = libm::log10(x).floor() - 1.0;
+    let digits = (x / libm::pow(10.0, exponent)).floor();
+    format!("{digits}e{exponent}").parse().unwrap_or(x)
 }
