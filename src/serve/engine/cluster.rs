@@ -578,14 +578,8 @@ impl Cluster {
         self.0.bucket.scenario(id).await?.ok_or(Refusal::UnknownJob)
     }
 
-    pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Scenario>, Refusal> {
-        let accepted = self.scenario(id).await?;
-        let settled = self.0.bucket.settled(id).await?;
-        let planned = tokio::task::spawn_blocking(move || match settled {
-            Some(settled) => settled.plan().map(|plan| plan.settled),
-            None => Scenario::from_json(&accepted),
-        });
-        Ok(planned.await.map_err(|_| Refusal::Stopping)?.ok())
+    pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, Refusal> {
+        Ok(self.0.bucket.settled(id).await?)
     }
 
     pub(in crate::serve) async fn sent(&self, id: Uuid) -> Result<Bytes, Refusal> {
