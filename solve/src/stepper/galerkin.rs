@@ -802,12 +802,8 @@ fn polar<const N: usize>(d: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Ma
     if !d.iter().all(|x| x.is_finite()) {
         return Err(Failure::not_finite(stage));
     }
-    let u = so::polar(&(d + Mat::identity())).ok_or(Failure::new(
-        FailureCode::LeftGlPlus,
-        stage,
-        0.0,
-        SMALLEST_SINGULAR_VALUE,
-    ))?;
+    let left = Failure::new(FailureCode::LeftGlPlus, stage, 0.0, SMALLEST_SINGULAR_VALUE);
+    let u = so::polar(&(d + Mat::identity())).ok_or(left)?;
     Ok((u, so::stretch_of(&u, d)))
 }
 
@@ -821,10 +817,6 @@ fn lyapunov<const N: usize>(
     if !c.iter().all(|x| x.is_finite()) {
         return Err(Failure::not_finite(stage));
     }
-    so::lyapunov_in(m, c, guess, iterations).ok_or(Failure::new(
-        FailureCode::LyapunovSingular,
-        stage,
-        0.0,
-        0.0,
-    ))
+    let singular = Failure::new(FailureCode::LyapunovSingular, stage, 0.0, 0.0);
+    so::lyapunov_in(m, c, guess, iterations).ok_or(singular)
 }

@@ -156,12 +156,8 @@ impl<const N: usize> Stepper<N> for Rk<N> {
         }
         let mut end = self.at(None, |j| h * self.tableau.b(j))?;
         if self.projected {
-            let factor = projection(&end.attitude).ok_or(Failure::new(
-                FailureCode::LeftGlPlus,
-                None,
-                0.0,
-                0.0,
-            ))?;
+            let left = Failure::new(FailureCode::LeftGlPlus, None, 0.0, 0.0);
+            let factor = projection(&end.attitude).ok_or(left)?;
             // A quarter turn in one plane, or a reflection: tr(U^T V) <= n - 2.
             let (trace, limit) = (self.state.attitude.dot(&factor), N as f64 - 2.0);
             check_branch(trace, limit, None)?;
