@@ -42,7 +42,7 @@ impl Potential<3> for Cubic {
 pub(crate) fn run(folder: &Path) -> Result<Summary, Box<dyn Error>> {
     let moments = [0.02, 0.02, 0.01];
     let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
-    // Beside a built-in term, the weight of the body.
+    // Next to a built-in term, the weight of the body.
     let up = Vector::<3>::new(0.0, 0.0, 1.0);
     let weight = Term { law: Law::Uniform { weight: 0.3, body_point: up }, space: up };
     let body = RigidBody::new(Kinetic::Principal { weights }, vec![weight], 0.0)

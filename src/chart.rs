@@ -1,7 +1,7 @@
 //! 7 · Pictures, as SVG: of logs, and of studies.
 //!
 //! One chart code for the command line, the service, the logs themselves and the documentation. Colours are those of
-//! Okabe and Ito (2008), which colour-blind people can tell apart; what a colour shows, a dash, a mark or a hatch shows too.
+//! Okabe and Ito (2008), which colour-blind people can distinguish; what a colour shows, a dash, a mark or a hatch shows too.
 //!
 //! Invariant: a chart shows every extreme of its data; where many samples fall on one pixel, the largest.
 

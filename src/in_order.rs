@@ -16,7 +16,7 @@ pub(crate) fn cores() -> usize {
 }
 
 /// Hands out `places`, `width` at a time, to `workers` on so many threads, and gives what they make of them to `put`, in order.
-/// A worker returns `None` if it leaves before it was told that no places are left.
+/// A worker returns `None` if it leaves early, while places may be left.
 ///
 /// # Errors
 /// Those of `put`, which end all of it.

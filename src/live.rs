@@ -1,4 +1,4 @@
-//! 5 · The live view: the samples of a running job, for whoever follows.
+//! 5 · The live view: the samples of a running job, for viewers that follow it.
 //!
 //! Invariant: a viewer changes nothing about a run. At most one run is on show, and of its samples no more
 //! than viewers draw; the log has them all. A run hands a sample over once, however many follow, and never waits:

@@ -113,8 +113,8 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
-    /// An earlier write failed; the log is given up.
-    #[error("the log {} is given up: an earlier write failed", path.display())]
+    /// An earlier write failed; the log is abandoned.
+    #[error("the log {} is abandoned: an earlier write failed", path.display())]
     GivenUp {
         /// The file.
         path: PathBuf,

@@ -163,7 +163,7 @@ pub struct Facts {
     pub(crate) sweeps: [f64; 2],
     /// Methods of a family have one colour, and stand together in tables.
     pub(crate) family: usize,
-    /// Its lines in charts: few, so that they can be told apart.
+    /// Its lines in charts: few, so that they can be distinguished.
     charted: &'static [Variant],
     /// Its rows in the map of stability, once for each solver if `solvers`.
     mapped: &'static [Variant],

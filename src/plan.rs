@@ -1,6 +1,6 @@
 //! 2 · Scenario → [`Plan`]: what will be modelled and why.
 //!
-//! The plan builds the mathematical objects of the scene (and refuses what is none: an attitude that is no
+//! The plan builds the mathematical objects of the scene (and refuses what is not valid: an attitude that is no
 //! rotation, an inertia that is not positive), drops what the scene does not need, and says so.
 //!
 //! Invariant: a [`Plan`] can be run. What it dropped changes no number of the run but its cost.
@@ -466,7 +466,7 @@ impl Plan {
         let spins = self.model.wheels.is_some();
         let (method, why) = match asked {
             Some(method) => (method, "asked for"),
-            // Whoever names a tableau wants its scheme.
+            // A named tableau asks for its scheme.
             None if free && !spins && self.dimension == 3 && scenario.method.tableau.is_none() => (
                 Integrator::Splitting,
                 "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",

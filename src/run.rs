@@ -79,7 +79,7 @@ pub struct Control {
     pub settling: Watch,
     /// The run is cancelled at this step, as if somebody had set `cancelled` there.
     pub cancelled_at: Option<u64>,
-    /// Where the run writes each of its steps, eight bytes: for whoever finds its process dead and asks whether it
+    /// Where the run writes each of its steps, eight bytes: when its process is found dead, they show whether it
     /// always dies at the same place. It costs a call of the system each, so only suspects are traced.
     pub trace: Option<File>,
     /// Where viewers follow.
@@ -122,7 +122,7 @@ impl Control {
     fn note(&self, steps: u64) {
         #[cfg(unix)]
         if let Some(trace) = &self.trace {
-            // A trace that cannot be written is none.
+            // A trace that cannot be written is left out.
             let _ = std::os::unix::fs::FileExt::write_all_at(trace, &steps.to_le_bytes(), 0);
         }
     }

@@ -202,7 +202,7 @@ fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entr
     methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()
 }
 
-/// The methods of a chart: a few of each family, so that its lines can be told apart.
+/// The methods of a chart: a few of each family, so that its lines can be distinguished.
 pub fn usual_methods(scene: &Scenario) -> Vec<Entry> {
     entries(scene, Integrator::charted())
 }

@@ -1,6 +1,6 @@
 //! Members of an ensemble, carried forward together.
 //!
-//! Invariant: a member makes the steps of its own run, to the bit, whoever goes next to it; one that fails stays where
+//! Invariant: a member makes the steps of its own run, to the bit, whatever members go next to it; one that fails stays where
 //! it was, and the others go on.
 
 use super::failure::Failure;

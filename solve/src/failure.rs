@@ -32,7 +32,7 @@ pub enum FailureCode {
     OpenOrbit,
     /// A value is infinite or not a number.
     NonFinite,
-    /// Whoever wanted the step wants it no more: see [`super::work`]. No log shows it.
+    /// The caller has stopped the work: see [`super::work`]. No log shows it.
     Stopped,
 }
 
@@ -129,9 +129,18 @@ impl Failure {
         Self { code, stage, measured, limit, iterations: 0, increments: Vec::new(), turn_rad: None }
     }
 
-    /// A number that is none: of a stage, or of the end.
+    /// A value that is infinite or not a number: of a stage, or of the end.
     pub(crate) fn not_finite(stage: Option<usize>) -> Self {
         Self::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
+    }
+
+    /// This failure of an iteration, or the close approach that `check` found in it: a charge that was met explains a failed
+    /// iteration better than the iteration does. What the solver counted stays.
+    pub(crate) fn explained_by(self, check: Result<(), Self>) -> Self {
+        match check {
+            Ok(()) => self,
+            Err(met) => Self { iterations: self.iterations, increments: self.increments, ..met },
+        }
     }
 
     /// Ratio of the last two increments: how fast the iteration converged, above 1 if it did not.
@@ -152,10 +161,13 @@ impl Failure {
         };
         const EASY_TURN_RAD: f64 = 0.5;
         let gentle = self.turn_rad.map_or(1.0, |turn| EASY_TURN_RAD / turn.max(EASY_TURN_RAD));
-        let target = h * factor.min(gentle);
-        // Two decimal digits, as they would be written.
-        let exponent = libm::log10(target).floor() - 1.0;
-        let digits = (target / libm::pow(10.0, exponent)).floor();
-        format!("{digits}e{exponent}").parse().unwrap_or(target)
+        two_digits(h * factor.min(gentle))
     }
+}
+
+/// A positive number rounded down to two decimal digits, as they would be written.
+pub fn two_digits(x: f64) -> f64 {
+    let exponent = libm::log10(x).floor() - 1.0;
+    let digits = (x / libm::pow(10.0, exponent)).floor();
+    format!("{digits}e{exponent}").parse().unwrap_or(x)
 }

@@ -14,7 +14,7 @@
 //! ```
 //!
 //! This is Jacobi's solution with `S = sn(u, k) / l`, `l^2 = a`, `(k l)^2 = b`, `u = l t`, put into a form
-//! by the addition theorems of sn, cn, dn in which no case needs to be told apart: spins about an axis,
+//! by the addition theorems of sn, cn, dn in which no case needs to be distinguished: spins about an axis,
 //! separatrices, bodies with equal moments.
 //!
 //! Attitude, after Celledoni, Fasso, Saefstroem, Zanna (2008), section 2: with `G = |mu|`, e a body axis

@@ -547,7 +547,7 @@ impl<const N: usize> Observer<N> {
     ) -> Option<f64> {
         let start = &self.initial;
         match attitude {
-            // Nothing is known of a scheme that does not tell what it was pushed by.
+            // Nothing is known of a scheme that does not report what torques have put in.
             Some(_) if self.pushed && impulse.is_none() => None,
             Some(g) => self.conserved.map(|q| {
                 let mut change =

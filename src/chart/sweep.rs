@@ -35,7 +35,7 @@ pub(crate) fn sweep(shown: &Shown) -> Result<String, ChartError> {
     }
 }
 
-/// Over some decades, and of one sign, values are told apart by their powers of ten.
+/// Over some decades, and of one sign, values are distinguished by their powers of ten.
 fn scale(values: &[f64]) -> Scale {
     let (low, high) = ends(values);
     if low > 0.0 && high > 1e3 * low { Scale::Log } else { Scale::Linear }

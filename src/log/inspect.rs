@@ -35,7 +35,7 @@ pub struct Inspection {
     pub resumes_at_step: Option<u64>,
     /// Bytes of the file.
     pub bytes: u64,
-    /// The largest errors and the like.
+    /// The largest errors and similar figures.
     pub extremes: Extremes,
 }
 

@@ -187,7 +187,7 @@ impl Solver {
         Some(Self { sigma_min: sample.sigma_min, ..sample.convergence?.into() })
     }
 
-    /// What it was made from; `None` if its rung is none of ours.
+    /// What it was made from; `None` if this build does not know its rung.
     pub fn convergence(&self) -> Option<Convergence> {
         let &Self { iterations, increment, .. } = self;
         let rung = Rung::ALL.into_iter().find(|rung| rung.as_str() == self.rung)?;

@@ -1,5 +1,5 @@
 //! What charts of a long log show, gathered while it is written and attached at its end: each quantity by itself, finely
-//! and coarsely, so that whoever draws a part of it reads little more than what is drawn.
+//! and coarsely, so that drawing a part of it reads little more than what is drawn.
 //!
 //! Invariant: memory is bounded, no extreme is lost, and a resumed writer gathers what the one before it did: both take
 //! what stands in the messages.

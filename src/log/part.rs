@@ -171,7 +171,7 @@ impl Seek for Part {
     }
 }
 
-/// Opens and locks a file that is one: a link that somebody put in its place would have its target written over, and what
+/// Opens and locks a regular file: a link that somebody put in its place would have its target written over, and what
 /// is read from a pipe may never come.
 pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     #[cfg(unix)]

@@ -205,7 +205,7 @@ impl Terms {
         }
     }
 
-    /// Gravity gradients of one matrix whose directions together are none.
+    /// Gravity gradients of one matrix that together are the same in every direction.
     fn add_isotropic(&mut self) {
         let mut looked_at = vec![false; self.left.len()];
         for first in 0..self.left.len() {

@@ -14,7 +14,7 @@ use super::Control;
 use super::summary::{self, Advised, Diagnosis, Tried};
 use crate::plan::{NEAR_SIGMA, Plan};
 use crate::scenario::SMALLEST_STEP_S;
-use crate::solve::failure::{Failure, FailureCode};
+use crate::solve::failure::{Failure, FailureCode, two_digits};
 use crate::solve::hamiltonian::{RigidBody, TimeScale};
 use crate::solve::nonlinear::StopRule;
 use crate::solve::so;
@@ -83,7 +83,7 @@ pub(super) fn own_steps<const N: usize>(
 ) -> Option<(Box<dyn Stepper<N>>, f64)> {
     let scale = TimeScale::of(body).filter(|_| plan.own_steps.is_none())?;
     let plain = !body.is_driven() && plan.model.wheels.is_none();
-    let own_s = shorter(plan.easy_own_step_s(OWN_STAGES), 1.0);
+    let own_s = two_digits(plan.easy_own_step_s(OWN_STAGES));
     let tableau = Tableau::gauss(OWN_STAGES).filter(|_| plain)?;
     let stepper = VpdAdaptive::new(tableau, StopRule::default(), scale).with_steps_of(own_s);
     Some((Box::new(stepper), own_s))
@@ -182,7 +182,7 @@ impl<const N: usize> Search<'_, N> {
     fn advised(&mut self, most_sweeps: f64) -> Advised {
         let Schedule { step_s: asked, steps, .. } = self.broken.schedule;
         let most_steps = (most_sweeps * SHARE / SWEEPS).floor().max(1.0);
-        let (mut failed, mut step_s) = (asked, shorter(asked, 0.5));
+        let (mut failed, mut step_s) = (asked, two_digits(0.5 * asked));
         let mut found = loop {
             if step_s < SMALLEST_STEP_S {
                 return Advised::NoneWorks;
@@ -190,12 +190,12 @@ impl<const N: usize> Search<'_, N> {
             let span = Span::of(steps as f64 * asked / step_s, most_steps);
             match self.went(step_s, span) {
                 Went::Well => break (step_s, span.tried(step_s)),
-                Went::Badly => (failed, step_s) = (step_s, shorter(step_s, 0.5)),
+                Went::Badly => (failed, step_s) = (step_s, two_digits(0.5 * step_s)),
                 Went::Out => return Advised::NotFound { tried_s: failed },
             }
         };
         while failed > NEAR * found.0 {
-            let between = shorter((failed * found.0).sqrt(), 1.0);
+            let between = two_digits((failed * found.0).sqrt());
             let span = Span::of(steps as f64 * asked / between, most_steps);
             if between <= found.0 || between >= failed {
                 break;
@@ -266,17 +266,17 @@ impl<const N: usize> Search<'_, N> {
         for step in 1..=steps {
             let time_s = |steps: u64| from_s + steps as f64 * step_s;
             stepper.set_time(time_s(step - 1));
-            match stepper.step(body, step_s) {
-                Ok(_) => {}
+            let looked_at = step % every == 0 || step == steps;
+            let mut made = stepper.step(body, step_s).map(drop);
+            if looked_at {
+                made = made.and_then(|()| stepper.settle(body, step_s).map(drop));
+            }
+            match made {
+                Ok(()) => {}
                 Err(Failure { code: FailureCode::Stopped, .. }) => return Went::Out,
                 Err(_) => return Went::Badly,
             }
-            if step % every == 0 || step == steps {
-                match stepper.settle(body, step_s) {
-                    Ok(_) => {}
-                    Err(Failure { code: FailureCode::Stopped, .. }) => return Went::Out,
-                    Err(_) => return Went::Badly,
-                }
+            if looked_at {
                 if let Some(pace) = stepper.pace()
                     && nearest.is_none_or(|nearest| pace.least_sigma < nearest.least_sigma)
                 {
@@ -286,7 +286,7 @@ impl<const N: usize> Search<'_, N> {
                 let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);
                 off = off.max((energy.total() - begun - stepper.work()).abs());
-                // A number that is none is no energy.
+                // No energy: infinite, or not a number.
                 if !energy.total().is_finite() {
                     return Went::Badly;
                 }
@@ -317,12 +317,4 @@ impl Span {
             Tried::For { time_s: self.steps as f64 * step_s }
         }
     }
-}
-
-/// A part of a step, rounded down to two decimal digits, as they would be written.
-fn shorter(step_s: f64, part: f64) -> f64 {
-    let target = step_s * part;
-    let exponent = libm::log10(target).floor() - 1.0;
-    let digits = (target / libm::pow(10.0, exponent)).floor();
-    format!("{digits}e{exponent}").parse().unwrap_or(target)
 }

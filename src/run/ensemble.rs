@@ -280,7 +280,7 @@ impl Ensemble<'_> {
             }
         });
         let ends = ends.collect();
-        // A search for a smaller step that somebody stopped is none.
+        // A search for a smaller step that was stopped has no result.
         let searched = trajectories.iter().any(|end| matches!(end.ending, Ending::Failed(_)));
         Ok(if searched && self.context.control.stopped() { None } else { Some(ends) })
     }

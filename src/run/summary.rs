@@ -199,7 +199,7 @@ impl Diagnosis {
              \"step\": {{ \"adaptive\": {{ \"largest_step_s\": {} }} }}",
             serde_json::json!(largest_step_s)
         );
-        let advice = format!("{}; otherwise {}", tried.told(advice), self.advice);
+        let advice = format!("{}; otherwise {}", tried.appended_to(advice), self.advice);
         Self { advice, advised_largest_step_s: Some(largest_step_s), ..self }
     }
 }
@@ -328,7 +328,7 @@ pub(super) enum Tried {
 
 impl Tried {
     /// An advice, and for how long it was tried if that is not the whole run.
-    fn told(self, advice: String) -> String {
+    fn appended_to(self, advice: String) -> String {
         match self {
             Self::Throughout => advice,
             Self::For { time_s } => format!("{advice}; it was tried for {time_s:.3} s only"),
@@ -363,12 +363,12 @@ pub(super) fn diagnosis(
         Advised::Step { step_s, tried } => {
             let advice =
                 format!("try \"step_s\": {} or a tableau with more stages", written(step_s));
-            (tried.told(advice), Some(step_s))
+            (tried.appended_to(advice), Some(step_s))
         }
         Advised::OwnStep { largest_step_s, tried } => {
             let written = written(largest_step_s);
             let advice = format!("try \"largest_step_s\": {written} or a tableau with more stages");
-            (tried.told(advice), Some(largest_step_s))
+            (tried.appended_to(advice), Some(largest_step_s))
         }
         Advised::NotFound { tried_s } => (
             format!(

@@ -45,7 +45,7 @@ pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, 
 }
 
 /// serde also takes a list of its fields for an object: that is not what the description of the API says, and
-/// a field that is added would change what it means. Whoever prints an object must have been given one.
+/// a field that is added would change what it means. What prints as an object must have been given as one.
 fn no_list_for_an_object(given: &Value, printed: &Value, at: &str) -> Result<(), ScenarioError> {
     match (given, printed) {
         (Value::Array(_), Value::Object(_)) => {
@@ -93,7 +93,7 @@ pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     Ok(value)
 }
 
-/// A number that may be left out, but is none if it is `null`.
+/// A number that may be left out, but may not be `null`.
 pub(super) fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     f64::deserialize(deserializer).map(Some)
 }

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Invariants: a child does not outlive the service. Only a death that the service saw, and that no signal to stop
-//! brought about, is laid to the charge of an errand.
+//! caused, counts against an errand.
 
 use std::fs;
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -30,10 +30,10 @@ pub(crate) const SUBCOMMAND: &str = "apart";
 /// How often the two sides exchange something.
 const BEAT: Duration = Duration::from_millis(50);
 
-/// An errand that ends its process at the same step so many times in a row is given up.
+/// An errand that ends its process at the same step this many times in a row is abandoned.
 const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
 
-/// An errand of which so many processes in a row ended without having come further is given up, wherever that was.
+/// An errand of which this many processes in a row ended without having come further is abandoned, wherever that was.
 pub(super) const MAX_FRUITLESS: u32 = 20;
 
 /// What a child says.

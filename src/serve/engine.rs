@@ -1,6 +1,6 @@
 //! What the service asks of an engine, and the two that there are: on this machine (`local`), and on many (`cluster`).
 //!
-//! Invariant: whoever is asked, the answers are the same. The record holds the jobs, an engine only what is in flight.
+//! Invariant: both engines give the same answers. The record holds the jobs, an engine only what is in flight.
 
 #[cfg(feature = "cluster")]
 pub(super) mod cluster;
@@ -9,6 +9,7 @@ pub(super) mod local;
 use std::path::PathBuf;
 
 use axum::body::Bytes;
+use tokio::task::JoinHandle;
 use uuid::Uuid;
 
 use super::job::{State, View};
@@ -186,7 +187,13 @@ impl Engine {
 
     /// The scenario of a job with the method and the step that were found for its accuracy; as accepted if none was.
     pub(super) async fn settled(&self, id: Uuid) -> Result<Option<Scenario>, Refusal> {
-        asked!(self, settled(id))
+        let accepted = self.scenario(id).await?;
+        let settled = asked!(self, settled(id))?;
+        let planned = tokio::task::spawn_blocking(move || match settled {
+            Some(settled) => settled.plan().map(|plan| plan.settled),
+            None => Scenario::from_json(&accepted),
+        });
+        Ok(planned.await.map_err(|_| Refusal::Stopping)?.ok())
     }
 
     /// The scenario of a job, as it was sent.
@@ -225,7 +232,12 @@ impl Engine {
 
 /// Runs a task to its end even if the caller, a request whose client has left, is dropped.
 async fn to_the_end<T: Send + 'static>(task: impl Future<Output = T> + Send + 'static) -> T {
-    match tokio::spawn(task).await {
+    joined(tokio::spawn(task)).await
+}
+
+/// What a task returns; a panic of it is one here.
+pub(super) async fn joined<T>(task: JoinHandle<T>) -> T {
+    match task.await {
         Ok(value) => value,
         Err(error) => match error.try_into_panic() {
             Ok(panic) => std::panic::resume_unwind(panic),

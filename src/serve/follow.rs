@@ -141,7 +141,7 @@ impl Reading {
     }
 }
 
-/// Opens a file that is one: a link planted in the data directory must not lead out of it.
+/// Opens a regular file: a link planted in the data directory must not lead out of it.
 fn open(path: &Path) -> io::Result<File> {
     if path.symlink_metadata()?.is_file() {
         File::open(path)

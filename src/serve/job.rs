@@ -370,7 +370,7 @@ impl Fault {
         )
     }
 
-    /// Whether the job is given up because its runs end their process.
+    /// Whether the job is abandoned because its runs end their process.
     pub(super) fn is_of_the_process(&self) -> bool {
         self.code == "worker_crashed"
     }

@@ -57,14 +57,14 @@ struct Places {
     /// Those that have not said yet what they want, the longest waiting first.
     silent: BTreeMap<u64, JoinHandle<()>>,
     next_id: u64,
-    /// Those that are being told that they are too many.
+    /// Those that are being answered that they are too many.
     refused: usize,
 }
 
-/// Connections beyond a limit that may be told so at one time, at most.
+/// Connections beyond a limit that are answered so at the same time, at most.
 pub(super) const REFUSALS: usize = 128;
 
-/// How many may be, next to so many connections; more are closed.
+/// How many are, if so many connections are allowed; more are closed.
 pub(super) fn refusals(connections: usize) -> usize {
     (connections / 4).clamp(1, REFUSALS)
 }
@@ -107,15 +107,15 @@ impl Open {
         Ok(())
     }
 
-    /// Tells a connection that it is one too many; closes it if as many are being told as may be.
+    /// Answers a connection that it is one too many; closes it if too many are being answered so.
     fn refuse(&self, stream: TcpStream) {
         let mut places = self.places();
         if places.refused < refusals(places.limits.connections) {
             places.refused += 1;
-            let told = Told(self.clone());
+            let refused = Refused(self.clone());
             tokio::spawn(async move {
                 let _ = tokio::time::timeout(REFUSAL_TIMEOUT, refuse(stream)).await;
-                drop(told);
+                drop(refused);
             });
         }
     }
@@ -125,7 +125,7 @@ impl Open {
         self.places().is_full()
     }
 
-    /// Closes the connection that has been silent for longest: whoever means to ask does so at once.
+    /// Closes the connection that has been silent for longest: a client that has a request sends it at once.
     async fn shed(&self) {
         let longest = self.places().silent.pop_first();
         if let Some((_, task)) = longest {
@@ -170,9 +170,9 @@ impl Drop for Entry {
 }
 
 /// A connection that is answered that it is one too many.
-struct Told(Open);
+struct Refused(Open);
 
-impl Drop for Told {
+impl Drop for Refused {
     fn drop(&mut self) {
         self.0.places().refused -= 1;
     }

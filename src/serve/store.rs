@@ -465,7 +465,7 @@ impl Store {
         removed.map_err(StoreError::new("forget the job"))
     }
 
-    /// All jobs, oldest first, and how many things were found that are none. Blocking.
+    /// All jobs, oldest first, and how many entries were found that are not jobs. Blocking.
     pub(super) fn scan(&self) -> Result<(Vec<Found>, usize), StoreError> {
         let (prefixes, mut aside) =
             prefixes(&self.jobs).map_err(StoreError::new("list the jobs"))?;

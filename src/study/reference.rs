@@ -75,7 +75,7 @@ pub enum Growth {
         /// Seconds.
         tenfold_s: f64,
     },
-    /// As this power of time, or too little to be told from one.
+    /// As this power of time, or too little to be distinguished from one.
     Power {
         /// The exponent.
         exponent: f64,
@@ -132,7 +132,7 @@ const STEEPEST: f64 = 6.0;
 pub(crate) const MOST_STEPS: f64 = 20_000.0;
 /// Two solutions that agree to this are taken.
 const AGREED: f64 = 1e-13;
-/// A reference worse than this is none.
+/// A reference worse than this is of no use.
 const USELESS: f64 = 1e-6;
 /// By how much of the momentum a start is moved: a thousand roundings, so that those of the run do not matter.
 const MOVED: f64 = 1e-13;

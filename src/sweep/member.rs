@@ -29,7 +29,7 @@ pub(super) enum Outcome {
     Succeeded(Row),
     /// A step could not be made; what was reached before.
     Failed(&'static str, Row),
-    /// Its scenario is none.
+    /// Its scenario is not valid.
     Refused(ScenarioError),
 }
 

@@ -1,6 +1,6 @@
 //! What a picture of a table shows: a map over two varied fields, or points over one.
 //!
-//! Invariant: it does not grow with the table beyond what can be told apart in a picture.
+//! Invariant: it does not grow with the table beyond what can be distinguished in a picture.
 
 use std::collections::BTreeMap;
 use std::fs::File;

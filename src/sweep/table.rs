@@ -61,7 +61,7 @@ pub(super) fn line(cells: &[String]) -> String {
     String::from_utf8(line).expect("cells are text")
 }
 
-/// The shortest digits that give the same number back; nothing of what is none.
+/// The shortest digits that give the same number back; empty if it is not finite.
 pub(super) fn figure(x: Option<f64>) -> String {
     x.and_then(Number::from_f64).map_or_else(String::new, |number| number.to_string())
 }

@@ -53,7 +53,7 @@ class Cluster(Bench):
         (self.folder / "blobs").mkdir()
         ports = {name: free_port(host) for name in ["master", "volume", "filer"]}
         self.metrics = free_port(host)
-        # Each has a second port for its own protocol, 10,000 above unless it is told.
+        # Each has a second port for its own protocol, 10,000 above unless specified.
         grpc = {name: free_port(host) for name in [*ports, "s3"]}
         self.store = self.run("store", [
             BIN / "weed", "server", "-dir=blobs", f"-ip={host}", f"-ip.bind={host}", "-s3", "-s3.config=s3.json",

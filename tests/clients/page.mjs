@@ -664,7 +664,7 @@ await checks({
   },
   "a press of a person finds its button while events arrive": async () => {
     const pressed = await open();
-    // How often the list has been told of its jobs: no press counts that no event fell into.
+    // How often the list has heard of its jobs: no press counts that no event fell into.
     const value = id => pressed.evaluate(id => document.querySelector(`#job-${id} progress`).value, id);
     const ids = [];
     for (let k = 0; k < 3; k += 1) {

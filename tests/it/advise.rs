@@ -109,10 +109,10 @@ fn accuracies_are_kept_on_forty_scenes() {
         };
         let reached = match error_at_end(&plan) {
             Ok(ErrorAtEnd::About(reached) | ErrorAtEnd::Below(reached)) => reached,
-            Err(untold) => {
-                // Errors grow so that nobody can tell: not kept, then.
-                println!("{number}: {untold}");
-                missed.push(format!("{number}: {untold}"));
+            Err(unknown) => {
+                // How errors grow cannot be predicted: not kept, then.
+                println!("{number}: {unknown}");
+                missed.push(format!("{number}: {unknown}"));
                 continue;
             }
         };

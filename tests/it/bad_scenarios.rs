@@ -275,7 +275,7 @@ pub(crate) fn table() -> Vec<Bad> {
         );
     }
 
-    // Inertia that is none.
+    // Inertia that is not valid.
     for raw in ["0", "-1", "1e-400", "1e-13", "1e13", "-0.0"] {
         add(with(full(), "/scene/inertia/principal/2", raw), "/scene/inertia/principal/2");
     }
@@ -294,7 +294,7 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(so4(), "/scene/inertia/second_moments/0", "-2"), "/scene/inertia/second_moments/1");
     add(with(so4(), "/scene/inertia/second_moments/3", "-1"), "/scene/inertia/second_moments/3");
 
-    // Attitude and momentum that are none.
+    // Attitude and momentum that are not valid.
     let attitude = "/scene/initial/attitude";
     for raw in [
         "[[1,0,0],[0,0,-1],[0,1.001,0]]",

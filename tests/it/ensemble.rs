@@ -1,4 +1,4 @@
-//! An ensemble: its members, what they are together, and that nobody can tell how its log came about.
+//! An ensemble: its members, what they are together, and that its log does not depend on how it came about.
 
 use std::collections::BTreeMap;
 use std::fs;

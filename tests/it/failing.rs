@@ -255,7 +255,7 @@ fn the_cause_names_the_stiffness_where_that_is_it() {
     let summary = run(&stiff().to_string(), &log);
     let diagnosis = summary.diagnosis.expect("the step is too large");
     assert!(diagnosis.cause.contains("the potential is stiff"), "{}", diagnosis.cause);
-    // A quick spin is none.
+    // A quick spin is not stiff.
     let mut quick = stiff();
     quick["scene"]["potential"] = json!([]);
     quick["scene"]["initial"]["angular_velocity"] = json!({ "body": [300.0, 300.0, 1.0] });

@@ -1,4 +1,4 @@
-//! An interrupted run goes on, and nobody can tell from its log.
+//! An interrupted run goes on, and its log does not show it.
 
 use std::fs;
 use std::path::Path;

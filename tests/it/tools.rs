@@ -245,9 +245,9 @@ fn two_logs_are_compared() {
     let same = vpd(at, &["diff", "a.mcap", "same.mcap"]);
     assert_eq!(same.status.code(), Some(0), "{}", text(&same.stdout));
     assert!(text(&same.stdout).contains("they agree"));
-    let told = vpd(at, &["diff", "a.mcap", "b.mcap", "--json", "--rows", "7", "--chart", "d.svg"]);
-    assert_eq!(told.status.code(), Some(1), "{}", text(&told.stderr));
-    let found: Value = serde_json::from_slice(&told.stdout).expect("JSON");
+    let diff = vpd(at, &["diff", "a.mcap", "b.mcap", "--json", "--rows", "7", "--chart", "d.svg"]);
+    assert_eq!(diff.status.code(), Some(1), "{}", text(&diff.stderr));
+    let found: Value = serde_json::from_slice(&diff.stdout).expect("JSON");
     assert_eq!((&found["samples"], &found["only_second"]), (&101.into(), &100.into()));
     // By the samples themselves.
     let angle = |a: &Row, b: &Row| {

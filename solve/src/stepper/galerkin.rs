@@ -301,7 +301,7 @@ impl<const N: usize> GalerkinStep<N> {
                 self.check(dynamics)?;
                 (self.solution.turn, self.solution.impulse) = self.changes(dynamics, h);
                 self.solution.checked()?;
-                // Where the equations have no solution nearby Newton's method may stop at what is none.
+                // Where the equations have no solution nearby Newton's method may stop at what is not one.
                 let defect = self.solution.off_the_group();
                 if defect <= MOST_OFF_THE_GROUP {
                     Ok(convergence)
@@ -309,15 +309,7 @@ impl<const N: usize> GalerkinStep<N> {
                     Err(Failure::new(FailureCode::Diverged, None, defect, MOST_OFF_THE_GROUP))
                 }
             }
-            // A charge that was met explains a failed iteration better than the iteration does.
-            Err(failure) => Err(match self.check_dynamics(dynamics) {
-                Err(met) => Failure {
-                    iterations: failure.iterations,
-                    increments: failure.increments,
-                    ..met
-                },
-                Ok(()) => failure,
-            }),
+            Err(failure) => Err(failure.explained_by(self.check_dynamics(dynamics))),
         }
     }
 
@@ -624,7 +616,7 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         let before = of_stage(omega, at);
         let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
         to_stage(&now, omega, at);
-        // Of what is no number the change is none either.
+        // The change of a NaN is a NaN.
         let change =
             (now - before).iter().fold(0.0, |most: f64, x| Real::max_or_nan(most, x.abs()));
         [change, now.amax()]
@@ -810,12 +802,8 @@ fn polar<const N: usize>(d: &Mat<N>, stage: Option<usize>) -> Result<(Mat<N>, Ma
     if !d.iter().all(|x| x.is_finite()) {
         return Err(Failure::not_finite(stage));
     }
-    let u = so::polar(&(d + Mat::identity())).ok_or(Failure::new(
-        FailureCode::LeftGlPlus,
-        stage,
-        0.0,
-        SMALLEST_SINGULAR_VALUE,
-    ))?;
+    let left = Failure::new(FailureCode::LeftGlPlus, stage, 0.0, SMALLEST_SINGULAR_VALUE);
+    let u = so::polar(&(d + Mat::identity())).ok_or(left)?;
     Ok((u, so::stretch_of(&u, d)))
 }
 
@@ -829,10 +817,6 @@ fn lyapunov<const N: usize>(
     if !c.iter().all(|x| x.is_finite()) {
         return Err(Failure::not_finite(stage));
     }
-    so::lyapunov_in(m, c, guess, iterations).ok_or(Failure::new(
-        FailureCode::LyapunovSingular,
-        stage,
-        0.0,
-        0.0,
-    ))
+    let singular = Failure::new(FailureCode::LyapunovSingular, stage, 0.0, 0.0);
+    so::lyapunov_in(m, c, guess, iterations).ok_or(singular)
 }

@@ -70,7 +70,7 @@ impl<const N: usize> Rk<N> {
     }
 }
 
-/// A projection cannot tell turns that are a whole one apart, and what four stages make of a turn past 3 rad looks
+/// A projection does not distinguish turns that differ by a whole one, and what four stages make of a turn past 3 rad looks
 /// like one of less than a quarter: the guard behind the projection is blind there. So the turn is judged by the
 /// velocity as well, by the same limit.
 fn check_turn<const N: usize>(omega: &Mat<N>, h: f64) -> Result<(), Failure> {
@@ -156,12 +156,8 @@ impl<const N: usize> Stepper<N> for Rk<N> {
         }
         let mut end = self.at(None, |j| h * self.tableau.b(j))?;
         if self.projected {
-            let factor = projection(&end.attitude).ok_or(Failure::new(
-                FailureCode::LeftGlPlus,
-                None,
-                0.0,
-                0.0,
-            ))?;
+            let left = Failure::new(FailureCode::LeftGlPlus, None, 0.0, 0.0);
+            let factor = projection(&end.attitude).ok_or(left)?;
             // A quarter turn in one plane, or a reflection: tr(U^T V) <= n - 2.
             let (trace, limit) = (self.state.attitude.dot(&factor), N as f64 - 2.0);
             check_branch(trace, limit, None)?;

@@ -233,14 +233,7 @@ impl VpdSo3 {
             if failure.code == FailureCode::NonFinite && failure.iterations > 1 {
                 failure.code = FailureCode::Diverged;
             }
-            // A charge that was met explains a failed iteration better than the iteration does.
-            match self.check_distances(body) {
-                Err(met) => {
-                    let Failure { iterations, increments, .. } = failure;
-                    Failure { iterations, increments, ..met }
-                }
-                Ok(()) => failure,
-            }
+            failure.explained_by(self.check_distances(body))
         })
     }
 }

@@ -236,29 +236,20 @@ impl<const N: usize> Step<'_, N> {
         let solved = solver.solve(&mut Sweeps { step: self, m0: &m0, xi: &xi, unknowns });
         // An iterate that is no number meets no charge.
         let finite = |stage: &Stage<N, A>| stage.g.iter().all(|x| x.is_finite());
-        let mut met = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
-        let near = met.find_map(|(i, stage)| {
+        let mut stages = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
+        let check = stages.try_for_each(|(i, stage)| {
             let check = match self.moments.get(i) {
                 None => self.body.check_distances(&stage.g, self.space),
                 Some(moment) => moment.check(&stage.g),
             };
-            let near = check.err()?;
-            Some(Failure { stage: Some(i), ..near })
+            check.map_err(|met| Failure { stage: Some(i), ..met })
         });
-        match (solved, near) {
-            (Ok(convergence), None) => {
-                let turn = so::exp(&unknowns.y.matrix());
-                Ok((convergence, (turn * self.g0, unknowns.n.turned(&turn).matrix())))
-            }
-            (Ok(_), Some(near)) => Err(near),
-            (Err(failure), None) => Err(failure),
-            // A charge met explains non-finite values and divergence better than they do.
-            (Err(failure), Some(near)) => Err(Failure {
-                iterations: failure.iterations,
-                increments: failure.increments,
-                ..near
-            }),
-        }
+        let convergence = match solved {
+            Ok(convergence) => check.map(|()| convergence)?,
+            Err(failure) => return Err(failure.explained_by(check)),
+        };
+        let turn = so::exp(&unknowns.y.matrix());
+        Ok((convergence, (turn * self.g0, unknowns.n.turned(&turn).matrix())))
     }
 
     /// One sweep over all unknowns, each slope from the newest of the others; returns the largest change

@@ -341,7 +341,7 @@ fn the_momentum_changes_by_the_torques_alone() {
             let Ok(run) =
                 integrate(&body, stepper, &start, schedule, asked, &mut momenta, |_| true);
             assert_eq!(run.ending, Ending::Completed);
-            (momenta.drift, run.reached.impulse + stepper.impulse().expect("told"))
+            (momenta.drift, run.reached.impulse + stepper.impulse().expect("an impulse"))
         };
         for method in driven_methods() {
             let (name, order, mut stepper) = (method.name, method.order, S::make(&method));
@@ -491,7 +491,8 @@ fn symmetric_methods_are_their_own_reverse() {
             let momentum = stepper.momentum();
             let end = State { attitude: stepper.attitude().expect("carried"), momentum };
             let off = distance(&end, &start);
-            let (work, impulse) = (stepper.work().abs(), stepper.impulse().expect("told").amax());
+            let (work, impulse) =
+                (stepper.work().abs(), stepper.impulse().expect("an impulse").amax());
             println!("{name}, n = {N}: {}: {off:.1e}, {work:.1e}, {impulse:.1e}", method.name);
             assert!(off <= 2e-14, "{name}, n = {N}, {}: {off:e}", method.name);
             assert!(work.max(impulse) <= 2e-14, "{name}, n = {N}, {}", method.name);

@@ -289,7 +289,7 @@ fn members_are_their_own_runs_bit_for_bit() {
     let (body, start) = dipole();
     for (stages, h) in [(1, 0.02), (2, 0.05), (3, 0.1), (4, 0.1), (6, 0.15), (8, 0.2)] {
         let mut numbers = Numbers(stages as u64 + 11);
-        // The last turns too fast for the step: it goes by itself, and fails.
+        // The last turns too fast for the step: it is stepped by itself, and fails.
         let states: Vec<State<3>> = (0..7)
             .map(|m| {
                 let size = if m == 6 { 60.0 } else { 0.1 };

@@ -558,7 +558,7 @@ fn a_law_that_goes_wrong_ends_the_run_with_a_name() {
         };
         let named = match faulty.wrong {
             Wrong::Refused => &[FailureCode::PotentialSingularity][..],
-            // Numbers that are none look like numbers that have grown out of all bounds.
+            // A NaN looks like a number that has grown out of all bounds.
             _ => &[FailureCode::NonFinite, FailureCode::Diverged],
         };
         assert!(named.contains(&failure.code), "{what}, {faulty:?}: {failure:?}");

@@ -267,7 +267,7 @@ pub(super) async fn get_attitudes(
     Ok(Json(stretch))
 }
 
-/// The inertia of the body of a job; `None` if its scenario is none of this build.
+/// The inertia of the body of a job; `None` if this build does not take its scenario.
 async fn inertia(app: &App, id: Uuid) -> Option<Inertia> {
     accepted(app, id).await.map(|scenario| scenario.scene.inertia)
 }

@@ -13,7 +13,7 @@ use axum::response::{IntoResponse, Response};
 use uuid::Uuid;
 
 use super::App;
-use crate::serve::engine::Refusal;
+use crate::serve::engine::{Refusal, joined};
 use crate::serve::problem::Problem;
 use crate::serve::store;
 use crate::serve::studies::StudyRefusal;
@@ -87,11 +87,5 @@ pub(super) fn json_text(text: impl Into<axum::body::Body>) -> Response {
 
 /// Runs blocking work away from the threads that answer.
 pub(super) async fn off_thread<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> T {
-    match tokio::task::spawn_blocking(work).await {
-        Ok(value) => value,
-        Err(error) => match error.try_into_panic() {
-            Ok(panic) => std::panic::resume_unwind(panic),
-            Err(_) => std::future::pending().await,
-        },
-    }
+    joined(tokio::task::spawn_blocking(work)).await
 }

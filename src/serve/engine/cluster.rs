@@ -84,7 +84,7 @@ pub struct ClusterConfig {
 /// Why there is no way to the other machines.
 #[derive(Debug, thiserror::Error)]
 pub enum ClusterError {
-    /// The address of Temporal is none, or its variables hold what cannot be used.
+    /// The address of Temporal is not valid, or its variables hold what cannot be used.
     #[error("Temporal at {given:?} cannot be asked: {message}; write HOST:PORT")]
     Address {
         /// The address.
@@ -578,14 +578,8 @@ impl Cluster {
         self.0.bucket.scenario(id).await?.ok_or(Refusal::UnknownJob)
     }
 
-    pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Scenario>, Refusal> {
-        let accepted = self.scenario(id).await?;
-        let settled = self.0.bucket.settled(id).await?;
-        let planned = tokio::task::spawn_blocking(move || match settled {
-            Some(settled) => settled.plan().map(|plan| plan.settled),
-            None => Scenario::from_json(&accepted),
-        });
-        Ok(planned.await.map_err(|_| Refusal::Stopping)?.ok())
+    pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, Refusal> {
+        Ok(self.0.bucket.settled(id).await?)
     }
 
     pub(in crate::serve) async fn sent(&self, id: Uuid) -> Result<Bytes, Refusal> {
@@ -605,7 +599,7 @@ impl Cluster {
                 (true, true) => return Err(Refusal::JobEnded),
                 (true, false) => {}
             }
-            // First here: a worker that is told to stop looks whether somebody wants it.
+            // First here: a worker that is cancelled looks here whether a client asked for it.
             bucket.note_cancel(id).await?;
             tracing::info!(job = %id, "job to be cancelled");
             if held.attempts == 0 {
@@ -617,7 +611,7 @@ impl Cluster {
             let handle = cluster.0.client.get_workflow_handle::<Flow>(flow_id(id));
             if let Err(error) = handle.cancel(WorkflowCancelOptions::default()).await {
                 // Its next worker finds the note.
-                tracing::warn!(job = %id, error = chain(&error), "worker not told");
+                tracing::warn!(job = %id, error = chain(&error), "worker not notified");
             }
             lock(&cluster.0.seen).remove(&id);
             cluster.brief(id).await

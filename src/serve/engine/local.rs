@@ -535,15 +535,9 @@ impl Local {
         Ok(self.0.store.scenario(id).await?)
     }
 
-    /// The scenario of a job with the method and the step that were found for its accuracy; as accepted if none was.
-    pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Scenario>, Refusal> {
-        let accepted = self.scenario(id).await?;
-        let settled = self.0.store.settled(id).await?;
-        let planned = tokio::task::spawn_blocking(move || match settled {
-            Some(settled) => settled.plan().map(|plan| plan.settled),
-            None => Scenario::from_json(&accepted),
-        });
-        Ok(planned.await.map_err(|_| Refusal::Stopping)?.ok())
+    /// What runs have shown of a job; `None` if that is not known yet.
+    pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, Refusal> {
+        Ok(self.0.store.settled(id).await?)
     }
 
     /// The scenario of a job, as it was sent.

@@ -246,7 +246,7 @@ class Stage {
     const shown = time_s[k + 1] === undefined ? time_s[k] : Math.max(this.t, time_s[k]);
     this.time.textContent = `t = ${shown.toPrecision(4)} s`;
     if (document.activeElement !== this.seek) this.seek.value = shown;
-    this.told?.(shown);
+    this.onframe?.(shown);
   }
 
   // Paints the scene, and on top of it the trail of the third axis, the arrows and the labels.
@@ -346,7 +346,7 @@ class Stage {
     const boxes = [];
     for (const [word, x, y, color] of words) {
       const wide = pen.measureText(word).width;
-      // Beside its point, where nothing is written yet.
+      // Next to its point, where nothing is written yet.
       const inside = ([left, top]) => [Math.max(4, Math.min(left, width - wide - 4)), Math.max(10, Math.min(top, height - 10))];
       const free = ([left, top]) => boxes.every(([l, t, w]) => Math.abs(t - top) >= 15 || left >= l + w || l >= left + wide);
       const places = [0, 16, -16, 32, -32].flatMap(down => [[x + 8, y + down], [x - 8 - wide, y + down]]).map(inside);

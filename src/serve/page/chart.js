@@ -38,13 +38,13 @@ class Chart {
       Object.entries(CURVES).filter(([value]) => !CHANNELS[value] || job.plan?.channels.some(({ topic }) => topic === CHANNELS[value])).map(option));
     this.log = h("input", { type: "checkbox", checked: true, onchange: () => this.draw() });
     this.more = h("select", { ariaLabel: "Compare with another job", onfocus: () => this.ask(), onpointerenter: () => this.ask(), onchange: () => this.add() });
-    this.beside = h("span", { className: "row" });
+    this.others = h("span", { className: "row" });
     this.legend = h("div", { className: "row legend" });
     this.words = h("p", { className: "soft readout", ariaLive: "off" });
     const press = (name, word, act) => h("button", { type: "button", className: "small", ariaLabel: name, title: name, onclick: act }, word);
     this.plot = h("div", { className: "plot", tabIndex: 0, role: "img", onkeydown: event => this.key(event) });
     this.root = h("section", { className: "chart", ariaLabel: "Chart" },
-      h("div", { className: "row" }, this.curve, h("label", { className: "check" }, this.log, "Logarithmic"), this.more, this.beside,
+      h("div", { className: "row" }, this.curve, h("label", { className: "check" }, this.log, "Logarithmic"), this.more, this.others,
         h("span", { className: "row push" }, press("Zoom in", "+", () => this.zoom(0.5)), press("Zoom out", "−", () => this.zoom(2)),
           press("The whole run", "Whole", () => this.look(null)))),
       this.plot, this.legend, this.words);
@@ -80,7 +80,7 @@ class Chart {
   }
 
   chips() {
-    this.beside.replaceChildren(...this.jobs.slice(1).map(job => h("button", { type: "button", className: "small", ariaLabel: `Remove ${job.name} from the chart`,
+    this.others.replaceChildren(...this.jobs.slice(1).map(job => h("button", { type: "button", className: "small", ariaLabel: `Remove ${job.name} from the chart`,
       onclick: () => { this.jobs = this.jobs.filter(shown => shown !== job); this.chips(); } }, `${job.name} ×`)));
     this.offer();
     this.load();

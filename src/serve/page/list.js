@@ -187,7 +187,7 @@ $("choose-all").onclick = async () => {
   showChosen();
 };
 
-// Deletes one job, however often it is told to wait.
+// Deletes one job, however often the answer is to wait.
 async function deleted(id) {
   for (;;) {
     try { return await call(`jobs/${id}`, { method: "DELETE" }); } catch (error) {

@@ -201,7 +201,7 @@ async function showBody(job, looks, current) {
     const load = (from, every) => json(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}&every_s=${every}`, { quiet: true });
     looks.replaceChildren(player.root);
     const { scene } = await json(job.links.scenario, { quiet: true });
-    player.told = t => chart?.follow(t);
+    player.onframe = t => chart?.follow(t);
     if (await player.open(load, scene.potential) && current()) { stage = player; return true; }
   } catch { /* Nothing to show. */ }
   looks.replaceChildren();

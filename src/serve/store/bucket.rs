@@ -52,7 +52,7 @@ const BUILD: &str = env!("VPD_BUILD");
 /// Why a record cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum BucketError {
-    /// The address is none of a bucket or a directory.
+    /// The address is not that of a bucket or a directory.
     #[error(
         "the bucket {given:?} cannot be used: {message}; write s3://NAME/PREFIX or file:///DIRECTORY"
     )]

@@ -52,7 +52,7 @@ impl DataLock {
     }
 }
 
-/// A directory of ours, made if need be; what has its name and is none is put aside under another one.
+/// A directory of ours, made if need be; what has its name and is not a directory is renamed and set aside.
 pub(in crate::serve) fn own_directory(data: &Path, name: &str) -> Result<PathBuf, ServeError> {
     let path = data.join(name);
     let failed = |source: io::Error| ServeError::Data { path: path.clone(), source };
@@ -108,7 +108,7 @@ impl Prefix {
     }
 }
 
-/// The prefixes below a directory by their ids, and how many things there are none of ours: these are reported.
+/// The prefixes below a directory by their ids, and how many entries are not ours: these are reported.
 pub(in crate::serve) fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid, Prefix>, usize)> {
     let (mut found, mut aside) = (BTreeMap::new(), 0);
     let mut reported = |path: &Path, why: &dyn std::fmt::Display| {

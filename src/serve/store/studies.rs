@@ -103,7 +103,7 @@ impl StudyStore {
             .map_err(StoreError::new("forget the study"))
     }
 
-    /// All studies, oldest first, and how many things were found that are none.
+    /// All studies, oldest first, and how many entries were found that are not studies.
     pub(in crate::serve) async fn scan(&self) -> Result<(Vec<FoundStudy>, usize), StoreError> {
         let (prefixes, mut aside) =
             prefixes(&self.studies).map_err(StoreError::new("list the studies"))?;

@@ -1,4 +1,4 @@
-//! Damaged files of the store: every one is noticed, none harms another job.
+//! Damaged files of the store: every one is detected, none harms another job.
 
 use std::fs;
 use std::path::{Path, PathBuf};

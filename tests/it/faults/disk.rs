@@ -123,7 +123,7 @@ fn advance(errno: i64, code: &str) {
                     std::thread::sleep(Duration::from_millis(30));
                     let job = service.job(&id);
                     waited += usize::from(trouble(&job) == Some(code));
-                    assert!(trouble(&job).is_none_or(|told| told == code), "{job}");
+                    assert!(trouble(&job).is_none_or(|reported| reported == code), "{job}");
                     assert_ne!(job["state"], "failed", "{job}");
                 }
                 faults.arm(0, errno, 0);

@@ -169,7 +169,7 @@ fn a_stop_is_clean() {
     }
 }
 
-/// Whoever can reach the service can stop it: nobody is left to the system's way of ending a process.
+/// A service that can be reached stops in order on a signal: its handler is in place by then.
 #[test]
 fn a_stop_is_clean_from_the_first_connection() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -202,7 +202,7 @@ fn any_number_of_workers_gives_the_same_bytes() {
     }
 }
 
-/// A job that ends its process within its first chunk, next to others, until it is given up; how many processes it
+/// A job that ends its process within its first chunk, next to others, until it is abandoned; how many processes it
 /// ended. Giving its log an end does so too, unless that `can_end`.
 fn poison(can_end: bool) -> Option<i64> {
     let folder = tempfile::tempdir().expect("a folder");
@@ -237,7 +237,7 @@ fn poison(can_end: bool) -> Option<i64> {
     let log = service.get(&format!("/jobs/{poison}/log.mcap"));
     assert_eq!(log.status, if can_end { 200 } else { 404 });
     if can_end {
-        let (samples, step) = given_up(&folder.path().join("log.mcap"), &log.body);
+        let (samples, step) = abandoned(&folder.path().join("log.mcap"), &log.body);
         assert_eq!((samples.len(), step), (0, None));
     }
     for path in ["attitudes.json", "charts/energy.svg"] {
@@ -246,8 +246,8 @@ fn poison(can_end: bool) -> Option<i64> {
     Some(faults.given())
 }
 
-/// The samples of the log of a job that was given up, and the step of its last checkpoint.
-fn given_up(path: &Path, log: &[u8]) -> (Vec<(u64, Message)>, Option<u64>) {
+/// The samples of the log of a job that was abandoned, and the step of its last checkpoint.
+fn abandoned(path: &Path, log: &[u8]) -> (Vec<(u64, Message)>, Option<u64>) {
     std::fs::write(path, log).expect("written");
     let mut samples = Vec::new();
     let ending = read_samples(path, |time_ns, sample| samples.push((time_ns, sample)));
@@ -262,21 +262,21 @@ fn given_up(path: &Path, log: &[u8]) -> (Vec<(u64, Message)>, Option<u64>) {
 }
 
 #[test]
-fn a_job_that_aborts_its_process_is_given_up_and_the_others_go_on() {
+fn a_job_that_aborts_its_process_is_abandoned_and_the_others_go_on() {
     if let Some(deaths) = poison(true) {
-        println!("given up after {deaths} processes, with a log; 8 others done");
+        println!("abandoned after {deaths} processes, with a log; 8 others done");
     }
 }
 
 #[test]
-fn a_job_whose_log_can_have_no_end_is_given_up_without() {
+fn a_job_whose_log_can_have_no_end_is_abandoned_without() {
     if let Some(deaths) = poison(false) {
-        println!("given up after {deaths} processes, without a log; 8 others done");
+        println!("abandoned after {deaths} processes, without a log; 8 others done");
     }
 }
 
 #[test]
-fn a_job_that_is_given_up_keeps_the_chunks_it_had() {
+fn a_job_that_is_abandoned_keeps_the_chunks_it_had() {
     let folder = tempfile::tempdir().expect("a folder");
     let Some(mut faults) = Faults::new(folder.path()) else { return };
     let scenario = dipole(200_000);
@@ -301,7 +301,7 @@ fn a_job_that_is_given_up_keeps_the_chunks_it_had() {
     );
     let log = service.get(&format!("/jobs/{poison}/log.mcap"));
     assert_eq!(log.status, 200);
-    let (kept, step) = given_up(&folder.path().join("log.mcap"), &log.body);
+    let (kept, step) = abandoned(&folder.path().join("log.mcap"), &log.body);
     assert_eq!(job["summary"]["steps"].as_u64(), step);
     assert_eq!(job["progress"]["steps_done"].as_u64(), step);
     std::fs::write(folder.path().join("whole.mcap"), whole).expect("written");

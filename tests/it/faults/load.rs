@@ -181,6 +181,6 @@ fn overload_is_answered_and_accepted_jobs_end() {
         let id = job.as_ref().and_then(|job| job["id"].as_str()).expect("an id");
         assert_eq!(service.ended(id)["state"], "succeeded");
     }
-    println!("{} accepted and done, {refused} told to wait", accepted.len());
+    println!("{} accepted and done, {refused} refused until later", accepted.len());
     assert!(refused > 0, "there was no overload");
 }

@@ -244,7 +244,7 @@ fn a_client_that_asks_too_often_waits() {
     }
     // 200 requests at 5 a second would take 39 s; they do not here.
     assert!(!refused.is_empty());
-    // Whoever watches over the service sees it all the same.
+    // Probes of a monitor are not limited.
     for probe in ["/healthz", "/readyz"].repeat(50) {
         assert_eq!(server.get(probe).status, 200);
     }

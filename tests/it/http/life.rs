@@ -123,7 +123,7 @@ fn a_job_whose_process_died_runs_again() {
 #[test]
 fn a_job_is_not_blamed_for_the_end_of_its_process() {
     let data = directory();
-    // Whoever ended the process: what is not seen is not laid to anybody's charge.
+    // What ended the process was not seen, so the job is not blamed.
     let (id, _) = crashed(&data, 30);
     let server = service(&data).start();
     assert_eq!(server.wait(&id, "succeeded")["attempts"], 31);

@@ -222,7 +222,7 @@ struct End {
     room: [Numbers; 2],
 }
 
-/// What is known of a solution besides: the largest entry of any F, and the largest square of |C|.
+/// What else is known of a solution: the largest entry of any F, and the largest square of |C|.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved {
     pub(super) rounds: u32,

@@ -1,10 +1,10 @@
 //! Up to eight members of an ensemble side by side, one in each lane.
 //!
 //! A lane goes through the sweeps of [`VpdSo3`] with the same bits; its solution is taken when its own iteration has
-//! converged, whatever the others still do, and it holds what the member is until somebody asks for that. A member
+//! converged, whatever the others still do, and it holds the state of the member until that is asked for. A member
 //! whose sweeps do not converge makes that step by itself, with Newton's method where that helps. Without AVX2, and with
-//! more than four stages, which fill the lanes of one member, this would gain nothing: then every member goes by
-//! itself. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
+//! more than four stages, which fill the lanes of one member, this would gain nothing: then every member is stepped
+//! by itself. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
 //! arithmetic itself is the limit.)
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
@@ -221,7 +221,7 @@ impl VpdEnsemble {
 }
 
 /// Below zero where [`VpdSo3::check`] finds nothing at first sight: by Gershgorin's discs, the turns from stage to
-/// stage in the order of their times, and the distances. Not a number where the solution is none.
+/// stage in the order of their times, and the distances. Not a number where the solution is not finite.
 #[inline(always)]
 fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
     lanes: R,

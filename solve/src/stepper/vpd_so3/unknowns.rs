@@ -241,7 +241,7 @@ impl Unknowns<Row, f64> {
     }
 
     /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
-    /// numbers, too: what is zero times a NaN is none.
+    /// numbers, too: zero times a NaN is a NaN.
     pub(super) fn visit_mut(
         &mut self,
         lanes: usize,

@@ -98,7 +98,7 @@ pub(super) fn sweep_object(digest: &str) -> String {
 /// Has workers make the table of a sweep, or what is missing of its parts. `watch` counts members.
 ///
 /// # Errors
-/// If the sweep asks for an accuracy; if bucket or Temporal do not answer at the start, a part is given up, or the table
+/// If the sweep asks for an accuracy; if bucket or Temporal do not answer at the start, a part is abandoned, or the table
 /// cannot be written.
 pub async fn sweep_on(
     config: &ClusterConfig,
@@ -118,7 +118,7 @@ pub async fn sweep_on(
     let failed = |error: &dyn std::error::Error| SweepOnError::Record(chain(error));
     bucket.keep(&sweep_object(&digest), sweep.to_json()).await.map_err(|error| failed(&error))?;
     watch.total.store(sweep.members(), Ordering::Relaxed);
-    // Beside the table: they are as large as it.
+    // Next to the table: they are as large as it.
     let folder = table.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let folder = tempfile::tempdir_in(folder)
         .map_err(|source| SweepOnError::Sweep(SweepError::io(table, "write", source)))?;

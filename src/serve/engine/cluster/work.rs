@@ -5,7 +5,7 @@
 //! ```
 //!
 //! Invariants: a worker keeps nothing that another one needs. What it says is durable is in the bucket. It stops when it is
-//! told to, and ends a job as cancelled only if the bucket says that somebody wants that; its result counts only if it is the
+//! cancelled, and ends a job as cancelled only if the bucket says that a client asked for that; its result counts only if it is the
 //! first.
 
 // What the macros make of a workflow and its activity has to be as open as these.
@@ -63,7 +63,7 @@ const EVER: Duration = Duration::from_secs(90 * 86_400);
 /// How long a worker that stops waits for its jobs.
 const DRAIN: Duration = Duration::from_secs(9);
 
-/// Processes of their own that may end while a job is given up.
+/// Processes of their own that may end while the log of an abandoned job is ended.
 const MAX_GIVING_UP: u32 = 3;
 
 /// What a worker needs to know.
@@ -120,7 +120,7 @@ impl Flow {
         let asked = || {
             ActivityOptions::with_start_to_close_timeout(EVER)
                 .heartbeat_timeout(Duration::from_secs_f64(task.lease_s))
-                // A job that was told to stop still ends in order.
+                // A job that was cancelled still ends in order.
                 .cancellation_type(ActivityCancellationType::WaitCancellationCompleted)
                 .retry_policy(pauses(task.lease_s, 0))
         };
@@ -229,15 +229,15 @@ impl Hands {
         }
         let (working, worked) = (mine.clone(), turn.clone());
         let mut work = tokio::spawn(async move { working.carry_out(&worked).await });
-        let mut told = false;
+        let mut notified = false;
         let done = loop {
             tokio::select! {
                 done = &mut work => break done,
                 () = tokio::time::sleep(lease / BEATS_IN_A_LEASE) => {
                     ctx.record_heartbeat(turn.beat()).await?;
                 }
-                () = ctx.cancelled(), if !told => {
-                    told = true;
+                () = ctx.cancelled(), if !notified => {
+                    notified = true;
                     mine.told_to_stop(&turn).await;
                 }
             }
@@ -499,7 +499,7 @@ impl Inner {
         log: PathBuf,
         fault: Fault,
     ) -> Result<(), Later> {
-        tracing::warn!(job = %turn.id, "job given up: its runs end the process");
+        tracing::warn!(job = %turn.id, "job abandoned: its runs end the process");
         let errand = Errand::GiveUp { settled, log: log.clone(), fault: fault.clone() };
         match self.errand(turn, errand, true).await {
             Ok(Done::Ran(summary)) => {

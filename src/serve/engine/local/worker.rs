@@ -150,7 +150,7 @@ impl Shared {
     /// Gives the log of a job that ends its process an end.
     fn give_up(&self, turn: &Turn, settled: Box<Settled>, fault: Fault) -> Result<Carried, Broken> {
         let Turn { id, control, .. } = turn;
-        tracing::warn!(job = %id, "job given up: its runs end the process");
+        tracing::warn!(job = %id, "job abandoned: its runs end the process");
         let errand =
             Errand::GiveUp { settled, log: self.store.log_path(*id), fault: fault.clone() };
         let ended = match &self.program {
