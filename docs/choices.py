@@ -90,8 +90,8 @@ def scene(draw, n):
 
 def main():
     program = sys.argv[1]
-    count, seed = (int(word) for word in [*sys.argv[2:], "24", "1"][:2]) if len(sys.argv) > 3 else (
-        int(sys.argv[2]) if len(sys.argv) > 2 else 24, 1)
+    given = sys.argv[2:]
+    count, seed = map(int, given + ["24", "1"][len(given):])
     draw, ratios = random.Random(seed), {"n = 3": [], "n > 3": []}
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(program, folder)
