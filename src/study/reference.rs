@@ -206,9 +206,7 @@ impl Reference {
         if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
             reference = solve([second, first])?;
         }
-        if reference.error > NO_LUCK * asked {
-            reference.round_start(scene, member, watch)?;
-        }
+        reference.round_start(scene, member, asked, watch)?;
         if reference.error > asked {
             return Err(reference.chaotic(asked).into());
         }
@@ -287,9 +285,7 @@ impl Reference {
         };
         let mut reference = Self::from_run(self.time_s, &self.method, &whole);
         reference.compare(&half.points);
-        if reference.error > NO_LUCK * asked {
-            reference.round_start(scene, member, watch)?;
-        }
+        reference.round_start(scene, member, asked, watch)?;
         Ok(Some(reference))
     }
 
@@ -299,8 +295,12 @@ impl Reference {
         &mut self,
         scene: &Scenario,
         member: u64,
+        asked: f64,
         watch: &Watch,
     ) -> Result<(), StudyError> {
+        if self.error <= NO_LUCK * asked {
+            return Ok(());
+        }
         let (start, along) = (&self.points[0], &self.points[1].momentum);
         let size = MOVED * self.momentum_scale / along.amax();
         if !size.is_finite() {
