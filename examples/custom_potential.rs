@@ -41,11 +41,10 @@ impl Potential<3> for Cubic {
 /// Writes `cubic.mcap` and `energy.svg` into a folder.
 pub(crate) fn run(folder: &Path) -> Result<Summary, Box<dyn Error>> {
     let moments = [0.02, 0.02, 0.01];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     // Next to a built-in term, the weight of the body.
     let up = Vector::<3>::new(0.0, 0.0, 1.0);
     let weight = Term { law: Law::Uniform { weight: 0.3, body_point: up }, space: up };
-    let body = RigidBody::new(Kinetic::Principal { weights }, vec![weight], 0.0)
+    let body = RigidBody::new(Kinetic::of_moments(moments), vec![weight], 0.0)
         .with_potential(Arc::new(Cubic { strength: 0.5 }));
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.02, 0.05, 0.1]) };
 

@@ -352,12 +352,16 @@ pub fn error_at_end(plan: &Plan) -> Result<ErrorAtEnd, StudyError> {
     let (step_s, steps) = (*step_s, *steps);
     let time_s = step_s * steps as f64;
     let scales = Scales::of(scenario, time_s, &watch)?;
-    let reference = Reference::known_to(scenario, time_s, LARGEST, &scales, &watch)?;
+    let mut reference = Reference::known_to(scenario, time_s, LARGEST, &scales, &watch)?;
     let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &watch)?;
     if !run.completed() {
         return Err(StudyError::Failed);
     }
-    let (error, known) = (reference.distance(&run.last), 3.0 * reference.error);
+    let error = reference.distance(&run.last);
+    reference.round_start(scenario, 0, error, &watch)?;
+    // What turns is off by the rounding of its rate.
+    let turned = 0.5 * f64::EPSILON * scales.fastest_rad_s * time_s;
+    let known = 3.0 * reference.error.max(turned);
     Ok(if error > known { ErrorAtEnd::About(error) } else { ErrorAtEnd::Below(error + known) })
 }
 

@@ -388,17 +388,20 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
             fs::write(&path, LAYOUT).map_err(|source| CliError::Write { path, source })?;
         }
     }
-    if args.error && summary.outcome == Outcome::Succeeded {
-        match advise::error_at_end(&plan)? {
-            advise::ErrorAtEnd::About(error) => summary.error = Some(error),
-            advise::ErrorAtEnd::Below(bound) => summary.error_below = Some(bound),
-        }
+    let is_asked = args.error && summary.outcome == Outcome::Succeeded;
+    let found = is_asked.then(|| advise::error_at_end(&plan)).transpose();
+    match &found {
+        Ok(Some(advise::ErrorAtEnd::About(error))) => summary.error = Some(*error),
+        Ok(Some(advise::ErrorAtEnd::Below(bound))) => summary.error_below = Some(*bound),
+        Ok(None) | Err(_) => {}
     }
     if args.json {
         print_json(&summary)?;
     } else {
         show(text::summary(&summary))?;
     }
+    // The run stands, with its log and its summary, where its error cannot be had.
+    found?;
     Ok(exit_code(summary.outcome))
 }
 

@@ -51,7 +51,6 @@ fn say(line: &str) {
 
 fn dipole() -> (RigidBody<3>, State<3>) {
     let moments = [1.01, 1.0, 0.01];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
     let charge = Vector::<3>::new(0.0, 0.0, -1.5);
     let source = |strength: f64| Term {
@@ -62,7 +61,7 @@ fn dipole() -> (RigidBody<3>, State<3>) {
     let terms = vec![weight, source(1.0), source(-1.0)];
     let attitude = Mat::<3>::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
     let start = State { attitude, momentum: so::hat(&[0.0, 0.0, -0.01]) };
-    (RigidBody::new(Kinetic::Principal { weights }, terms, 0.0), start)
+    (RigidBody::new(Kinetic::of_moments(moments), terms, 0.0), start)
 }
 
 fn gauss(stages: usize) -> Tableau {
@@ -595,9 +594,8 @@ fn largest_steps() {
     );
     let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
     let body = |moments: [f64; 3], weight: f64| {
-        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
         let law = Law::Uniform { weight, body_point: vertical };
-        RigidBody::new(Kinetic::Principal { weights }, vec![Term { law, space: vertical }], 0.0)
+        RigidBody::new(Kinetic::of_moments(moments), vec![Term { law, space: vertical }], 0.0)
     };
     let tilt = so::exp(&so::hat(&[0.5, 0.0, 0.0]));
     let spinning = |spin: [f64; 3]| State { attitude: tilt, momentum: so::hat(&spin) };

@@ -7,7 +7,7 @@ use std::error::Error;
 
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
 use vpd_solve::nonlinear::StopRule;
-use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::so::{self, Vector};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
@@ -33,14 +33,13 @@ type Tried = Option<(f64, u64)>;
 /// Eight seconds of steps that adapt, and of steps of one length.
 pub(crate) fn run() -> Result<[Tried; 2], Box<dyn Error>> {
     let moments = [1.0, 1.2, 0.4];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let weight = Law::Uniform { weight: 1.0, body_point: Vector::<3>::new(0.0, 0.0, -1.0) };
     let charge = Law::PointSource { strength: -1.0, body_point: Vector::<3>::new(0.0, 0.05, -1.0) };
     let terms = vec![
         Term { law: weight, space: Vector::<3>::new(0.0, 0.0, 1.0) },
         Term { law: charge, space: Vector::<3>::new(0.0, 0.0, -1.011_249_2) },
     ];
-    let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
+    let body = RigidBody::new(Kinetic::of_moments(moments), terms, 0.0);
     let turn = Vector::<3>::new(1.0, 0.2, 0.0).normalize();
     let start = State {
         attitude: so::exp(&so::hat(turn.as_slice())),

@@ -16,8 +16,7 @@ use vpd_solve::trajectory::State;
 pub(crate) fn run() -> Result<(f64, f64), Box<dyn Error>> {
     // Moments of inertia about the axes, in kg m^2: entry (i, j) is about the third axis.
     let moments = [1.0, 2.0, 3.0];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
-    let body = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0);
+    let body = RigidBody::<3>::new(Kinetic::of_moments(moments), Vec::new(), 0.0);
     // About the middle axis, the unstable one.
     let start = State { attitude: Mat::identity(), momentum: so::hat(&[0.01, 2.0, 0.01]) };
     let tableau = Tableau::gauss(2).ok_or("1 to 8 stages")?;

@@ -37,8 +37,7 @@ impl Sink<4> for Largest {
 /// The largest errors of a run of 20 seconds.
 pub(crate) fn run() -> Result<Largest, Box<dyn Error>> {
     // Second moments d_i along the axes: mu_ij = (d_i + d_j) Omega_ij.
-    let d = [0.5, 0.8, 1.1, 1.4];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (d[i] + d[j]) });
+    let kinetic = Kinetic::of_second_moments([0.5, 0.8, 1.1, 1.4]);
     let law = Law::Spring {
         stiffness: 2.0,
         rest_length: 0.5,
@@ -46,7 +45,7 @@ pub(crate) fn run() -> Result<Largest, Box<dyn Error>> {
     };
     let anchor = Vector::<4>::new(0.0, 0.0, 1.0, 1.0);
     let spring = Term { law, space: anchor };
-    let body = RigidBody::new(Kinetic::Principal { weights }, vec![spring], 0.0);
+    let body = RigidBody::new(kinetic, vec![spring], 0.0);
     // The entries above the diagonal, row by row.
     let momentum = so::hat(&[0.4, -0.2, 0.3, 0.1, 0.5, -0.6]);
     let start = State { attitude: Mat::identity(), momentum };

@@ -78,6 +78,28 @@ pub enum Kinetic<const N: usize> {
     },
 }
 
+impl Kinetic<3> {
+    /// Of principal moments of inertia, in kg m^2: the plane (i, j) turns about the third axis.
+    pub fn of_moments(moments: [f64; 3]) -> Self {
+        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
+        Self::Principal { weights }
+    }
+}
+
+impl<const N: usize> Kinetic<N> {
+    /// Of second moments about the body axes, in kg m^2.
+    pub fn of_second_moments(d: [f64; N]) -> Self {
+        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (d[i] + d[j]) });
+        Self::Principal { weights }
+    }
+
+    /// Of an inertia tensor in kg m^2, for n = 3; `None` if it is not positive definite.
+    pub fn of_tensor(inertia: Matrix3<f64>) -> Option<Self> {
+        let inverse = inertia.cholesky()?.inverse();
+        Some(Self::Tensor { inertia, inverse })
+    }
+}
+
 /// Kinetic and potential energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Energy {

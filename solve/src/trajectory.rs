@@ -243,6 +243,21 @@ impl<const N: usize> Checkpoint<N> {
         let attitude = self.attitude.unwrap_or_else(Mat::identity);
         State { attitude, momentum: self.momentum }
     }
+
+    /// Before any step and sample.
+    pub fn at_start(state: &State<N>) -> Self {
+        Self {
+            step: 0,
+            samples: 0,
+            attitude: Some(state.attitude),
+            momentum: state.momentum,
+            iterations: 0,
+            convergence: None,
+            work: 0.0,
+            impulse: Mat::zeros(),
+            own_time: None,
+        }
+    }
 }
 
 /// Where a trajectory begins, and where it resumes if it was interrupted.
@@ -250,7 +265,7 @@ impl<const N: usize> Checkpoint<N> {
 pub struct Origin<'a, const N: usize> {
     /// The state at t = 0: drifts and errors are measured against it.
     pub initial: &'a State<N>,
-    /// Where to go on.
+    /// Where to go on: also from a start other than that, with the energy that belongs to that.
     pub checkpoint: Option<&'a Checkpoint<N>>,
 }
 
@@ -354,24 +369,14 @@ impl<const N: usize> Bookkeeping<N> {
         step_s: f64,
         observables: Observables,
     ) -> Self {
-        let reached = Checkpoint {
-            step: 0,
-            samples: 0,
-            attitude: Some(initial.attitude),
-            momentum: initial.momentum,
-            iterations: 0,
-            convergence: None,
-            work: 0.0,
-            impulse: Mat::zeros(),
-            own_time: None,
-        };
+        let reached = Checkpoint::at_start(initial);
         let observer = Observer::new(system, initial, observables);
         Self { observer, step_s, ending: Ending::Completed, reached, sampled: None }
     }
 
     fn resume_job(&mut self, found: &Checkpoint<N>) {
         self.reached = found.clone();
-        self.sampled = Some(found.step);
+        self.sampled = (found.samples > 0).then_some(found.step);
     }
 
     pub(super) fn goes_on(&self) -> bool {

@@ -31,7 +31,10 @@ pub(super) fn summary(summary: &Summary) -> String {
         line("error", format!("{error:.2e} at the end, against a reference"));
     }
     if let Some(bound) = summary.error_below {
-        line("error", format!("below {bound:.0e} at the end: the reference is known no better"));
+        /// A bound stays one when it is rounded to three digits.
+        const UPWARDS: f64 = 1.005;
+        let bound = UPWARDS * bound;
+        line("error", format!("below {bound:.2e} at the end: the reference is known no better"));
     }
     if let Some(energy) = summary.energy {
         let max = energy.max_abs_error;

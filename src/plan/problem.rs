@@ -17,13 +17,8 @@ impl Model {
             ModelKinetic::Principal { weights } => {
                 Kinetic::Principal { weights: Mat::from_fn(|i, j| weights[(i, j)]) }
             }
-            ModelKinetic::Tensor { inertia } => Kinetic::Tensor {
-                inertia: *inertia,
-                inverse: inertia
-                    .cholesky()
-                    .expect("the plan checked that the inertia is positive definite")
-                    .inverse(),
-            },
+            ModelKinetic::Tensor { inertia } => Kinetic::of_tensor(*inertia)
+                .expect("the plan checked that the inertia is positive definite"),
         };
         let terms = self.terms.iter().map(term).collect();
         let state = State {

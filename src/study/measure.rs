@@ -24,7 +24,7 @@ use crate::solve::so::{self, Mat};
 use crate::solve::stepper::Stepper;
 use crate::solve::system::System;
 use crate::solve::trajectory::{
-    self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
+    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State, Trajectory,
 };
 use crate::solve::work::Work;
 
@@ -77,10 +77,21 @@ pub(crate) struct Probe<'a, M = Method> {
     pub(crate) energy_limit: f64,
     /// Are the states at the samples kept?
     pub(crate) keep: bool,
-    /// Where the run starts, if not where the scene does.
-    pub(crate) from: Option<&'a Point>,
+    /// Where the run starts.
+    pub(crate) begin: Begin<'a>,
     /// The member of the scene's ensemble that runs.
     pub(crate) member: u64,
+}
+
+/// Where a run starts.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Begin<'a> {
+    /// Where the scene does, or its member.
+    Scene,
+    /// Somewhere else.
+    State(&'a Point),
+    /// A rounding beside the scene's start, whose energy a method in a time of its own takes for that of the motion.
+    Beside(&'a Point),
 }
 
 impl<M> Clone for Probe<'_, M> {
@@ -101,7 +112,7 @@ impl<'a, M> Probe<'a, M> {
             every: steps,
             energy_limit: f64::INFINITY,
             keep: false,
-            from: None,
+            begin: Begin::Scene,
             member: 0,
         }
     }
@@ -111,8 +122,8 @@ impl<'a, M> Probe<'a, M> {
     where
         'a: 'b,
     {
-        let Self { method: _, step_s, steps, every, energy_limit, keep, from, member } = self;
-        Probe { method, step_s, steps, every, energy_limit, keep, from, member }
+        let Self { method: _, step_s, steps, every, energy_limit, keep, begin, member } = self;
+        Probe { method, step_s, steps, every, energy_limit, keep, begin, member }
     }
 }
 
@@ -247,13 +258,18 @@ impl Task for Measurement<'_> {
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Measured {
         let Assembly { body, mut stepper, initial, .. } = assembly;
         let body = body.with_work(Work::limited(self.most_sweeps, self.watch.cancelled.clone()));
-        let Probe { from, member, .. } = self.probe;
-        let initial = match (from, self.ensemble) {
-            (Some(point), _) => point.state(),
-            (None, Some(ensemble)) => spread::start(&initial, ensemble, member),
-            (None, None) => initial,
+        let Probe { begin, member, .. } = self.probe;
+        let initial = match (begin, self.ensemble) {
+            (Begin::State(point), _) => point.state(),
+            (_, Some(ensemble)) => spread::start(&initial, ensemble, member),
+            (_, None) => initial,
         };
-        let mut run = run_of(&body, stepper.as_mut(), &initial, self.probe, self.watch);
+        let beside = match begin {
+            Begin::Beside(point) => Some(Checkpoint::at_start(&point.state())),
+            _ => None,
+        };
+        let origin = Origin { initial: &initial, checkpoint: beside.as_ref() };
+        let mut run = run_of(&body, stepper.as_mut(), origin, self.probe, self.watch);
         run.force_evaluations = body.work().gradients();
         run.sweeps = body.work().sweeps();
         run.pieces = body.work().pieces();
@@ -262,10 +278,10 @@ impl Task for Measurement<'_> {
 }
 
 /// Runs a system, whatever its law; its work is not counted.
-pub(super) fn run_of<const N: usize, Y: System<N> + ?Sized, M>(
+pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
     system: &Y,
     stepper: &mut dyn Stepper<N, Y>,
-    initial: &State<N>,
+    origin: impl Into<Origin<'a, N>>,
     probe: Probe<'_, M>,
     watch: &Watch,
 ) -> Measured {
@@ -288,7 +304,7 @@ pub(super) fn run_of<const N: usize, Y: System<N> + ?Sized, M>(
     let trajectory = trajectory::integrate(
         system,
         stepper,
-        initial,
+        origin,
         Schedule { step_s, steps, every },
         observables,
         &mut gauge,

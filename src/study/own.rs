@@ -8,7 +8,7 @@
 use std::convert::Infallible;
 use std::time::Instant;
 
-use super::measure::{Measured, Point, Probe, run_of};
+use super::measure::{Begin, Measured, Point, Probe, run_of};
 use super::reference::ReferenceError;
 use super::stability::{Map, Mapper, Runs};
 use super::table::{Row, Table};
@@ -166,8 +166,11 @@ impl<'a, const N: usize, Y: System<N> + ?Sized> Runs for OfSystem<'a, N, Y> {
 
     fn run(&self, probe: Probe<'_, Self::Method>, watch: &Watch) -> Result<Measured, StudyError> {
         let mut stepper = (probe.method.stepper)();
-        let initial = probe.from.map(Point::state);
-        let initial = initial.as_ref().unwrap_or(self.question.initial);
+        let elsewhere = match probe.begin {
+            Begin::Scene => None,
+            Begin::State(point) | Begin::Beside(point) => Some(point.state()),
+        };
+        let initial = elsewhere.as_ref().unwrap_or(self.question.initial);
         Ok(run_of(self.question.system, stepper.as_mut(), initial, probe, watch))
     }
 

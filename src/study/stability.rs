@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::long_term::trend;
-use super::measure::{End, Measured, Probe, measure};
+use super::measure::{Begin, End, Measured, Probe, measure};
 use super::table::{Row, Table};
 use super::{Entry, Scales, StudyError, Watch, of_each, threads, usual_time, with_tableau};
 use crate::method::Integrator;
@@ -383,7 +383,7 @@ impl<R: Runs> Mapper<R> {
         for at in spread.chain([run.fastest_sample]) {
             let [start, end] = run.points.get(at..at + 2).unwrap_or_default() else { continue };
             let whole = Probe::of(exact, step_s / parts as f64, parts);
-            let probe = Probe { from: Some(start), ..whole };
+            let probe = Probe { begin: Begin::State(start), ..whole };
             let solved = self.runs.run(probe, watch)?;
             if solved.completed() && end.attitude_distance(&solved.last) > WRONG_BRANCH {
                 return Ok(true);

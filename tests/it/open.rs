@@ -221,10 +221,9 @@ fn the_map_of_a_system_of_ones_own() {
     let of_scene = stability(&scene, &entries, &watch).expect("a map");
 
     let moments = [2.0, 2.0, 1.0];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let law = Law::Uniform { weight: 1.0, body_point: Vector::<3>::new(0.0, 0.0, 1.0) };
     let field = Term { law, space: Vector::<3>::new(0.3, 0.0, 1.0) };
-    let body = RigidBody::new(Kinetic::Principal { weights }, vec![field], 0.0);
+    let body = RigidBody::new(Kinetic::of_moments(moments), vec![field], 0.0);
     let momentum = so::hat(&[0.3, 0.5, 1.0]);
     let initial = State { attitude: Mat::identity(), momentum };
     let by = |stages: usize, rungs: Rungs| {

@@ -203,4 +203,12 @@ fn a_run_shows_its_error_if_asked() {
     // Gauss 2 stages, h = 0.01, t = 0.5: 1.2e-9 in SI units.
     let error = summary["error"].as_f64().expect("an error");
     assert!((1e-10..1e-8).contains(&error), "{error:e}");
+    // Where there is no reference the run stands, and says so.
+    let far = ["run", &file("dipole"), "--set", "/steps=30000", "--error", "--json", "--force"];
+    let done = vpd(at, &far);
+    assert_eq!(done.status.code(), Some(1));
+    assert!(!done.stderr.is_empty());
+    let summary: Value = serde_json::from_slice(&done.stdout).expect("JSON");
+    assert_eq!(summary["outcome"], "succeeded");
+    assert!(summary["error"].is_null() && summary["error_below"].is_null(), "{summary}");
 }

@@ -392,7 +392,6 @@ mod tests {
     /// The paper's dipole on a stick.
     fn dipole() -> RigidBody<3> {
         let moments = [1.01, 1.0, 0.01];
-        let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
         let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
         let source = |strength: f64| Term {
             law: Law::PointSource {
@@ -403,7 +402,7 @@ mod tests {
         };
         let weight =
             Term { law: Law::Uniform { weight: 1.0, body_point: vertical }, space: vertical };
-        RigidBody::new(Kinetic::Principal { weights }, vec![weight, source(1.0), source(-1.0)], 0.0)
+        RigidBody::new(Kinetic::of_moments(moments), vec![weight, source(1.0), source(-1.0)], 0.0)
     }
 
     fn start() -> State<3> {

@@ -555,13 +555,12 @@ impl Blocks {
 fn satellite(eccentricity: f64, member: u32) -> (RigidBody<3>, State<3>) {
     let moments = [2100.0, 2000.0, 200.0];
     let matrix = Mat::<3>::from_fn(|i, j| if i == j { moments[i] } else { 0.0 });
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let law = Law::GravityGradient { strength: 3.68e-6, matrix };
     let across = -axis::<3>(1);
     let mean_motion = 0.001_107_549_848;
     let path = Path::Orbit { across, mean_motion, eccentricity, mean_anomaly: 0.0 };
     let term = Term { law, space: axis(2) };
-    let body = RigidBody::<3>::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+    let body = RigidBody::<3>::new(Kinetic::of_moments(moments), Vec::new(), 0.0)
         .with_driven_term(DrivenTerm { term, path, factor: Factor::Constant });
     let tilt = 0.4 / 1.04_f64.sqrt();
     let (turn, omega) = if eccentricity == 0.0 {

@@ -1,7 +1,7 @@
 //! Scenes that pass charges closely, for tests and benches: n = 3, a weight, and charges.
 
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
-use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::so::{self, Vector};
 use vpd_solve::trajectory::State;
 
 /// A body of n = 3 with a weight and charges (strength, body point, place), and its start.
@@ -22,7 +22,6 @@ fn scene(
     velocity: [f64; 3],
     until: f64,
 ) -> Scene {
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
     let uniform = Law::Uniform { weight: weight.0, body_point: weight.1.into() };
     let mut terms = vec![Term { law: uniform, space: vertical }];
@@ -35,7 +34,7 @@ fn scene(
             space: (*z).into(),
         });
     }
-    let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
+    let body = RigidBody::new(Kinetic::of_moments(moments), terms, 0.0);
     let axis = Vector::<3>::from(axis).normalize() * angle;
     let attitude = so::exp(&so::hat::<3>(axis.as_slice()));
     let momentum = body.momentum(&so::hat(&velocity));

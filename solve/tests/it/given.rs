@@ -36,7 +36,6 @@ impl Numbers {
 /// The paper's dipole on a stick, J = diag(1.01, 1, 0.01), and its start.
 pub(crate) fn dipole() -> (RigidBody<3>, State<3>) {
     let moments = [1.01, 1.0, 0.01];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
     let charge = Vector::<3>::new(0.0, 0.0, -1.5);
     let source = |strength: f64| Term {
@@ -44,11 +43,8 @@ pub(crate) fn dipole() -> (RigidBody<3>, State<3>) {
         space: charge,
     };
     let weight = Term { law: Law::Uniform { weight: 1.0, body_point: vertical }, space: vertical };
-    let body = RigidBody::new(
-        Kinetic::Principal { weights },
-        vec![weight, source(1.0), source(-1.0)],
-        0.0,
-    );
+    let body =
+        RigidBody::new(Kinetic::of_moments(moments), vec![weight, source(1.0), source(-1.0)], 0.0);
     let attitude = Mat::<3>::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
     (body, State { attitude, momentum: so::hat(&[0.0, 0.0, -0.01]) })
 }

@@ -97,10 +97,6 @@ struct Scene {
 }
 
 fn scenes() -> Vec<Scene> {
-    let principal = |moments: [f64; 3]| {
-        let weight = |i: usize, j: usize| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] };
-        Kinetic::Principal { weights: Mat::from_fn(weight) }
-    };
     let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
     let state = |turn: [f64; 3], momentum: [f64; 3]| State {
         attitude: so::exp(&so::hat(&turn)),
@@ -112,7 +108,7 @@ fn scenes() -> Vec<Scene> {
         strength: 1.5,
         matrix: Mat::from_diagonal(&Vector::<3>::from(moments)),
     };
-    let body = |moments, law| RigidBody::new(principal(moments), law, 0.0);
+    let body = |moments, law| RigidBody::new(Kinetic::of_moments(moments), law, 0.0);
     let term = |law| vec![Term { law, space: vertical }];
     let (dipole, start) = dipole();
     let tumbling = state([0.5, 0.3, -0.2], [0.4, 0.7, 0.5]);

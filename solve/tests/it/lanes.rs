@@ -35,8 +35,7 @@ fn in_lanes(tableau: &Tableau, with_attitude: bool) -> VpdSo3 {
 /// A thin free body.
 fn free() -> RigidBody<3> {
     let moments = [1.01, 1.0, 0.01];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
-    RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+    RigidBody::new(Kinetic::of_moments(moments), Vec::new(), 0.0)
 }
 
 #[test]

@@ -405,12 +405,11 @@ fn implicit_tableaux_are_no_explicit_methods() {
 fn an_inertia_tensor_is_a_turned_frame_for_the_other_methods_too() {
     // The same body in principal axes and in axes turned by r: g' = g r, mu' = r^T mu r.
     let moments = [2.0, 1.5, 0.7];
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
     let mut numbers = Numbers(22);
     let (r, g) = (numbers.rotation::<3>(), numbers.rotation::<3>());
     let (mu, y, v) = (numbers.skew::<3>(), numbers.vector::<3>(), numbers.vector::<3>());
     let field = |body_point| vec![Term { law: Law::Uniform { weight: 2.0, body_point }, space: v }];
-    let principal = RigidBody::new(Kinetic::Principal { weights }, field(y), 0.0);
+    let principal = RigidBody::new(Kinetic::of_moments(moments), field(y), 0.0);
     let tensor = |moments| r.transpose() * Mat::<3>::from_diagonal(&Vector::<3>::from(moments)) * r;
     let (inertia, inverse) = (tensor(moments), tensor(moments.map(|j: f64| 1.0 / j)));
     let turned =

@@ -107,8 +107,7 @@ fn stop() -> StopRule {
 }
 
 fn body(moments: [f64; 3], terms: Vec<Term<3>>) -> RigidBody<3> {
-    let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
-    RigidBody::new(Kinetic::Principal { weights }, terms, 0.0)
+    RigidBody::new(Kinetic::of_moments(moments), terms, 0.0)
 }
 
 fn uniform(weight: f64, body_point: [f64; 3], space: [f64; 3]) -> Term<3> {
