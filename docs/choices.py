@@ -125,7 +125,7 @@ def main():
                         break
                 if not made:
                     continue
-                while (made := reached(of, math.ceil(steps * FINER))) and made[0] <= error:
+                while steps > 1 and (made := reached(of, math.ceil(steps * FINER))) and made[0] <= error:
                     steps *= FINER
                 found.append((reached(of, math.ceil(steps))[1], of, math.ceil(steps)))
                 least = min(least, found[-1][0])

@@ -17,6 +17,7 @@ use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::splitting::Splitting;
+use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vrkmk::Vrkmk;
@@ -90,13 +91,13 @@ fn methods() -> Vec<Method> {
 }
 
 /// A body with a vertical symmetry, and its start.
-struct Scene {
+struct Scene<const N: usize> {
     name: &'static str,
-    body: RigidBody<3>,
-    start: State<3>,
+    body: RigidBody<N>,
+    start: State<N>,
 }
 
-fn scenes() -> Vec<Scene> {
+fn scenes() -> Vec<Scene<3>> {
     let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
     let state = |turn: [f64; 3], momentum: [f64; 3]| State {
         attitude: so::exp(&so::hat(&turn)),
@@ -131,27 +132,35 @@ fn scenes() -> Vec<Scene> {
 /// Blocks of a run: the shortest difference is that between two of them.
 const BLOCKS: usize = 16;
 
-/// The means over blocks of the errors of energy and vertical momentum, of a run that begins next to the start.
-fn run(method: &Method, scene: &Scene, member: usize, steps: usize) -> [Vec<f64>; 2] {
+/// The means over blocks of the errors of energy and of the momentum in the first two directions of space, of a run that
+/// begins next to the start.
+fn run<const N: usize>(
+    mut stepper: Box<dyn Stepper<N>>,
+    h: f64,
+    scene: &Scene<N>,
+    member: usize,
+    steps: usize,
+) -> [Vec<f64>; 2] {
     /// An energy takes as long as a tenth of a step.
     const EVERY: usize = 8;
     let Scene { body, start, .. } = scene;
     let apart = 1e-3 * member as f64;
+    let turn: Vec<f64> =
+        [1.0, -0.7, 0.3].into_iter().cycle().take(N * (N - 1) / 2).map(|x| x * apart).collect();
     let start = State {
-        attitude: start.attitude * so::exp(&so::hat(&[apart, -0.7 * apart, 0.3 * apart])),
+        attitude: start.attitude * so::exp(&so::hat(&turn)),
         momentum: start.momentum * (1.0 + 0.1 * apart),
     };
     let figures =
-        |g: &Mat<3>, mu: &Mat<3>| [body.energy(g, mu).total(), so::vee(&so::conjugate(g, mu))[2]];
+        |g: &Mat<N>, mu: &Mat<N>| [body.energy(g, mu).total(), so::conjugate(g, mu)[(1, 0)]];
     let initial = figures(&start.attitude, &start.momentum);
-    let mut stepper = (method.make)(method.size);
     stepper.start(&start);
     let length = steps / BLOCKS;
     let mut means = [Vec::new(), Vec::new()];
     for _ in 0..BLOCKS {
         let mut sums = [0.0; 2];
         for step in 1..=length {
-            stepper.step(body, method.h).unwrap_or_else(|failure| panic!("{failure:?}"));
+            stepper.step(body, h).unwrap_or_else(|failure| panic!("{failure:?}"));
             if step % EVERY == 0 {
                 let g = stepper.attitude().expect("carried");
                 let now = figures(&g, &stepper.momentum());
@@ -192,6 +201,14 @@ fn exponent(runs: &[&[f64]]) -> Option<Exponent> {
     let spread: f64 = left_out.iter().map(|slope| (slope - mean).powi(2)).sum();
     let half = STUDENT[runs.len() - 2] * ((n - 1.0) / n * spread).sqrt();
     Some(Exponent { value, half, change: differences(runs.iter().copied(), BLOCKS / 2).0.sqrt() })
+}
+
+/// Those of energy and momentum.
+fn exponents(means: &[[Vec<f64>; 2]]) -> [Option<Exponent>; 2] {
+    [0, 1].map(|i| {
+        let runs: Vec<&[f64]> = means.iter().map(|run| run[i].as_slice()).collect();
+        exponent(&runs)
+    })
 }
 
 /// The mean square of the differences between neighbours that are `blocks` long each, and their number.
@@ -244,12 +261,13 @@ fn grown(
                 let scenes = scenes();
                 loop {
                     let Some((m, s)) = todo.lock().expect("no panic").pop() else { break };
-                    let means: Vec<[Vec<f64>; 2]> =
-                        (0..members).map(|k| run(&methods[m], &scenes[s], k, steps)).collect();
-                    let exponents = [0, 1].map(|i| {
-                        let runs: Vec<&[f64]> = means.iter().map(|run| run[i].as_slice()).collect();
-                        exponent(&runs)
-                    });
+                    let means: Vec<[Vec<f64>; 2]> = (0..members)
+                        .map(|k| {
+                            let Method { make, size, h, .. } = &methods[m];
+                            run(make(*size), *h, &scenes[s], k, steps)
+                        })
+                        .collect();
+                    let exponents = exponents(&means);
                     println!("{}", row(&methods[m], &scenes[s], &exponents));
                     found.lock().expect("no panic").push((m, s, exponents));
                 }
@@ -266,8 +284,13 @@ fn grown(
 const WALK: f64 = 0.6;
 
 /// A row of the table for people.
-fn row(method: &Method, scene: &Scene, exponents: &[Option<Exponent>; 2]) -> String {
+fn row(method: &Method, scene: &Scene<3>, exponents: &[Option<Exponent>; 2]) -> String {
     let Method { name, size, h, .. } = method;
+    format!("| {name} {size} | {h} | {} | {} |", scene.name, cells(exponents))
+}
+
+/// Energy and momentum in it.
+fn cells(exponents: &[Option<Exponent>; 2]) -> String {
     let cell = |exponent: &Option<Exponent>| match exponent {
         Some(Exponent { value, half, change }) => {
             format!("{value:.2} \u{b1} {half:.2} | {change:.1e}")
@@ -275,7 +298,7 @@ fn row(method: &Method, scene: &Scene, exponents: &[Option<Exponent>; 2]) -> Str
         None => "nothing changes | 0".to_owned(),
     };
     let [energy, momentum] = exponents.each_ref().map(cell);
-    format!("| {name} {size} | {h} | {} | {energy} | {momentum} |", scene.name)
+    format!("{energy} | {momentum}")
 }
 
 /// A table for people, and what grows faster than a random walk.
@@ -325,4 +348,42 @@ fn growth_over_a_million_steps() {
     let (table, lines) = judged(&methods, 1_000_000, 6);
     println!("{table}");
     assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
+}
+
+/// A body in a uniform field in more dimensions, with so many stages, over so many steps: its momentum makes a random walk.
+fn in_more_dimensions<const N: usize>(stages: usize, h: f64, steps: usize) {
+    let wave = |count: usize, size: f64| -> Vec<f64> {
+        (1..=count).map(|k| size * (1.7 * k as f64).cos()).collect()
+    };
+    let moments: [f64; N] = std::array::from_fn(|i| 0.5 + 0.3 * i as f64);
+    let body_point = Vector::<N>::from_column_slice(&wave(N, 0.7));
+    let up = Vector::<N>::from_fn(|i, _| f64::from(i == N - 1));
+    let weight = Term { law: Law::Uniform { weight: 1.0, body_point }, space: up };
+    let momentum = so::hat(&wave(N * (N - 1) / 2, 0.8));
+    let scene = Scene::<N> {
+        name: "top",
+        body: RigidBody::new(Kinetic::of_second_moments(moments), vec![weight], 0.0),
+        start: State { attitude: Mat::identity(), momentum },
+    };
+    let stepper = || Box::new(Vpd::<N>::new(gauss(stages), StopRule::default()));
+    let means: Vec<_> = (0..6).map(|k| run(stepper(), h, &scene, k, steps)).collect();
+    let exponents = exponents(&means);
+    println!("| {N} | vpd gauss {stages} | {h} | {} |", cells(&exponents));
+    let [_, momentum] = exponents;
+    assert!(momentum.is_none_or(|e| e.value - 2.0 * e.half <= WALK), "n = {N}: {momentum:?}");
+}
+
+#[test]
+#[ignore = "ten minutes: cargo test --release growth_over_a_million_steps -- --ignored --nocapture"]
+fn growth_over_a_million_steps_in_more_dimensions() {
+    const STEPS: usize = 1_000_000;
+    thread::scope(|scope| {
+        for (stages, h) in [(2, 0.01), (8, 0.1)] {
+            scope.spawn(move || {
+                in_more_dimensions::<4>(stages, h, STEPS);
+                in_more_dimensions::<5>(stages, h, STEPS);
+                in_more_dimensions::<8>(stages, h, STEPS);
+            });
+        }
+    });
 }
