@@ -374,7 +374,7 @@ fn in_more_dimensions<const N: usize>(stages: usize, h: f64, steps: usize) {
 }
 
 #[test]
-#[ignore = "ten minutes: cargo test --release growth_over_a_million_steps -- --ignored --nocapture"]
+#[ignore = "five minutes: cargo test --release growth_over_a_million_steps -- --ignored --nocapture"]
 fn growth_over_a_million_steps_in_more_dimensions() {
     const STEPS: usize = 1_000_000;
     thread::scope(|scope| {
