@@ -49,7 +49,7 @@ const REFERENCE_PART: f64 = 0.4;
 /// Why an accuracy was not turned into a method and a step.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Unsettled {
-    /// Somebody stopped it.
+    /// It was cancelled.
     #[error("the choice of a method was cancelled")]
     Cancelled,
     /// A field is wrong.
@@ -105,7 +105,7 @@ pub enum Obstacle {
     },
     /// The search has cost all that it may.
     #[error(
-        "the search for a method was given up as too expensive, after {allowed_s:.1} s of computing as counted; give `method` and `step_s`"
+        "the search for a method was abandoned as too expensive, after {allowed_s:.1} s of computing as counted; give `method` and `step_s`"
     )]
     TooExpensive {
         /// The computing that it may cost, by the plan's figures.

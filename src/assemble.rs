@@ -18,7 +18,7 @@ pub(crate) struct Assembly<const N: usize> {
     pub(crate) initial: State<N>,
     /// Of an ensemble.
     pub(crate) members: Option<Box<dyn Members<N>>>,
-    /// A second stepper of the same kind, for who follows a motion next to the run.
+    /// A second stepper of the same kind, to follow a motion next to the run.
     pub(crate) shadow: Option<Box<dyn Stepper<N>>>,
 }
 

@@ -419,7 +419,7 @@ fn exit_code(outcome: Outcome) -> ExitCode {
     }
 }
 
-/// Runs on a thread of its own. If somebody looks, a progress bar with the time left follows; ctrl-c ends the run with a log
+/// Runs on a thread of its own. On a terminal a progress bar with the time left follows; ctrl-c ends the run with a log
 /// that the same command resumes.
 fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
     let control = Arc::new(Control { replaces_nothing: !force, ..Control::default() });

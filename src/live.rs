@@ -61,7 +61,7 @@ impl Default for Live {
 }
 
 impl Live {
-    /// What is shown from now on. Nothing is made ready for show unless somebody watches.
+    /// What is shown from now on. Nothing is prepared unless a client follows.
     pub fn watch(&self) -> broadcast::Receiver<Arc<Frame>> {
         self.frames.subscribe()
     }
@@ -88,7 +88,7 @@ pub(crate) struct Show {
 }
 
 impl Show {
-    /// Shows a sample, if this run is on show, somebody looks, and the last one was shown long enough ago.
+    /// Shows a sample, if this run is on show, a client follows, and the last one was shown long enough ago.
     pub(crate) fn sample<const N: usize>(&self, sample: &Sample<N>) {
         let live = &self.live;
         let now = Instant::now();

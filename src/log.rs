@@ -107,7 +107,7 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
-    /// Somebody stopped the reading of what an earlier run left; nothing was changed.
+    /// The reading of what an earlier run left was cancelled; nothing was changed.
     #[error("resuming the log {} was interrupted", path.display())]
     Interrupted {
         /// The file.

@@ -151,7 +151,7 @@ pub struct Facts {
     pub driven: bool,
     /// Can it run bodies with wheels?
     pub wheels: bool,
-    /// Is it for free bodies alone? Their momentum moves by itself, the attitude only where somebody looks at it.
+    /// Is it for free bodies alone? Their momentum moves by itself, the attitude only where it is asked for.
     pub free: bool,
     /// Has it Newton's method to go to?
     pub newton: bool,

@@ -73,7 +73,7 @@ pub struct Plan {
     /// The Jacobi integral of a scene that has one; its change is logged as `jacobi_error`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jacobi_integral: Option<String>,
-    /// What somebody should know before the run.
+    /// What the user should know before the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(default)]
     pub warnings: Vec<String>,

@@ -77,7 +77,7 @@ pub struct Control {
     pub replaces_nothing: bool,
     /// How the search for a method and a step is stopped.
     pub settling: Watch,
-    /// The run is cancelled at this step, as if somebody had set `cancelled` there.
+    /// The run is cancelled at this step, as if `cancelled` had been set there.
     pub cancelled_at: Option<u64>,
     /// Where the run writes each of its steps, eight bytes: when its process is found dead, they show whether it
     /// always dies at the same place. It costs a call of the system each, so only suspects are traced.
@@ -113,7 +113,7 @@ impl Control {
     /// Takes note of how far the log is on the disk.
     fn note_durable<const N: usize>(&self, log: &LogWriter<N>) {
         let step = log.durable_step();
-        // Who reads the step first finds at least its bytes.
+        // A reader of the step finds at least its bytes.
         self.durable_bytes.store(log.durable_bytes(), Ordering::Release);
         self.durable_step.store(step, Ordering::Release);
     }
@@ -127,7 +127,7 @@ impl Control {
         }
     }
 
-    /// Whether somebody wants the run to end.
+    /// Whether the run is to end.
     fn stopped(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed) || self.interrupted.load(Ordering::Relaxed)
     }
@@ -139,7 +139,7 @@ pub enum RunError {
     /// The log could not be written.
     #[error(transparent)]
     Log(LogError),
-    /// Somebody interrupted it; the next run resumes its log.
+    /// It was interrupted; the next run resumes its log.
     #[error("the run was interrupted; the same command resumes it from its log")]
     Interrupted,
 }
@@ -239,7 +239,7 @@ fn run<const N: usize>(
             (Outcome::Failed, Some(found))
         }
     };
-    // Who stops the search for a smaller step stops the run before the step that failed.
+    // To stop the search for a smaller step stops the run before the step that failed.
     if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
         recorder.writer.leave();
         return Err(RunError::Interrupted);

@@ -255,7 +255,7 @@ pub struct Solver {
     /// Relative increment at which the iteration ends; round-off by default.
     #[serde(default = "Solver::default_tolerance")]
     pub tolerance: f64,
-    /// Sweeps, or corrections of Newton's method, after which a step is given up.
+    /// Sweeps, or corrections of Newton's method, after which a step fails.
     #[serde(default = "Solver::default_max_iterations")]
     pub max_iterations: u32,
 }

@@ -11,7 +11,7 @@
 //! - A job ends once. Its state is never ahead of its record on the disk.
 //! - The queue is bounded and says so; a client that leaves does not undo what it asked for.
 //! - Only finished logs are served, or streams that end with one.
-//! - Other machines are served with tokens only, unless somebody insists.
+//! - Other machines are served with tokens only, unless a flag says otherwise.
 //!
 //! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link`
 //! (signed addresses), `api` (routes, thin handlers) with `openapi` (their description), `view` (what answers look

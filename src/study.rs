@@ -41,7 +41,7 @@ pub enum StudyError {
     /// The run whose error was asked for fails.
     #[error("the run fails, so its end has no error")]
     Failed,
-    /// Somebody stopped it.
+    /// It was cancelled.
     #[error("the study was cancelled")]
     Cancelled,
     /// It has cost all that it may.

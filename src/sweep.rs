@@ -541,7 +541,7 @@ pub enum SweepError {
         /// Whether it is a finished table.
         finished: bool,
     },
-    /// Somebody stopped it.
+    /// It was cancelled.
     #[error(
         "the sweep was interrupted with {left} members left; the same command goes on with them"
     )]

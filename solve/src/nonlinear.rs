@@ -34,12 +34,12 @@ mod past;
 use newton::Newton;
 pub use past::{Continued, Past};
 
-/// When an iteration has converged and when it is given up.
+/// When an iteration has converged and when it has failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopRule {
     /// The increment (relative to the size of the unknowns) at which the iteration has converged.
     pub tolerance: f64,
-    /// Sweeps, or corrections of Newton's method, after which it is given up.
+    /// Sweeps, or corrections of Newton's method, after which it has failed.
     pub max_iterations: u32,
     /// What may be tried.
     pub rungs: Rungs,

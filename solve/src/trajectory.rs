@@ -70,7 +70,7 @@ pub struct OwnTime<const N: usize> {
     pub steps: u64,
 }
 
-/// What is computed at a sample in addition to the state: what somebody asked for.
+/// What is computed at a sample in addition to the state: what the caller asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observables {
     /// Kinetic and potential energy.

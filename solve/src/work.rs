@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::failure::{Failure, FailureCode};
 
-/// Counts gradients, sweeps and pieces, and refuses a sweep past the most allowed or after somebody said stop. A step may be
+/// Counts gradients, sweeps and pieces, and refuses a sweep past the most allowed or after it was cancelled. A step may be
 /// many sweeps, and a sweep long: it is asked before each.
 #[derive(Clone, Debug)]
 pub struct Work {

@@ -212,7 +212,7 @@ fn borders(borders: &[Border]) -> String {
     text
 }
 
-/// Does a study on a thread of its own while a progress bar follows, if somebody looks.
+/// Does a study on a thread of its own while a progress bar follows, on a terminal.
 fn followed<T: Send>(
     name: &str,
     study: impl FnOnce(&Watch) -> Result<T, StudyError> + Send,

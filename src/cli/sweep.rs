@@ -177,7 +177,7 @@ fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliErro
     Ok(ExitCode::SUCCESS)
 }
 
-/// Runs on a thread of its own. If somebody looks, a progress bar follows; ctrl-c leaves a part that the same command goes on
+/// Runs on a thread of its own. On a terminal a progress bar follows; ctrl-c leaves a part that the same command goes on
 /// with.
 fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliError> {
     let watch = Watch::default();
@@ -213,7 +213,7 @@ fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliEr
     })
 }
 
-/// A progress bar, if somebody looks.
+/// A progress bar, on a terminal.
 fn bar(sweep: &Sweep) -> ProgressBar {
     let style = ProgressStyle::with_template(
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} members, {eta} left",

@@ -130,7 +130,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
                     )
                 }
                 (_, _, Some(error)) => {
-                    format!("not reached or too dear; error {error:.1e} at best")
+                    format!("not reached or too expensive; error {error:.1e} at best")
                 }
                 _ => "no step works".to_owned(),
             };

@@ -171,7 +171,7 @@ impl Seek for Part {
     }
 }
 
-/// Opens and locks a regular file: a link that somebody put in its place would have its target written over, and what
+/// Opens and locks a regular file: a link that was put in its place would have its target written over, and what
 /// is read from a pipe may never come.
 pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     #[cfg(unix)]
@@ -243,7 +243,7 @@ struct Durable {
 
 impl Durable {
     fn reach(&self, (step, bytes): Place) {
-        // Who reads the step first finds at least its bytes.
+        // A reader of the step finds at least its bytes.
         self.bytes.store(bytes, Ordering::Release);
         self.step.store(step, Ordering::Release);
     }

@@ -104,10 +104,10 @@ struct TermRow {
 }
 
 impl TermRow {
-    /// A kind that was not measured yet counts as the dearest.
+    /// A kind that was not measured yet counts as the most expensive.
     fn of(&self, kind: &str) -> f64 {
-        let dearest = || self.of_kind.values().copied().fold(0.0, f64::max);
-        self.of_kind.get(kind).copied().unwrap_or_else(dearest)
+        let most = || self.of_kind.values().copied().fold(0.0, f64::max);
+        self.of_kind.get(kind).copied().unwrap_or_else(most)
     }
 }
 

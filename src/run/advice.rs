@@ -5,7 +5,7 @@
 //! have gone astray long before.
 //!
 //! Invariant: an advised step was tried, and carried as much of the run as is said; the work is bounded, counted and not
-//! timed, and ends when somebody stops the run.
+//! timed, and ends when the run is cancelled.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -161,7 +161,7 @@ enum Went {
     Well,
     /// Into a failure, or astray.
     Badly,
-    /// Nowhere: the work is done, or somebody stopped it.
+    /// Nowhere: the work is done, or it was cancelled.
     Out,
 }
 

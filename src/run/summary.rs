@@ -21,7 +21,7 @@ pub enum Outcome {
     Succeeded,
     /// A step could not be made; see the diagnosis.
     Failed,
-    /// Somebody stopped it.
+    /// It was cancelled.
     Cancelled,
 }
 
@@ -215,7 +215,7 @@ pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
 /// As in a stability map, an error beyond this part of the energy that moves is no integration any more.
 pub(super) const MEANINGLESS: f64 = 0.1;
 
-/// The energy of a run, as far as somebody looked.
+/// The energy of a run, as far as it was measured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EnergySeen {
     /// At the start.

@@ -3,7 +3,7 @@
 //!
 //! The list is that of the laws, `solve/hamiltonian/term.rs`; everything that goes over the terms is made from it here. A new
 //! term is its file next to this one, and its file and its entry there: nothing compiles until all of it is there. Then `cargo
-//! bench --bench costs` measures what it costs; until then it counts as the dearest.
+//! bench --bench costs` measures what it costs; until then it counts as the most expensive.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};

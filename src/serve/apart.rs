@@ -113,7 +113,7 @@ fn traced(errand: &Errand) -> u64 {
     noted.map_or(0, u64::from_le_bytes)
 }
 
-/// Whether a process ended because somebody asked it to, and not by what it did.
+/// Whether a process ended because it was asked to, and not by what it did.
 fn asked_to_stop(status: ExitStatus) -> bool {
     #[cfg(unix)]
     {

@@ -413,7 +413,7 @@ fn routes() -> Vec<Route> {
     ]
 }
 
-/// A scenario, for who looks for one.
+/// A scenario, as the list of them shows it.
 fn example() -> Value {
     serde_json::from_str(SHIPPED[0].1).unwrap_or_default()
 }

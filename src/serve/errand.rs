@@ -64,7 +64,7 @@ pub(super) enum Done {
 pub(super) enum Broken {
     /// The job has failed.
     Fault(Fault),
-    /// Somebody stopped it.
+    /// It was cancelled.
     Stopped,
     /// The store refuses something for now.
     Trouble(Trouble),

@@ -184,7 +184,7 @@ impl Pictures {
         loop {
             drawn.closed().await;
             let mut drawing = self.drawing();
-            // Not if somebody came since.
+            // Not if a visitor came since.
             if drawn.is_closed() {
                 drawing.remove(wanted);
                 return;
@@ -364,7 +364,7 @@ mod tests {
             tokio::task::yield_now().await;
         }
         drop(all);
-        // Who comes later is served.
+        // A later visitor is served.
         assert!(ask().await.expect("no panic").expect("an answer").is_err());
     }
 }

@@ -7,7 +7,7 @@
 //! written put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
 //! has written is on the disk when the call returns, under a checksum. A file named `log.mcap` is finished, and
 //! it is the job's log once `result.json` stands, which holds its checksum. No name that a client sent becomes part of
-//! a path. Nothing is removed but what somebody forgot (`trash`) and what an answer that was never given left; what is
+//! a path. Nothing is removed but what a client deleted (`trash`) and what an answer that was never given left; what is
 //! not understood is reported and left alone.
 //!
 //! `index.jsonl` repeats of each job what lists show, so that a start need not read them all. It is no
@@ -407,7 +407,7 @@ impl Store {
         self.directory(id).join(TRACE)
     }
 
-    /// Notes that somebody wants the job stopped, so that it stays stopped if we die before it ends.
+    /// Notes that the job is to be cancelled, so that it stays stopped if we die before it ends.
     pub(super) async fn note_cancel(&self, id: Uuid) -> Result<(), StoreError> {
         match self.create(id, CANCEL, Vec::new()).await {
             Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),

@@ -90,8 +90,8 @@ pub(crate) enum Begin<'a> {
     Scene,
     /// Somewhere else.
     State(&'a Point),
-    /// A rounding beside the scene's start, whose energy a method in a time of its own takes for that of the motion.
-    Beside(&'a Point),
+    /// A rounding away from the scene's start, whose energy a method in a time of its own takes for that of the motion.
+    Near(&'a Point),
 }
 
 impl<M> Clone for Probe<'_, M> {
@@ -264,11 +264,11 @@ impl Task for Measurement<'_> {
             (_, Some(ensemble)) => spread::start(&initial, ensemble, member),
             (_, None) => initial,
         };
-        let beside = match begin {
-            Begin::Beside(point) => Some(Checkpoint::at_start(&point.state())),
+        let near = match begin {
+            Begin::Near(point) => Some(Checkpoint::at_start(&point.state())),
             _ => None,
         };
-        let origin = Origin { initial: &initial, checkpoint: beside.as_ref() };
+        let origin = Origin { initial: &initial, checkpoint: near.as_ref() };
         let mut run = run_of(&body, stepper.as_mut(), origin, self.probe, self.watch);
         run.force_evaluations = body.work().gradients();
         run.sweeps = body.work().sweeps();

@@ -168,7 +168,7 @@ impl<'a, const N: usize, Y: System<N> + ?Sized> Runs for OfSystem<'a, N, Y> {
         let mut stepper = (probe.method.stepper)();
         let elsewhere = match probe.begin {
             Begin::Scene => None,
-            Begin::State(point) | Begin::Beside(point) => Some(point.state()),
+            Begin::State(point) | Begin::Near(point) => Some(point.state()),
         };
         let initial = elsewhere.as_ref().unwrap_or(self.question.initial);
         Ok(run_of(self.question.system, stepper.as_mut(), initial, probe, watch))

@@ -24,7 +24,7 @@ const HALVINGS: u32 = 14;
 /// Turns in which the methods take part when their times are measured.
 const REPEATS: u32 = 5;
 
-/// How the times of a study are measured, for who reads them.
+/// How the times of a study are measured, for their reader.
 pub fn timing() -> String {
     format!(
         "the least of {REPEATS} turns, in each of which all runs are made, one at a time on one thread"

@@ -331,7 +331,7 @@ impl Reference {
         let steps = (self.steps, (self.points.len() - 1) as u64);
         for along in &directions {
             for moved in self.moved_starts(along) {
-                let from = Start { member, begin: Begin::Beside(&moved) };
+                let from = Start { member, begin: Begin::Near(&moved) };
                 let Some(run) = solution(scene, from, &self.method, self.time_s, steps, watch)?
                 else {
                     continue;

@@ -105,7 +105,7 @@ impl Cell {
 }
 
 impl Sweep {
-    /// The column that a picture shows unless somebody says otherwise.
+    /// The column that a picture shows by default.
     fn usual_column(&self) -> &str {
         let first = self.file.scores.first().map(|score| score.name.as_str());
         self.file.picture.as_deref().or(first).unwrap_or("energy_error_max")

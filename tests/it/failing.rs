@@ -266,7 +266,7 @@ fn the_cause_names_the_stiffness_where_that_is_it() {
 }
 
 #[test]
-fn a_search_ends_when_somebody_stops_the_run() {
+fn a_search_ends_when_the_run_is_cancelled() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let scenario = Scenario::from_json(stiff().to_string().as_bytes()).expect("a good scenario");
     let log = directory.path().join("run.mcap");

@@ -17,7 +17,7 @@ const MAX_PRODUCTS: usize = 60;
 /// Length of a difference, for unknowns of size one: what rounding spoils and what curvature spoils is then about
 /// equal.
 const DIFFERENCE: f64 = 1e-7;
-/// So often a correction is halved before it is given up.
+/// How often a correction is halved before it is abandoned.
 const HALVINGS: u32 = 8;
 
 /// What Newton's method works with; kept from step to step so that a step allocates nothing.

@@ -202,7 +202,7 @@ class Chart {
     else if (event.key === "Enter" && this.reading !== null) this.seek(this.reading);
     else return;
     if (step) u.setCursor({ left: u.valToPos(this.reading, "x"), top: 10 }, false);
-    // Who reads with the keys may be listening.
+    // A user of the keyboard may use a screen reader.
     this.words.ariaLive = "polite";
     event.preventDefault();
   }

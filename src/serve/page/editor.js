@@ -100,7 +100,7 @@ function showPlaced() {
   $("about").textContent = $("shipped").selectedOptions[0]?.dataset.about ?? "";
 }
 
-// Puts another text into the editor; one that somebody wrote can be had back.
+// Puts another text into the editor; one that the user wrote can be restored.
 function replaceText(fresh, from, what) {
   if (!text.value) { restore({ text: fresh, from }); return; }
   const lost = edited() && text.value.trim() && text.value !== fresh;

@@ -105,7 +105,7 @@ async function refresh() {
   const turn = ++refreshed;
   try {
     const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
-    // Somebody has asked for another page since.
+    // The user has asked for another page since.
     if (turn !== refreshed) return;
     jobs = page.jobs;
     sought.next = page.next_cursor;

@@ -289,7 +289,7 @@ async function route() {
   if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
 }
 
-// A scenario that somebody sent as an address.
+// A scenario that came as an address.
 async function openDraft(letters) {
   const found = await shared(letters);
   location.replace("#/");

@@ -281,13 +281,13 @@ impl Bucket {
         notes.buffered(WIDTH).try_all(async |same| same).await
     }
 
-    /// Notes that somebody wants the job stopped.
+    /// Notes that the job is to be cancelled.
     pub(in crate::serve) async fn note_cancel(&self, id: Uuid) -> Result<(), StoreError> {
         let noted = self.create(&of(id, CANCEL), Vec::new()).await;
         noted.map(drop).map_err(StoreError::new("note the cancellation"))
     }
 
-    /// Whether somebody wants the job stopped.
+    /// Whether the job is to be cancelled.
     pub(in crate::serve) async fn is_cancelled(&self, id: Uuid) -> Result<bool, StoreError> {
         match self.0.head(&of(id, CANCEL)).await {
             Ok(_) => Ok(true),

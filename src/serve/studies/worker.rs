@@ -163,7 +163,7 @@ impl Shared {
         Ok(())
     }
 
-    /// Leaves a study to somebody who looks at its record; the next start tries again.
+    /// Leaves a study as it is, for an operator to look at its record; the next start tries again.
     fn set_aside(&self, id: Uuid) {
         let Some(record) = self.index().studies.get(&id).map(|study| Record {
             kind: study.kind,

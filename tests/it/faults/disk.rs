@@ -77,7 +77,7 @@ impl Faults {
     }
 }
 
-/// What becomes of a job on a bad disk that somebody mends: what becomes of it on a good one.
+/// What becomes of a job on a bad disk that is mended: what becomes of it on a good one.
 fn check(service: &Service, id: &str, digest: &str) {
     let job = service.ended(id);
     assert_eq!(job["state"], "succeeded", "{job}");
@@ -99,7 +99,7 @@ fn advance(errno: i64, code: &str) {
     let digest = service.reference(&scenario);
     let (mut refused, mut waited, mut nth) = (0, 0, 1);
     loop {
-        // Once single; every fourth time the disk stays bad until somebody mends it.
+        // Once single; every fourth time the disk stays bad until it is mended.
         let more = if nth % 4 == 0 { i64::MAX } else { 0 };
         let before = faults.given();
         faults.arm(nth, errno, more);

@@ -1,4 +1,4 @@
-//! A service that is short of what it needs from the system: file handles, and somebody who reads what it says.
+//! A service that is short of what it needs from the system: file handles, and a client that reads its answers.
 
 use std::io::Write;
 use std::net::TcpStream;

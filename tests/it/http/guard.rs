@@ -399,7 +399,7 @@ fn what_is_forgotten_while_it_is_read_is_not_found() {
             assert_eq!(server.send("DELETE", &format!("/jobs/{id}"), &[], None).status, 204);
         });
     }
-    // Files that somebody else took away: the job is known, and its log should be there.
+    // Files that another process removed: the job is known, and its log should be there.
     let id = server.finished();
     let place = super::record(&data, &id);
     for name in ["log.mcap", "scenario.json"] {

@@ -23,7 +23,7 @@
 //!
 //! Everything is computed for all stages at once, in lanes. An operation carries the tag of what it computes.
 //!
-//! Invariant: a step that is not solved here to round-off is given up, for [`super`] to solve in its own way.
+//! Invariant: a step that is not solved here to round-off is left to [`super`].
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
@@ -34,7 +34,7 @@ use crate::stack::{Any, Dimension, Known, Numbers, Stack};
 use crate::tableau::Tableau;
 use crate::work;
 
-/// Rounds of any kind after which a step is given up.
+/// Rounds of any kind after which a step is left to [`super`].
 pub(super) const MOST_ROUNDS: u32 = 40;
 /// Passes over attitudes and momenta for each torque, of a system in a time of its own.
 const PASSES: usize = 2;

@@ -20,7 +20,7 @@
 //! U = U' + vee(dU/dg) . eta,      S = S' + vee(dS/dg) . eta,      sigma = S^(-1/2)
 //! ```
 //!
-//! Invariant: a step that is not solved here to round-off is given up, for [`super`] to solve in its own way.
+//! Invariant: a step that is not solved here to round-off is left to [`super`].
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 

@@ -293,7 +293,7 @@ impl Hands {
 }
 
 impl Inner {
-    /// Stops a run: for good if somebody wants that, else so that another worker goes on.
+    /// Stops a run: for good if the job was cancelled, else so that another worker goes on.
     async fn told_to_stop(&self, turn: &Turn) {
         let wanted = self.bucket.is_cancelled(turn.id).await;
         match wanted {

@@ -44,7 +44,7 @@ enum Carried {
     /// Method and step are settled: it is a job of this plan.
     Settled(Box<Plan>),
     Ended(Box<Summary>),
-    /// Somebody stopped it before it began a log.
+    /// It was cancelled before it began a log.
     Cancelled,
     /// It has no log, and never will.
     GivenUp(Fault),
@@ -325,7 +325,7 @@ impl Shared {
         index.resting.insert((Instant::now() + pause, id));
     }
 
-    /// Leaves a job to somebody who looks at its record; the next start tries again.
+    /// Leaves a job as it is, for an operator to look at its record; the next start tries again.
     fn set_aside(&self, turn: &Turn, fault: Fault) {
         self.take_back(turn);
         tracing::error!(job = %turn.id, ?fault, "job set aside; nothing of it is removed");
