@@ -38,11 +38,12 @@ pub(crate) trait Task {
 
 /// Builds what the plan holds and hands it to `task`.
 pub(crate) fn assembled<T: Task>(plan: &Plan, task: T) -> T::Output {
+    let shadow = task.has_shadow();
     macro_rules! for_dimension {
         ($($n:literal)*) => {
             match plan.dimension {
-                3 => perform(plan, in_space, together, task),
-                $($n => perform::<$n, T>(plan, in_any_dimension, |_| None, task),)*
+                3 => task.perform(assembly(plan, in_space, together, shadow)),
+                $($n => task.perform(assembly::<$n>(plan, in_any_dimension, |_| None, shadow)),)*
                 n => unreachable!("the plan refuses n = {n}"),
             }
         };
@@ -50,12 +51,12 @@ pub(crate) fn assembled<T: Task>(plan: &Plan, task: T) -> T::Output {
     for_dimension!(2 4 5 6 7 8 9 10 11 12 13 14 15 16 32)
 }
 
-fn perform<const N: usize, T: Task>(
+fn assembly<const N: usize>(
     plan: &Plan,
-    stepper: impl Fn(&Plan) -> Option<Box<dyn Stepper<N>>>,
-    together: impl Fn(&Plan) -> Option<Box<dyn Members<N>>>,
-    task: T,
-) -> T::Output {
+    stepper: fn(&Plan) -> Option<Box<dyn Stepper<N>>>,
+    together: fn(&Plan) -> Option<Box<dyn Members<N>>>,
+    shadow: bool,
+) -> Assembly<N> {
     let stepper = || {
         let stepper = stepper(plan).expect("the plan refuses a method that cannot run the scene");
         match plan.formulation.motion {
@@ -67,8 +68,8 @@ fn perform<const N: usize, T: Task>(
         together(plan).unwrap_or_else(|| Box::new(Apart(std::array::from_fn(|_| stepper()))))
     });
     let (body, initial) = plan.model.problem::<N>();
-    let shadow = task.has_shadow().then(stepper);
-    task.perform(Assembly { body, stepper: stepper(), initial, members, shadow })
+    let shadow = shadow.then(stepper);
+    Assembly { body, stepper: stepper(), initial, members, shadow }
 }
 
 /// What the stepper of the plan's method is made from.

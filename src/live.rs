@@ -116,8 +116,9 @@ impl Show {
             let drawn = drawn.into_iter().filter_map(|(channel, scene)| Some((channel, scene?)));
             messages.extend(drawn.map(|(channel, scene)| (channel, scene.encode_to_vec())));
         }
-        floor.turn = messages::turn_after(floor.turn, sample);
-        let turn = floor.turn;
+        let found = sample.attitude.as_ref().and_then(messages::quaternion);
+        let turn = found.map(|found| messages::nearer_sign(floor.turn, found));
+        floor.turn = turn;
         messages.extend(Channel::all().into_iter().filter_map(|channel| {
             let bytes = match channel {
                 Channel::Tf => {

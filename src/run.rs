@@ -19,8 +19,7 @@ use crate::assemble::{Assembly, Task, assembled};
 #[cfg(feature = "live")]
 use crate::live::{Live, Show};
 use crate::log::course::{Course, LogChart};
-use crate::log::messages::Figures;
-use crate::log::resume::{Resumed, Seen};
+use crate::log::messages::{self, Figures};
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
@@ -38,7 +37,7 @@ mod record;
 mod summary;
 
 use advice::{Broken, Patience};
-use end::{Asked, End, finish};
+use end::{Asked, End, Reached, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
 pub use record::Recording;
@@ -111,7 +110,7 @@ impl Control {
     }
 
     /// Takes note of how far the log is on the disk.
-    fn note_durable<const N: usize>(&self, log: &LogWriter<N>) {
+    fn note_durable(&self, log: &LogWriter) {
         let step = log.durable_step();
         // A reader of the step finds at least its bytes.
         self.durable_bytes.store(log.durable_bytes(), Ordering::Release);
@@ -202,7 +201,8 @@ fn run<const N: usize>(
     let begun = Instant::now();
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let control = context.control;
-    let (mut recorder, checkpoint) = Recorder::<N>::open(context, &header(plan))?;
+    let (mut recorder, checkpoint) = Recorder::open(context, &header(plan))?;
+    let checkpoint = checkpoint.and_then(|found| found.trajectory());
     let resumed_step = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.step);
     control.resumed_step.store(resumed_step, Ordering::Relaxed);
     let integrating = Instant::now();
@@ -250,6 +250,7 @@ fn run<const N: usize>(
     };
     let Recorder { writer, figures, course, .. } = recorder;
     let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
+    let reached = Reached::from(&reached);
     let end = End { outcome, reached, diagnosis, ensemble: None, energy };
     let summary = finish(Asked::of(plan), context.log, writer, (&figures, &course), end)?;
     Ok(Summary {
@@ -261,8 +262,8 @@ fn run<const N: usize>(
 }
 
 /// Passes samples to the log, keeps their figures, and measures the time that is not the integrator's.
-struct Recorder<'a, const N: usize> {
-    writer: LogWriter<N>,
+struct Recorder<'a> {
+    writer: LogWriter,
     figures: Figures,
     /// What the charts in the log are drawn from.
     course: Course,
@@ -273,19 +274,20 @@ struct Recorder<'a, const N: usize> {
     show: Option<Show>,
 }
 
-impl<'a, const N: usize> Recorder<'a, N> {
+impl<'a> Recorder<'a> {
     /// Resumes the log of an interrupted run, or begins one.
     fn open(
         context: &JobContext<'a>,
         header: &LogHeader,
-    ) -> Result<(Self, Option<Checkpoint<N>>), LogError> {
+    ) -> Result<(Self, Option<messages::Checkpoint>), LogError> {
         let JobContext { log, control } = *context;
         let mut course = Course::default();
-        let seen = |seen: Seen<'_>| course.note_seen(&seen);
         let stopped = || control.interrupted.load(Ordering::Relaxed);
-        let (writer, figures, checkpoint) = match LogWriter::resume(log, header, seen, stopped)? {
-            Some((writer, Resumed { checkpoint, figures, .. })) => {
-                (writer, figures, Some(checkpoint))
+        let resumed =
+            LogWriter::resume(log, header, &mut |seen| course.note_seen(&seen), &stopped)?;
+        let (writer, figures, checkpoint) = match resumed {
+            Some((writer, checkpoint)) => {
+                (writer, checkpoint.figures.unwrap_or_default(), Some(checkpoint))
             }
             None => {
                 course = Course::default();
@@ -297,7 +299,7 @@ impl<'a, const N: usize> Recorder<'a, N> {
 
     /// Goes on with a writer, what its samples have shown so far, and the header of its log.
     fn of(
-        writer: LogWriter<N>,
+        writer: LogWriter,
         figures: Figures,
         course: Course,
         control: &'a Control,
@@ -316,7 +318,7 @@ impl<'a, const N: usize> Recorder<'a, N> {
     }
 }
 
-impl<const N: usize> Sink<N> for Recorder<'_, N> {
+impl<const N: usize> Sink<N> for Recorder<'_> {
     type Error = RunError;
 
     fn record(&mut self, sample: &Sample<N>) -> Result<(), RunError> {
@@ -343,7 +345,7 @@ impl<const N: usize> Sink<N> for Recorder<'_, N> {
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint<N>) -> Result<(), RunError> {
         let begun = Instant::now();
-        let result = self.writer.checkpoint(checkpoint, self.figures);
+        let result = self.writer.checkpoint(&messages::Checkpoint::of(checkpoint, self.figures));
         self.elsewhere += begun.elapsed();
         Ok(result?)
     }
@@ -357,10 +359,7 @@ fn show(control: &Control, header: &LogHeader) -> Option<Show> {
 }
 
 /// Begins a log, over what stands in its place if that may go.
-fn begin_log<const N: usize>(
-    context: &JobContext<'_>,
-    header: &LogHeader,
-) -> Result<LogWriter<N>, LogError> {
+fn begin_log(context: &JobContext<'_>, header: &LogHeader) -> Result<LogWriter, LogError> {
     if context.control.replaces_nothing {
         LogWriter::create_new(context.log, header)
     } else {
@@ -402,6 +401,7 @@ fn header(plan: &Plan) -> LogHeader {
         job.extend(statement.clone().map(|statement| (key.to_owned(), statement)));
     }
     LogHeader {
+        dimension: plan.dimension,
         epoch_ns: scenario.epoch_ns(),
         channels: plan.channels.iter().map(|channel| channel.topic).collect(),
         members: plan.ensemble.as_ref().map_or(vec![0], |ensemble| ensemble.in_full.clone()),

@@ -92,7 +92,10 @@ pub fn integrate<const N: usize, E>(
         initial.iter().map(|state| Bookkeeping::new(body, state, step_s, observables)).collect();
     let mut sample = |m: usize, bookkeeping: &mut Bookkeeping<N>, members: &mut dyn Members<N>| {
         let settled = bookkeeping.needs_sample().then(|| members.settle(body, step_s, m));
-        bookkeeping.sample(body, settled, members.member(m), |sample| record(m, sample))
+        match bookkeeping.sample(body, settled, members.member(m)) {
+            Some(sample) => record(m, &sample),
+            None => Ok(()),
+        }
     };
     let mut going: Vec<usize> = (0..initial.len()).collect();
     let mut step = 0;

@@ -115,6 +115,12 @@ pub struct Stack<R, D> {
 }
 
 impl<R: Stored, D: Dimension> Stack<R, D> {
+    /// Groups of columns of a matrix, if the compiler knows n.
+    const GROUPS: usize = match D::KNOWN {
+        Some(n) => n / R::GROUP,
+        None => 0,
+    };
+
     /// n.
     #[inline(always)]
     pub fn n(self) -> usize {
@@ -185,9 +191,9 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         let groups = n / R::GROUP;
         for i in 0..n {
             let mut group = 0;
-            if D::KNOWN.is_some() {
-                // As many columns as there are.
-                match groups {
+            if const { D::KNOWN.is_some() } {
+                // As many columns as there are: a constant, so that the other arms are not compiled.
+                match Self::GROUPS {
                     0 => {}
                     1 => self.groups::<1, T>(s, a, b, c, i, 0),
                     2 => self.groups::<2, T>(s, a, b, c, i, 0),

@@ -326,7 +326,9 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
         let over = step == steps || !bookkeeping.goes_on();
         if over || step % every == 0 {
             let settled = bookkeeping.needs_sample().then(|| stepper.settle(system, step_s));
-            bookkeeping.sample(system, settled, stepper, |sample| sink.record(sample))?;
+            if let Some(sample) = bookkeeping.sample(system, settled, stepper) {
+                sink.record(&sample)?;
+            }
             // Not at the end: nothing goes on from there, and a step that failed must not be tried anew.
             if !over && bookkeeping.goes_on() && sink.wants_checkpoint() {
                 bookkeeping.reached.work += stepper.work();
@@ -405,17 +407,16 @@ impl<const N: usize> Bookkeeping<N> {
         self.sampled != Some(self.reached.step)
     }
 
-    /// Gives the sample of the state that was reached to `record`, unless that has it; `settled` is what came of bringing
+    /// The sample of the state that was reached, unless there was one; `settled` is what came of bringing
     /// the stepper there. A sample that cannot be taken ends the trajectory: it is good up to the sample before, and all
     /// that is reported ends there.
-    pub(super) fn sample<Y: System<N> + ?Sized, E>(
+    pub(super) fn sample<Y: System<N> + ?Sized>(
         &mut self,
         system: &Y,
         settled: Option<Result<u32, Failure>>,
         stepper: &dyn Stepper<N, Y>,
-        record: impl FnOnce(&Sample<N>) -> Result<(), E>,
-    ) -> Result<(), E> {
-        let Some(settled) = settled else { return Ok(()) };
+    ) -> Option<Sample<N>> {
+        let settled = settled?;
         let Self { observer, step_s, ending, reached, sampled } = self;
         let step = reached.step;
         let time_s = step as f64 * *step_s;
@@ -432,17 +433,17 @@ impl<const N: usize> Bookkeeping<N> {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
                 reached.samples += 1;
                 *sampled = Some(step);
-                record(&sample)
+                Some(sample)
             }
             Err(Failure { code: FailureCode::Stopped, .. }) => {
                 *ending = Ending::Cancelled;
                 reached.step = sampled.unwrap_or(0);
-                Ok(())
+                None
             }
             Err(failure) => {
                 *ending = Ending::Failed(failure);
                 reached.step = sampled.unwrap_or(0);
-                Ok(())
+                None
             }
         }
     }

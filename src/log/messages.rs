@@ -209,6 +209,69 @@ impl Pace {
     }
 }
 
+impl Checkpoint {
+    /// Where a trajectory is, and the figures of its samples so far.
+    pub fn of<const N: usize>(checkpoint: &trajectory::Checkpoint<N>, figures: Figures) -> Self {
+        // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
+        let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
+        let none = checkpoint.impulse.iter().all(|x| *x == 0.0);
+        Self {
+            step: checkpoint.step,
+            samples: checkpoint.samples,
+            attitude: checkpoint.attitude.as_ref().map_or_else(Vec::new, rows),
+            body_momentum: rows(&checkpoint.momentum),
+            iterations: checkpoint.iterations,
+            solver: checkpoint.convergence.map(Into::into),
+            figures: Some(figures),
+            work: checkpoint.work,
+            impulse: if none { Vec::new() } else { rows(&checkpoint.impulse) },
+            own_time: checkpoint.own_time.as_ref().map(|own| OwnTime {
+                attitude: rows(&own.attitude),
+                body_momentum: rows(&own.momentum),
+                time_s: own.time_s,
+                carry_s: own.carry_s,
+                steps: own.steps,
+            }),
+        }
+    }
+
+    /// Can a trajectory on SO(n) go on from it?
+    pub(super) fn is_of(&self, n: usize) -> bool {
+        let matrix = |rows: &Vec<f64>| rows.len() == n * n;
+        let absent = |rows: &Vec<f64>| rows.is_empty() || matrix(rows);
+        absent(&self.attitude)
+            && absent(&self.impulse)
+            && matrix(&self.body_momentum)
+            && self
+                .own_time
+                .as_ref()
+                .is_none_or(|own| matrix(&own.attitude) && matrix(&own.body_momentum))
+            && self.solver.as_ref().is_none_or(|solver| solver.convergence().is_some())
+    }
+
+    /// Where the trajectory is; `None` if it is of another dimension.
+    pub fn trajectory<const N: usize>(&self) -> Option<trajectory::Checkpoint<N>> {
+        let present = |rows: &[f64]| (!rows.is_empty()).then(|| Mat::from_row_slice(rows));
+        self.is_of(N).then(|| trajectory::Checkpoint {
+            step: self.step,
+            samples: self.samples,
+            attitude: present(&self.attitude),
+            momentum: Mat::from_row_slice(&self.body_momentum),
+            iterations: self.iterations,
+            convergence: self.solver.as_ref().and_then(Solver::convergence),
+            work: self.work,
+            impulse: present(&self.impulse).unwrap_or_else(Mat::zeros),
+            own_time: self.own_time.as_ref().map(|own| trajectory::OwnTime {
+                attitude: Mat::from_row_slice(&own.attitude),
+                momentum: Mat::from_row_slice(&own.body_momentum),
+                time_s: own.time_s,
+                carry_s: own.carry_s,
+                steps: own.steps,
+            }),
+        })
+    }
+}
+
 impl Figures {
     /// Takes a sample into account.
     pub fn keep<const N: usize>(&mut self, sample: &Sample<N>) {
@@ -249,15 +312,11 @@ pub fn frames(
 }
 
 /// The quaternion of a sample, of the two signs the one nearer to the quaternion of the sample before, so that its components
-/// have no jumps; the first with w >= 0. `None` unless n = 3.
-pub fn turn_after<const N: usize>(
-    before: Option<[f64; 4]>,
-    sample: &Sample<N>,
-) -> Option<[f64; 4]> {
-    let found = quaternion(sample.attitude.as_ref()?)?;
+/// have no jumps; the first as it is found.
+pub fn nearer_sign(before: Option<[f64; 4]>, found: [f64; 4]) -> [f64; 4] {
     let along = |before: [f64; 4]| before.iter().zip(found).map(|(a, b)| a * b).sum::<f64>();
     let turned = before.is_some_and(|before| along(before) < 0.0);
-    Some(if turned { found.map(|x| -x) } else { found })
+    if turned { found.map(|x| -x) } else { found }
 }
 
 /// A log time as the viewers' time stamp.

@@ -75,6 +75,9 @@ pub struct Ending {
     pub bytes: u64,
 }
 
+/// Who is shown the parts of a log.
+type Visit<'a> = dyn FnMut(Item<'_>) -> ControlFlow<()> + 'a;
+
 /// Whether a file begins as an MCAP log does, finished or not.
 ///
 /// # Errors
@@ -98,6 +101,11 @@ pub fn read(
     path: &Path,
     mut visit: impl FnMut(Item<'_>) -> ControlFlow<()>,
 ) -> Result<Ending, LogError> {
+    read_for(path, &mut visit)
+}
+
+/// The same, compiled once for all visitors.
+fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
     let failed = |source| LogError::io(path, "read", source);
     let file = File::open(path).map_err(failed)?;
     let bytes = file.metadata().map_err(failed)?.len();
@@ -120,7 +128,7 @@ pub fn read(
                 reader.notify_read(got);
             }
             Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                match walk.step(opcode, data, &mut visit) {
+                match walk.step(opcode, data, visit) {
                     Ok(ControlFlow::Continue(())) => {}
                     Ok(ControlFlow::Break(())) => {
                         return Ok(Ending { chunks: walk.chunks, bytes, ..Ending::default() });
@@ -169,7 +177,7 @@ impl Walk {
         &mut self,
         opcode: u8,
         data: &[u8],
-        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+        visit: &mut Visit<'_>,
     ) -> Result<ControlFlow<()>, String> {
         let record = parse_record(opcode, data).map_err(damaged)?;
         if self.data_ended {
@@ -218,11 +226,7 @@ impl Walk {
     }
 
     /// Takes a chunk apart, after its checksum agreed.
-    fn chunk(
-        &mut self,
-        chunk: &[u8],
-        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
-    ) -> Result<ControlFlow<()>, String> {
+    fn chunk(&mut self, chunk: &[u8], visit: &mut Visit<'_>) -> Result<ControlFlow<()>, String> {
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
@@ -255,7 +259,7 @@ impl Walk {
     fn entry(
         &mut self,
         record: Record<'_>,
-        visit: &mut impl FnMut(Item<'_>) -> ControlFlow<()>,
+        visit: &mut Visit<'_>,
     ) -> Result<ControlFlow<()>, String> {
         match record {
             Record::Schema { header, .. } => {

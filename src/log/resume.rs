@@ -14,23 +14,12 @@ use foxglove::messages::FrameTransforms;
 use mcap::records::MessageHeader;
 use prost::Message as _;
 
-use super::messages::{self, Figures, Member, State};
+use super::messages::{Checkpoint, Member, State};
 use super::part::Part;
 use super::reader::{self, Item, Message};
 use super::schema::{Channel, Topic};
 use super::writer::{LogHeader, LogWriter};
 use super::{LogError, part_path};
-use crate::solve::so::Mat;
-use crate::solve::trajectory::{Checkpoint, OwnTime};
-
-/// Where a log was resumed.
-#[derive(Clone, Debug)]
-pub struct Resumed<const N: usize> {
-    /// The trajectory goes on from here.
-    pub checkpoint: Checkpoint<N>,
-    /// Figures of the samples so far.
-    pub figures: Figures,
-}
 
 /// What an unfinished log held.
 #[derive(Debug)]
@@ -49,7 +38,7 @@ struct Pending {
     data: Vec<u8>,
 }
 
-impl<const N: usize> LogWriter<N> {
+impl LogWriter {
     /// Resumes the unfinished log of `path` behind its last checkpoint. `None` if there is none that
     /// this build would write for this job, or none with a checkpoint; nothing is changed then.
     ///
@@ -61,9 +50,9 @@ impl<const N: usize> LogWriter<N> {
     pub fn resume(
         path: &Path,
         header: &LogHeader,
-        mut seen: impl FnMut(Seen<'_>),
-        stopped: impl Fn() -> bool,
-    ) -> Result<Option<(Self, Resumed<N>)>, LogError> {
+        seen: &mut dyn FnMut(Seen<'_>),
+        stopped: &dyn Fn() -> bool,
+    ) -> Result<Option<(Self, Checkpoint)>, LogError> {
         let part = part_path(path);
         let failed = |source| LogError::io(path, "resume", source);
         let file = match Part::compare(&part) {
@@ -88,7 +77,11 @@ impl<const N: usize> LogWriter<N> {
                     pending.push(Pending { topic, time_ns, sequence, data: data.to_vec() });
                 }
                 Item::Checkpoint { data } => {
-                    let Some(resumed) = decode(data) else { return ControlFlow::Break(()) };
+                    let checkpoint = Checkpoint::decode(data).ok();
+                    let ours = |found: &Checkpoint| found.is_of(header.dimension);
+                    let Some(checkpoint) = checkpoint.filter(ours) else {
+                        return ControlFlow::Break(());
+                    };
                     for Pending { topic, time_ns, data, .. } in &pending {
                         let Topic { member, channel } = *topic;
                         if channel == Channel::EnsembleMembers {
@@ -102,11 +95,11 @@ impl<const N: usize> LogWriter<N> {
                             seen(Seen::Message(*time_ns, &message));
                         }
                     }
-                    fed = log.feed(std::mem::take(&mut pending), data, &resumed.checkpoint);
+                    fed = log.feed(std::mem::take(&mut pending), data, checkpoint.samples);
                     if fed.is_err() {
                         return ControlFlow::Break(());
                     }
-                    found = Some(resumed);
+                    found = Some(checkpoint);
                 }
                 Item::Metadata { .. } | Item::Attachment { .. } => {}
             }
@@ -117,11 +110,11 @@ impl<const N: usize> LogWriter<N> {
         }
         match (fed, found) {
             (Err(error), _) if !file.differs() => Err(error),
-            (Ok(()), Some(resumed)) => {
+            (Ok(()), Some(checkpoint)) => {
                 file.go_on().map_err(failed)?;
                 log.part = part;
-                log.syncer.settled(resumed.checkpoint.step);
-                Ok(Some((log, resumed)))
+                log.syncer.settled(checkpoint.step);
+                Ok(Some((log, checkpoint)))
             }
             _ => Ok(None),
         }
@@ -132,7 +125,7 @@ impl<const N: usize> LogWriter<N> {
         &mut self,
         messages: Vec<Pending>,
         record: &[u8],
-        checkpoint: &Checkpoint<N>,
+        samples: u64,
     ) -> Result<(), LogError> {
         for Pending { topic, time_ns, sequence, data } in messages {
             self.turns.extend(turn(topic.channel, &data).map(|turn| (topic.member, turn)));
@@ -149,7 +142,7 @@ impl<const N: usize> LogWriter<N> {
                 MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
             self.write(&header, &data)?;
         }
-        self.samples = checkpoint.samples;
+        self.samples = samples;
         self.close_chunk(Some(record))
     }
 }
@@ -177,79 +170,10 @@ pub fn last_checkpoint(path: &Path) -> Result<Option<u64>, LogError> {
     if part.exists() {
         reader::read(&part, |item| {
             if let Item::Checkpoint { data } = item {
-                last = messages::Checkpoint::decode(data).ok().map(|found| found.step);
+                last = Checkpoint::decode(data).ok().map(|found| found.step);
             }
             ControlFlow::Continue(())
         })?;
     }
     Ok(last)
-}
-
-/// The record of a checkpoint.
-pub(super) fn encode<const N: usize>(checkpoint: &Checkpoint<N>, figures: Figures) -> Vec<u8> {
-    // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
-    let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
-    let message = messages::Checkpoint {
-        step: checkpoint.step,
-        samples: checkpoint.samples,
-        attitude: checkpoint.attitude.as_ref().map_or_else(Vec::new, rows),
-        body_momentum: rows(&checkpoint.momentum),
-        iterations: checkpoint.iterations,
-        solver: checkpoint.convergence.map(Into::into),
-        figures: Some(figures),
-        work: checkpoint.work,
-        impulse: if checkpoint.impulse.iter().all(|x| *x == 0.0) {
-            Vec::new()
-        } else {
-            rows(&checkpoint.impulse)
-        },
-        own_time: checkpoint.own_time.as_ref().map(|own| messages::OwnTime {
-            attitude: rows(&own.attitude),
-            body_momentum: rows(&own.momentum),
-            time_s: own.time_s,
-            carry_s: own.carry_s,
-            steps: own.steps,
-        }),
-    };
-    message.encode_to_vec()
-}
-
-fn decode<const N: usize>(record: &[u8]) -> Option<Resumed<N>> {
-    let message = messages::Checkpoint::decode(record).ok()?;
-    let matrix = |rows: &[f64]| (rows.len() == N * N).then(|| Mat::<N>::from_row_slice(rows));
-    let attitude = match message.attitude.as_slice() {
-        [] => None,
-        rows => Some(matrix(rows)?),
-    };
-    let impulse = match message.impulse.as_slice() {
-        [] => Mat::zeros(),
-        rows => matrix(rows)?,
-    };
-    let own_time = match &message.own_time {
-        None => None,
-        Some(own) => Some(OwnTime {
-            attitude: matrix(&own.attitude)?,
-            momentum: matrix(&own.body_momentum)?,
-            time_s: own.time_s,
-            carry_s: own.carry_s,
-            steps: own.steps,
-        }),
-    };
-    let convergence = match message.solver {
-        None => None,
-        Some(solver) => Some(solver.convergence()?),
-    };
-    let checkpoint = Checkpoint {
-        step: message.step,
-        samples: message.samples,
-        attitude,
-        momentum: matrix(&message.body_momentum)?,
-        iterations: message.iterations,
-        convergence,
-        work: message.work,
-        impulse,
-        own_time,
-    };
-    let figures = message.figures.unwrap_or_default();
-    Some(Resumed { checkpoint, figures })
 }

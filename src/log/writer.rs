@@ -28,7 +28,7 @@ use super::scene::{SceneGeometry, body_frame};
 use super::schema::{Channel, Compression, ENCODING, Topic};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
-    is_transient, resume,
+    is_transient,
 };
 use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
@@ -38,6 +38,8 @@ const LIBRARY: &str = concat!("vpd/", env!("CARGO_PKG_VERSION"));
 /// What a log starts with.
 #[derive(Clone, Debug)]
 pub struct LogHeader {
+    /// n: what is recorded moves on SO(n).
+    pub dimension: usize,
     /// Log time of t = 0, in nanoseconds since 1970.
     pub epoch_ns: u64,
     /// What to write. Channels that need n = 3 are passed over for other n.
@@ -79,12 +81,14 @@ pub enum Level {
     Error,
 }
 
-/// Writes the log of one job in SO(`N`).
+/// Writes the log of one job.
 ///
 /// A closed chunk is with the operating system at once, where it survives a kill of the process, and on
 /// the disk soon after: [`LogWriter::durable_step`] says how far.
-pub struct LogWriter<const N: usize> {
+pub struct LogWriter {
     path: PathBuf,
+    /// n.
+    pub(super) dimension: usize,
     /// Empty once the file is no longer ours to remove.
     pub(super) part: PathBuf,
     file: mcap::Writer<Part>,
@@ -123,7 +127,7 @@ enum Rest {
     KeptWhereSynced,
 }
 
-impl<const N: usize> LogWriter<N> {
+impl LogWriter {
     /// Starts the log of `path` under the name of [`super::part_path`], over anything of that name.
     ///
     /// # Errors
@@ -196,10 +200,11 @@ impl<const N: usize> LogWriter<N> {
             .map_err(|source| LogError::mcap(path, "create", source))?;
         let wanted = |channel: &Channel| {
             header.channels.contains(channel)
-                && channel.exists(N == 3, header.scene.has_sources(), true, true)
+                && channel.exists(header.dimension == 3, header.scene.has_sources(), true, true)
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
-        let sample_bytes: u64 = channels.iter().map(|channel| channel.bytes_per_sample(N)).sum();
+        let sample_bytes: u64 =
+            channels.iter().map(|channel| channel.bytes_per_sample(header.dimension)).sum();
         let of_members = header.members.iter().flat_map(|&member| {
             let sampled =
                 channels.iter().filter(move |channel| member == 0 || channel.is_sampled());
@@ -208,6 +213,7 @@ impl<const N: usize> LogWriter<N> {
         let topics = of_members.collect();
         let mut log = Self {
             path: path.to_owned(),
+            dimension: header.dimension,
             part: PathBuf::new(),
             file,
             syncer: Syncer::new(part_file.clone(), path),
@@ -298,15 +304,11 @@ impl<const N: usize> LogWriter<N> {
     ///
     /// # Errors
     /// If the file cannot be written, or an earlier write or sync failed.
-    pub fn checkpoint(
-        &mut self,
-        checkpoint: &Checkpoint<N>,
-        figures: Figures,
-    ) -> Result<(), LogError> {
+    pub fn checkpoint(&mut self, checkpoint: &messages::Checkpoint) -> Result<(), LogError> {
         if !self.chunk_has_messages {
             return self.close_chunk(None);
         }
-        self.close_chunk(Some(&resume::encode(checkpoint, figures)))?;
+        self.close_chunk(Some(&checkpoint.encode_to_vec()))?;
         let requested = self.syncer.request(checkpoint.step);
         requested.map_err(|source| self.refused("sync", source))
     }
@@ -446,26 +448,50 @@ impl<const N: usize> LogWriter<N> {
             }
         })
     }
-}
 
-impl<const N: usize> LogWriter<N> {
     /// Takes a sample of a member of an ensemble.
     ///
     /// # Errors
     /// If it holds what a log cannot, or the file cannot be written.
-    pub fn record_member(&mut self, member: u64, sample: &Sample<N>) -> Result<(), LogError> {
+    ///
+    /// # Panics
+    /// If it is of another dimension than the log.
+    pub fn record_member<const N: usize>(
+        &mut self,
+        member: u64,
+        sample: &Sample<N>,
+    ) -> Result<(), LogError> {
+        assert_eq!(N, self.dimension, "a log is of one dimension");
+        let seen = SampleSeen {
+            step: sample.step,
+            time_s: sample.time_s,
+            finite: sample.is_finite(),
+            quaternion: sample.attitude.as_ref().and_then(messages::quaternion),
+        };
+        let message = |channel, turn| SampleMessage::of_sample(channel, sample, turn);
+        self.record_seen(member, seen, &message)
+    }
+
+    /// The same, compiled once for all dimensions.
+    fn record_seen(
+        &mut self,
+        member: u64,
+        sample: SampleSeen,
+        message: &dyn Fn(Channel, Option<[f64; 4]>) -> Option<SampleMessage>,
+    ) -> Result<(), LogError> {
         let time_ns = self.time(sample.time_s)?;
         if time_ns < self.last_ns {
             return Err(LogError::Time { time_s: sample.time_s, epoch_ns: self.epoch_ns });
         }
-        if !sample.is_finite() {
+        if !sample.finite {
             return Err(LogError::NotFinite { step: sample.step });
         }
         if self.wants_checkpoint() {
             // Nobody offered one.
             self.close_chunk(None)?;
         }
-        let turn = messages::turn_after(self.turns.get(&member).copied(), sample);
+        let before = self.turns.get(&member).copied();
+        let turn = sample.quaternion.map(|found| messages::nearer_sign(before, found));
         self.turns.extend(turn.map(|turn| (member, turn)));
         for i in 0..self.topics.len() {
             let topic = self.topics[i];
@@ -483,7 +509,7 @@ impl<const N: usize> LogWriter<N> {
                     let frames = messages::frames(turn, time_ns, &body_frame(member), sources);
                     self.put_encoded(topic, time_ns, &frames.encode_to_vec())?;
                 }
-            } else if let Some(message) = SampleMessage::of_sample(topic.channel, sample, turn) {
+            } else if let Some(message) = message(topic.channel, turn) {
                 self.curves.note(topic, time_ns - self.epoch_ns, &message);
                 self.put_encoded(topic, time_ns, &message.encode())?;
             }
@@ -509,9 +535,22 @@ impl<const N: usize> LogWriter<N> {
         let time_ns = self.time(statistics.time_s)?.max(self.last_ns);
         self.put(Channel::EnsembleStatistics, time_ns, statistics)
     }
+
+    /// Whether the open chunk is full.
+    pub fn wants_checkpoint(&self) -> bool {
+        self.samples - self.closed_at == self.samples_per_chunk
+    }
 }
 
-impl<const N: usize> Sink<N> for LogWriter<N> {
+/// What the writer looks at in a sample.
+struct SampleSeen {
+    step: u64,
+    time_s: f64,
+    finite: bool,
+    quaternion: Option<[f64; 4]>,
+}
+
+impl<const N: usize> Sink<N> for LogWriter {
     type Error = LogError;
 
     fn record(&mut self, sample: &Sample<N>) -> Result<(), LogError> {
@@ -519,15 +558,15 @@ impl<const N: usize> Sink<N> for LogWriter<N> {
     }
 
     fn wants_checkpoint(&self) -> bool {
-        self.samples - self.closed_at == self.samples_per_chunk
+        self.wants_checkpoint()
     }
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint<N>) -> Result<(), LogError> {
-        self.checkpoint(checkpoint, Figures::default())
+        self.checkpoint(&messages::Checkpoint::of(checkpoint, Figures::default()))
     }
 }
 
-impl<const N: usize> Drop for LogWriter<N> {
+impl Drop for LogWriter {
     fn drop(&mut self) {
         // The MCAP writer completes its file when it is dropped: that must not be seen.
         self.part_file.leave();

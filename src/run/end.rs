@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::summary::{
-    self, Diagnosis, EnergySeen, EnsembleSummary, MomentumSummary, Outcome, SolverSummary, Summary,
+    self, Diagnosis, EnergySeen, EnsembleSummary, FinalState, MomentumSummary, Outcome,
+    SolverSummary, Summary,
 };
 use super::{RunError, json};
 #[cfg(feature = "chart")]
@@ -18,13 +19,31 @@ use crate::log::messages::Figures;
 use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
 use crate::scenario::Expect;
+use crate::solve::nonlinear::Convergence;
 use crate::solve::trajectory::Checkpoint;
 
+/// Where a run came to.
+pub(super) struct Reached {
+    pub(super) step: u64,
+    samples: u64,
+    iterations: u64,
+    convergence: Option<Convergence>,
+    last: FinalState,
+}
+
+impl<const N: usize> From<&Checkpoint<N>> for Reached {
+    fn from(checkpoint: &Checkpoint<N>) -> Self {
+        let &Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
+        let last = summary::final_state(checkpoint.attitude.as_ref(), &checkpoint.momentum);
+        Self { step, samples, iterations, convergence, last }
+    }
+}
+
 /// How a run ended.
-pub(super) struct End<const N: usize> {
+pub(super) struct End {
     pub(super) outcome: Outcome,
     /// Where it came to; of an ensemble, where member 0 did.
-    pub(super) reached: Checkpoint<N>,
+    pub(super) reached: Reached,
     pub(super) diagnosis: Option<Diagnosis>,
     pub(super) ensemble: Option<EnsembleSummary>,
     /// Of a run whose log does not show it; `None` if nobody knows how much of the energy moves.
@@ -59,12 +78,12 @@ impl<'a> Asked<'a> {
 }
 
 /// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
-pub(super) fn finish<const N: usize>(
+pub(super) fn finish(
     asked: Asked<'_>,
     log: &Path,
-    mut writer: LogWriter<N>,
+    mut writer: LogWriter,
     (figures, course): (&Figures, &Course),
-    end: End<N>,
+    end: End,
 ) -> Result<Summary, RunError> {
     let End { outcome, reached, diagnosis, ensemble, energy } = end;
     let time_s = reached.step as f64 * asked.step_s;
@@ -94,7 +113,7 @@ pub(super) fn finish<const N: usize>(
         time_s,
         samples: reached.samples,
         resumed_step: 0,
-        last: summary::final_state(reached.attitude.as_ref(), &reached.momentum),
+        last: reached.last,
         error: None,
         error_below: None,
         energy: summary::energy(figures),

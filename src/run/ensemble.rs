@@ -10,7 +10,9 @@ use std::time::Instant;
 
 use super::advice::{self, Broken, Patience};
 use super::summary::{EnergySeen, Outcome, Summary};
-use super::{Asked, Control, End, JobContext, RunError, begin_log, finish, header, json, note};
+use super::{
+    Asked, Control, End, JobContext, Reached, RunError, begin_log, finish, header, json, note,
+};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::in_order::{Turns, cores, in_order};
 use crate::log::LogError;
@@ -25,7 +27,7 @@ use crate::solve::ensemble;
 use crate::solve::lanes::WIDTH;
 use crate::solve::so::Mat;
 use crate::solve::trajectory::{
-    Checkpoint, Ending, Observables, Sample, Schedule, Sink, State, Trajectory,
+    Checkpoint, Ending, Observables, Sample, Schedule, State, Trajectory,
 };
 
 pub(crate) mod spread;
@@ -103,7 +105,7 @@ impl Ensemble<'_> {
         let end = End {
             outcome,
             energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
-            reached,
+            reached: Reached::from(&reached),
             diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
             ensemble: Some(ensemble),
         };
@@ -127,7 +129,7 @@ impl Ensemble<'_> {
     fn in_full<const N: usize>(
         &self,
         assembly: &mut Assembly<N>,
-        log: &mut LogWriter<N>,
+        log: &mut LogWriter,
         header: &LogHeader,
         course: &mut Course,
     ) -> Result<Option<Vec<Member>>, RunError> {
@@ -158,7 +160,7 @@ impl Ensemble<'_> {
     /// Runs the members that have not ended yet, and writes their ends in their order.
     fn others<const N: usize>(
         &self,
-        log: &mut LogWriter<N>,
+        log: &mut LogWriter,
         ends: &mut Ends<N>,
     ) -> Result<(), RunError> {
         let left: Vec<u64> = (0..self.planned.members).filter(|&m| !ends.contains(m)).collect();
@@ -184,7 +186,7 @@ impl Ensemble<'_> {
 
     fn ended<const N: usize>(
         &self,
-        log: &mut LogWriter<N>,
+        log: &mut LogWriter,
         ends: &mut Ends<N>,
         end: Member,
     ) -> Result<(), RunError> {
@@ -195,23 +197,15 @@ impl Ensemble<'_> {
     }
 
     /// Closes the chunk behind so many ends: an interrupted run goes on from there.
-    fn checkpoint<const N: usize>(
-        &self,
-        log: &mut LogWriter<N>,
-        ends: u64,
-    ) -> Result<(), LogError> {
-        let checkpoint = Checkpoint {
+    fn checkpoint(&self, log: &mut LogWriter, ends: u64) -> Result<(), LogError> {
+        let checkpoint = messages::Checkpoint {
             step: ends * self.plan.steps,
             samples: log.samples(),
-            attitude: None,
-            momentum: Mat::<N>::zeros(),
-            iterations: 0,
-            convergence: None,
-            work: 0.0,
-            impulse: Mat::zeros(),
-            own_time: None,
+            body_momentum: vec![0.0; self.plan.dimension.pow(2)],
+            figures: Some(Figures::default()),
+            ..messages::Checkpoint::default()
         };
-        log.checkpoint(&checkpoint, Figures::default())?;
+        log.checkpoint(&checkpoint)?;
         self.context.control.note_durable(log);
         Ok(())
     }
@@ -344,14 +338,14 @@ impl Task for Worker<'_> {
 fn open<const N: usize>(
     context: &JobContext<'_>,
     header: &LogHeader,
-) -> Result<(LogWriter<N>, Ends<N>, Course), LogError> {
+) -> Result<(LogWriter, Ends<N>, Course), LogError> {
     let (mut course, mut ends) = (Course::default(), Ends::default());
-    let seen = |seen: Seen<'_>| match seen {
+    let mut seen = |seen: Seen<'_>| match seen {
         Seen::Member(end) => ends.add(*end),
         seen => course.note_seen(&seen),
     };
     let stopped = || context.control.interrupted.load(Ordering::Relaxed);
-    if let Some((log, _)) = LogWriter::resume(context.log, header, seen, stopped)?
+    if let Some((log, _)) = LogWriter::resume(context.log, header, &mut seen, &stopped)?
         && ends.count() > 0
     {
         return Ok((log, ends, course));

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::end::{Asked, End, finish};
+use super::end::{Asked, End, Reached, finish};
 use super::summary::{self, Advised};
 use super::{JobContext, Outcome, Recorder, RunError, Summary, begin_log};
 use crate::log::course::Course;
@@ -149,6 +149,7 @@ impl Recording {
         };
         let steps_done = reached.step;
         let Recorder { writer, figures, course, .. } = recorder;
+        let reached = Reached::from(&reached);
         let end = End { outcome, reached, diagnosis, ensemble: None, energy: None };
         let asked = Asked::steps(step_s, steps);
         let summary = finish(asked, log, writer, (&figures, &course), end)?;
@@ -173,6 +174,7 @@ impl Recording {
             ("every".to_owned(), every.to_string()),
         ]);
         LogHeader {
+            dimension: N,
             epoch_ns: self.epoch_ns,
             channels: self.channels.clone(),
             members: vec![0],

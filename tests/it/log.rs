@@ -237,7 +237,7 @@ fn only_what_was_asked_for_is_written() {
     let (_folder, path) = place();
     let channels = vec![Channel::State, Channel::Solver];
     let mut log =
-        LogWriter::<3>::create(&path, &LogHeader { channels, ..header() }).expect("create");
+        LogWriter::create(&path, &LogHeader { channels, ..header() }).expect("create");
     run_dipole(&mut log, 12);
     log.message(Level::Warning, 0.12, "nobody reads this").expect("message");
     log.finish(succeeded()).expect("finish");
@@ -245,7 +245,7 @@ fn only_what_was_asked_for_is_written() {
 
     let (_folder, path) = place();
     let header = LogHeader { channels: vec![], ..header() };
-    let log = LogWriter::<3>::create(&path, &header).expect("create");
+    let log = LogWriter::create(&path, &header).expect("create");
     log.finish(succeeded()).expect("finish");
     let found = inspect(&path).expect("read");
     assert!(found.finished, "{found}");
@@ -255,7 +255,7 @@ fn only_what_was_asked_for_is_written() {
 #[test]
 fn other_dimensions_have_no_frames() {
     let (_folder, path) = place();
-    let mut log = LogWriter::<4>::create(&path, &header()).expect("create");
+    let mut log = LogWriter::create(&path, &LogHeader { dimension: 4, ..header() }).expect("create");
     let body = RigidBody::new(Kinetic::Principal { weights: Mat::<4>::repeat(0.5) }, vec![], 0.0);
     let momentum = hat::<4>(&[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
     let state = trajectory::State { attitude: Mat::<4>::identity(), momentum };
@@ -309,7 +309,7 @@ fn an_inspection_sums_up() {
 #[test]
 fn a_log_refuses_what_it_cannot_hold() {
     let (_folder, path) = place();
-    let mut log = LogWriter::<3>::create(&path, &header()).expect("create");
+    let mut log = LogWriter::create(&path, &header()).expect("create");
     let (_, state) = crate::given::dipole();
     let at = |time_s| sample(&state, time_s);
     log.record(&at(1.0)).expect("record");
@@ -343,7 +343,7 @@ fn what_a_sample_says_on_a_channel_of_ours_can_be_read() {
 fn the_estimate_of_the_size_is_close() {
     let (_folder, path) = place();
     let header = LogHeader { compression: Compression::None, samples_per_chunk: 100, ..header() };
-    let mut log = LogWriter::<3>::create(&path, &header).expect("create");
+    let mut log = LogWriter::create(&path, &header).expect("create");
     let steps = 2000;
     run_dipole(&mut log, steps);
     log.finish(succeeded()).expect("finish");

@@ -44,7 +44,7 @@ impl Newton {
     pub(super) fn solve(
         &mut self,
         rule: StopRule,
-        equations: &mut impl Equations,
+        equations: &mut dyn Equations,
     ) -> Result<Convergence, Failure> {
         let mut history = History::new();
         // A correction squares the error: none is needed for what is left at round-off.
@@ -72,13 +72,13 @@ impl Newton {
         Err(history.failure(FailureCode::MaxIterations, tolerance))
     }
 
-    fn take(&mut self, equations: &impl Equations) {
+    fn take(&mut self, equations: &dyn Equations) {
         self.at.clear();
         equations.unknowns(&mut self.at);
     }
 
     /// `G(z) - z`, the equations standing at G(z).
-    fn take_residual(&mut self, equations: &impl Equations) {
+    fn take_residual(&mut self, equations: &dyn Equations) {
         self.residual.clear();
         equations.unknowns(&mut self.residual);
         for (r, z) in self.residual.iter_mut().zip(&self.at) {
@@ -89,7 +89,7 @@ impl Newton {
     /// Goes from z to z + d and sweeps; halves d while that makes the increment larger.
     fn corrected(
         &mut self,
-        equations: &mut impl Equations,
+        equations: &mut dyn Equations,
         before: f64,
         history: &History,
     ) -> Result<f64, Failure> {
@@ -111,7 +111,7 @@ impl Newton {
     }
 
     /// Solves `(I - G'(z)) d = G(z) - z` for the correction d.
-    fn linear_solve(&mut self, equations: &mut impl Equations) -> Result<(), Failure> {
+    fn linear_solve(&mut self, equations: &mut dyn Equations) -> Result<(), Failure> {
         let Self { at, residual, correction, image, basis, hessenberg, turns, right } = self;
         let length = norm(residual);
         correction.clear();

@@ -511,3 +511,27 @@ fn a_failed_step_leaves_the_state_alone() {
         assert!(failure.smaller_step(1.0) < 1.0, "{failure:?}");
     }
 }
+
+#[test]
+fn an_inertia_is_the_same_by_moments_by_second_moments_and_by_its_tensor() {
+    let d = [0.5, 0.3, 0.2];
+    let moments = [d[1] + d[2], d[2] + d[0], d[0] + d[1]];
+    // Axes of the body turned: the tensor in the new ones.
+    let turn = so::exp(&so::hat::<3>(&[0.4, -0.7, 0.2]));
+    let tensor = turn * Matrix3::from_diagonal(&Vector3::from(moments)) * turn.transpose();
+    let omega = Vector3::new(0.3, -1.1, 0.8);
+    let momentum = |kinetic: Kinetic<3>, omega: Vector3<f64>| {
+        let body = RigidBody::new(kinetic, Vec::new(), 0.0);
+        Vector3::from_vec(so::vee(&body.momentum(&so::hat(omega.as_slice()))))
+    };
+    let expected = omega.component_mul(&Vector3::from(moments));
+    let by_tensor = Kinetic::of_tensor(tensor).expect("positive definite");
+    for found in [
+        momentum(Kinetic::of_moments(moments), omega),
+        momentum(Kinetic::of_second_moments(d), omega),
+        turn.transpose() * momentum(by_tensor, turn * omega),
+    ] {
+        assert!((found - expected).norm() < 1e-15, "{found} {expected}");
+    }
+    assert!(Kinetic::<3>::of_tensor(-tensor).is_none());
+}

@@ -16,7 +16,7 @@ use crate::faults::disk::Disk;
 #[test]
 fn a_dropped_writer_leaves_nothing() {
     let (folder, path) = place();
-    let mut log = LogWriter::<3>::create(&path, &header()).expect("create");
+    let mut log = LogWriter::create(&path, &header()).expect("create");
     run_dipole(&mut log, 25);
     assert!(part_path(&path).exists());
     assert!(!path.exists());
@@ -27,7 +27,7 @@ fn a_dropped_writer_leaves_nothing() {
 #[test]
 fn a_running_log_reads_up_to_its_last_chunk() {
     let (_folder, path) = place();
-    let mut log = LogWriter::<3>::create(&path, &header()).expect("create");
+    let mut log = LogWriter::create(&path, &header()).expect("create");
     run_dipole(&mut log, 25);
     let found = inspect(&part_path(&path)).expect("read");
     assert!(!found.finished);
@@ -78,7 +78,7 @@ fn a_flipped_bit_is_always_reported() {
     for compression in [Compression::Zstd, Compression::Lz4, Compression::None] {
         let (_folder, path) = place();
         let header = LogHeader { compression, ..header() };
-        let mut log = LogWriter::<3>::create(&path, &header).expect("create");
+        let mut log = LogWriter::create(&path, &header).expect("create");
         run_dipole(&mut log, 25);
         log.finish(succeeded()).expect("finish");
         let bytes = fs::read(&path).expect("read");
@@ -117,7 +117,7 @@ fn a_flipped_bit_is_always_reported() {
 fn storage_errors_are_told_and_nothing_stays() {
     let (folder, _) = place();
     let missing = folder.path().join("missing").join("a.mcap");
-    let error = LogWriter::<3>::create(&missing, &header()).err().expect("no such folder");
+    let error = LogWriter::create(&missing, &header()).err().expect("no such folder");
     assert_eq!(error.code(), "storage_error");
     assert!(error.to_string().contains("cannot create"), "{error}");
 }
@@ -128,7 +128,7 @@ fn a_link_in_the_place_of_the_log_is_not_written_through() {
     let target = folder.path().join("target");
     fs::write(&target, "kept").expect("written");
     std::os::unix::fs::symlink(&target, part_path(&path)).expect("symlink");
-    let error = LogWriter::<3>::create(&path, &header()).err().expect("a link");
+    let error = LogWriter::create(&path, &header()).err().expect("a link");
     assert_eq!(error.code(), "storage_error");
     assert_eq!(fs::read(&target).expect("a file"), b"kept");
 }
@@ -145,7 +145,7 @@ fn a_full_disk_fails_the_log_and_leaves_what_it_holds() {
     };
     let path = disk.join("a.mcap");
     let header = LogHeader { samples_per_chunk: 100, ..header() };
-    let mut log = LogWriter::<3>::create(&path, &header).expect("room");
+    let mut log = LogWriter::create(&path, &header).expect("room");
     let (body, state) = crate::given::dipole();
     let error = try_run(&body, state, &mut log, 100_000).expect_err("no space");
     assert_eq!(error.code(), "storage_full", "{error}");

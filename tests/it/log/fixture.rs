@@ -26,7 +26,7 @@ pub(super) const EVERYTHING: Observables =
 
 /// A sink that keeps what the log should hold.
 pub(super) struct Copying {
-    pub(super) log: LogWriter<3>,
+    pub(super) log: LogWriter,
     pub(super) sent: Vec<(u64, Message)>,
 }
 
@@ -56,6 +56,7 @@ pub(super) fn place() -> (TempDir, PathBuf) {
 pub(super) fn header() -> LogHeader {
     let point = |position, sign| Marker { position, sign };
     LogHeader {
+        dimension: 3,
         epoch_ns: EPOCH_NS,
         channels: Channel::all().into_iter().filter(|channel| !channel.needs_ensemble()).collect(),
         members: vec![0],
