@@ -87,7 +87,7 @@ enum Command {
     Diff(logs::DiffArgs),
     /// Print the JSON Schema of a scenario or of a sweep.
     Schema(SchemaArgs),
-    /// Print what completes the words of this command line: vpd completions bash > ~/.local/share/bash-completion/completions/vpd
+    /// Print a script that completes this command line in a shell: vpd completions bash > ~/.local/share/bash-completion/completions/vpd
     Completions {
         /// For which shell.
         #[arg(value_enum)]
@@ -104,7 +104,7 @@ enum Command {
 struct ScenarioArgs {
     /// The scenario, a JSON file; - reads it from stdin.
     scenario: PathBuf,
-    /// Change a field, named by its JSON pointer: --set /method/tableau=gauss3 --set /step_s=0.02; null takes it away.
+    /// Change a field, named by its JSON pointer: --set /method/tableau=gauss3 --set /step_s=0.02; null removes it.
     #[arg(long = "set", value_name = "POINTER=VALUE")]
     changes: Vec<Change>,
 }
@@ -141,7 +141,7 @@ impl FromStr for Change {
 struct RunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// The log; by default the scenario's file name with .mcap, here; of stdin that of the scenario.
+    /// The log; by default the scenario's file name with .mcap, in the current directory; of stdin the scenario's `name`.
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
     /// Print one JSON summary on stdout.
@@ -153,7 +153,7 @@ struct RunArgs {
     /// Compute a reference afterwards and report the error of the last state.
     #[arg(long)]
     error: bool,
-    /// Replace what stands in the place of the log: a finished log, or an unfinished one of something else.
+    /// Overwrite an existing log: a finished one, or an unfinished one of another scenario.
     #[arg(long)]
     force: bool,
 }
@@ -209,7 +209,7 @@ enum CliError {
     Run(#[from] RunError),
     #[error("{0}")]
     Log(#[from] LogError),
-    #[error("{} is there already; --force replaces it", .0.display())]
+    #[error("{} is there already; --force replaces it, -o writes another", .0.display())]
     Exists(PathBuf),
     #[error("{0}")]
     Format(String),
@@ -345,6 +345,8 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     let from_stdin = args.is_stdin();
     let path = if from_stdin { Path::new("stdin") } else { &args.scenario };
     let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
+    let scenario =
+        |text: &[u8]| Scenario::from_json(text).map_err(|error| wrong(hinted(error, text)));
     let mut text = Vec::new();
     let read = if from_stdin {
         io::stdin().read_to_end(&mut text).map(drop)
@@ -354,10 +356,24 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
     if !args.changes.is_empty() {
         // The file is held to its own rules first, duplicate keys among them.
-        Scenario::from_json(&text).map_err(wrong)?;
+        scenario(&text)?;
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
-    Scenario::from_json(&text).and_then(|scenario| advise::plan(&scenario)).map_err(wrong)
+    advise::plan(&scenario(&text)?).map_err(wrong)
+}
+
+/// An error of a file that is something else says what.
+fn hinted(error: ScenarioError, text: &[u8]) -> ScenarioError {
+    let is_sweep = serde_json::from_slice::<serde_json::Value>(text)
+        .is_ok_and(|tree| tree.get("scenario").is_some() && tree.get("scene").is_none());
+    if is_sweep {
+        return ScenarioError {
+            message: "this is a sweep, not a scenario: `vpd sweep` runs it".to_owned(),
+            pointer: "/scenario".to_owned(),
+            ..error
+        };
+    }
+    error
 }
 
 /// The text of a scenario with some fields replaced or added.
@@ -398,7 +414,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     if args.json {
         print_json(&summary)?;
     } else {
-        show(text::summary(&summary))?;
+        show(text::summary(&summary, &plan.warnings))?;
     }
     // The run stands, with its log and its summary, where its error cannot be had.
     found?;
@@ -408,7 +424,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
 /// Runs a plan to a log and says how it ended.
 fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
     let summary = watched(plan, log, force)?;
-    show(text::summary(&summary))?;
+    show(text::summary(&summary, &plan.warnings))?;
     Ok(exit_code(summary.outcome))
 }
 

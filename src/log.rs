@@ -94,7 +94,7 @@ pub enum LogError {
         step: u64,
     },
     /// What stands at its place is to be kept: a finished log, or what another job has left unfinished.
-    #[error("{} is there already{}; --force replaces it", path.display(), if *finished { "" } else { ", of another scenario or another build, unfinished" })]
+    #[error("{} is there already{}; --force replaces it, -o writes another", path.display(), if *finished { "" } else { ", of another scenario or another build, unfinished" })]
     Exists {
         /// The file.
         path: PathBuf,

@@ -534,7 +534,7 @@ pub enum SweepError {
         source: io::Error,
     },
     /// What stands in the place of the table is to be kept.
-    #[error("{} is there already{}; --force replaces it", path.display(), unfinished(*finished))]
+    #[error("{} is there already{}; --force replaces it, -o writes another", path.display(), unfinished(*finished))]
     Exists {
         /// The file.
         path: PathBuf,

@@ -101,7 +101,7 @@ fn coordinate_places<const N: usize>() -> impl Iterator<Item = (usize, usize, f6
     three.into_iter().chain(above.filter(|_| N != 3))
 }
 
-/// The orthogonal polar factor `U` of `A = U P`, by Newton's iteration (paper, 4 newtoniterate)
+/// The orthogonal polar factor `U` of `A = U P`, by Newton's iteration (4, newtoniterate)
 /// `U <- (U + U^-T) / 2` from `U = A`.
 ///
 /// `None` if `A` is singular or not finite. The sign of det A is kept: for det A < 0 the result is in
@@ -148,7 +148,7 @@ fn inverse_transpose<const N: usize>(a: &Mat<N>) -> Option<Mat<N>> {
 
 /// The stretch `E = P - I` of the symmetric polar factor of `A = I + D = U P`.
 ///
-/// `E = sym(F + D + F^T D)` with `F = U - I`. Next to one, numbers above are spaced twice as wide as numbers
+/// `E = sym(C + D + C^T D)` with `C = U - I`. Next to one, numbers above are spaced twice as wide as numbers
 /// below: a P that is stored is rounded down by 2e-17 on average, and a momentum that passes through it
 /// loses as much at every step. E has no such bias.
 pub fn stretch_of<const N: usize>(u: &Mat<N>, d: &Mat<N>) -> Mat<N> {
@@ -156,7 +156,7 @@ pub fn stretch_of<const N: usize>(u: &Mat<N>, d: &Mat<N>) -> Mat<N> {
     symmetric_part(&(f + d + transposed_product(&f, d)))
 }
 
-/// Tangent map of the polar factor (paper, 6 dP): the skew `Omega` with `dU = U Omega` for a change
+/// Tangent map of the polar factor (6, dP): the skew `Omega` with `dU = U Omega` for a change
 /// `da` of `A = U P`, that is `P Omega + Omega P = asym(U^T dA)`.
 ///
 /// `None` where the Lyapunov operator is singular.
@@ -177,7 +177,7 @@ pub fn retraction<const N: usize>(omega: &Mat<N>) -> Option<Mat<N>> {
     polar(&(Mat::identity() + omega))
 }
 
-/// The inverse of [`retraction`] (paper, 5 pinverse): the skew `Omega` with
+/// The inverse of [`retraction`] (5, pinverse): the skew `Omega` with
 /// `U^T Omega + Omega U = U - U^T`.
 ///
 /// `None` where some plane of `U` turns by a quarter or more: the retraction does not reach there.

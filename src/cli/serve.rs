@@ -71,7 +71,7 @@ pub(super) struct ServeArgs {
     /// Address on which Foxglove and Lichtblick watch a running job live, as 127.0.0.1:8765.
     #[arg(long, env = "VPD_FOXGLOVE_LISTEN", value_name = "ADDRESS")]
     foxglove_listen: Option<SocketAddr>,
-    /// Who runs the jobs: this machine, or workers on many (vpd worker), which need --bucket and --temporal.
+    /// Who runs the jobs: this machine, or workers on many (vpd worker, in a build with --features cluster), which need --bucket and --temporal.
     #[arg(long, env = "VPD_ENGINE", value_enum, default_value_t = EngineName::Local)]
     engine: EngineName,
     #[command(flatten)]

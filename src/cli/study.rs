@@ -1,6 +1,6 @@
 //! `vpd chart` and `vpd stability`: studies of scenarios, and the charts of logs.
 
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -16,6 +16,7 @@ use serde::de::value::{Error as WordError, StrDeserializer};
 
 use super::{Change, CliError, ScenarioArgs, planned, show};
 use crate::chart;
+use crate::log::course::LogChart;
 use crate::log::reader::is_log;
 use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
 use crate::study::long_term::long_term;
@@ -52,7 +53,7 @@ struct StudyArgs {
     /// Study these methods in the place of the usual ones: vpd:gauss2, splitting:4, vpd:gauss4:fixed_point
     #[arg(long = "method", value_name = "NAME[:TABLEAU[:SOLVER]]")]
     methods: Vec<MethodWord>,
-    /// Where charts and tables go; several scenarios get a directory each below it.
+    /// Where charts and tables go; of several scenarios each gets a directory below it.
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
 }
@@ -117,7 +118,13 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
     // What cannot be read is named when it is read as a scenario.
     let logs = args.inputs.iter().filter(|path| matches!(is_log(path), Ok(true))).count();
     if logs == args.inputs.len() {
-        list(&chart::draw_logs(&args.inputs, &args.study.output)?)?;
+        let drawn = chart::draw_logs(&args.inputs, &args.study.output)?;
+        list(&drawn)?;
+        for chart in [LogChart::Energy, LogChart::Orthogonality, LogChart::Momentum] {
+            if !drawn.iter().any(|path| path.ends_with(chart.file())) {
+                let _ = writeln!(io::stderr(), "{} is not drawn: no log holds it", chart.file());
+            }
+        }
         return Ok(ExitCode::SUCCESS);
     }
     if logs > 0 {

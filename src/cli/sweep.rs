@@ -21,6 +21,7 @@ use super::{CliError, logged, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
+use crate::scenario::Scenario;
 use crate::study::Watch;
 use crate::sweep::{self, Counts, Made, Options, Shard, Sweep, SweepError};
 
@@ -85,7 +86,15 @@ pub(super) struct MergeArgs {
 pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     let path = &args.sweep;
     let sweep = Sweep::read(path).map_err(|error| match error {
-        SweepError::Field(source) => CliError::Sweep { path: path.clone(), source },
+        SweepError::Field(mut source) => {
+            let text = std::fs::read(path).unwrap_or_default();
+            if Scenario::from_json(&text).is_ok() {
+                "this is a scenario, not a sweep: `vpd run` runs it"
+                    .clone_into(&mut source.message);
+                source.pointer.clear();
+            }
+            CliError::Sweep { path: path.clone(), source }
+        }
         other => other.into(),
     })?;
     if let Some(member) = args.member {

@@ -5,8 +5,8 @@ use std::fmt::Write;
 use crate::plan::{EnsemblePlan, Plan};
 use crate::run::Summary;
 
-/// A run in a few lines.
-pub(super) fn summary(summary: &Summary) -> String {
+/// A run in a few lines, with what its plan warned of.
+pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
     let mut text = String::new();
     let mut line = |name: &str, value: String| {
         // Writing to a string cannot fail.
@@ -24,7 +24,7 @@ pub(super) fn summary(summary: &Summary) -> String {
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }
-    if let Some(warning) = &summary.warning {
+    for warning in warnings.iter().chain(&summary.warning) {
         line("warning", warning.clone());
     }
     if let Some(error) = summary.error {
@@ -118,7 +118,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         line(
             "accuracy",
             format!(
-                "{:.1e} asked for, {:.1e} expected at the end: {:.1} times to spare; pilots ran to t = {} s",
+                "{:.1e} asked for, {:.1e} expected at the end: {:.1} times to spare; trial runs went to t = {:.6} s",
                 advice.error, advice.expected_error, advice.margin, advice.pilot_time_s
             ),
         );
@@ -126,11 +126,11 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             let found = match (candidate.step_s, candidate.cost_us, candidate.expected_error) {
                 (Some(step_s), Some(cost_us), Some(error)) => {
                     format!(
-                        "step {step_s:.3e} s, error {error:.1e}, {cost_us:.0} us a second of motion"
+                        "step {step_s:.3e} s, error {error:.1e}, {cost_us:.2e} us of computing a second of motion"
                     )
                 }
                 (_, _, Some(error)) => {
-                    format!("not reached or too expensive; error {error:.1e} at best")
+                    format!("not reached, or too expensive; best error {error:.1e}")
                 }
                 _ => "no step works".to_owned(),
             };
@@ -178,7 +178,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         0 | 1 => "no part of the spatial momentum".to_owned(),
         free if free == plan.dimension => "the whole spatial momentum".to_owned(),
         free => format!(
-            "the spatial momentum among the {free} directions that the potential leaves free"
+            "the spatial momentum in the planes of the {free} directions along which nothing acts"
         ),
     };
     match &plan.momentum_balance {

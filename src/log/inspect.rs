@@ -228,7 +228,7 @@ impl fmt::Display for Inspection {
         if let Some((most, mean)) =
             extremes.solver_iterations_max.zip(extremes.solver_iterations_mean)
         {
-            writeln!(f, "solver sweeps per step: {mean:.2} on average, {most} at most")?;
+            writeln!(f, "solver iterations per step: {mean:.2} on average, {most} at most")?;
         }
         if let Some(own_steps) = extremes.own_steps {
             writeln!(f, "steps that adapt: {own_steps}")?;

@@ -277,7 +277,7 @@ pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64
             let defect = (g.transpose() * &g - DMatrix::identity(n, n)).amax();
             if !(defect <= TOLERANCE) {
                 let message = format!(
-                    "is not orthogonal: g^T g differs from I by {defect:e}, at most {TOLERANCE:e} is allowed"
+                    "is not orthogonal: g^T g differs from I by {defect:.1e}, at most {TOLERANCE:e} is allowed: give more digits, or `quaternion` or `axis_angle`"
                 );
                 return Err(ScenarioError::invalid(pointer, message));
             }

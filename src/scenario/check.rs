@@ -128,7 +128,7 @@ fn is_unseen(c: char) -> bool {
 pub(super) fn number(pointer: &str, x: f64) -> Check {
     // JSON has no NaN; an infinite value cannot be written either.
     ensure(x.abs() <= MAX_SIZE, pointer, || {
-        format!("{x:e} given, the size of a number is at most {MAX_SIZE:e}")
+        format!("{x:?} given, the size of a number is at most {MAX_SIZE:e}")
     })
 }
 
@@ -143,7 +143,7 @@ fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
 pub(super) fn strength(pointer: &str, x: f64) -> Check {
     number(pointer, x)?;
     ensure(x == 0.0 || x.abs() >= SMALLEST_STRENGTH, pointer, || {
-        format!("{x:e} given, a size is 0 or at least {SMALLEST_STRENGTH:e}")
+        format!("{x:?} given, a size is 0 or at least {SMALLEST_STRENGTH:e}")
     })
 }
 
@@ -203,7 +203,10 @@ fn inertia(given: &Inertia) -> Check {
     match given {
         Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
             ensure(x >= RANGE.0 && x <= RANGE.1, format!("/scene/inertia/principal/{i}"), || {
-                format!("{x:e} given, a moment of inertia lies from {:e} to {:e}", RANGE.0, RANGE.1)
+                format!(
+                    "{x:?} given, a moment of inertia lies from {:e} to {:e} kg m^2",
+                    RANGE.0, RANGE.1
+                )
             })
         }),
         Inertia::Matrix(rows) => {
@@ -258,7 +261,7 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
             only_three(pointer.clone())?;
             direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
             ensure(turn.angle_rad.abs() <= 1e6, format!("{pointer}/angle_rad"), || {
-                format!("{:e} given, an angle is at most 1e6 rad", turn.angle_rad)
+                format!("{:?} given, an angle is at most 1e6 rad", turn.angle_rad)
             })?;
         }
     }
@@ -346,7 +349,7 @@ fn method(scenario: &Scenario, n: usize) -> Check {
     ensure(
         solver.tolerance >= low && solver.tolerance <= high,
         "/method/solver/tolerance",
-        || format!("{:e} given, it lies from {low:e} to {high:e}", solver.tolerance),
+        || format!("{:?} given, it lies from {low:e} to {high:e}", solver.tolerance),
     )?;
     ensure(
         (1..=MAX_ITERATIONS).contains(&solver.max_iterations),
@@ -371,7 +374,7 @@ fn method(scenario: &Scenario, n: usize) -> Check {
 fn accuracy(scenario: &Scenario, error: f64) -> Check {
     let (low, high) = ACCURACY_RANGE;
     ensure(error >= low && error <= high, "/accuracy/error", || {
-        format!("{error:e} given, it lies from {low:e} to {high:e}")
+        format!("{error:?} given, it lies from {low:e} to {high:e}")
     })?;
     let together = |given: bool, pointer: &str| {
         ensure(!given, pointer, || "is given together with `accuracy`, which chooses it".into())
@@ -388,7 +391,7 @@ fn accuracy(scenario: &Scenario, error: f64) -> Check {
 
 fn whole_duration(duration_s: f64) -> Check {
     ensure(duration_s > 0.0 && duration_s <= MAX_DURATION_S, "/duration_s", || {
-        format!("{duration_s:e} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s")
+        format!("{duration_s:?} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s")
     })
 }
 
@@ -406,7 +409,7 @@ fn duration(scenario: &Scenario) -> Check {
     };
     let (low, high) = (SMALLEST_STEP_S, LARGEST_STEP_S);
     ensure(h >= low && h <= high, "/step_s", || {
-        format!("{h:e} given, a step lies from {low:e} to {high:e} s")
+        format!("{h:?} given, a step lies from {low:e} to {high:e} s")
     })?;
     let (pointer, duration_s) = match (scenario.steps, scenario.duration_s) {
         (Some(_), Some(_)) => {
@@ -427,9 +430,13 @@ fn duration(scenario: &Scenario) -> Check {
                 (count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0,
                 "/duration_s",
                 || {
-                    let (below, above) = (count.floor() * h, count.ceil() * h);
+                    // Twelve digits are enough for a whole number of steps.
+                    let short = |x: f64| format!("{x:.11e}").parse().unwrap_or(x);
+                    let [below, above] =
+                        [count.floor(), count.ceil()].map(|count| short(count * h));
+                    let step = short(duration_s / count.ceil());
                     format!(
-                        "{duration_s} s is not a whole number of steps of {h} s; the nearest are {below} s and {above} s"
+                        "{duration_s} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
                     )
                 },
             )?;

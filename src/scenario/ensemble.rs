@@ -96,10 +96,10 @@ impl Ensemble {
         ensure(
             (0.0..=std::f64::consts::PI).contains(attitude_spread_rad),
             "/ensemble/attitude_spread_rad",
-            || format!("{attitude_spread_rad:e} given, a spread of turns lies from 0 to pi"),
+            || format!("{attitude_spread_rad:?} given, a spread of turns lies from 0 to pi"),
         )?;
         ensure((0.0..=MAX_SIZE).contains(momentum_spread), "/ensemble/momentum_spread", || {
-            format!("{momentum_spread:e} given, a spread lies from 0 to {MAX_SIZE:e}")
+            format!("{momentum_spread:?} given, a spread lies from 0 to {MAX_SIZE:e}")
         })?;
         for (name, spread) in
             [("attitude_spread_rad", attitude_spread_rad), ("momentum_spread", momentum_spread)]
@@ -107,7 +107,7 @@ impl Ensemble {
             ensure(
                 *spread == 0.0 || *spread >= SMALLEST_SIZE,
                 format!("/ensemble/{name}"),
-                || format!("{spread:e} given, a spread is 0 or at least {SMALLEST_SIZE:e}"),
+                || format!("{spread:?} given, a spread is 0 or at least {SMALLEST_SIZE:e}"),
             )?;
         }
         ensure(*attitude_spread_rad > 0.0 || *momentum_spread > 0.0, "/ensemble", || {

@@ -36,12 +36,24 @@ pub(crate) fn from_tree<T: DeserializeOwned + Serialize>(tree: Value) -> Result<
 /// The same, of a tree that is kept.
 pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, ScenarioError> {
     let typed = serde_path_to_error::deserialize(tree).map_err(|error| {
-        ScenarioError::invalid(pointer(error.path()), plain(&error.inner().to_string()))
+        let at = pointer(error.path());
+        let message = plain(&error.inner().to_string());
+        let message = several_keys(&message, tree.pointer(&at)).unwrap_or(message);
+        ScenarioError::invalid(at, message)
     })?;
     match serde_json::to_value(&typed) {
         Ok(printed) => no_list_for_an_object(tree, &printed, "").map(|()| typed),
         Err(error) => Err(ScenarioError::invalid("", plain(&error.to_string()))),
     }
+}
+
+/// What serde means where one of several forms is to be given, and none or more than one is.
+fn several_keys(message: &str, given: Option<&Value>) -> Option<String> {
+    let keys: Vec<_> = given?.as_object()?.keys().map(|key| format!("`{key}`")).collect();
+    (message.ends_with("map with a single key") && keys.len() != 1).then(|| match keys.len() {
+        0 => "is empty: one of its forms is needed".to_owned(),
+        count => format!("has {count} keys, {}: exactly one is allowed", keys.join(", ")),
+    })
 }
 
 /// serde also takes a list of its fields for an object: that is not what the description of the API says, and

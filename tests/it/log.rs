@@ -236,8 +236,7 @@ fn schemas_are_complete_and_one_per_type() {
 fn only_what_was_asked_for_is_written() {
     let (_folder, path) = place();
     let channels = vec![Channel::State, Channel::Solver];
-    let mut log =
-        LogWriter::create(&path, &LogHeader { channels, ..header() }).expect("create");
+    let mut log = LogWriter::create(&path, &LogHeader { channels, ..header() }).expect("create");
     run_dipole(&mut log, 12);
     log.message(Level::Warning, 0.12, "nobody reads this").expect("message");
     log.finish(succeeded()).expect("finish");
@@ -255,7 +254,8 @@ fn only_what_was_asked_for_is_written() {
 #[test]
 fn other_dimensions_have_no_frames() {
     let (_folder, path) = place();
-    let mut log = LogWriter::create(&path, &LogHeader { dimension: 4, ..header() }).expect("create");
+    let mut log =
+        LogWriter::create(&path, &LogHeader { dimension: 4, ..header() }).expect("create");
     let body = RigidBody::new(Kinetic::Principal { weights: Mat::<4>::repeat(0.5) }, vec![], 0.0);
     let momentum = hat::<4>(&[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
     let state = trajectory::State { attitude: Mat::<4>::identity(), momentum };

@@ -11,6 +11,7 @@
 //! P_k X_k + X_k P_k = asym(U_k^T V_k Omega_k^T) - h b_k dH/dg(U_k)                  (17a, f1), (19a, fff1)
 //! asym(f Lambda) = -p0 - asym(sum_i U_i X_i)                                        (24d, vih4)
 //! mu_k = -asym(U_k^T V_k) / (h b_k)                                                 (24a, vih1)
+//! Omega_k = dH/dmu(U_k, mu_k)                                                       (24f, vih6)
 //! p1 = -(P_e Lambda + Lambda P_e),    g1 = g0 f                                     (24e, vih5)
 //! ```
 //!
@@ -48,9 +49,11 @@ use vectors::InVectors;
 /// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
 pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 
-/// `n max |F|` up to which no singular value of an interpolated matrix is below two thirds.
+/// `n max |F|`, in vectors `n max |E|`, up to which no singular value of an interpolated matrix is
+/// below two thirds, in vectors one half.
 const MODEST_STRETCH: f64 = 0.5;
-/// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: there `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
+/// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: at a quarter turn
+/// `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
 const MODEST_TURN: f64 = 1.0;
 /// What f of a solved step may differ from a rotation.
 const MOST_OFF_THE_GROUP: f64 = 1e-9;
@@ -469,7 +472,8 @@ impl<const N: usize> GalerkinStep<N> {
         put_in
     }
 
-    /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`.
+    /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`, [time] of
+    /// docs/derivation.md.
     pub(super) fn lasted(&self, system: &Rescaled<'_, N>, g0: &Mat<N>) -> f64 {
         let in_lanes = system.body.principal().is_some() && !system.body.has_own();
         let sigma = |k: usize| {
@@ -509,8 +513,8 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// What the step of length `h` changes, in the frame of g0, each small by itself: `f - I = D - f E` for
-    /// `I + D = f (I + E)`, and the impulse of the forces
+    /// What the step of length `h` changes, in the frame of g0, each small by itself: `f - I = d - f E_e` for
+    /// `I + d = f (I + E_e)`, and the impulse of the forces
     ///
     /// ```text
     /// pi1 - p0 = -h sum_k b_k U_k dH/dg(U_k) U_k^T,      p1 = f^T pi1 f
@@ -719,6 +723,7 @@ impl<const N: usize> Sweeps<'_, N> {
         let Self { tableau, dynamics, h, p0, stages, end, .. } = self;
         let h = *h;
         let s = stages.len();
+        // (24c, vih3)
         for i in 0..s {
             let mut d = Mat::zeros();
             for j in 0..s {
@@ -728,11 +733,13 @@ impl<const N: usize> Sweeps<'_, N> {
             (stage.u, stage.e) = polar(&d, Some(i))?;
             stage.u_omega = so::product(&stage.u, &stage.omega);
         }
+        // (24b, vih2)
         let mut d = Mat::zeros();
         for j in 0..s {
             d += stages[j].u_omega * (h * tableau.b(j));
         }
         (end.f, end.e) = polar(&d, None)?;
+        // (17a, f1), (19a, fff1)
         let mut sum = Mat::zeros();
         for k in 0..s {
             let stage = &mut stages[k];
@@ -748,7 +755,7 @@ impl<const N: usize> Sweeps<'_, N> {
             stage.u_x = so::product(&stage.u, &stage.x);
             sum += stage.u_x;
         }
-        // M X + X M^T is asym(M X) for skew X.
+        // (24d, vih4): M X + X M^T is asym(M X) for skew X.
         end.lambda = lyapunov(&end.f, &(-*p0 - so::asym(&sum)), &end.lambda, None, iterations)?;
         let f_lambda = so::product(&end.f, &end.lambda);
         let (mut change, mut size) = (0.0_f64, p0.amax());
@@ -759,12 +766,14 @@ impl<const N: usize> Sweeps<'_, N> {
                 v += stages[i].u_x * (h * tableau.a(i, k));
             }
             let stage = &mut stages[k];
+            // (24a, vih1)
             let mu = -so::asym(&so::transposed_product(&stage.u, &v)) / weight;
             if !mu.iter().all(|x| x.is_finite()) {
                 return Err(Failure::not_finite(Some(k)));
             }
             change = change.max((mu - stage.mu).amax());
             size = size.max(mu.amax());
+            // (24f, vih6)
             stage.omega = dynamics.velocity(k, &stage.u, &mu, &stage.omega);
             stage.u_omega = so::product(&stage.u, &stage.omega);
             (stage.v, stage.mu) = (v, mu);

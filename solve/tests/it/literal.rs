@@ -86,7 +86,8 @@ pub(crate) fn step<const N: usize>(
             asym(&(u[k].transpose() * along)) * (h / b(k)) - asym(&(u[k].transpose() * g1 * lambda))
         });
         // (24d, vih4) with (19b, fff2)
-        // asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_{A_l}(S_l)), for a symmetric Lambda a Lyapunov equation
+        // asym(g0^T g1 Lambda) = -p0 + h asym(g0^T sum_l dP*_{A_l}(S_l)), for the skew Lambda a Lyapunov equation:
+        // asym(f Lambda) = f Lambda + Lambda f^T with f = g0^T g1
         let rhs = asym(&(g0.transpose() * sum(&|l| image[l]))) * h - p0;
         lambda = lyapunov(&(g0.transpose() * g1), &rhs);
         (u, g1) = (next_u, next_g1);

@@ -131,8 +131,8 @@ impl Coefficients {
             lanes.weights[i] = tableau.b(i);
             lanes.nodes[i] = tableau.c(i);
             for j in 0..stages {
-                // Of two that make one to the last bit the smaller is what the larger leaves: the pair is symplectic
-                // whatever their rounding.
+                // Of two that make one to the last bit the smaller is what the larger leaves: off the diagonal the pair is
+                // symplectic whatever their rounding; e_kk is 1/2 to the bit for the built-in Gauss tableaux.
                 let smaller = part(i, j) < part(j, i);
                 let e = if smaller { 1.0 - part(j, i) } else { part(i, j) };
                 lanes.columns[j][i] = e;
@@ -143,7 +143,9 @@ impl Coefficients {
     }
 }
 
-/// The unknowns of the stages, and room to work: n x n matrices in lanes, row by row. Skew and symmetric ones are whole.
+/// The unknowns of the stages, and room to work: n x n matrices in lanes, row by row. Skew and symmetric ones are whole,
+/// but for `kappa`, `delta_rest` and some in `room`, of which only what is above the diagonal counts (of symmetric ones
+/// with the diagonal).
 #[derive(Clone, Debug)]
 struct Unknowns {
     /// p0, and the weights of a body, in every lane.
@@ -222,7 +224,7 @@ struct End {
     room: [Numbers; 2],
 }
 
-/// What else is known of a solution: the largest entry of any F, and the largest square of |C|.
+/// What else is known of a solution: the largest entry of any F, in vectors of any E, and the largest square of |C|.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved {
     pub(super) rounds: u32,
@@ -230,7 +232,7 @@ pub(super) struct Solved {
     pub(super) h: f64,
     /// The last change of a momentum, relative to the largest.
     pub(super) increment: f64,
-    /// The largest entry of any F.
+    /// The largest entry of any F, in vectors of any E.
     pub(super) stretch: f64,
     /// The largest `|C|_F^2`.
     pub(super) turn: f64,
@@ -428,7 +430,7 @@ struct Step<'a, R: Stages<Whole = f64>, D: Dimension> {
     weights: R,
     /// The largest entry of a momentum.
     size: f64,
-    /// The largest angle by which a stage's velocity turns in the step.
+    /// The largest angle h |Omega_k| through which the velocity of a stage would turn the body in the step.
     turn: f64,
     u: &'a mut Unknowns,
     end: &'a mut End,
@@ -634,7 +636,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Ok(())
     }
 
-    /// The forces and the time of the stages, and the length of a step that is to last so long:
+    /// [time]: the forces and the time of the stages, and the length of a step that is to last so long,
     /// `h = t / sum_k b_k sigma_k`.
     fn look_at_time(&mut self) {
         if let Forces::Rescaled { work, .. } = &self.forces {
@@ -700,7 +702,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         end.impulse.fill(0.0);
     }
 
-    /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. Returns the largest change of a momentum.
+    /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. It is Gauss collocation of
+    /// `mu' = [mu, Omega] - dH/dg` in the body, which differs from [transport] by the order h^(s+1), that of delta; it needs
+    /// one product where [transport] needs two, to turn pi into the body, and a polar factor. Returns the largest change of a
+    /// momentum.
     fn momenta_in_body(&mut self) -> f64 {
         let Self { stack, coefficients, weights, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
@@ -735,7 +740,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         stack.scale(*weights, w);
     }
 
-    /// [w], [D] and [C], with the K that there is.
+    /// [w], [D] and [C], with the K that there is: (24c, vih3).
     fn attitudes(&mut self) {
         let Self { stack, coefficients, weights, u, .. } = self;
         let Unknowns { w, c, d, k, omega, .. } = &mut **u;
@@ -761,7 +766,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         *turn = h.abs() * square.largest().sqrt();
     }
 
-    /// [F], [K] and [C]
+    /// [F], [K] and [C]: (24c, vih3).
     fn polar_factors(&mut self) {
         let Self { stack, u, .. } = self;
         let Unknowns { d, c, f, k, room: [room, ..], .. } = &mut **u;
@@ -848,9 +853,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// [end]: the polar factor of the end point in so many passes, pi1, and the multiplier by
-    /// `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`; and [E] of
-    /// the stages.
+    /// [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in so many passes, pi1, and the multiplier by (6),
+    /// `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is
+    /// (24e, vih5); and [E] of the stages.
     fn end_point(&mut self, passes: usize) {
         let Self { stack, start, u, end, .. } = self;
         let (n, one) = (stack.n(), stack.whole());
@@ -887,7 +892,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         excess.copy_from_slice(next);
     }
 
-    /// `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and (19a, fff1).
+    /// [X], by (5): `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and
+    /// (19a, fff1).
     fn multipliers(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
@@ -963,7 +969,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         jump.largest()
     }
 
-    /// The largest change of an attitude since T was set to it, in units of momenta.
+    /// The largest change of an attitude since it was copied into t, which is room here, in units of momenta.
     fn turned(&mut self) -> f64 {
         let Self { stack, u, size, .. } = self;
         let mut change = stack.lanes.constant(0.0);
@@ -1010,12 +1016,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.newest_defects()
     }
 
-    /// Omega. Returns by how much it is not yet what mu asks for, in units of mu.
+    /// Omega, by (24f, vih6). Returns by how much it is not yet what mu asks for, in units of mu.
     #[inline(always)]
     fn velocities(&mut self) -> f64 {
         let Unknowns { inertia, c, mu, omega, gradient, rescaled, .. } = &mut *self.u;
         match &mut self.forces {
             Forces::Rescaled { scale, .. } => {
+                // [time]
                 rescaled.derivatives(self.stack, scale, inertia, [c, mu], omega, gradient);
                 0.0
             }

@@ -5,7 +5,7 @@
 //!
 //! ```text
 //! [turn]       u_k = 1 + sum_j e_kj r_j + theta_k
-//! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j vee(dK/dg(U_j))
+//! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j vee(dH~/dg(U_j))
 //! [defect]     delta_k = vee(asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T))
 //! ```
 //!
@@ -13,11 +13,11 @@
 //! quaternion and momentum; both are of order h^(s+1). So a round takes four sums over the stages, and matrices are formed
 //! where the two are evaluated.
 //!
-//! In a time of its own `Omega = sigma J^-1 mu`, and dK/dg is the gradient of `K = sigma (H - H0)`. Both follow the momenta, and
-//! to first order the attitudes, between two torques: with `eta = 2 vec(u*' u)`, u' where the torque was taken,
+//! In a time of its own `Omega = sigma J^-1 mu`, and dH~/dg is the gradient of `H~ = sigma (H - H0)`. Both follow the
+//! momenta, and to first order the attitudes, between two torques: with `eta = 2 vec(u*' u)`, u' where the torque was taken,
 //!
 //! ```text
-//! U = U' + vee(dU/dg) . eta,      S = S' + vee(dS/dg) . eta,      sigma = S^(-1/2)
+//! potential = potential' + vee(dH/dg) . eta,      sigma^-2 = sigma'^-2 + vee(dsigma^-2/dg) . eta
 //! ```
 //!
 //! Invariant: a step that is not solved here to round-off is left to [`super`].
@@ -45,7 +45,7 @@ const ROUNDS_AFTER: u32 = 4;
 const TORQUE_CONTRACTION: f64 = 0.02;
 /// Of the momentum, what may be missing in a collocation that is to be improved upon.
 const ENOUGH: f64 = 1e-15;
-/// What a step that went astray may leave of S.
+/// What a step that went astray may leave of sigma^-2.
 const LEAST: f64 = 0.25;
 /// So many torques, or evaluations, and a step that does not converge is left.
 const PATIENCE: u32 = 6;
@@ -220,7 +220,7 @@ struct Step<'a, R> {
     looked: Looked<R>,
     at: Quaternion<R>,
     sigma: R,
-    /// vee(dK/dg).
+    /// vee(dH~/dg).
     gradient: Vec3<R>,
     kappa: Vec3<R>,
     theta: Quaternion<R>,
