@@ -14,12 +14,13 @@
 //! use vpd::advise;
 //! use vpd::log::reader::{Message, read_samples};
 //! use vpd::run::{Control, JobContext, Outcome, execute};
-//! use vpd::scenario::{Inertia, Scenario, Scene};
+//! use vpd::scenario::{Entry, Framed, Inertia, Scenario, Scene};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! // Or from JSON: Scenario::from_json(text).
+//! // A scenario as JSON: Scenario::from_json(text).
 //! let mut scene = Scene::free(Inertia::Principal([1.0, 2.0, 3.0]));
-//! scene.initial = serde_json::from_str(r#"{ "momentum": { "body": [0.01, 2, 0.01] } }"#)?;
+//! let momentum = [0.01, 2.0, 0.01].map(Entry::Number).to_vec();
+//! scene.initial.momentum = Some(Framed::Body(momentum));
 //! let scenario = Scenario::of("free-body", scene, 0.01, 1000)?;
 //! let folder = tempfile::tempdir()?;
 //! let log = folder.path().join("free-body.mcap");
@@ -46,6 +47,9 @@
 //! | a log | [`log::reader`], [`log::inspect`], [`export`], [`diff`], `chart`, [`verify`] |
 //! | an accuracy instead of a method | [`advise`] |
 //! | many values of a field | [`sweep`] |
+//!
+//! The features `serve` (the service, the page), `chart` (pictures) and `live` (viewers of a running job) are on by default; without
+//! them (`default-features = false`) a scenario still runs to a log.
 //!
 //! [`scenario`] and [`solve`] do not know each other; [`run`] introduces them. See ARCHITECTURE.md.
 

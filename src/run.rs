@@ -138,6 +138,9 @@ pub enum RunError {
     /// The log could not be written.
     #[error(transparent)]
     Log(LogError),
+    /// What a [`Recording`] begins from is no state, or its schedule none.
+    #[error("{0}")]
+    Invalid(String),
     /// It was interrupted; the next run resumes its log.
     #[error("the run was interrupted; the same command resumes it from its log")]
     Interrupted,
@@ -148,6 +151,7 @@ impl RunError {
     pub fn code(&self) -> &'static str {
         match self {
             Self::Log(error) => error.code(),
+            Self::Invalid(_) => "invalid_input",
             Self::Interrupted => "interrupted",
         }
     }

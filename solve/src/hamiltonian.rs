@@ -25,7 +25,7 @@ use driven::Driven;
 pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
 pub(crate) use driven::{Input, Moment, Time};
 use potential::Own;
-pub use potential::Potential;
+pub use potential::{Potential, gradient_error};
 pub(crate) use rescaled::{AtStages, Looked, Scale};
 pub use rescaled::{Rescaled, TimeScale};
 pub use term::{Law, Term};
@@ -93,8 +93,12 @@ impl<const N: usize> Kinetic<N> {
         Self::Principal { weights }
     }
 
-    /// Of an inertia tensor in kg m^2, for n = 3; `None` if it is not positive definite.
+    /// Of an inertia tensor in kg m^2, for n = 3; `None` if it is not symmetric to rounding and positive definite.
     pub fn of_tensor(inertia: Matrix3<f64>) -> Option<Self> {
+        const ROUNDING: f64 = 1e-12;
+        if !((inertia - inertia.transpose()).amax() <= ROUNDING * inertia.amax()) {
+            return None;
+        }
         let inverse = inertia.cholesky()?.inverse();
         Some(Self::Tensor { inertia, inverse })
     }

@@ -5,6 +5,8 @@
 //! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
 //! holds, so that a trajectory which is resumed there is, to the bit, the one that was not interrupted.
 
+use nalgebra::DMatrix;
+
 use super::failure::{Failure, FailureCode};
 use super::hamiltonian::Energy;
 use super::nonlinear::Convergence;
@@ -12,7 +14,7 @@ use super::so::{self, Mat};
 use super::stepper::Stepper;
 use super::system::System;
 
-/// A point of T*SO(n), left-trivialised: `g' = g Omega`.
+/// A point of T*SO(n), left-trivialised: `g' = g Omega`. It is not checked: [`State::defect`] says how far it is from one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State<const N: usize> {
     /// The attitude g in SO(n): body coordinates to space coordinates.
@@ -21,10 +23,27 @@ pub struct State<const N: usize> {
     pub momentum: Mat<N>,
 }
 
+impl<const N: usize> State<N> {
+    /// How far it is from a state: the largest entry of `g^T g - I` and, relative to it, of `mu + mu^T`; 2 for a reflection, NaN for
+    /// what is not finite.
+    pub fn defect(&self) -> f64 {
+        let Self { attitude, momentum } = self;
+        let group = (so::transposed_product(attitude, attitude) - Mat::identity()).amax();
+        let size = momentum.amax();
+        let skew = if size > 0.0 { (momentum + momentum.transpose()).amax() / size } else { 0.0 };
+        let finite = attitude.iter().chain(momentum).all(|x| x.is_finite());
+        if !finite {
+            return f64::NAN;
+        }
+        let determinant = DMatrix::from_column_slice(N, N, attitude.as_slice()).determinant();
+        if determinant < 0.0 { 2.0 } else { group.max(skew) }
+    }
+}
+
 /// How far and how finely to go.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
-    /// The step h in seconds.
+    /// The step h in seconds, finite and above zero.
     pub step_s: f64,
     /// Number of steps.
     pub steps: u64,
@@ -188,7 +207,7 @@ impl<const N: usize> Sample<N> {
     }
 }
 
-/// Where samples go: the MCAP log, a `Vec` in tests and studies.
+/// Where samples go: the MCAP log, or a `Vec` that keeps them.
 pub trait Sink<const N: usize> {
     /// What may go wrong when a sample is kept.
     type Error;
@@ -209,6 +228,15 @@ pub trait Sink<const N: usize> {
     /// # Errors
     /// Ends the trajectory.
     fn checkpoint(&mut self, _checkpoint: &Checkpoint<N>) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+impl<const N: usize> Sink<N> for Vec<Sample<N>> {
+    type Error = std::convert::Infallible;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error> {
+        self.push(sample.clone());
         Ok(())
     }
 }

@@ -143,8 +143,8 @@ fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
     Ok(Ending { finished: damage.is_none(), damage, chunks: walk.chunks, bytes })
 }
 
-/// Reads the samples of `path`: every message of `/state`, `/energy`, `/orthogonality`, `/momentum`
-/// and `/solver` goes to `visit` with its log time.
+/// Reads the samples of `path`: every message of `/state`, `/energy`, `/orthogonality`, `/momentum`, `/solver`
+/// and `/pace` goes to `visit` with its log time.
 ///
 /// # Errors
 /// If the file cannot be opened or read.

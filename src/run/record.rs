@@ -23,6 +23,9 @@ use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
 /// A chunk of the log is closed, and so is safe from a kill, after this many samples.
 const SAMPLES_PER_CHUNK: u64 = 1000;
 
+/// What a start may differ from a state: what a scenario's may.
+const MOST_DEFECT: f64 = 1e-8;
+
 /// What the log of a system of one's own says of it, and how it is written.
 ///
 /// ```
@@ -50,8 +53,7 @@ const SAMPLES_PER_CHUNK: u64 = 1000;
 ///     }
 /// }
 ///
-/// let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 });
-/// let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)
+/// let body = RigidBody::new(Kinetic::of_moments([1.0; 3]), Vec::new(), 0.0)
 ///     .with_potential(Arc::new(Hinge));
 /// let tableau = Tableau::gauss(2).ok_or("1 to 8 stages")?;
 /// let mut stepper = VpdSo3::new(tableau, StopRule::default()).ok_or("at most 8 stages")?;
@@ -74,7 +76,7 @@ pub struct Recording {
     /// What else there is to say of the system: further entries of the record `vpd.job`. Those that this program writes
     /// itself (`name`, `vpd_version`, `vpd_build`, `dimension`, `order`, `step_s`, `steps`, `every`) are not replaced.
     pub notes: BTreeMap<String, String>,
-    /// What is logged, and computed for it. At first all that is of a single run.
+    /// The channels to log, and what is computed for them; by default all of a single run.
     pub channels: Vec<Channel>,
     /// Log time of t = 0, in nanoseconds since 1970. At first that of a scenario.
     pub epoch_ns: u64,
@@ -99,15 +101,17 @@ impl Recording {
     }
 
     /// Carries `initial` along `schedule` by `stepper` and writes the log, with charts of the energy and of the distance
-    /// from the group in it. Blocks; [`super::Control`] follows and stops it. Over what an earlier run left there, unless [`super::Control::replaces_nothing`].
+    /// from the group in it. Blocks; [`super::Control`] follows and stops it. A log that is there already is replaced, unless
+    /// [`super::Control::replaces_nothing`].
     ///
-    /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis. Momentum drift is given
+    /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis, whose step is a guess that was
+    /// not tried. Momentum drift is given
     /// as far as the system says what is conserved. A warning that the run means little is not given: how much of the
     /// energy of the system moves is not known.
     ///
     /// # Errors
-    /// If the log cannot be written, or the run is interrupted: no log is left then, unless the file system may take it
-    /// later.
+    /// If the start is more than 1e-8 away from a state, or the step is not a number above zero: nothing is written then. If
+    /// the log cannot be written, or the run is interrupted: no log is left then, unless the file system may take it later.
     pub fn run<const N: usize, Y: System<N> + ?Sized>(
         &self,
         system: &Y,
@@ -118,6 +122,18 @@ impl Recording {
     ) -> Result<Summary, RunError> {
         let begun = Instant::now();
         let JobContext { log, control } = *context;
+        let defect = initial.defect();
+        if !(defect <= MOST_DEFECT) {
+            return Err(RunError::Invalid(format!(
+                "the start is no state: g^T g - I or the symmetric part of the momentum is {defect:.1e}, at most {MOST_DEFECT:e} is allowed"
+            )));
+        }
+        if !(schedule.step_s > 0.0 && schedule.step_s.is_finite()) {
+            let step_s = schedule.step_s;
+            return Err(RunError::Invalid(format!(
+                "{step_s:?} s given, a step is longer than zero"
+            )));
+        }
         let header = self.header::<N>(schedule, stepper.order());
         let writer = begin_log(context, &header)?;
         let (figures, course) = (Figures::default(), Course::default());

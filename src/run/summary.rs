@@ -379,7 +379,7 @@ pub(super) fn diagnosis(
         ),
         Advised::Untried { step_s } => (
             format!(
-                "try a step of {} s, or look at the law there; none was tried",
+                "try a step of {} s (a guess that was not tried), or check the law at this state",
                 written(step_s)
             ),
             None,

@@ -13,7 +13,7 @@ use super::{Entry, Framed};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DrivenTerm {
-    /// The term, as it is at t = 0 (on an orbit: at the pericentre).
+    /// The term, as it is at t = 0; on an orbit, see there.
     pub term: PotentialTerm,
     /// How its direction or position moves; it stays if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -29,7 +29,7 @@ pub struct DrivenTerm {
 pub enum Path {
     /// It turns at a constant rate.
     Turning(Turning),
-    /// It follows an orbit of Kepler's.
+    /// It follows a Kepler orbit.
     Orbit(Orbit),
 }
 
@@ -45,9 +45,9 @@ pub struct Turning {
     pub rate_rad_s: f64,
 }
 
-/// An orbit of Kepler's. The term's own direction or position is that at the pericentre. On the way a position comes
-/// nearer and goes farther; a direction only turns, and the strength of a gravity gradient goes as the inverse cube of
-/// the distance.
+/// A Kepler orbit. The term's own direction or position points to the pericentre. The length of a position is the
+/// semi-major axis: it comes nearer and goes farther. A direction only turns; the strength of a gravity gradient is that at
+/// the distance of the semi-major axis, and changes with the inverse cube of the distance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Orbit {

@@ -106,7 +106,7 @@ fn what_goes_wrong_is_said_in_a_finished_log() {
     let diagnosis = summary.diagnosis.expect("a reason");
     assert_eq!((diagnosis.step, summary.samples), (summary.steps + 1, summary.steps + 1));
     assert!((15..=16).contains(&diagnosis.step), "{diagnosis}");
-    assert!(diagnosis.advice.contains("none was tried"), "{diagnosis}");
+    assert!(diagnosis.advice.contains("not tried"), "{diagnosis}");
     let sum = inspect(&log).expect("readable");
     assert!(sum.finished);
     assert_eq!(sum.outcome.expect("a record")["state"], "failed");
@@ -252,4 +252,29 @@ fn the_map_of_a_system_of_ones_own() {
     }
     assert!(stability_map("top", &map).expect("drawn").contains("vpd gauss2"));
     assert_eq!(map.table().rows.len(), 2 * map.steps_s.len());
+}
+
+#[test]
+fn a_start_that_is_no_state_is_refused_before_a_log_is_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("refused.mcap");
+    let context = JobContext { log: &log, control: &Control::default() };
+    let body = RigidBody::new(Kinetic::of_moments([1.0, 2.0, 2.5]), Vec::new(), 0.0);
+    let refused = |attitude: Mat<3>, step_s| {
+        let mut stepper =
+            VpdSo3::new(Tableau::gauss(2).expect("2 stages"), StopRule::default()).expect("lanes");
+        let start = State { attitude, momentum: so::hat(&[0.0, 0.1, 1.0]) };
+        let schedule = Schedule { step_s, steps: 3, every: 1 };
+        let run = Recording::new("refused").run(&body, &mut stepper, &start, schedule, &context);
+        run.err().map(|error| (error.code(), error.to_string()))
+    };
+    let four_digits = Mat::identity() * 1.0001;
+    let (code, text) = refused(four_digits, 0.1).expect("no rotation");
+    assert_eq!(code, "invalid_input");
+    assert!(text.contains("2.0e-4"), "{text}");
+    for step_s in [0.0, -0.1, f64::NAN] {
+        assert_eq!(refused(Mat::identity(), step_s).expect("no step").0, "invalid_input");
+    }
+    assert!(!log.exists() && !folder.path().join("refused.mcap.part").exists());
+    assert_eq!(refused(Mat::identity(), 0.1), None);
 }

@@ -30,9 +30,9 @@ pub enum Path<const N: usize> {
         /// In rad/s.
         rate: f64,
     },
-    /// It follows an orbit of Kepler's: at the pericentre it is the term's own, and it turns towards `across`. A place is
-    /// nearer there and farther at the apocentre; of a direction the length stays, and the gradient of gravity along it
-    /// is strong as the inverse cube of the distance.
+    /// It follows a Kepler orbit: the term's own vector points to the pericentre, and turns from there towards `across`. A
+    /// place has the semi-major axis for its length, and comes nearer and goes farther; of a direction the length stays, and
+    /// the gradient of gravity along it is multiplied by the inverse cube of the distance in semi-major axes.
     Orbit {
         /// Of length one, orthogonal to the term's own vector.
         across: Vector<N>,

@@ -428,6 +428,12 @@ impl<const N: usize> GalerkinStep<N> {
         &self.solution
     }
 
+    /// Was the step before solved by sweeps, and not as collocation with a deferred defect?
+    #[cfg(test)]
+    pub(super) fn was_swept(&self) -> bool {
+        matches!(self.solution.by, By::Sweeps)
+    }
+
     /// Where it stands.
     fn found(&self) -> Found<'_> {
         match (self.solution.by, &self.collocation, &self.in_vectors) {

@@ -164,3 +164,40 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
         Some(self.carried.step.sigma_min())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hamiltonian::{Kinetic, Law, Term};
+
+    /// Is a step of such a length solved by sweeps?
+    fn is_swept<const N: usize>(tableau: Tableau, h: f64) -> bool {
+        let moments = std::array::from_fn(|i| 0.5 + 0.1 * i as f64);
+        let vector = |from: f64| Vector::from_fn(|i, _| from - 0.2 * i as f64);
+        let law = Law::Uniform { weight: 0.7, body_point: vector(0.5) };
+        let body = RigidBody::<N>::new(
+            Kinetic::of_second_moments(moments),
+            vec![Term { law, space: vector(0.9) }],
+            0.0,
+        );
+        let entries: Vec<f64> = (0..so::dimension(N)).map(|k| 0.4 / (1 + k) as f64).collect();
+        let mut stepper = Vpd::new(tableau, StopRule::default());
+        stepper.start(&State { attitude: Mat::identity(), momentum: so::hat(&entries) });
+        stepper.step(&body, h).expect("a modest step");
+        stepper.carried.step.was_swept()
+    }
+
+    /// The comparison with the paper's literal step says something of the deferred defect only where that solves the step.
+    #[test]
+    fn a_modest_step_of_gauss_is_not_swept() {
+        for stages in [1, 2, 3, 5, 8] {
+            let gauss = || Tableau::gauss(stages).expect("1 to 8 stages");
+            for h in [0.05, 0.2, 0.4] {
+                assert!(!is_swept::<3>(gauss(), h), "n = 3, {stages} stages, h = {h}");
+                assert!(!is_swept::<4>(gauss(), h), "n = 4, {stages} stages, h = {h}");
+                assert!(!is_swept::<7>(gauss(), h), "n = 7, {stages} stages, h = {h}");
+            }
+        }
+        assert!(is_swept::<4>(Tableau::rk3(), 0.05));
+    }
+}

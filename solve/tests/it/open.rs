@@ -1,12 +1,13 @@
 //! Systems of a user's own: a potential next to the built-in terms, a Hamiltonian, a Lagrangian, through the same steps
 //! and the same time loop.
 
-use std::convert::Infallible;
 use std::sync::Arc;
 
 use vpd_solve::ensemble::Members;
 use vpd_solve::failure::{Failure, FailureCode};
-use vpd_solve::hamiltonian::{Energy, Hamiltonian, Kinetic, Law, Potential, RigidBody, Term};
+use vpd_solve::hamiltonian::{
+    Energy, Hamiltonian, Kinetic, Law, Potential, RigidBody, Term, gradient_error,
+};
 use vpd_solve::lagrangian::{self, Lagrangian};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
@@ -24,7 +25,7 @@ use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{
-    self, Ending, Observables, Sample, Schedule, Sink, State, Trajectory, integrate,
+    self, Ending, Observables, Sample, Schedule, State, Trajectory, integrate,
 };
 
 use crate::forms::{Charged, charged};
@@ -141,19 +142,6 @@ fn in_space() -> Steppers<3> {
     steppers
 }
 
-/// Keeps all samples.
-#[derive(Default)]
-struct Kept<const N: usize>(Vec<Sample<N>>);
-
-impl<const N: usize> Sink<N> for Kept<N> {
-    type Error = Infallible;
-
-    fn record(&mut self, sample: &Sample<N>) -> Result<(), Infallible> {
-        self.0.push(sample.clone());
-        Ok(())
-    }
-}
-
 fn run<const N: usize, Y: System<N> + ?Sized>(
     system: &Y,
     stepper: &mut dyn Stepper<N, Y>,
@@ -161,7 +149,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
     step_s: f64,
     steps: u64,
 ) -> (Trajectory<N>, Vec<Sample<N>>) {
-    let mut kept = Kept::default();
+    let mut kept = Vec::new();
     let schedule = Schedule { step_s, steps, every: steps.div_ceil(1000) };
     let observables = Observables {
         energy: true,
@@ -171,7 +159,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         pace: false,
     };
     let Ok(end) = integrate(system, stepper, start, schedule, observables, &mut kept, |_| true);
-    (end, kept.0)
+    (end, kept)
 }
 
 /// The largest difference of the states and energies of two runs.
@@ -629,7 +617,7 @@ fn a_lagrangian_that_is_not_hyperregular_is_refused() {
         sigma_min: false,
         pace: false,
     };
-    let mut kept = Kept::default();
+    let mut kept = Vec::new();
     let Ok(end) = trajectory::integrate(
         &Degenerate,
         &mut stepper,
@@ -639,5 +627,48 @@ fn a_lagrangian_that_is_not_hyperregular_is_refused() {
         &mut kept,
         |_| true,
     );
-    assert!(matches!(end.ending, Ending::Failed(_)) && kept.0.len() == 1);
+    assert!(matches!(end.ending, Ending::Failed(_)) && kept.len() == 1);
+}
+
+/// A hinge whose gradient is wrong by a factor.
+#[derive(Debug)]
+struct Hinge(f64);
+
+impl<const N: usize> Potential<N> for Hinge {
+    fn energy(&self, g: &Mat<N>) -> f64 {
+        0.5 * g[(0, N - 1)].powi(2)
+    }
+
+    fn gradient(&self, g: &Mat<N>) -> Mat<N> {
+        let mut slope = Mat::zeros();
+        slope[(0, N - 1)] = self.0 * g[(0, N - 1)];
+        so::asym(&so::transposed_product(g, &slope))
+    }
+}
+
+#[test]
+fn a_wrong_gradient_is_found_by_differences() {
+    fn found<const N: usize>() {
+        let g = start::<N>(&mut Numbers(83)).attitude;
+        let error = |factor| gradient_error(&Hinge(factor), &g);
+        assert!(error(1.0) < 1e-8, "n = {N}: {:e}", error(1.0));
+        assert!((error(-1.0) - 2.0).abs() < 1e-8 && (error(0.5) - 0.5).abs() < 1e-8, "n = {N}");
+        assert!(error(f64::NAN).is_nan());
+    }
+    found::<2>();
+    found::<3>();
+    found::<5>();
+}
+
+#[test]
+fn what_is_no_state_is_known() {
+    let good = start::<4>(&mut Numbers(84));
+    assert!(good.defect() < 1e-14, "{:e}", good.defect());
+    let with = |attitude, momentum| State { attitude, momentum }.defect();
+    let mut mirror = Mat::identity();
+    mirror[(0, 0)] = -1.0;
+    assert_eq!(with(good.attitude * mirror, good.momentum), 2.0);
+    assert!(with(good.attitude * 1.001, good.momentum) > 1e-3);
+    assert!(with(good.attitude, good.momentum + Mat::identity()) > 0.1);
+    assert!(with(good.attitude * f64::NAN, good.momentum).is_nan());
 }
