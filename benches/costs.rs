@@ -1,7 +1,6 @@
 //! What the parts of a step cost: `cargo bench --bench costs > src/plan/costs.json` makes the table that plans are
-//! estimated and methods are chosen by. Takes a few minutes on a machine that does nothing else. `-- and=TABLE` makes the
-//! mean with the table of another machine, so that methods are chosen well on either; any other word after `--` keeps to
-//! the methods whose name has it and prints their estimates next to what was measured.
+//! estimated and methods are chosen by. Takes a few minutes on a machine that does nothing else; a word after `--` keeps
+//! to the methods whose name has it and prints their estimates next to what was measured.
 
 use std::io::Write;
 
@@ -31,22 +30,17 @@ const RUNS: [(usize, f64); 7] =
 
 fn main() {
     let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
-    let other = asked.iter().find_map(|arg| arg.strip_prefix("and=")).map(table);
-    if !asked.is_empty() && other.is_none() {
+    if !asked.is_empty() {
         compare(&asked);
         return;
     }
-    let mut terms: Vec<Value> = DIMENSIONS.iter().map(|&n| terms_of(n)).collect();
+    let terms: Vec<Value> = DIMENSIONS.iter().map(|&n| terms_of(n)).collect();
     let mut schemes = Vec::new();
     for (method, tableau, n) in measured() {
         schemes.push(scheme(method, tableau, n, &terms));
     }
     for (method, tableau, n) in swept() {
         schemes.push(scheme(method, &format!("{BY_SWEEPS}{tableau}"), n, &terms));
-    }
-    if let Some(other) = other {
-        mean(&mut terms, &other["terms"]);
-        mean(&mut schemes, &other["schemes"]);
     }
     let line = |row: &Value| format!("    {row}");
     let lines = |rows: &[Value]| rows.iter().map(line).collect::<Vec<_>>().join(",\n");
@@ -55,28 +49,6 @@ fn main() {
         lines(&terms),
         lines(&schemes)
     ));
-}
-
-/// The table of another machine.
-fn table(path: &str) -> Value {
-    let text = std::fs::read_to_string(path).expect("a table that this bench wrote");
-    serde_json::from_str(&text).expect("a table that this bench wrote")
-}
-
-/// Takes the mean of the costs with those of the same row of another table.
-fn mean(rows: &mut [Value], others: &Value) {
-    const KEYS: [&str; 4] = ["method", "swept", "stages", "n"];
-    for row in rows.iter_mut().filter_map(Value::as_object_mut) {
-        let same = |other: &&Value| KEYS.iter().all(|key| row.get(*key) == other.get(*key));
-        let Some(other) = others.as_array().and_then(|all| all.iter().find(same)) else { continue };
-        for (key, cost) in row {
-            if !KEYS.contains(&key.as_str())
-                && let (Some(here), Some(there)) = (cost.as_f64(), other[key].as_f64())
-            {
-                *cost = json!(rounded(0.5 * (here + there)));
-            }
-        }
-    }
 }
 
 /// The methods that have costs of their own, with tableaux or orders, in the dimensions where each runs.
