@@ -243,7 +243,7 @@ fn run<const N: usize>(
             (Outcome::Failed, Some(found))
         }
     };
-    // To stop the search for a smaller step stops the run before the step that failed.
+    // Stopping the search for a smaller step stops the run before the step that failed.
     if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
         recorder.writer.leave();
         return Err(RunError::Interrupted);

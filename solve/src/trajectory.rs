@@ -24,8 +24,8 @@ pub struct State<const N: usize> {
 }
 
 impl<const N: usize> State<N> {
-    /// How far it is from a state: the largest entry of `g^T g - I` and, relative to it, of `mu + mu^T`; 2 for a reflection, NaN for
-    /// what is not finite.
+    /// How far it is from a state: the largest entry of `g^T g - I`, or that of `mu + mu^T` in parts of the largest of mu if it is
+    /// larger; 2 for a reflection, NaN for what is not finite.
     pub fn defect(&self) -> f64 {
         let Self { attitude, momentum } = self;
         let group = (so::transposed_product(attitude, attitude) - Mat::identity()).amax();

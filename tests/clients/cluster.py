@@ -184,7 +184,7 @@ def test_kill():
         wait("the parts to go", lambda: not any(
             page.get("KeyCount") for page in [made.s3.list_objects_v2(Bucket="vpd", Prefix="record/parts/")]))
         waits.sort()
-        print(f"      {killed} kills in {len(jobs)} jobs: taken up again after {waits[len(waits) // 2]:.1f} s, "
+        print(f"      {killed} kills in {len(jobs)} jobs: resumed after {waits[len(waits) // 2]:.1f} s, "
               f"at most {waits[-1]:.1f} s, with a lease of {LEASE_S} s")
         assert waits[-1] <= 3 * LEASE_S, waits
 

@@ -693,8 +693,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
         }
         u.mu.copy_from_slice(&u.p0);
-        let Unknowns { k, f, e: excess, x, delta, gain, gradient, kappa, .. } = &mut **u;
-        for matrices in [k, f, excess, x, delta, gain, gradient, kappa] {
+        let Unknowns { k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
+        for matrices in [k, f, e, x, delta, gain, gradient, kappa] {
             matrices.fill(0.0);
         }
         end.k.fill(0.0);
@@ -859,7 +859,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn end_point(&mut self, passes: usize) {
         let Self { stack, start, u, end, .. } = self;
         let (n, one) = (stack.n(), stack.whole());
-        let Unknowns { w, kappa, f, e: excess, f_lambda, room: [next, ..], .. } = &mut **u;
+        let Unknowns { w, kappa, f, e, f_lambda, room: [next, ..], .. } = &mut **u;
         let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b] } = &mut **end;
         stack.sum_of_stages(w, d);
         one.difference(d, k, c);
@@ -888,8 +888,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
         one.plus_product(multiplier, multiplier, c, a);
         stack.spread(a, f_lambda);
-        stack.plus_product(f, f, excess, next);
-        excess.copy_from_slice(next);
+        stack.plus_product(f, f, e, next);
+        e.copy_from_slice(next);
     }
 
     /// [X], by (5): `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and
@@ -897,8 +897,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn multipliers(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { mu, omega, s, e: excess, x, gradient, room: [next, ..], .. } = &mut **u;
-        let (mu, omega, s, excess) = (&mu[..len], &omega[..len], &s[..len], &excess[..len]);
+        let Unknowns { mu, omega, s, e, x, gradient, room: [next, ..], .. } = &mut **u;
+        let (mu, omega, s, e) = (&mu[..len], &omega[..len], &s[..len], &e[..len]);
         let (x, gradient, next) = (&mut x[..len], &gradient[..len], &mut next[..len]);
         for i in 0..n {
             for j in i + 1..n {
@@ -906,7 +906,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 let commutator = stack.asym_of_product(mu, omega, i, j);
                 let load = stack.asym_of_product(s, omega, i, j);
                 let load = (commutator * 0.5 - load) + stack.get(gradient, i, j);
-                let stretched = stack.asym_of_product(excess, x, i, j);
+                let stretched = stack.asym_of_product(e, x, i, j);
                 stack.put_skew(next, i, j, (stretched - *weights * load) * 0.5);
             }
             stack.put(next, i, i, stack.lanes.constant(0.0));
