@@ -297,10 +297,11 @@ fn work_of_steps(plan: &Plan, member: u64) -> Result<First, ScenarioError> {
     let first_failed = matches!(run.end, End::Failed(_)) && run.steps == 0;
     let unended = run.steps == 0 && !first_failed;
     let part = if unended { UNENDED } else { 1.0 / run.steps.max(1) as f64 };
-    let Counts { sweeps, gradients, pieces, .. } = run.counts();
+    let Counts { sweeps, passes, gradients, pieces, .. } = run.counts();
     let work = Counts {
         steps: 1.0,
         sweeps: part * sweeps,
+        passes: part * passes,
         gradients: part * gradients,
         pieces: part * pieces,
     };

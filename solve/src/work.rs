@@ -8,12 +8,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::failure::{Failure, FailureCode};
 
-/// Counts gradients, sweeps and pieces, and refuses a sweep past the most allowed or after it was cancelled. A step may be
+/// Counts gradients, sweeps, passes and pieces, and refuses a sweep past the most allowed or after it was cancelled. A step may be
 /// many sweeps, and a sweep long: it is asked before each.
 #[derive(Clone, Debug)]
 pub struct Work {
     gradients: Cell<u64>,
     sweeps: Cell<u64>,
+    passes: Cell<u64>,
     pieces: Cell<u64>,
     most_sweeps: u64,
     stop: Arc<AtomicBool>,
@@ -30,7 +31,14 @@ impl Work {
     /// At most so many sweeps, and none once `stop` is set.
     pub fn limited(most_sweeps: u64, stop: Arc<AtomicBool>) -> Self {
         let none = || Cell::new(0);
-        Self { gradients: none(), sweeps: none(), pieces: none(), most_sweeps, stop }
+        Self {
+            gradients: none(),
+            sweeps: none(),
+            passes: none(),
+            pieces: none(),
+            most_sweeps,
+            stop,
+        }
     }
 
     /// Gradients of the potential taken so far.
@@ -41,6 +49,12 @@ impl Work {
     /// Sweeps begun so far: of an explicit scheme or a composition, steps.
     pub fn sweeps(&self) -> u64 {
         self.sweeps.get()
+    }
+
+    /// Passes so far over attitudes and momenta within sweeps, which take no gradient and of a defect only what is new: of the
+    /// collocation with a deferred defect.
+    pub fn passes(&self) -> u64 {
+        self.passes.get()
     }
 
     /// Pieces in which motions of the free body were computed, beyond the first of each.
@@ -56,6 +70,11 @@ impl Work {
     /// Takes note of gradients.
     pub(super) fn add_gradients(&self, gradients: u64) {
         self.gradients.set(self.gradients() + gradients);
+    }
+
+    /// Takes note of a pass within a sweep.
+    pub(super) fn add_pass(&self) {
+        self.passes.set(self.passes() + 1);
     }
 
     /// Takes note of the pieces of a free motion.

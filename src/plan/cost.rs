@@ -31,6 +31,9 @@ pub struct Counts {
     pub steps: f64,
     /// Those of Newton's method included; of a method without sweeps its steps.
     pub sweeps: f64,
+    /// Within sweeps: [`crate::solve::work::Work::passes`].
+    #[serde(default)]
+    pub passes: f64,
     /// Gradients of the potential, each at one attitude.
     pub gradients: f64,
     /// Of the exact free body, beyond the first of each of its motions: the faster it turns, the more there are.
@@ -67,6 +70,7 @@ impl Counts {
         (!of.is_empty()).then(|| Self {
             steps: part(|work| work.steps),
             sweeps: part(|work| work.sweeps),
+            passes: part(|work| work.passes),
             gradients: part(|work| work.gradients),
             pieces: part(|work| work.pieces),
         })
@@ -79,6 +83,8 @@ struct Scheme {
     step_ns: f64,
     /// Without the terms of the potential.
     sweep_ns: f64,
+    #[serde(default)]
+    pass_ns: f64,
     /// What a term costs here, in parts of what it costs in [`Table::terms`].
     terms: f64,
 }
@@ -207,11 +213,17 @@ impl Plan {
             Motion::InPlane => IN_PLANE,
             Motion::General => 1.0,
         };
-        let Scheme { step_ns, sweep_ns, terms } = self.scheme();
+        let Scheme { step_ns, sweep_ns, pass_ns, terms } = self.scheme();
         let gradient_ns = terms * self.terms_cost_ns() + self.driven_ns();
         let step_ns = step_ns + self.driven_ns() * self.formulation.stages as f64;
-        let parts = work.steps * step_ns + work.sweeps * sweep_ns + work.gradients * gradient_ns;
-        part * (parts + work.pieces * PIECE_NS)
+        let parts = [
+            work.steps * step_ns,
+            work.sweeps * sweep_ns,
+            work.passes * pass_ns,
+            work.gradients * gradient_ns,
+            work.pieces * PIECE_NS,
+        ];
+        part * parts.iter().sum::<f64>()
     }
 
     /// Bytes in a sample of what was put in, of a scene that changes with time or is pushed, and of its Jacobi integral.
@@ -256,19 +268,21 @@ impl Plan {
 
     /// The work of a step whose sweeps nobody has counted.
     fn usual_work(&self) -> Counts {
+        /// Where a method has such.
+        const PASSES_OF_SWEEP: f64 = 1.5;
         let Formulation { method, stages, .. } = self.formulation;
         let sweeps = method.facts().sweeps[usize::from(self.dimension != 3)];
-        let gradients = sweeps * stages as f64;
-        Counts { steps: 1.0, sweeps, gradients, pieces: self.usual_pieces() }
+        let (passes, gradients) = (PASSES_OF_SWEEP * sweeps, sweeps * stages as f64);
+        Counts { steps: 1.0, sweeps, passes, gradients, pieces: self.usual_pieces() }
     }
 
     /// About what one sweep over all stages costs with all that belongs to it, in nanoseconds: of a method without sweeps
     /// a step.
     pub(crate) fn sweep_cost_ns(&self) -> f64 {
-        let Counts { sweeps, gradients, pieces, .. } = self.usual_work();
+        let Counts { sweeps, passes, gradients, pieces, .. } = self.usual_work();
         let steps = if sweeps == 1.0 { 1.0 } else { 0.0 };
-        let gradients = gradients / sweeps;
-        self.work_ns(Counts { steps, sweeps: 1.0, gradients, pieces }).max(1.0)
+        let (passes, gradients) = (passes / sweeps, gradients / sweeps);
+        self.work_ns(Counts { steps, sweeps: 1.0, passes, gradients, pieces }).max(1.0)
     }
 
     /// The same of steps that adapt, by a Gauss tableau of so many stages.
@@ -314,16 +328,21 @@ impl Plan {
                     line.clone().map(|row| (row.n as f64, of(&row.costs))).collect();
                 between(&points, n, libm::log)
             };
-            [part(|costs| costs.step_ns), part(|costs| costs.sweep_ns), part(|costs| costs.terms)]
+            [
+                part(|costs| costs.step_ns),
+                part(|costs| costs.sweep_ns),
+                part(|costs| costs.pass_ns),
+                part(|costs| costs.terms),
+            ]
         };
-        let lines: Vec<(f64, [f64; 3])> =
+        let lines: Vec<(f64, [f64; 4])> =
             counts.into_iter().map(|count| (count as f64, at(count))).collect();
-        let [step_ns, sweep_ns, terms] = std::array::from_fn(|part| {
+        let [step_ns, sweep_ns, pass_ns, terms] = std::array::from_fn(|part| {
             let points: Vec<(f64, f64)> =
                 lines.iter().map(|(count, costs)| (*count, costs[part])).collect();
             between(&points, stages as f64, |x| x)
         });
-        Scheme { step_ns, sweep_ns, terms }
+        Scheme { step_ns, sweep_ns, pass_ns, terms }
     }
 
     /// About what the gradient of the potential costs at one attitude by itself.

@@ -153,6 +153,7 @@ pub(crate) struct Measured {
     /// Sweeps, those of Newton's method and of a step that failed included.
     pub(crate) sweeps: u64,
     /// Of the exact free body, beyond the first of each of its motions.
+    pub(crate) passes: u64,
     pub(crate) pieces: u64,
     /// What it costs by the plan's figures.
     pub(crate) cost_ns: f64,
@@ -180,6 +181,7 @@ impl Measured {
             steps: self.steps as f64,
             sweeps: self.sweeps as f64,
             gradients: self.force_evaluations as f64,
+            passes: self.passes as f64,
             pieces: self.pieces as f64,
         }
     }
@@ -272,6 +274,7 @@ impl Task for Measurement<'_> {
         let mut run = run_of(&body, stepper.as_mut(), origin, self.probe, self.watch);
         run.force_evaluations = body.work().gradients();
         run.sweeps = body.work().sweeps();
+        run.passes = body.work().passes();
         run.pieces = body.work().pieces();
         run
     }
@@ -329,6 +332,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         rung: reached.convergence.map(|solved| solved.rung),
         force_evaluations: 0,
         sweeps: 0,
+        passes: 0,
         pieces: 0,
         cost_ns: 0.0,
         fastest_rad_s: fastest.0,
@@ -416,6 +420,8 @@ pub struct Effort {
     pub step_ns: f64,
     /// Sweeps of a step.
     pub sweeps: f64,
+    /// Passes of a step within them: [`crate::solve::work::Work::passes`].
+    pub passes: f64,
     /// Gradients of the potential, each at one attitude, of a step.
     pub gradients: f64,
 }
@@ -430,11 +436,12 @@ pub fn effort(scenario: &Scenario) -> Result<Effort, ScenarioError> {
     let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &Watch::default())?;
     let plan = variant(scenario, &scenario.method, step_s, steps)?;
     let turns = (0..TURNS).map(|_| assembled(&plan, Timing::of(step_s, steps)));
-    let Counts { steps, sweeps, gradients, pieces: _ } = run.counts();
+    let Counts { steps, sweeps, passes, gradients, pieces: _ } = run.counts();
     let steps = steps.max(1.0);
     Ok(Effort {
         step_ns: turns.fold(f64::INFINITY, f64::min),
         sweeps: sweeps / steps,
+        passes: passes / steps,
         gradients: gradients / steps,
     })
 }

@@ -573,14 +573,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn pass_until(&mut self, before: f64, goal: f64) -> Result<Passed, Stuck> {
         /// Below this part of the momentum a change that no longer falls is rounding.
         const FLOOR: f64 = 1e-14;
-        /// What a sweep has of them; more count as one each.
-        const USUAL_PASSES: u32 = 8;
         let mut rounds = Rounds::new((0.15 * self.turn).clamp(0.01, 0.3), before);
         let (mut first, mut last) = (None, f64::INFINITY);
         for pass in 0..MOST_ROUNDS {
-            if pass >= USUAL_PASSES {
-                self.begin_sweep()?;
-            }
+            self.begin_pass(pass)?;
             // In a plane a momentum does not see the attitude.
             let sees = self.start.n > 2;
             if !sees {
@@ -612,6 +608,20 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             | Forces::Rescaled { work, .. } => work.begin_sweep(),
             Forces::Stages { system, .. } => system.begin_sweep(),
         }
+    }
+
+    fn begin_pass(&self, pass: u32) -> Result<(), Failure> {
+        /// What a sweep has of them; more count as one each.
+        const USUAL_PASSES: u32 = 8;
+        if pass >= USUAL_PASSES {
+            self.begin_sweep()?;
+        } else if let Forces::None { work, .. }
+        | Forces::Body { work, .. }
+        | Forces::Rescaled { work, .. } = &self.forces
+        {
+            work.add_pass();
+        }
+        Ok(())
     }
 
     fn gradients(&mut self) -> Result<(), Failure> {
