@@ -147,17 +147,13 @@ impl Motion<f64> {
     /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
     /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
     /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
-    /// The length of both is that of the momentum in space.
+    ///
+    /// The lengths of the two are left as they are: to give the momentum in the body that of the other would take from all its
+    /// components what rounding has put into some, and the energy of a heavy top grew in a line by that.
     pub(super) fn gain(&mut self, gain: &Vec3<f64>) {
         self.body_momentum.add(gain);
         let now = self.turn();
         let seen = transposed_product(&now.matrix(), &self.momentum.value);
-        let Sum { value, carry } = &mut self.body_momentum;
-        let square = dot(value, value);
-        let deficit = if square > 0.0 { 0.5 * (dot(&seen, &seen) / square - 1.0) } else { 0.0 };
-        for (carry, p) in carry.iter_mut().zip(&*value) {
-            *carry += deficit * p;
-        }
         let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
         let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);
         // Next to nothing: it is added at the next step.

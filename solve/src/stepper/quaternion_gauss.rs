@@ -52,7 +52,7 @@ use crate::trajectory::State;
 
 mod stages;
 
-use stages::{End, FEW_STAGES, LaneTableau, Stages, Start};
+use stages::{End, LaneTableau, Stages, Start};
 
 /// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
 macro_rules! in_lanes {
@@ -161,10 +161,10 @@ impl Stepper<3> for QuaternionGauss {
         let mut motion = self.motion;
         motion.advance(0.0, &turn, &kick);
         // As in VPD: a free body has the one in space to the bit.
-        if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
-            motion.gain(&gain);
-        } else {
+        if self.seen.is_empty() {
             motion.turn_momentum(0.0);
+        } else {
+            motion.gain(&gain);
         }
         if !motion.is_finite() {
             return Err(Failure::not_finite(None));

@@ -335,6 +335,20 @@ fn rounding_makes_a_random_walk_and_no_line() {
     assert!(exponent.value - 2.0 * exponent.half > WALK, "{exponent:?}");
 }
 
+/// Of a body that is the same all around its axis, on which its weight hangs, the momentum about the axis stays as it is.
+#[test]
+fn momentum_about_the_axis_of_a_top_is_kept_to_the_bit() {
+    let Scene { body, start, .. } = &scenes()[1];
+    for stages in [5, 6, 7, 8] {
+        let mut stepper = quaternion_gauss(stages);
+        stepper.start(start);
+        for _ in 0..2_000 {
+            stepper.step(body, 0.1).expect("a modest step");
+        }
+        assert_eq!(stepper.momentum()[(1, 0)], start.momentum[(1, 0)], "{stages} stages");
+    }
+}
+
 /// `cargo test --release growth_over_a_million_steps -- --ignored --nocapture`; `VPD_ONLY="quaternion_gauss 6"` keeps to the
 /// methods whose name has that.
 #[test]

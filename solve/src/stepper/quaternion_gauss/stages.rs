@@ -333,16 +333,17 @@ pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) ->
     let (x, d) = given.pass(&old_x, &load(lanes, &stages.d), &push);
     let mu = given.body_momentum(&x, &d);
     let omega = given.velocity(&mu);
-    let w = given.turning(&x, &scaled(&omega, given.weight * 0.5));
-    let turned = cross(&mu, &omega);
+    // The angle of a stage as the stages take it: what rounding makes of it is then that of another body, and symplectic.
+    let half = scaled(&omega, given.weight * 0.5);
+    let w = given.turning(&x, &half);
+    let turned = cross(&mu, &half);
     let torque: Vec3<R> = vec3!(i => lanes.load(&stages.torque[i]));
-    let rate = minus(&turned, &torque);
     // In the frame of q0, by the matrices that the torques are of: what a potential leaves alone in space stays as it is.
     let pushed = product(&given.rotation(&old_x).0, &torque);
     End {
         turn: Quaternion { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
         kick: vec3!(i => -(given.weight * pushed[i]).sum()),
-        gain: vec3!(i => (given.weight * rate[i]).sum()),
+        gain: vec3!(i => ((turned[i] + turned[i]) - given.weight * torque[i]).sum()),
     }
 }
 
