@@ -496,10 +496,11 @@ fn the_other_methods_reach_their_energy_figures() {
     for (name, mut stepper, h, figure) in runs {
         let run = long_run(name, stepper.as_mut(), h);
         assert!(run.worst() <= 2.0 * figure, "{name}: {:e}", run.worst());
-        // Of the 8 stages nothing is left but round-off, which has a trend of its own.
+        // Round-off walks, and a walk has a trend of its own; of the 8 stages nothing else is left.
         let (slope, _) = trend(&run.energy);
         let change = slope.abs() * 50.0;
-        assert!(name.ends_with('8') || change <= 0.2 * run.worst(), "{name}: {change:e}");
+        let walk = 2e-16 * (50.0 / h).sqrt();
+        assert!(name.ends_with('8') || change <= 0.2 * run.worst() + walk, "{name}: {change:e}");
         assert!(run.orthogonality <= 2e-15, "{name}: {:e}", run.orthogonality);
     }
 }
