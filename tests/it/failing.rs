@@ -225,7 +225,7 @@ fn an_advised_step_carries_the_run() {
 
 /// `cargo test --release advised_steps_of_two_hundred_scenes -- --ignored --nocapture`
 #[test]
-#[ignore = "minutes: cargo test --release advised_steps_of_two_hundred_scenes -- --ignored --nocapture"]
+#[ignore = "half a minute: cargo test --release advised_steps_of_two_hundred_scenes -- --ignored --nocapture"]
 fn advised_steps_of_two_hundred_scenes() {
     judged(200, 1);
 }
