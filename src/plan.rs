@@ -28,7 +28,7 @@ mod terms;
 pub use adaptive::OwnSteps;
 pub(crate) use cost::Fails;
 pub use cost::{Counts, FirstSteps};
-pub(crate) use model::{Model, ModelKinetic};
+pub(crate) use model::{MOST_DEFECT, Model, ModelKinetic};
 use model::{
     attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
 };

@@ -254,9 +254,10 @@ pub(super) fn kinetic(
     }
 }
 
+/// What a start may differ from a state. Decimal text of a rotation is off by its last digit; more than this is another matrix.
+pub(crate) const MOST_DEFECT: f64 = 1e-8;
+
 pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64>, ScenarioError> {
-    // Decimal text of a rotation is off by its last digit; more than this is another matrix.
-    const TOLERANCE: f64 = 1e-8;
     let from_quaternion = |w: f64, x: f64, y: f64, z: f64| {
         let rotation =
             UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)).to_rotation_matrix();
@@ -275,9 +276,9 @@ pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64
             let g = rows(given);
             let pointer = "/scene/initial/attitude/matrix";
             let defect = (g.transpose() * &g - DMatrix::identity(n, n)).amax();
-            if !(defect <= TOLERANCE) {
+            if !(defect <= MOST_DEFECT) {
                 let message = format!(
-                    "is not orthogonal: g^T g differs from I by {defect:.1e}, at most {TOLERANCE:e} is allowed: give more digits, or `quaternion` or `axis_angle`"
+                    "is not orthogonal: g^T g differs from I by {defect:.1e}, at most {MOST_DEFECT:e} is allowed: give more digits, or `quaternion` or `axis_angle`"
                 );
                 return Err(ScenarioError::invalid(pointer, message));
             }

@@ -15,6 +15,7 @@ use crate::log::messages::Figures;
 use crate::log::scene::SceneGeometry;
 use crate::log::schema::{Channel, Compression};
 use crate::log::writer::LogHeader;
+use crate::plan::MOST_DEFECT;
 use crate::scenario::Scenario;
 use crate::solve::stepper::Stepper;
 use crate::solve::system::System;
@@ -22,9 +23,6 @@ use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
 
 /// A chunk of the log is closed, and so is safe from a kill, after this many samples.
 const SAMPLES_PER_CHUNK: u64 = 1000;
-
-/// What a start may differ from a state: what a scenario's may.
-const MOST_DEFECT: f64 = 1e-8;
 
 /// What the log of a system of one's own says of it, and how it is written.
 ///
