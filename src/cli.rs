@@ -345,8 +345,10 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     let from_stdin = args.is_stdin();
     let path = if from_stdin { Path::new("stdin") } else { &args.scenario };
     let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
-    let scenario =
-        |text: &[u8]| Scenario::from_json(text).map_err(|error| wrong(hinted(error, text)));
+    let scenario = |text: &[u8]| {
+        let hinted = |error| wrong(hinted(error, text, SchemaOf::Scenario));
+        Scenario::from_json(text).map_err(hinted)
+    };
     let mut text = Vec::new();
     let read = if from_stdin {
         io::stdin().read_to_end(&mut text).map(drop)
@@ -362,18 +364,19 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     advise::plan(&scenario(&text)?).map_err(wrong)
 }
 
-/// An error of a file that is something else says what.
-fn hinted(error: ScenarioError, text: &[u8]) -> ScenarioError {
-    let is_sweep = serde_json::from_slice::<serde_json::Value>(text)
-        .is_ok_and(|tree| tree.get("scenario").is_some() && tree.get("scene").is_none());
-    if is_sweep {
-        return ScenarioError {
-            message: "this is a sweep, not a scenario: `vpd sweep` runs it".to_owned(),
-            pointer: "/scenario".to_owned(),
-            ..error
-        };
-    }
-    error
+/// An error of a file that is something else says what, at the field that shows it.
+fn hinted(error: ScenarioError, text: &[u8], wanted: SchemaOf) -> ScenarioError {
+    let tree: serde_json::Value = serde_json::from_slice(text).unwrap_or_default();
+    let (message, pointer) = match (wanted, tree.get("scene"), tree.get("scenario")) {
+        (SchemaOf::Scenario, None, Some(_)) => {
+            ("this is a sweep, not a scenario: `vpd sweep` runs it", "/scenario")
+        }
+        (SchemaOf::Sweep, Some(_), None) => {
+            ("this is a scenario, not a sweep: `vpd run` runs it", "/scene")
+        }
+        _ => return error,
+    };
+    ScenarioError { message: message.to_owned(), pointer: pointer.to_owned(), ..error }
 }
 
 /// The text of a scenario with some fields replaced or added.

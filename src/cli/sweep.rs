@@ -17,11 +17,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::serve::EngineName;
 #[cfg(feature = "serve")]
 use super::worker::ClusterArgs;
-use super::{CliError, logged, show};
+use super::{CliError, SchemaOf, hinted, logged, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
-use crate::scenario::Scenario;
 use crate::study::Watch;
 use crate::sweep::{self, Counts, Made, Options, Shard, Sweep, SweepError};
 
@@ -86,13 +85,9 @@ pub(super) struct MergeArgs {
 pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     let path = &args.sweep;
     let sweep = Sweep::read(path).map_err(|error| match error {
-        SweepError::Field(mut source) => {
+        SweepError::Field(error) => {
             let text = std::fs::read(path).unwrap_or_default();
-            if Scenario::from_json(&text).is_ok() {
-                "this is a scenario, not a sweep: `vpd run` runs it"
-                    .clone_into(&mut source.message);
-                source.pointer.clear();
-            }
+            let source = hinted(error, &text, SchemaOf::Sweep);
             CliError::Sweep { path: path.clone(), source }
         }
         other => other.into(),

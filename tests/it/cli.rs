@@ -367,6 +367,20 @@ fn first_mistakes_are_answered_by_what_to_write() {
     }
 }
 
+#[test]
+fn a_sweep_and_a_scenario_are_told_apart() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let said = |arguments: &[&str]| {
+        let refused = vpd(directory.path(), arguments);
+        assert_eq!(refused.status.code(), Some(2), "{arguments:?}");
+        text(&refused.stderr).to_owned()
+    };
+    let run = said(&["run", &scenario("sweeps/pendulum-chaos")]);
+    assert!(run.contains("/scenario: this is a sweep, not a scenario: `vpd sweep` runs it"), "{run}");
+    let sweep = said(&["sweep", &scenario("heavy-top")]);
+    assert!(sweep.contains("/scene: this is a scenario, not a sweep: `vpd run` runs it"), "{sweep}");
+}
+
 /// The dipole with so many steps, each in the log.
 fn every_step(steps: &str) -> Vec<String> {
     let steps = format!("/steps={steps}");
