@@ -14,6 +14,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -142,7 +143,7 @@ struct RunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
     /// The log; by default the scenario's file name with .mcap, in the current directory; of stdin the scenario's `name`.
-    #[arg(short, long, value_name = "FILE.mcap")]
+    #[arg(short, long, value_name = "FILE.mcap", value_parser = PathBufValueParser::new().try_map(log_path))]
     output: Option<PathBuf>,
     /// Print one JSON summary on stdout.
     #[arg(long)]
@@ -156,6 +157,19 @@ struct RunArgs {
     /// Overwrite an existing log: a finished one, or an unfinished one of another scenario.
     #[arg(long)]
     force: bool,
+}
+
+/// Where a log is to be written: not under a name by which others would take it for something else.
+fn log_path(path: PathBuf) -> Result<PathBuf, String> {
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    let other = match ending.to_str() {
+        Some("csv" | "parquet" | "arrow") => {
+            format!("`vpd export LOG.mcap -o {}` makes a table of it", path.display())
+        }
+        Some("json") => "`vpd inspect LOG.mcap --json` sums it up as JSON".to_owned(),
+        _ => return Ok(path),
+    };
+    Err(format!("this is the log, name it .mcap; {other}"))
 }
 
 #[derive(Debug, Args)]

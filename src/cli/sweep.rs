@@ -11,13 +11,14 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
 
 #[cfg(feature = "serve")]
 use super::serve::EngineName;
 #[cfg(feature = "serve")]
 use super::worker::ClusterArgs;
-use super::{CliError, SchemaOf, hinted, logged, show};
+use super::{CliError, SchemaOf, hinted, log_path, logged, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
@@ -54,7 +55,7 @@ pub(super) struct SweepArgs {
     #[arg(long, value_name = "K", conflicts_with_all = ["shard", "output"])]
     member: Option<u64>,
     /// Run the member and write its log.
-    #[arg(long, value_name = "FILE.mcap", requires = "member")]
+    #[arg(long, value_name = "FILE.mcap", requires = "member", value_parser = PathBufValueParser::new().try_map(log_path))]
     log: Option<PathBuf>,
     /// Who makes the members: this machine, or workers on many (vpd worker), which need --bucket and --temporal.
     #[cfg(feature = "serve")]

@@ -376,9 +376,43 @@ fn a_sweep_and_a_scenario_are_told_apart() {
         text(&refused.stderr).to_owned()
     };
     let run = said(&["run", &scenario("sweeps/pendulum-chaos")]);
-    assert!(run.contains("/scenario: this is a sweep, not a scenario: `vpd sweep` runs it"), "{run}");
+    assert!(
+        run.contains("/scenario: this is a sweep, not a scenario: `vpd sweep` runs it"),
+        "{run}"
+    );
     let sweep = said(&["sweep", &scenario("heavy-top")]);
-    assert!(sweep.contains("/scene: this is a scenario, not a sweep: `vpd run` runs it"), "{sweep}");
+    assert!(
+        sweep.contains("/scene: this is a scenario, not a sweep: `vpd run` runs it"),
+        "{sweep}"
+    );
+}
+
+#[test]
+fn a_log_is_not_written_under_the_name_of_a_table() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = scenario("heavy-top");
+    for (name, wanted) in [
+        ("top.csv", "`vpd export LOG.mcap -o top.csv`"),
+        ("top.PARQUET", "`vpd export LOG.mcap -o top.PARQUET`"),
+        ("top.arrow", "`vpd export LOG.mcap -o top.arrow`"),
+        ("top.json", "`vpd inspect LOG.mcap --json`"),
+    ] {
+        let refused = vpd(at, &["run", &top, "-o", name]);
+        assert_eq!(refused.status.code(), Some(2), "{name}");
+        let said = text(&refused.stderr);
+        assert!(said.contains(name) && said.contains("name it .mcap"), "{said}");
+        assert!(said.contains(wanted), "{said}");
+        assert!(!at.join(name).exists(), "{name}");
+    }
+    for name in ["top", "top.log"] {
+        let ran = vpd(at, &["run", &top, "-o", name]);
+        assert_eq!(ran.status.code(), Some(0), "{name}: {}", text(&ran.stderr));
+    }
+    let sweep = scenario("sweeps/pendulum-chaos");
+    let refused = vpd(at, &["sweep", &sweep, "--member", "0", "--log", "member.csv"]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(text(&refused.stderr).contains("name it .mcap"), "{}", text(&refused.stderr));
 }
 
 /// The dipole with so many steps, each in the log.
