@@ -452,9 +452,11 @@ fn exit_code(outcome: Outcome) -> ExitCode {
     }
 }
 
-/// Runs on a thread of its own. On a terminal a progress bar with the time left follows; ctrl-c ends the run with a log
-/// that the same command resumes.
+/// Runs on a thread of its own. On a terminal a progress bar with the time left follows; elsewhere a line says what a long
+/// run will take. Ctrl-c ends the run with a log that the same command resumes.
 fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
+    /// Seconds for which nobody wonders.
+    const LONG_S: f64 = 10.0;
     let control = Arc::new(Control { replaces_nothing: !force, ..Control::default() });
     let interrupted = control.clone();
     // Where there can be none, ctrl-c ends the process; the log is resumed all the same.
@@ -463,13 +465,16 @@ fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
     )
     .expect("the template is fixed and valid");
+    let name = plan.asked.name();
     let bar = if io::stderr().is_terminal() {
-        ProgressBar::new(plan.total_steps())
-            .with_style(style)
-            .with_message(plan.asked.name().to_owned())
+        ProgressBar::new(plan.total_steps()).with_style(style).with_message(name.to_owned())
     } else {
         ProgressBar::hidden()
     };
+    if bar.is_hidden() && plan.run_s > LONG_S {
+        let (steps, run_s) = (plan.total_steps(), plan.run_s);
+        let _ = writeln!(io::stderr(), "{name}: {steps} steps, about {run_s:.0} s on one core");
+    }
     let mut from = 0;
     let mut follow = || {
         let resumed = control.resumed_step.load(Ordering::Relaxed);

@@ -440,6 +440,19 @@ fn begun(at: &Path, arguments: &[String]) -> std::process::Child {
     child
 }
 
+#[test]
+fn a_long_run_says_at_its_start_what_it_will_take() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let steps = "400000000";
+    let mut long = begun(directory.path(), &every_step(steps));
+    long.kill().expect("it runs");
+    let said = long.wait_with_output().expect("it ended").stderr;
+    let said = text(&said);
+    assert!(said.starts_with(&format!("dipole: {steps} steps, about ")), "{said}");
+    let short = vpd(directory.path(), &["run", &scenario("heavy-top")]);
+    assert_eq!(text(&short.stderr), "");
+}
+
 #[cfg(unix)]
 #[test]
 fn a_log_that_is_being_written_is_locked() {
