@@ -14,7 +14,7 @@ use serde::Deserialize;
 use uuid::Uuid;
 
 use super::App;
-use super::request::{JobId, is_plain_json, json_text, off_thread};
+use super::request::{JobId, is_plain_json, json_text, named, off_thread, within};
 use crate::advise::Settled;
 use crate::log::members::{self, MemberOrder, MemberQuantity, Members};
 use crate::log::part_path;
@@ -39,6 +39,9 @@ const MAX_PAGE: usize = 500;
 
 /// Longest part of a name to look for, characters: no name is longer.
 const MAX_NAME: usize = 200;
+
+/// What a time in a query is.
+const A_TIME: &str = "a time in seconds, 0 or more, is allowed";
 
 /// Longest idempotency key, bytes.
 const MAX_KEY: usize = 255;
@@ -102,7 +105,7 @@ pub(super) struct Samples(#[schemars(range(min = 1, max = 2000))] usize);
 pub(super) struct ListQuery {
     state: Option<State>,
     name: Option<String>,
-    limit: Option<usize>,
+    limit: Option<String>,
     cursor: Option<String>,
 }
 
@@ -150,21 +153,25 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<Uuid>, Problem> {
     Ok(Some(Uuid::new_v5(&Uuid::NAMESPACE_OID, key)))
 }
 
+/// The problem of a field of a query.
+fn bad(field: &'static str) -> impl Fn(String) -> Problem {
+    move |message| Problem::bad_query(format!("{field}: {message}"))
+}
+
 pub(super) async fn list_jobs(
     Shared(app): Shared<App>,
     reach: Reach,
     query: Result<Query<ListQuery>, QueryRejection>,
 ) -> Result<Json<JobList>, Problem> {
     let Query(ListQuery { state, name, limit, cursor }) = query?;
-    let limit = limit.unwrap_or(PAGE);
-    if !(1..=MAX_PAGE).contains(&limit) {
-        return Err(Problem::bad_query(format!("limit is 1 to {MAX_PAGE}")));
-    }
+    let wanted = format!("1 to {MAX_PAGE} are allowed");
+    let limit = within(limit, PAGE, 1..=MAX_PAGE, wanted).map_err(bad("limit"))?;
     if name.as_ref().is_some_and(|name| name.chars().count() > MAX_NAME) {
         return Err(Problem::bad_query(format!("name has at most {MAX_NAME} characters")));
     }
-    let unusable = || Problem::bad_query("cursor is not one that this list gave");
-    let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(unusable)).transpose()?;
+    let unusable = |text| format!("{text:?} given, a `next_cursor` of this list is allowed");
+    let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(|| unusable(text)));
+    let cursor = cursor.transpose().map_err(bad("cursor"))?;
     let (page, next) = app.engine.list(state, name.as_deref(), limit, cursor).await?;
     let jobs = page.into_iter().map(|view| JobView::new(view, &reach)).collect();
     let mut filter = state.map_or(String::new(), |state| format!("state={}&", state.as_str()));
@@ -232,9 +239,9 @@ pub(super) async fn get_events(
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct StretchQuery {
-    from_s: Option<f64>,
-    every_s: Option<f64>,
-    samples: Option<usize>,
+    from_s: Option<String>,
+    every_s: Option<String>,
+    samples: Option<String>,
 }
 
 pub(super) async fn get_attitudes(
@@ -243,16 +250,10 @@ pub(super) async fn get_attitudes(
     query: Result<Query<StretchQuery>, QueryRejection>,
 ) -> Result<Json<Stretch>, Problem> {
     let Query(StretchQuery { from_s, every_s, samples }) = query?;
-    let samples = samples.unwrap_or(STRETCH);
-    if !(1..=MAX_STRETCH).contains(&samples) {
-        return Err(Problem::bad_query(format!("samples is 1 to {MAX_STRETCH}")));
-    }
-    let (from_s, every_s) = (from_s.unwrap_or(0.0), every_s.unwrap_or(0.0));
-    for (name, time_s) in [("from_s", from_s), ("every_s", every_s)] {
-        if !(time_s >= 0.0 && time_s.is_finite()) {
-            return Err(Problem::bad_query(format!("{name} is a time in seconds, not below 0")));
-        }
-    }
+    let wanted = format!("1 to {MAX_STRETCH} are allowed");
+    let samples = within(samples, STRETCH, 1..=MAX_STRETCH, wanted).map_err(bad("samples"))?;
+    let from_s = within(from_s, 0.0, 0.0..=f64::MAX, A_TIME).map_err(bad("from_s"))?;
+    let every_s = within(every_s, 0.0, 0.0..=f64::MAX, A_TIME).map_err(bad("every_s"))?;
     let view = app.engine.brief(id).await?;
     let log = match view.state.is_final() {
         true => app.engine.log(id).await?,
@@ -281,9 +282,14 @@ async fn accepted(app: &App, id: Uuid) -> Option<Scenario> {
 #[serde(deny_unknown_fields)]
 pub(super) struct SamplesQuery {
     channel: Option<String>,
-    points: Option<usize>,
-    from_s: Option<f64>,
-    to_s: Option<f64>,
+    points: Option<String>,
+    from_s: Option<String>,
+    to_s: Option<String>,
+}
+
+/// The problem of a field of a query, with its pointer.
+fn invalid(pointer: &'static str) -> impl Fn(String) -> Problem {
+    move |message| ScenarioError::invalid(pointer, message).into()
 }
 
 pub(super) async fn get_samples(
@@ -292,23 +298,13 @@ pub(super) async fn get_samples(
     query: Result<Query<SamplesQuery>, QueryRejection>,
 ) -> Result<Json<CourseOf>, Problem> {
     let Query(SamplesQuery { channel, points, from_s, to_s }) = query?;
-    let refuse = |pointer, message: String| Err(ScenarioError::invalid(pointer, message).into());
-    let name = channel.as_deref().unwrap_or(Curve::EnergyError.name());
-    let Some(curve) = Curve::ALL.into_iter().find(|curve| curve.name() == name) else {
-        let all = Curve::ALL.map(Curve::name).join(", ");
-        return refuse("/channel", format!("is none of {all}"));
-    };
-    let points = points.unwrap_or(POINTS);
-    if !(2..=MAX_POINTS).contains(&points) {
-        return refuse("/points", format!("{points} given, 2 to {MAX_POINTS} are allowed"));
-    }
-    let (from_s, to_s) = (from_s.unwrap_or(0.0), to_s.unwrap_or(f64::MAX));
-    if !(from_s >= 0.0 && from_s.is_finite()) {
-        return refuse("/from_s", "is not a time in seconds, 0 or more".to_owned());
-    }
-    if !(to_s >= from_s && to_s.is_finite()) {
-        return refuse("/to_s", format!("is not a time of from_s ({from_s} s) or later"));
-    }
+    let curve = named(channel, Curve::EnergyError, Curve::ALL, Curve::name);
+    let curve = curve.map_err(invalid("/channel"))?;
+    let wanted = format!("2 to {MAX_POINTS} are allowed");
+    let points = within(points, POINTS, 2..=MAX_POINTS, wanted).map_err(invalid("/points"))?;
+    let from_s = within(from_s, 0.0, 0.0..=f64::MAX, A_TIME).map_err(invalid("/from_s"))?;
+    let wanted = format!("a time of from_s ({from_s} s) or later is allowed");
+    let to_s = within(to_s, f64::MAX, from_s..=f64::MAX, wanted).map_err(invalid("/to_s"))?;
     let (log, eta_s) = readable(&app, id).await?;
     let inertia = match curve {
         Curve::AngularVelocity => inertia(&app, id).await,
@@ -329,10 +325,10 @@ pub(super) async fn get_samples(
 #[serde(deny_unknown_fields)]
 pub(super) struct MembersQuery {
     channel: Option<String>,
-    axis: Option<usize>,
+    axis: Option<String>,
     order: Option<String>,
-    offset: Option<usize>,
-    limit: Option<usize>,
+    offset: Option<String>,
+    limit: Option<String>,
 }
 
 pub(super) async fn get_members(
@@ -341,27 +337,18 @@ pub(super) async fn get_members(
     query: Result<Query<MembersQuery>, QueryRejection>,
 ) -> Result<Json<Members>, Problem> {
     let Query(MembersQuery { channel, axis, order, offset, limit }) = query?;
-    let refuse = |pointer, message: String| Err(ScenarioError::invalid(pointer, message).into());
-    let name = channel.as_deref().unwrap_or(MemberQuantity::Distance.name());
-    let quantity = MemberQuantity::ALL.into_iter().find(|quantity| quantity.name() == name);
-    let Some(quantity) = quantity else {
-        let all = MemberQuantity::ALL.map(MemberQuantity::name).join(", ");
-        return refuse("/channel", format!("is none of {all}"));
-    };
-    let axis = axis.unwrap_or(1);
+    let all = MemberQuantity::ALL;
+    let quantity = named(channel, MemberQuantity::Distance, all, MemberQuantity::name);
+    let quantity = quantity.map_err(invalid("/channel"))?;
     let most = accepted(&app, id).await.map_or(1, |scenario| scenario.dimension());
-    if !(1..=most).contains(&axis) {
-        return refuse("/axis", format!("{axis} given, the axes are numbered from 1 to {most}"));
-    }
-    let name = order.as_deref().unwrap_or(MemberOrder::Largest.name());
-    let Some(order) = MemberOrder::ALL.into_iter().find(|order| order.name() == name) else {
-        let all = MemberOrder::ALL.map(MemberOrder::name).join(", ");
-        return refuse("/order", format!("is none of {all}"));
-    };
-    let (offset, limit) = (offset.unwrap_or(0), limit.unwrap_or(MEMBERS));
-    if !(1..=MAX_MEMBERS).contains(&limit) {
-        return refuse("/limit", format!("{limit} given, 1 to {MAX_MEMBERS} are allowed"));
-    }
+    let wanted = format!("the axes are numbered from 1 to {most}");
+    let axis = within(axis, 1, 1..=most, wanted).map_err(invalid("/axis"))?;
+    let order = named(order, MemberOrder::Largest, MemberOrder::ALL, MemberOrder::name);
+    let order = order.map_err(invalid("/order"))?;
+    let wanted = "a whole number, 0 or more, is allowed";
+    let offset = within(offset, 0, 0..=usize::MAX, wanted).map_err(invalid("/offset"))?;
+    let wanted = format!("1 to {MAX_MEMBERS} are allowed");
+    let limit = within(limit, MEMBERS, 1..=MAX_MEMBERS, wanted).map_err(invalid("/limit"))?;
     let (path, eta_s) = readable(&app, id).await?;
     let wanted = members::Wanted { quantity, axis: axis - 1, order, offset, limit };
     match app.pictures.members(path, wanted).await? {

@@ -2,7 +2,10 @@
 //!
 //! Invariant: no text of a client goes further than this.
 
+use std::fmt::Display;
 use std::net::{IpAddr, SocketAddr};
+use std::ops::RangeInclusive;
+use std::str::FromStr;
 
 use axum::extract::{FromRequestParts, Path};
 use axum::http::HeaderMap;
@@ -68,6 +71,30 @@ fn live_address(live: SocketAddr, name: &str) -> Option<String> {
         ip if ip.is_unspecified() => Some(format!("ws://{name}:{}", live.port())),
         _ => Some(format!("ws://{live}")),
     }
+}
+
+/// A value of a query, `absent` if it is not there; else what was given and what is `wanted`.
+pub(super) fn within<T: FromStr + PartialOrd>(
+    given: Option<String>,
+    absent: T,
+    range: RangeInclusive<T>,
+    wanted: impl Display,
+) -> Result<T, String> {
+    let Some(given) = given else { return Ok(absent) };
+    let value = given.parse().ok().filter(|value| range.contains(value));
+    value.ok_or_else(|| format!("{given:?} given, {wanted}"))
+}
+
+/// What of `all` a query names, `absent` if it names none; else what was given and what is allowed.
+pub(super) fn named<T: Copy, const K: usize>(
+    given: Option<String>,
+    absent: T,
+    all: [T; K],
+    name: fn(T) -> &'static str,
+) -> Result<T, String> {
+    let Some(given) = given else { return Ok(absent) };
+    let found = all.into_iter().find(|&one| name(one) == given);
+    found.ok_or_else(|| format!("{given:?} given, one of {} is allowed", all.map(name).join(", ")))
 }
 
 /// True for an uncompressed body of type `application/json` or `application/…+json`. A form on a web page cannot

@@ -211,16 +211,21 @@ fn the_list_is_newest_first_in_pages_and_by_state() {
     let page = server.get("/jobs?state=succeeded&limit=2").json();
     let next = server.get(page["links"]["next"].as_str().expect("more")).json();
     assert_eq!(next["jobs"][0]["id"], ids[3].as_str());
-    for query in [
-        "stat=running",
-        "state=asleep",
-        "limit=0",
-        "limit=501",
-        "limit=x",
-        "cursor=1",
-        "limit=1&limit=2",
+    for (query, wanted) in [
+        (
+            "stat=running",
+            "unknown field `stat`, expected one of `state`, `name`, `limit`, `cursor`",
+        ),
+        ("state=asleep", "state: unknown variant `asleep`, expected one of `queued`"),
+        ("limit=0", "limit: \"0\" given, 1 to 500 are allowed"),
+        ("limit=501", "limit: \"501\" given, 1 to 500 are allowed"),
+        ("limit=abc", "limit: \"abc\" given, 1 to 500 are allowed"),
+        ("cursor=1", "cursor: \"1\" given, a `next_cursor` of this list is allowed"),
+        ("limit=1&limit=2", "duplicate field `limit`"),
     ] {
-        server.get(&format!("/jobs?{query}")).problem(400, "bad_query");
+        let problem = server.get(&format!("/jobs?{query}")).problem(400, "bad_query");
+        let detail = problem["detail"].as_str().expect("text");
+        assert!(detail.contains(wanted), "{query}: {detail}");
     }
 }
 

@@ -172,11 +172,19 @@ fn attitudes_are_those_of_the_log_from_any_time_on() {
     let frames: Vec<_> = first["scene"].as_array().expect("drawings").iter().collect();
     assert_eq!((&frames[0]["frame"], &frames[1]["frame"]), (&json!("body"), &json!("space")));
     assert_eq!(frames[0]["balls"].as_array().map(Vec::len), Some(3));
-    for query in
-        ["?samples=0", "?samples=2001", "?from_s=-1", "?from_s=inf", "?every_s=-1", "?other=1"]
-    {
-        server.get(&format!("{path}{query}")).problem(400, "bad_query");
+    let time = "a time in seconds, 0 or more, is allowed";
+    for (field, given, wanted) in [
+        ("samples", "0", "1 to 2000 are allowed"),
+        ("samples", "2001", "1 to 2000 are allowed"),
+        ("samples", "few", "1 to 2000 are allowed"),
+        ("from_s", "-1", time),
+        ("from_s", "inf", time),
+        ("every_s", "often", time),
+    ] {
+        let problem = server.get(&format!("{path}?{field}={given}")).problem(400, "bad_query");
+        assert_eq!(problem["detail"], format!("{field}: {given:?} given, {wanted}"));
     }
+    server.get(&format!("{path}?other=1")).problem(400, "bad_query");
 }
 
 #[test]
@@ -240,16 +248,19 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     near("orthogonality_error", &[0.0]);
     near("momentum_drift", &[0.0]);
 
-    for (query, pointer) in [
-        ("?channel=other", "/channel"),
-        ("?points=1", "/points"),
-        ("?points=5001", "/points"),
-        ("?from_s=-1", "/from_s"),
-        ("?from_s=2&to_s=1", "/to_s"),
-        ("?to_s=inf", "/to_s"),
+    for (query, pointer, wanted) in [
+        ("?channel=other", "/channel", "\"other\" given, one of energy_error, "),
+        ("?points=1", "/points", "\"1\" given, 2 to 5000 are allowed"),
+        ("?points=5001", "/points", "\"5001\" given, 2 to 5000 are allowed"),
+        ("?points=x", "/points", "\"x\" given, 2 to 5000 are allowed"),
+        ("?from_s=-1", "/from_s", "\"-1\" given, a time in seconds, 0 or more, is allowed"),
+        ("?from_s=2&to_s=1", "/to_s", "\"1\" given, a time of from_s (2 s) or later is allowed"),
+        ("?to_s=inf", "/to_s", "\"inf\" given, a time of from_s (0 s) or later is allowed"),
     ] {
         let problem = server.get(&format!("{path}{query}")).problem(422, "invalid_input");
         assert_eq!(problem["pointer"], pointer);
+        let detail = problem["detail"].as_str().expect("text");
+        assert!(detail.starts_with(wanted), "{query}: {detail}");
     }
     server.get(&format!("{path}?other=1")).problem(400, "bad_query");
     server.get("/jobs/no-id/samples").problem(404, "unknown_job");
@@ -332,16 +343,20 @@ fn the_members_of_an_ensemble_are_compared_and_each_is_a_run_of_its_own() {
     let among: Vec<f32> = numbers(&worst["values"]).iter().map(|x| *x as f32).collect();
     assert_eq!(single, among);
 
-    for (query, pointer) in [
-        ("?channel=other", "/channel"),
-        ("?channel=axis_angle&axis=4", "/axis"),
-        ("?axis=0", "/axis"),
-        ("?order=best", "/order"),
-        ("?limit=0", "/limit"),
-        ("?limit=201", "/limit"),
+    for (query, pointer, wanted) in [
+        ("?channel=other", "/channel", "\"other\" given, one of distance, "),
+        ("?channel=axis_angle&axis=4", "/axis", "\"4\" given, the axes are numbered from 1 to 3"),
+        ("?axis=0", "/axis", "\"0\" given, the axes are numbered from 1 to 3"),
+        ("?axis=z", "/axis", "\"z\" given, the axes are numbered from 1 to 3"),
+        ("?order=best", "/order", "\"best\" given, one of largest, "),
+        ("?offset=-3", "/offset", "\"-3\" given, a whole number, 0 or more, is allowed"),
+        ("?limit=0", "/limit", "\"0\" given, 1 to 200 are allowed"),
+        ("?limit=201", "/limit", "\"201\" given, 1 to 200 are allowed"),
     ] {
         let problem = server.get(&format!("{path}{query}")).problem(422, "invalid_input");
         assert_eq!(problem["pointer"], pointer);
+        let detail = problem["detail"].as_str().expect("text");
+        assert!(detail.starts_with(wanted), "{query}: {detail}");
     }
     server.get(&format!("{path}?other=1")).problem(400, "bad_query");
     server.get(&format!("{path}?channel=momentum_drift")).problem(404, "not_found");
