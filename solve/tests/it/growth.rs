@@ -337,15 +337,18 @@ fn rounding_makes_a_random_walk_and_no_line() {
 
 /// Of a body that is the same all around its axis, on which its weight hangs, the momentum about the axis stays as it is.
 #[test]
-fn momentum_about_the_axis_of_a_top_is_kept_to_the_bit() {
+fn momentum_about_the_axis_of_a_top_is_kept() {
     let Scene { body, start, .. } = &scenes()[1];
     for stages in [5, 6, 7, 8] {
-        let mut stepper = quaternion_gauss(stages);
-        stepper.start(start);
-        for _ in 0..2_000 {
-            stepper.step(body, 0.1).expect("a modest step");
+        for (make, most) in [(quaternion_gauss as Make, 0.0), (vpd, 2e-15)] {
+            let mut stepper = make(stages);
+            stepper.start(start);
+            for _ in 0..2_000 {
+                stepper.step(body, 0.1).expect("a modest step");
+            }
+            let change = stepper.momentum()[(1, 0)] - start.momentum[(1, 0)];
+            assert!(change.abs() <= most, "{stages} stages: {change:e}");
         }
-        assert_eq!(stepper.momentum()[(1, 0)], start.momentum[(1, 0)], "{stages} stages");
     }
 }
 

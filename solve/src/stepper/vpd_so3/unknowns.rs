@@ -60,8 +60,6 @@ pub(in crate::stepper) struct LaneTableau {
     pub(super) is_finished: bool,
     /// Rounds of the first guess.
     pub(super) rounds: u32,
-    /// Is `e_ij + e_ji = 1`, so that it is symplectic by itself?
-    pub(super) own_partner: bool,
     pub(in crate::stepper) stages: usize,
 }
 
@@ -79,18 +77,17 @@ impl LaneTableau {
             passes: if few { FEW_PASSES } else { MANY_PASSES },
             is_finished: stages >= FINISHED_STAGES,
             rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
-            own_partner: false,
             stages,
         };
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        lanes.own_partner = tableau.is_own_partner();
+        let own_partner = tableau.is_own_partner();
         for i in 0..stages {
             lanes.weights.0[i] = tableau.b(i);
             lanes.nodes.0[i] = tableau.c(i);
             lanes.present.0[i] = 1.0;
             for j in 0..stages {
                 // Of two that make one to the last bit the smaller is what the larger leaves.
-                let from_other = lanes.own_partner && part(i, j) < part(j, i);
+                let from_other = own_partner && part(i, j) < part(j, i);
                 let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
                 // The same bits enter both halves: the pair is symplectic whatever their rounding.
                 lanes.columns[j].0[i] = e;
