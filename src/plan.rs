@@ -363,7 +363,8 @@ impl Plan {
         let whole = Self::new(&with(1.0))?;
         let near_m = whole.own_steps.as_ref().map_or(&[][..], |own| own.near_m.as_slice());
         let easy_s = whole.model.easy_own_step_s(near_m, whole.formulation.stages);
-        let settled = with((duration_s / easy_s).ceil().max(1.0));
+        let multiple = asked.multiple_of_steps() as f64;
+        let settled = with(multiple * (duration_s / easy_s / multiple).ceil().max(1.0));
         settled.check()?;
         Ok(Self { asked: asked.clone(), ..Self::new(&settled)? })
     }

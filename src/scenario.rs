@@ -301,6 +301,10 @@ pub struct LogOptions {
     /// second of simulated time, which is what viewers like.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub every: Option<u64>,
+    /// The same in seconds of simulated time, a whole number of steps; either this or `every`. Where the program chooses
+    /// the step, it chooses one that fits, and the duration is a whole number of these.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub every_s: Option<f64>,
     /// The topics to log; all that the scene has if absent. What is not logged is not computed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub channels: Option<Vec<Channel>>,
@@ -517,12 +521,24 @@ impl Scenario {
     /// A sample is taken every k steps.
     pub fn sample_every(&self) -> u64 {
         const VIEWER_RATE_HZ: f64 = 60.0;
-        self.log.every.unwrap_or_else(|| {
-            let step_s = self.step_s.unwrap_or(f64::INFINITY);
-            // A rate of 60 that only rounding lifts above 60 stays.
-            let for_viewers = 1.0 / (VIEWER_RATE_HZ * step_s) - 1e-9;
-            (for_viewers.ceil() as u64).max(1)
-        })
+        let step_s = self.step_s.unwrap_or(f64::INFINITY);
+        match (self.log.every, self.log.every_s) {
+            (Some(every), _) => every,
+            // Checked to be whole.
+            (None, Some(every_s)) => ((every_s / step_s).round() as u64).max(1),
+            (None, None) => {
+                // A rate of 60 that only rounding lifts above 60 stays.
+                let for_viewers = 1.0 / (VIEWER_RATE_HZ * step_s) - 1e-9;
+                (for_viewers.ceil() as u64).max(1)
+            }
+        }
+    }
+
+    /// Where the program chooses the step, the number of steps is a multiple of this, so that each sample is at the end of one.
+    pub(crate) fn multiple_of_steps(&self) -> u64 {
+        let times = self.duration_s.zip(self.log.every_s);
+        // Checked to be whole.
+        times.map_or(1, |(duration_s, every_s)| ((duration_s / every_s).round() as u64).max(1))
     }
 
     /// The log time of t = 0 in nanoseconds since 1970.

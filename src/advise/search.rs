@@ -108,9 +108,9 @@ pub(super) struct Trial<'a> {
     pub(super) far: Reference,
 }
 
-/// So many steps as a reference can be met with.
-fn multiple(steps: f64) -> u64 {
-    QUARTERS * (steps / QUARTERS as f64).ceil().max(1.0) as u64
+/// So many steps or a few more, a multiple of `of`.
+fn multiple(steps: f64, of: u64) -> u64 {
+    of * (steps / of as f64).ceil().max(1.0) as u64
 }
 
 impl Trial<'_> {
@@ -125,8 +125,15 @@ impl Trial<'_> {
     /// The steps of such a size over a time: as they were tried, so that the run is the one that was seen.
     pub(super) fn steps(&self, step_s: f64, time_s: f64) -> u64 {
         // The last digit of a quotient is no step too many.
-        let steps = time_s / step_s * (1.0 - 1e-12);
-        if time_s <= self.far.time_s { multiple(steps) } else { steps.ceil().max(1.0) as u64 }
+        multiple(time_s / step_s * (1.0 - 1e-12), self.unit(time_s))
+    }
+
+    /// What the number of steps over a time is a multiple of: so that a reference can be met, and over the whole run so that
+    /// samples come where they are asked for.
+    fn unit(&self, time_s: f64) -> u64 {
+        let met = if time_s <= self.far.time_s { QUARTERS } else { 1 };
+        let sampled = if time_s >= self.duration_s { self.scenario.multiple_of_steps() } else { 1 };
+        (1..met).map(|k| k * sampled).find(|steps| steps % met == 0).unwrap_or(met * sampled)
     }
 
     /// Makes sure that errors may be carried on to the end of the run.
@@ -170,8 +177,9 @@ impl Trial<'_> {
         /// What costs so many times more by its usual sweeps is not even tried.
         const TOO_DEAR: f64 = 6.0;
         let (time_s, goal) = (self.near.time_s, self.goal());
+        let unit = self.unit(time_s);
         // A radian a step, and then by the order of the method; never back to where a step failed.
-        let mut steps = multiple(time_s * self.scales.fastest_rad_s);
+        let mut steps = multiple(time_s * self.scales.fastest_rad_s, unit);
         let (mut reached, mut least) = (None::<(u64, Choice)>, None::<f64>);
         let mut too_few = 0;
         let usual_ns = variant(self.scenario, &entry.method, 1.0, 1)?.step_ns;
@@ -203,11 +211,11 @@ impl Trial<'_> {
                 break;
             }
             // A little more than the order asks for, in bounds.
-            let next = multiple(steps as f64 * (1.03 * ratio).clamp(0.4, 4.0));
+            let next = multiple(steps as f64 * (1.03 * ratio).clamp(0.4, 4.0), unit);
             let next = match reached {
                 Some((reached, _)) if next >= reached => break,
                 Some(_) if next <= too_few => break,
-                _ => next.max(too_few + QUARTERS),
+                _ => next.max(too_few + unit),
             };
             steps = next;
         }

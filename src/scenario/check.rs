@@ -395,6 +395,23 @@ fn whole_duration(duration_s: f64) -> Check {
     })
 }
 
+/// Is a duration a whole number of steps, but for rounding?
+pub(super) fn is_whole(duration_s: f64, step_s: f64) -> bool {
+    let count = duration_s / step_s;
+    let whole = count.round();
+    (count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0
+}
+
+/// The longest step, but for rounding, that is no longer than `step_s` and of which a duration is a whole number.
+pub(crate) fn dividing(duration_s: f64, step_s: f64) -> f64 {
+    twelve_digits(duration_s / (duration_s / step_s).ceil())
+}
+
+/// Enough for a whole number of steps.
+fn twelve_digits(x: f64) -> f64 {
+    format!("{x:.11e}").parse().unwrap_or(x)
+}
+
 fn duration(scenario: &Scenario) -> Check {
     if let Some(Accuracy { error, .. }) = scenario.accuracy {
         return accuracy(scenario, error);
@@ -424,22 +441,15 @@ fn duration(scenario: &Scenario) -> Check {
         (Some(steps), None) => ("/steps", steps as f64 * h),
         (None, Some(duration_s)) => {
             whole_duration(duration_s)?;
-            let count = duration_s / h;
-            let whole = count.round();
-            ensure(
-                (count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0,
-                "/duration_s",
-                || {
-                    // Twelve digits are enough for a whole number of steps.
-                    let short = |x: f64| format!("{x:.11e}").parse().unwrap_or(x);
-                    let [below, above] =
-                        [count.floor(), count.ceil()].map(|count| short(count * h));
-                    let step = short(duration_s / count.ceil());
-                    format!(
-                        "{duration_s} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
-                    )
-                },
-            )?;
+            ensure(is_whole(duration_s, h), "/duration_s", || {
+                let count = duration_s / h;
+                let [below, above] =
+                    [count.floor(), count.ceil()].map(|count| twelve_digits(count * h));
+                let step = dividing(duration_s, h);
+                format!(
+                    "{duration_s} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
+                )
+            })?;
             ("/duration_s", duration_s)
         }
     };
@@ -454,12 +464,47 @@ fn duration(scenario: &Scenario) -> Check {
     })
 }
 
+/// The spacing of samples in seconds.
+fn every_s(scenario: &Scenario, every_s: f64) -> Check {
+    let pointer = "/log/every_s";
+    ensure(scenario.log.every.is_none(), pointer, || {
+        "is given together with `every`; give one of the two".into()
+    })?;
+    ensure(every_s > 0.0 && every_s <= MAX_DURATION_S, pointer, || {
+        format!("{every_s:?} given, it lies above 0 and up to {MAX_DURATION_S:e} s")
+    })?;
+    match (scenario.step_s, scenario.duration_s) {
+        (Some(step_s), _) => ensure(is_whole(every_s, step_s), pointer, || {
+            let above = twelve_digits((every_s / step_s).ceil() * step_s);
+            format!("{every_s} s is not a whole number of steps of {step_s} s; {above} s is")
+        }),
+        // The step will be chosen.
+        (None, Some(duration_s)) => {
+            ensure(is_whole(duration_s, every_s), pointer, || {
+                let less = dividing(duration_s, every_s);
+                format!(
+                    "{every_s} s given, the duration of {duration_s} s is not a whole number of these, but of {less} s"
+                )
+            })?;
+            let least_s = duration_s / MAX_SAMPLES as f64;
+            ensure(every_s >= least_s, pointer, || {
+                format!(
+                    "{every_s:?} given, more than {MAX_SAMPLES} samples; the smallest allowed is {least_s:e} s"
+                )
+            })
+        }
+        (None, None) => Ok(()),
+    }
+}
+
 fn log(scenario: &Scenario, n: usize) -> Check {
     let log = &scenario.log;
     ensure(log.every != Some(0), "/log/every", || "0 given, at least 1 is needed".into())?;
+    log.every_s.map_or(Ok(()), |given| every_s(scenario, given))?;
     let every = scenario.sample_every();
     let steps = scenario.step_count();
-    ensure(steps / every <= MAX_SAMPLES, "/log/every", || {
+    let pointer = if log.every_s.is_some() { "/log/every_s" } else { "/log/every" };
+    ensure(steps / every <= MAX_SAMPLES, pointer, || {
         let least = steps.div_ceil(MAX_SAMPLES);
         format!(
             "every {every} steps of {steps} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}"

@@ -15,7 +15,7 @@ pub enum Steps {
 }
 
 /// Steps of one length in a time that passes more slowly near point sources: `dt = sigma dtau` with
-/// `sigma = (1 + sum (near / distance)^3)^(-1/2)`. Samples still come every `log.every` times `step_s`.
+/// `sigma = (1 + sum (near / distance)^3)^(-1/2)`. Samples still come every `log.every` times `step_s`, or every `log.every_s`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Adaptive {

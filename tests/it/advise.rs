@@ -49,6 +49,46 @@ fn scene(numbers: &mut Numbers, number: usize) -> Value {
     })
 }
 
+/// With an accuracy, samples come as far apart as is asked for, and the steps that are chosen fit.
+#[test]
+fn an_accuracy_is_sampled_as_asked() {
+    let mut asked = json!({
+        "name": "spaced",
+        "scene": { "inertia": { "principal": [1, 2, 3] },
+            "potential": [{ "kind": "uniform", "weight": 1, "body_point": [0, 0, 1], "direction": [1, 0, 0] }],
+            "initial": { "angular_velocity": { "body": [0.01, 1, 0] } } },
+        "accuracy": { "error": 1e-7 },
+        "duration_s": 7
+    });
+    // Coarser than the steps, finer, and so that quarters of the run fall between.
+    for (every_s, count) in [(0.7, 10), (0.001, 7000), (1.4, 5)] {
+        asked["log"] = json!({ "every_s": every_s });
+        let plan = advise::plan(&scenario(&asked)).expect("a plan");
+        let spacing_s = plan.every as f64 * plan.step_s;
+        assert!((spacing_s - every_s).abs() <= 1e-12, "{spacing_s} s, {every_s} s asked for");
+        assert_eq!((plan.samples, plan.steps % count), (count + 1, 0), "{every_s} s");
+    }
+    let error = advise::error_at_end(&advise::plan(&scenario(&asked)).expect("a plan"));
+    let (ErrorAtEnd::About(error) | ErrorAtEnd::Below(error)) = error.expect("a reference");
+    assert!(error <= 1e-7, "{error:e}");
+}
+
+/// Steps that adapt and that the program chooses fit, too.
+#[test]
+fn easy_steps_are_sampled_as_asked() {
+    let mut flyby: Value =
+        serde_json::from_str(include_str!("../../scenarios/flyby.json")).expect("shipped");
+    let duration_s = scenario(&flyby).step_count() as f64 * scenario(&flyby).step_s.unwrap_or(0.0);
+    for field in ["step_s", "steps", "step", "expect"] {
+        flyby.as_object_mut().expect("an object").remove(field);
+    }
+    flyby["step"] = json!({ "adaptive": {} });
+    flyby["duration_s"] = json!(duration_s);
+    flyby["log"] = json!({ "every_s": duration_s / 7.0 });
+    let plan = advise::plan(&scenario(&flyby)).expect("a plan");
+    assert_eq!((plan.samples, plan.steps % 7), (8, 0));
+}
+
 /// A scene that changes with time, is pushed and has a wheel gets its accuracy by a method that can run it.
 #[test]
 fn driven_scenes_have_an_accuracy() {

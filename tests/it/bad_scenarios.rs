@@ -618,6 +618,25 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(accurate(), "/duration_s", "3.9e9"), "/duration_s");
     add(without(accurate(), "/duration_s"), "");
 
+    // Samples so many seconds apart.
+    let spaced = |every_s: &str| {
+        let mut spaced = dipole();
+        spaced["log"] = json!({});
+        with(spaced, "/log/every_s", every_s)
+    };
+    for raw in ["0", "-0.1", "4.1e9", "0.001", "0.015", "\"1\"", "[]"] {
+        add(spaced(raw), "/log/every_s");
+    }
+    add(with(full(), "/log/every_s", "0.1"), "/log/every_s");
+    let chosen = |every_s: &str| {
+        let mut chosen = accurate();
+        chosen["log"] = json!({});
+        with(chosen, "/log/every_s", every_s)
+    };
+    for raw in ["0", "2", "0.3", "1e-10"] {
+        add(chosen(raw), "/log/every_s");
+    }
+
     // Names and expectations.
     add(with(full(), "/name", "\"\""), "/name");
     add(with(full(), "/name", "\"  \""), "/name");
