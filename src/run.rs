@@ -235,7 +235,8 @@ fn run<const N: usize>(
         Ending::Completed => (Outcome::Succeeded, None),
         Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
-            let broken = Broken { initial, reached: &reached, schedule, failure };
+            let asked = Some(&plan.asked);
+            let broken = Broken { initial, reached: &reached, schedule, asked, failure };
             let patience = Patience::of(plan, control, 1);
             let own_steps = advice::own_steps(plan, body);
             let stepper = stepper.as_mut();

@@ -17,7 +17,7 @@ mod suggest;
 mod term;
 
 pub(crate) use change::set;
-pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
+pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, dividing, ensure};
 pub use driven::{
     DrivenTerm, Factor, Harmonic, OfMomentum, Orbit, Path, Table, Torque, TorqueTable, Turning,
     Viscous,
@@ -539,6 +539,12 @@ impl Scenario {
         let times = self.duration_s.zip(self.log.every_s);
         // Checked to be whole.
         times.map_or(1, |(duration_s, every_s)| ((duration_s / every_s).round() as u64).max(1))
+    }
+
+    /// Does a step, in the place of the given one, leave the times whole that are given?
+    pub(crate) fn fits(&self, step_s: f64) -> bool {
+        let times_s = [self.duration_s, self.log.every_s];
+        times_s.into_iter().flatten().all(|time_s| check::is_whole(time_s, step_s))
     }
 
     /// The log time of t = 0 in nanoseconds since 1970.

@@ -4,8 +4,8 @@
 //! did not are brought to within a fifth of each other. A try begins where the run began, for the state that it failed at may
 //! have gone astray long before.
 //!
-//! Invariant: an advised step was tried, and carried as much of the run as is said; the work is bounded, counted and not
-//! timed, and ends when the run is cancelled.
+//! Invariant: an advised step was tried, and carried as much of the run as is said; the scenario is accepted with it as it
+//! is; the work is bounded, counted and not timed, and ends when the run is cancelled.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -13,7 +13,7 @@ use std::sync::atomic::AtomicBool;
 use super::Control;
 use super::summary::{self, Advised, Diagnosis, Tried};
 use crate::plan::{NEAR_SIGMA, Plan};
-use crate::scenario::SMALLEST_STEP_S;
+use crate::scenario::{SMALLEST_STEP_S, Scenario, dividing};
 use crate::solve::failure::{Failure, FailureCode, two_digits};
 use crate::solve::hamiltonian::{RigidBody, TimeScale};
 use crate::solve::nonlinear::StopRule;
@@ -73,6 +73,8 @@ pub(super) struct Broken<'a, const N: usize> {
     /// Where it stood before that step.
     pub(super) reached: &'a Checkpoint<N>,
     pub(super) schedule: Schedule,
+    /// Whose `step_s` it is; `None` of steps that adapt.
+    pub(super) asked: Option<&'a Scenario>,
     pub(super) failure: &'a Failure,
 }
 
@@ -97,7 +99,7 @@ pub(super) fn diagnosis<const N: usize>(
     own_steps: Option<(Box<dyn Stepper<N>>, f64)>,
     patience: Patience,
 ) -> Diagnosis {
-    let Broken { initial, reached, schedule, failure } = broken;
+    let Broken { initial, reached, schedule, failure, .. } = broken;
     let stiffness = stiffness(body, broken);
     let Patience { most_sweeps, most_own_sweeps, stop } = patience;
     let body = body.clone().with_work(Work::limited(most_sweeps, stop.clone()));
@@ -113,7 +115,7 @@ pub(super) fn diagnosis<const N: usize>(
             reached_in_longest = Checkpoint { step, ..(*reached).clone() };
             let steps = in_longest(schedule.steps).max(1);
             let schedule = Schedule { step_s, steps, every: schedule.every };
-            Broken { reached: &reached_in_longest, schedule, ..*broken }
+            Broken { reached: &reached_in_longest, schedule, asked: None, ..*broken }
         }
     };
     let adapts = longest_s.is_some();
@@ -182,7 +184,7 @@ impl<const N: usize> Search<'_, N> {
     fn advised(&mut self, most_sweeps: f64) -> Advised {
         let Schedule { step_s: asked, steps, .. } = self.broken.schedule;
         let most_steps = (most_sweeps * SHARE / SWEEPS).floor().max(1.0);
-        let (mut failed, mut step_s) = (asked, two_digits(0.5 * asked));
+        let (mut failed, mut step_s) = (asked, self.short(0.5 * asked));
         let mut found = loop {
             if step_s < SMALLEST_STEP_S {
                 return Advised::NoneWorks;
@@ -190,12 +192,12 @@ impl<const N: usize> Search<'_, N> {
             let span = Span::of(steps as f64 * asked / step_s, most_steps);
             match self.went(step_s, span) {
                 Went::Well => break (step_s, span.tried(step_s)),
-                Went::Badly => (failed, step_s) = (step_s, two_digits(0.5 * step_s)),
+                Went::Badly => (failed, step_s) = (step_s, self.short(0.5 * step_s)),
                 Went::Out => return Advised::NotFound { tried_s: failed },
             }
         };
         while failed > NEAR * found.0 {
-            let between = two_digits((failed * found.0).sqrt());
+            let between = self.short((failed * found.0).sqrt());
             let span = Span::of(steps as f64 * asked / between, most_steps);
             if between <= found.0 || between >= failed {
                 break;
@@ -209,11 +211,24 @@ impl<const N: usize> Search<'_, N> {
         Advised::Step { step_s: found.0, tried: found.1 }
     }
 
+    /// About this step or a little less, in few digits, with which the scenario is accepted as it is.
+    fn short(&self, step_s: f64) -> f64 {
+        let &Broken { schedule, asked, .. } = self.broken;
+        let Some(asked) = asked else { return two_digits(step_s) };
+        let of_few_digits =
+            (0..20).map(|percent| two_digits(step_s * (1.0 - 0.01 * f64::from(percent))));
+        let times_s = [asked.log.every_s, asked.duration_s].into_iter().flatten();
+        let mut less = of_few_digits.chain(times_s.map(|time_s| dividing(time_s, step_s)));
+        // A part of the step that failed always fits.
+        let part = schedule.step_s / (schedule.step_s / step_s).ceil();
+        less.find(|&less| asked.fits(less)).unwrap_or(part)
+    }
+
     /// How far steps that adapt were tried, if they carry the run past a point source and, if the run may be tried no
     /// further, past the place of the failure.
     fn passes(&mut self, own_s: f64, most_sweeps: f64) -> Option<Tried> {
-        let &Broken { initial, reached, schedule: Schedule { step_s, steps, .. }, failure } =
-            self.broken;
+        let &Broken { initial, reached, schedule, failure, .. } = self.broken;
+        let Schedule { step_s, steps, .. } = schedule;
         let most = (most_sweeps * SHARE / SWEEPS * own_s / step_s).ceil();
         let span = Span::of(steps as f64, most.max((reached.step + 2) as f64));
         let went = self.travels((initial, 0.0), step_s, span.steps);

@@ -290,7 +290,8 @@ impl Ensemble<'_> {
             return (SUCCEEDED.to_owned(), String::new());
         };
         let schedule = self.schedule();
-        let broken = Broken { initial, reached: &end.reached, schedule, failure };
+        let asked = Some(&self.plan.asked);
+        let broken = Broken { initial, reached: &end.reached, schedule, asked, failure };
         let patience = Patience::of(self.plan, self.context.control, self.planned.members);
         let stepper = assembly.stepper.as_mut();
         let own_steps = advice::own_steps(self.plan, &assembly.body);

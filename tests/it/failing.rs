@@ -223,6 +223,30 @@ fn an_advised_step_carries_the_run() {
     judged(20, 7);
 }
 
+/// What is advised is taken as it is, in the place of `step_s`: the duration is a whole number of it, and so is what is
+/// between samples.
+#[test]
+fn an_advised_step_divides_the_duration() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let log = directory.path().join("dipole.mcap");
+    // The last has no divisor of two digits.
+    for (duration_s, step_s) in [(10.0, 0.5), (7.0, 0.7), (12.6, 0.6), (9.001, 9.001 / 18.0)] {
+        let mut scenario: Value =
+            serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
+        scenario.as_object_mut().expect("an object").remove("steps");
+        (scenario["duration_s"], scenario["step_s"]) = (json!(duration_s), json!(step_s));
+        (scenario["log"], scenario["expect"]) = (json!({ "every_s": 2.0 * step_s }), json!({}));
+        let failed = run(&scenario.to_string(), &log);
+        let diagnosis = failed.diagnosis.expect("too long a step");
+        let advised = diagnosis.advised_step_s.expect("a smaller step helps");
+        scenario["step_s"] = json!(advised);
+        let accepted = Scenario::from_json(scenario.to_string().as_bytes());
+        assert!(accepted.is_ok(), "{duration_s} s in steps of {advised} s: {accepted:?}");
+        let again = run(&scenario.to_string(), &log);
+        assert!(carries(&again), "{duration_s} s in steps of {advised} s: {:?}", again.diagnosis);
+    }
+}
+
 /// `cargo test --release advised_steps_of_two_hundred_scenes -- --ignored --nocapture`
 #[test]
 #[ignore = "half a minute: cargo test --release advised_steps_of_two_hundred_scenes -- --ignored --nocapture"]
