@@ -154,7 +154,8 @@ struct RunArgs {
     /// Compute a reference afterwards and report the error of the last state.
     #[arg(long)]
     error: bool,
-    /// Overwrite an existing log: a finished one, or an unfinished one of another scenario.
+    /// Overwrite an existing log: a finished one, or an unfinished one of another scenario. That of a run of the same name
+    /// that failed needs no force.
     #[arg(long)]
     force: bool,
 }

@@ -72,7 +72,8 @@ pub struct Control {
     pub cancelled: AtomicBool,
     /// Whether it is to end there with a log that a later run goes on from: see [`Control::interrupt`].
     pub interrupted: AtomicBool,
-    /// Whether a log that stands in the place of this one stays, and the run is refused; otherwise it is replaced.
+    /// Whether a log that stands in the place of this one stays, and the run is refused; otherwise it is replaced. The log of
+    /// a run of the same name that failed is replaced in any case.
     pub replaces_nothing: bool,
     /// How the search for a method and a step is stopped.
     pub settling: Watch,

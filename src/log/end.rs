@@ -3,13 +3,14 @@
 //! Invariant: however long a log is, what is read and kept is bounded by what is asked for. The places of the chunks, of
 //! which a long log has tens of thousands, are looked through where they stand.
 
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::ops::{ControlFlow, Range};
 use std::sync::Arc;
 
 use mcap::read::LinearReader;
-use mcap::records::{AttachmentIndex, Footer, Record, Statistics, op};
+use mcap::records::{AttachmentIndex, Footer, MetadataIndex, Record, Statistics, op};
 use mcap::sans_io::indexed_reader::{
     IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
 };
@@ -28,6 +29,7 @@ pub(super) struct End {
     pub(super) messages: u64,
     /// Of the attachments.
     pub(super) attachments: Vec<AttachmentIndex>,
+    metadata: Vec<MetadataIndex>,
     /// With the channels, and without the chunks.
     summary: Summary,
     /// In the file.
@@ -53,6 +55,7 @@ impl End {
             span_ns: (0, 0),
             messages: 0,
             attachments: Vec::new(),
+            metadata: Vec::new(),
             summary: Summary::default(),
             chunks: 0..0,
         };
@@ -62,7 +65,7 @@ impl End {
             let at = group.group_start..group.group_start.checked_add(group.group_length)?;
             match group.group_opcode {
                 op::CHUNK_INDEX => end.chunks = at,
-                op::STATISTICS | op::ATTACHMENT_INDEX | op::CHANNEL => {
+                op::STATISTICS | op::ATTACHMENT_INDEX | op::METADATA_INDEX | op::CHANNEL => {
                     for record in LinearReader::sans_magic(&bytes_at(file, at)?) {
                         end.note(record.ok()?)?;
                     }
@@ -82,6 +85,7 @@ impl End {
                 ..
             }) => (self.span_ns, self.messages) = ((start_ns, end_ns), message_count),
             Record::AttachmentIndex(index) => self.attachments.push(index),
+            Record::MetadataIndex(index) => self.metadata.push(index),
             Record::Channel(channel) => {
                 let channel = mcap::Channel {
                     id: channel.id,
@@ -95,6 +99,16 @@ impl End {
             _ => return None,
         }
         Some(())
+    }
+
+    /// The entries of a metadata record.
+    pub(super) fn metadata(&self, file: &mut File, name: &str) -> Option<BTreeMap<String, String>> {
+        let at = self.metadata.iter().find(|index| index.name == name)?;
+        let record = bytes_at(file, at.offset..at.offset.checked_add(at.length)?)?;
+        match LinearReader::sans_magic(&record).next()?.ok()? {
+            Record::Metadata(record) => Some(record.metadata),
+            _ => None,
+        }
     }
 
     /// Shows the messages of some topics in a stretch of log times, chunk by chunk, until `visit` has enough.

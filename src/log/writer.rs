@@ -8,7 +8,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -19,6 +19,7 @@ use mcap::write::PrivateRecordOptions;
 use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
 
+use super::end::End;
 use super::messages::{
     self, EnsembleStatistics, Figures, Member, Message as SampleMessage, timestamp,
 };
@@ -127,6 +128,18 @@ enum Rest {
     KeptWhereSynced,
 }
 
+/// Is it the log of a job of this name, and one that failed? A link is none.
+fn is_of_failed(path: &Path, name: Option<&String>) -> bool {
+    let outcome = || {
+        let mut file = path.symlink_metadata().ok()?.is_file().then(|| File::open(path).ok())??;
+        let end = End::read(&mut file)?;
+        let job = end.metadata(&mut file, JOB_RECORD)?;
+        let outcome = end.metadata(&mut file, OUTCOME_RECORD)?;
+        (job.get("name") == name).then_some(outcome)
+    };
+    outcome().is_some_and(|outcome| outcome.get("state").is_some_and(|state| state == "failed"))
+}
+
 impl LogWriter {
     /// Starts the log of `path` under the name of [`super::part_path`], over anything of that name.
     ///
@@ -151,14 +164,15 @@ impl LogWriter {
         Ok(log)
     }
 
-    /// The same, but what stands there is left alone: a finished log, or one that this job did not leave unfinished.
+    /// The same, but what stands there is left alone: a finished log, or one that this job did not leave unfinished. Only
+    /// the log of a job of this name that failed goes when this one is finished.
     ///
     /// # Errors
     /// Those of [`LogWriter::create`], and [`LogError::Exists`].
     pub fn create_new(path: &Path, header: &LogHeader) -> Result<Self, LogError> {
         let exists =
             |path: &Path, finished| Err(LogError::Exists { path: path.to_owned(), finished });
-        if path.symlink_metadata().is_ok() {
+        if path.symlink_metadata().is_ok() && !is_of_failed(path, header.job.get("name")) {
             return exists(path, true);
         }
         let part = super::part_path(path);

@@ -492,6 +492,35 @@ fn a_log_is_replaced_by_force_alone() {
     assert_ne!(std::fs::read(at.join("it.mcap")).expect("a log"), kept);
 }
 
+/// Who does what a failure advises runs the same command again.
+#[test]
+fn a_log_of_a_failed_run_is_replaced_by_one_of_its_name() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = scenario("heavy-top");
+    let run = ["run", &top, "-o", "it.mcap", "--set"];
+    let code = |set: &[&str]| vpd(at, &[&run[..], set].concat()).status.code();
+    let log = || std::fs::read(at.join("it.mcap")).expect("a log");
+    let fails = &["/step_s=5"];
+    assert_eq!(code(fails), Some(1));
+    let failed = log();
+    assert_eq!(code(&["/name=another"]), Some(2), "of another name");
+    assert_eq!(log(), failed);
+    assert_eq!(code(fails), Some(1), "as often as it fails");
+    assert_eq!(code(&["/duration_s=0.5"]), Some(0));
+    let succeeded = log();
+    assert_eq!(code(fails), Some(2), "what has succeeded stays");
+    assert_eq!(log(), succeeded);
+    // What a link leads to is not looked at.
+    #[cfg(unix)]
+    {
+        std::fs::write(at.join("failed.mcap"), failed).expect("a copy");
+        std::fs::remove_file(at.join("it.mcap")).expect("removed");
+        std::os::unix::fs::symlink("failed.mcap", at.join("it.mcap")).expect("a link");
+        assert_eq!(code(fails), Some(2));
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn an_interrupted_run_resumes_and_nothing_else_takes_its_place() {
