@@ -4,6 +4,8 @@
 //! as they stand. Whether the numbers make a body (a rotation, a positive inertia, ...) is for
 //! [`crate::plan`], which knows the mathematics.
 //!
+//! In Rust, what JSON may leave away is left to `of` (and to `Default` where nothing is needed), which takes what JSON needs.
+//!
 //! Invariant: a [`Scenario`] exists only if every field has a legal form; every error carries the JSON
 //! pointer of the field at fault.
 
@@ -93,6 +95,13 @@ pub struct Accuracy {
     /// Symplectic methods only: for long runs whose energy must not drift. `false` if absent.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub symplectic: bool,
+}
+
+impl Accuracy {
+    /// By any method.
+    pub fn of(error: f64) -> Self {
+        Self { error, symplectic: false }
+    }
 }
 
 /// A body that turns about a fixed point.
@@ -443,23 +452,44 @@ impl Scenario {
         step_s: f64,
         steps: u64,
     ) -> Result<Self, ScenarioError> {
-        let scenario = Self {
+        let (step_s, steps) = (Some(step_s), Some(steps));
+        let scenario = Self { step_s, steps, ..Self::blank(name.into(), scene) };
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    /// The same to an accuracy, for which the program chooses method and step: see [`crate::advise::plan`].
+    ///
+    /// # Errors
+    /// The first thing wrong with it, with the pointer of its field.
+    pub fn to_accuracy(
+        name: impl Into<String>,
+        scene: Scene,
+        accuracy: Accuracy,
+        duration_s: f64,
+    ) -> Result<Self, ScenarioError> {
+        let (accuracy, duration_s) = (Some(accuracy), Some(duration_s));
+        let scenario = Self { accuracy, duration_s, ..Self::blank(name.into(), scene) };
+        scenario.check()?;
+        Ok(scenario)
+    }
+
+    fn blank(name: String, scene: Scene) -> Self {
+        Self {
             schema: SchemaAddress,
-            name: name.into(),
+            name,
             description: String::new(),
             scene,
             method: Method::default(),
-            step_s: Some(step_s),
+            step_s: None,
             step: None,
             accuracy: None,
-            steps: Some(steps),
+            steps: None,
             duration_s: None,
             ensemble: None,
             log: LogOptions::default(),
             expect: None,
-        };
-        scenario.check()?;
-        Ok(scenario)
+        }
     }
 
     /// The log time of t = 0 of a scenario that does not say, in nanoseconds since 1970.

@@ -23,6 +23,13 @@ pub struct DrivenTerm {
     pub factor: Option<Factor>,
 }
 
+impl DrivenTerm {
+    /// One that stays as it is until a path or a factor is set.
+    pub fn of(term: PotentialTerm) -> Self {
+        Self { term, path: None, factor: None }
+    }
+}
+
 /// How the direction or position of a term moves in space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -63,6 +70,13 @@ pub struct Orbit {
     pub mean_anomaly_rad: f64,
 }
 
+impl Orbit {
+    /// A circle, from the pericentre.
+    pub fn of(towards: Vec<f64>, mean_motion_rad_s: f64) -> Self {
+        Self { towards, mean_motion_rad_s, eccentricity: 0.0, mean_anomaly_rad: 0.0 }
+    }
+}
+
 /// What a strength is multiplied by.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -90,6 +104,11 @@ pub struct Harmonic {
 }
 
 impl Harmonic {
+    /// About a mean of one, from its crest.
+    pub fn of(amplitude: f64, rate_rad_s: f64) -> Self {
+        Self { mean: Self::one(), amplitude, rate_rad_s, phase_rad: 0.0 }
+    }
+
     fn one() -> f64 {
         1.0
     }
@@ -110,6 +129,11 @@ pub struct Table {
 }
 
 impl Table {
+    /// Cubic between the times.
+    pub fn of(times_s: Vec<f64>, values: Vec<f64>) -> Self {
+        Self { times_s, values, smooth: Self::smooth() }
+    }
+
     fn smooth() -> bool {
         true
     }
@@ -140,7 +164,7 @@ pub struct TorqueTable {
 }
 
 /// A torque against the angular velocity; one of the two is given.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Viscous {
     /// The same about all axes, in N m s.

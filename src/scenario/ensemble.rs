@@ -81,6 +81,17 @@ impl Ensemble {
     /// The most members logged in full in addition to member 0: with it, as many as go side by side.
     pub const MOST_IN_FULL: usize = 7;
 
+    /// So many members that are not spread yet.
+    pub fn of(members: u64) -> Self {
+        Self {
+            members,
+            seed: 0,
+            attitude_spread_rad: 0.0,
+            momentum_spread: 0.0,
+            in_full: Vec::new(),
+        }
+    }
+
     /// Checks its form, for runs of `steps`.
     pub(super) fn check(&self, steps: u64) -> Check {
         let Self { members, seed, attitude_spread_rad, momentum_spread, in_full } = self;

@@ -3,12 +3,16 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use serde_json::{Value, json};
 use vpd::advise;
 use vpd::chart::draw_log;
 use vpd::log::course::LogChart;
 use vpd::log::reader::{Item, Message, read_samples};
 use vpd::run::{Control, JobContext, Outcome, Summary, execute};
-use vpd::scenario::{SHIPPED, Scenario};
+use vpd::scenario::{
+    Accuracy, DrivenTerm, Ensemble, GravityGradient, Harmonic, Inertia, Orbit, PotentialTerm,
+    SHIPPED, Scenario, Scene, Spring, Table, Viscous,
+};
 
 pub(crate) fn run(text: &str, log: &Path) -> Summary {
     let scenario = Scenario::from_json(text.as_bytes()).expect("a good scenario");
@@ -313,4 +317,39 @@ fn thirty_two_dimensions_are_a_scene_like_any() {
         let found = apart(&reference, &end(name, tableau));
         assert!(found <= bound, "{name} {tableau}: {found:e}");
     }
+}
+
+/// What is made in Rust from what JSON needs is what JSON makes of it, with the same defaults.
+#[test]
+fn what_is_left_away_in_rust_is_what_json_has() {
+    fn same<T: serde::de::DeserializeOwned + PartialEq + std::fmt::Debug>(made: T, json: Value) {
+        assert_eq!(made, serde_json::from_value(json).expect("all that is needed"));
+    }
+    let (point, place) = (|| vec![0.0, 0.0, 0.1], || vec![0.0, 2.0, 0.0]);
+    let spring = || Spring::of(4.0, point(), place());
+    let written = json!({ "stiffness": 4, "body_point": point(), "position": place() });
+    same(spring(), written.clone());
+    same(GravityGradient::of(0.3, place()), json!({ "strength": 0.3, "direction": place() }));
+    let mut term = written;
+    term["kind"] = json!("spring");
+    let inertia = || Inertia::Principal([1.0, 2.0, 3.0]);
+    let scene = json!({ "inertia": { "principal": [1, 2, 3] } });
+    same(Scene::free(inertia()), scene.clone());
+    let mut driven = scene.clone();
+    driven["driven"] = json!([{ "term": term }]);
+    let read = json!({ "name": "s", "scene": driven, "step_s": 0.01, "steps": 10 });
+    let read = Scenario::from_json(read.to_string().as_bytes()).expect("good");
+    assert_eq!(read.scene.driven, [DrivenTerm::of(PotentialTerm::Spring(spring()))]);
+    same(Orbit::of(place(), 0.1), json!({ "towards": place(), "mean_motion_rad_s": 0.1 }));
+    same(Harmonic::of(0.5, 2.0), json!({ "amplitude": 0.5, "rate_rad_s": 2 }));
+    same(Table::of(vec![0.0, 1.0], vec![1.0, 2.0]), json!({ "times_s": [0, 1], "values": [1, 2] }));
+    same(Viscous::default(), json!({}));
+    same(Ensemble::of(10), json!({ "members": 10 }));
+    same(Accuracy::of(1e-8), json!({ "error": 1e-8 }));
+    let made = Scenario::of("s", Scene::free(inertia()), 0.01, 10).expect("good");
+    same(made, json!({ "name": "s", "scene": scene, "step_s": 0.01, "steps": 10 }));
+    let free = Scene::free(inertia());
+    let made = Scenario::to_accuracy("s", free, Accuracy::of(1e-8), 10.0).expect("good");
+    let accuracy = json!({ "error": 1e-8 });
+    same(made, json!({ "name": "s", "scene": scene, "accuracy": accuracy, "duration_s": 10 }));
 }

@@ -23,6 +23,11 @@ pub struct GravityGradient {
 }
 
 impl GravityGradient {
+    /// One that acts on the inertia, as in a scenario that gives no matrix.
+    pub fn of(strength: f64, direction: Vec<f64>) -> Self {
+        Self { strength, direction, matrix: None }
+    }
+
     pub(super) const FORMULA: &'static str =
         "strength / 2 * (g^T direction) . matrix (g^T direction)";
 

@@ -26,6 +26,11 @@ pub struct Spring {
 }
 
 impl Spring {
+    /// One without a length at rest, as in a scenario that gives none.
+    pub fn of(stiffness: f64, body_point: Vec<f64>, position: Vec<f64>) -> Self {
+        Self { stiffness, rest_length: 0.0, body_point, position }
+    }
+
     pub(super) const FORMULA: &'static str =
         "stiffness / 2 * (|g body_point - position| - rest_length)^2";
 
