@@ -174,8 +174,8 @@ fn kick(
     h: f64,
 ) -> Result<Vector3<f64>, Failure> {
     let g = so3::rotation(&top.attitude);
-    body.check_distances(&g, seen)?;
-    Ok(so3::vector(&body.gradient(&g, seen)) * -h)
+    body.check_distances_seen(&g, seen)?;
+    Ok(so3::vee(&body.gradient_seen(&g, seen)) * -h)
 }
 
 #[cfg(test)]

@@ -178,7 +178,7 @@ impl<const N: usize> RigidBody<N> {
         }
     }
 
-    /// dH/dmu: the body angular velocity `Omega = J^-1 (mu - wheels)`, skew.
+    /// dH/dmu: the body angular velocity `Omega = J^-1 (mu - wheels)`, skew: [`Hamiltonian::velocity`], at any attitude.
     pub fn velocity(&self, mu: &Mat<N>) -> Mat<N> {
         match &self.wheels {
             None => self.velocity_without_wheels(mu),
@@ -217,7 +217,7 @@ impl<const N: usize> RigidBody<N> {
         omega: &Mat<N>,
         seen: &[Vector<N>],
     ) -> Mat<N> {
-        super::so::asym(&(mu * omega)) - self.gradient(u, seen)
+        super::so::asym(&(mu * omega)) - self.gradient_seen(u, seen)
     }
 
     /// The same body, with work to be counted, and ended, by `work`.
@@ -252,11 +252,11 @@ impl<const N: usize> RigidBody<N> {
         seen.extend(self.space_vectors().map(|v| g0.tr_mul(v)));
     }
 
-    /// dH/dg at `g = g0 u`, left-trivialised and skew, given the space vectors `seen` from g0.
+    /// [`RigidBody::gradient`] at `g = g0 u`, given the space vectors `seen` from g0.
     ///
     /// A term U(q) with `q = u^T v` has `dH/dg = q (dU/dq)^T - (dU/dq) q^T`: from `x = g y` the paper's
     /// `asym(g^T grad_g U)`.
-    pub fn gradient(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
+    pub fn gradient_seen(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
         self.count(1);
         let mut sum = Mat::zeros();
         for (term, v) in self.terms.iter().zip(seen) {
@@ -279,21 +279,21 @@ impl<const N: usize> RigidBody<N> {
         Own::attitude(u, seen.get(self.terms.len()..).unwrap_or_default())
     }
 
-    /// dH/dg at `g`, left-trivialised and skew.
-    pub fn gradient_at(&self, g: &Mat<N>) -> Mat<N> {
+    /// dH/dg at `g`, left-trivialised and skew: [`Hamiltonian::gradient`], at any momentum.
+    pub fn gradient(&self, g: &Mat<N>) -> Mat<N> {
         let mut seen = Vec::new();
         self.seen_from(g, &mut seen);
-        self.gradient(&Mat::identity(), &seen)
+        self.gradient_seen(&Mat::identity(), &seen)
     }
 
-    /// [`RigidBody::check_distances`] at `g`.
+    /// Refuses an attitude at which the potential has lost its meaning.
     ///
     /// # Errors
-    /// The same.
-    pub fn check_distances_at(&self, g: &Mat<N>) -> Result<(), Failure> {
+    /// [`FailureCode::PotentialSingularity`] with the relative distance and its limit; those of [`Potential::check`].
+    pub fn check_distances(&self, g: &Mat<N>) -> Result<(), Failure> {
         let mut seen = Vec::new();
         self.seen_from(g, &mut seen);
-        self.check_distances(&Mat::identity(), &seen)
+        self.check_distances_seen(&Mat::identity(), &seen)
     }
 
     /// dU/dg at `g`, right-trivialised and skew, in space: `<gradient, eta> = d/de U(exp(e eta) g)`.
@@ -318,12 +318,11 @@ impl<const N: usize> RigidBody<N> {
         sum
     }
 
-    /// Refuses an attitude `u` (in the frame that `seen` belongs to) at which the potential has lost its
-    /// meaning.
+    /// [`RigidBody::check_distances`] of an attitude `u` in the frame that `seen` belongs to.
     ///
     /// # Errors
-    /// [`FailureCode::PotentialSingularity`] with the relative distance and its limit; those of [`Potential::check`].
-    pub fn check_distances(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Result<(), Failure> {
+    /// The same.
+    pub fn check_distances_seen(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Result<(), Failure> {
         for (term, v) in self.terms.iter().zip(seen) {
             if let Some(distance) = term.law.relative_distance(&u.tr_mul(v))
                 && !(distance >= CLOSEST_APPROACH)
@@ -368,7 +367,7 @@ impl<const N: usize> System<N> for RigidBody<N> {
         self.driven.turning_frame(self.terms.iter().map(|term| &term.space).chain(&own))
     }
 
-    fn angular_velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
+    fn observed_velocity(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
         Some(self.velocity(mu))
     }
 
@@ -385,7 +384,7 @@ impl<const N: usize> System<N> for RigidBody<N> {
     }
 
     fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
-        self.check_distances_at(g)
+        self.check_distances(g)
     }
 
     fn begin_sweep(&self) -> Result<(), Failure> {
@@ -399,7 +398,7 @@ impl<const N: usize> Hamiltonian<N> for RigidBody<N> {
     }
 
     fn gradient(&self, g: &Mat<N>, _mu: &Mat<N>) -> Mat<N> {
-        self.gradient_at(g)
+        self.gradient(g)
     }
 
     fn as_body(&self) -> Option<&RigidBody<N>> {
@@ -410,7 +409,7 @@ impl<const N: usize> Hamiltonian<N> for RigidBody<N> {
 impl RigidBody<3> {
     /// The wheels as a vector, in kg m^2/s.
     pub(crate) fn wheels(&self) -> Option<[f64; 3]> {
-        self.wheels.as_ref().map(|wheels| super::so3::vector(wheels).into())
+        self.wheels.as_ref().map(|wheels| super::so3::vee(wheels).into())
     }
 
     /// J^-1, the inverse of the inertia tensor: `vee(Omega) = J^-1 vee(mu)`.

@@ -48,7 +48,7 @@ impl<const N: usize> Lagrangian<N> for RigidBody<N> {
 
     fn force(&self, g: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
         // L = T - U
-        -self.gradient_at(g)
+        -self.gradient(g)
     }
 }
 

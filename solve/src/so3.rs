@@ -27,7 +27,7 @@ impl Top {
 
     /// The same point in coordinates of its own.
     pub fn from_state(state: &State<3>) -> Self {
-        Self { attitude: unit(&state.attitude), momentum: vector(&state.momentum) }
+        Self { attitude: unit(&state.attitude), momentum: vee(&state.momentum) }
     }
 
     /// The point itself.
@@ -43,13 +43,13 @@ impl Top {
     }
 }
 
-/// The skew matrix of a vector, `hat(v) y = v cross y`.
-pub fn skew(v: &Vector3<f64>) -> Matrix3<f64> {
+/// The skew matrix of a vector, `hat(v) y = v cross y`: [`crate::so::hat`], of a vector of fixed size.
+pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()
 }
 
-/// The vector of a skew matrix.
-pub fn vector(x: &Matrix3<f64>) -> Vector3<f64> {
+/// The vector of a skew matrix: the inverse of [`hat`].
+pub fn vee(x: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(x[(2, 1)], x[(0, 2)], x[(1, 0)])
 }
 
@@ -92,7 +92,7 @@ mod tests {
             assert!((g * y - (q * pure(&y) * q.conjugate()).vector()).amax() < 1e-15);
             let back = unit(&g);
             assert!((back * back.dot(&q).signum() - q).norm() < 1e-15);
-            assert!((vector(&skew(&y)) - y).amax() == 0.0);
+            assert!((vee(&hat(&y)) - y).amax() == 0.0);
         }
     }
 }

@@ -543,7 +543,7 @@ impl<const N: usize> Observer<N> {
             time_s,
             attitude,
             momentum,
-            angular_velocity: system.angular_velocity(&g, &momentum),
+            angular_velocity: system.observed_velocity(&g, &momentum),
             energy,
             energy_error: energy.map(|now| now.total() - self.initial_energy - work),
             work: energy.filter(|_| self.driven).map(|_| work),

@@ -73,7 +73,7 @@ impl Model {
 
     /// Does nothing move at the start, and nothing push?
     pub(super) fn is_at_rest(&self) -> bool {
-        let torque = || potential(&self.terms).gradient_at(&self.rotation());
+        let torque = || potential(&self.terms).gradient(&self.rotation());
         !self.is_driven()
             && self.wheels.is_none()
             && self.momentum.iter().all(|&x| x == 0.0)

@@ -245,7 +245,7 @@ impl EnergySeen {
         let [first, last] = [start, end].map(|at| body.energy(&at.attitude, &at.momentum));
         // A run that begins and ends at rest has moved between: by about as much as the torque does in a radian.
         let torque = |at: &State<N>| {
-            let torque = body.gradient_at(&at.attitude);
+            let torque = body.gradient(&at.attitude);
             so::inner(&torque, &torque).sqrt()
         };
         let moved = first.kinetic.max(last.kinetic).max(torque(start)).max(torque(end));

@@ -367,7 +367,7 @@ impl<const N: usize, Y: System<N> + ?Sized> Sink<N> for Gauge<'_, Y> {
         self.series.push((sample.time_s, energy_error, orthogonality));
         self.blown.set(self.blown.get() || energy_error.abs() > self.energy_limit);
         let attitude = sample.attitude.unwrap_or_else(Mat::identity);
-        let velocity = self.system.angular_velocity(&attitude, &sample.momentum);
+        let velocity = self.system.observed_velocity(&attitude, &sample.momentum);
         let rate = velocity.map_or(0.0, |velocity| size(&velocity));
         if rate > self.fastest.0 {
             self.fastest = (rate, self.series.len() - 1);

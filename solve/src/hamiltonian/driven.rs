@@ -406,7 +406,7 @@ impl<const N: usize> Moment<N> {
 
     /// `dH/dg - F` at `g`, left-trivialised: minus all that turns the body.
     pub(crate) fn gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
-        self.body.gradient_at(g) - self.torque(g, mu, omega)
+        self.body.gradient(g) - self.torque(g, mu, omega)
     }
 
     /// `mu' = [mu, Omega] - dH/dg + F`: see [`RigidBody::momentum_rate`].
@@ -436,7 +436,7 @@ impl<const N: usize> Moment<N> {
         if let Some(refused) = &self.refused {
             return Err(refused.clone());
         }
-        self.body.check_distances_at(g)
+        self.body.check_distances(g)
     }
 
     /// The energy then.

@@ -28,8 +28,8 @@ impl<const N: usize> RigidBody<N> {
         for _ in 0..ROUNDS {
             xi /= size(&xi);
             let Some(turn) = so::retraction(&(xi * APART)) else { return 0.0 };
-            let ahead = self.gradient_at(&so::product(g, &turn));
-            let behind = self.gradient_at(&so::product(g, &turn.transpose()));
+            let ahead = self.gradient(&so::product(g, &turn));
+            let behind = self.gradient(&so::product(g, &turn.transpose()));
             xi = self.velocity(&((ahead - behind) / (2.0 * APART)));
             square = size(&xi);
             if !(square > 0.0 && square.is_finite()) {

@@ -117,7 +117,7 @@ impl<const N: usize> System<N> for Rescaled<'_, N> {
     }
 
     fn check(&self, g: &Mat<N>) -> Result<(), Failure> {
-        self.body.check_distances_at(g)
+        self.body.check_distances(g)
     }
 
     fn begin_sweep(&self) -> Result<(), Failure> {
@@ -133,7 +133,7 @@ impl<const N: usize> Hamiltonian<N> for Rescaled<'_, N> {
     fn gradient(&self, g: &Mat<N>, mu: &Mat<N>) -> Mat<N> {
         let (sigma, of_sigma) = self.scale.with_gradient(self.body, g);
         let above = self.body.energy(g, mu).total() - self.energy;
-        self.body.gradient_at(g) * sigma + of_sigma * above
+        self.body.gradient(g) * sigma + of_sigma * above
     }
 
     fn as_rescaled(&self) -> Option<&Rescaled<'_, N>> {

@@ -9,9 +9,9 @@ use crate::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
 use crate::stack::{Dimension, Known, Stack};
 
 impl RigidBody<3> {
-    /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient`] in lanes. Next to
+    /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient_seen`] in lanes. Next to
     /// it the nearness, minus the square of the smallest relative distance to a point of the potential; -1 if
-    /// there is none; [`RigidBody::check_distances`] refuses from `-CLOSEST_APPROACH^2` on. The caller
+    /// there is none; [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller
     /// counts the evaluations: not every lane is a stage.
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
@@ -54,7 +54,7 @@ impl RigidBody<3> {
         }
         let [x, y, z, refused] = R::lane_by_lane(g, &mut |g| {
             let g = Mat::<3>::from_fn(|i, j| g[i][j]);
-            let torque = so3::vector(&self.own.gradient(&g));
+            let torque = so3::vee(&self.own.gradient(&g));
             let refused = if self.own.check(&g).is_err() { 0.0 } else { -1.0 };
             [torque.x, torque.y, torque.z, refused]
         });

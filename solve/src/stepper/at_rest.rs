@@ -43,7 +43,7 @@ impl<const N: usize> Stepper<N> for AtRest<N> {
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         let State { attitude, momentum } = &self.state;
         let nothing = |x: &Mat<N>| x.iter().all(|&x| x == 0.0);
-        let stays = || nothing(momentum) && nothing(&body.gradient_at(attitude));
+        let stays = || nothing(momentum) && nothing(&body.gradient(attitude));
         if *self.stays.get_or_insert_with(stays) {
             body.work().begin_sweep()?;
             Ok(Convergence::EXPLICIT)

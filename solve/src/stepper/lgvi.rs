@@ -81,7 +81,7 @@ impl Stepper<3> for Lgvi {
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.state.top.momentum)
+        so3::hat(&self.state.top.momentum)
     }
 }
 
@@ -97,7 +97,7 @@ fn solve(
         let jv = inertia * v;
         let residual = jv * s + v.cross(&jv) - half;
         // d(s J v + v x J v): s J - J v v^T / s + hat(v) J - hat(J v)
-        let slope = inertia * s - jv * v.transpose() / s + so3::skew(&v) * inertia - so3::skew(&jv);
+        let slope = inertia * s - jv * v.transpose() / s + so3::hat(&v) * inertia - so3::hat(&jv);
         let change = slope.try_inverse().ok_or(too_large(0.0, 0.0))? * residual;
         v -= change;
         Ok(if change.amax() == 0.0 { 0.0 } else { change.norm() / v.norm() })

@@ -119,7 +119,7 @@ impl QuaternionGauss {
         let turns = (0..self.tableau.stages()).map(|k| (k, self.stages.turn(k)));
         // An iterate that is not finite has met nothing.
         turns.filter(|(_, u)| u.coords.iter().all(|x| x.is_finite())).try_for_each(|(k, u)| {
-            body.check_distances(&so3::rotation(&u), &seen)
+            body.check_distances_seen(&so3::rotation(&u), &seen)
                 .map_err(|met| Failure { stage: Some(k), ..met })
         })
     }
@@ -179,6 +179,6 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.motion.body_momentum.value.into())
+        so3::hat(&self.motion.body_momentum.value.into())
     }
 }

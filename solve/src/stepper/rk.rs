@@ -138,7 +138,10 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
             moment
                 .as_ref()
-                .map_or_else(|| body.check_distances(&g, &self.seen), |moment| moment.check(&g))
+                .map_or_else(
+                    || body.check_distances_seen(&g, &self.seen),
+                    |moment| moment.check(&g),
+                )
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
             if self.projected && i == 0 {

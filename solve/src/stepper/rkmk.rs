@@ -119,7 +119,10 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
             let g = || self.state.attitude * u;
             moment
                 .as_ref()
-                .map_or_else(|| body.check_distances(&u, &self.seen), |moment| moment.check(&g()))
+                .map_or_else(
+                    || body.check_distances_seen(&u, &self.seen),
+                    |moment| moment.check(&g()),
+                )
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
             let k = self.dexpinv(&sigma, &omega);

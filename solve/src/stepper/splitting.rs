@@ -73,7 +73,7 @@ impl Stepper<3> for Splitting {
     }
 
     fn momentum(&self) -> Mat<3> {
-        so3::skew(&self.state.top.momentum)
+        so3::hat(&self.state.top.momentum)
     }
 }
 

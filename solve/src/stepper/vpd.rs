@@ -100,7 +100,7 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
                 body.inspect(|body| body.count(1));
                 Some(moment.gradient(&so::product(self.g0, u), &mu(), omega))
             }
-            (Some(body), None) => (!body.is_free()).then(|| body.gradient(u, self.seen)),
+            (Some(body), None) => (!body.is_free()).then(|| body.gradient_seen(u, self.seen)),
             (None, None) => Some(self.system.gradient(&so::product(self.g0, u), &mu())),
         }
     }
@@ -121,7 +121,7 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
         match (self.system.as_body(), self.moments.get(k)) {
             (_, Some(moment)) => moment.check(&so::product(self.g0, u)),
-            (Some(body), None) => body.check_distances(u, self.seen),
+            (Some(body), None) => body.check_distances_seen(u, self.seen),
             (None, None) => self.system.check(&so::product(self.g0, u)),
         }
     }

@@ -93,7 +93,7 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
                 self.lagrangian.as_body().inspect(|body| body.count(1));
                 moment.gradient(&(self.g0 * u), &mu(), omega)
             }
-            (Some(body), None) => body.gradient(u, self.seen),
+            (Some(body), None) => body.gradient_seen(u, self.seen),
             // dH/dg = -dL/dg
             (None, None) => -self.lagrangian.force(&(self.g0 * u), omega),
         })
@@ -106,7 +106,7 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
         match (self.body, self.moments.get(k)) {
             (_, Some(moment)) => moment.check(&(self.g0 * u)),
-            (Some(body), None) => body.check_distances(u, self.seen),
+            (Some(body), None) => body.check_distances_seen(u, self.seen),
             (None, None) => self.lagrangian.check(&(self.g0 * u)),
         }
     }

@@ -316,7 +316,7 @@ impl Sweeps<'_> {
         if self.plane.is_free() {
             0.0
         } else {
-            self.plane.gradient(&matrix(turn), self.seen)[(1, 0)]
+            self.plane.gradient_seen(&matrix(turn), self.seen)[(1, 0)]
         }
     }
 
@@ -336,9 +336,9 @@ impl Sweeps<'_> {
             check_branch(cosine, 0.0, None)?;
             before = turn;
         }
-        stages
-            .iter()
-            .try_for_each(|stage| self.plane.check_distances(&matrix(stage.point.turn), self.seen))
+        stages.iter().try_for_each(|stage| {
+            self.plane.check_distances_seen(&matrix(stage.point.turn), self.seen)
+        })
     }
 
     /// The units of turns and of what pushes.

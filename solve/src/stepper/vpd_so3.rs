@@ -182,7 +182,7 @@ impl VpdSo3 {
             |turn: &Quaternion<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
         turns.filter(|(_, turn)| is_rotation(turn)).try_for_each(|(k, turn)| {
             let u = turn.matrix();
-            body.check_distances(&Mat::from_fn(|i, j| u[i][j]), &seen)
+            body.check_distances_seen(&Mat::from_fn(|i, j| u[i][j]), &seen)
                 .map_err(|failure| Failure { stage: Some(k), ..failure })
         })
     }
@@ -333,7 +333,7 @@ impl Stepper<3> for VpdSo3 {
         self.state = match self.state {
             Carried::Full(_) => Carried::Full(Motion::of(state)),
             Carried::Reduced { .. } => {
-                let momentum = so3::vector(&state.momentum);
+                let momentum = so3::vee(&state.momentum);
                 let square = momentum.norm_squared();
                 Carried::Reduced { momentum: Sum::new(momentum.into(), 0.0), square }
             }

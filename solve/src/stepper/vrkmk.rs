@@ -239,7 +239,7 @@ impl<const N: usize> Step<'_, N> {
         let mut stages = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
         let check = stages.try_for_each(|(i, stage)| {
             let check = match self.moments.get(i) {
-                None => self.body.check_distances(&stage.g, self.space),
+                None => self.body.check_distances_seen(&stage.g, self.space),
                 Some(moment) => moment.check(&stage.g),
             };
             check.map_err(|met| Failure { stage: Some(i), ..met })

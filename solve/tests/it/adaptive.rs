@@ -77,7 +77,7 @@ impl<const N: usize> Hamiltonian<N> for Unknown<'_, N> {
 
     fn gradient(&self, g: &Mat<N>, mu: &Mat<N>) -> Mat<N> {
         match self.without {
-            Some(body) => body.gradient_at(g) * self.of.sigma(g),
+            Some(body) => body.gradient(g) * self.of.sigma(g),
             None => self.of.gradient(g, mu),
         }
     }

@@ -239,7 +239,7 @@ impl<const N: usize> Lagrangian<N> for Charged<N> {
 
     fn force(&self, g: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let b = g.transpose() * self.field * g;
-        omega * b - b * omega - self.body.gradient_at(g)
+        omega * b - b * omega - self.body.gradient(g)
     }
 }
 

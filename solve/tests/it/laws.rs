@@ -308,7 +308,7 @@ fn the_gradient_is_the_derivative_of_the_energy() {
             let u = numbers.rotation::<N>();
             let mut seen = Vec::new();
             body.seen_from(&g0, &mut seen);
-            let gradient = body.gradient(&u, &seen);
+            let gradient = body.gradient_seen(&u, &seen);
             let potential = |turn: &Mat<N>| {
                 let attitude = g0 * u * so::retraction(turn).expect("small");
                 body.energy(&attitude, &Mat::zeros()).potential

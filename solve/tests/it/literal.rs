@@ -62,7 +62,7 @@ pub(crate) fn step<const N: usize>(
         // b_i (dH/dU(U_i, mu_i) - asym(U_i^T g1 Lambda Omega_i^T)): what the maps of (24a, vih1) and (24d, vih4) are
         // applied to, with its weight.
         let force = each(&|i| {
-            let bracket = body.gradient_at(&u[i])
+            let bracket = body.gradient(&u[i])
                 - asym(&(u[i].transpose() * g1 * lambda * omega[i].transpose()));
             bracket * b(i)
         });

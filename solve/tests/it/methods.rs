@@ -196,7 +196,7 @@ fn extrapolated<const N: usize>(body: &RigidBody<N>, start: &State<N>, span: f64
     body.seen_from(&Mat::identity(), &mut seen);
     let rate = |(g, mu): &(Mat<N>, Mat<N>)| {
         let omega = body.velocity(mu);
-        (g * omega, mu * omega - omega * mu - body.gradient(g, &seen))
+        (g * omega, mu * omega - omega * mu - body.gradient_seen(g, &seen))
     };
     let add = |a: &(Mat<N>, Mat<N>), b: &(Mat<N>, Mat<N>), t: f64| (a.0 + b.0 * t, a.1 + b.1 * t);
     let big = span / BIG_STEPS as f64;

@@ -204,7 +204,7 @@ fn a_potential_of_ones_own_is_its_derivative_beside_the_terms() {
             own.energy(&turned, &Mat::zeros()).potential
         };
         let slope = (energy(1e-4) - energy(-1e-4)) / 2e-4;
-        assert!((slope - so::inner(&own.gradient_at(&g), &eta)).abs() < 1e-7, "n = {N}");
+        assert!((slope - so::inner(&own.gradient(&g), &eta)).abs() < 1e-7, "n = {N}");
         let spatial = own.spatial_gradient(&g) - built_in.spatial_gradient(&g);
         assert!(spatial.amax() < 1e-14, "n = {N}");
         assert!(!own.is_free());
@@ -290,7 +290,7 @@ impl<const N: usize> Hamiltonian<N> for Magnetic<N> {
     fn gradient(&self, g: &Mat<N>, mu: &Mat<N>) -> Mat<N> {
         // d(g^T A g) = [b, eta], b = g^T A g; <-Omega, [b, eta]> = <[b, Omega], eta>
         let (b, omega) = (self.field(g), self.velocity(g, mu));
-        b * omega - omega * b + self.body.gradient_at(g)
+        b * omega - omega * b + self.body.gradient(g)
     }
 }
 
@@ -438,7 +438,7 @@ fn any_hamiltonian_may_stand_behind_a_pointer() {
         }
 
         fn gradient(&self, g: &Mat<3>, _mu: &Mat<3>) -> Mat<3> {
-            self.0.gradient_at(g)
+            self.0.gradient(g)
         }
     }
     let mut numbers = Numbers(59);

@@ -148,7 +148,7 @@ pub(crate) fn classical<const N: usize>(
     body.seen_from(&Mat::identity(), &mut seen);
     let slope = |g: &Mat<N>, mu: &Mat<N>| {
         let omega = body.velocity(mu);
-        (g * omega, mu * omega - omega * mu - body.gradient(g, &seen))
+        (g * omega, mu * omega - omega * mu - body.gradient_seen(g, &seen))
     };
     let h = span / f64::from(steps);
     let (mut g, mut mu) = (start.attitude, start.momentum);
