@@ -103,7 +103,7 @@ pub fn precision<const N: usize, Y: System<N> + ?Sized>(
 /// Where each candidate fails on the system, as [`stability`](super::stability::stability) does it for scenes: a sweep of
 /// the step, and the border of what is usable. Steps are held against those of `exact`, best of order 16.
 ///
-/// The body turns by as much as [`System::angular_velocity`] says, or by a radian in each of the question's first steps.
+/// The body turns by as much as [`System::observed_velocity`] says, or by a radian in each of the question's first steps.
 ///
 /// # Errors
 /// If no step of `exact` keeps the energy, or the study is cancelled.
