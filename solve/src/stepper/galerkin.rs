@@ -42,7 +42,7 @@ mod motion;
 mod vectors;
 
 pub(super) use carried::Carried;
-use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck};
+use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck, Velocity};
 pub(super) use motion::{Motion, Sum};
 use vectors::InVectors;
 
@@ -65,7 +65,7 @@ const FAR_ENOUGH: f64 = -CLOSEST_APPROACH * CLOSEST_APPROACH;
 /// What a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
 pub(super) trait Dynamics<const N: usize> {
     /// The velocity Omega_k of stage `k` at `u`, given its momentum `mu` and the `omega` before.
-    fn velocity(&mut self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
+    fn velocity(&self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
     /// dH/dg = -dL/dg of stage `k` at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for,
     /// and the velocity `omega`; less the torque, of a driven body; `None` if it is zero everywhere.
@@ -98,6 +98,8 @@ pub(super) struct Seen<'a, const N: usize> {
     pub(super) vectors: &'a [Vector<N>],
     /// Of one in a time of its own.
     pub(super) scale: Option<Scale<'a>>,
+    /// Is its velocity asked of its Lagrangian?
+    pub(super) by_lagrangian: bool,
 }
 
 /// `value` as what it is for n = 3.
@@ -145,6 +147,8 @@ pub(super) struct Solution<const N: usize> {
     pub(super) turn: Mat<N>,
     /// `pi1 - p0`, what the forces add to the momentum.
     pub(super) impulse: Mat<N>,
+    /// `p1 - p0` of a rigid body that nothing drives, where it is known but as what the others make of it.
+    gain: Option<Mat<N>>,
     /// The length of the step.
     h: f64,
     by: By,
@@ -226,7 +230,7 @@ impl<const N: usize> GalerkinStep<N> {
         let by_sweeps_alone = stop.rungs == Rungs::Newton;
         let collocation = if by_sweeps_alone { None } else { Collocation::new(&tableau, N) };
         let in_vectors = if by_sweeps_alone || N != 3 { None } else { InVectors::new(&tableau) };
-        let solution = Solution { turn: zero, impulse: zero, h: 0.0, by: By::Sweeps };
+        let solution = Solution { turn: zero, impulse: zero, gain: None, h: 0.0, by: By::Sweeps };
         let (past, seen) = (None, Vec::new());
         Self { stages, end, tableau, solver, collocation, in_vectors, past, solution, seen }
     }
@@ -273,7 +277,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// Any [`FailureCode`].
     pub(super) fn solve(
         &mut self,
-        dynamics: &mut dyn Dynamics<N>,
+        dynamics: &dyn Dynamics<N>,
         length: impl Into<Length>,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -286,7 +290,7 @@ impl<const N: usize> GalerkinStep<N> {
 
     fn solved(
         &mut self,
-        dynamics: &mut dyn Dynamics<N>,
+        dynamics: &dyn Dynamics<N>,
         length: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -295,7 +299,7 @@ impl<const N: usize> GalerkinStep<N> {
             return Ok(solved);
         }
         let h = length.h;
-        (self.solution.by, self.solution.h) = (By::Sweeps, h);
+        (self.solution.by, self.solution.h, self.solution.gain) = (By::Sweeps, h, None);
         let Self { tableau, solver, past, stages, end, collocation, .. } = self;
         let worth = if collocation.is_some() { ROUNDS_OF_A_SWEEP } else { 1 };
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end, worth };
@@ -320,7 +324,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// beyond doubt.
     fn collocated(
         &mut self,
-        dynamics: &mut dyn Dynamics<N>,
+        dynamics: &dyn Dynamics<N>,
         length: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -364,7 +368,7 @@ impl<const N: usize> GalerkinStep<N> {
         omega: &Mat<N>,
     ) -> Option<Result<Solved, Stuck>> {
         let in_vectors = self.in_vectors.as_mut()?;
-        let Seen { body, vectors, scale } = dynamics.body()?;
+        let Seen { body, vectors, scale, .. } = dynamics.body()?;
         let (body, scale) = (for_three::<_, RigidBody<3>>(body)?, scale?);
         if body.has_own() {
             return None;
@@ -378,6 +382,7 @@ impl<const N: usize> GalerkinStep<N> {
             self.solution = Solution {
                 turn: Mat::from_fn(|i, j| change[(i, j)]),
                 impulse: so::hat(&in_vectors.impulse()),
+                gain: None,
                 h: solved.h,
                 by: By::Vectors,
             };
@@ -388,7 +393,7 @@ impl<const N: usize> GalerkinStep<N> {
     /// Solves the step of any system in matrices.
     fn in_matrices(
         &mut self,
-        dynamics: &mut dyn Dynamics<N>,
+        dynamics: &dyn Dynamics<N>,
         length: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
@@ -398,25 +403,27 @@ impl<const N: usize> GalerkinStep<N> {
         let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
         let Length { h, lasting } = length;
         let start = Start { n: N, h, lasting, momentum, velocity };
-        let mut one_stage;
+        let one_stage = OneStage(dynamics);
         let source = match dynamics.body() {
-            Some(Seen { body, vectors, scale })
-                if body.principal().is_some() && !body.has_own() =>
+            Some(Seen { body, vectors, scale, by_lagrangian })
+                if !body.has_own() && (scale.is_none() || body.principal().is_some()) =>
             {
                 self.seen.clear();
                 vectors.iter().for_each(|v| self.seen.extend(v.as_slice()));
-                let weights = body.principal().map_or(&[][..], |weights| weights.as_slice());
-                Source::Body { weights, terms: body, seen: &self.seen, work: body.work(), scale }
+                let velocity = match body.principal() {
+                    Some(weights) if !by_lagrangian => Velocity::Weights(weights.as_slice(), scale),
+                    _ => Velocity::Stages(&one_stage),
+                };
+                Source::Body { velocity, terms: body, seen: &self.seen, work: body.work() }
             }
-            _ => {
-                one_stage = OneStage(dynamics);
-                Source::Stages(&mut one_stage)
-            }
+            _ => Source::Stages(&one_stage),
         };
+        let is_body = matches!(source, Source::Body { .. });
         let solved = collocation.solve(&start, source)?;
         self.solution = Solution {
             turn: Mat::from_row_slice(collocation.turn()),
             impulse: Mat::from_row_slice(collocation.impulse()),
+            gain: is_body.then(|| Mat::from_row_slice(collocation.gain())),
             h: solved.h,
             by: By::Matrices,
         };
@@ -587,7 +594,7 @@ impl<const N: usize> GalerkinStep<N> {
 }
 
 /// A system at one stage, for [`Collocation`].
-struct OneStage<'a, const N: usize>(&'a mut dyn Dynamics<N>);
+struct OneStage<'a, const N: usize>(&'a dyn Dynamics<N>);
 
 /// The matrix of a stage.
 fn of_stage<const N: usize>(matrices: &[f64], Place { stage, lanes }: Place) -> Mat<N> {
@@ -612,7 +619,7 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         self.0.begin_sweep()
     }
 
-    fn gradient(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
+    fn gradient(&self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
         let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
         let found = self.0.gradient(at.stage, &u, &|| of_stage(mu, at), &omega);
         to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
@@ -622,7 +629,7 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         to_stage(&so::conjugate(&attitude_of::<N>(c, at), &of_stage(x, at)), turned, at);
     }
 
-    fn velocity(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2] {
+    fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2] {
         let before = of_stage(omega, at);
         let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
         to_stage(&now, omega, at);
@@ -636,7 +643,7 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
 /// A step being solved.
 struct Sweeps<'a, const N: usize> {
     tableau: &'a Tableau,
-    dynamics: &'a mut dyn Dynamics<N>,
+    dynamics: &'a dyn Dynamics<N>,
     h: f64,
     p0: &'a Mat<N>,
     /// The velocity at the beginning.

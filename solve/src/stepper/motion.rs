@@ -46,7 +46,7 @@ pub(super) struct Motion<P> {
     pub(super) attitude: Sum<P, 4>,
     /// In space.
     pub(super) momentum: Sum<P, 3>,
-    /// In the body; with up to four stages, and of a free body, `g^T pi` and no sum.
+    /// In the body; with one or two stages, and of a free body, `g^T pi` and no sum.
     pub(super) body_momentum: Sum<P, 3>,
 }
 
@@ -119,6 +119,30 @@ impl<P: Copy> Motion<P> {
             seen[i].store(&mut self.body_momentum.value[i]);
         }
     }
+
+    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
+    /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
+    /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
+    ///
+    /// The lengths of the two are left as they are: to give the momentum in the body that of the other would take from all its
+    /// components what rounding has put into some, and the energy of a heavy top grew in a line by that.
+    #[inline(always)]
+    pub(super) fn gain<W: Whole<Plain = P>>(&mut self, lanes: W, gain: &Vec3<P>) {
+        let gain = vec3!(i => lanes.load(&gain[i]));
+        self.body_momentum.add(&gain);
+        let now = load_turn(lanes, &self.attitude.value);
+        let [momentum, pi] = [&self.body_momentum, &self.momentum]
+            .map(|sum| -> Vec3<W> { vec3!(i => lanes.load(&sum.value[i])) });
+        let seen = transposed_product(&now.matrix(), &pi);
+        let square = dot(&seen, &seen) + dot(&gain, &gain);
+        let scale = lanes.constant(0.5) / square.max_or_nan(lanes.constant(f64::MIN_POSITIVE));
+        let half = scaled(&cross(&minus(&momentum, &seen), &seen), scale);
+        // Next to nothing: it is added at the next step.
+        let Quaternion { w, v: [x, y, z] } = now.rate(&half);
+        for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
+            (lanes.load(carry) + change).store(carry);
+        }
+    }
 }
 
 impl Motion<f64> {
@@ -142,25 +166,6 @@ impl Motion<f64> {
 
     pub(super) fn turn(&self) -> Quaternion<f64> {
         load_turn(0.0, &self.attitude.value)
-    }
-
-    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
-    /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
-    /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
-    ///
-    /// The lengths of the two are left as they are: to give the momentum in the body that of the other would take from all its
-    /// components what rounding has put into some, and the energy of a heavy top grew in a line by that.
-    pub(super) fn gain(&mut self, gain: &Vec3<f64>) {
-        self.body_momentum.add(gain);
-        let now = self.turn();
-        let seen = transposed_product(&now.matrix(), &self.momentum.value);
-        let scale = 0.5 / (dot(&seen, &seen) + dot(gain, gain)).max(f64::MIN_POSITIVE);
-        let half = scaled(&cross(&minus(&self.body_momentum.value, &seen), &seen), scale);
-        // Next to nothing: it is added at the next step.
-        let Quaternion { w, v: [x, y, z] } = now.rate(&half);
-        for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
-            *carry += change;
-        }
     }
 }
 

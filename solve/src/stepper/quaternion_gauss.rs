@@ -164,7 +164,7 @@ impl Stepper<3> for QuaternionGauss {
         if self.seen.is_empty() {
             motion.turn_momentum(0.0);
         } else {
-            motion.gain(&gain);
+            motion.gain(0.0, &gain);
         }
         if !motion.is_finite() {
             return Err(Failure::not_finite(None));

@@ -67,8 +67,8 @@ pub(super) fn solve<const N: usize, S: Hamiltonian<N> + ?Sized>(
     if let Some(body) = system.as_body().filter(|_| moments.is_empty()).or(rescaled) {
         body.seen_from(g0, seen);
     }
-    let mut canonical = Canonical { system, g0, seen, moments };
-    step.solve(&mut canonical, length, p0, &system.velocity(g0, p0))
+    let canonical = Canonical { system, g0, seen, moments };
+    step.solve(&canonical, length, p0, &system.velocity(g0, p0))
 }
 
 /// (24f, vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0, of a driven one
@@ -81,7 +81,7 @@ struct Canonical<'a, const N: usize, S: ?Sized> {
 }
 
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N, S> {
-    fn velocity(&mut self, _k: usize, u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
+    fn velocity(&self, _k: usize, u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
         match self.system.as_body() {
             Some(body) => body.velocity(mu),
             None => self.system.velocity(&so::product(self.g0, u), mu),
@@ -112,10 +112,15 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
     fn body(&self) -> Option<Seen<'_, N>> {
         let vectors = self.seen;
         if let Some(rescaled) = self.system.as_rescaled() {
-            return Some(Seen { body: rescaled.body, vectors, scale: Some(rescaled.into()) });
+            return Some(Seen {
+                body: rescaled.body,
+                vectors,
+                scale: Some(rescaled.into()),
+                by_lagrangian: false,
+            });
         }
         let body = self.system.as_body().filter(|_| self.moments.is_empty())?;
-        Some(Seen { body, vectors, scale: None })
+        Some(Seen { body, vectors, scale: None, by_lagrangian: false })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {

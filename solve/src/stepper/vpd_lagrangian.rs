@@ -10,14 +10,15 @@
 //! with the second derivative of the beginning of the step, so that the sweeps converge to the
 //! solution of (22a, vil1) whatever the Lagrangian. For a hyperregular one this is the map of the Hamiltonian form.
 //!
-//! Invariant: nothing is asked of the system but the derivatives of its Lagrangian.
+//! Invariant: nothing is asked of the system but the derivatives of its Lagrangian, and of a rigid body that nothing drives the
+//! terms of its potential, whose forces are then those of [`super::vpd`].
 
 use std::marker::PhantomData;
 
 use nalgebra::DMatrix;
 
 use super::Stepper;
-use super::galerkin::{Carried, Dynamics};
+use super::galerkin::{Carried, Dynamics, Seen};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
@@ -60,7 +61,7 @@ fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
     };
     let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
     let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
-    step.solve(&mut Euler { lagrangian, body, g0, seen, inverse, moments }, h, &p0, &omega)
+    step.solve(&Euler { lagrangian, body, g0, seen, inverse, moments }, h, &p0, &omega)
 }
 
 /// (22a, vil1) and the force, in the frame of g0; of a rigid body from the space vectors as seen from there, so that no
@@ -76,7 +77,7 @@ struct Euler<'a, const N: usize, S: ?Sized> {
 }
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
-    fn velocity(&mut self, _k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+    fn velocity(&self, _k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let residual = self.lagrangian.momentum(&(self.g0 * u), omega) - mu;
         omega - corrected(&self.inverse, &residual)
     }
@@ -101,6 +102,11 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
 
     fn begin_sweep(&self) -> Result<(), Failure> {
         self.lagrangian.begin_sweep()
+    }
+
+    fn body(&self) -> Option<Seen<'_, N>> {
+        let (body, vectors) = (self.body?, self.seen);
+        Some(Seen { body, vectors, scale: None, by_lagrangian: true })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {

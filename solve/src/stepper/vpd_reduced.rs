@@ -42,7 +42,7 @@ impl<const N: usize> VpdReduced<N> {
 struct Free<'a, const N: usize>(&'a RigidBody<N>);
 
 impl<const N: usize> Dynamics<N> for Free<'_, N> {
-    fn velocity(&mut self, _k: usize, _u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
+    fn velocity(&self, _k: usize, _u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
         self.0.velocity(mu)
     }
 
@@ -61,7 +61,7 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     }
 
     fn body(&self) -> Option<Seen<'_, N>> {
-        Some(Seen { body: self.0, vectors: &[], scale: None })
+        Some(Seen { body: self.0, vectors: &[], scale: None, by_lagrangian: false })
     }
 }
 
@@ -93,7 +93,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         debug_assert!(body.is_free(), "the reduced integrator is for free bodies");
         let p0 = self.momentum.value;
-        let convergence = self.step.solve(&mut Free(body), h, &p0, &body.velocity(&p0))?;
+        let convergence = self.step.solve(&Free(body), h, &p0, &body.velocity(&p0))?;
         let turn = &self.step.solution().turn;
         self.momentum.add(&coadjoint_change(turn, &p0));
         self.attitude = self.attitude.map(|g| so::orthonormalised(&(g + so::product(&g, turn))));

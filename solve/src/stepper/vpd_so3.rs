@@ -414,8 +414,8 @@ impl VpdSo3 {
             Carried::Full(motion) => {
                 motion.advance(0.0, end, kick);
                 // A free body has the one in space to the bit, and the sum would drift by 1e-18 a step.
-                if self.tableau.stages() > FEW_STAGES && !self.seen.is_empty() {
-                    motion.gain(gain);
+                if self.lanes.is_finished && !self.seen.is_empty() {
+                    motion.gain(0.0, gain);
                 } else {
                     motion.turn_momentum(0.0);
                 }

@@ -47,17 +47,22 @@ pub(super) const ROUND_OFF: f64 = 1e-16;
 pub(super) enum Source<'a> {
     /// A rigid body in principal axes and a potential of built-in terms.
     Body {
-        /// `Omega_ij = w_ij mu_ij`.
-        weights: &'a [f64],
+        velocity: Velocity<'a>,
         terms: &'a dyn Terms,
         /// The space vectors of the terms as seen from g0, one after the other.
         seen: &'a [f64],
         work: &'a work::Work,
-        /// In a time of its own.
-        scale: Option<Scale<'a>>,
     },
     /// Any other, one stage after the other.
-    Stages(&'a mut dyn AtStage),
+    Stages(&'a dyn AtStage),
+}
+
+/// How the velocity of a body follows from its momentum.
+pub(super) enum Velocity<'a> {
+    /// `Omega_ij = w_ij mu_ij`; perhaps in a time of its own.
+    Weights(&'a [f64], Option<Scale<'a>>),
+    /// As the system says, stage by stage.
+    Stages(&'a dyn AtStage),
 }
 
 /// A system at one stage, whose matrices stand among those of the others.
@@ -65,11 +70,11 @@ pub(super) trait AtStage {
     /// Takes note of a round that begins, or refuses it.
     fn begin_sweep(&self) -> Result<(), Failure>;
     /// dH/dg, c being U - I.
-    fn gradient(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
+    fn gradient(&self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
     /// `U X U^T`
     fn in_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]);
     /// Improves Omega. Returns its largest change and its size.
-    fn velocity(&mut self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
+    fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
 }
 
 /// Where the matrix of a stage stands: entry e is number `e * lanes + stage`.
@@ -220,6 +225,8 @@ struct End {
     multiplier: Numbers,
     /// `pi1 - p0`
     impulse: Numbers,
+    /// `p1 - p0`
+    gain: Numbers,
     pi: Numbers,
     room: [Numbers; 2],
 }
@@ -265,6 +272,7 @@ impl Collocation {
             f: zeros(),
             multiplier: zeros(),
             impulse: zeros(),
+            gain: zeros(),
             pi: zeros(),
             room: [zeros(), zeros()],
         };
@@ -310,6 +318,11 @@ impl Collocation {
     /// `pi1 - p0`, row by row.
     pub(super) fn impulse(&self) -> &[f64] {
         &self.end.impulse
+    }
+
+    /// `p1 - p0`, row by row.
+    pub(super) fn gain(&self) -> &[f64] {
+        &self.end.gain
     }
 
     /// Entry e of `U_k - I`, or of `f - I` after the last stage.
@@ -382,11 +395,11 @@ fn solve_any<'a, R: Stages<Whole = f64>>(
 enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
     /// Nothing.
     None {
-        weights: &'a [f64],
+        velocity: Velocity<'a>,
         work: &'a work::Work,
     },
     Body {
-        weights: &'a [f64],
+        velocity: Velocity<'a>,
         torques: Torques<'a, R, D>,
         work: &'a work::Work,
     },
@@ -396,26 +409,25 @@ enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
         work: &'a work::Work,
         scale: Scale<'a>,
     },
-    Stages {
-        system: &'a mut dyn AtStage,
-        stages: usize,
-    },
+    Stages(&'a dyn AtStage),
 }
 
 impl<'a, R: Stages<Whole = f64>, D: Dimension> Forces<'a, R, D> {
-    fn new(stack: Stack<R, D>, source: Source<'a>, stages: usize) -> Self {
+    fn new(stack: Stack<R, D>, source: Source<'a>) -> Self {
         match source {
-            Source::Body { weights, terms, work, .. } if terms.count() == 0 => {
-                Self::None { weights, work }
+            Source::Body { velocity, terms, work, .. } if terms.count() == 0 => {
+                Self::None { velocity, work }
             }
-            Source::Body { weights, terms, seen, work, scale } => {
+            Source::Body { velocity, terms, seen, work } => {
                 let torques = Torques::new(stack, terms, seen);
-                match scale {
-                    None => Self::Body { weights, torques, work },
-                    Some(scale) => Self::Rescaled { weights, torques, work, scale },
+                match velocity {
+                    Velocity::Weights(weights, Some(scale)) => {
+                        Self::Rescaled { weights, torques, work, scale }
+                    }
+                    velocity => Self::Body { velocity, torques, work },
                 }
             }
-            Source::Stages(system) => Self::Stages { system, stages },
+            Source::Stages(system) => Self::Stages(system),
         }
     }
 }
@@ -462,7 +474,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         end: &'a mut End,
     ) -> Self {
         let stack = Stack { lanes, dimension };
-        let forces = Forces::new(stack, source, coefficients.stages);
+        let forces = Forces::new(stack, source);
         let weights = lanes.row(&coefficients.weights) * start.h;
         let (h, size, turn) = (start.h, 0.0, 0.0);
         Self { stack, coefficients, start, h, weights, size, turn, u, end, forces }
@@ -528,6 +540,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 self.velocities_in_space();
                 self.transport();
                 self.end_point(2);
+                self.gain();
                 return Ok(increment);
             }
             before = increment;
@@ -606,7 +619,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             Forces::None { work, .. }
             | Forces::Body { work, .. }
             | Forces::Rescaled { work, .. } => work.begin_sweep(),
-            Forces::Stages { system, .. } => system.begin_sweep(),
+            Forces::Stages(system) => system.begin_sweep(),
         }
     }
 
@@ -637,8 +650,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 work.add_gradients(self.coefficients.stages as u64);
                 torques.gradient(c, slopes, gradient);
             }
-            Forces::Stages { system, stages } => {
-                for stage in 0..*stages {
+            Forces::Stages(system) => {
+                for stage in 0..self.coefficients.stages {
                     system.gradient(Place { stage, lanes: R::LANES }, c, mu, omega, gradient);
                 }
             }
@@ -681,8 +694,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, start, coefficients, u, end, forces, .. } = self;
         let (n, lanes) = (stack.n(), stack.lanes);
         let angle = lanes.row(&coefficients.nodes) * start.h;
-        if let Forces::None { weights, .. }
-        | Forces::Body { weights, .. }
+        if let Forces::None { velocity: Velocity::Weights(weights, _), .. }
+        | Forces::Body { velocity: Velocity::Weights(weights, _), .. }
         | Forces::Rescaled { weights, .. } = forces
         {
             stack.spread(weights, &mut u.inertia);
@@ -717,18 +730,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// one product where [transport] needs two, to turn pi into the body, and a polar factor. Returns the largest change of a
     /// momentum.
     fn momenta_in_body(&mut self) -> f64 {
-        let Self { stack, coefficients, weights, u, .. } = self;
+        self.rates();
+        let Self { stack, coefficients, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
-        let Unknowns { p0, mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
-        let (mu, omega, gradient) = (&mut mu[..len], &omega[..len], &gradient[..len]);
-        let (p0, rate) = (&p0[..len], &mut rate[..len]);
-        for i in 0..n {
-            for j in i + 1..n {
-                // asym(mu Omega) = -asym(mu Omega^T)
-                let turning = stack.asym_of_product(mu, omega, i, j) + stack.get(gradient, i, j);
-                stack.put(rate, i, j, -(*weights * turning));
-            }
-        }
+        let Unknowns { p0, mu, room: [rate, ..], .. } = &mut **u;
+        let (p0, mu, rate) = (&p0[..len], &mut mu[..len], &rate[..len]);
         let columns = lanes.rows(&coefficients.columns);
         let mut jump = lanes.constant(0.0);
         for i in 0..n {
@@ -795,8 +801,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             Forces::Body { torques, .. } => torques.in_space(c, slopes, kappa),
             Forces::Rescaled { torques, .. } => rescaled.in_space(torques, c, slopes, kappa),
-            Forces::Stages { system, stages } => {
-                for stage in 0..*stages {
+            Forces::Stages(system) => {
+                for stage in 0..coefficients.stages {
                     system.in_space(Place { stage, lanes: R::LANES }, c, gradient, kappa);
                 }
             }
@@ -870,7 +876,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, start, u, end, .. } = self;
         let (n, one) = (stack.n(), stack.whole());
         let Unknowns { w, kappa, f, e, f_lambda, room: [next, ..], .. } = &mut **u;
-        let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b] } = &mut **end;
+        let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b], .. } = &mut **end;
         stack.sum_of_stages(w, d);
         one.difference(d, k, c);
         for _ in 0..passes {
@@ -900,6 +906,18 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         stack.spread(a, f_lambda);
         stack.plus_product(f, f, e, next);
         e.copy_from_slice(next);
+    }
+
+    /// [gain]: `p1 - p0 = sum_k h b_k ([mu_k, Omega_k] - dH/dg(U_k))`, what the equations of X say, summed over the stages.
+    fn gain(&mut self) {
+        self.rates();
+        let Self { stack, u, end, .. } = self;
+        let rate = &u.room[0];
+        for i in 0..stack.n() {
+            for j in i + 1..stack.n() {
+                stack.whole().put_skew(&mut end.gain, i, j, stack.get(rate, i, j).sum());
+            }
+        }
     }
 
     /// [X], by (5): `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and
@@ -1014,7 +1032,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             turn: Real::max_or_nan(end_turn, turn.largest()),
             nearness: match forces {
                 Forces::Body { torques, .. } | Forces::Rescaled { torques, .. } => torques.nearness,
-                Forces::None { .. } | Forces::Stages { .. } => -1.0,
+                Forces::None { .. } | Forces::Stages(_) => -1.0,
             },
         }
     }
@@ -1026,30 +1044,49 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.newest_defects()
     }
 
+    /// `h b ([mu, Omega] - dH/dg)`, which goes to the first room.
+    #[inline(always)]
+    fn rates(&mut self) {
+        let Self { stack, weights, u, .. } = self;
+        let (n, len) = (stack.n(), stack.numbers());
+        let Unknowns { mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
+        let (mu, omega, gradient) = (&mu[..len], &omega[..len], &gradient[..len]);
+        let rate = &mut rate[..len];
+        for i in 0..n {
+            for j in i + 1..n {
+                // asym(mu Omega) = -asym(mu Omega^T)
+                let turning = stack.asym_of_product(mu, omega, i, j) + stack.get(gradient, i, j);
+                stack.put(rate, i, j, -(*weights * turning));
+            }
+        }
+    }
+
     /// Omega, by (24f, vih6). Returns by how much it is not yet what mu asks for, in units of mu.
     #[inline(always)]
     fn velocities(&mut self) -> f64 {
         let Unknowns { inertia, c, mu, omega, gradient, rescaled, .. } = &mut *self.u;
-        match &mut self.forces {
+        let system = match &mut self.forces {
             Forces::Rescaled { scale, .. } => {
                 // [time]
                 rescaled.derivatives(self.stack, scale, inertia, [c, mu], omega, gradient);
-                0.0
+                return 0.0;
             }
-            Forces::None { .. } | Forces::Body { .. } => {
+            Forces::None { velocity: Velocity::Weights(..), .. }
+            | Forces::Body { velocity: Velocity::Weights(..), .. } => {
                 self.stack.entrywise_product(inertia, mu, omega);
-                0.0
+                return 0.0;
             }
-            Forces::Stages { system, stages } => {
-                let (mut change, mut size) = (0.0_f64, 0.0_f64);
-                for stage in 0..*stages {
-                    let at = Place { stage, lanes: R::LANES };
-                    let [changed, now] = system.velocity(at, c, mu, omega);
-                    (change, size) = (Real::max_or_nan(change, changed), size.max(now));
-                }
-                if change == 0.0 { 0.0 } else { change / size * self.size }
-            }
+            Forces::None { velocity: Velocity::Stages(system), .. }
+            | Forces::Body { velocity: Velocity::Stages(system), .. }
+            | Forces::Stages(system) => system,
+        };
+        let (mut change, mut size) = (0.0_f64, 0.0_f64);
+        for stage in 0..self.coefficients.stages {
+            let at = Place { stage, lanes: R::LANES };
+            let [changed, now] = system.velocity(at, c, mu, omega);
+            (change, size) = (Real::max_or_nan(change, changed), size.max(now));
         }
+        if change == 0.0 { 0.0 } else { change / size * self.size }
     }
 }
 

@@ -39,8 +39,8 @@ pub(in crate::stepper) struct Motion<const N: usize> {
     attitude: Sum<N>,
     /// In space.
     momentum: Sum<N>,
-    /// The same in the body.
-    body_momentum: Mat<N>,
+    /// The same in the body; of a free and of a driven body `g^T pi g` and no sum.
+    body_momentum: Sum<N>,
 }
 
 impl<const N: usize> Motion<N> {
@@ -49,7 +49,7 @@ impl<const N: usize> Motion<N> {
         Self {
             attitude: Sum::new(state.attitude),
             momentum: Sum::new(skew(&so::conjugate(&state.attitude, &state.momentum))),
-            body_momentum: state.momentum,
+            body_momentum: Sum::new(state.momentum),
         }
     }
 
@@ -60,21 +60,41 @@ impl<const N: usize> Motion<N> {
 
     /// The momentum in the body.
     pub(in crate::stepper) fn body_momentum(&self) -> &Mat<N> {
-        &self.body_momentum
+        &self.body_momentum.value
     }
 
     /// Goes on by a step.
-    pub(in crate::stepper) fn advance(&mut self, Solution { turn, impulse, .. }: &Solution<N>) {
+    pub(in crate::stepper) fn advance(&mut self, solution: &Solution<N>) {
+        let Solution { turn, impulse, gain, .. } = solution;
         let g = self.attitude.value;
-        if impulse.iter().any(|x| *x != 0.0) {
+        let is_pushed = impulse.iter().any(|x| *x != 0.0);
+        if is_pushed {
             self.momentum.add(&skew(&so::conjugate(&g, impulse)));
         }
         // What is carried turns along, and the deficit of g^T g from one is added.
         let deficit = (Mat::<N>::identity() - so::transposed_product(&g, &g)) * 0.5;
         let carried = so::product(&self.attitude.carry, turn);
         self.attitude.add(&(so::product(&g, &(turn + deficit)) + carried));
-        let seen = self.attitude.value.transpose();
-        self.body_momentum = skew(&so::conjugate(&seen, &self.momentum.value));
+        let inverse = self.attitude.value.transpose();
+        let seen = skew(&so::conjugate(&inverse, &self.momentum.value));
+        match gain {
+            Some(gain) if is_pushed => self.gain(gain, &seen),
+            _ => self.body_momentum = Sum::new(seen),
+        }
+    }
+
+    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part that in space, as it
+    /// is `seen` from the body, from it: `g <- g (I + theta)` with `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill
+    /// of `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is. See
+    /// [`crate::stepper::motion::Motion::gain`].
+    fn gain(&mut self, gain: &Mat<N>, seen: &Mat<N>) {
+        self.body_momentum.add(gain);
+        let apart = self.body_momentum.value - seen;
+        let square = so::inner(seen, seen) + so::inner(gain, gain);
+        let scale = 0.5 / square.max(f64::MIN_POSITIVE);
+        let theta = skew(&(so::product(&apart, seen) - so::product(seen, &apart))) * scale;
+        // Next to nothing: it is added at the next step.
+        self.attitude.carry += so::product(&self.attitude.value, &theta);
     }
 }
 

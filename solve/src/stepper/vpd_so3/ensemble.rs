@@ -176,7 +176,11 @@ impl VpdEnsemble {
                 let order = stages.ascending();
                 let doubts = in_member_lanes!(level, $stages, lanes => {
                     motion.advance(lanes.0[0], &taken.end, &taken.kick);
-                    motion.turn_momentum(lanes.0[0]);
+                    if tableau.is_finished && !seen.is_empty() {
+                        motion.gain(lanes.0[0], &taken.gain);
+                    } else {
+                        motion.turn_momentum(lanes.0[0]);
+                    }
                     doubts(lanes, order, taken)
                 });
                 for lane in 0..WIDTH {
