@@ -265,6 +265,8 @@ impl<const N: usize> Search<'_, N> {
     fn travels(&mut self, (from, from_s): (&State<N>, f64), step_s: f64, steps: u64) -> Went {
         /// The round-off of the potential is no loss.
         const ROUND_OFF: f64 = 1e-9;
+        /// So many times what may be lost ends a try at once.
+        const GONE: f64 = 4.0;
         let Self { body, stepper, start, adapts, nearest, .. } = self;
         let every = steps.div_ceil(LOOKS);
         let (mut kinetic, mut off) = (0.0_f64, 0.0_f64);
@@ -301,8 +303,9 @@ impl<const N: usize> Search<'_, N> {
                 let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);
                 off = off.max((energy.total() - begun - stepper.work()).abs());
-                // No energy: infinite, or not a number.
-                if !energy.total().is_finite() {
+                // No energy: infinite, or not a number; or so much lost that no more will move to outweigh it.
+                let is_gone = off > GONE * LOST * kinetic && off > ROUND_OFF * begun.abs();
+                if !energy.total().is_finite() || is_gone {
                     return Went::Badly;
                 }
             }

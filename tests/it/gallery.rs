@@ -77,7 +77,7 @@ fn rooms() -> Vec<(PathBuf, Room)> {
 fn scenario(room: &Room, case: &Case, step_s: f64, steps: u64, every: u64) -> String {
     json!({
         "name": "gallery", "scene": room.scene, "method": case.method, "step_s": step_s, "steps": steps,
-        "log": { "every": every, "channels": ["/state", "/energy", "/log"], "compression": "none" }
+        "log": { "every": every, "channels": ["/state", "/energy", "/orthogonality", "/log"], "compression": "none" }
     })
     .to_string()
 }
@@ -112,6 +112,10 @@ fn observe(room: &Room, case: &Case) -> Ends {
         assert_eq!(states(&log).len() as u64, summary.samples);
         let outcome =
             if keeps_its_energy(&summary) { "succeeded" } else { "succeeded, energy lost" };
+        assert!(
+            stays_on_the_group(&summary) || case.method["name"] == "rk",
+            "off the group: {text}"
+        );
         assert!(keeps_its_energy(&summary) || summary.warning.is_some(), "nobody says so: {text}");
         return Ends { outcome: outcome.to_owned(), ..Ends::default() };
     };
@@ -131,6 +135,7 @@ fn observe(room: &Room, case: &Case) -> Ends {
         assert!(advised < case.step_s, "{advised} advised in the place of {}", case.step_s);
         let steps = (case.steps as f64 * case.step_s / advised).ceil() as u64;
         let again = run(&scenario(room, case, advised, steps, steps), &log);
+        assert!(stays_on_the_group(&again) || case.method["name"] == "rk", "{advised} of {text}");
         again.outcome == Outcome::Succeeded && keeps_its_energy(&again)
     });
     Ends {
@@ -144,6 +149,11 @@ fn observe(room: &Room, case: &Case) -> Ends {
 /// Is the energy what it was, but for its own size? Methods that solve no equations notice nothing.
 fn keeps_its_energy(summary: &Summary) -> bool {
     summary.energy.is_some_and(|energy| energy.max_abs_error <= energy.initial.abs().max(1.0))
+}
+
+/// Is every attitude a rotation, but for rounding?
+fn stays_on_the_group(summary: &Summary) -> bool {
+    summary.orthogonality.is_none_or(|seen| seen.max <= 1e-11)
 }
 
 /// Does something with every case, on two threads, and returns what came of it in the order of the cases.

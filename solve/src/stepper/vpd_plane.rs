@@ -170,7 +170,7 @@ impl VpdPlane {
         let (carried, of_momentum) = self.carry;
         // The deficit of the length from one; what is carried turns along.
         let deficit = 0.5 * (1.0 - self.turn.norm_sqr());
-        let change = self.turn * change + (carried * f + self.turn * deficit);
+        let change = self.turn * change + (carried * f + self.turn * f * deficit);
         let (re, lost_re) = space::sum(self.turn.re, change.re);
         let (im, lost_im) = space::sum(self.turn.im, change.im);
         let (momentum, lost) = space::sum(self.momentum, kick + of_momentum);

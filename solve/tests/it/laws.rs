@@ -535,3 +535,48 @@ fn an_inertia_is_the_same_by_moments_by_second_moments_and_by_its_tensor() {
     }
     assert!(Kinetic::<3>::of_tensor(-tensor).is_none());
 }
+
+/// Steps of such a turn, as far as they are solved, up to 400: how far the attitude gets from the group, and how many.
+fn steps_of<const N: usize>(stages: usize, turn_rad: f64, terms: Vec<Term<N>>) -> (f64, usize) {
+    let body = RigidBody::<N>::new(
+        Kinetic::of_second_moments(std::array::from_fn(|i| 0.6 + 0.2 * i as f64)),
+        terms,
+        0.0,
+    );
+    let coordinates: Vec<f64> = (0..so::dimension(N)).map(|k| (1.0 + k as f64).sin()).collect();
+    let momentum = so::hat::<N>(&coordinates);
+    let omega = body.velocity(&momentum);
+    let h = turn_rad / so::inner(&omega, &omega).sqrt();
+    let mut stepper = Vpd::new(Tableau::gauss(stages).expect("gauss"), StopRule::default());
+    stepper.start(&State { attitude: so::exp(&so::hat(&coordinates)), momentum });
+    let (mut off, mut made) = (0.0_f64, 0);
+    while made < 400 && stepper.step(&body, h).is_ok() {
+        off = off.max(so::orthogonality_error(&stepper.attitude().expect("carried")));
+        made += 1;
+    }
+    (off, made)
+}
+
+/// What rounding takes an attitude off the group must not grow, however far a step turns.
+#[test]
+fn long_steps_stay_on_the_group() {
+    fn check<const N: usize>() {
+        let body_point = Vector::<N>::from_fn(|i, _| 0.1 + 0.2 * i as f64);
+        let law = Law::Uniform { weight: 0.05, body_point };
+        let term = Term { law, space: Vector::<N>::repeat(0.5) };
+        let mut made = 0;
+        for terms in [Vec::new(), vec![term]] {
+            for stages in [2, 3, 4, 8] {
+                for turn_rad in [0.5, 1.0, 1.2, 1.5, 1.8, 2.1] {
+                    let (off, steps) = steps_of(stages, turn_rad, terms.clone());
+                    assert!(off < 1e-14, "n = {N}, {stages} stages, {turn_rad} rad: {off:e}");
+                    made += if turn_rad > 1.1 { steps } else { 0 };
+                }
+            }
+        }
+        assert!(made > 4000, "n = {N}: {made} long steps");
+    }
+    check::<3>();
+    check::<4>();
+    check::<6>();
+}

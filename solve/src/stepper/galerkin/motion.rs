@@ -71,10 +71,12 @@ impl<const N: usize> Motion<N> {
         if is_pushed {
             self.momentum.add(&skew(&so::conjugate(&g, impulse)));
         }
-        // What is carried turns along, and the deficit of g^T g from one is added.
+        // The deficit of g^T g from one is taken off before the turn, and turns along with what is carried: taken off after it,
+        // `f^T e f - sym(f^T e)` would be left of an error e, which grows where f turns by more than a sixth of a circle.
         let deficit = (Mat::<N>::identity() - so::transposed_product(&g, &g)) * 0.5;
-        let carried = so::product(&self.attitude.carry, turn);
-        self.attitude.add(&(so::product(&g, &(turn + deficit)) + carried));
+        let mended = so::product(&g, &deficit);
+        let carried = so::product(&(self.attitude.carry + mended), turn);
+        self.attitude.add(&(so::product(&g, turn) + (carried + mended)));
         let inverse = self.attitude.value.transpose();
         let seen = skew(&so::conjugate(&inverse, &self.momentum.value));
         match gain {
