@@ -9,7 +9,7 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
-use super::so::{Mat, Vector};
+use super::so::{self, Mat, Vector};
 use super::system::{System, free_directions};
 use super::work::Work;
 
@@ -217,7 +217,7 @@ impl<const N: usize> RigidBody<N> {
         omega: &Mat<N>,
         seen: &[Vector<N>],
     ) -> Mat<N> {
-        super::so::asym(&(mu * omega)) - self.gradient_seen(u, seen)
+        so::asym(&so::product(mu, omega)) - self.gradient_seen(u, seen)
     }
 
     /// The same body, with work to be counted, and ended, by `work`.
@@ -249,7 +249,7 @@ impl<const N: usize> RigidBody<N> {
     /// The space vectors of the potential in the frame of `g0`, `g0^T v`, written to `seen`.
     pub fn seen_from(&self, g0: &Mat<N>, seen: &mut Vec<Vector<N>>) {
         seen.clear();
-        seen.extend(self.space_vectors().map(|v| g0.tr_mul(v)));
+        seen.extend(self.space_vectors().map(|v| so::to_body(g0, v)));
     }
 
     /// [`RigidBody::gradient`] at `g = g0 u`, given the space vectors `seen` from g0.
@@ -260,7 +260,7 @@ impl<const N: usize> RigidBody<N> {
         self.count(1);
         let mut sum = Mat::zeros();
         for (term, v) in self.terms.iter().zip(seen) {
-            let q = u.tr_mul(v);
+            let q = so::to_body(u, v);
             let slope = term.law.numbers().slope(&q, 0.0, &mut 0.0);
             for j in 0..N {
                 for i in 0..N {
@@ -305,7 +305,8 @@ impl<const N: usize> RigidBody<N> {
         self.count(1);
         let mut sum = Mat::zeros();
         for Term { law, space } in &self.terms {
-            let slope = g * law.numbers().slope(&g.tr_mul(space), 0.0, &mut 0.0);
+            let q = so::to_body(g, space);
+            let slope = so::to_space(g, &law.numbers().slope(&q, 0.0, &mut 0.0));
             for j in 0..N {
                 for i in 0..N {
                     sum[(i, j)] += space[i] * slope[j] - slope[i] * space[j];
@@ -313,7 +314,7 @@ impl<const N: usize> RigidBody<N> {
             }
         }
         if self.has_own() {
-            sum += super::so::conjugate(g, &self.own.gradient(g));
+            sum += so::conjugate(g, &self.own.gradient(g));
         }
         sum
     }
@@ -324,7 +325,7 @@ impl<const N: usize> RigidBody<N> {
     /// The same.
     pub fn check_distances_seen(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Result<(), Failure> {
         for (term, v) in self.terms.iter().zip(seen) {
-            if let Some(distance) = term.law.relative_distance(&u.tr_mul(v))
+            if let Some(distance) = term.law.relative_distance(&so::to_body(u, v))
                 && !(distance >= CLOSEST_APPROACH)
             {
                 let code = FailureCode::PotentialSingularity;
@@ -338,9 +339,9 @@ impl<const N: usize> RigidBody<N> {
     pub fn energy(&self, attitude: &Mat<N>, momentum: &Mat<N>) -> Energy {
         // T = <mu - wheels, Omega> / 2
         let own = self.wheels.map_or(*momentum, |wheels| momentum - wheels);
-        let kinetic = 0.5 * super::so::inner(&own, &self.velocity_without_wheels(&own));
+        let kinetic = 0.5 * so::inner(&own, &self.velocity_without_wheels(&own));
         let terms: f64 =
-            self.terms.iter().map(|term| term.law.value(&attitude.tr_mul(&term.space))).sum();
+            self.terms.iter().map(|term| term.law.value(&so::to_body(attitude, &term.space))).sum();
         Energy { kinetic, potential: self.own.energy(terms + self.constant, attitude) }
     }
 

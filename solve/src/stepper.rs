@@ -6,7 +6,7 @@
 use super::failure::{Failure, FailureCode};
 use super::hamiltonian::{Input, RigidBody, Time};
 use super::nonlinear::Convergence;
-use super::so::Mat;
+use super::so::{self, Mat};
 use super::trajectory::{Checkpoint, OwnTime, Pace, State};
 use galerkin::Sum;
 
@@ -158,7 +158,8 @@ fn check_root<const N: usize>(
     }
     let Some(reached) = reached else { return Ok(()) };
     let far = FAR[usize::from(order > 2)];
-    let distance = (0.5 * (reached - end).norm_squared()).sqrt();
+    let apart = reached - end;
+    let distance = so::inner(&apart, &apart).sqrt();
     if distance <= far {
         Ok(())
     } else {

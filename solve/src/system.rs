@@ -5,7 +5,7 @@
 
 use super::failure::Failure;
 use super::hamiltonian::Energy;
-use super::so::{Mat, Vector};
+use super::so::{self, Mat, Vector};
 
 /// A system on T*SO(n). States are left-trivialised: the attitude `g` turns body coordinates into space coordinates
 /// (n x n, on the group to rounding), the momentum `mu` is the skew n x n matrix in the body frame, in kg m^2/s.
@@ -76,11 +76,15 @@ pub fn free_directions<'a, const N: usize>(
     let mut q = Mat::<N>::identity();
     let mut free = N;
     for vector in vectors {
-        let rest = q * (q * vector);
-        let size = rest.norm();
-        if size > 1e-12 * vector.norm() {
+        let rest = so::to_space(&q, &so::to_space(&q, vector));
+        let size = so::norm(rest.as_slice());
+        if size > 1e-12 * so::norm(vector.as_slice()) {
             let direction = rest / size;
-            q -= direction * direction.transpose();
+            for j in 0..N {
+                for i in 0..N {
+                    q[(i, j)] -= direction[i] * direction[j];
+                }
+            }
             free -= 1;
         }
         if free < 2 {

@@ -589,7 +589,7 @@ impl<const N: usize> Observer<N> {
                 if let Some(impulse) = impulse {
                     change -= impulse;
                 }
-                let kept = q * change * q;
+                let kept = so::product(&so::product(&q, &change), &q);
                 so::inner(&kept, &kept).sqrt()
             }),
             None => {

@@ -1,12 +1,14 @@
 //! The planned model with its const size: the body, its potential, and the state at the start.
 
+use nalgebra::DVector;
+
 use super::model::skew;
 use super::{Model, ModelKinetic};
 use crate::scenario::{
     DrivenTerm, Entry, Factor, Framed, Path, PotentialTerm, Table, Torque, TorqueTable, vector,
 };
 use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
-use crate::solve::so::{self, Mat, Vector};
+use crate::solve::so::{self, Mat};
 use crate::solve::system::System as _;
 use crate::solve::trajectory::State;
 
@@ -120,23 +122,30 @@ fn over_time(given: &Table) -> body::Table<1> {
     }
 }
 
+fn unit_vector(v: &[f64]) -> DVector<f64> {
+    DVector::from_column_slice(v).normalize()
+}
+
+/// What of a vector is across a unit vector, of length one.
+fn across(v: &[f64], unit: &DVector<f64>) -> DVector<f64> {
+    let v = unit_vector(v);
+    let rest = &v - unit * unit.dot(&v);
+    (&rest - unit * unit.dot(&rest)).normalize()
+}
+
 pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTerm<N> {
-    // What of a vector is across a unit vector, of length one.
-    let across = |v: Vector<N>, unit: &Vector<N>| {
-        let v = v.normalize();
-        let rest = v - unit * unit.dot(&v);
-        (rest - unit * unit.dot(&rest)).normalize()
-    };
+    let vector = |v: DVector<f64>| vector::<N>(v.as_slice());
     let term: Term<N> = term(&given.term);
     let path = match &given.path {
         None => body::Path::Fixed,
         Some(Path::Turning(turning)) => {
-            let from = vector::<N>(&turning.from).normalize();
-            let towards = across(vector(&turning.towards), &from);
-            body::Path::Turning { plane: [from, towards], rate: turning.rate_rad_s }
+            let from = unit_vector(&turning.from);
+            let towards = across(&turning.towards, &from);
+            let plane = [from, towards].map(vector);
+            body::Path::Turning { plane, rate: turning.rate_rad_s }
         }
         Some(Path::Orbit(orbit)) => body::Path::Orbit {
-            across: across(vector(&orbit.towards), &term.space.normalize()),
+            across: vector(across(&orbit.towards, &unit_vector(given.term.law().space_vector()))),
             mean_motion: orbit.mean_motion_rad_s,
             eccentricity: orbit.eccentricity,
             mean_anomaly: orbit.mean_anomaly_rad,

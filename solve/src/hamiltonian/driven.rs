@@ -217,9 +217,11 @@ impl<const N: usize> Driven<N> {
         let rates: Option<Vec<Mat<N>>> = self.terms.iter().map(DrivenTerm::turning).collect();
         let rates = rates.filter(|_| self.torques.is_empty())?;
         let rate = *rates.first()?;
-        let near = NEAR * rate.norm();
-        let alike = rates.iter().all(|other| (other - rate).norm() <= near);
-        let stay = |v: &Vector<N>| (rate * v).norm() <= near * v.norm();
+        let size = |x: &Mat<N>| so::inner(x, x).sqrt();
+        let near = NEAR * size(&rate);
+        let alike = rates.iter().all(|other| size(&(other - rate)) <= near);
+        let length = |v: &Vector<N>| so::norm(v.as_slice());
+        let stay = |v: &Vector<N>| length(&so::to_space(&rate, v)) <= near * length(v);
         (alike && fixed.into_iter().all(stay)).then_some(rate)
     }
 }
@@ -305,15 +307,15 @@ impl<const N: usize> DrivenTerm<N> {
 
     /// The rate `W` by which its space vector v turns, `v' = W v`, if that and its strength are constant.
     fn turning(&self) -> Option<Mat<N>> {
-        let turning = |a: &Vector<N>, b: &Vector<N>| b * a.transpose() - a * b.transpose();
         match (&self.factor, &self.path) {
             (Factor::Constant, Path::Turning { plane: [a, b], rate }) => {
-                Some(turning(a, b) * *rate)
+                Some(so::wedge(b, a) * *rate)
             }
             (Factor::Constant, Path::Orbit { across, mean_motion, eccentricity, .. })
                 if *eccentricity == 0.0 =>
             {
-                Some(turning(&self.term.space.try_normalize(0.0)?, across) * *mean_motion)
+                let size = so::norm(self.term.space.as_slice());
+                (size > 0.0).then(|| so::wedge(across, &(self.term.space / size)) * *mean_motion)
             }
             _ => None,
         }
@@ -335,7 +337,8 @@ impl<const N: usize> DrivenTerm<N> {
         let (space, moving) = match &self.path {
             Path::Fixed => (own, Vector::zeros()),
             Path::Turning { plane: [a, b], rate } => {
-                let (x, y) = (a.dot(&own), b.dot(&own));
+                let part = |v: &Vector<N>| so::dot(v.as_slice(), own.as_slice());
+                let (x, y) = (part(a), part(b));
                 let angle = t.angle(*rate, 0.0);
                 let (cos, sin) = (libm::cos(angle), libm::sin(angle));
                 let rest = own - a * x - b * y;
@@ -350,7 +353,7 @@ impl<const N: usize> DrivenTerm<N> {
                 let (x, y) = ((cos - e) / r, root * sin / r);
                 let turning = mean_motion * root / (r * r);
                 let receding = mean_motion * e * sin / r;
-                let size = own.norm();
+                let size = so::norm(own.as_slice());
                 let direction = own * x + across * (size * y);
                 let sideways = (across * (size * x) - own * y) * turning;
                 match self.term.law.space() {
@@ -411,7 +414,7 @@ impl<const N: usize> Moment<N> {
 
     /// `mu' = [mu, Omega] - dH/dg + F`: see [`RigidBody::momentum_rate`].
     pub(crate) fn momentum_rate(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
-        so::asym(&(mu * omega)) - self.gradient(g, mu, omega)
+        so::asym(&so::product(mu, omega)) - self.gradient(g, mu, omega)
     }
 
     /// The same at fixed momentum in space, right-trivialised: `v (g dU/dq)^T - ... - g F g^T`.
@@ -425,8 +428,8 @@ impl<const N: usize> Moment<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
         for Changing { strengthening, law, space, moving } in &self.changing {
-            let q = g.tr_mul(space);
-            power += strengthening.value(&q) + law.change(&q, &g.tr_mul(moving));
+            let q = so::to_body(g, space);
+            power += strengthening.value(&q) + law.change(&q, &so::to_body(g, moving));
         }
         Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)) }
     }

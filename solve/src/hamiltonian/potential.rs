@@ -144,7 +144,10 @@ impl<const N: usize> Own<N> {
     pub(super) fn attitude(u: &Mat<N>, axes: &[Vector<N>]) -> Mat<N> {
         let mut g = Mat::<N>::zeros();
         for (i, axis) in axes.iter().enumerate().take(N) {
-            g.set_row(i, &u.tr_mul(axis).transpose());
+            let row = so::to_body(u, axis);
+            for j in 0..N {
+                g[(i, j)] = row[j];
+            }
         }
         g
     }

@@ -23,7 +23,7 @@ use super::torque::Torques;
 use super::{Energy, Hamiltonian, RigidBody};
 use crate::failure::Failure;
 use crate::lanes::Stages;
-use crate::so::Mat;
+use crate::so::{self, Mat};
 use crate::space::{Mat3, Vec3, cross, dot, minus, plus, scaled, transposed_product, vec3};
 use crate::stack::{Dimension, Known, Stack};
 use crate::system::System;
@@ -44,7 +44,7 @@ impl TimeScale {
     /// For each point source the distance of its body point from the fixed point; `None` if there are none.
     pub fn of<const N: usize>(body: &RigidBody<N>) -> Option<Self> {
         let arm = |law: &Law<N>| match law {
-            Law::PointSource { body_point, .. } => body_point.norm(),
+            Law::PointSource { body_point, .. } => so::norm(body_point.as_slice()),
             _ => 0.0,
         };
         let near_m: Vec<f64> = body.terms.iter().map(|term| arm(&term.law)).collect();
@@ -62,12 +62,13 @@ impl TimeScale {
         let (mut sum, mut gradient) = (1.0, Mat::zeros());
         for (term, near) in body.terms.iter().zip(&self.near_m) {
             let Law::PointSource { body_point: y, .. } = &term.law else { continue };
-            let q = g.tr_mul(&term.space);
-            let square = (y - q).norm_squared();
+            let q = so::to_body(g, &term.space);
+            let arm = y - q;
+            let square = so::dot(arm.as_slice(), arm.as_slice());
             let cube = near * near * near / (square * square.sqrt());
             sum += cube;
             let slope = y * (cube / square);
-            gradient += q * slope.transpose() - slope * q.transpose();
+            gradient += so::wedge(&q, &slope);
         }
         let sigma = 1.0 / sum.sqrt();
         (sigma, gradient * (-1.5 * sigma * sigma * sigma))

@@ -236,7 +236,8 @@ impl<const N: usize> Law<N> {
 
     /// `|y - q|` relative to the arms where the law is singular at zero distance.
     pub(super) fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
-        self.singular_point().map(|y| (y - q).norm() / (y.norm() + q.norm()))
+        let size = |v: &Vector<N>| so::norm(v.as_slice());
+        self.singular_point().map(|y| size(&(y - q)) / (size(y) + size(q)))
     }
 }
 
@@ -244,7 +245,7 @@ impl<const N: usize> Term<N> {
     /// `1 / (|y| + |v|)^2` where the law is singular at zero distance, else zero.
     pub(super) fn reach(&self) -> f64 {
         self.law.singular_point().map_or(0.0, |y| {
-            let arms = y.norm() + self.space.norm();
+            let arms = so::norm(y.as_slice()) + so::norm(self.space.as_slice());
             1.0 / (arms * arms)
         })
     }
@@ -285,12 +286,12 @@ impl<const N: usize> Image for Vector<N> {
 
     #[inline(always)]
     fn dot(&self, other: &Self) -> f64 {
-        Self::dot(self, other)
+        so::dot(self.as_slice(), other.as_slice())
     }
 
     #[inline(always)]
     fn square(&self) -> f64 {
-        self.norm_squared()
+        so::dot(self.as_slice(), self.as_slice())
     }
 
     #[inline(always)]
@@ -300,7 +301,7 @@ impl<const N: usize> Image for Vector<N> {
 
     #[inline(always)]
     fn times(&self, m: &[f64]) -> Self {
-        Mat::from_column_slice(m) * self
+        so::to_space(&Mat::from_column_slice(m), self)
     }
 }
 

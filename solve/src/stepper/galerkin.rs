@@ -98,8 +98,8 @@ pub(super) struct Seen<'a, const N: usize> {
     pub(super) vectors: &'a [Vector<N>],
     /// Of one in a time of its own.
     pub(super) scale: Option<Scale<'a>>,
-    /// Is its velocity asked of its Lagrangian?
-    pub(super) by_lagrangian: bool,
+    /// `Omega_ij = w_ij mu_ij`, of one in principal axes whose velocity is not asked of its Lagrangian.
+    pub(super) weights: Option<&'a Mat<N>>,
 }
 
 /// `value` as what it is for n = 3.
@@ -405,14 +405,14 @@ impl<const N: usize> GalerkinStep<N> {
         let start = Start { n: N, h, lasting, momentum, velocity };
         let one_stage = OneStage(dynamics);
         let source = match dynamics.body() {
-            Some(Seen { body, vectors, scale, by_lagrangian })
-                if !body.has_own() && (scale.is_none() || body.principal().is_some()) =>
+            Some(Seen { body, vectors, scale, weights })
+                if !body.has_own() && (scale.is_none() || weights.is_some()) =>
             {
                 self.seen.clear();
                 vectors.iter().for_each(|v| self.seen.extend(v.as_slice()));
-                let velocity = match body.principal() {
-                    Some(weights) if !by_lagrangian => Velocity::Weights(weights.as_slice(), scale),
-                    _ => Velocity::Stages(&one_stage),
+                let velocity = match weights {
+                    Some(weights) => Velocity::Weights(weights.as_slice(), scale),
+                    None => Velocity::Stages(&one_stage),
                 };
                 Source::Body { velocity, terms: body, seen: &self.seen, work: body.work() }
             }
@@ -577,7 +577,7 @@ impl<const N: usize> GalerkinStep<N> {
         let nodes = self.tableau.ascending().iter().map(|&k| (Some(k), k));
         for (stage, k) in nodes.chain([(None, self.stages.len())]) {
             let u = self.attitude(k);
-            let trace = before.dot(&u);
+            let trace = so::dot(before.as_slice(), u.as_slice());
             check_branch(trace, limit, stage)?;
             before = u;
         }
@@ -667,10 +667,10 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
                 e: Mat::zeros(),
                 mu: *p0,
                 omega: *omega,
-                u_omega: u * omega,
+                u_omega: so::product(&u, omega),
                 x: Mat::zeros(),
                 u_x: Mat::zeros(),
-                v: self.end.f * self.end.lambda * (h * tableau.b(k)),
+                v: so::product(&self.end.f, &self.end.lambda) * (h * tableau.b(k)),
             };
         }
         Ok(())

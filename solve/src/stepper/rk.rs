@@ -93,7 +93,7 @@ fn projection<const N: usize>(g: &Mat<N>) -> Option<Mat<N>> {
     const ROUNDS: usize = 4;
     let mut u = *g;
     for _ in 0..ROUNDS {
-        let defect = Mat::<N>::identity() - u.tr_mul(&u);
+        let defect = Mat::<N>::identity() - so::transposed_product(&u, &u);
         let size = defect.amax();
         if !(size <= NEAR) {
             return so::polar(g);
@@ -155,14 +155,15 @@ impl<const N: usize> Stepper<N> for Rk<N> {
                 }
                 None => body.momentum_rate(&g, &mu, &omega, &self.seen),
             };
-            self.rates[i] = (g * omega, rate);
+            self.rates[i] = (so::product(&g, &omega), rate);
         }
         let mut end = self.at(None, |j| h * self.tableau.b(j))?;
         if self.projected {
             let left = Failure::new(FailureCode::LeftGlPlus, None, 0.0, 0.0);
             let factor = projection(&end.attitude).ok_or(left)?;
             // A quarter turn in one plane, or a reflection: tr(U^T V) <= n - 2.
-            let (trace, limit) = (self.state.attitude.dot(&factor), N as f64 - 2.0);
+            let trace = so::dot(self.state.attitude.as_slice(), factor.as_slice());
+            let limit = N as f64 - 2.0;
             check_branch(trace, limit, None)?;
             end.attitude = factor;
         }

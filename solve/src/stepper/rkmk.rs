@@ -78,7 +78,7 @@ impl<const N: usize> Rkmk<N> {
         let (mut nested, mut sum) = (*omega, *omega);
         for coefficient in DEXPINV.iter().take(self.order.saturating_sub(2) as usize) {
             // [A, B] = AB - (AB)^T for skew A and B.
-            nested = so::asym(&(sigma * nested));
+            nested = so::asym(&so::product(sigma, &nested));
             if *coefficient != 0.0 {
                 sum += nested * *coefficient;
             }
@@ -116,7 +116,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
             let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
-            let g = || self.state.attitude * u;
+            let g = || so::product(&self.state.attitude, &u);
             moment
                 .as_ref()
                 .map_or_else(
@@ -138,7 +138,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         }
         let (_, f, momentum) = self.at(None, |j| h * self.tableau.b(j))?;
         // The product drifts off the group like any product; one correction in space puts it back.
-        let attitude = so::orthonormalised(&(self.state.attitude * f));
+        let attitude = so::orthonormalised(&so::product(&self.state.attitude, &f));
         self.state = State { attitude, momentum };
         self.clock.advance(h, &put_in);
         Ok(Convergence::EXPLICIT)

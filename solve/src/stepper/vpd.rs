@@ -112,15 +112,11 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
     fn body(&self) -> Option<Seen<'_, N>> {
         let vectors = self.seen;
         if let Some(rescaled) = self.system.as_rescaled() {
-            return Some(Seen {
-                body: rescaled.body,
-                vectors,
-                scale: Some(rescaled.into()),
-                by_lagrangian: false,
-            });
+            let (body, scale) = (rescaled.body, Some(rescaled.into()));
+            return Some(Seen { body, vectors, scale, weights: body.principal() });
         }
         let body = self.system.as_body().filter(|_| self.moments.is_empty())?;
-        Some(Seen { body, vectors, scale: None, by_lagrangian: false })
+        Some(Seen { body, vectors, scale: None, weights: body.principal() })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {

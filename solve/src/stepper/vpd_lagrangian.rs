@@ -23,7 +23,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
 use crate::nonlinear::{Convergence, StopRule};
-use crate::so::{Mat, Vector};
+use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -78,7 +78,7 @@ struct Euler<'a, const N: usize, S: ?Sized> {
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
     fn velocity(&self, _k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
-        let residual = self.lagrangian.momentum(&(self.g0 * u), omega) - mu;
+        let residual = self.lagrangian.momentum(&so::product(&self.g0, u), omega) - mu;
         omega - corrected(&self.inverse, &residual)
     }
 
@@ -92,11 +92,11 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         Some(match (self.body, self.moments.get(k)) {
             (_, Some(moment)) => {
                 self.lagrangian.as_body().inspect(|body| body.count(1));
-                moment.gradient(&(self.g0 * u), &mu(), omega)
+                moment.gradient(&so::product(&self.g0, u), &mu(), omega)
             }
             (Some(body), None) => body.gradient_seen(u, self.seen),
             // dH/dg = -dL/dg
-            (None, None) => -self.lagrangian.force(&(self.g0 * u), omega),
+            (None, None) => -self.lagrangian.force(&so::product(&self.g0, u), omega),
         })
     }
 
@@ -106,14 +106,14 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
 
     fn body(&self) -> Option<Seen<'_, N>> {
         let (body, vectors) = (self.body?, self.seen);
-        Some(Seen { body, vectors, scale: None, by_lagrangian: true })
+        Some(Seen { body, vectors, scale: None, weights: None })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
         match (self.body, self.moments.get(k)) {
-            (_, Some(moment)) => moment.check(&(self.g0 * u)),
+            (_, Some(moment)) => moment.check(&so::product(&self.g0, u)),
             (Some(body), None) => body.check_distances_seen(u, self.seen),
-            (None, None) => self.lagrangian.check(&(self.g0 * u)),
+            (None, None) => self.lagrangian.check(&so::product(&self.g0, u)),
         }
     }
 }

@@ -61,7 +61,7 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     }
 
     fn body(&self) -> Option<Seen<'_, N>> {
-        Some(Seen { body: self.0, vectors: &[], scale: None, by_lagrangian: false })
+        Some(Seen { body: self.0, vectors: &[], scale: None, weights: self.0.principal() })
     }
 }
 

@@ -249,7 +249,7 @@ impl<const N: usize> Step<'_, N> {
             Err(failure) => return Err(failure.explained_by(check)),
         };
         let turn = so::exp(&unknowns.y.matrix());
-        Ok((convergence, (turn * self.g0, unknowns.n.turned(&turn).matrix())))
+        Ok((convergence, (so::product(&turn, self.g0), unknowns.n.turned(&turn).matrix())))
     }
 
     /// One sweep over all unknowns, each slope from the newest of the others; returns the largest change
@@ -273,7 +273,7 @@ impl<const N: usize> Step<'_, N> {
             }
             let stage = &mut stages[i];
             let turn = so::exp(&x.matrix());
-            stage.g = turn * g0;
+            stage.g = so::product(&turn, g0);
             let m = chains.dual_image(beta, &x, &stage.p);
             let (xi, f) = match moments.get(i) {
                 None => slopes(body, &stage.g, &m),

@@ -17,6 +17,7 @@ pub(super) struct Spread<const N: usize> {
     first: Option<State<N>>,
     count: u64,
     turns: Mat<N>,
+    /// The sum of |turn|_F^2 / 2.
     turns_squared: f64,
     momenta: Mat<N>,
     momenta_squared: Mat<N>,
@@ -43,7 +44,7 @@ impl<const N: usize> Spread<N> {
         let momentum = state.momentum - first.momentum;
         self.count += 1;
         self.turns += turn;
-        self.turns_squared += turn.norm_squared();
+        self.turns_squared += so::inner(&turn, &turn);
         self.momenta += momentum;
         self.momenta_squared += momentum.component_mul(&momentum);
     }
@@ -65,9 +66,9 @@ impl<const N: usize> Spread<N> {
         let attitude = nearest_rotation(&(first.attitude + self.turns / count));
         let spread = attitude.map(|nearest| {
             let from_first = nearest - first.attitude;
-            let squares = self.turns_squared - 2.0 * self.turns.dot(&from_first)
-                + count * from_first.norm_squared();
-            (squares.max(0.0) / 2.0 / count).sqrt()
+            let squares = self.turns_squared - 2.0 * so::inner(&self.turns, &from_first)
+                + count * so::inner(&from_first, &from_first);
+            (squares.max(0.0) / count).sqrt()
         });
         EnsembleStatistics {
             members: self.count,

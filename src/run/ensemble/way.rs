@@ -1,7 +1,7 @@
 //! What a member of an ensemble did on the way, in a few points that keep every extreme.
 
 use crate::log::messages::Waypoints;
-use crate::solve::so::Mat;
+use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::Sample;
 
 /// The points of one member as its samples come.
@@ -77,7 +77,7 @@ impl<const N: usize> Point<N> {
             time_s: sample.time_s,
             attitude,
             cosines: std::array::from_fn(|k| attitude.map_or(1.0, |g| g[(k, k)])),
-            velocity_squared: sample.angular_velocity.map(|omega| 0.5 * omega.norm_squared()),
+            velocity_squared: sample.angular_velocity.map(|omega| so::inner(&omega, &omega)),
             energy: sample.energy_error,
             orthogonality: sample.orthogonality_error,
             drift: sample.momentum_drift,

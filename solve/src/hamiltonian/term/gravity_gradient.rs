@@ -1,6 +1,6 @@
 //! The gradient of gravity: `U = strength / 2 q . M q`.
 
-use super::{Image, Mat, Space, Vector};
+use super::{Image, Mat, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Tide;
 
@@ -21,7 +21,7 @@ pub(super) fn change<const N: usize>(
     q: &Vector<N>,
     rate: &Vector<N>,
 ) -> f64 {
-    strength * (m * q).dot(rate)
+    strength * so::dot(so::to_space(m, q).as_slice(), rate.as_slice())
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Mat<N>) -> Option<&Vector<N>> {

@@ -1,6 +1,6 @@
 //! A charge: `U = strength / r`, `r = |y - q|`.
 
-use super::{Image, Real, Space, Vector};
+use super::{Image, Real, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Place;
 
@@ -31,8 +31,8 @@ pub(super) fn change<const N: usize>(
     rate: &Vector<N>,
 ) -> f64 {
     let arm = y - q;
-    let distance = arm.norm();
-    strength * arm.dot(rate) / (distance * distance * distance)
+    let distance = so::norm(arm.as_slice());
+    strength * so::dot(arm.as_slice(), rate.as_slice()) / (distance * distance * distance)
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, y: &Vector<N>) -> Option<&Vector<N>> {

@@ -1,6 +1,6 @@
 //! A spring: `U = stiffness / 2 (r - rest_length)^2`, `r = |y - q|`.
 
-use super::{Image, Real, Space, Vector};
+use super::{Image, Real, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Place;
 
@@ -38,8 +38,8 @@ pub(super) fn change<const N: usize>(
     rate: &Vector<N>,
 ) -> f64 {
     let arm = q - y;
-    let bent = if *rest_length > 0.0 { rest_length / arm.norm() } else { 0.0 };
-    stiffness * (1.0 - bent) * arm.dot(rate)
+    let bent = if *rest_length > 0.0 { rest_length / so::norm(arm.as_slice()) } else { 0.0 };
+    stiffness * (1.0 - bent) * so::dot(arm.as_slice(), rate.as_slice())
 }
 
 pub(super) fn singular_point<'a, const N: usize>(

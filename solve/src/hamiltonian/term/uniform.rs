@@ -1,6 +1,6 @@
 //! A uniform field: `U = weight y . q`.
 
-use super::{Image, Space, Vector};
+use super::{Image, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Direction;
 
@@ -21,7 +21,7 @@ pub(super) fn change<const N: usize>(
     _: &Vector<N>,
     rate: &Vector<N>,
 ) -> f64 {
-    weight * y.dot(rate)
+    weight * so::dot(y.as_slice(), rate.as_slice())
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Vector<N>) -> Option<&Vector<N>> {

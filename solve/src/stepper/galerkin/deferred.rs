@@ -320,7 +320,7 @@ impl Collocation {
         &self.end.impulse
     }
 
-    /// `p1 - p0`, row by row.
+    /// `p1 - p0` of a body, row by row.
     pub(super) fn gain(&self) -> &[f64] {
         &self.end.gain
     }
@@ -540,7 +540,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 self.velocities_in_space();
                 self.transport();
                 self.end_point(2);
-                self.gain();
+                if !matches!(self.forces, Forces::Stages(_)) {
+                    self.gain();
+                }
                 return Ok(increment);
             }
             before = increment;

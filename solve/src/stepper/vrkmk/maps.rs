@@ -119,7 +119,7 @@ impl<const N: usize> Skew<N> for Mat<N> {
     #[inline]
     fn bracket(&self, y: &Self) -> Self {
         // Y X = (X Y)^T for skew X, Y.
-        so::asym(&(self * y))
+        so::asym(&so::product(self, y))
     }
 
     #[inline]
@@ -130,7 +130,7 @@ impl<const N: usize> Skew<N> for Mat<N> {
 
     #[inline]
     fn turned_back(&self, g: &Mat<N>) -> Self {
-        so::asym(&(g.tr_mul(self) * g)) * 0.5
+        so::asym(&so::product(&so::transposed_product(g, self), g)) * 0.5
     }
 
     fn dexp(&self, v: &Self) -> Self {
