@@ -42,7 +42,7 @@ pub(crate) fn assembled<T: Task>(plan: &Plan, task: T) -> T::Output {
     macro_rules! for_dimension {
         ($($n:literal)*) => {
             match plan.dimension {
-                3 => task.perform(assembly(plan, in_space, together, shadow)),
+                3 => task.perform(assembly(plan, in_three_dimensions, together, shadow)),
                 $($n => task.perform(assembly::<$n>(plan, in_any_dimension, |_| None, shadow)),)*
                 n => unreachable!("the plan refuses n = {n}"),
             }
@@ -94,12 +94,12 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
 }
 
 /// The stepper that the plan chose, for n = 3.
-fn in_space(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
+fn in_three_dimensions(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
     let method = plan.formulation.method;
     if plan.model.is_driven() || plan.model.wheels.is_some() {
         return method.in_any_dimension(parts(plan));
     }
-    let stepper = method.in_space(parts(plan))?;
+    let stepper = method.in_three_dimensions(parts(plan))?;
     let (body, start) = plan.model.problem::<3>();
     let plane = Plane::of(&body, &start).filter(|_| plan.formulation.motion == Motion::InPlane);
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);

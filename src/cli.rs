@@ -133,7 +133,7 @@ impl FromStr for Change {
             return Err(format!("{}; write /{text}", wanted()));
         }
         // What is not JSON is text, so that names need no quotes.
-        let value = serde_json::from_str(value).unwrap_or_else(|_| value.into());
+        let value = serde_json::from_slice(value.as_bytes()).unwrap_or_else(|_| value.into());
         Ok(Self { pointer: pointer.to_owned(), value })
     }
 }
@@ -171,6 +171,17 @@ fn log_path(path: PathBuf) -> Result<PathBuf, String> {
         _ => return Ok(path),
     };
     Err(format!("this is the log, name it .mcap; {other}"))
+}
+
+/// Where a picture may go: what is there is replaced, and a log or a table must not be.
+#[cfg(feature = "chart")]
+fn picture_path(path: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(path);
+    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
+        Ok(path)
+    } else {
+        Err("this is a picture, name it .svg".to_owned())
+    }
 }
 
 #[derive(Debug, Args)]
@@ -372,8 +383,6 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     };
     read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
     if !args.changes.is_empty() {
-        // The file is held to its own rules first, duplicate keys among them.
-        scenario(&text)?;
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
     advise::plan(&scenario(&text)?).map_err(wrong)
@@ -394,10 +403,10 @@ fn hinted(error: ScenarioError, text: &[u8], wanted: SchemaOf) -> ScenarioError 
     ScenarioError { message: message.to_owned(), pointer: pointer.to_owned(), ..error }
 }
 
-/// The text of a scenario with some fields replaced or added.
+/// The text of a scenario with some fields replaced or added. Of the text itself no more is asked than to be JSON without
+/// duplicate keys: a change may be what makes a scenario of it.
 fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
-    let mut document: serde_json::Value =
-        serde_json::from_slice(text).expect("the text was read as a scenario before");
+    let mut document = scenario::read_tree(text)?;
     for Change { pointer, value } in changes {
         scenario::set(&mut document, pointer, value.clone())?;
     }

@@ -20,6 +20,9 @@ use crate::log::schema::Channel;
 #[cfg(feature = "parquet")]
 mod columnar;
 
+/// The columns of every table of samples.
+const TIMES: [&str; 2] = ["log_time_ns", "time_s"];
+
 /// Why there is no table.
 #[derive(Debug, Error)]
 pub enum ExportError {
@@ -36,7 +39,7 @@ pub enum ExportError {
     },
     /// A channel that is no table, or not one with the others.
     #[error(
-        "{channel} is not exported{with}; a table is of any of /state, /energy, /orthogonality, /momentum, /solver, or of /ensemble/members or /ensemble/statistics alone"
+        "{channel} is not exported{with}; a table is of any of /state, /energy, /orthogonality, /momentum, /solver, /pace, or of /ensemble/members or /ensemble/statistics alone"
     )]
     Channel {
         /// The channel.
@@ -189,8 +192,8 @@ impl Fields {
         let mut fields = Self(Vec::new());
         let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
         let time_s = row.state.as_ref().map_or(since_s, |state| state.time_s);
-        fields.count("log_time_ns", Some(row.time_ns));
-        fields.number("time_s", Some(time_s));
+        fields.count(TIMES[0], Some(row.time_ns));
+        fields.number(TIMES[1], Some(time_s));
         for channel in channels {
             match channel {
                 Channel::State => fields.state("", row.state.as_ref()),
@@ -382,7 +385,7 @@ pub fn export<'a>(
         ControlFlow::Continue(())
     })?;
     let names = columns.names();
-    if names.is_empty() {
+    if names.iter().all(|name| TIMES.contains(&name.as_str())) {
         let topics: Vec<&str> = choice.channels.iter().map(|channel| channel.topic()).collect();
         let topics = if topics.is_empty() { "samples".to_owned() } else { topics.join(", ") };
         let asked = format!("{topics} of member {}", choice.member);

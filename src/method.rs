@@ -287,7 +287,7 @@ impl Integrator {
     }
 
     /// The stepper for n = 3, wherever the body goes.
-    pub(crate) fn in_space(self, parts: Parts) -> Option<Box<dyn Stepper<3>>> {
+    pub(crate) fn in_three_dimensions(self, parts: Parts) -> Option<Box<dyn Stepper<3>>> {
         let in_lanes = parts.tableau.stages() <= WIDTH;
         let Parts { tableau, order, stop, carries_attitude, own_steps } = parts;
         Some(match self {
@@ -475,8 +475,8 @@ mod tests {
     fn each_method_is_of_its_order_in_the_dimensions_of_its_row() {
         for &method in Integrator::ALL {
             let name = method.as_str();
-            let in_space = order::<3>(method, Integrator::in_space);
-            assert!((in_space - 4.0).abs() < 0.3, "{name} in space: order {in_space}");
+            let three = order::<3>(method, Integrator::in_three_dimensions);
+            assert!((three - 4.0).abs() < 0.3, "{name} for n = 3: order {three}");
             let elsewhere = method.in_any_dimension::<4>(parts(method, 0.1)).is_some();
             assert_eq!(elsewhere, !method.facts().three, "{name} for n = 4");
             if elsewhere {

@@ -19,6 +19,8 @@ mod suggest;
 mod term;
 
 pub(crate) use change::set;
+#[cfg(feature = "serve")]
+pub(crate) use check::twelve_digits;
 pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, dividing, ensure};
 pub use driven::{
     DrivenTerm, Factor, Harmonic, OfMomentum, Orbit, Path, Table, Torque, TorqueTable, Turning,

@@ -50,7 +50,7 @@ pub(super) struct DiffArgs {
     rows: usize,
     /// Draw the differences over time.
     #[cfg(feature = "chart")]
-    #[arg(long, value_name = "PICTURE.svg")]
+    #[arg(long, value_name = "PICTURE.svg", value_parser = super::picture_path)]
     chart: Option<PathBuf>,
     /// Print JSON.
     #[arg(long)]

@@ -11,8 +11,11 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use tokio::net::{TcpListener, TcpSocket};
+use tracing::level_filters::LevelFilter;
 use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use super::CliError;
 use super::worker::{CLUSTER, ClusterArgs};
@@ -166,22 +169,52 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
 
 /// Begins the service's own log. The rest of it is written when the guard goes.
 pub(super) fn own_log(format: LogFormat) -> (WorkerGuard, ErrorCounter) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let asked = std::env::var("RUST_LOG").unwrap_or_default();
+    let (filter, refused) = match detail(&asked) {
+        Ok(filter) => (filter, None),
+        Err(refused) => (Targets::new().with_default(LevelFilter::INFO), Some(refused)),
+    };
     // Written by a thread of its own: a stderr that nobody reads must not stall who answers.
     let (out, rest) =
         NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
     let lost = out.error_counter();
     let log = tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_max_level(LevelFilter::TRACE)
         .with_writer(out)
         // A closed stderr must not turn a line of the log into a panic.
         .log_internal_errors(false)
         .with_ansi(io::stderr().is_terminal());
     match format {
-        LogFormat::Text => log.init(),
-        LogFormat::Json => log.json().init(),
+        LogFormat::Text => log.finish().with(filter).init(),
+        LogFormat::Json => log.json().finish().with(filter).init(),
+    }
+    if let Some(refused) = refused {
+        tracing::warn!(
+            "RUST_LOG is not used: {refused:?} given, levels and targets with a level are allowed, as in `debug` or `vpd=trace,info`"
+        );
     }
     (rest, lost)
+}
+
+/// What `RUST_LOG` asks for, levels and targets with a level: `vpd=trace,info`. Of no level, info.
+///
+/// # Errors
+/// What is neither.
+fn detail(asked: &str) -> Result<Targets, &str> {
+    let mut targets = Targets::new().with_default(LevelFilter::INFO);
+    for part in asked.split(',').map(str::trim).filter(|part| !part.is_empty()) {
+        let (target, level) = part.split_once('=').map_or((None, part), |(t, l)| (Some(t), l));
+        let level: LevelFilter = level.parse().map_err(|_| part)?;
+        let is_target = |c: char| c.is_alphanumeric() || "_:-".contains(c);
+        targets = match target {
+            None => targets.with_default(level),
+            Some(target) if !target.is_empty() && target.chars().all(is_target) => {
+                targets.with_target(target, level)
+            }
+            Some(_) => return Err(part),
+        };
+    }
+    Ok(targets)
 }
 
 /// The program of this process, for others like it.
@@ -247,4 +280,25 @@ pub(super) fn stop_signal() -> io::Result<impl Future<Output = ()>> {
     Ok(async move {
         interrupt.recv().await;
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::detail;
+
+    #[test]
+    fn rust_log_takes_levels_and_targets_with_a_level() {
+        let level = |asked: &str, target: &str| {
+            let targets = detail(asked).expect("usable");
+            [tracing::Level::INFO, tracing::Level::DEBUG].map(|l| targets.would_enable(target, &l))
+        };
+        assert_eq!(level("", "vpd"), [true, false]);
+        assert_eq!(level("debug", "vpd"), [true, true]);
+        assert_eq!(level(" vpd=debug, warn", "vpd::serve"), [true, true]);
+        assert_eq!(level("vpd=debug,warn", "hyper"), [false, false]);
+        assert_eq!(level("off", "vpd"), [false, false]);
+        for unusable in ["bogus", "[[[", "=,=", "vpd=loud", "debug,vpd=loud", "vpd[job]=debug"] {
+            assert!(detail(unusable).is_err(), "{unusable}");
+        }
+    }
 }

@@ -45,7 +45,7 @@ pub(super) struct SweepArgs {
     shard: Option<Shard>,
     /// Draw a column: a map over two fields, else points. A table that is finished is drawn as it stands.
     #[cfg(feature = "chart")]
-    #[arg(long, value_name = "PICTURE.svg", conflicts_with = "shard")]
+    #[arg(long, value_name = "PICTURE.svg", conflicts_with = "shard", value_parser = super::picture_path)]
     svg: Option<PathBuf>,
     /// The column to draw; by default the one that the sweep names, else its first score.
     #[cfg(feature = "chart")]

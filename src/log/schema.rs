@@ -91,7 +91,7 @@ channels! {
 enum Scope {
     All,
     /// n = 3.
-    InSpace,
+    ThreeDimensions,
     /// n = 3, and something in space to draw.
     WithSources,
     Ensembles,
@@ -190,7 +190,7 @@ impl Channel {
             },
             Self::Tf => Row {
                 descriptors: well_known::<FrameTransforms>,
-                scope: Scope::InSpace,
+                scope: Scope::ThreeDimensions,
                 attitude: true,
                 // Time stamp, two names, translation and four doubles, each part with tag and length.
                 sample: sample(0, 75),
@@ -198,7 +198,7 @@ impl Channel {
             },
             Self::SceneBody => Row {
                 descriptors: well_known::<SceneUpdate>,
-                scope: Scope::InSpace,
+                scope: Scope::ThreeDimensions,
                 ..plain("foxglove.SceneUpdate", "the body's box and points, once")
             },
             Self::SceneSources => Row {
@@ -234,25 +234,25 @@ impl Channel {
         Self::all().into_iter().find(|channel| channel.topic() == topic)
     }
 
-    /// Whether a scene has the channel: one in space or not, with or without something there to draw, of an ensemble or
+    /// Whether a scene has the channel: of n = 3 or not, with or without something there to draw, of an ensemble or
     /// of one run, in steps that adapt or not.
     pub(crate) fn exists(
         self,
-        in_space: bool,
+        three: bool,
         sources: bool,
         ensemble: bool,
         own_steps: bool,
     ) -> bool {
         match self.row(3).scope {
             Scope::All => true,
-            Scope::InSpace => in_space,
-            Scope::WithSources => in_space && sources,
+            Scope::ThreeDimensions => three,
+            Scope::WithSources => three && sources,
             Scope::Ensembles => ensemble,
             Scope::OwnSteps => own_steps,
         }
     }
 
-    /// Whether the channel is for bodies in space only.
+    /// Whether the channel is for n = 3 only.
     pub fn needs_three(self) -> bool {
         !self.exists(false, true, true, true)
     }

@@ -106,7 +106,8 @@ impl Ensemble<'_> {
             outcome,
             energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached: Reached::from(&reached),
-            diagnosis: nominal.and_then(|end| serde_json::from_str(&end.diagnosis).ok()),
+            diagnosis: nominal
+                .and_then(|end| serde_json::from_slice(end.diagnosis.as_bytes()).ok()),
             ensemble: Some(ensemble),
         };
         let summary = finish(Asked::of(plan), path, log, (&figures, &course), end)?;

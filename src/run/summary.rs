@@ -263,8 +263,8 @@ pub(super) fn warning(seen: EnergySeen) -> Option<String> {
     let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * initial.abs();
     lost.then(|| {
         format!(
-            "the energy was off by {error:.1e} J, where at most {kinetic:.1e} J moved: no step failed, but the run \
-             means little; take a smaller step"
+            "the energy was off by {error:.1e} J, where at most {kinetic:.1e} J moved: the run means little; take a \
+             smaller step"
         )
     })
 }

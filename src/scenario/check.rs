@@ -408,7 +408,7 @@ pub(crate) fn dividing(duration_s: f64, step_s: f64) -> f64 {
 }
 
 /// Enough for a whole number of steps.
-fn twelve_digits(x: f64) -> f64 {
+pub(crate) fn twelve_digits(x: f64) -> f64 {
     format!("{x:.11e}").parse().unwrap_or(x)
 }
 
@@ -443,8 +443,8 @@ fn duration(scenario: &Scenario) -> Check {
             whole_duration(duration_s)?;
             ensure(is_whole(duration_s, h), "/duration_s", || {
                 let count = duration_s / h;
-                let [below, above] =
-                    [count.floor(), count.ceil()].map(|count| twelve_digits(count * h));
+                let [below, above] = [count.floor().max(1.0), count.ceil().max(2.0)]
+                    .map(|count| twelve_digits(count * h));
                 let step = dividing(duration_s, h);
                 format!(
                     "{duration_s} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
@@ -506,6 +506,10 @@ fn log(scenario: &Scenario, n: usize) -> Check {
     let pointer = if log.every_s.is_some() { "/log/every_s" } else { "/log/every" };
     ensure(steps / every <= MAX_SAMPLES, pointer, || {
         let least = steps.div_ceil(MAX_SAMPLES);
+        let least = match (log.every_s, scenario.step_s) {
+            (Some(_), Some(step_s)) => format!("{} s", twelve_digits(least as f64 * step_s)),
+            _ => least.to_string(),
+        };
         format!(
             "every {every} steps of {steps} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}"
         )

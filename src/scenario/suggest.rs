@@ -20,7 +20,10 @@ pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioErr
     let mut message = error.message;
     // serde's word for what names one of several forms.
     if let Some((before, _)) = message.split_once("expected string or map") {
-        message = format!("{before}expected an object with one of {}", named.join(", "));
+        message = match words(tree, &pointer) {
+            Some(words) if named.is_empty() => format!("{before}expected {words}"),
+            _ => format!("{before}expected an object with one of {}", named.join(", ")),
+        };
     }
     match (written, with_unit(tree, &pointer)) {
         (_, Some(key)) => message += &format!("; a number is given as `{key}`"),
@@ -28,6 +31,15 @@ pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioErr
         (None, None) => {}
     }
     ScenarioError::invalid(pointer, message)
+}
+
+/// What is allowed where a word belongs, as the answer to one that is none says it.
+fn words(tree: &Value, pointer: &str) -> Option<String> {
+    let mut other = tree.clone();
+    *other.pointer_mut(pointer)? = Value::from("");
+    let error = super::parse::typed::<super::Scenario>(&other).err()?;
+    let (_, words) = error.message.split_once("expected ")?;
+    (error.pointer == pointer).then(|| words.to_owned())
 }
 
 /// The same key with its unit, if there is one and a number was given.

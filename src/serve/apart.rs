@@ -185,7 +185,7 @@ fn pass_on(stdin: Option<ChildStdin>, errand: &Errand, control: &Control, over: 
 /// Follows what a child says to its end; `None` if it ends without.
 fn listen(stdout: impl Read, control: &Control) -> Option<Result<Done, Broken>> {
     for line in BufReader::new(stdout).lines() {
-        match serde_json::from_str(&line.ok()?).ok()? {
+        match serde_json::from_slice(line.ok()?.as_bytes()).ok()? {
             Line::Progress { steps_done, resumed_step, durable_step, durable_bytes } => {
                 control.steps_done.store(steps_done, Ordering::Relaxed);
                 control.resumed_step.store(resumed_step, Ordering::Relaxed);
@@ -209,7 +209,7 @@ pub(crate) fn child() -> io::Result<()> {
     let mut text = String::new();
     let mut stdin = BufReader::new(io::stdin());
     stdin.read_line(&mut text)?;
-    let errand: Errand = serde_json::from_str(&text)?;
+    let errand: Errand = serde_json::from_slice(text.as_bytes())?;
     let control = Control { trace: errand.trace(), ..Control::default() };
     let control = std::sync::Arc::new(control);
     let hearing = control.clone();

@@ -415,7 +415,7 @@ fn routes() -> Vec<Route> {
 
 /// A scenario, as the list of them shows it.
 fn example() -> Value {
-    serde_json::from_str(SHIPPED[0].1).unwrap_or_default()
+    serde_json::from_slice(SHIPPED[0].1.as_bytes()).unwrap_or_default()
 }
 
 /// All routes of the service.

@@ -11,6 +11,7 @@ use subtle::ConstantTimeEq;
 use super::ClusterConfig;
 use super::engine::Refusal;
 use crate::plan::{LOG_FIXED_BYTES, Plan};
+use crate::scenario::twelve_digits;
 
 /// Shortest token that is taken, bytes: long enough not to be guessed.
 const SHORTEST_TOKEN: usize = 16;
@@ -115,14 +116,37 @@ impl Limits {
             let samples_bytes = |log_bytes: u64| log_bytes.saturating_sub(LOG_FIXED_BYTES) as f64;
             let excess = samples_bytes(plan.log_bytes) / samples_bytes(self.log_bytes).max(1.0);
             let every = ((plan.every as f64 * excess * 1.01).ceil() as u64).min(plan.steps);
+            // Even of the first and the last sample alone?
+            let least = LOG_FIXED_BYTES as f64
+                + 2.0 * samples_bytes(plan.log_bytes) / plan.samples.max(2) as f64;
+            let (pointer, advice) = match plan.asked.log.every_s {
+                _ if least > self.log_bytes as f64 => {
+                    ("/log/channels", "log fewer channels".to_owned())
+                }
+                None => ("/log/every", format!("log every {every} steps, or fewer channels")),
+                Some(_) => {
+                    let spacing_s = spacing_s(plan, every);
+                    ("/log/every_s", format!("log every {spacing_s} s, or fewer channels"))
+                }
+            };
             let (estimate, limit) = (plan.log_bytes, self.log_bytes);
-            return Err(Refusal::LogTooLarge { estimate, limit, every });
+            return Err(Refusal::LogTooLarge { estimate, limit, advice, pointer });
         }
         if plan.memory_bytes > self.memory_bytes {
             let (estimate, limit) = (plan.memory_bytes, self.memory_bytes);
             return Err(Refusal::TooMuchMemory { estimate, limit });
         }
         Ok(())
+    }
+}
+
+/// A `log.every_s` that the scenario is accepted with, of at least so many steps of the plan.
+fn spacing_s(plan: &Plan, every: u64) -> f64 {
+    let spacing_s = twelve_digits(every as f64 * plan.step_s);
+    match (plan.asked.step_s, plan.asked.duration_s) {
+        // The step is chosen anew: it divides what the spacing divides.
+        (None, Some(duration_s)) => duration_s / (duration_s / spacing_s).floor().max(1.0),
+        _ => spacing_s,
     }
 }
 

@@ -30,9 +30,9 @@ pub(super) enum Refusal {
     )]
     TooExpensive { estimate_s: f64, limit_s: f64 },
     #[error(
-        "the log is expected to take {estimate} bytes, more than the {limit} allowed here: log every {every} steps, or fewer channels"
+        "the log is expected to take {estimate} bytes, more than the {limit} allowed here: {advice}"
     )]
-    LogTooLarge { estimate: u64, limit: u64, every: u64 },
+    LogTooLarge { estimate: u64, limit: u64, advice: String, pointer: &'static str },
     #[error(
         "the run is expected to take {estimate} bytes of memory, more than the {limit} allowed here: fewer members, or a smaller n"
     )]

@@ -319,8 +319,8 @@ impl From<Refusal> for Problem {
             Refusal::TooExpensive { .. } => {
                 Self { pointer: Some("/steps".to_owned()), ..with(UNPROCESSABLE) }
             }
-            Refusal::LogTooLarge { .. } => {
-                Self { pointer: Some("/log/every".to_owned()), ..with(UNPROCESSABLE) }
+            Refusal::LogTooLarge { pointer, .. } => {
+                Self { pointer: Some(pointer.to_owned()), ..with(UNPROCESSABLE) }
             }
             Refusal::TooMuchMemory { .. } => with(UNPROCESSABLE),
             Refusal::DiskFull => with(StatusCode::INSUFFICIENT_STORAGE).retry(MAX_RETRY_S as u64),

@@ -592,7 +592,11 @@ fn index_line(line: &Line) -> serde_json::Result<String> {
 fn index_entry(line: &[u8]) -> Option<Line> {
     let (sum, json) = std::str::from_utf8(line).ok()?.split_once(' ')?;
     let sum = u32::from_str_radix(sum, 16).ok()?;
-    if sum == crc32fast::hash(json.as_bytes()) { serde_json::from_str(json).ok() } else { None }
+    if sum == crc32fast::hash(json.as_bytes()) {
+        serde_json::from_slice(json.as_bytes()).ok()
+    } else {
+        None
+    }
 }
 
 /// A text with its checksum in a last line.

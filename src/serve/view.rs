@@ -287,7 +287,7 @@ impl JobList {
 impl ScenarioList {
     pub(super) fn shipped() -> Self {
         let scenarios = SHIPPED.iter().map(|&(name, text)| {
-            let scenario: Value = serde_json::from_str(text).unwrap_or_default();
+            let scenario: Value = serde_json::from_slice(text.as_bytes()).unwrap_or_default();
             let links = ScenarioLinks { this: format!("/scenarios/{name}") };
             let description = scenario["description"].as_str().map(str::to_owned);
             ScenarioEntry { name, description, links }

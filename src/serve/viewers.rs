@@ -151,7 +151,7 @@ impl Viewer {
     /// Does as it wishes; what it may not wish, or we do not understand, is passed over.
     fn hear(&mut self, said: &Message) {
         let Message::Text(text) = said else { return };
-        match serde_json::from_str(text) {
+        match serde_json::from_slice(text.as_bytes()) {
             Ok(Wish::Subscribe { subscriptions }) => {
                 for Subscription { id, channel_id } in subscriptions {
                     if let Some(channel) = Channel::all().get(channel_id)

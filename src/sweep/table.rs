@@ -40,7 +40,7 @@ impl Identity {
     }
 
     fn read(line: &str) -> Option<Self> {
-        serde_json::from_str(line.strip_prefix(MARK)?).ok()
+        serde_json::from_slice(line.strip_prefix(MARK)?.as_bytes()).ok()
     }
 }
 

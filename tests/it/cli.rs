@@ -130,6 +130,12 @@ fn fields_can_be_set_on_the_command_line() {
     let run = set(&["/method/name=vrkmk", "/method/tableau=gauss1", "/duration_s=1"]);
     let summary: Value = serde_json::from_slice(&run.stdout).expect("JSON");
     assert_eq!(summary["steps"], 500);
+    // What is wrong in the file may be what is set.
+    let spoiled = std::fs::read_to_string(&top).expect("shipped").replace("0.002", "0");
+    std::fs::write(at.join("spoiled.json"), spoiled).expect("writable");
+    assert_eq!(vpd(at, &["run", "spoiled.json"]).status.code(), Some(2));
+    let mended = vpd(at, &["run", "spoiled.json", "--set", "/step_s=0.002"]);
+    assert_eq!(mended.status.code(), Some(0), "{}", text(&mended.stderr));
     let wrong = [
         (vec!["/scene/inertia/principal/1=-2"], "/scene/inertia/principal/1"),
         (vec!["/nowhere/at/all=1"], "/nowhere"),
@@ -357,6 +363,9 @@ fn first_mistakes_are_answered_by_what_to_write() {
         ("/step_s=\"0.5\"", "write 0.5"),
         ("/ensemble=5", r#"write {"members":5}"#),
         ("step_s=0.5", "write /step_s=0.5"),
+        ("/method/name=3", "expected one of `auto`, `vpd`"),
+        ("/scene/potential/0/kind=3", "expected one of `uniform`"),
+        ("/log/compression=false", "expected one of `"),
         ("/step=0.5", "a number is given as `step_s`"),
         ("/stride=0.5", "expected one of `$schema`, `name`"),
         ("/step_s/deeper=1", "/step_s is a number"),
@@ -385,6 +394,27 @@ fn a_sweep_and_a_scenario_are_told_apart() {
         sweep.contains("/scene: this is a scenario, not a sweep: `vpd run` runs it"),
         "{sweep}"
     );
+}
+
+#[test]
+fn a_picture_does_not_take_the_place_of_a_log() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let top = scenario("heavy-top");
+    assert_eq!(vpd(at, &["run", &top, "-o", "top.mcap"]).status.code(), Some(0));
+    let log = std::fs::read(at.join("top.mcap")).expect("a log");
+    let sweep = scenario("sweeps/pendulum-chaos");
+    for arguments in [
+        vec!["diff", "top.mcap", "top.mcap", "--chart", "top.mcap"],
+        vec!["sweep", &sweep, "--svg", "top.mcap"],
+    ] {
+        let refused = vpd(at, &arguments);
+        assert_eq!(refused.status.code(), Some(2), "{arguments:?}");
+        assert!(text(&refused.stderr).contains("name it .svg"), "{}", text(&refused.stderr));
+    }
+    assert!(std::fs::read(at.join("top.mcap")).expect("still a log") == log);
+    let drawn = vpd(at, &["diff", "top.mcap", "top.mcap", "--chart", "none.svg"]);
+    assert_eq!(drawn.status.code(), Some(0), "{}", text(&drawn.stderr));
 }
 
 #[test]

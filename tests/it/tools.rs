@@ -133,6 +133,10 @@ fn other_dimensions_and_members_are_exported() {
     let none = vpd(at, &["export", "many.mcap", "--member", "4"]);
     assert_eq!(none.status.code(), Some(2));
     assert!(text(&none.stderr).contains("samples of member 4"), "{}", text(&none.stderr));
+    // Times alone are no table.
+    let none = vpd(at, &["export", "many.mcap", "--channels", "/pace"]);
+    assert_eq!(none.status.code(), Some(2));
+    assert!(text(&none.stderr).contains("holds nothing of /pace"), "{}", text(&none.stderr));
 }
 
 #[test]

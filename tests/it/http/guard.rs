@@ -223,6 +223,24 @@ fn jobs_beyond_the_limits_are_refused_with_the_figures() {
     let advised: u64 = advised.and_then(|text| text.parse().ok()).expect("a number of steps");
     scenario["log"]["every"] = json!(advised);
     server.submit(&scenario);
+    // Of samples that are asked for in seconds the answer is in seconds, too.
+    scenario["log"].as_object_mut().expect("an object").remove("every");
+    scenario["log"]["every_s"] = scenario["step_s"].clone();
+    let problem =
+        server.post("/jobs", scenario.to_string().as_bytes()).problem(422, "log_too_large");
+    assert_eq!(problem["pointer"], "/log/every_s");
+    let detail = problem["detail"].as_str().expect("text");
+    let advised_s = detail.split("every ").nth(1).and_then(|rest| rest.split(" s,").next());
+    let advised_s: f64 = advised_s.and_then(|text| text.parse().ok()).expect("seconds");
+    scenario["log"]["every_s"] = json!(advised_s);
+    server.submit(&scenario);
+    drop(server);
+
+    // Where not even two samples have room, no spacing is advised.
+    let server = service(&data).limits(|limits| limits.log_bytes = 10_000).start();
+    let problem =
+        server.post("/jobs", scenario.to_string().as_bytes()).problem(422, "log_too_large");
+    assert_eq!(problem["pointer"], "/log/channels");
     drop(server);
 
     let server = service(&data).limits(|limits| limits.reserve_bytes = 1 << 62).start();
