@@ -44,7 +44,7 @@ fn bench_steps<const N: usize>(bencher: Bencher, mut stepper: impl Stepper<N>) {
 
 /// n = 3, the stages in lanes.
 #[divan::bench(args = 1..=8)]
-fn step_in_space(bencher: Bencher, stages: usize) {
+fn step_for_three(bencher: Bencher, stages: usize) {
     let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
     let stepper = VpdSo3::new(tableau, StopRule::default()).expect("at most 8 stages");
     bench_steps(bencher, stepper);

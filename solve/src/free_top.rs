@@ -116,9 +116,9 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift,
     let gain = on_orbit(&Matrix3::from_diagonal(inverse), mu, gain);
     let w = inverse[pole.axis];
     // 2 T - G^2 w_e, without the difference of large numbers.
-    let excess: f64 =
+    let remainder: f64 =
         (0..3).filter(|&i| i != pole.axis).map(|i| (inverse[i] - w) * mu[i] * mu[i]).sum();
-    let half = 0.5 * (size * w * h + excess * integral);
+    let half = 0.5 * (size * w * h + remainder * integral);
     let mut direction = Vector3::zeros();
     direction[pole.axis] = pole.sign;
     let turn = Quaternion::from_parts(libm::cos(half), direction * libm::sin(half));
@@ -254,7 +254,7 @@ impl Constants {
     fn change(&self, [x, y, z]: [f64; 3], series: &Series) -> [f64; 3] {
         let [alpha, beta, gamma] = self.rates;
         let [s, c, d] = series.at(1.0);
-        let [c1, d1] = series.excess();
+        let [c1, d1] = series.remainder();
         let rest = alpha * gamma * (s * y) * (s * y);
         let scale = 1.0 / (1.0 - rest);
         [
@@ -304,7 +304,7 @@ impl Series {
 
 impl Series {
     /// c - 1 and d - 1 at the end of the piece.
-    fn excess(&self) -> [f64; 2] {
+    fn remainder(&self) -> [f64; 2] {
         let full: f64 = self.w.iter().rev().sum();
         self.squares.map(|square| -square * full / (1.0 + (1.0 - square * full).sqrt()))
     }

@@ -296,7 +296,7 @@ impl<const N: usize> RigidBody<N> {
         self.check_distances_seen(&Mat::identity(), &seen)
     }
 
-    /// dU/dg at `g`, right-trivialised and skew, in space: `<gradient, eta> = d/de U(exp(e eta) g)`.
+    /// dU/dg at `g`, right-trivialised and skew, in space coordinates: `<gradient, eta> = d/de U(exp(e eta) g)`.
     ///
     /// A term U(q) with `q = g^T v` has `v (g dU/dq)^T - (g dU/dq) v^T`. On the group this is `g X g^T`, X
     /// the left-trivialised gradient; next to it only this form keeps the symmetries that the space vectors

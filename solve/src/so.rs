@@ -52,7 +52,7 @@ pub fn transposed_product<const N: usize>(a: &Mat<N>, b: &Mat<N>) -> Mat<N> {
     c
 }
 
-/// `g y`: a vector of the body, seen in space.
+/// `g y`: a vector of the body in space coordinates.
 #[inline]
 pub fn to_space<const N: usize>(g: &Mat<N>, y: &Vector<N>) -> Vector<N> {
     let mut x = Vector::zeros();
@@ -117,7 +117,7 @@ pub fn inner<const N: usize>(x: &Mat<N>, y: &Mat<N>) -> f64 {
     0.5 * dot(x.as_slice(), y.as_slice())
 }
 
-/// `g X g^T`: a skew matrix in body coordinates, seen in space (the adjoint action).
+/// `g X g^T`: a skew matrix in body coordinates, in those of space (the adjoint action).
 pub fn conjugate<const N: usize>(g: &Mat<N>, x: &Mat<N>) -> Mat<N> {
     product(&product(g, x), &g.transpose())
 }
@@ -445,8 +445,8 @@ pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
     smallest_of_three(p).unwrap_or_else(|| eigenvalues(p).map_or(f64::NAN, |values| values.min()))
 }
 
-/// For n = 3, by Newton's method for `det(P - x I) = 0` from a bound below all roots, which are real: it comes nearer from
-/// one side. `None` for other n, and where a second eigenvalue is next to it.
+/// For n = 3, by Newton's method for `det(P - x I) = 0` from a bound below all roots, which are real: it comes nearer
+/// monotonically. `None` for other n, and where a second eigenvalue is next to it.
 fn smallest_of_three<const N: usize>(p: &Mat<N>) -> Option<f64> {
     // Of so small an entry the determinant would be rounded to zero.
     const SMALLEST: f64 = 1e-90;

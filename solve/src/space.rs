@@ -170,8 +170,7 @@ impl<T: Real> Quaternion<T> {
     }
 
     /// Of length one, to second order in the deficit. It goes to w rather than to v, which holds the angle: (1 + v^2) w^2 +
-    /// v^2 v^2 = 1. A common factor near one lies on one side of it more often than on the other, and the energy of a run
-    /// with it.
+    /// v^2 v^2 = 1. A common factor near one is biased, and the energy of a run with it.
     #[inline(always)]
     pub fn lengthened_by_w(&self) -> Self {
         let square = dot(&self.v, &self.v);

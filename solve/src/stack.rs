@@ -199,9 +199,10 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
                     2 => self.groups::<2, T>(s, a, b, c, i, 0),
                     3 => self.groups::<3, T>(s, a, b, c, i, 0),
                     4 => self.groups::<4, T>(s, a, b, c, i, 0),
-                    8 => self.groups::<8, T>(s, a, b, c, i, 0),
                     5 => self.groups::<5, T>(s, a, b, c, i, 0),
                     6 => self.groups::<6, T>(s, a, b, c, i, 0),
+                    7 => self.groups::<7, T>(s, a, b, c, i, 0),
+                    8 => self.groups::<8, T>(s, a, b, c, i, 0),
                     _ => self.groups::<16, T>(s, a, b, c, i, 0),
                 }
                 group = groups;

@@ -78,7 +78,7 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
         0.0
     }
 
-    /// What torques that are no potential's have put into the momentum in space since [`Stepper::start`], skew, in N m s,
+    /// What torques that are no potential's have put into the spatial momentum since [`Stepper::start`], skew, in N m s,
     /// by the weights of the scheme; `None` of a scheme that takes no such torques.
     fn impulse(&self) -> Option<Mat<N>> {
         None

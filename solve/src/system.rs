@@ -36,14 +36,14 @@ pub trait System<const N: usize> {
         false
     }
 
-    /// The projection `Q` (symmetric, n x n, in space) onto directions whose rotations leave the energy as it is, two or
+    /// The projection `Q` (symmetric, n x n, space coordinates) onto directions whose rotations leave the energy as it is, two or
     /// more: then `Q m Q` is conserved, `m = g mu g^T`, but for the impulse of torques that are no potential's. `None` if
     /// there are none, or none are known. See [`free_directions`].
     fn conserved_directions(&self) -> Option<Mat<N>> {
         None
     }
 
-    /// The rate `W` (skew, n x n, in space, rad/s) of a uniformly turning frame in which nothing of a driven system changes:
+    /// The rate `W` (skew, n x n, space coordinates, rad/s) of a uniformly turning frame in which nothing of a driven system changes:
     /// then the Jacobi integral `H - <W, m>` is conserved, `m = g mu g^T` and `<A, B> = tr(A^T B) / 2`. `None` if there is
     /// none, or none is known.
     fn turning_frame(&self) -> Option<Mat<N>> {

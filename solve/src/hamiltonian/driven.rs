@@ -8,7 +8,7 @@
 //! ```
 //!
 //! is what the drive has put in: [`Moment::input`], summed by the stepper with the weights of its tableau. Along rotations that
-//! leave the potential as it is, the momentum in space changes by the torques alone, by the integral of `g F g^T`.
+//! leave the potential as it is, the spatial momentum changes by the torques alone, by the integral of `g F g^T`.
 //!
 //! Invariant: [`Moment::input`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
 
@@ -139,14 +139,14 @@ pub struct DrivenTerm<const N: usize> {
 pub enum Torque<const N: usize> {
     /// Constant in the body: skew, in N m.
     Body(Mat<N>),
-    /// Constant in space: skew, in N m.
+    /// Constant in space coordinates: skew, in N m.
     Space(Mat<N>),
     /// Along a fixed element of so(n) in the body, as strong as a table says.
     Table {
         /// Skew.
         along: Mat<N>,
-        /// Is it fixed in space?
-        in_space: bool,
+        /// Are these space coordinates?
+        spatial: bool,
         /// In N m.
         table: Table<1>,
     },
@@ -217,9 +217,9 @@ impl<const N: usize> Driven<N> {
         let rates: Option<Vec<Mat<N>>> = self.terms.iter().map(DrivenTerm::turning).collect();
         let rates = rates.filter(|_| self.torques.is_empty())?;
         let rate = *rates.first()?;
-        let size = |x: &Mat<N>| so::inner(x, x).sqrt();
-        let near = NEAR * size(&rate);
-        let alike = rates.iter().all(|other| size(&(other - rate)) <= near);
+        let norm = |x: &Mat<N>| so::inner(x, x).sqrt();
+        let near = NEAR * norm(&rate);
+        let alike = rates.iter().all(|other| norm(&(other - rate)) <= near);
         let length = |v: &Vector<N>| so::norm(v.as_slice());
         let stay = |v: &Vector<N>| length(&so::to_space(&rate, v)) <= near * length(v);
         (alike && fixed.into_iter().all(stay)).then_some(rate)
@@ -242,7 +242,7 @@ pub(crate) struct Moment<const N: usize> {
 pub(crate) struct Input<const N: usize> {
     /// Into the energy.
     pub(crate) power: f64,
-    /// Of torques that are no potential's, into the momentum in space; `None` if none act.
+    /// Of torques that are no potential's, into the spatial momentum; `None` if none act.
     pub(crate) torque: Option<Mat<N>>,
 }
 
@@ -314,8 +314,9 @@ impl<const N: usize> DrivenTerm<N> {
             (Factor::Constant, Path::Orbit { across, mean_motion, eccentricity, .. })
                 if *eccentricity == 0.0 =>
             {
-                let size = so::norm(self.term.space.as_slice());
-                (size > 0.0).then(|| so::wedge(across, &(self.term.space / size)) * *mean_motion)
+                let length = so::norm(self.term.space.as_slice());
+                (length > 0.0)
+                    .then(|| so::wedge(across, &(self.term.space / length)) * *mean_motion)
             }
             _ => None,
         }
@@ -353,9 +354,9 @@ impl<const N: usize> DrivenTerm<N> {
                 let (x, y) = ((cos - e) / r, root * sin / r);
                 let turning = mean_motion * root / (r * r);
                 let receding = mean_motion * e * sin / r;
-                let size = so::norm(own.as_slice());
-                let direction = own * x + across * (size * y);
-                let sideways = (across * (size * x) - own * y) * turning;
+                let length = so::norm(own.as_slice());
+                let direction = own * x + across * (length * y);
+                let sideways = (across * (length * x) - own * y) * turning;
                 match self.term.law.space() {
                     Space::Direction => (direction, sideways),
                     Space::Place => (direction * r, sideways * r + direction * receding),
@@ -417,13 +418,13 @@ impl<const N: usize> Moment<N> {
         so::asym(&so::product(mu, omega)) - self.gradient(g, mu, omega)
     }
 
-    /// The same at fixed momentum in space, right-trivialised: `v (g dU/dq)^T - ... - g F g^T`.
+    /// The same at fixed spatial momentum, right-trivialised: `v (g dU/dq)^T - ... - g F g^T`.
     pub(crate) fn spatial_gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let torque = self.torque(g, mu, omega);
         self.body.spatial_gradient(g) - so::conjugate(g, &torque)
     }
 
-    /// What goes in: `dH/dt + <F, Omega>` into the energy, `g F g^T` into the momentum in space.
+    /// What goes in: `dH/dt + <F, Omega>` into the energy, `g F g^T` into the spatial momentum.
     pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Input<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
@@ -490,9 +491,9 @@ impl<const N: usize> RigidBody<N> {
             body.push(Term { law: law.clone(), space: *space });
         }
         let now = |torque: &Torque<N>| match torque {
-            Torque::Table { along, in_space, table } => {
+            Torque::Table { along, spatial, table } => {
                 let torque = along * table.at(t.seconds()).0[0];
-                if *in_space { Torque::Space(torque) } else { Torque::Body(torque) }
+                if *spatial { Torque::Space(torque) } else { Torque::Body(torque) }
             }
             other => other.clone(),
         };

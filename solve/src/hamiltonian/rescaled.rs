@@ -358,7 +358,7 @@ impl AtStages {
 
     /// `U_k (dK/dg) U_k^T` at the stages.
     #[inline(always)]
-    pub(crate) fn in_space<R: Stages<Whole = f64>, D: Dimension>(
+    pub(crate) fn spatial_gradient<R: Stages<Whole = f64>, D: Dimension>(
         &self,
         torques: &Torques<'_, R, D>,
         c: &[f64],
@@ -374,6 +374,6 @@ impl AtStages {
         for (slope, (energy, distance)) in slopes.chunks_exact_mut(R::LANES).zip(both) {
             (sigma * lanes.get(energy) + factor * lanes.get(distance)).put(slope);
         }
-        torques.in_space(c, slopes, turned);
+        torques.spatial_gradient(c, slopes, turned);
     }
 }

@@ -236,8 +236,8 @@ impl<const N: usize> Law<N> {
 
     /// `|y - q|` relative to the arms where the law is singular at zero distance.
     pub(super) fn relative_distance(&self, q: &Vector<N>) -> Option<f64> {
-        let size = |v: &Vector<N>| so::norm(v.as_slice());
-        self.singular_point().map(|y| size(&(y - q)) / (size(y) + size(q)))
+        let norm = |v: &Vector<N>| so::norm(v.as_slice());
+        self.singular_point().map(|y| norm(&(y - q)) / (norm(y) + norm(q)))
     }
 }
 

@@ -156,7 +156,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
 
     /// `U_k (dH/dg) U_k^T` at the stages, with the slopes as they were last.
     #[inline(always)]
-    pub(crate) fn in_space(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
+    pub(crate) fn spatial_gradient(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
         let Stack { lanes, dimension } = self.stack;
         let (n, len) = (self.stack.n(), self.stack.numbers());
         let (c, turned) = (&c[..len], &mut turned[..len]);

@@ -3,7 +3,7 @@
 //! Both VPD and Gauss collocation on quaternions carry it. Written for one body and for members side by side: `P` is a number
 //! in memory, or one for each member.
 //!
-//! Invariant: in space the momentum is what torques make of it and nothing else.
+//! Invariant: the spatial momentum is what torques make of it and nothing else.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
@@ -39,7 +39,7 @@ impl<P: Copy, const K: usize> Sum<P, K> {
     }
 }
 
-/// The motion of a body that turns in space.
+/// The motion of a body in three dimensions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion<P> {
     /// A quaternion (w, v).
@@ -110,7 +110,7 @@ impl<P: Copy> Motion<P> {
         ]);
     }
 
-    /// The momentum in the body is that in space, seen from it: `g^T pi`.
+    /// The body momentum is the spatial one, seen from the body: `g^T pi`.
     #[inline(always)]
     pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, lanes: W) {
         let g = load_turn(lanes, &self.attitude.value).matrix();

@@ -16,7 +16,7 @@
 //! for Numerical Methods in Engineering 79.
 //!
 //! mu is bilinear in q and pi, and of what is bilinear a Gauss method makes the quadrature of its rate at the stages
-//! (the same theorem). So is the momentum in space, m = vec(pi q*) / 2, the rate of which is -g(q / |q|) tau: with `q* q` in
+//! (the same theorem). So is the spatial momentum, m = vec(pi q*) / 2, the rate of which is -g(q / |q|) tau: with `q* q` in
 //! |q|^2 of the second equation the lengths of the stages cancel. So the state is q, m, and with many stages the body
 //! momentum p; a step adds to each what is small:
 //!
@@ -26,7 +26,7 @@
 //! p1 = p0 + sum_k h b_k (mu_k x Omega_k - tau_k)      or g1^T m1, with up to four stages and of a free body
 //! ```
 //!
-//! VPD carries the same (`stepper/motion.rs`): in space the momentum is what torques make of it.
+//! VPD carries the same (`stepper/motion.rs`): the spatial momentum is what torques make of it.
 //!
 //! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
 //! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j e_ij` and `e_ij + e_ji = 1` to the last bit it is, however b
@@ -36,11 +36,11 @@
 //! Invariant: symplectic, symmetric, order 2 s; |q| = 1 to round-off, without projection; the same bits on every
 //! instruction set.
 
-use fearless_simd::{Level, dispatch, f64x2, f64x4, f64x8, prelude::*};
+use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Rows, WIDTH};
+use crate::lanes::{Rows, WIDTH, widest};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
 use crate::so3;
@@ -56,27 +56,28 @@ use stages::{End, LaneTableau, Stages, Start};
 
 /// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
 macro_rules! in_lanes {
-    ($work:ident, $level:expr, $count:expr, $start:expr, $stages:expr) => {
-        match ($level, $count) {
-            (Some(level), 1) => {
-                dispatch!(level, _simd => stages::$work(Rows([0.0; 1]), $start, $stages))
-            }
+    ($work:ident, $level:expr, $count:expr, $start:expr, $stages:expr) => {{
+        let in_lanes = match ($level, $count) {
             (Some(level), 2) => {
-                dispatch!(level, simd => stages::$work(f64x2::splat(simd, 0.0), $start, $stages))
+                widest!(level, f64x2, lanes => Some(stages::$work(lanes, $start, $stages)), else None)
             }
             (Some(level), 3 | 4) => {
-                dispatch!(level, simd => stages::$work(f64x4::splat(simd, 0.0), $start, $stages))
+                widest!(level, f64x4, lanes => Some(stages::$work(lanes, $start, $stages)), else None)
             }
-            (Some(level), _) => {
-                dispatch!(level, simd => stages::$work(f64x8::splat(simd, 0.0), $start, $stages))
+            (Some(level), 5..) => {
+                widest!(level, f64x8, lanes => Some(stages::$work(lanes, $start, $stages)), else None)
             }
+            _ => None,
+        };
+        // Each written once: it takes the compiler long.
+        match (in_lanes, $count) {
+            (Some(done), _) => done,
             (None, 1) => stages::$work(Rows([0.0; 1]), $start, $stages),
             (None, 2) => stages::$work(Rows([0.0; 2]), $start, $stages),
-            (None, 3) => stages::$work(Rows([0.0; 3]), $start, $stages),
-            (None, 4) => stages::$work(Rows([0.0; 4]), $start, $stages),
+            (None, 3 | 4) => stages::$work(Rows([0.0; 4]), $start, $stages),
             (None, _) => stages::$work(Rows([0.0; 8]), $start, $stages),
         }
-    };
+    }};
 }
 
 /// The stepper: a Gauss tableau in lanes, a stop rule, the state and the stages of the last step.
@@ -160,7 +161,7 @@ impl Stepper<3> for QuaternionGauss {
         })?;
         let mut motion = self.motion;
         motion.advance(0.0, &turn, &kick);
-        // As in VPD: a free body has the one in space to the bit.
+        // As in VPD: a free body keeps the spatial one to the bit.
         if self.seen.is_empty() {
             motion.turn_momentum(0.0);
         } else {

@@ -1,10 +1,10 @@
 //! VPD in Hamiltonian form for n = 3 with up to eight stages: the map of [`super::vpd`] and
 //! [`super::vpd_reduced`], computed in vectors and quaternions with the stages side by side in SIMD lanes.
 //!
-//! The state is the attitude as a unit quaternion and the momentum, in space and in the body. A step adds to each what is
+//! The state is the attitude as a unit quaternion and the momentum, spatial and in the body. A step adds to each what is
 //! small relative to it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
 //! takes off a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
-//! McLachlan, Razakarivony 2008, BIT 48). In space the momentum is what torques make of it and nothing else. In the body
+//! McLachlan, Razakarivony 2008, BIT 48). The spatial momentum is what torques make of it and nothing else. In the body
 //! it is `g^T pi`; but many stages are there for the last digits, and with torques the small momentum about a thin axis, of
 //! which that product knows too little, has a sum of its own there.
 //!
@@ -413,7 +413,7 @@ impl VpdSo3 {
         match &mut self.state {
             Carried::Full(motion) => {
                 motion.advance(0.0, end, kick);
-                // A free body has the one in space to the bit, and the sum would drift by 1e-18 a step.
+                // A free body keeps the spatial one to the bit, and the sum would drift by 1e-18 a step.
                 if self.lanes.is_finished && !self.seen.is_empty() {
                     motion.gain(0.0, gain);
                 } else {

@@ -8,7 +8,7 @@
 //!
 //! ```text
 //! X_i = h sum_j a_ij k_j,              G_i = exp(X_i) g0
-//! M_i = T(X_i)^* P_i                   stage momentum, in space
+//! M_i = T(X_i)^* P_i                   spatial stage momentum
 //! xi_i = dH/dm(G_i, M_i),              f_i = -dH/dg(G_i, M_i)
 //! k_i = T(X_i) xi_i
 //! Q_i = dexp_{-X_i} f_i - W(X_i, xi_i, P_i)

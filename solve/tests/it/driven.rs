@@ -94,7 +94,7 @@ fn pushed<const N: usize>() -> RigidBody<N> {
         Torque::Space(numbers.skew() * 0.4),
         Torque::Viscous(coefficients),
         Torque::OfMomentum(0.05),
-        Torque::Table { along: numbers.skew(), in_space: true, table },
+        Torque::Table { along: numbers.skew(), spatial: true, table },
     ];
     let weight = DrivenTerm {
         term: Term { law: weight, space: axis(0) },
@@ -327,7 +327,7 @@ impl<const N: usize> Sink<N> for Momenta {
     }
 }
 
-/// Along what the potential leaves free, the momentum in space changes by the impulse of the torques: to rounding by methods
+/// Along what the potential leaves free, the spatial momentum changes by the impulse of the torques: to rounding by methods
 /// that come of a variational principle, else with the order of the method.
 #[test]
 fn the_momentum_changes_by_the_torques_alone() {
@@ -417,7 +417,7 @@ fn steps_are_symplectic_in_the_extended_phase_space() {
         let (body, start, h) = (changing::<N>(), start::<N>(), 0.1);
         let m0 = so::conjugate(&start.attitude, &start.momentum);
         for method in driven_methods() {
-            // Attitude, momentum in space and work after a step from another time, attitude and momentum.
+            // Attitude, spatial momentum and work after a step from another time, attitude and momentum.
             let mut stepper = S::make(&method);
             let mut end = |time: f64, turn: &Mat<N>, push: &Mat<N>| {
                 let attitude = so::exp(turn) * start.attitude;

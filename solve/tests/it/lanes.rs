@@ -76,7 +76,7 @@ fn the_reduced_form_in_lanes_is_that_in_matrices() {
     }
 }
 
-/// |mu| labels the coadjoint orbit of a free body in space.
+/// |mu| labels the coadjoint orbit of a free body for n = 3.
 #[test]
 fn the_reduced_form_stays_on_its_orbit() {
     let (body, mut numbers) = (free(), Numbers(10));

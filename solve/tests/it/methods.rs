@@ -349,7 +349,7 @@ fn failed_steps_leave_the_state_alone() {
     let table = Table { times: vec![-1.0, 0.02], values: vec![[1.0], [2.0]], smooth: true };
     let late = free.clone().with_torque(Torque::Table {
         along: so::hat(&[0.0, 0.0, 1.0]),
-        in_space: true,
+        spatial: true,
         table,
     });
     let law = Law::GravityGradient { strength: 1.0, matrix: Mat::from_diagonal_element(1.0) };

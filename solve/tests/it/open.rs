@@ -126,7 +126,7 @@ fn in_any_dimension<const N: usize>() -> Steppers<N> {
     ]
 }
 
-fn in_space() -> Steppers<3> {
+fn for_three() -> Steppers<3> {
     let lanes = |stages| Box::new(VpdSo3::new(gauss(stages), stop()).expect("few stages"));
     let mut steppers = in_any_dimension::<3>();
     steppers.extend([
@@ -189,7 +189,7 @@ fn a_copy_of_a_built_in_term_moves_the_body_as_the_term_does() {
             assert!(apart <= allowed, "{name}, n = {N}: {apart:e}");
         }
     }
-    law::<3>(in_space);
+    law::<3>(for_three);
     law::<4>(in_any_dimension);
 }
 
@@ -568,7 +568,7 @@ fn a_law_that_goes_wrong_ends_the_run_with_a_name() {
             judge("lagrangian", &law, ended);
         }
         for wrong in [Wrong::Energy, Wrong::Torque, Wrong::Refused] {
-            for (name, mut stepper) in in_space() {
+            for (name, mut stepper) in for_three() {
                 let law = Arc::new(Faulty { wrong, at_once });
                 let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 });
                 let body = RigidBody::new(Kinetic::Principal { weights }, Vec::new(), 0.0)

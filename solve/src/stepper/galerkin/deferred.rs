@@ -72,7 +72,7 @@ pub(super) trait AtStage {
     /// dH/dg, c being U - I.
     fn gradient(&self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
     /// `U X U^T`
-    fn in_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]);
+    fn to_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]);
     /// Improves Omega. Returns its largest change and its size.
     fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
 }
@@ -293,12 +293,12 @@ impl Collocation {
         match (lanes, *level) {
             (1, _) => solve_any(Rows([0.0; 1]), coefficients, start, source, u, end),
             (2, Some(level)) => {
-                widest!(level, f64x2, lanes => solve(lanes, coefficients, start, source, u, end),
+                widest!(level below Avx512, f64x2, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end))
             }
             (2, None) => solve_any(Rows([0.0; 2]), coefficients, start, source, u, end),
             (4, Some(level)) => {
-                widest!(level, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
+                widest!(level below Avx512, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
             }
             (4, None) => solve_any(Rows([0.0; 4]), coefficients, start, source, u, end),
@@ -373,6 +373,7 @@ fn solve<'a, R: Stages<Whole = f64>>(
         4 => Step::new(lanes, Known::<4>, coefficients, start, source, unknowns, end).solve(),
         5 => Step::new(lanes, Known::<5>, coefficients, start, source, unknowns, end).solve(),
         6 => Step::new(lanes, Known::<6>, coefficients, start, source, unknowns, end).solve(),
+        7 => Step::new(lanes, Known::<7>, coefficients, start, source, unknowns, end).solve(),
         8 => Step::new(lanes, Known::<8>, coefficients, start, source, unknowns, end).solve(),
         16 => Step::new(lanes, Known::<16>, coefficients, start, source, unknowns, end).solve(),
         _ => solve_any(lanes, coefficients, start, source, unknowns, end),
@@ -537,7 +538,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         for _ in 0..MOST_ROUNDS {
             let Passed { first, last: increment, .. } = self.pass_until(before, goal)?;
             if rounds.left(first) <= goal || matches!(self.forces, Forces::None { .. }) {
-                self.velocities_in_space();
+                self.spatial_velocities();
                 self.transport();
                 self.end_point(2);
                 if !matches!(self.forces, Forces::Stages(_)) {
@@ -751,7 +752,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     /// [w]
-    fn velocities_in_space(&mut self) {
+    fn spatial_velocities(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let Unknowns { w, c, omega, .. } = &mut **u;
         stack.plus_product(omega, c, omega, w);
@@ -801,11 +802,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 gain.copy_from_slice(delta);
                 return;
             }
-            Forces::Body { torques, .. } => torques.in_space(c, slopes, kappa),
-            Forces::Rescaled { torques, .. } => rescaled.in_space(torques, c, slopes, kappa),
+            Forces::Body { torques, .. } => torques.spatial_gradient(c, slopes, kappa),
+            Forces::Rescaled { torques, .. } => rescaled.spatial_gradient(torques, c, slopes, kappa),
             Forces::Stages(system) => {
                 for stage in 0..coefficients.stages {
-                    system.in_space(Place { stage, lanes: R::LANES }, c, gradient, kappa);
+                    system.to_space(Place { stage, lanes: R::LANES }, c, gradient, kappa);
                 }
             }
         }

@@ -1,10 +1,10 @@
-//! What is carried from step to step in n dimensions: the attitude, the momentum in space, and what rounding has taken off
+//! What is carried from step to step in n dimensions: the attitude, the spatial momentum, and what rounding has taken off
 //! each.
 //!
 //! A step adds to each what is small relative to it: rounding makes a random walk and no drift (Brouwer's law; Hairer,
 //! McLachlan, Razakarivony 2008, BIT 48).
 //!
-//! Invariant: in space the momentum is what forces make of it and nothing else; the attitude is a rotation to round-off.
+//! Invariant: the spatial momentum is what forces make of it and nothing else; the attitude is a rotation to round-off.
 
 use super::Solution;
 use crate::so::{self, Mat};
@@ -85,7 +85,7 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part that in space, as it
+    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the spatial one, as it
     /// is `seen` from the body, from it: `g <- g (I + theta)` with `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill
     /// of `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is. See
     /// [`crate::stepper::motion::Motion::gain`].

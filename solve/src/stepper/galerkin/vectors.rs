@@ -116,20 +116,30 @@ impl InVectors {
         vectors: impl Iterator<Item = Vec3<f64>>,
         scale: Scale<'_>,
     ) -> Result<Solved, Stuck> {
+        self.seen.clear();
+        self.seen.extend(vectors);
+        self.solve_seen(start, body, scale)
+    }
+
+    /// The same along the vectors of the body that were taken in: not generic, so that it is compiled here and nowhere else.
+    fn solve_seen(
+        &mut self,
+        start: &Start,
+        body: &RigidBody<3>,
+        scale: Scale<'_>,
+    ) -> Result<Solved, Stuck> {
         let Self { tableau, level, seen, found } = self;
-        seen.clear();
-        seen.extend(vectors);
         let (inertia, wheels) = (Inertia::of(body), body.wheels());
         let given = Given { tableau, body, seen, scale, inertia, wheels, start };
         let given = &given;
         match (tableau.stages, *level) {
             (1, _) => solve(Rows([0.0; 1]), given, found),
             (2, Some(level)) => {
-                widest!(level, f64x2, lanes => solve(lanes, given, found), else solve(Rows([0.0; 2]), given, found))
+                widest!(level below Avx512, f64x2, lanes => solve(lanes, given, found), else solve(Rows([0.0; 2]), given, found))
             }
             (2, None) => solve(Rows([0.0; 2]), given, found),
             (3 | 4, Some(level)) => {
-                widest!(level, f64x4, lanes => solve(lanes, given, found), else solve(Rows([0.0; 4]), given, found))
+                widest!(level below Avx512, f64x4, lanes => solve(lanes, given, found), else solve(Rows([0.0; 4]), given, found))
             }
             (3 | 4, None) => solve(Rows([0.0; 4]), given, found),
             (_, Some(level)) => {

@@ -147,7 +147,7 @@ impl Stages {
 pub(super) struct End {
     /// `q0* q1`
     pub(super) turn: Quaternion<f64>,
-    /// What the momentum in space changes by, in the frame of q0.
+    /// What the spatial momentum changes by, in the frame of q0.
     pub(super) kick: Vec3<f64>,
     /// `p1 - p0`
     pub(super) gain: Vec3<f64>,
@@ -338,7 +338,7 @@ pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) ->
     let w = given.turning(&x, &half);
     let turned = cross(&mu, &half);
     let torque: Vec3<R> = vec3!(i => lanes.load(&stages.torque[i]));
-    // In the frame of q0, by the matrices that the torques are of: what a potential leaves alone in space stays as it is.
+    // In the frame of q0, by the matrices that the torques are of: a spatial component that a potential leaves alone stays as it is.
     let pushed = product(&given.rotation(&old_x).0, &torque);
     End {
         turn: Quaternion { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },

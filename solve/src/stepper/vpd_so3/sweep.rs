@@ -174,12 +174,12 @@ pub(super) fn sweep<R: Stages>(
     let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     // h b N^T Omega = W^T U (h b Omega)
     let turning = scaled(&omega, weight);
-    let in_space = product(&u, &turning);
+    let turned_out = product(&u, &turning);
     let push = scaled(&torque, weight);
     for _ in 0..*linear {
         // tr(U^T W)
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
-        let turned = transposed_product(&m, &in_space);
+        let turned = transposed_product(&m, &turned_out);
         let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + push[i]));
         let next = symmetric_product(&inverse_k, &load);
         // What it brings about itself.
