@@ -130,7 +130,8 @@ impl FromStr for Change {
         let wanted = || format!("{text:?} is not of the form /pointer/to/field=value");
         let (pointer, value) = text.split_once('=').ok_or_else(wanted)?;
         if !pointer.starts_with('/') {
-            return Err(format!("{}; write /{text}", wanted()));
+            let slash = if pointer.is_empty() { String::new() } else { format!("; write /{text}") };
+            return Err(wanted() + &slash);
         }
         // What is not JSON is text, so that names need no quotes.
         let value = serde_json::from_slice(value.as_bytes()).unwrap_or_else(|_| value.into());

@@ -38,7 +38,7 @@ pub enum Quantity {
     Angle,
     /// Size of the difference of the momenta in body coordinates, in kg m^2/s.
     BodyMomentum,
-    /// Size of the difference of the momenta in space coordinates, in kg m^2/s.
+    /// Size of the difference of the spatial momenta, in kg m^2/s.
     SpatialMomentum,
     /// Size of the difference of the total energies, in J.
     Energy,

@@ -310,7 +310,7 @@ impl Columns {
     }
 }
 
-/// The names of the columns of a field: with the axes of vectors in space, else with row and column from 1 on.
+/// The names of the columns of a field: with the axes of vectors for n = 3, else with row and column from 1 on.
 fn names(field: &str, width: usize) -> Vec<String> {
     let label = |labels: &[&str]| labels.iter().map(|label| format!("{field}_{label}")).collect();
     let pairs = |n: usize| (1..=n).flat_map(move |i| (1..=n).map(move |j| (i, j)));
@@ -366,7 +366,7 @@ fn plain(error: csv::Error) -> io::Error {
     }
 }
 
-/// Writes what is chosen of a log, finished or not, as a table. Columns of vectors in space end in x, y, z, those of a
+/// Writes what is chosen of a log, finished or not, as a table. Columns of vectors for n = 3 end in x, y, z, those of a
 /// matrix in its row and column; the logarithms of the log, which follow from its errors, are left out.
 ///
 /// # Errors

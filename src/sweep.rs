@@ -119,6 +119,7 @@ impl Sweep {
         let n = base.dimension();
         let ends = end_columns(n);
         file.check(n, &ends.concat())?;
+        file.check_skips(&base)?;
         let members = file.members()?;
         for (at, &member) in file.keep_logs.iter().enumerate() {
             ensure(member < members, format!("/keep_logs/{at}"), || {

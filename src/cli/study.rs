@@ -32,8 +32,15 @@ pub(super) struct ChartArgs {
     #[command(flatten)]
     study: StudyArgs,
     /// Compare the errors at this time, in seconds; by default after about one turn.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", value_parser = until, allow_negative_numbers = true)]
     until: Option<f64>,
+}
+
+fn until(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds @ 1e-9..=1e9) => Ok(seconds),
+        _ => Err(format!("{text:?} given, 1e-9 to 1e9 s are allowed")),
+    }
 }
 
 #[derive(Debug, Args)]

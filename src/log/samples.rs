@@ -31,7 +31,7 @@ pub enum Curve {
     AngularVelocity,
     /// Angular momentum in body coordinates, in kg m^2/s.
     BodyMomentum,
-    /// Angular momentum in space coordinates, in kg m^2/s.
+    /// Spatial angular momentum, in kg m^2/s.
     SpatialMomentum,
     /// Of each axis of the body to the axis of space of the same number, in rad.
     AxisAngle,

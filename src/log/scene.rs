@@ -104,7 +104,7 @@ impl SceneGeometry {
         !self.space_points.is_empty() || !self.directions.is_empty() || !self.moving.is_empty()
     }
 
-    /// Charges, anchors and directions, in space; `None` if there are none.
+    /// Charges, anchors and directions, in space coordinates; `None` if there are none.
     pub fn sources(&self, time_ns: u64) -> Option<SceneUpdate> {
         if !self.has_sources() {
             return None;

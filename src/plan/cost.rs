@@ -205,7 +205,7 @@ impl Plan {
     pub(crate) fn work_ns(&self, work: Counts) -> f64 {
         /// What a step takes that keeps the state.
         const AT_REST_NS: f64 = 5.0;
-        /// Of what it takes in space, in a plane.
+        /// Of what it takes in three dimensions, in a plane.
         const IN_PLANE: f64 = 0.7;
         const PIECE_NS: f64 = 70.0;
         let part = match self.formulation.motion {

@@ -54,11 +54,11 @@ impl Model {
             Torque::Constant(Framed::Body(entries)) => body::Torque::Body(own(entries)),
             Torque::Constant(Framed::Space(entries)) => body::Torque::Space(own(entries)),
             Torque::Table(TorqueTable { along, table }) => {
-                let (entries, in_space) = match along {
+                let (entries, spatial) = match along {
                     Framed::Body(entries) => (entries, false),
                     Framed::Space(entries) => (entries, true),
                 };
-                body::Torque::Table { along: own(entries), in_space, table: over_time(table) }
+                body::Torque::Table { along: own(entries), spatial, table: over_time(table) }
             }
             Torque::Viscous(viscous) => {
                 let rows = viscous.planes(N).unwrap_or_default();

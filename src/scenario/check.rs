@@ -407,6 +407,12 @@ pub(crate) fn dividing(duration_s: f64, step_s: f64) -> f64 {
     twelve_digits(duration_s / (duration_s / step_s).ceil())
 }
 
+/// A number in few characters, be it ever so small or large.
+pub(crate) fn short(x: f64) -> String {
+    let plain = x.to_string();
+    if plain.len() > 24 { format!("{x:e}") } else { plain }
+}
+
 /// Enough for a whole number of steps.
 pub(crate) fn twelve_digits(x: f64) -> f64 {
     format!("{x:.11e}").parse().unwrap_or(x)
@@ -446,8 +452,9 @@ fn duration(scenario: &Scenario) -> Check {
                 let [below, above] = [count.floor().max(1.0), count.ceil().max(2.0)]
                     .map(|count| twelve_digits(count * h));
                 let step = dividing(duration_s, h);
+                let given = short(duration_s);
                 format!(
-                    "{duration_s} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
+                    "{given} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
                 )
             })?;
             ("/duration_s", duration_s)
@@ -476,14 +483,18 @@ fn every_s(scenario: &Scenario, every_s: f64) -> Check {
     match (scenario.step_s, scenario.duration_s) {
         (Some(step_s), _) => ensure(is_whole(every_s, step_s), pointer, || {
             let above = twelve_digits((every_s / step_s).ceil() * step_s);
-            format!("{every_s} s is not a whole number of steps of {step_s} s; {above} s is")
+            format!(
+                "{} s is not a whole number of steps of {step_s} s; {above} s is",
+                short(every_s)
+            )
         }),
         // The step will be chosen.
         (None, Some(duration_s)) => {
             ensure(is_whole(duration_s, every_s), pointer, || {
                 let less = dividing(duration_s, every_s);
                 format!(
-                    "{every_s} s given, the duration of {duration_s} s is not a whole number of these, but of {less} s"
+                    "{} s given, the duration of {duration_s} s is not a whole number of these, but of {less} s",
+                    short(every_s)
                 )
             })?;
             let least_s = duration_s / MAX_SAMPLES as f64;

@@ -38,7 +38,11 @@ pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, 
     let typed = serde_path_to_error::deserialize(tree).map_err(|error| {
         let at = pointer(error.path());
         let message = plain(&error.inner().to_string());
-        let message = several_keys(&message, tree.pointer(&at)).unwrap_or(message);
+        let given = tree.pointer(&at);
+        let message = match given {
+            Some(Value::Array(_)) if message.contains("expected an object") => A_LIST.to_owned(),
+            _ => several_keys(&message, given).unwrap_or(message),
+        };
         ScenarioError::invalid(at, message)
     })?;
     match serde_json::to_value(&typed) {
@@ -46,6 +50,9 @@ pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, 
         Err(error) => Err(ScenarioError::invalid("", plain(&error.to_string()))),
     }
 }
+
+/// serde takes a list of its fields for an object, or counts what is in the list.
+const A_LIST: &str = "is a list where an object belongs";
 
 /// What serde means where one of several forms is to be given, and none or more than one is.
 fn several_keys(message: &str, given: Option<&Value>) -> Option<String> {
@@ -60,9 +67,7 @@ fn several_keys(message: &str, given: Option<&Value>) -> Option<String> {
 /// a field that is added would change what it means. What prints as an object must have been given as one.
 fn no_list_for_an_object(given: &Value, printed: &Value, at: &str) -> Result<(), ScenarioError> {
     match (given, printed) {
-        (Value::Array(_), Value::Object(_)) => {
-            Err(ScenarioError::invalid(at, "is a list where an object belongs"))
-        }
+        (Value::Array(_), Value::Object(_)) => Err(ScenarioError::invalid(at, A_LIST)),
         (Value::Array(given), Value::Array(printed)) => {
             let pairs = given.iter().zip(printed).enumerate();
             pairs.into_iter().try_for_each(|(index, (given, printed))| {

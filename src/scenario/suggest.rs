@@ -59,6 +59,8 @@ fn suggestion(tree: &Value, pointer: &str) -> Option<(Vec<String>, Option<String
         given.as_str().and_then(|text| text.parse::<f64>().ok()).map(|number| json!(number));
     let in_object = keys.iter().map(|key| json!({ key: given }));
     let candidates = number.into_iter().chain(in_object).chain([json!([given])]);
+    // Nothing was meant by a null.
+    let mut candidates = candidates.filter(|_| !given.is_null());
     let fits = |candidate: &Value| {
         let mut whole = tree.clone();
         let Some(place) = whole.pointer_mut(pointer) else { return false };
@@ -66,7 +68,7 @@ fn suggestion(tree: &Value, pointer: &str) -> Option<(Vec<String>, Option<String
         // What else is wrong is of another place.
         typed::<Scenario>(&whole).map_or_else(|other| !other.pointer.starts_with(pointer), |_| true)
     };
-    let written = candidates.into_iter().find(fits).map(|found| found.to_string());
+    let written = candidates.find(fits).map(|found| found.to_string());
     Some((keys, written.filter(|text| text.len() <= SHOWN)))
 }
 

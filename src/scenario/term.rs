@@ -149,8 +149,8 @@ fn length(v: &[f64]) -> f64 {
 }
 
 fn unit(v: &[f64]) -> Vec<f64> {
-    let size = length(v);
-    v.iter().map(|x| x / size).collect()
+    let length = length(v);
+    v.iter().map(|x| x / length).collect()
 }
 
 /// The smallest distance of two points at these distances from the fixed point; zero if they may meet.
@@ -159,10 +159,10 @@ fn apart(y: f64, z: f64) -> f64 {
     if distance > hamiltonian::CLOSEST_APPROACH * (y + z) { distance } else { 0.0 }
 }
 
-/// A vector of this size along no axis.
-fn example_vector(n: usize, size: f64) -> Vec<f64> {
+/// A vector of this length along no axis.
+fn example_vector(n: usize, length: f64) -> Vec<f64> {
     let direction: Vec<f64> = (0..n).map(|i| 1.0 + i as f64).collect();
-    unit(&direction).iter().map(|x| size * x).collect()
+    unit(&direction).iter().map(|x| length * x).collect()
 }
 
 /// The first n coordinates, or zeros beyond them.

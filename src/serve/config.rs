@@ -114,8 +114,9 @@ impl Limits {
         if plan.log_bytes > self.log_bytes {
             // In proportion, and a little more to be on the safe side.
             let samples_bytes = |log_bytes: u64| log_bytes.saturating_sub(LOG_FIXED_BYTES) as f64;
-            let excess = samples_bytes(plan.log_bytes) / samples_bytes(self.log_bytes).max(1.0);
-            let every = ((plan.every as f64 * excess * 1.01).ceil() as u64).min(plan.steps);
+            let too_many_times =
+                samples_bytes(plan.log_bytes) / samples_bytes(self.log_bytes).max(1.0);
+            let every = ((plan.every as f64 * too_many_times * 1.01).ceil() as u64).min(plan.steps);
             // Even of the first and the last sample alone?
             let least = LOG_FIXED_BYTES as f64
                 + 2.0 * samples_bytes(plan.log_bytes) / plan.samples.max(2) as f64;

@@ -443,9 +443,9 @@ fn resume_job(found: FoundStudy) -> Option<Study> {
 impl Index {
     /// Takes the oldest ended studies out that are too many.
     fn forget_oldest(&mut self) -> Vec<Uuid> {
-        let excess = self.studies.len().saturating_sub(KEPT);
+        let surplus = self.studies.len().saturating_sub(KEPT);
         let ended = self.studies.iter().filter(|(_, study)| study.state().is_final());
-        let oldest: Vec<Uuid> = ended.map(|(id, _)| *id).take(excess).collect();
+        let oldest: Vec<Uuid> = ended.map(|(id, _)| *id).take(surplus).collect();
         for id in &oldest {
             self.studies.remove(id);
         }

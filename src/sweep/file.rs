@@ -387,6 +387,26 @@ impl SweepFile {
         })
     }
 
+    /// Something must be left of the runs for the exponent, where all last as long as that of the scenario.
+    pub(super) fn check_skips(&self, base: &Scenario) -> Result<(), ScenarioError> {
+        let lasting = ["/step_s", "/steps", "/duration_s"];
+        let duration_s = base.duration_s.or_else(|| Some(base.steps? as f64 * base.step_s?));
+        let Some(duration_s) = duration_s else { return Ok(()) };
+        if self.vary.iter().any(|field| lasting.contains(&field.pointer.as_str())) {
+            return Ok(());
+        }
+        for (at, score) in self.scores.iter().enumerate() {
+            let Measure::LyapunovExponent(Lyapunov { skip_s, .. }) = &score.measure else {
+                continue;
+            };
+            let at = format!("/scores/{at}/measure/lyapunov_exponent/skip_s");
+            ensure(*skip_s < duration_s, at, || {
+                format!("{skip_s:e} given, the runs last {duration_s} s; it lies below")
+            })?;
+        }
+        Ok(())
+    }
+
     /// Is a Lyapunov exponent asked for?
     #[cfg(feature = "serve")]
     pub(super) fn has_exponent(&self) -> bool {

@@ -104,7 +104,7 @@ impl<const N: usize> Gauge<N> {
                 };
                 Some(2.0 * libm::atan2(length(-1.0), length(1.0)))
             }
-            Self::AngularSpeed => Some(size(&body.velocity(&sample.momentum))),
+            Self::AngularSpeed => Some(norm(&body.velocity(&sample.momentum))),
             Self::KineticEnergy => sample.energy.map(|energy| energy.kinetic),
         }
     }
@@ -199,7 +199,7 @@ impl<'a, const N: usize> Shadow<'a, N> {
 
     /// The length of a small difference of two states.
     fn length(&self, body: &RigidBody<N>, turn: &Mat<N>, momentum: &Mat<N>) -> f64 {
-        let velocity = size(&body.velocity(momentum)) / self.rate_rad_s;
+        let velocity = norm(&body.velocity(momentum)) / self.rate_rad_s;
         (so::inner(turn, turn) + velocity * velocity).sqrt()
     }
 
@@ -211,6 +211,6 @@ impl<'a, const N: usize> Shadow<'a, N> {
     }
 }
 
-fn size<const N: usize>(x: &Mat<N>) -> f64 {
+fn norm<const N: usize>(x: &Mat<N>) -> f64 {
     so::inner(x, x).sqrt()
 }

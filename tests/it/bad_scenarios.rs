@@ -833,6 +833,58 @@ fn what_was_given_is_not_repeated_at_length() {
     assert!(error.is_some_and(|error| error.message.ends_with("`quaternion_gauss`")));
 }
 
+/// Where the number itself is the difficulty, the answer gives one that works, and in few characters.
+#[test]
+fn answers_say_what_would_do() {
+    let mut short = dipole();
+    short.as_object_mut().expect("an object").remove("steps");
+    let change = |base: &Value, at: &[(&str, Value)]| {
+        let mut changed = base.clone();
+        for (pointer, value) in at {
+            let (parent, key) = pointer.rsplit_once('/').expect("a pointer");
+            changed.pointer_mut(parent).expect("it is there")[key] = value.clone();
+        }
+        changed.to_string()
+    };
+    for (text, at, says) in [
+        (
+            change(&short, &[("/step_s", json!(0.1)), ("/duration_s", json!(0.15))]),
+            "/duration_s",
+            "the nearest are 0.1 s and 0.2 s",
+        ),
+        (
+            change(
+                &short,
+                &[
+                    ("/step_s", json!(0.1)),
+                    ("/duration_s", json!(2e8)),
+                    ("/log", json!({ "every_s": 0.1 })),
+                ],
+            ),
+            "/log/every_s",
+            "the smallest allowed is 0.2 s",
+        ),
+        (
+            change(&short, &[("/duration_s", json!(1)), ("/log", json!({ "every_s": 1e-308 }))]),
+            "/log/every_s",
+            "1e-308 s is not a whole number of steps",
+        ),
+        ("[]".to_owned(), "", "is a list where an object belongs"),
+        (change(&short, &[("/scene", json!([]))]), "/scene", "is a list where an object belongs"),
+    ] {
+        let ScenarioError { pointer, message, .. } = refused(text.as_bytes()).expect("refused");
+        assert_eq!(pointer, at, "{message}");
+        assert!(message.contains(says), "{message}");
+    }
+    // What would not be read either is not suggested.
+    let viscous = change(&short, &[("/scene/torques", json!([{ "viscous": null }]))]);
+    let error = refused(viscous.as_bytes()).expect("refused");
+    assert!(
+        error.pointer.starts_with("/scene/torques/0") && !error.message.contains("write"),
+        "{error}"
+    );
+}
+
 /// 311 bytes that hung the planner: a square that underflows made a rank of NaN.
 #[test]
 fn near_zero_is_planned_or_refused() {

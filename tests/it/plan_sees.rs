@@ -398,7 +398,7 @@ fn start_of(scenario: &Value) -> State<3> {
 }
 
 #[test]
-fn what_merges_in_space_merges_in_four_dimensions() {
+fn what_merges_for_three_merges_in_four_dimensions() {
     let potential = json!([
         {"kind": "spring", "stiffness": 4, "body_point": [1, 0, 0, 0], "position": [0, 2, 0, 0]},
         {"kind": "spring", "stiffness": 2, "body_point": [0, 0, 1, 0], "position": [0, 1, 0, 0]},
@@ -433,7 +433,7 @@ fn what_merges_in_space_merges_in_four_dimensions() {
 }
 
 #[test]
-fn a_step_that_the_plane_cannot_solve_fails_as_in_space() {
+fn a_step_that_the_plane_cannot_solve_fails_as_in_three_dimensions() {
     let pendulum = |direction: [f64; 3]| {
         json!({
             "name": "pendulum", "step_s": 2.0, "steps": 50,

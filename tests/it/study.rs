@@ -182,6 +182,9 @@ fn studies_refuse_what_makes_none() {
         (vec!["chart", &dipole, "--method", "vpd:gauss9"], 2),
         (vec!["chart", &dipole, "--method", "rkmk:gauss2"], 2),
         (vec!["chart", "nothing.json"], 2),
+        (vec!["chart", &dipole, "--until", "-1"], 2),
+        (vec!["chart", &dipole, "--until", "1e-300"], 2),
+        (vec!["chart", &dipole, "--until", "nan"], 2),
         (vec!["stability", &dipole, "--method", "euler"], 2),
         (vec!["stability", &dipole, "--method", "vpd:gauss2:newton:more"], 2),
         // No reference can be trusted there.

@@ -191,6 +191,11 @@ fn a_bad_sweep_is_refused_at_its_field() {
             score(json!({ "lyapunov_exponent": { "distance": 1 } })),
             "/scores/0/measure/lyapunov_exponent/distance",
         ),
+        (
+            "scores",
+            score(json!({ "lyapunov_exponent": { "skip_s": 1e6 } })),
+            "/scores/0/measure/lyapunov_exponent/skip_s",
+        ),
         ("number", json!(1), "/number"),
     ] {
         let mut sweep = one(&linear(2));

@@ -1,4 +1,4 @@
-//! A charge in space.
+//! A charge.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

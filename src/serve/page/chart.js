@@ -2,7 +2,7 @@
 // a line that follows the body.
 const CURVES = {
   energy_error: "Energy error", orthogonality_error: "Orthogonality error", momentum_drift: "Momentum drift",
-  angular_velocity: "Angular velocity", body_momentum: "Momentum in the body", spatial_momentum: "Momentum in space",
+  angular_velocity: "Angular velocity", body_momentum: "Body momentum", spatial_momentum: "Spatial momentum",
   axis_angle: "Angles of the axes", step: "Step",
 };
 // Those of channels that not every log has.
