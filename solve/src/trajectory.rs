@@ -459,6 +459,12 @@ impl<const N: usize> Bookkeeping<N> {
         match sample {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
+                if step == 0 {
+                    // As it was given, not as the variables of the scheme hold it: a checkpoint there changes nothing.
+                    let initial = &observer.initial;
+                    reached.attitude = sample.attitude.map(|_| initial.attitude);
+                    reached.momentum = initial.momentum;
+                }
                 reached.samples += 1;
                 *sampled = Some(step);
                 Some(sample)

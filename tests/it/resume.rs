@@ -65,6 +65,29 @@ fn run_until(scenario: &Scenario, log: &Path, step: u64) -> (Result<Summary, Run
     (result, control)
 }
 
+/// Samples far apart have a checkpoint at the start, which changes nothing: a run is that of the trial which chose its step.
+#[test]
+fn a_checkpoint_at_the_start_changes_no_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = folder.path().join("run.mcap");
+    for name in ["vpd", "quaternion_gauss", "vrkmk", "splitting"] {
+        let method = match name {
+            "splitting" => json!({ "name": name, "order": 4 }),
+            _ => json!({ "name": name, "tableau": "gauss4" }),
+        };
+        let mut scenario = dipole(&method);
+        scenario["scene"]["initial"]["attitude"] =
+            json!({ "axis_angle": { "axis": [-0.693, -0.2784, -0.665], "angle_rad": 1.082 } });
+        scenario["steps"] = json!(50);
+        let ends = [50, 1_000_000].map(|every: u64| {
+            scenario["log"] = json!({ "every": every });
+            let summary = run(&checked(&scenario), &log);
+            serde_json::to_value(&summary).expect("JSON")["final"].clone()
+        });
+        assert_eq!(ends[0], ends[1], "{name}");
+    }
+}
+
 /// What a kill leaves is a beginning of the whole log: whatever beginning it is, the run that takes it up
 /// ends with the whole.
 fn resume_job(scenario: &Value, cuts: &[f64]) {
