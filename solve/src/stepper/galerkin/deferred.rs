@@ -298,7 +298,7 @@ impl Collocation {
             }
             (2, None) => solve_any(Rows([0.0; 2]), coefficients, start, source, u, end),
             (4, Some(level)) => {
-                widest!(level below Avx512, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
+                widest!(level, f64x4, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 4]), coefficients, start, source, u, end))
             }
             (4, None) => solve_any(Rows([0.0; 4]), coefficients, start, source, u, end),
