@@ -137,7 +137,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
             self.rates[i] = (k, rate);
         }
         let (_, f, momentum) = self.at(None, |j| h * self.tableau.b(j))?;
-        // The product drifts off the group like any product; one correction of the product puts it back.
+        // The product drifts off the group like any product; one correction puts it back.
         let attitude = so::orthonormalised(&so::product(&self.state.attitude, &f));
         self.state = State { attitude, momentum };
         self.clock.advance(h, &put_in);
