@@ -1,7 +1,9 @@
 """Does vpd keep its word on accuracies? A trial by Taylor series in 80-bit floats, which share nothing with it but the scenario.
 
     python3 -m venv venv && venv/bin/pip install heyoka numpy
-    venv/bin/python docs/independent.py target/release/vpd FOLDER
+    venv/bin/python docs/independent.py target/release/vpd FOLDER [WORD]
+
+Another WORD makes other scenes.
 
 It makes random scenes, asks vpd for an accuracy of each, and holds the end of the run against heyoka's taylor_adaptive. The
 equations come from the energies that docs/scenario.md defines, which heyoka differentiates itself: a unit quaternion q and the body
@@ -10,7 +12,7 @@ momentum mu follow q' = q Omega / 2, mu' = mu x Omega - dU/dturn, Omega = J^-1 m
 1. 60 scenes, 60 to 800 s, with errors of 1e-4, 1e-6 and 1e-8 in turn. A run that is accepted is `met` or `MISSED`. One that is
    refused is held against what doubles can have: the scene is run by four fine runs of vpd of order 16. If one of them
    misses the accuracy, or the rounding of the start alone has grown past it, the refusal is `right`; else it is `CAUTIOUS`.
-2. The same for 30 scenes at the edge of what doubles have, and for 12 that vpd cannot see to their end.
+2. The same for 30 scenes at the edge of what doubles have, and for 12 that are longer than any reference of vpd.
 3. 20 ensembles of 8 to 16 members, each of which has to keep the accuracy.
 4. `vpd run --error`, on 20 of the scenes with methods and steps of all kinds and on all accepted runs of 1 and 2: it may be wrong
    by a factor of 3.
@@ -36,6 +38,7 @@ import heyoka as hy
 import numpy as np
 
 SCENES, EDGES, LONG, ENSEMBLES, ESTIMATES = 60, 30, 12, 20, 20
+WORD = sys.argv[3] if len(sys.argv) > 3 else "vpd"
 TARGETS = [1e-4, 1e-6, 1e-8]
 LIMIT_S = 120
 REAL = np.longdouble
@@ -536,7 +539,7 @@ def scenes(program, tally):
     print("\n## Scenes\n")
     made = []
     for number in range(SCENES):
-        chance = random.Random(f"vpd, scene {number}")
+        chance = random.Random(f"{WORD}, scene {number}")
         target, family = TARGETS[number % 3], FAMILIES[number // 3 % len(FAMILIES)]
         spin = between(chance, 0.3, 4) if number % 10 else between(chance, 15, 30)
         scene, seconds = random_scene(chance, family, spin), between(chance, 60, 800)
@@ -552,7 +555,7 @@ def at_the_edge(program, tally):
     print("\n## At the edge of what doubles have\n")
     number = done = 0
     while done < EDGES:
-        chance = random.Random(f"vpd, edge {number}")
+        chance = random.Random(f"{WORD}, edge {number}")
         number += 1
         target, family = TARGETS[done % 3], chance.choice(FAMILIES[2:])
         scene = random_scene(chance, family, between(chance, 1, 4))
@@ -566,10 +569,10 @@ def at_the_edge(program, tally):
 
 
 def long(program, tally):
-    """Scenes too long for vpd to see them to their end."""
+    """Scenes that are longer than any reference of vpd."""
     print("\n## Long\n")
     for number in range(LONG):
-        chance = random.Random(f"vpd, long {number}")
+        chance = random.Random(f"{WORD}, long {number}")
         target, family = TARGETS[number % 3], ["top", "gradient", "springs", "sum", "pendulum"][number % 5]
         scene = random_scene(chance, family, between(chance, 10, 30))
         # Weak forces: most of these are not chaotic.
@@ -583,7 +586,7 @@ def long(program, tally):
 def ensembles(program, tally):
     print("\n## Ensembles\n")
     for number in range(ENSEMBLES):
-        chance = random.Random(f"vpd, ensemble {number}")
+        chance = random.Random(f"{WORD}, ensemble {number}")
         target, family = TARGETS[number % 3], FAMILIES[number % len(FAMILIES)]
         scene, seconds = random_scene(chance, family, between(chance, 0.3, 3)), between(chance, 60, 300)
         members = chance.randint(8, 16)
@@ -655,7 +658,7 @@ def estimates(program, made):
     print("\n## Estimates\n")
     verdicts = Counter()
     for number in range(ESTIMATES):
-        chance = random.Random(f"vpd, estimate {number}")
+        chance = random.Random(f"{WORD}, estimate {number}")
         name, scene, reference = made[number * len(made) // ESTIMATES]
         method, steps_a_radian = METHODS[number % len(METHODS)]
         steps = math.ceil(steps_a_radian * between(chance, 0.5, 4) * reference.fastest * reference.seconds)

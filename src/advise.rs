@@ -4,8 +4,9 @@
 //!    it will have at the end is expected just below the one asked for.
 //! 2. The cheapest is run over the whole time, against a reference of the whole time, and its step mended, until the
 //!    cheapest is one that was seen to get there. Of an ensemble then every member.
-//! 3. A run longer than any reference has its errors carried on as the power of time by which they grew; where they grow
-//!    exponentially, or round-off alone grows past what is asked, it is refused with the time until which it can be had.
+//! 3. A run longer than any reference is held against itself in half the steps, as far as the work allowed goes; from there
+//!    its errors are carried on as the power of time by which they grew. Where they grow exponentially, or round-off alone
+//!    grows past what is asked, it is refused with the time until which it can be had.
 //!
 //! Cost is counted in steps, sweeps and gradients; only the estimate of a run's time is timed, on its first steps.
 //!
@@ -24,7 +25,7 @@ use crate::study::{Scales, StudyError, Watch, nearest_sigma};
 
 mod search;
 
-use search::{Contender, MARGIN, ROUND_OFF, Trial, Unmet, needed};
+use search::{Contender, MARGIN, ROUND_OFF, TO_BE_SEEN, Trial, Unmet, needed};
 
 /// Work that the choice of a method may cost, in nanoseconds by the plan's figures: counted, so that it ends at the same
 /// place on every machine.
@@ -341,7 +342,7 @@ pub enum ErrorAtEnd {
 }
 
 /// The error at the end of a planned run, against a reference at that time. The run is
-/// made once more, in memory.
+/// made once more, in memory. One that is too long for a reference is made with smaller steps, too.
 ///
 /// # Errors
 /// If there is no such reference, or the run fails.
@@ -353,17 +354,69 @@ pub fn error_at_end(plan: &Plan) -> Result<ErrorAtEnd, StudyError> {
     let (step_s, steps) = (*step_s, *steps);
     let time_s = step_s * steps as f64;
     let scales = Scales::of(scenario, time_s, &watch)?;
-    let mut reference = Reference::known_to(scenario, time_s, LARGEST, &scales, &watch)?;
+    // What turns is off by the roundings of its rate: of the inertia, of its inverse, of the momentum.
+    let turned = 2.0 * f64::EPSILON * scales.fastest_rad_s * time_s;
+    let mut reference = match Reference::known_to(scenario, time_s, LARGEST, &scales, &watch) {
+        Err(too_far @ StudyError::Reference(ReferenceError::TooFar { .. })) => {
+            return against_halves(plan, turned, &watch)?.ok_or(too_far);
+        }
+        known => known?,
+    };
     let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &watch)?;
     if !run.completed() {
         return Err(StudyError::Failed);
     }
     let error = reference.distance(&run.last);
     reference.round_start(scenario, 0, error, &watch)?;
-    // What turns is off by the rounding of its rate.
-    let turned = 0.5 * f64::EPSILON * scales.fastest_rad_s * time_s;
-    let known = 3.0 * reference.error.max(turned);
+    let known = 3.0 * reference.error.max(reference.cross_check).max(turned);
     Ok(if error > known { ErrorAtEnd::About(error) } else { ErrorAtEnd::Below(error + known) })
+}
+
+/// The error at the end of a run against the same in half the steps, and that against one in a quarter:
+///
+/// ```text
+/// d_1 = |z_h - z_{h/2}|,   d_2 = |z_{h/2} - z_{h/4}| = 2^-p d_1      where both are errors of the scheme, p its order
+/// ```
+///
+/// Where d_2 is not much smaller both are of rounding, and a bound is all that is known. `None` where that takes too long, or
+/// shows nothing.
+fn against_halves(
+    plan: &Plan,
+    turned: f64,
+    watch: &Watch,
+) -> Result<Option<ErrorAtEnd>, StudyError> {
+    /// The work of the three runs, in steps of the first, and what it may take.
+    const STEPS: f64 = 7.0;
+    const MOST_NS: f64 = 6e10;
+    /// By more than this is d_2 smaller: of order 2 by 4.
+    const FALLS: f64 = 0.3;
+    /// Larger ones are the size of the motion.
+    const LARGEST: f64 = 1e-2;
+    let Plan { step_s, steps, settled: scenario, .. } = plan;
+    if STEPS * *steps as f64 * plan.work_step_ns > MOST_NS {
+        return Ok(None);
+    }
+    let mut before = None::<Measured>;
+    let mut apart = Vec::new();
+    for part in [1, 2, 4] {
+        let probe = Probe::of(&scenario.method, step_s / part as f64, steps * part);
+        let run = measure(scenario, Probe { keep: true, ..probe }, watch)?;
+        if !run.completed() {
+            return if part == 1 { Err(StudyError::Failed) } else { Ok(None) };
+        }
+        if let Some(before) = before {
+            let time_s = step_s * *steps as f64;
+            apart.push(Reference::of_runs(time_s, &scenario.method, &run, &before.points).error);
+        }
+        before = Some(run);
+    }
+    let (first, second) = (apart[0], apart[1]);
+    if second > LARGEST {
+        return Ok(None);
+    }
+    let known = 3.0 * (second + turned);
+    let is_of_scheme = second <= FALLS * first && first > known;
+    Ok(Some(if is_of_scheme { ErrorAtEnd::About(first) } else { ErrorAtEnd::Below(first + known) }))
 }
 
 fn settle(
@@ -391,19 +444,20 @@ fn settle(
     let far_s = duration_s.min(MOST_STEPS * scales.easy_step_s).min(affordable_s).max(pilot_s);
     let far = if far_s > pilot_s { known(far_s)? } else { near.clone() };
     let trial = Trial { scenario, asked, duration_s, scales, near, far };
-    trial.carried().map_err(out_of_reach)?;
+    trial.carried(TO_BE_SEEN).map_err(out_of_reach)?;
     let mut contenders = trial.contenders(watch).map_err(reported)?;
-    trial.decide(&mut contenders, watch).map_err(reported)?;
+    let unmet = |unmet| match unmet {
+        Unmet::Study(error) => reported(error),
+        Unmet::Obstacle(why) => out_of_reach(why),
+    };
+    trial.decide(&mut contenders, watch).map_err(unmet)?;
     // The sort is stable: of equals the first in the list.
     contenders.sort_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
     let least = contenders.iter().filter_map(|tried| tried.least).min_by(f64::total_cmp);
     let Some(Contender { entry, choice: Some(choice), .. }) = contenders.first_mut() else {
         return Err(out_of_reach(Obstacle::NoMethod { least }));
     };
-    *choice = trial.every_member(entry, *choice, watch).map_err(|unmet| match unmet {
-        Unmet::Study(error) => reported(error),
-        Unmet::Obstacle(why) => out_of_reach(why),
-    })?;
+    *choice = trial.every_member(entry, *choice, watch).map_err(unmet)?;
     let choice = *choice;
     let steps = trial.steps(choice.step_s, duration_s);
     let settled = Scenario {
@@ -422,7 +476,7 @@ fn settle(
         error: asked.error,
         expected_error: choice.expected,
         margin: asked.error / choice.expected.max(ROUND_OFF),
-        pilot_time_s: trial.far.time_s,
+        pilot_time_s: choice.seen_s,
         reference_error: trial.far.error,
         candidates: contenders.iter().map(Contender::reported).collect(),
     };

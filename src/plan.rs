@@ -134,7 +134,7 @@ pub struct Advice {
     pub expected_error: f64,
     /// How many times the expected error fits into the one asked for.
     pub margin: f64,
-    /// The time over which pilots ran; beyond it their errors were carried on.
+    /// The time to which the run chosen was seen; beyond it its error was carried on.
     pub pilot_time_s: f64,
     /// How well the pilots' reference is known.
     pub reference_error: f64,

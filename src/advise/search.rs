@@ -1,6 +1,7 @@
 //! The search for a method and a step: pilots choose, runs over the whole time decide, members are made sure of.
 //!
-//! Invariant: the step that is taken was seen to get there as far as a reference reaches.
+//! Invariant: the step that is taken was seen to get there as far as a reference reaches, and past it, as far as the work
+//! allowed goes, not to differ from its half by more than what is asked.
 
 use crate::method::Integrator;
 use crate::plan::Candidate;
@@ -27,6 +28,22 @@ const TRIES: u32 = 7;
 const WHOLE_TRIES: u32 = 4;
 /// And for a member of an ensemble.
 const MEMBER_TRIES: u32 = 8;
+/// A step that is larger by less than this is not tried over the whole run.
+const WORTH_A_TRY: f64 = 0.93;
+/// A run for which errors grow too fast by so much only, going by those of its first part, is followed.
+pub(super) const TO_BE_SEEN: f64 = 0.5;
+/// Steps that are tried where a run is followed past its reference.
+const FOLLOWING_TRIES: u32 = 4;
+/// Of the work that is left, what following it may take at first; a smaller step takes more.
+const FOLLOWED_PART: f64 = 0.3;
+/// A run that is not seen to its end is made as many times more accurate.
+const UNSEEN: f64 = 1e3;
+/// Two runs that are so far apart show nothing more of how errors depend on the step.
+const LOST: f64 = 1e-2;
+/// A step that is to be smaller by so much is halved.
+const NEARLY_HALF: std::ops::Range<f64> = 1.6..2.4;
+/// A run and the same in half the steps, in steps of the run.
+const RUN_AND_HALF: f64 = 3.0;
 
 /// The methods that are tried, those first whose steps are cheap: what costs much more than one that gets there is not
 /// tried.
@@ -51,8 +68,10 @@ pub(super) struct Choice {
     pub(super) expected: f64,
     /// What a second of motion costs.
     cost_ns: f64,
-    /// Was the run seen, as far as a reference reaches?
-    seen: bool,
+    /// The time to which the run was seen.
+    pub(super) seen_s: f64,
+    /// Is that as far as it can be seen?
+    sure: bool,
 }
 
 /// A method with its steps.
@@ -96,6 +115,18 @@ impl<E: Into<StudyError>> From<E> for Unmet {
     }
 }
 
+fn of_member(member: u64, why: Obstacle) -> Unmet {
+    Unmet::Obstacle(Obstacle::Member { member, why: Box::new(why) })
+}
+
+/// What became of a choice that was followed past the reference.
+enum Followed {
+    /// This one gets there.
+    Reached(Choice),
+    /// None does; the least error met.
+    Missed(Option<f64>),
+}
+
 /// What the search for a step needs to know.
 pub(super) struct Trial<'a> {
     pub(super) scenario: &'a Scenario,
@@ -119,7 +150,12 @@ impl Trial<'_> {
     }
 
     fn goal(&self) -> f64 {
-        self.asked.error / if self.is_whole() { MARGIN } else { CARRIED_MARGIN }
+        self.goal_seen_to(self.far.time_s)
+    }
+
+    /// The error that is aimed at where a run is seen to a time.
+    fn goal_seen_to(&self, time_s: f64) -> f64 {
+        self.asked.error / if time_s >= self.duration_s { MARGIN } else { CARRIED_MARGIN }
     }
 
     /// The steps of such a size over a time: as they were tried, so that the run is the one that was seen.
@@ -131,13 +167,13 @@ impl Trial<'_> {
     /// What the number of steps over a time is a multiple of: so that a reference can be met, and over the whole run so that
     /// samples come where they are asked for.
     fn unit(&self, time_s: f64) -> u64 {
-        let met = if time_s <= self.far.time_s { QUARTERS } else { 1 };
         let sampled = if time_s >= self.duration_s { self.scenario.multiple_of_steps() } else { 1 };
-        (1..met).map(|k| k * sampled).find(|steps| steps % met == 0).unwrap_or(met * sampled)
+        let mut multiples = (1..QUARTERS).map(|k| k * sampled);
+        multiples.find(|steps| steps % QUARTERS == 0).unwrap_or(QUARTERS * sampled)
     }
 
-    /// Makes sure that errors may be carried on to the end of the run.
-    pub(super) fn carried(&self) -> Result<(), Obstacle> {
+    /// Makes sure that errors may be carried on to the end of the run, or to such a part of it.
+    pub(super) fn carried(&self, part: f64) -> Result<(), Obstacle> {
         let Growth::Exponential { tenfold_s } = self.far.growth() else { return Ok(()) };
         if self.is_whole() {
             return Ok(());
@@ -145,7 +181,7 @@ impl Trial<'_> {
         let needed = self.asked.error / (2.0 * CARRIED_MARGIN);
         let decades = libm::log10(needed / self.far.error.max(ROUND_OFF));
         let until_s = (self.far.time_s + tenfold_s * decades).max(0.0);
-        if until_s >= self.duration_s {
+        if until_s >= part * self.duration_s {
             return Ok(());
         }
         let grown = self.far.error
@@ -187,7 +223,7 @@ impl Trial<'_> {
             if reached.is_none() && usual_ns * steps as f64 > TOO_DEAR * cheapest * time_s {
                 break;
             }
-            let run = self.run(entry, &self.near, steps, 0, watch)?;
+            let run = self.run(entry, time_s, steps, 0, watch)?;
             let cost_ns = run.cost_ns / time_s;
             let expected = run.completed().then(|| self.expected(&self.near, &run)).flatten();
             let ratio = match expected {
@@ -197,8 +233,9 @@ impl Trial<'_> {
                     let better = reached.is_none_or(|(_, best)| cost_ns < best.cost_ns);
                     if expected <= goal && better {
                         let step_s = time_s / steps as f64;
-                        let seen = self.near.time_s >= self.far.time_s;
-                        reached = Some((steps, Choice { step_s, expected, cost_ns, seen }));
+                        let seen_s = self.near.time_s;
+                        let sure = seen_s >= self.duration_s;
+                        reached = Some((steps, Choice { step_s, expected, cost_ns, seen_s, sure }));
                     }
                     libm::pow(expected.max(ROUND_OFF) / goal, 1.0 / f64::from(entry.order))
                 }
@@ -222,13 +259,11 @@ impl Trial<'_> {
         Ok((reached.map(|(_, choice)| choice), least))
     }
 
-    /// Runs the cheapest as far as a reference reaches and mends its step, until the cheapest is one that was seen there.
-    pub(super) fn decide(
-        &self,
-        contenders: &mut [Contender],
-        watch: &Watch,
-    ) -> Result<(), StudyError> {
+    /// Runs the cheapest as far as a reference reaches, follows it past that, and mends its step, until the cheapest is one
+    /// that was seen to get there.
+    pub(super) fn decide(&self, contenders: &mut [Contender], watch: &Watch) -> Result<(), Unmet> {
         let time_s = self.far.time_s;
+        let mut follow_s = None;
         loop {
             let cheapest = contenders
                 .iter_mut()
@@ -237,17 +272,44 @@ impl Trial<'_> {
             let Some(Contender { entry, choice, sure, least, tries }) = cheapest else {
                 return Ok(());
             };
-            let Some(at) = choice.filter(|choice| !choice.seen) else { return Ok(()) };
+            let Some(at) = choice.filter(|choice| !choice.sure) else { return Ok(()) };
+            if at.seen_s >= time_s {
+                let until_s = *follow_s.get_or_insert_with(|| self.affordable_s(at, watch));
+                let order = f64::from(entry.order);
+                let mut harsher = 1.0;
+                *choice = match self.follow(entry, at, until_s, 0, watch)? {
+                    Followed::Reached(choice) => {
+                        if choice.seen_s >= self.duration_s {
+                            harsher = libm::pow(at.step_s / choice.step_s, order).max(1.0);
+                        }
+                        Some(choice)
+                    }
+                    Followed::Missed(met) => {
+                        *least = (*least).into_iter().chain(met).min_by(f64::total_cmp);
+                        None
+                    }
+                };
+                // So much smaller must the errors of the others be, too.
+                for Contender { entry, choice, .. } in &mut *contenders {
+                    if let Some(other) = choice.as_mut().filter(|other| !other.sure) {
+                        let smaller = libm::pow(harsher, 1.0 / f64::from(entry.order));
+                        other.step_s /= smaller;
+                        other.cost_ns *= smaller;
+                    }
+                }
+                continue;
+            }
             *tries += 1;
             let steps = self.steps(at.step_s, time_s);
-            let run = self.run(entry, &self.far, steps, 0, watch)?;
+            let run = self.run(entry, time_s, steps, 0, watch)?;
             let (step_s, cost_ns) = (time_s / steps as f64, run.cost_ns / time_s);
             let expected = run.completed().then(|| self.expected(&self.far, &run)).flatten();
             if let Some(expected) = expected {
                 *least = Some(least.map_or(expected, |least| least.min(expected)));
             }
             if let Some(expected) = expected.filter(|&expected| expected <= self.goal()) {
-                let reached = Choice { step_s, expected, cost_ns, seen: true };
+                let whole = self.is_whole();
+                let reached = Choice { step_s, expected, cost_ns, seen_s: time_s, sure: whole };
                 if sure.is_none_or(|sure| reached.cost_ns < sure.cost_ns) {
                     *sure = Some(reached);
                 }
@@ -258,15 +320,14 @@ impl Trial<'_> {
             });
             let factor = (1.03 * ratio).clamp(0.4, 4.0);
             // As much larger as pays for another try, or smaller until it gets there.
-            let goes_on = sure.is_none() || (expected.is_some() && factor < 0.93);
+            let goes_on = sure.is_none() || (expected.is_some() && factor < WORTH_A_TRY);
             *choice = if *tries < WHOLE_TRIES && goes_on {
                 let factor = if sure.is_some() { factor } else { factor.max(1.03) };
-                let expected = self.goal();
                 Some(Choice {
                     step_s: step_s / factor,
-                    expected,
+                    expected: self.goal(),
                     cost_ns: cost_ns * factor,
-                    seen: false,
+                    ..at
                 })
             } else {
                 *sure
@@ -274,16 +335,127 @@ impl Trial<'_> {
         }
     }
 
-    /// A run over the time of a reference, with its states at each quarter.
+    /// The time to which a choice may be followed, in all members.
+    fn affordable_s(&self, choice: Choice, watch: &Watch) -> f64 {
+        let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
+        let allowed_ns = FOLLOWED_PART * watch.left_ns() as f64 / members as f64;
+        self.duration_s.min(allowed_ns / (RUN_AND_HALF * choice.cost_ns))
+    }
+
+    /// Follows a choice past the reference, as it will be made, against the same in half the steps; its step is mended until
+    /// the two are near each other.
+    ///
+    /// ```text
+    /// |z_h(t) - z_{h/2}(t)| = (1 - 2^-p) |z_h(t) - z(t)|,      p the order; and round-off of both
+    /// ```
+    fn follow(
+        &self,
+        entry: &Entry,
+        mut choice: Choice,
+        until_s: f64,
+        member: u64,
+        watch: &Watch,
+    ) -> Result<Followed, Unmet> {
+        choice.sure = true;
+        if until_s < self.duration_s {
+            self.carried(1.0).map_err(Unmet::Obstacle)?;
+        }
+        if until_s <= self.far.time_s {
+            return Ok(Followed::Reached(self.with_care(entry, choice, member)));
+        }
+        let (mut reached, mut least) = (None::<Choice>, None::<(f64, Reference)>);
+        let mut before = None::<(u64, Measured)>;
+        for attempt in 1..=FOLLOWING_TRIES {
+            let whole = self.steps(choice.step_s, self.duration_s);
+            let step_s = self.duration_s / whole as f64;
+            let steps = multiple(until_s / step_s * (1.0 - 1e-12), QUARTERS).min(whole);
+            let time_s = if steps == whole { self.duration_s } else { step_s * steps as f64 };
+            let run = match before.take().filter(|(halved, _)| *halved == steps) {
+                Some((_, run)) => run,
+                None => self.run(entry, time_s, steps, member, watch)?,
+            };
+            let finer = self.run(entry, time_s, 2 * steps, member, watch)?;
+            let mut expected = None;
+            if run.completed() && finer.completed() {
+                let reference = Reference::of_runs(time_s, &entry.method, &finer, &run.points);
+                expected = self.carried_on(&reference.apart, 0.0, time_s);
+                let met = expected.unwrap_or(reference.error);
+                // What a smaller step does not mend is round-off, unless the motion has been lost altogether.
+                if reached.is_none() {
+                    if least.as_ref().is_some_and(|(least, _)| met > 0.5 * least && met < LOST) {
+                        break;
+                    }
+                    least = Some((met, reference));
+                }
+            }
+            let goal = self.goal_seen_to(time_s);
+            let order = f64::from(entry.order);
+            let factor = expected.map_or(2.0, |expected| {
+                1.03 * libm::pow(expected.max(ROUND_OFF) / goal, 1.0 / order)
+            });
+            if let Some(expected) = expected.filter(|&expected| expected <= goal) {
+                let cost_ns = run.cost_ns / time_s;
+                let seen = Choice { step_s, expected, cost_ns, seen_s: time_s, sure: true };
+                if reached.is_none_or(|reached| seen.cost_ns < reached.cost_ns) {
+                    reached = Some(seen);
+                }
+                // A larger step is for all members, and not where errors were carried on.
+                if member > 0 || time_s < self.duration_s || factor > WORTH_A_TRY {
+                    break;
+                }
+            } else if reached.is_some() {
+                break;
+            }
+            choice.step_s = step_s
+                / if reached.is_some() {
+                    factor.max(0.4)
+                } else if NEARLY_HALF.contains(&factor) || (attempt > 1 && factor < 2.0) {
+                    // It has been run already.
+                    2.0
+                } else {
+                    factor.clamp(1.03, 4.0)
+                };
+            before = Some((2 * steps, finer));
+        }
+        if let Some(reached) = reached {
+            return Ok(Followed::Reached(self.with_care(entry, reached, member)));
+        }
+        let Some((least, reference)) = least else { return Ok(Followed::Missed(None)) };
+        // Where errors grow so fast another method is no better off.
+        match reference.growth() {
+            growth @ Growth::Exponential { .. } => {
+                let until_s = reference.until(needed(self.asked));
+                Err(Unmet::Obstacle(Obstacle::Untold {
+                    least,
+                    time_s: reference.time_s,
+                    until_s,
+                    growth,
+                }))
+            }
+            Growth::Power { .. } => Ok(Followed::Missed(Some(least))),
+        }
+    }
+
+    /// The choice with a smaller step, where its run is not seen to the end: a motion may become harsher there.
+    fn with_care(&self, entry: &Entry, choice: Choice, member: u64) -> Choice {
+        if member > 0 || choice.seen_s >= self.duration_s {
+            return choice;
+        }
+        let smaller = libm::pow(UNSEEN, 1.0 / f64::from(entry.order));
+        let (step_s, cost_ns) = (choice.step_s / smaller, choice.cost_ns * smaller);
+        Choice { step_s, cost_ns, ..choice }
+    }
+
+    /// A run over a time, with its states at each quarter.
     fn run(
         &self,
         entry: &Entry,
-        reference: &Reference,
+        time_s: f64,
         steps: u64,
         member: u64,
         watch: &Watch,
     ) -> Result<Measured, StudyError> {
-        let whole = Probe::of(&entry.method, reference.time_s / steps as f64, steps);
+        let whole = Probe::of(&entry.method, time_s / steps as f64, steps);
         let probe = Probe { every: steps / QUARTERS, keep: true, member, ..whole };
         let run = measure(self.scenario, probe, watch)?;
         watch.advance(0)?;
@@ -299,8 +471,21 @@ impl Trial<'_> {
     ) -> Result<Choice, Unmet> {
         let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
         let left_ns = watch.left_ns();
+        let until_s = choice.seen_s;
         for member in 1..members {
             choice = self.of_member(entry, choice, member, watch)?;
+            choice = match self.follow(entry, choice, until_s, member, watch) {
+                Ok(Followed::Reached(of_this)) => Choice {
+                    expected: choice.expected.max(of_this.expected),
+                    cost_ns: choice.cost_ns.max(of_this.cost_ns),
+                    ..of_this
+                },
+                Ok(Followed::Missed(least)) => {
+                    return Err(of_member(member, Obstacle::NoMethod { least }));
+                }
+                Err(Unmet::Obstacle(why)) => return Err(of_member(member, why)),
+                Err(unmet) => return Err(unmet),
+            };
             if member == 1 {
                 let cost_ns = (left_ns - watch.left_ns()).max(1);
                 let most = 2 + watch.left_ns() / cost_ns;
@@ -320,7 +505,7 @@ impl Trial<'_> {
         member: u64,
         watch: &Watch,
     ) -> Result<Choice, Unmet> {
-        let obstacle = |why| Unmet::Obstacle(Obstacle::Member { member, why: Box::new(why) });
+        let obstacle = |why| of_member(member, why);
         let out_of_sight = |error: StudyError| match error {
             StudyError::Reference(error) => obstacle(error.into()),
             error => error.into(),
@@ -330,7 +515,7 @@ impl Trial<'_> {
         let mut is_sure = false;
         for _ in 0..MEMBER_TRIES {
             let steps = self.steps(choice.step_s, time_s);
-            let run = self.run(entry, &self.far, steps, member, watch)?;
+            let run = self.run(entry, time_s, steps, member, watch)?;
             let expected = reference.as_ref().filter(|_| run.completed());
             let expected = expected.and_then(|reference| self.expected(reference, &run));
             if let Some(expected) = expected.filter(|&expected| expected <= self.goal()) {
@@ -362,15 +547,20 @@ impl Trial<'_> {
             .enumerate()
             .map(|(quarter, point)| reference.distance_at(quarter, point))
             .collect();
+        self.carried_on(&errors, reference.error, reference.time_s)
+    }
+
+    /// The same of the errors at the quarters of a time, known to `known`.
+    fn carried_on(&self, errors: &[f64], known: f64, time_s: f64) -> Option<f64> {
         let largest = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
         // Not the last alone: an error that swings may pass through zero there. And no more is known than by the reference.
-        let late = largest(&errors[errors.len() / 2..]) + reference.error;
-        if self.duration_s <= reference.time_s {
+        let late = largest(&errors[errors.len() / 2..]) + known;
+        if self.duration_s <= time_s {
             return Some(late);
         }
-        let early = largest(&errors[..errors.len() / 2 + 1]).max(reference.error);
+        let early = largest(&errors[..errors.len() / 2 + 1]).max(known).max(ROUND_OFF);
         let growth = libm::log2(late / early).max(1.0);
-        let ratio = self.duration_s / reference.time_s;
+        let ratio = self.duration_s / time_s;
         // What will be seen to its end is a guess here; what will not is to hold.
         if self.is_whole() {
             return Some(late * libm::pow(ratio, growth.min(FASTEST_GROWTH)));

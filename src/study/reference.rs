@@ -249,8 +249,7 @@ impl Reference {
             let start = Start { member, begin: Begin::Scene };
             let run = solution(scene, start, &first, time_s, (steps, points), watch)?;
             if let (Some(before), Some(run)) = (&before, &run) {
-                let mut reference = Self::from_run(time_s, &first, run);
-                reference.compare(before);
+                let reference = Self::of_runs(time_s, &first, run, before);
                 let further = |than: &Self, by: f64| {
                     reference.error < than.error / by.powi(4)
                         || reference.until(asked) > by * than.until(asked)
@@ -300,8 +299,7 @@ impl Reference {
         let (Some(half), Some(whole)) = (solved(self.steps / 2)?, solved(self.steps)?) else {
             return Ok(None);
         };
-        let mut reference = Self::from_run(self.time_s, &self.method, &whole);
-        reference.compare(&half.points);
+        let mut reference = Self::of_runs(self.time_s, &self.method, &whole, &half.points);
         reference.round_start(scene, member, asked, watch)?;
         Ok(Some(reference))
     }
@@ -399,6 +397,13 @@ impl Reference {
             },
             Point { attitude: attitude + attitude * along * MOVED, momentum: momentum.clone() },
         ]
+    }
+
+    /// A run, as well as another shows it.
+    pub(crate) fn of_runs(time_s: f64, method: &Method, run: &Measured, other: &[Point]) -> Self {
+        let mut reference = Self::from_run(time_s, method, run);
+        reference.compare(other);
+        reference
     }
 
     fn from_run(time_s: f64, method: &Method, run: &Measured) -> Self {
