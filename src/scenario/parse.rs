@@ -132,8 +132,8 @@ fn pointer(path: &Path) -> String {
 fn plain(message: &str) -> String {
     const WORDS: &[(&str, &str)] = &[
         ("expected f64", "expected a number"),
-        ("expected u64", "expected a whole number, 0 or more"),
-        ("expected u32", "expected a whole number, 0 or more"),
+        ("expected u64", "expected a whole number in digits, 0 to 2^64 - 1"),
+        ("expected u32", "expected a whole number in digits, 0 to 2^32 - 1"),
         ("expected a sequence", "expected a list"),
         ("expected a map", "expected an object"),
         ("sequence", "list"),

@@ -869,6 +869,16 @@ fn answers_say_what_would_do() {
             "/log/every_s",
             "1e-308 s is not a whole number of steps",
         ),
+        (
+            change(&dipole(), &[("/steps", json!(1.0))]),
+            "/steps",
+            "a whole number in digits, 0 to 2^64 - 1",
+        ),
+        (
+            change(&dipole(), &[("/steps", json!(1.8446744073709552e19))]),
+            "/steps",
+            "a whole number in digits, 0 to 2^64 - 1",
+        ),
         ("[]".to_owned(), "", "is a list where an object belongs"),
         (change(&short, &[("/scene", json!([]))]), "/scene", "is a list where an object belongs"),
     ] {
