@@ -30,7 +30,7 @@ const WHOLE_TRIES: u32 = 4;
 const MEMBER_TRIES: u32 = 8;
 /// A step that is larger by less than this is not tried over the whole run.
 const WORTH_A_TRY: f64 = 0.93;
-/// A run for which errors grow too fast by so much only, going by those of its first part, is followed.
+/// Errors whose growth, as the first part of a run shows it, is too much only past this part of the run are looked at there.
 pub(super) const TO_BE_SEEN: f64 = 0.5;
 /// Steps that are tried where a run is followed past its reference.
 const FOLLOWING_TRIES: u32 = 4;
