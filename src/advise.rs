@@ -393,7 +393,7 @@ fn against_halves(
     /// Larger ones are the size of the motion.
     const LARGEST: f64 = 1e-2;
     let Plan { step_s, steps, settled: scenario, .. } = plan;
-    if STEPS * *steps as f64 * plan.work_step_ns > MOST_NS {
+    if STEPS * *steps as f64 * plan.work_step_ns.max(plan.sweep_cost_ns()) > MOST_NS {
         return Ok(None);
     }
     let mut before = None::<Measured>;
