@@ -341,14 +341,12 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
                 rows[k][lane] = from[k][lane];
             }
         };
-        let Self {
-            attitude, momentum, x, inverse, stretch, end, end_stretch, kick, nearness, ..
-        } = self;
+        let Self { attitude, momentum, inverse, stretch, end, end_stretch, kick, nearness, .. } =
+            self;
         stages(&mut attitude.w, &solved.attitude.w);
         for i in 0..3 {
             stages(&mut attitude.v[i], &solved.attitude.v[i]);
             stages(&mut momentum[i], &solved.momentum[i]);
-            stages(&mut x[i], &solved.x[i]);
             end.v[i][lane] = solved.end.v[i][lane];
             kick[i][lane] = solved.kick[i][lane];
         }

@@ -26,18 +26,6 @@
 //! pi_k - p0 = (pi1 - p0) + D_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(D_f hat(lambda) + W_k D_k^T + Y_k)
 //! ```
 //!
-//! The solved step is finished with the momenta of [transport] and [defect] of docs/derivation.md,
-//!
-//! ```text
-//! pi_k - p0 = delta_k - h sum_j (1 - e_jk) b_j U_j tau_j
-//! delta_k = vee asym(f hat(lambda) K_k^T - Y_k (U_k - I)^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))
-//! T_k = U_k hat(x_k),    D_k = U_k - I + U_k E_k,    K_k = U_k E_k + sum_j (1 - e_jk - e_kj) w_j
-//! ```
-//!
-//! which are the same numbers. But the first formula has a difference of terms as large as the momentum times the turn, and what
-//! rounding makes of it raises the energy of a heavy top in a line; delta is small, of tableaux that are their own
-//! partner, as Gauss tableaux are: for them the sum in K is zero.
-//!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the sweep before. At the end U^T A is symmetric, and P its polar
 //! factor. What a correction brings about itself at the other stages is added to first order, with all turns and stretches
@@ -51,9 +39,9 @@
 use super::unknowns::{LaneTableau, Start, TORQUE_EVERY, Unknowns};
 use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::space::{
-    Mat3, Quaternion, Sym3, Vec3, asym_of_product, cross, dot, inverse, mat3, minus, plus, product,
-    scaled, symmetric_product, times_hat, transposed, transposed_matrix_product,
-    transposed_product, vec3, vee_asym, with_one,
+    Mat3, Quaternion, Sym3, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
+    symmetric_product, times_hat, transposed, transposed_matrix_product, transposed_product, vec3,
+    vee_asym, with_one,
 };
 
 /// What the square of a quaternion may differ from one in the last round of the first guess.
@@ -163,15 +151,13 @@ pub(super) fn sweep<R: Stages>(
     let LaneTableau { rows, present, .. } = start.tableau;
     let [kinematic, linear] = &start.passes;
     let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
-    let Kinematics { change: turn, omega, weight, inverse_k, turned, w, .. } =
+    let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
         kinematics(lanes, start, &momentum, unknowns, *kinematic);
     let u = with_one(&turn);
-    let EndPoint { change: end_turn, stretch, inverse: end_inverse } =
-        end_point(lanes, &w, unknowns);
-    let Forces { torque, kick, .. } = forces(start, &u, weight, unknowns);
+    let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick, gain } =
+        end_point(lanes, start, &u, weight, &w, unknowns);
     let p0 = vec3!(i => whole.load(&start.momentum[i]));
     let pi1 = plus(&p0, &kick);
-    let gain = plus(&kick, &transposed_product(&end_turn, &pi1));
     let p1 = plus(&p0, &gain);
     let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(&end_turn), &lambda);
@@ -184,7 +170,7 @@ pub(super) fn sweep<R: Stages>(
     // The embedded momenta W_k.
     let half_weight = weight * 0.5;
     let mut x: Vec3<R> = load(lanes, &unknowns.x);
-    let [_, mut y] = embedded(&u, &x, rows);
+    let mut y = embedded(&u, &x, rows);
     let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     // h b N^T Omega = W^T U (h b Omega)
     let turning = scaled(&omega, weight);
@@ -200,7 +186,7 @@ pub(super) fn sweep<R: Stages>(
         let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
         let follows = cross(&omega, &change);
         x = vec3!(i => next[i] + follows[i] * half_weight);
-        [_, y] = embedded(&u, &x, rows);
+        y = embedded(&u, &x, rows);
         m = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     }
     // -vee asym(W U^T) - p0
@@ -227,8 +213,8 @@ pub(super) fn sweep<R: Stages>(
     relative.max_or_nan(turned.largest()) + poison
 }
 
-/// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta, and
-/// these to the attitudes that they bring about: after a sweep each is one behind, and the deficit is biased.
+/// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
+/// after a sweep they are one behind, and the deficit is biased.
 ///
 /// `p1 - p0 = (pi1 - p0) + D_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers.
 /// The equations of x, summed over the stages with the x of (24d, vih4), say the same in what is small by itself:
@@ -246,23 +232,16 @@ pub(super) fn finish<R: Stages>(
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
-    let stages = kinematics(lanes, start, &load(lanes, &unknowns.momentum), unknowns, 1);
-    let Kinematics { change, weight, .. } = &stages;
-    let u = with_one(change);
-    let Forces { torque, kicks, kick } = forces(start, &u, *weight, unknowns);
-    let at_start = vec3!(i => lanes.stage(0).load(&start.momentum[i]));
-    let f_lambda = multiplier(lanes, &plus(&at_start, &kick), unknowns);
-    let x = load(lanes, &unknowns.x);
-    let momentum = transport(lanes, start, &stages, &kicks, &f_lambda, &x);
-    let p0 = vec3!(i => lanes.spread(at_start[i]));
+    let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
+    let Kinematics { change, omega, weight, w, .. } =
+        kinematics(lanes, start, &momentum, unknowns, 1);
+    let u = with_one(&change);
+    let EndPoint { torque, .. } = end_point(lanes, start, &u, weight, &w, unknowns);
+    let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     let pi = plus(&p0, &momentum);
-    let turned_by = transposed_product(change, &pi);
-    let inertia = start.inertia.in_lanes(lanes);
-    let omega = plus(&inertia.divides(&pi), &inertia.divides(&turned_by));
-    let turning = scaled(&omega, *weight);
-    end_point(lanes, &times_hat(&u, &turning), unknowns);
-    let turned = cross(&plus(&pi, &turned_by), &turning);
-    let gain: Vec3<R::Whole> = vec3!(i => (turned[i] - *weight * torque[i]).sum());
+    let mu = plus(&pi, &transposed_product(&change, &pi));
+    let turned = cross(&mu, &scaled(&omega, weight));
+    let gain: Vec3<R::Whole> = vec3!(i => (turned[i] - weight * torque[i]).sum());
     for i in 0..3 {
         gain[i].store(&mut unknowns.gain[i]);
     }
@@ -276,8 +255,6 @@ struct Kinematics<R> {
     /// h b
     weight: R,
     inverse_k: Sym3<R>,
-    /// E = P - I
-    stretch: Sym3<R>,
     /// The largest change of an attitude in the last pass.
     turned: R,
     /// h b U hat(Omega)
@@ -339,139 +316,74 @@ fn kinematics<R: Stages>(
         inverse_k[i].store(&mut unknowns.inverse[i]);
         stretch[i].store(&mut unknowns.stretch[i]);
     }
-    Kinematics { change, omega, weight, inverse_k, stretch, turned, w }
+    Kinematics { change, omega, weight, inverse_k, turned, w }
 }
 
 /// Where the stages lead to.
-struct EndPoint<W> {
+struct EndPoint<R: Stages> {
     /// f - I
-    change: Mat3<W>,
+    change: Mat3<R::Whole>,
     /// P_e - I.
-    stretch: Sym3<W>,
+    stretch: Sym3<R::Whole>,
     /// K(P_e)^-1.
-    inverse: Sym3<W>,
+    inverse: Sym3<R::Whole>,
+    /// At the stages.
+    torque: Vec3<R>,
+    /// pi1 - p0
+    kick: Vec3<R::Whole>,
+    /// p1 - p0
+    gain: Vec3<R::Whole>,
 }
 
-/// The end point for the `w` of the stages.
+/// The end point, and the momentum there.
 #[inline(always)]
 fn end_point<R: Stages>(
     lanes: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    u: &Mat3<R>,
+    weight: R,
     w: &Mat3<R>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
-) -> EndPoint<R::Whole> {
+) -> EndPoint<R> {
     let whole = lanes.stage(0);
     let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
-    let end = load_end(whole, &unknowns.end);
+    let end = Quaternion {
+        w: whole.load(&unknowns.end.w),
+        v: vec3!(i => whole.load(&unknowns.end.v[i])),
+    };
     let f = end.matrix();
     let stretch = stretch_of(&end, &f, &d);
     let inverse = inverse_of_k(&stretch);
     let half = symmetric_product(&inverse, &residual(&end, &f, &d));
     let half = scaled(&half, whole.constant(0.5));
     let end = end.turned(&half);
+    let (torque, nearness) = start.body.torque(u, start.seen);
+    let kicks = scaled(&product(u, &torque), -weight);
+    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
     for i in 0..6 {
         stretch[i].store(&mut unknowns.end_stretch[i]);
     }
     end.w.store(&mut unknowns.end.w);
     for i in 0..3 {
         end.v[i].store(&mut unknowns.end.v[i]);
-    }
-    EndPoint { change: end.change(), stretch, inverse }
-}
-
-/// What acts on the body.
-struct Forces<R: Stages> {
-    /// tau
-    torque: Vec3<R>,
-    /// -h b U tau
-    kicks: Vec3<R>,
-    /// pi1 - p0
-    kick: Vec3<R::Whole>,
-}
-
-/// The torques at the stages.
-#[inline(always)]
-fn forces<R: Stages>(
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
-    u: &Mat3<R>,
-    weight: R,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
-) -> Forces<R> {
-    let (torque, nearness) = start.body.torque(u, start.seen);
-    let kicks = scaled(&product(u, &torque), -weight);
-    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
-    for i in 0..3 {
         kick[i].store(&mut unknowns.kick[i]);
     }
     nearness.largest().store(&mut unknowns.nearness);
-    Forces { torque, kicks, kick }
+    let change = end.change();
+    let p0 = vec3!(i => whole.load(&start.momentum[i]));
+    let gain = plus(&kick, &transposed_product(&change, &plus(&p0, &kick)));
+    EndPoint { change, stretch, inverse, torque, kick, gain }
 }
 
-/// `f hat(lambda)` of the end point that there is, with `K(P_e) lambda = -f^T pi1`.
-#[inline(always)]
-fn multiplier<R: Stages>(
-    lanes: R,
-    pi1: &Vec3<R::Whole>,
-    unknowns: &Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
-) -> Mat3<R> {
-    let whole = lanes.stage(0);
-    let f = load_end(whole, &unknowns.end).matrix();
-    let mut stretch: Sym3<R::Whole> = [whole; 6];
-    for i in 0..6 {
-        stretch[i] = whole.load(&unknowns.end_stretch[i]);
-    }
-    let p1 = transposed_product(&f, pi1);
-    let lambda = symmetric_product(&inverse_of_k(&stretch), &vec3!(i => -p1[i]));
-    let f_lambda = times_hat(&f, &lambda);
-    mat3!(i, j => lanes.spread(f_lambda[i][j]))
-}
-
-/// [transport]: `pi - p0` of the stages. Zero in the lanes of none.
-#[inline(always)]
-fn transport<R: Stages>(
-    lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
-    Kinematics { change, stretch, w, .. }: &Kinematics<R>,
-    kicks: &Vec3<R>,
-    f_lambda: &Mat3<R>,
-    x: &Vec3<R>,
-) -> Vec3<R> {
-    let LaneTableau { rows, partner, apart, present, .. } = start.tableau;
-    let u = with_one(change);
-    let [t, y] = embedded(&u, x, rows);
-    // [K] and [D]
-    let mut k: Mat3<R> = vec3!(i => symmetric_product(stretch, &u[i]));
-    let d: Mat3<R> = mat3!(i, j => change[i][j] + k[i][j]);
-    if let Some(apart) = apart {
-        k = mat3!(i, j => k[i][j] + w[i][j].apply_tableau(apart));
-    }
-    let delta = defect(f_lambda, [change, &d, &k], w, [&t, &y], partner);
-    let present = lanes.row(present);
-    vec3!(i => present * (delta[i] + kicks[i].apply_tableau(partner)))
-}
-
-/// [T] and [Y]: `T_k = U_k hat(x_k)` and `Y_k = sum_i e_ik T_i`, of W_k what is its own.
+/// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
 #[inline(always)]
 pub(in crate::stepper) fn embedded<R: Stages>(
     u: &Mat3<R>,
     x: &Vec3<R>,
     rows: &[Row; WIDTH],
-) -> [Mat3<R>; 2] {
-    let t = times_hat(u, x);
-    [t, mat3!(i, j => t[i][j].apply_tableau(rows))]
-}
-
-/// [defect]: `vee asym(f Lambda K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))`.
-#[inline(always)]
-pub(in crate::stepper) fn defect<R: Stages>(
-    f_lambda: &Mat3<R>,
-    [c, d, k]: [&Mat3<R>; 3],
-    w: &Mat3<R>,
-    [t, y]: [&Mat3<R>; 2],
-    partner: &[Row; WIDTH],
-) -> Vec3<R> {
-    let parts = minus(&asym_of_product(t, d), &asym_of_product(y, w));
-    let (of_end, of_turn) = (asym_of_product(f_lambda, k), asym_of_product(y, c));
-    vec3!(i => of_end[i] - (of_turn[i] + parts[i].apply_tableau(partner)))
+) -> Mat3<R> {
+    let y = times_hat(u, x);
+    mat3!(i, j => y[i][j].apply_tableau(rows))
 }
 
 /// `(K(P) - 2) v` for `P = I + E`.
@@ -539,11 +451,6 @@ pub(in crate::stepper) fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::
 #[inline(always)]
 fn load_turn<R: Stages>(lanes: R, plain: &Quaternion<R::Plain>) -> Quaternion<R> {
     Quaternion { w: lanes.load(&plain.w), v: load(lanes, &plain.v) }
-}
-
-#[inline(always)]
-fn load_end<W: Whole>(whole: W, plain: &Quaternion<W::Plain>) -> Quaternion<W> {
-    Quaternion { w: whole.load(&plain.w), v: vec3!(i => whole.load(&plain.v[i])) }
 }
 
 #[inline(always)]

@@ -9,7 +9,7 @@ use crate::tableau::Tableau;
 
 /// Fewer passes take more sweeps; many stages are for large steps, and those need more.
 const FEW_PASSES: Passes = Passes { kinematic: 2, linear: 2, linear_at_first: 2 };
-const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 3, linear_at_first: 6 };
+const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 4, linear_at_first: 6 };
 /// Up to here stages are few.
 pub(super) const FEW_STAGES: usize = 4;
 
@@ -51,10 +51,6 @@ pub(in crate::stepper) struct LaneTableau {
     pub(in crate::stepper) columns: [Row; WIDTH],
     /// `e_ij`, row by row: the columns of its transpose.
     pub(in crate::stepper) rows: [Row; WIDTH],
-    /// `1 - e_ji`, column by column: of a tableau that is its own partner the same as `columns`.
-    pub(in crate::stepper) partner: [Row; WIDTH],
-    /// `1 - e_ji - e_ij`, column by column; of a tableau that is its own partner nothing.
-    pub(super) apart: Option<[Row; WIDTH]>,
     pub(in crate::stepper) weights: Row,
     pub(in crate::stepper) nodes: Row,
     /// One for each stage.
@@ -75,8 +71,6 @@ impl LaneTableau {
         let mut lanes = Self {
             columns: [zero; WIDTH],
             rows: [zero; WIDTH],
-            partner: [zero; WIDTH],
-            apart: None,
             weights: zero,
             nodes: zero,
             present: zero,
@@ -99,17 +93,6 @@ impl LaneTableau {
                 lanes.columns[j].0[i] = e;
                 lanes.rows[i].0[j] = e;
             }
-        }
-        lanes.partner = lanes.columns;
-        if !own_partner {
-            let mut apart = [zero; WIDTH];
-            for i in 0..stages {
-                for j in 0..stages {
-                    lanes.partner[j].0[i] = 1.0 - lanes.columns[i].0[j];
-                    apart[j].0[i] = lanes.partner[j].0[i] - lanes.columns[j].0[i];
-                }
-            }
-            lanes.apart = Some(apart);
         }
         lanes
     }
