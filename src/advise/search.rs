@@ -33,7 +33,7 @@ const WORTH_A_TRY: f64 = 0.93;
 /// Errors whose growth, as the first part of a run shows it, is too much only past this part of the run are looked at there.
 pub(super) const TO_BE_SEEN: f64 = 0.5;
 /// Steps that are tried where a run is followed past its reference.
-const FOLLOWING_TRIES: u32 = 4;
+const FOLLOWING_TRIES: u32 = 5;
 /// Of the work that is left, what following it may take at first; a smaller step takes more.
 const FOLLOWED_PART: f64 = 0.3;
 /// A run that is not seen to its end is made as many times more accurate.
@@ -364,28 +364,34 @@ impl Trial<'_> {
             return Ok(Followed::Reached(self.with_care(entry, choice, member)));
         }
         let (mut reached, mut least) = (None::<Choice>, None::<(f64, Reference)>);
-        let mut before = None::<(u64, Measured)>;
+        let (mut before, mut last) = (None::<(u64, Measured)>, None::<f64>);
         for attempt in 1..=FOLLOWING_TRIES {
             let whole = self.steps(choice.step_s, self.duration_s);
             let step_s = self.duration_s / whole as f64;
             let steps = multiple(until_s / step_s * (1.0 - 1e-12), QUARTERS).min(whole);
             let time_s = if steps == whole { self.duration_s } else { step_s * steps as f64 };
-            let run = match before.take().filter(|(halved, _)| *halved == steps) {
+            let halved = before.take().filter(|(halved, _)| *halved == steps);
+            let is_half = halved.is_some();
+            let run = match halved {
                 Some((_, run)) => run,
                 None => self.run(entry, time_s, steps, member, watch)?,
             };
             let finer = self.run(entry, time_s, 2 * steps, member, watch)?;
-            let mut expected = None;
+            let (mut expected, mut is_mended) = (None, true);
             if run.completed() && finer.completed() {
                 let reference = Reference::of_runs(time_s, &entry.method, &finer, &run.points);
                 expected = self.carried_on(&reference.apart, 0.0, time_s);
                 let met = expected.unwrap_or(reference.error);
-                // What a smaller step does not mend is round-off, unless the motion has been lost altogether.
                 if reached.is_none() {
-                    if least.as_ref().is_some_and(|(least, _)| met > 0.5 * least && met < LOST) {
+                    is_mended = last.replace(met).is_none_or(|last| met <= 0.5 * last);
+                    if least.as_ref().is_none_or(|(least, _)| met <= *least) {
+                        least = Some((met, reference));
+                    }
+                    // What half the step does not mend is round-off, unless the motion has been lost altogether. Less of it
+                    // shows nothing: near an anchor or a charge it matters where the steps fall.
+                    if !is_mended && is_half && met < LOST {
                         break;
                     }
-                    least = Some((met, reference));
                 }
             }
             let goal = self.goal_seen_to(time_s);
@@ -409,7 +415,10 @@ impl Trial<'_> {
             choice.step_s = step_s
                 / if reached.is_some() {
                     factor.max(0.4)
-                } else if NEARLY_HALF.contains(&factor) || (attempt > 1 && factor < 2.0) {
+                } else if NEARLY_HALF.contains(&factor)
+                    || (attempt > 1 && factor < 2.0)
+                    || !is_mended
+                {
                     // It has been run already.
                     2.0
                 } else {
