@@ -151,6 +151,8 @@ pub trait Stages: Stored {
     type Whole: Whole + Stored;
     /// As it lies in memory.
     type Plain: Copy;
+    /// At most.
+    const STAGES: usize;
     /// From memory, like `self`.
     fn load(self, plain: &Self::Plain) -> Self;
     /// To memory.
@@ -360,6 +362,7 @@ macro_rules! stage_lanes {
         impl<S: Simd> Stages for $vector<S> {
             type Whole = f64;
             type Plain = Row;
+            const STAGES: usize = $lanes;
 
             #[inline(always)]
             fn load(self, plain: &Row) -> Self {
@@ -668,6 +671,7 @@ macro_rules! stages_in_turn {
         impl$(<$simd: Simd>)? Stages for Rows<$whole, $stages> {
             type Whole = $whole;
             type Plain = $plain;
+            const STAGES: usize = $stages;
 
             #[inline(always)]
             fn load(self, plain: &Self::Plain) -> Self {

@@ -125,6 +125,16 @@ pub fn vee_asym<T: Real>(m: &Mat3<T>) -> Vec3<T> {
     [m[2][1] - m[1][2], m[0][2] - m[2][0], m[1][0] - m[0][1]]
 }
 
+/// `vee(A B^T - B A^T)`
+#[inline(always)]
+pub fn asym_of_product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Vec3<T> {
+    [
+        dot(&a[2], &b[1]) - dot(&a[1], &b[2]),
+        dot(&a[0], &b[2]) - dot(&a[2], &b[0]),
+        dot(&a[1], &b[0]) - dot(&a[0], &b[1]),
+    ]
+}
+
 /// `I + M`
 #[inline(always)]
 pub fn with_one<T: Real>(m: &Mat3<T>) -> Mat3<T> {

@@ -33,7 +33,7 @@ use crate::space::{
     symmetric_product, times_hat, transposed_product, vec3, with_one,
 };
 use crate::stepper::motion::unsigned_zeros;
-use crate::stepper::vpd_so3::sweep::{embedded, inverse_of_k, residual, store, stretch_of};
+use crate::stepper::vpd_so3::sweep::{defect, embedded, inverse_of_k, residual, store, stretch_of};
 use crate::stepper::vpd_so3::unknowns::{Inertia, LaneTableau};
 use crate::tableau::Tableau;
 
@@ -551,7 +551,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             let stretched = symmetric_product(&s, omega);
             let load: Vec3<R> = vec3!(i => (stretched[i] - trace * omega[i]) - known[i]);
             self.x = symmetric_product(&self.inverse, &scaled(&load, self.weight));
-            self.y = embedded(&u, &self.x, rows);
+            [_, self.y] = embedded(&u, &self.x, rows);
         }
         // K(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of the Y before
         let m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + self.y[i][j]);
@@ -561,12 +561,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let load: Vec3<R> = vec3!(i => ((one[i] + other[i]) * 0.5 - trace * omega[i]) - known[i]);
         self.x = symmetric_product(&self.inverse, &scaled(&load, self.weight));
         // [T], [Y] and [defect]
-        let t = times_hat(&u, &self.x);
-        let y: Mat3<R> = mat3!(i, j => t[i][j].apply_tableau(rows));
-        let parts = minus(&asym_of_product(&t, &self.d), &asym_of_product(&y, &self.w));
-        let parts: Vec3<R> = vec3!(i => parts[i].apply_tableau(columns));
-        let (of_end, of_turn) = (asym_of_product(&f_lambda, &k), asym_of_product(&y, &c));
-        let delta: Vec3<R> = vec3!(i => of_end[i] - (of_turn[i] + parts[i]));
+        let [t, y] = embedded(&u, &self.x, rows);
+        let delta = defect(&f_lambda, [&c, &self.d, &k], &self.w, [&t, &y], columns);
         let change = minus(&delta, &self.delta);
         (self.delta, self.y) = (delta, y);
         self.gain = plus(&self.gain, &change);
@@ -690,14 +686,4 @@ fn is_rounding(change: f64, last: f64) -> bool {
 #[inline(always)]
 fn largest<R: Stages<Whole = f64>>(v: &Vec3<R>) -> f64 {
     v[0].abs().max_or_nan(v[1].abs()).max_or_nan(v[2].abs()).largest()
-}
-
-/// `vee(asym(A B^T))`
-#[inline(always)]
-fn asym_of_product<T: Real>(a: &Mat3<T>, b: &Mat3<T>) -> Vec3<T> {
-    [
-        dot(&a[2], &b[1]) - dot(&a[1], &b[2]),
-        dot(&a[0], &b[2]) - dot(&a[2], &b[0]),
-        dot(&a[1], &b[0]) - dot(&a[0], &b[1]),
-    ]
 }

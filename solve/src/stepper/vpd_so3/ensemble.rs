@@ -132,14 +132,14 @@ impl VpdEnsemble {
             return swept;
         };
         let inertia = Inertia::of(body);
-        let passes = tableau.passes.of_sweep(false);
+        let passes = tableau.passes.of_sweep(true);
         let (mut sweeps, mut guesses) = (0, 0);
         macro_rules! step {
             ($side:ident, $stages:literal) => {{
                 let Side { unknowns, taken } = &mut **$side;
                 in_member_lanes!(level, $stages, lanes => motion.look(lanes.0[0], body, seen));
                 let momentum = motion.body_momentum.value;
-                let start =
+                let mut start =
                     Start { tableau, body, inertia, seen, step: h, passes, momentum };
                 in_member_lanes!(level, $stages, lanes => sweep::guess(lanes, &start, unknowns));
                 let mut goes_on = [false; WIDTH];
@@ -151,6 +151,7 @@ impl VpdEnsemble {
                     let increments = in_member_lanes!(level, $stages, lanes => {
                         sweep::sweep_to_row(lanes, &start, unknowns)
                     });
+                    start.passes = tableau.passes.of_sweep(false);
                     for &m in going {
                         if !goes_on[m] {
                             continue;
@@ -341,12 +342,14 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
                 rows[k][lane] = from[k][lane];
             }
         };
-        let Self { attitude, momentum, inverse, stretch, end, end_stretch, kick, nearness, .. } =
-            self;
+        let Self {
+            attitude, momentum, x, inverse, stretch, end, end_stretch, kick, nearness, ..
+        } = self;
         stages(&mut attitude.w, &solved.attitude.w);
         for i in 0..3 {
             stages(&mut attitude.v[i], &solved.attitude.v[i]);
             stages(&mut momentum[i], &solved.momentum[i]);
+            stages(&mut x[i], &solved.x[i]);
             end.v[i][lane] = solved.end.v[i][lane];
             kick[i][lane] = solved.kick[i][lane];
         }

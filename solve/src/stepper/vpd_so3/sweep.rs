@@ -19,12 +19,25 @@
 //! within a sweep. So is the linear system of x, which must be consistent with them. The torque is computed once.
 //!
 //! What is small is computed as such, or a thin body, which turns fast about its axis by little momentum, would gain
-//! rounding errors of the large components: momenta are kept less p0, rotations used less one. With `D_k = U_k - I`,
-//! `D_f = f - I` and `Y_k = W_k - f hat(lambda)`,
+//! rounding errors of the large components: momenta are kept less p0, rotations used less one. With `C_k = U_k - I`,
+//! `C_f = f - I` and `Y_k = W_k - f hat(lambda)`, one or two stages have
 //!
 //! ```text
-//! pi_k - p0 = (pi1 - p0) + D_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(D_f hat(lambda) + W_k D_k^T + Y_k)
+//! pi_k - p0 = (pi1 - p0) + C_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(C_f hat(lambda) + W_k C_k^T + Y_k)
 //! ```
+//!
+//! There terms as large as the momentum times the turn cancel. Rounding made of them 1e-17 of the torque, the same at each stage,
+//! and many stages are there for the last digits: the energy of a heavy top rose in a line. Three stages and more take
+//! [transport] and [defect] of docs/derivation.md, of which each term is small; with `T_k = U_k hat(x_k)`,
+//! `K_k = U_k E_k + sum_j (1 - e_jk - e_kj) w_j` and `D_k = C_k + U_k E_k`
+//!
+//! ```text
+//! pi_k - p0 = delta_k - h sum_j (1 - e_jk) b_j U_j tau_j
+//! delta_k = vee asym(f hat(lambda) K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))
+//! ```
+//!
+//! It is the same momentum where the equations are solved. On the way there one or two stages need a tenth more sweeps of it, many need
+//! fewer, and converge at steps a tenth longer.
 //!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the sweep before. At the end U^T A is symmetric, and P its polar
@@ -36,12 +49,12 @@
 //! x_k <- x_k + h b_k Omega_k x (sum_i e_ik dx_i) / 2                  dx the change of x in the pass
 //! ```
 
-use super::unknowns::{LaneTableau, Start, TORQUE_EVERY, Unknowns};
+use super::unknowns::{LaneTableau, RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
 use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::space::{
-    Mat3, Quaternion, Sym3, Vec3, cross, dot, inverse, mat3, minus, plus, product, scaled,
-    symmetric_product, times_hat, transposed, transposed_matrix_product, transposed_product, vec3,
-    vee_asym, with_one,
+    Mat3, Quaternion, Sym3, Vec3, asym_of_product, cross, dot, inverse, mat3, minus, plus, product,
+    scaled, symmetric_product, times_hat, transposed, transposed_matrix_product,
+    transposed_product, vec3, vee_asym, with_one,
 };
 
 /// What the square of a quaternion may differ from one in the last round of the first guess.
@@ -151,57 +164,48 @@ pub(super) fn sweep<R: Stages>(
     let LaneTableau { rows, present, .. } = start.tableau;
     let [kinematic, linear] = &start.passes;
     let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
-    let Kinematics { change: turn, omega, weight, inverse_k, turned, w } =
-        kinematics(lanes, start, &momentum, unknowns, *kinematic);
-    let u = with_one(&turn);
-    let EndPoint { change: end_turn, stretch, inverse: end_inverse, torque, kick, gain } =
-        end_point(lanes, start, &u, weight, &w, unknowns);
-    let p0 = vec3!(i => whole.load(&start.momentum[i]));
-    let pi1 = plus(&p0, &kick);
-    let p1 = plus(&p0, &gain);
-    let lambda = symmetric_product(&end_inverse, &vec3!(i => -p1[i]));
-    let f_lambda = times_hat(&with_one(&end_turn), &lambda);
-    let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(f_lambda[i][j]));
-    // -vee asym(f hat(lambda)) - p0
-    let stretched = symmetric_product(&end_inverse, &k_less_two(&stretch, &p1));
-    let beyond = vee_asym(&times_hat(&end_turn, &lambda));
-    let common: Vec3<R> = vec3!(i => lanes.spread(gain[i] - (stretched[i] + beyond[i])));
+    let stages = kinematics(lanes, start, &momentum, unknowns, *kinematic);
+    let u = with_one(&stages.c);
+    let end = end_point(lanes, &stages.w, unknowns);
+    let forces = forces(lanes, start, &u, stages.weight, unknowns);
+    let last = end_momentum(lanes, start, &end, &forces);
+    let Kinematics { omega, weight, inverse_k, turned, .. } = &stages;
+    let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
 
     // The embedded momenta W_k.
-    let half_weight = weight * 0.5;
+    let half_weight = *weight * 0.5;
     let mut x: Vec3<R> = load(lanes, &unknowns.x);
-    let mut y = embedded(&u, &x, rows);
+    let [mut t, mut y] = embedded(&u, &x, rows);
     let mut m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     // h b N^T Omega = W^T U (h b Omega)
-    let turning = scaled(&omega, weight);
+    let turning = scaled(omega, *weight);
     let turned_out = product(&u, &turning);
-    let push = scaled(&torque, weight);
+    let push = scaled(&forces.torque, *weight);
     for _ in 0..*linear {
         // tr(U^T W)
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
         let turned = transposed_product(&m, &turned_out);
         let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + push[i]));
-        let next = symmetric_product(&inverse_k, &load);
+        let next = symmetric_product(inverse_k, &load);
         // What it brings about itself.
         let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
-        let follows = cross(&omega, &change);
+        let follows = cross(omega, &change);
         x = vec3!(i => next[i] + follows[i] * half_weight);
-        y = embedded(&u, &x, rows);
+        [t, y] = embedded(&u, &x, rows);
         m = mat3!(i, j => f_lambda[i][j] + y[i][j]);
     }
-    // -vee asym(W U^T) - p0
-    let turned_off = [
-        dot(&m[1], &turn[2]) - dot(&m[2], &turn[1]),
-        dot(&m[2], &turn[0]) - dot(&m[0], &turn[2]),
-        dot(&m[0], &turn[1]) - dot(&m[1], &turn[0]),
-    ];
-    let own = vee_asym(&y);
+    let next = if R::STAGES <= 2 {
+        embedded_momenta(lanes, &stages, &end, &last, &m, &y)
+    } else {
+        transported_momenta(start.tableau, &stages, &u, &forces.kicks, &f_lambda, [&t, &y])
+    };
     // A lane of no stage must not be what the sweeps seem to change.
     let present = lanes.row(present);
-    let next: Vec3<R> = vec3!(i => present * (common[i] + (turned_off[i] - own[i])));
+    let next: Vec3<R> = vec3!(i => present * next[i]);
     let change = minus(&next, &momentum);
     let change = change[0].abs().max_or_nan(change[1].abs()).max_or_nan(change[2].abs()).largest();
     let size = next[0].abs().max_or_nan(next[1].abs()).max_or_nan(next[2].abs()).largest();
+    let pi1 = &forces.pi1;
     let size = size.max_or_nan(pi1[0].abs()).max_or_nan(pi1[1].abs()).max_or_nan(pi1[2].abs());
     // Zero where all is finite.
     let total = ((next[0] + next[1]) + next[2]).sum();
@@ -214,9 +218,10 @@ pub(super) fn sweep<R: Stages>(
 }
 
 /// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
-/// after a sweep they are one behind, and the deficit is biased.
+/// after a sweep they are one behind, and the deficit is biased. Of many stages the momenta are brought up to the attitudes
+/// first.
 ///
-/// `p1 - p0 = (pi1 - p0) + D_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers.
+/// `p1 - p0 = (pi1 - p0) + C_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers.
 /// The equations of x, summed over the stages with the x of (24d, vih4), say the same in what is small by itself:
 ///
 /// ```text
@@ -232,16 +237,30 @@ pub(super) fn finish<R: Stages>(
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) {
-    let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
-    let Kinematics { change, omega, weight, w, .. } =
-        kinematics(lanes, start, &momentum, unknowns, 1);
-    let u = with_one(&change);
-    let EndPoint { torque, .. } = end_point(lanes, start, &u, weight, &w, unknowns);
+    let mut momentum: Vec3<R> = load(lanes, &unknowns.momentum);
+    let mut stages = kinematics(lanes, start, &momentum, unknowns, 1);
+    let u = with_one(&stages.c);
+    let end = end_point(lanes, &stages.w, unknowns);
+    let forces = forces(lanes, start, &u, stages.weight, unknowns);
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
+    if R::STAGES > 2 && start.tableau.stages >= RENEWED_STAGES {
+        let last = end_momentum(lanes, start, &end, &forces);
+        let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
+        let [t, y] = embedded(&u, &load(lanes, &unknowns.x), &start.tableau.rows);
+        momentum =
+            transported_momenta(start.tableau, &stages, &u, &forces.kicks, &f_lambda, [&t, &y]);
+        let pi = plus(&p0, &momentum);
+        let inertia = start.inertia.in_lanes(lanes);
+        let turned_by = transposed_product(&stages.c, &pi);
+        stages.omega = plus(&inertia.divides(&pi), &inertia.divides(&turned_by));
+        let w = times_hat(&u, &scaled(&stages.omega, stages.weight));
+        end_point(lanes, &w, unknowns);
+    }
+    let Kinematics { c, omega, weight, .. } = &stages;
     let pi = plus(&p0, &momentum);
-    let mu = plus(&pi, &transposed_product(&change, &pi));
-    let turned = cross(&mu, &scaled(&omega, weight));
-    let gain: Vec3<R::Whole> = vec3!(i => (turned[i] - weight * torque[i]).sum());
+    let mu = plus(&pi, &transposed_product(c, &pi));
+    let turned = cross(&mu, &scaled(omega, *weight));
+    let gain: Vec3<R::Whole> = vec3!(i => (turned[i] - *weight * forces.torque[i]).sum());
     for i in 0..3 {
         gain[i].store(&mut unknowns.gain[i]);
     }
@@ -249,15 +268,17 @@ pub(super) fn finish<R: Stages>(
 
 /// The stages for given momenta.
 struct Kinematics<R> {
-    /// U - I
-    change: Mat3<R>,
+    /// [C]: U - I
+    c: Mat3<R>,
     omega: Vec3<R>,
     /// h b
     weight: R,
+    /// P - I
+    stretch: Sym3<R>,
     inverse_k: Sym3<R>,
     /// The largest change of an attitude in the last pass.
     turned: R,
-    /// h b U hat(Omega)
+    /// [w]: h b U hat(Omega)
     w: Mat3<R>,
 }
 
@@ -282,9 +303,9 @@ fn kinematics<R: Stages>(
     let momentum = plus(&p0, momentum);
     // J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi
     let unturned = inertia.divides(&momentum);
-    let mut change = attitude.change();
-    let mut u = with_one(&change);
-    let mut turned_by = transposed_product(&change, &momentum);
+    let mut c = attitude.change();
+    let mut u = with_one(&c);
+    let mut turned_by = transposed_product(&c, &momentum);
     let mut omega = plus(&unturned, &inertia.divides(&turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = lanes.constant(0.0);
@@ -305,9 +326,9 @@ fn kinematics<R: Stages>(
         }
         attitude = attitude.turned(&half);
         turned = half[0].abs().max_or_nan(half[1].abs()).max_or_nan(half[2].abs());
-        change = attitude.change();
-        u = with_one(&change);
-        turned_by = transposed_product(&change, &momentum);
+        c = attitude.change();
+        u = with_one(&c);
+        turned_by = transposed_product(&c, &momentum);
         omega = plus(&unturned, &inertia.divides(&turned_by));
         w = times_hat(&u, &scaled(&omega, weight));
     }
@@ -316,7 +337,7 @@ fn kinematics<R: Stages>(
         inverse_k[i].store(&mut unknowns.inverse[i]);
         stretch[i].store(&mut unknowns.stretch[i]);
     }
-    Kinematics { change, omega, weight, inverse_k, turned, w }
+    Kinematics { c, omega, weight, stretch, inverse_k, turned, w }
 }
 
 /// Where the stages lead to.
@@ -327,21 +348,12 @@ struct EndPoint<R: Stages> {
     stretch: Sym3<R::Whole>,
     /// K(P_e)^-1.
     inverse: Sym3<R::Whole>,
-    /// At the stages.
-    torque: Vec3<R>,
-    /// pi1 - p0
-    kick: Vec3<R::Whole>,
-    /// p1 - p0
-    gain: Vec3<R::Whole>,
 }
 
-/// The end point, and the momentum there.
+/// The end point for the w of the stages.
 #[inline(always)]
 fn end_point<R: Stages>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
-    u: &Mat3<R>,
-    weight: R,
     w: &Mat3<R>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> EndPoint<R> {
@@ -357,33 +369,138 @@ fn end_point<R: Stages>(
     let half = symmetric_product(&inverse, &residual(&end, &f, &d));
     let half = scaled(&half, whole.constant(0.5));
     let end = end.turned(&half);
-    let (torque, nearness) = start.body.torque(u, start.seen);
-    let kicks = scaled(&product(u, &torque), -weight);
-    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
     for i in 0..6 {
         stretch[i].store(&mut unknowns.end_stretch[i]);
     }
     end.w.store(&mut unknowns.end.w);
     for i in 0..3 {
         end.v[i].store(&mut unknowns.end.v[i]);
+    }
+    EndPoint { change: end.change(), stretch, inverse }
+}
+
+/// What acts on the body.
+struct Forces<R: Stages> {
+    /// tau
+    torque: Vec3<R>,
+    /// -h b U tau
+    kicks: Vec3<R>,
+    /// pi1 - p0
+    kick: Vec3<R::Whole>,
+    pi1: Vec3<R::Whole>,
+}
+
+/// The torques at the stages, and what they bring about.
+#[inline(always)]
+fn forces<R: Stages>(
+    lanes: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    u: &Mat3<R>,
+    weight: R,
+    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+) -> Forces<R> {
+    let (torque, nearness) = start.body.torque(u, start.seen);
+    let kicks = scaled(&product(u, &torque), -weight);
+    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
+    for i in 0..3 {
         kick[i].store(&mut unknowns.kick[i]);
     }
     nearness.largest().store(&mut unknowns.nearness);
-    let change = end.change();
-    let p0 = vec3!(i => whole.load(&start.momentum[i]));
-    let gain = plus(&kick, &transposed_product(&change, &plus(&p0, &kick)));
-    EndPoint { change, stretch, inverse, torque, kick, gain }
+    let pi1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + kick[i]);
+    Forces { torque, kicks, kick, pi1 }
 }
 
-/// `sum_i e_ik U_i hat(x_i)`, of W_k what is its own.
+/// The momentum where the stages lead to.
+struct EndMomentum<R: Stages> {
+    /// p1 - p0
+    gain: Vec3<R::Whole>,
+    p1: Vec3<R::Whole>,
+    lambda: Vec3<R::Whole>,
+    /// f hat(lambda)
+    f_lambda: Mat3<R::Whole>,
+}
+
+/// `p1 = f^T pi1`, and [Lambda]: `K(P_e) lambda = -p1`.
+#[inline(always)]
+fn end_momentum<R: Stages>(
+    lanes: R,
+    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    EndPoint { change, inverse, .. }: &EndPoint<R>,
+    Forces { kick, pi1, .. }: &Forces<R>,
+) -> EndMomentum<R> {
+    let gain = plus(kick, &transposed_product(change, pi1));
+    let p1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + gain[i]);
+    let lambda = symmetric_product(inverse, &vec3!(i => -p1[i]));
+    let f_lambda = times_hat(&with_one(change), &lambda);
+    EndMomentum { gain, p1, lambda, f_lambda }
+}
+
+/// `pi - p0` of the stages as (24a, vih1) has it, `pi = -vee asym(W U^T)`.
+#[inline(always)]
+fn embedded_momenta<R: Stages>(
+    lanes: R,
+    Kinematics { c, .. }: &Kinematics<R>,
+    EndPoint { change, stretch, inverse }: &EndPoint<R>,
+    EndMomentum { gain, p1, lambda, .. }: &EndMomentum<R>,
+    m: &Mat3<R>,
+    y: &Mat3<R>,
+) -> Vec3<R> {
+    // -vee asym(f hat(lambda)) - p0
+    let stretched = symmetric_product(inverse, &k_less_two(stretch, p1));
+    let beyond = vee_asym(&times_hat(change, lambda));
+    let common: Vec3<R> = vec3!(i => lanes.spread(gain[i] - (stretched[i] + beyond[i])));
+    let turned_off = [
+        dot(&m[1], &c[2]) - dot(&m[2], &c[1]),
+        dot(&m[2], &c[0]) - dot(&m[0], &c[2]),
+        dot(&m[0], &c[1]) - dot(&m[1], &c[0]),
+    ];
+    let own = vee_asym(y);
+    vec3!(i => common[i] + (turned_off[i] - own[i]))
+}
+
+/// The same by [transport].
+#[inline(always)]
+fn transported_momenta<R: Stages>(
+    LaneTableau { partner, apart, .. }: &LaneTableau,
+    Kinematics { c, stretch, w, .. }: &Kinematics<R>,
+    u: &Mat3<R>,
+    kicks: &Vec3<R>,
+    f_lambda: &Mat3<R>,
+    embedded: [&Mat3<R>; 2],
+) -> Vec3<R> {
+    // [K] and [D]
+    let mut k: Mat3<R> = vec3!(i => symmetric_product(stretch, &u[i]));
+    let d: Mat3<R> = mat3!(i, j => c[i][j] + k[i][j]);
+    if let Some(apart) = apart {
+        k = mat3!(i, j => k[i][j] + w[i][j].apply_tableau(apart));
+    }
+    let delta = defect(f_lambda, [c, &d, &k], w, embedded, partner);
+    vec3!(i => delta[i] + kicks[i].apply_tableau(partner))
+}
+
+/// [T] and [Y]: `T_k = U_k hat(x_k)` and `Y_k = sum_i e_ik T_i`, of W_k what is its own.
 #[inline(always)]
 pub(in crate::stepper) fn embedded<R: Stages>(
     u: &Mat3<R>,
     x: &Vec3<R>,
     rows: &[Row; WIDTH],
-) -> Mat3<R> {
-    let y = times_hat(u, x);
-    mat3!(i, j => y[i][j].apply_tableau(rows))
+) -> [Mat3<R>; 2] {
+    let t = times_hat(u, x);
+    [t, mat3!(i, j => t[i][j].apply_tableau(rows))]
+}
+
+/// [defect]: `vee asym(f Lambda K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))`.
+#[inline(always)]
+pub(in crate::stepper) fn defect<R: Stages>(
+    f_lambda: &Mat3<R>,
+    [c, d, k]: [&Mat3<R>; 3],
+    w: &Mat3<R>,
+    [t, y]: [&Mat3<R>; 2],
+    partner: &[Row; WIDTH],
+) -> Vec3<R> {
+    let parts = minus(&asym_of_product(t, d), &asym_of_product(y, w));
+    let (of_end, of_turn) = (asym_of_product(f_lambda, k), asym_of_product(y, c));
+    vec3!(i => of_end[i] - (of_turn[i] + parts[i].apply_tableau(partner)))
 }
 
 /// `(K(P) - 2) v` for `P = I + E`.

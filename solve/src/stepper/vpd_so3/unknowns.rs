@@ -7,15 +7,15 @@ use crate::lanes::{Real, Row, WIDTH};
 use crate::space::{Quaternion, Sym3, Vec3, dot, symmetric_product, vec3};
 use crate::tableau::Tableau;
 
-/// Fewer passes take more sweeps; many stages are for large steps, and those need more.
-const FEW_PASSES: Passes = Passes { kinematic: 2, linear: 2, linear_at_first: 2 };
-const MANY_PASSES: Passes = Passes { kinematic: 3, linear: 4, linear_at_first: 6 };
 /// Up to here stages are few.
 pub(super) const FEW_STAGES: usize = 4;
 
 /// From here on a step is short of nothing but its last digits, and the deficit is biased: its end is
 /// brought up to the newest sweep.
 const FINISHED_STAGES: usize = 3;
+
+/// From here on the last increment, which the stop leaves, is seen in the energy: finishing begins with the momenta.
+pub(super) const RENEWED_STAGES: usize = 4;
 
 /// So many rounds of the first guess take the same torque.
 pub(super) const TORQUE_EVERY: u32 = 3;
@@ -32,10 +32,21 @@ pub(super) struct Passes {
 }
 
 impl Passes {
-    /// Half of them.
+    /// Fewer passes take more sweeps; many stages are for large steps, and those need more.
+    fn of_stages(stages: usize) -> Self {
+        match stages {
+            ..=2 => Self { kinematic: 2, linear: 2, linear_at_first: 2 },
+            ..=FEW_STAGES => Self { kinematic: 2, linear: 1, linear_at_first: 2 },
+            _ => Self { kinematic: 3, linear: 2, linear_at_first: 5 },
+        }
+    }
+
+    /// Half of them, and at least one.
     pub(super) fn halved(self) -> Self {
         let Self { kinematic, linear, linear_at_first } = self;
-        Self { kinematic: kinematic / 2, linear: linear / 2, linear_at_first: linear_at_first / 2 }
+        let [kinematic, linear, linear_at_first] =
+            [kinematic, linear, linear_at_first].map(|passes| passes.div_ceil(2));
+        Self { kinematic, linear, linear_at_first }
     }
 
     /// Those over the kinematics and over the linear system in the first sweep, or in a later one.
@@ -51,6 +62,10 @@ pub(in crate::stepper) struct LaneTableau {
     pub(in crate::stepper) columns: [Row; WIDTH],
     /// `e_ij`, row by row: the columns of its transpose.
     pub(in crate::stepper) rows: [Row; WIDTH],
+    /// `1 - e_ji`, column by column: of a tableau that is its own partner the same as `columns`.
+    pub(in crate::stepper) partner: [Row; WIDTH],
+    /// `1 - e_ji - e_ij`, column by column; of a tableau that is its own partner nothing.
+    pub(super) apart: Option<[Row; WIDTH]>,
     pub(in crate::stepper) weights: Row,
     pub(in crate::stepper) nodes: Row,
     /// One for each stage.
@@ -71,10 +86,12 @@ impl LaneTableau {
         let mut lanes = Self {
             columns: [zero; WIDTH],
             rows: [zero; WIDTH],
+            partner: [zero; WIDTH],
+            apart: None,
             weights: zero,
             nodes: zero,
             present: zero,
-            passes: if few { FEW_PASSES } else { MANY_PASSES },
+            passes: Passes::of_stages(stages),
             is_finished: stages >= FINISHED_STAGES,
             rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
             stages,
@@ -93,6 +110,17 @@ impl LaneTableau {
                 lanes.columns[j].0[i] = e;
                 lanes.rows[i].0[j] = e;
             }
+        }
+        lanes.partner = lanes.columns;
+        if !own_partner {
+            let mut apart = [zero; WIDTH];
+            for i in 0..stages {
+                for j in 0..stages {
+                    lanes.partner[j].0[i] = 1.0 - lanes.columns[i].0[j];
+                    apart[j].0[i] = lanes.partner[j].0[i] - lanes.columns[j].0[i];
+                }
+            }
+            lanes.apart = Some(apart);
         }
         lanes
     }
