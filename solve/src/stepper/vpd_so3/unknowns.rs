@@ -35,8 +35,8 @@ impl Passes {
     /// Fewer passes take more sweeps; many stages are for large steps, and those need more.
     fn of_stages(stages: usize) -> Self {
         match stages {
-            ..=2 => Self { kinematic: 2, linear: 2, linear_at_first: 2 },
-            ..=FEW_STAGES => Self { kinematic: 2, linear: 1, linear_at_first: 2 },
+            0..3 => Self { kinematic: 2, linear: 2, linear_at_first: 2 },
+            3..=FEW_STAGES => Self { kinematic: 2, linear: 1, linear_at_first: 2 },
             _ => Self { kinematic: 3, linear: 2, linear_at_first: 5 },
         }
     }
