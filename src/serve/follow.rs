@@ -34,12 +34,16 @@ struct Sent {
     over: bool,
 }
 
-/// Events `state`, with the whole job, and `progress` until the job has ended.
+/// Events `state`, with the whole job, and `progress` until the job has ended; at most one a [`LOOK`].
 pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
     let events = stream::unfold(Sent::default(), move |mut sent| {
         let (engine, reach) = (engine.clone(), reach.clone());
         async move {
             while !sent.over {
+                // Before each look but the first: a job that makes steps has something new at every one.
+                if sent.state.is_some() {
+                    tokio::time::sleep(LOOK).await;
+                }
                 // Forgotten, or the service stops: nothing more will come.
                 let view = engine.brief(id).await.ok().filter(|_| engine.is_ready())?;
                 if sent.state != Some(view.state) {
@@ -56,7 +60,6 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
                     sent.progress = Some(progress);
                     return Some((Ok(event), sent));
                 }
-                tokio::time::sleep(LOOK).await;
             }
             None
         }

@@ -14,9 +14,7 @@ const shots = process.argv[2];
 const { url, stop } = await service(["--workers", "2"]);
 const guarded = await service([], { VPD_TOKENS: "admin a-token-of-the-tests" });
 const shown = await service(["--foxglove-listen", "127.0.0.1:0"]);
-// Without the process for graphics that Chromium imitates where there is no card: with it two pages that drew were seen to stand still at
-// once, now and then, until the check was out of time.
-const opened = await browser(["--disable-gpu"]);
+const opened = await browser();
 
 // A page that notes what goes wrong on it and where it turns to.
 async function open(to = url, options = {}) {

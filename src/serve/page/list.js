@@ -79,7 +79,8 @@ const showJobs = () => fill("jobs", jobs, jobRow, sought.name || sought.state ||
 
 function heard(job) {
   jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
-  showJobs();
+  // Only the row of the job: events are many, and dates are slow to write.
+  lists.get("jobs")?.get(job.id)?.update(jobs.find(known => known.id === job.id));
 }
 
 const followed = new Map();

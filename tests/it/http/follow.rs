@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::time::Instant;
 
 use serde_json::{Value, json};
 
@@ -50,6 +51,24 @@ fn events_tell_a_job_from_queue_to_end() {
         }
     }
     server.get("/jobs/01999999-9999-7999-8999-999999999999/events").problem(404, "unknown_job");
+}
+
+#[test]
+fn events_of_a_running_job_are_few() {
+    let data = directory();
+    let server = service(&data).start();
+    let id = server.running();
+    let asked = Instant::now();
+    let stream = events(follow(&server, &format!("/jobs/{id}/events")));
+    let told = stream.take_while(|_| asked.elapsed().as_secs() < 2).count();
+    // One when it is asked, and one in 100 ms at most from then on; what is slow makes them fewer.
+    assert!(
+        told <= 2 + asked.elapsed().as_millis() as usize / 100,
+        "{told} events in {:?}",
+        asked.elapsed()
+    );
+    assert!(told > 1);
+    server.send("POST", &format!("/jobs/{id}/cancel"), &[], Some(b""));
 }
 
 #[test]
