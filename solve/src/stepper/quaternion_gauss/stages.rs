@@ -125,14 +125,14 @@ impl Stages {
         x: &Quaternion<R>,
         d: &Quaternion<R>,
         torque: &Vec3<R>,
-        shrink: R,
+        excess: R,
     ) {
         store(x, &mut self.x);
         store(d, &mut self.d);
-        let weight = given.weight * shrink;
         for i in 0..3 {
             torque[i].store(&mut self.torque[i]);
-            (torque[i] * weight).store(&mut self.push[i]);
+            let push = torque[i] * given.weight;
+            (push + push * excess).store(&mut self.push[i]);
         }
     }
 
@@ -232,21 +232,24 @@ impl<'a, R: Lanes> Given<'a, R> {
         (self.collocated(&self.turning(x, &half)), self.collocated(&z))
     }
 
-    /// tau, the nearness and 1 / |u|^2.
+    /// tau, the nearness and 1 / |u|^2 - 1.
     #[inline(always)]
     fn torque(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
-        let (u, shrink) = self.rotation(x);
+        let (u, excess) = self.rotation(x);
         let (torque, nearness) = self.start.body.torque(&u, self.start.seen);
-        (torque, nearness, shrink)
+        (torque, nearness, excess)
     }
 
-    /// That of u / |u|, and 1 / |u|^2.
+    /// That of u / |u|, and 1 / |u|^2 - 1: a quotient just above one would be rounded up as often as not, and never down, and the
+    /// torque of the stages be too large by that.
     #[inline(always)]
     fn rotation(&self, x: &Quaternion<R>) -> (Mat3<R>, R) {
         let u = Quaternion { w: x.w + 1.0, v: x.v };
-        let shrink = x.w.constant(1.0) / u.square();
+        // |u|^2 - 1
+        let square = (x.w + x.w) + (x.w * x.w + dot(&x.v, &x.v));
+        let excess = -square / (square + 1.0);
         let change = u.change();
-        (with_one(&mat3!(i, j => change[i][j] * shrink)), shrink)
+        (with_one(&mat3!(i, j => change[i][j] + change[i][j] * excess)), excess)
     }
 }
 
@@ -269,7 +272,7 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     let zero = lanes.constant(0.0);
     let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * given.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
-    let (mut torque, _, mut shrink) = given.torque(&x);
+    let (mut torque, _, mut excess) = given.torque(&x);
     for round in 1..=*rounds {
         let omega = given.velocity(&mu);
         let turned = cross(&mu, &omega);
@@ -277,11 +280,11 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
         let half = scaled(&given.velocity(&mu), half_weight);
         x = given.collocated(&given.turning(&x, &half));
         if round % TORQUE_EVERY == 0 {
-            (torque, _, shrink) = given.torque(&x);
+            (torque, _, excess) = given.torque(&x);
         }
     }
     // d = u mu / |u|^2 - p0 u
-    let mu = scaled(&mu, shrink);
+    let mu: Vec3<R> = vec3!(i => mu[i] + mu[i] * excess);
     let (r, s) = (x.rate(&mu), cross(&p, &x.v));
     let d_w = r.w + dot(&p, &x.v);
     let d_v: Vec3<R> = vec3!(i => (mu[i] - p[i]) + (r.v[i] - (p[i] * x.w + s[i])));
@@ -294,8 +297,8 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
         MOST_DEFICIT,
         &Quaternion { w: zero, v: [zero; 3] },
     );
-    let (torque, _, shrink) = given.torque(&x);
-    stages.keep(&given, &x, &d, &torque, shrink);
+    let (torque, _, excess) = given.torque(&x);
+    stages.keep(&given, &x, &d, &torque, excess);
 }
 
 /// Passes over u and d with the torques as they are, then the torques: passes cost a third of them, for they couple the stages
@@ -309,8 +312,8 @@ pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     for _ in 0..start.tableau.passes {
         (x, d) = given.pass(&x, &d, &push);
     }
-    let (torque, nearness, shrink) = given.torque(&x);
-    stages.keep(&given, &x, &d, &torque, shrink);
+    let (torque, nearness, excess) = given.torque(&x);
+    stages.keep(&given, &x, &d, &torque, excess);
     let p = start.momentum[0]
         .abs()
         .max_or_nan(start.momentum[1].abs())
