@@ -145,21 +145,29 @@ pub fn with_one<T: Real>(m: &Mat3<T>) -> Mat3<T> {
     sum
 }
 
-/// The inverse of a symmetric matrix: cofactors over the determinant.
+/// `(2 I + M)^-1 - I / 2` of a symmetric M: `(adj M - 2 M - (tr adj M + det M / 2) I) / det(2 I + M)`, adj M its cofactors.
+///
+/// In small numbers: where M is below 1e-8 an inverse is rounded to one and the same side as often as not.
 #[inline(always)]
-pub fn inverse<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
-    let cofactor_x = *yy * *zz - *yz * *yz;
-    let cofactor_xy = *xz * *yz - *xy * *zz;
-    let cofactor_xz = *xy * *yz - *xz * *yy;
-    let det = *xx * cofactor_x + *xy * cofactor_xy + *xz * cofactor_xz;
-    let scale = det.constant(1.0) / det;
+pub fn inverse_less_half<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
+    let x = *yy * *zz - *yz * *yz;
+    let y = *xx * *zz - *xz * *xz;
+    let z = *xx * *yy - *xy * *xy;
+    let off_yz = *xy * *xz - *xx * *yz;
+    let off_xz = *xy * *yz - *xz * *yy;
+    let off_xy = *xz * *yz - *xy * *zz;
+    let trace = *xx + *yy + *zz;
+    let minors = x + y + z;
+    let det = *xx * x + *xy * off_xy + *xz * off_xz;
+    let common = minors + det * 0.5;
+    let scale = det.constant(1.0) / ((trace + trace + minors) * 2.0 + det + 8.0);
     [
-        cofactor_x * scale,
-        (*xx * *zz - *xz * *xz) * scale,
-        (*xx * *yy - *xy * *xy) * scale,
-        (*xy * *xz - *xx * *yz) * scale,
-        cofactor_xz * scale,
-        cofactor_xy * scale,
+        (x - common - (*xx + *xx)) * scale,
+        (y - common - (*yy + *yy)) * scale,
+        (z - common - (*zz + *zz)) * scale,
+        (off_yz - (*yz + *yz)) * scale,
+        (off_xz - (*xz + *xz)) * scale,
+        (off_xy - (*xy + *xy)) * scale,
     ]
 }
 

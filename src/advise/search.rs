@@ -34,8 +34,9 @@ const WORTH_A_TRY: f64 = 0.93;
 pub(super) const TO_BE_SEEN: f64 = 0.5;
 /// Steps that are tried where a run is followed past its reference.
 const FOLLOWING_TRIES: u32 = 5;
-/// Of the work that is left, what following it may take at first; a smaller step takes more.
+/// Of the work that is left, what following it may take at first; and with a smaller step.
 const FOLLOWED_PART: f64 = 0.3;
+const MENDED_PART: f64 = 0.6;
 /// A run that is not seen to its end is made as many times more accurate.
 const UNSEEN: f64 = 1e3;
 /// Two runs that are so far apart show nothing more of how errors depend on the step.
@@ -274,7 +275,8 @@ impl Trial<'_> {
             };
             let Some(at) = choice.filter(|choice| !choice.sure) else { return Ok(()) };
             if at.seen_s >= time_s {
-                let until_s = *follow_s.get_or_insert_with(|| self.affordable_s(at, watch));
+                let until_s =
+                    *follow_s.get_or_insert_with(|| self.affordable_s(at, FOLLOWED_PART, watch));
                 let order = f64::from(entry.order);
                 let mut harsher = 1.0;
                 *choice = match self.follow(entry, at, until_s, 0, watch)? {
@@ -335,10 +337,10 @@ impl Trial<'_> {
         }
     }
 
-    /// The time to which a choice may be followed, in all members.
-    fn affordable_s(&self, choice: Choice, watch: &Watch) -> f64 {
+    /// The time to which a choice may be followed for that part of the work that is left, in all members.
+    fn affordable_s(&self, choice: Choice, part: f64, watch: &Watch) -> f64 {
         let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
-        let allowed_ns = FOLLOWED_PART * watch.left_ns() as f64 / members as f64;
+        let allowed_ns = part * watch.left_ns() as f64 / members as f64;
         self.duration_s.min(allowed_ns / (RUN_AND_HALF * choice.cost_ns))
     }
 
@@ -352,7 +354,7 @@ impl Trial<'_> {
         &self,
         entry: &Entry,
         mut choice: Choice,
-        until_s: f64,
+        mut until_s: f64,
         member: u64,
         watch: &Watch,
     ) -> Result<Followed, Unmet> {
@@ -366,6 +368,17 @@ impl Trial<'_> {
         let (mut reached, mut least) = (None::<Choice>, None::<(f64, Reference)>);
         let (mut before, mut last) = (None::<(u64, Measured)>, None::<f64>);
         for attempt in 1..=FOLLOWING_TRIES {
+            // What others have taken, and a smaller step takes, is not there any more.
+            if member == 0 {
+                let part = if attempt == 1 { FOLLOWED_PART } else { MENDED_PART };
+                let affordable_s = self.affordable_s(choice, part, watch);
+                // A larger step than one that got there is not worth a shorter look.
+                if affordable_s <= self.far.time_s || (affordable_s < until_s && reached.is_some())
+                {
+                    break;
+                }
+                until_s = until_s.min(affordable_s);
+            }
             let whole = self.steps(choice.step_s, self.duration_s);
             let step_s = self.duration_s / whole as f64;
             let steps = multiple(until_s / step_s * (1.0 - 1e-12), QUARTERS).min(whole);
@@ -412,18 +425,16 @@ impl Trial<'_> {
             } else if reached.is_some() {
                 break;
             }
-            choice.step_s = step_s
-                / if reached.is_some() {
-                    factor.max(0.4)
-                } else if NEARLY_HALF.contains(&factor)
-                    || (attempt > 1 && factor < 2.0)
-                    || !is_mended
-                {
-                    // It has been run already.
-                    2.0
-                } else {
-                    factor.clamp(1.03, 4.0)
-                };
+            let smaller = if reached.is_some() {
+                factor.max(0.4)
+            } else if NEARLY_HALF.contains(&factor) || (attempt > 1 && factor < 2.0) || !is_mended {
+                // It has been run already.
+                2.0
+            } else {
+                factor.clamp(1.03, 4.0)
+            };
+            choice.cost_ns = run.cost_ns / time_s * smaller;
+            choice.step_s = step_s / smaller;
             before = Some((2 * steps, finer));
         }
         if let Some(reached) = reached {

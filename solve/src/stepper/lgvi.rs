@@ -112,8 +112,7 @@ fn scalar(v: &Vector3<f64>) -> Result<f64, Failure> {
     if square < 1.0 { Ok((1.0 - square).sqrt()) } else { Err(too_large(square.sqrt(), 1.0)) }
 }
 
-/// `1 - s = |v|^2 / (1 + s)`. The root of a number next to one is half a number of the machine as often as not, and then always
-/// rounded down: s itself, a quarter of the last digit too small in the mean, takes energy from every turn.
+/// `1 - s = |v|^2 / (1 + s)`, rounded relative to itself: with s, rounded relative to one, the energy of a dipole moved in a line.
 fn deficit(v: &Vector3<f64>, s: f64) -> f64 {
     v.norm_squared() / (1.0 + s)
 }

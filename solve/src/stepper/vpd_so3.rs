@@ -426,8 +426,8 @@ impl VpdSo3 {
                 let change = transposed_product(&small, value);
                 let carried = transposed_product(&small, carry);
                 // Back onto the orbit, off which only rounding takes it.
-                let defect = dot(value, value) / *square - 1.0;
-                let deficit = if *square > 0.0 { -0.5 * defect } else { 0.0 };
+                let deficit = 0.5 * (*square - dot(value, value));
+                let deficit = if *square > 0.0 { deficit / *square } else { 0.0 };
                 let change =
                     vec3!(i => change[i] + (carried[i] + deficit * (value[i] + change[i])));
                 momentum.add(&change);

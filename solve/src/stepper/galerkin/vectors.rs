@@ -33,7 +33,9 @@ use crate::space::{
     symmetric_product, times_hat, transposed_product, vec3, with_one,
 };
 use crate::stepper::motion::unsigned_zeros;
-use crate::stepper::vpd_so3::sweep::{defect, embedded, inverse_of_k, residual, store, stretch_of};
+use crate::stepper::vpd_so3::sweep::{
+    defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
+};
 use crate::stepper::vpd_so3::unknowns::{Inertia, LaneTableau};
 use crate::tableau::Tableau;
 
@@ -239,7 +241,7 @@ struct Step<'a, R> {
     y: Mat3<R>,
     w: Mat3<R>,
     d: Mat3<R>,
-    /// P - I and K(P)^-1.
+    /// P - I and K(P)^-1 - I / 2.
     stretch: Sym3<R>,
     inverse: Sym3<R>,
     f: Quaternion<f64>,
@@ -510,7 +512,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
         self.stretch = stretch_of(&self.attitude, &u, &d);
         self.inverse = inverse_of_k(&self.stretch);
-        let half = symmetric_product(&self.inverse, &residual(&self.attitude, &u, &d));
+        let half = over_k(&self.inverse, &residual(&self.attitude, &u, &d));
         let polar = self.attitude.turned(&scaled(&half, self.lanes.constant(0.5)));
         let Quaternion { w: along, v } = self.collocated();
         let theta = Quaternion { w: (polar.w + -1.0) - along, v: minus(&polar.v, &v) };
@@ -550,7 +552,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             let trace = s[0] + s[1] + s[2];
             let stretched = symmetric_product(&s, omega);
             let load: Vec3<R> = vec3!(i => (stretched[i] - trace * omega[i]) - known[i]);
-            self.x = symmetric_product(&self.inverse, &scaled(&load, self.weight));
+            self.x = over_k(&self.inverse, &scaled(&load, self.weight));
             [_, self.y] = embedded(&u, &self.x, rows);
         }
         // K(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of the Y before
@@ -559,7 +561,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let one = transposed_product(&m, &product(&u, omega));
         let other = transposed_product(&u, &product(&m, omega));
         let load: Vec3<R> = vec3!(i => ((one[i] + other[i]) * 0.5 - trace * omega[i]) - known[i]);
-        self.x = symmetric_product(&self.inverse, &scaled(&load, self.weight));
+        self.x = over_k(&self.inverse, &scaled(&load, self.weight));
         // [T], [Y] and [defect]
         let [t, y] = embedded(&u, &self.x, rows);
         let delta = defect(&f_lambda, [&c, &self.d, &k], &self.w, [&t, &y], columns);
@@ -578,17 +580,17 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
                 self.attitude.rate(&scaled(&self.omega, self.weight * 0.5));
             self.f = Quaternion { w: w.sum() + 1.0, v: vec3!(i => v[i].sum()) }.normalised();
         }
-        let mut inverse = [0.5, 0.5, 0.5, 0.0, 0.0, 0.0];
+        let mut inverse = [0.0; 6];
         if self.given.tableau.stages < MANY {
             inverse = self.turn_end();
         }
         let f = self.f.matrix();
         let pi1: Vec3<f64> = vec3!(i => self.given.start.momentum[i] - self.kappa[i].sum());
-        let lambda = symmetric_product(&inverse, &scaled(&transposed_product(&f, &pi1), -1.0));
+        let lambda = over_k(&inverse, &scaled(&transposed_product(&f, &pi1), -1.0));
         self.f_lambda = times_hat(&f, &lambda);
     }
 
-    /// The polar factor of the end; returns K(P_e)^-1.
+    /// The polar factor of the end; returns K(P_e)^-1 - I / 2.
     fn turn_end(&mut self) -> Sym3<f64> {
         let d: Mat3<f64> = mat3!(i, j => self.w[i][j].sum());
         let mut inverse = [0.0; 6];
@@ -598,7 +600,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             let f = self.f.matrix();
             self.end_stretch = stretch_of(&self.f, &f, &d);
             inverse = inverse_of_k(&self.end_stretch);
-            let half = symmetric_product(&inverse, &residual(&self.f, &f, &d));
+            let half = over_k(&inverse, &residual(&self.f, &f, &d));
             self.f = self.f.turned(&scaled(&half, 0.5));
         }
         inverse

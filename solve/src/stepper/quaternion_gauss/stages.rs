@@ -240,8 +240,8 @@ impl<'a, R: Lanes> Given<'a, R> {
         (torque, nearness, excess)
     }
 
-    /// That of u / |u|, and 1 / |u|^2 - 1: a quotient just above one would be rounded up as often as not, and never down, and the
-    /// torque of the stages be too large by that.
+    /// That of u / |u|, and 1 / |u|^2 - 1: a quotient within 1e-8 above one would be rounded up as often as not, and never down, and
+    /// the torque of the stages be too large by that.
     #[inline(always)]
     fn rotation(&self, x: &Quaternion<R>) -> (Mat3<R>, R) {
         let u = Quaternion { w: x.w + 1.0, v: x.v };

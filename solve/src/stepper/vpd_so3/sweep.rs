@@ -39,6 +39,8 @@
 //! It is the same momentum where the equations are solved. On the way there one or two stages need a tenth more sweeps of it, many need
 //! fewer, and converge at steps a tenth longer.
 //!
+//! For the same reason K(P)^-1 is kept less I / 2 (docs/derivation.md, section 4).
+//!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the sweep before. At the end U^T A is symmetric, and P its polar
 //! factor. What a correction brings about itself at the other stages is added to first order, with all turns and stretches
@@ -52,8 +54,8 @@
 use super::unknowns::{LaneTableau, RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
 use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
 use crate::space::{
-    Mat3, Quaternion, Sym3, Vec3, asym_of_product, cross, dot, inverse, mat3, minus, plus, product,
-    scaled, symmetric_product, times_hat, transposed, transposed_matrix_product,
+    Mat3, Quaternion, Sym3, Vec3, asym_of_product, cross, dot, inverse_less_half, mat3, minus,
+    plus, product, scaled, symmetric_product, times_hat, transposed, transposed_matrix_product,
     transposed_product, vec3, vee_asym, with_one,
 };
 
@@ -142,9 +144,9 @@ pub(super) fn guess<R: Stages>(
     store_turn(&attitude, &mut unknowns.attitude);
     store(&momentum, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
-    // K(I)^-1
-    for (i, entry) in unknowns.inverse.iter_mut().enumerate() {
-        lanes.constant(if i < 3 { 0.5 } else { 0.0 }).store(entry);
+    // That of K(I).
+    for entry in &mut unknowns.inverse {
+        lanes.constant(0.0).store(entry);
     }
     end.w.store(&mut unknowns.end.w);
     for i in 0..3 {
@@ -186,7 +188,7 @@ pub(super) fn sweep<R: Stages>(
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
         let turned = transposed_product(&m, &turned_out);
         let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + push[i]));
-        let next = symmetric_product(inverse_k, &load);
+        let next = over_k(inverse_k, &load);
         // What it brings about itself.
         let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
         let follows = cross(omega, &change);
@@ -312,7 +314,7 @@ fn kinematics<R: Stages>(
     let mut stretch = inverse_k;
     for pass in 1..=passes {
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
-        let half = symmetric_product(&inverse_k, &residual(&attitude, &u, &d));
+        let half = over_k(&inverse_k, &residual(&attitude, &u, &d));
         let half = scaled(&half, lanes.constant(0.5));
         // What it brings about itself, through the velocities.
         let faster = inertia.divides(&cross(&plus(&momentum, &turned_by), &half));
@@ -346,7 +348,7 @@ struct EndPoint<R: Stages> {
     change: Mat3<R::Whole>,
     /// P_e - I.
     stretch: Sym3<R::Whole>,
-    /// K(P_e)^-1.
+    /// K(P_e)^-1 - I / 2.
     inverse: Sym3<R::Whole>,
 }
 
@@ -366,7 +368,7 @@ fn end_point<R: Stages>(
     let f = end.matrix();
     let stretch = stretch_of(&end, &f, &d);
     let inverse = inverse_of_k(&stretch);
-    let half = symmetric_product(&inverse, &residual(&end, &f, &d));
+    let half = over_k(&inverse, &residual(&end, &f, &d));
     let half = scaled(&half, whole.constant(0.5));
     let end = end.turned(&half);
     for i in 0..6 {
@@ -430,7 +432,7 @@ fn end_momentum<R: Stages>(
 ) -> EndMomentum<R> {
     let gain = plus(kick, &transposed_product(change, pi1));
     let p1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + gain[i]);
-    let lambda = symmetric_product(inverse, &vec3!(i => -p1[i]));
+    let lambda = over_k(inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(change), &lambda);
     EndMomentum { gain, p1, lambda, f_lambda }
 }
@@ -446,7 +448,7 @@ fn embedded_momenta<R: Stages>(
     y: &Mat3<R>,
 ) -> Vec3<R> {
     // -vee asym(f hat(lambda)) - p0
-    let stretched = symmetric_product(inverse, &k_less_two(stretch, p1));
+    let stretched = over_k(inverse, &k_less_two(stretch, p1));
     let beyond = vee_asym(&times_hat(change, lambda));
     let common: Vec3<R> = vec3!(i => lanes.spread(gain[i] - (stretched[i] + beyond[i])));
     let turned_off = [
@@ -547,10 +549,17 @@ pub(in crate::stepper) fn stretch_of<T: Real>(
     ]
 }
 
-/// `(tr(P) I - P)^-1` for `P = I + E`.
+/// `K(P)^-1 - I / 2` for `P = I + E`: K(P) = 2 I + tr(E) I - E.
 #[inline(always)]
 pub(in crate::stepper) fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
-    inverse(&[*yy + *zz + 2.0, *xx + *zz + 2.0, *xx + *yy + 2.0, -*yz, -*xz, -*xy])
+    inverse_less_half(&[*yy + *zz, *xx + *zz, *xx + *yy, -*yz, -*xz, -*xy])
+}
+
+/// `K(P)^-1 v` by that.
+#[inline(always)]
+pub(in crate::stepper) fn over_k<T: Real>(inverse: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+    let rest = symmetric_product(inverse, v);
+    vec3!(i => v[i] * 0.5 + rest[i])
 }
 
 #[inline(always)]
