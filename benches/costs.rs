@@ -207,7 +207,7 @@ fn timed(method: &str, tableau: &str, n: usize, kinds: &[&str], count: usize, tu
     if first.step_ns < second.step_ns { first } else { second }
 }
 
-/// A body that turns by about `turn_rad` a step, with so many terms of the kinds in turn, which together pull about as
+/// A body that turns by about `turn_rad` a step, with `count` terms of the kinds in turn, which together pull about as
 /// much as one.
 fn scenario(
     method: &str,

@@ -46,7 +46,7 @@ REAL = np.longdouble
 ROUNDING = 2.0**-53
 # By this a start is moved.
 MOVED = REAL(1e-16)
-# A reference is known at so many times.
+# Number of intervals in the time grid of a reference.
 GRID = 2000
 
 

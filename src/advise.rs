@@ -35,13 +35,13 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
-/// Of steps that are harder a few are made, of so much work; one that has not ended by then is taken for so many times as hard.
+/// Of harder steps `FEW_STEPS` are made, within `HARD_NS` of work; one unfinished by then counts as `UNENDED` times as hard.
 const FEW_STEPS: u64 = 4;
 const HARD_NS: f64 = 3e8;
 const UNENDED: f64 = 4.0;
 /// Steps that took so long, in nanoseconds, are not timed again: what others take of the machine's time matters little then.
 const LONG_NS: f64 = 2e7;
-/// Steps that adapt are not all alike: of these so many times more.
+/// Steps that adapt are not all alike: they are given this many times more work.
 const OWN_STEPS_MORE: f64 = 30.0;
 /// Easy steps of the scene that pilots are worth.
 const PILOT_STEPS: f64 = 600.0;
@@ -310,7 +310,7 @@ fn work_of_steps(plan: &Plan, member: u64) -> Result<First, ScenarioError> {
     Ok(First { steps: run.steps, work, fails: first_failed, hard_ns, ns })
 }
 
-/// So many first steps of a member's run, as far as so much work goes.
+/// The first `steps` steps of a member's run, or those that fit into `most_ns` of work.
 fn first_steps(
     plan: &Plan,
     member: u64,

@@ -379,7 +379,7 @@ impl Comparison {
         self.over_time.push(found);
     }
 
-    /// Over time in so many rows at most, each with the largest differences since the one before.
+    /// Over time in at most `most` rows, each with the largest differences since the one before.
     pub fn rows(&self, most: usize) -> Vec<Difference> {
         thinned(&self.over_time, self.over_time.len().div_ceil(most.max(1)).max(1))
     }

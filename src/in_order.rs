@@ -15,7 +15,7 @@ pub(crate) fn cores() -> usize {
     thread::available_parallelism().map_or(1, NonZeroUsize::get)
 }
 
-/// Hands out `places`, `width` at a time, to `workers` on so many threads, and gives what they make of them to `put`, in order.
+/// Hands out `places`, `width` at a time, to `worker` on each of `threads` threads, and gives the results to `put`, in order.
 /// A worker returns `None` if it leaves early, while places may be left.
 ///
 /// # Errors
@@ -96,7 +96,7 @@ struct Places {
 }
 
 impl Queue {
-    /// So many places may be done before one that is slow.
+    /// At most this many places may be done ahead of a slow one.
     const AHEAD: u64 = 1024;
 
     fn new(places: &Range<u64>, width: u64) -> Self {

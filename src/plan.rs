@@ -232,7 +232,7 @@ impl EnsemblePlan {
     const WAYPOINTS_OF_ALL: u64 = 1 << 20;
     const LEAST_WAYPOINTS: u64 = 8;
 
-    /// Samples from a point on the way of a member to the next, of so many samples.
+    /// Samples from a point on the way of a member to the next; the member takes `samples` samples.
     pub fn samples_per_waypoint(&self, samples: u64) -> u64 {
         let points = Self::WAYPOINTS_OF_ALL / self.members.max(1);
         let points = points.clamp(Self::LEAST_WAYPOINTS, Self::MOST_WAYPOINTS);
@@ -240,7 +240,7 @@ impl EnsemblePlan {
         samples.saturating_sub(1).div_ceil(points - 1).max(1)
     }
 
-    /// Points on the way of a member that takes so many samples.
+    /// Points on the way of a member that takes `samples` samples.
     pub(crate) fn waypoints(&self, samples: u64) -> u64 {
         1 + samples.saturating_sub(1).div_ceil(self.samples_per_waypoint(samples))
     }
@@ -369,7 +369,7 @@ impl Plan {
         Ok(Self { asked: asked.clone(), ..Self::new(&settled)? })
     }
 
-    /// A step in seconds that a Gauss tableau of so many stages takes easily where steps adapt.
+    /// A step in seconds that a Gauss tableau of `stages` stages takes easily where steps adapt.
     pub(crate) fn easy_own_step_s(&self, stages: usize) -> f64 {
         let asked = Adaptive::default();
         let terms = &self.model.terms;

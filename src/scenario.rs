@@ -401,7 +401,7 @@ impl ScenarioError {
     }
 }
 
-/// A text of at most so many characters: beginning and end of a longer one.
+/// A text of at most `most` characters: beginning and end of a longer one.
 fn shortened(text: String, most: usize) -> String {
     let count = text.chars().count();
     if count <= most {

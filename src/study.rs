@@ -91,7 +91,7 @@ impl Watch {
     }
 }
 
-/// What a study makes of each of its methods, in their order, on so many threads. Not for times.
+/// What a study makes of each of its methods, in their order, on `threads` threads. Not for timings.
 fn of_each<T: Send>(
     entries: &[Entry],
     threads: usize,

@@ -420,7 +420,7 @@ impl Counts {
 /// How a sweep is run.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// On so many threads.
+    /// Number of threads.
     pub threads: usize,
     /// This part of it alone; the table is then one for [`merge`].
     pub shard: Option<Shard>,

@@ -273,7 +273,7 @@ impl Whole for f64 {
     }
 }
 
-/// A sum of so many terms by halves: the order of the additions does not depend on the lanes, and they do not
+/// The sum of the given number of terms by halves: the order of the additions does not depend on the lanes, and they do not
 /// wait for one another.
 macro_rules! by_halves {
     (1, $term:ident) => {
@@ -602,7 +602,7 @@ impl<S: Simd> Whole for f64x8<S> {
     }
 }
 
-/// So many stages, what belongs to the step as a whole, and the stages as they lie in memory.
+/// Rows of `$stages` stages: `$whole` is what belongs to the step as a whole, `$plain` the stages as they lie in memory.
 macro_rules! stages_in_turn {
     ($stages:tt, $whole:ty, $plain:ty, $group:tt $(, $simd:ident)?) => {
         impl$(<$simd: Simd>)? Stored for Rows<$whole, $stages> {

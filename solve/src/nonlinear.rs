@@ -86,15 +86,15 @@ const ROUND_OFF_FLOOR: f64 = 1e-12;
 const FAST: f64 = 0.1;
 /// A sweep is spared if it would change less than this part of the tolerance: what is left out is biased, and a tenth of the tolerance at each step shows as a drift of the energy.
 const FORESEEN: f64 = 1e-2;
-/// After so many sweeps it is judged whether they converge: over the last so many ...
+/// Number of sweeps after which convergence is judged, and number of latest sweeps over which ...
 const TRIAL: u32 = 16;
 const TRIAL_SPAN: usize = 4;
 /// ... the increment must have fallen to this part. Slower than that Newton's method is quicker.
 const SLOW: f64 = 0.1;
-/// So many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
+/// This many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
 /// carry the unknowns round a few neighbouring numbers, the increment falling and rising by turns.
 const CYCLE: u32 = 6;
-/// So many sweeps in a row without progress are divergence, not a transient.
+/// This many sweeps in a row without progress are divergence, not a transient.
 const PATIENCE: u32 = 3;
 
 /// Which rung of the solver made the step.

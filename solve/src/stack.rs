@@ -43,7 +43,7 @@ impl<const N: usize> Dimension for Known<N> {
 /// The most rows that there are.
 const LARGEST: usize = 32;
 
-/// So many rows, up to 32.
+/// This many rows, up to 32.
 #[derive(Clone, Copy, Debug)]
 pub struct Any(pub usize);
 
@@ -71,7 +71,7 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// So many zeros.
+    /// `count` zeros.
     pub fn zeros(count: usize) -> Self {
         /// Bytes of a line.
         const LINE: usize = 64;

@@ -28,7 +28,7 @@ impl Default for Work {
 }
 
 impl Work {
-    /// At most so many sweeps, and none once `stop` is set.
+    /// At most `most_sweeps` sweeps, and none once `stop` is set.
     pub fn limited(most_sweeps: u64, stop: Arc<AtomicBool>) -> Self {
         let none = || Cell::new(0);
         Self {

@@ -140,7 +140,7 @@ pub(super) struct Trial<'a> {
     pub(super) far: Reference,
 }
 
-/// So many steps or a few more, a multiple of `of`.
+/// `steps` or a few more, a multiple of `of`.
 fn multiple(steps: f64, of: u64) -> u64 {
     of * (steps / of as f64).ceil().max(1.0) as u64
 }
@@ -211,7 +211,7 @@ impl Trial<'_> {
         cheapest: f64,
         watch: &Watch,
     ) -> Result<(Option<Choice>, Option<f64>), StudyError> {
-        /// What costs so many times more by its usual sweeps is not even tried.
+        /// What costs this many times more by its usual sweeps is not even tried.
         const TOO_DEAR: f64 = 6.0;
         let (time_s, goal) = (self.near.time_s, self.goal());
         let unit = self.unit(time_s);

@@ -37,7 +37,7 @@ pub(super) struct SweepArgs {
     /// sweep keeps go into a folder next to it.
     #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv")]
     output: Option<PathBuf>,
-    /// Run on so many threads; by default on all cores.
+    /// Number of threads; by default one for each core.
     #[arg(long, value_name = "N")]
     threads: Option<NonZeroUsize>,
     /// Make this part of the table alone, for `vpd merge`: 1/N to N/N.

@@ -106,7 +106,7 @@ impl Points {
         halve(&mut self.high, f64::max);
     }
 
-    /// Makes points of so many samples each, at least.
+    /// Makes points of at least `each` samples.
     fn coarsen(&mut self, each: u64) {
         while self.each < each {
             self.halve();
@@ -190,7 +190,7 @@ impl Curves {
         }
     }
 
-    /// What a log of so many samples has attached, by names.
+    /// What a log of `samples` samples has attached, by name.
     pub(super) fn overviews(self, samples: u64) -> impl Iterator<Item = (String, Overview)> {
         let curves = Curve::ALL.into_iter().zip(self.points);
         let long = move |(_, points): &(Curve, Points)| {
@@ -209,7 +209,7 @@ impl Curves {
     }
 }
 
-/// About how many bytes the overviews of so many samples take with all channels, in the log and before.
+/// About how many bytes the overviews of `samples` samples take with all channels, in the log and before.
 pub(crate) fn bytes(samples: u64, n: usize) -> u64 {
     if samples < LEAST_SAMPLES {
         return 0;
@@ -223,7 +223,7 @@ pub(crate) fn bytes(samples: u64, n: usize) -> u64 {
     fine as u64 * (COARSER + 1) / COARSER
 }
 
-/// Points of a quantity with so many components.
+/// Points of a quantity with this many components.
 fn limit(components: usize) -> Option<usize> {
     let points = (VALUES / components.max(1)).min(POINTS.end);
     (components > 0 && points >= POINTS.start).then_some(points)

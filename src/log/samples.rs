@@ -255,8 +255,7 @@ struct Inside {
 }
 
 impl Inside {
-    /// `None` if the overview has no more than half of the points that are wanted of the window: so many the samples give
-    /// as well.
+    /// `None` if the overview has at most half of the points wanted of the window: the samples give as many.
     fn of(overview: Points, window: &Range<u64>, last_ns: u64, wanted: usize) -> Option<Self> {
         let times = &overview.since_ns;
         let first = times.partition_point(|&since_ns| since_ns < window.start);

@@ -321,7 +321,7 @@ const fn state_bytes(n: usize) -> u64 {
     (8 * (n * n + 2 * so::dimension(n)) + if n == 3 { 32 } else { 0 }) as u64
 }
 
-/// About how many bytes the end of a member of an ensemble takes before compression, with so many points on its way.
+/// About how many bytes the end of a member of an ensemble takes before compression, with `waypoints` points on its way.
 pub const fn bytes_per_member(n: usize, waypoints: u64) -> u64 {
     const FIGURES: u64 = 180;
     const TIME: u64 = 8;

@@ -53,7 +53,7 @@ impl OwnSteps {
 }
 
 impl Model {
-    /// A step in seconds that a tableau of so many stages takes easily in a time of its own. Near a source of strength s at
+    /// A step in seconds that a tableau of `stages` stages takes easily in a time of its own. Near a source of strength s at
     /// the distance d turns go as fast as `sqrt(s |y|^2 / (J d^3))`, and sigma takes the last of it away, so what is left is
     /// about the sum of the squares with near in the place of d, of those of the other terms, and of the start.
     pub(super) fn easy_own_step_s(&self, near_m: &[f64], stages: usize) -> f64 {

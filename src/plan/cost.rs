@@ -285,7 +285,7 @@ impl Plan {
         self.work_ns(Counts { steps, sweeps: 1.0, passes, gradients, pieces }).max(1.0)
     }
 
-    /// The same of steps that adapt, by a Gauss tableau of so many stages.
+    /// The same for steps that adapt, by a Gauss tableau of `stages` stages.
     pub(crate) fn own_sweep_cost_ns(&self, stages: usize) -> f64 {
         let Some(tableau) = Tableau::gauss(stages) else { return self.sweep_cost_ns() };
         let mut adapting = self.clone();
@@ -295,7 +295,7 @@ impl Plan {
         adapting.sweep_cost_ns()
     }
 
-    /// What the method's parts cost with so many stages, in this dimension.
+    /// What the method's parts cost with this number of stages, in this dimension.
     fn scheme(&self) -> Scheme {
         let Formulation { method, stages, .. } = self.formulation;
         // More stages than lanes go the way of general n.
@@ -365,7 +365,7 @@ impl Plan {
         kinds.into_iter().map(|(kind, count)| count * of_one(kind)).sum()
     }
 
-    /// About what a sample of so many bytes costs: its figures, its messages and its part of a compressed chunk.
+    /// About what a sample of `raw` bytes costs: its figures, its messages and its part of a compressed chunk.
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let matrix_ns = if self.dimension == 3 { 200.0 } else { 50.0 * n * n };
@@ -385,7 +385,7 @@ impl Plan {
         self.written_ns(raw) + matrices * matrix_ns + of(energy, 0.5) * self.terms_cost_ns()
     }
 
-    /// About what it costs to write so many bytes of a sample. What repeats itself is compressed in half the time.
+    /// About what it costs to write `raw` bytes of a sample. What repeats itself is compressed in half the time.
     fn written_ns(&self, raw: u64) -> f64 {
         let part = if self.formulation.motion == Motion::AtRest { 0.5 } else { 1.0 };
         part * WRITTEN_BYTE_NS * raw as f64
@@ -418,7 +418,7 @@ impl EnsemblePlan {
     const KEPT_BYTES: f64 = 40.0;
 }
 
-/// About what is left of so many bytes, `dense` of them numbers whose digits nobody can guess.
+/// About how many bytes `raw` bytes compress to, `dense` of them numbers whose digits are unpredictable.
 fn compressed(raw: u64, dense: u64, compression: Compression) -> f64 {
     let (of_dense, of_rest) = match compression {
         Compression::Zstd => (0.98, 0.5),
@@ -428,7 +428,7 @@ fn compressed(raw: u64, dense: u64, compression: Compression) -> f64 {
     dense as f64 * of_dense + (raw - dense) as f64 * of_rest
 }
 
-/// Samples of so many bytes, each of which takes so long to compute, in a chunk of the log. A chunk is what a
+/// Samples of `sample_bytes` bytes, each computed in `sample_s` seconds, in a chunk of the log. A chunk is what a
 /// viewer fetches at once, and what a kill costs: `docs/decisions/0004-the-log-is-the-checkpoint.md`.
 fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
     const USUAL_BYTES: u64 = 512 << 10;

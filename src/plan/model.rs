@@ -105,7 +105,7 @@ impl Model {
         Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
     }
 
-    /// What is kept of the momentum, and logged as its drift, where torques push and the potential leaves so many of n
+    /// What is kept of the momentum, and logged as its drift, where torques push and the potential leaves `free` of n
     /// directions free; `None` of a scene that is not pushed, or that leaves none.
     pub(super) fn momentum_balance(
         &self,

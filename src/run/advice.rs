@@ -25,8 +25,8 @@ use crate::solve::tableau::Tableau;
 use crate::solve::trajectory::{Checkpoint, Pace, Schedule, State};
 use crate::solve::work::Work;
 
-/// Work of a search in nanoseconds, by the plan's figures: so many runs like the one that failed, but no less than the
-/// first and no more than the second.
+/// Work of a search in nanoseconds, by the plan's figures: this many runs like the one that failed, but at least
+/// `LEAST_NS` and at most `MOST_NS`.
 const RUNS: f64 = 100.0;
 const LEAST_NS: f64 = 6e8;
 const MOST_NS: f64 = 2e9;
@@ -53,7 +53,7 @@ pub(super) struct Patience {
 }
 
 impl Patience {
-    /// For one of so many members of a run.
+    /// For one of `members` members of a run.
     pub(super) fn of(plan: &Plan, control: &Control, members: u64) -> Self {
         let most_ns = (RUNS * plan.work_s * 1e9).clamp(LEAST_NS, MOST_NS);
         let most = |sweep_ns: f64| (most_ns / sweep_ns / members.max(1) as f64) as u64;
@@ -261,11 +261,11 @@ impl<const N: usize> Search<'_, N> {
         self.travels((&last, reached_s), step_s, count(left).min(span.steps))
     }
 
-    /// Makes so many steps from a state at a time.
+    /// Makes `steps` steps from a state at time `from_s`.
     fn travels(&mut self, (from, from_s): (&State<N>, f64), step_s: f64, steps: u64) -> Went {
         /// The round-off of the potential is no loss.
         const ROUND_OFF: f64 = 1e-9;
-        /// So many times what may be lost ends a try at once.
+        /// A loss of this many times what may be lost ends a try at once.
         const GONE: f64 = 4.0;
         let Self { body, stepper, start, adapts, nearest, .. } = self;
         let every = steps.div_ceil(LOOKS);

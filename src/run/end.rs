@@ -71,7 +71,7 @@ impl<'a> Asked<'a> {
         Self { step_s, steps, members, expect, warnings }
     }
 
-    /// So many steps of one trajectory.
+    /// `steps` steps of one trajectory.
     pub(super) fn steps(step_s: f64, steps: u64) -> Self {
         Self { step_s, steps, members: None, expect: None, warnings: &[] }
     }

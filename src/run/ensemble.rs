@@ -197,7 +197,7 @@ impl Ensemble<'_> {
         Ok(())
     }
 
-    /// Closes the chunk behind so many ends: an interrupted run goes on from there.
+    /// Closes the chunk after `ends` ends: an interrupted run resumes from there.
     fn checkpoint(&self, log: &mut LogWriter, ends: u64) -> Result<(), LogError> {
         let checkpoint = messages::Checkpoint {
             step: ends * self.plan.steps,

@@ -81,7 +81,7 @@ impl Ensemble {
     /// The most members logged in full in addition to member 0: with it, as many as go side by side.
     pub const MOST_IN_FULL: usize = 7;
 
-    /// So many members that are not spread yet.
+    /// `members` members that are not spread yet.
     pub fn of(members: u64) -> Self {
         Self {
             members,

@@ -141,7 +141,7 @@ impl Limits {
     }
 }
 
-/// A `log.every_s` that the scenario is accepted with, of at least so many steps of the plan.
+/// A `log.every_s` that the scenario is accepted with, of at least `every` steps of the plan.
 fn spacing_s(plan: &Plan, every: u64) -> f64 {
     let spacing_s = twelve_digits(every as f64 * plan.step_s);
     match (plan.asked.step_s, plan.asked.duration_s) {

@@ -30,7 +30,7 @@ pub(super) fn within(limits: Limits, workers: usize, with_viewers: bool) -> Limi
     Limits { connections, ..limits }
 }
 
-/// How many connections so many handles carry next to the workers and those who follow.
+/// How many connections `granted` handles carry in addition to the workers and viewers.
 fn connections(granted: u64, workers: u64, viewers: u64) -> usize {
     let kept = STORE.saturating_add(WORKER.saturating_mul(workers)).saturating_add(viewers);
     let free = granted.saturating_sub(kept);

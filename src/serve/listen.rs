@@ -64,7 +64,7 @@ struct Places {
 /// Connections beyond a limit that are answered so at the same time, at most.
 pub(super) const REFUSALS: usize = 128;
 
-/// How many are, if so many connections are allowed; more are closed.
+/// How many are answered so if `connections` are allowed; more are closed.
 pub(super) fn refusals(connections: usize) -> usize {
     (connections / 4).clamp(1, REFUSALS)
 }

@@ -54,7 +54,7 @@ pub(super) struct Metrics {
 }
 
 impl Metrics {
-    /// With so many things in the data directory that a start set aside.
+    /// `aside` is the number of things in the data directory that a start set aside.
     pub(super) fn new(aside: usize) -> Self {
         let mut metrics = Self {
             registry: Registry::with_prefix("vpd"),
@@ -119,7 +119,7 @@ impl Metrics {
         self.accepted.inc();
     }
 
-    /// A job has ended, with a log of so many bytes.
+    /// A job has ended, with a log of `log_bytes` bytes.
     pub(super) fn end(&self, record: &Record, log_bytes: u64) {
         self.ended.get_or_create(&OfState { state: record.state }).inc();
         self.steps.inc_by(record.steps_done);

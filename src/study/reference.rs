@@ -116,9 +116,9 @@ pub struct Reference {
     method: Method,
 }
 
-/// Solutions are compared at so many times; their steps come in multiples of it.
+/// Solutions are compared at this many times; their steps come in multiples of it.
 pub(crate) const QUARTERS: u64 = 4;
-/// And those of a reference of at least [`LONG_STEPS`] at so many.
+/// Those of a reference of at least [`LONG_STEPS`] are compared at this many.
 const SIXTY_FOURTHS: u64 = 64;
 const LONG_STEPS: u64 = 512;
 /// What a rough family misses by less than this is tried with the other.
@@ -149,7 +149,7 @@ const MOST_DIRECTIONS: usize = 3;
 const FAR_FROM_IT: f64 = 1e-2;
 /// Growth by less may be that of a power of time: of as many radians as a reference may have.
 const CARRIED_OFF: f64 = 1e6;
-/// The second family may differ by so many errors of the first, its own round-off having grown as well. If it differs by
+/// The second family may differ by this many errors of the first, its own round-off having grown as well. If it differs by
 /// more, two solutions of the first have met by luck: its error is taken for as much larger.
 const OTHER_ROUND_OFF: f64 = 100.0;
 

@@ -64,7 +64,7 @@ pub struct Cell {
 /// and the steps meet again after a few of them, and what each step does wrong adds up.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Resonance {
-    /// So many steps make one swing.
+    /// Number of steps in one swing.
     pub steps_per_swing: u32,
     /// The window, in seconds: the steps tried on either side of it that keep the energy.
     pub window_s: [f64; 2],
@@ -114,13 +114,13 @@ const SWEEP: usize = 24;
 const TURNS_RAD: (f64, f64) = (0.03, 6.0);
 /// Steps of each run: long enough for an instability to show, and a drift.
 const RUN_STEPS: u64 = 4000;
-/// A drift is one that goes on in a run so many times as long. What only swings slower than a run comes back.
+/// A drift is one that goes on in a run this many times as long. What only swings slower than a run comes back.
 const LONGER: u64 = 4;
-/// By at least so much: by [`LONGER`] if it is steady; on the dipole by 1.9 to 5, and by 1.2 at most where it swings.
+/// By at least this factor: by [`LONGER`] if it is steady; on the dipole by 1.9 to 5, and by 1.2 at most where it swings.
 const GOES_ON: f64 = 1.5;
 /// Steps of each run that are held against where they should have ended, in addition to the one that begins fastest.
 const CHECKED_STEPS: usize = 8;
-/// The step beyond the border is at most so many times the largest usable one.
+/// The step beyond the border is at most this many times the largest usable one.
 const BORDER_RATIO: f64 = 1.05;
 /// An energy error beyond this part of the kinetic energy is no integration.
 const MEANINGLESS: f64 = 0.1;
@@ -132,13 +132,13 @@ const WRONG_BRANCH: f64 = 1.0;
 /// Steps to a swing of the resonances that are looked for. That of order m grows by the nonlinearity of degree m - 1 and is
 /// the weaker the larger m is; with two steps a swing the scheme is at its border.
 const STEPS_PER_SWING: [u32; 2] = [4, 3];
-/// A step is moved so many times at most until its swing is that of the resonance ...
+/// A step is moved at most this many times until its swing is that of the resonance ...
 const AIMS: u32 = 3;
 /// ... to this part.
 const AIMED: f64 = 2e-3;
 /// The steps about it that are tried; windows are some hundredths wide.
 const ABOUT: [f64; 9] = [0.955, 0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03, 1.045];
-/// An energy error so many times that of the steps on either side is a resonance.
+/// An energy error this many times that of the steps on either side is a resonance.
 const STANDS_OUT: f64 = 3.0;
 /// Samples from which the strongest swing is found.
 const SWING_SAMPLES: usize = 1024;

@@ -492,7 +492,7 @@ def test_share():
 
 
 def all_of(bench, text, count):
-    """Seconds for each of so many jobs, and for submitting them all."""
+    """Seconds for each of `count` jobs, and for submitting them all."""
     begun = time.monotonic()
     jobs = [bench.submit(text) for _ in range(count)]
     submitted_s = time.monotonic() - begun

@@ -1,6 +1,6 @@
 /* Makes the n-th change of a file below a directory fail, for the fault tests. Preloaded into the real
  * binary; driven through a file that both sides map:
- *   [0] calls left before the fault (0: disarmed)  [1] errno, or -1: abort  [2] so many calls after it fail as well
+ *   [0] calls left before the fault (0: disarmed)  [1] errno, or -1: abort  [2] number of calls after it that fail as well
  *   [3] faults given                               [4] calls seen while armed
  */
 #define _GNU_SOURCE

@@ -618,7 +618,7 @@ pub(crate) fn table() -> Vec<Bad> {
     add(with(accurate(), "/duration_s", "3.9e9"), "/duration_s");
     add(without(accurate(), "/duration_s"), "");
 
-    // Samples so many seconds apart.
+    // Samples `every_s` seconds apart.
     let spaced = |every_s: &str| {
         let mut spaced = dipole();
         spaced["log"] = json!({});

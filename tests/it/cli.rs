@@ -445,7 +445,7 @@ fn a_log_is_not_written_under_the_name_of_a_table() {
     assert!(text(&refused.stderr).contains("name it .mcap"), "{}", text(&refused.stderr));
 }
 
-/// The dipole with so many steps, each in the log.
+/// The dipole with `steps` steps, each in the log.
 fn every_step(steps: &str) -> Vec<String> {
     let steps = format!("/steps={steps}");
     ["run", &scenario("dipole"), "-o", "it.mcap", "--set", &steps, "--set", "/log/every=1"]

@@ -21,7 +21,7 @@ use vpd::study::Watch;
 const SCENES: usize = 200;
 /// Estimated time of the steps that are made; at least one is.
 const RUN_NS: f64 = 2e7;
-/// What counts is the least time of so many runs: others have the machine, too.
+/// What counts is the shortest time of this many runs: the machine is shared.
 const RUNS: usize = 3;
 
 struct Draw(u64);

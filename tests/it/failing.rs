@@ -135,7 +135,7 @@ enum End {
     Unadvised(f64, String, Option<f64>),
     /// A step of the first size failed, and one of the second was advised, which does not carry the run.
     Misled(f64, f64),
-    /// So many times the advised step would have done.
+    /// A step of `caution` times the advised one would have sufficed.
     Advised { caution: f64 },
 }
 

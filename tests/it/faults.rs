@@ -38,7 +38,7 @@ impl Random {
     }
 }
 
-/// A dipole of so many steps, every fifth of them logged: a chunk, and so a checkpoint, each 30 ms or so.
+/// A dipole of `steps` steps, every fifth of them logged: a chunk, and so a checkpoint, each 30 ms or so.
 fn dipole(steps: u64) -> Value {
     let mut scenario: Value =
         serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");

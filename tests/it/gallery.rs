@@ -73,7 +73,7 @@ fn rooms() -> Vec<(PathBuf, Room)> {
         .collect()
 }
 
-/// The scenario of a case with so many steps.
+/// The scenario of a case with `steps` steps.
 fn scenario(room: &Room, case: &Case, step_s: f64, steps: u64, every: u64) -> String {
     json!({
         "name": "gallery", "scene": room.scene, "method": case.method, "step_s": step_s, "steps": steps,

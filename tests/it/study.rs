@@ -77,7 +77,7 @@ fn so_does_that_of_driven_scenes() {
     table_of("dual-spin", 10.0, 5);
 }
 
-/// A study of a shipped scene up to a time, in which at least so many orders are to be seen.
+/// A study of a shipped scene up to a time, in which at least `orders` orders must show.
 fn table_of(name: &str, until_s: f64, orders: usize) {
     let scene = shipped(name);
     let entries = usual_methods(&scene);

@@ -512,7 +512,7 @@ fn begun(at: &Path, arguments: &[&str]) -> Child {
         .expect("the binary starts")
 }
 
-/// Waits until an unfinished table has so many lines, or is finished; whether it has them.
+/// Waits until an unfinished table has `count` lines, or is finished; whether it has them.
 fn has_lines(at: &Path, table: &str, count: usize) -> bool {
     let part = at.join(format!("{table}.part"));
     loop {

@@ -287,7 +287,7 @@ impl Time {
 
     /// `rate t + phase` less whole turns, to round-off of a turn however late it is.
     fn angle(self, rate: f64, phase: f64) -> f64 {
-        /// 2 pi in three parts (Cody and Waite 1980): so many times the first, of 24 bits, is exact.
+        /// 2 pi in three parts (Cody and Waite 1980): the first has 24 bits, and its product with the turns is exact.
         const HIGH: f64 = 6.283_185_482_025_146_5;
         const LOW: f64 = std::f64::consts::TAU - HIGH;
         const LOWEST: f64 = 2.449_293_598_294_706_4e-16;

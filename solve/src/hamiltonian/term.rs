@@ -143,7 +143,7 @@ macro_rules! declare {
                 }
             }
 
-            /// The same law, so many times as strong.
+            /// The same law, `factor` times as strong.
             pub(super) fn times(&self, factor: f64) -> Self {
                 let mut law = self.clone();
                 match &mut law {

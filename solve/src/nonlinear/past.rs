@@ -8,7 +8,7 @@
 use super::{Convergence, Equations, Progress, Rungs, Solver, swept};
 use crate::failure::Failure;
 
-/// So many steps are remembered.
+/// Number of steps that are remembered.
 const DEPTH: usize = 8;
 
 /// `z_{n+1} = sum_i (-1)^i C(DEPTH, i + 1) z_{n-i}`

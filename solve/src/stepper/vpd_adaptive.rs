@@ -78,7 +78,7 @@ impl<const N: usize> VpdAdaptive<N> {
 }
 
 impl<const N: usize> VpdAdaptive<N> {
-    /// The same with own steps of so many seconds.
+    /// The same with own steps of `longest_s` seconds.
     pub fn with_steps_of(self, longest_s: f64) -> Self {
         Self { longest_s: Some(longest_s), ..self }
     }
@@ -243,7 +243,7 @@ impl<const N: usize> VpdAdaptive<N> {
             *last = Place { motion: ahead.motion.clone(), time_s, carry_s, steps };
             *lasts = None;
             if steps == most_steps {
-                // sigma as the distance to which it belongs, next to that with which so many steps would do.
+                // sigma as the distance it belongs to, and the distance at which `MOST_STEPS` steps would suffice.
                 let near = |sigma: f64| libm::cbrt(sigma * sigma);
                 let all = MOST_STEPS as f64 * dtau;
                 let (here, needed) = (near((time_s - begun_s) / all), near((goal - begun_s) / all));

@@ -83,7 +83,7 @@ impl<const N: usize> Hamiltonian<N> for Unknown<'_, N> {
     }
 }
 
-/// The end of so many own steps of length h, and the time.
+/// The end of `steps` own steps of length h, and the time.
 fn own_steps<const N: usize>(
     system: &Rescaled<'_, N>,
     start: &State<N>,

@@ -573,7 +573,7 @@ fn satellite(eccentricity: f64, member: u32) -> (RigidBody<3>, State<3>) {
     (body.clone(), State { attitude, momentum: body.momentum(&so::hat(&omega)) })
 }
 
-/// Such a satellite over so many steps of 20 s with four stages: its balance, and Jacobi's integral where there is one,
+/// Such a satellite over `steps` steps of 20 s with four stages: its balance, and Jacobi's integral where there is one,
 /// each over the energy at the start.
 fn balances(eccentricity: f64, member: u32, steps: u32) -> Vec<(&'static str, Blocks)> {
     const STEP: f64 = 20.0;

@@ -1,7 +1,7 @@
 //! Long runs: how the error of energy and momentum grows with the number of steps.
 //!
 //! A line grows like the number of steps, a random walk like its root (Brouwer's law), an oscillation not at all. The error
-//! of a run is taken in blocks; for blocks of so many steps, the difference between the means of two that follow one
+//! of a run is taken in blocks; for blocks of k steps, the difference between the means of two that follow one
 //! another has a root mean square over a run and over runs that begin next to one another, and the slope of its logarithm
 //! over that of their length is the exponent: 1 of a line, 1/2 of a random walk, -1/2 of what swings without a memory
 //! (Allan 1966, Proceedings of the IEEE 54). The interval is that of the jackknife over the runs.
@@ -367,7 +367,7 @@ fn growth_over_a_million_steps() {
     assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
 }
 
-/// A body in a uniform field in more dimensions, with so many stages, over so many steps: its momentum makes a random walk.
+/// A body in a uniform field in more dimensions, with `stages` stages, over `steps` steps: its momentum makes a random walk.
 fn in_more_dimensions<const N: usize>(stages: usize, h: f64, steps: usize) {
     let wave = |count: usize, size: f64| -> Vec<f64> {
         (1..=count).map(|k| size * (1.7 * k as f64).cos()).collect()

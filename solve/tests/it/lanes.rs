@@ -257,7 +257,7 @@ fn large_steps_are_solved() {
     }
 }
 
-/// The largest energy error of the dipole over so many steps of 0.1 with 8 stages.
+/// The largest energy error of the dipole over `steps` steps of 0.1 with 8 stages.
 fn energy_error(stepper: &mut dyn Stepper<3>, steps: u32) -> f64 {
     let (body, start) = dipole();
     let initial = body.energy(&start.attitude, &start.momentum).total();

@@ -228,7 +228,7 @@ fn extrapolated<const N: usize>(body: &RigidBody<N>, start: &State<N>, span: f64
     State { attitude: at.0, momentum: at.1 }
 }
 
-/// Error after `span` in so many equal steps, and the orthogonality error there.
+/// Error after `span` in `steps` equal steps, and the orthogonality error there.
 fn measure<const N: usize>(
     make: &Make<N>,
     body: &RigidBody<N>,

@@ -122,7 +122,7 @@ fn tilted(axis: [f64; 3], angle: f64) -> Mat<3> {
     so::exp(&so::hat(&axis.map(|x| x * angle)))
 }
 
-/// Angular velocity and attitude after so many steps, shown to `look` on the way.
+/// Angular velocity and attitude after `steps` steps, shown to `look` on the way.
 fn run(
     stepper: &mut dyn Stepper<3>,
     body: &RigidBody<3>,

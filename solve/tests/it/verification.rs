@@ -101,7 +101,7 @@ fn the_dipole_meets_its_reference() {
 }
 
 /// Errors of this orbit grow a million times until t = 50: what is left there is mostly rounding, and another number for
-/// each step size. So many of them are looked at.
+/// each step size. Hence many of them are examined.
 #[test]
 fn a_long_trajectory_keeps_ten_digits() {
     let (body, start) = dipole();

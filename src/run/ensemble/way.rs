@@ -28,7 +28,7 @@ struct Point<const N: usize> {
 }
 
 impl<const N: usize> Way<N> {
-    /// Of a member whose points lie so many samples apart.
+    /// Of a member whose points lie `per_point` samples apart.
     pub(super) fn new(per_point: u64) -> Self {
         Self { per_point, samples: 0, next: None, points: Waypoints::default() }
     }

@@ -138,7 +138,7 @@ fn a_cancelled_study_has_no_result() {
     server.get(&format!("{location}/table.csv")).problem(404, "no_file");
 }
 
-/// A sweep over the step of the dipole, of so many members and steps.
+/// A sweep over the step of the dipole, of `members` members and `steps` steps.
 fn sweep(members: u64, steps: u64) -> Value {
     let mut scenario = short();
     scenario["steps"] = json!(steps);

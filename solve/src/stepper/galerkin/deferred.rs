@@ -359,7 +359,7 @@ impl Collocation {
     }
 }
 
-/// Finds the code for so many rows.
+/// Selects the code for `start.n` rows.
 fn solve<'a, R: Stages<Whole = f64>>(
     lanes: R,
     coefficients: &'a Coefficients,
@@ -872,7 +872,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in so many passes, pi1, and the multiplier by (6),
+    /// [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in `passes` passes, pi1, and the multiplier by (6),
     /// `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is
     /// (24e, vih5); and [E] of the stages.
     fn end_point(&mut self, passes: usize) {

@@ -49,9 +49,9 @@ const TORQUE_CONTRACTION: f64 = 0.02;
 const ENOUGH: f64 = 1e-15;
 /// What a step that went astray may leave of sigma^-2.
 const LEAST: f64 = 0.25;
-/// So many torques, or evaluations, and a step that does not converge is left.
+/// Number of torques, or evaluations, after which a step that does not converge is abandoned.
 const PATIENCE: u32 = 6;
-/// From so many stages on the stretch of the end is nothing.
+/// From this number of stages on, the stretch of the end is neglected.
 const MANY: usize = 5;
 
 /// What a step begins from.

@@ -23,7 +23,7 @@ use crate::tableau::Tableau;
 
 /// Up to here stages are few: their steps are small, and need fewer rounds and passes.
 pub(super) const FEW_STAGES: usize = 4;
-/// So many rounds of the guess take the same torque.
+/// Number of rounds of the guess that take the same torque.
 const TORQUE_EVERY: u32 = 3;
 /// What |u|^2 may differ from one after the last of them.
 const MOST_DEFICIT: f64 = 0.1;

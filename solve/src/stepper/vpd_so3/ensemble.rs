@@ -25,8 +25,8 @@ use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `lanes` is so many
-/// stages in lanes.
+/// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `$lanes` is
+/// `$stages` stages in lanes.
 macro_rules! in_member_lanes {
     ($level:ident, $stages:literal, $lanes:ident => $work:expr) => {{
         #[cfg(target_arch = "x86_64")]

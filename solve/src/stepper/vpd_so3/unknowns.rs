@@ -17,7 +17,7 @@ const FINISHED_STAGES: usize = 3;
 /// From here on the last increment, which the stop leaves, is seen in the energy: finishing begins with the momenta.
 pub(super) const RENEWED_STAGES: usize = 4;
 
-/// So many rounds of the first guess take the same torque.
+/// Number of rounds of the first guess that take the same torque.
 pub(super) const TORQUE_EVERY: u32 = 3;
 
 /// Passes within a sweep.
