@@ -4,7 +4,7 @@
 //!    it will have at the end is expected just below the one asked for.
 //! 2. The cheapest is run over the whole time, against a reference of the whole time, and its step mended, until the
 //!    cheapest is one that was seen to get there. Of an ensemble then every member.
-//! 3. A run longer than any reference is held against itself in half the steps, as far as the work allowed goes; from there
+//! 3. A run longer than any reference is compared with itself in half the steps, as far as the work allowed goes; from there
 //!    its errors are carried on as the power of time by which they grew. Where they grow exponentially, or round-off alone
 //!    grows past what is asked, it is refused with the time until which it can be had.
 //!
@@ -39,7 +39,7 @@ const FIRST_SWEEPS: f64 = 24.0;
 const FEW_STEPS: u64 = 4;
 const HARD_NS: f64 = 3e8;
 const UNENDED: f64 = 4.0;
-/// Steps that took so long, in nanoseconds, are not timed again: what others take of the machine's time matters little then.
+/// Steps that took this long, in nanoseconds, are not timed again: other load on the machine matters little then.
 const LONG_NS: f64 = 2e7;
 /// Steps that adapt are not all alike: they are given this many times more work.
 const OWN_STEPS_MORE: f64 = 30.0;
@@ -69,7 +69,7 @@ pub enum Unsettled {
 /// What keeps a scene from an accuracy.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Obstacle {
-    /// There is nothing to hold a run against.
+    /// There is nothing to compare a run with.
     #[error(transparent)]
     Reference(ReferenceError),
     /// The reference itself is not known so well.

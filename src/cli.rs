@@ -1,7 +1,7 @@
 //! The command line: arguments → one call each. Errors go to stderr, data to stdout.
 //!
 //! Exit codes: 0 ok, 1 the run failed (its log is kept and finished) or two logs differ, 2 bad input or a file that is not to
-//! be replaced, 130 interrupted. Who closes the pipe that is written to has read enough: that is no error.
+//! be replaced, 130 interrupted. A reader that closes the pipe has read enough: that is no error.
 
 use std::fs;
 use std::io::{self, ErrorKind, IsTerminal, Read, Write};
@@ -161,7 +161,7 @@ struct RunArgs {
     force: bool,
 }
 
-/// Where a log is to be written: not under a name by which others would take it for something else.
+/// Where a log is to be written: not under a name that other programs would read as another format.
 fn log_path(path: PathBuf) -> Result<PathBuf, String> {
     let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
     let other = match ending.to_str() {
@@ -466,7 +466,7 @@ fn exit_code(outcome: Outcome) -> ExitCode {
 /// Runs on a thread of its own. On a terminal a progress bar with the time left follows; elsewhere a line says what a long
 /// run will take. Ctrl-c ends the run with a log that the same command resumes.
 fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
-    /// Seconds for which nobody wonders.
+    /// A run that takes longer than this many seconds is announced.
     const LONG_S: f64 = 10.0;
     let control = Arc::new(Control { replaces_nothing: !force, ..Control::default() });
     let interrupted = control.clone();
@@ -559,7 +559,7 @@ fn print_json(value: &impl Serialize) -> Result<(), CliError> {
     Ok(show(text)?)
 }
 
-/// Writes to stdout; who closes it has read enough.
+/// Writes to stdout; a reader that closes it has read enough.
 fn show(text: impl AsRef<[u8]>) -> io::Result<()> {
     let mut out = io::stdout().lock();
     enough(out.write_all(text.as_ref()).and_then(|()| out.flush()))

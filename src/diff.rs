@@ -69,7 +69,7 @@ impl Quantity {
     }
 }
 
-/// The largest difference that is taken for none: of one quantity, or of each in its own unit.
+/// The largest difference that counts as none: of one quantity, or of each in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
     /// Of what; of all if absent.
@@ -209,7 +209,7 @@ pub fn diff(
                         Err(_) => ControlFlow::Break(()),
                     }
                 });
-                // Nobody takes it if the other log is not readable.
+                // The receiver is gone if the other log is not readable.
                 let _ = send.send(batch);
                 read.map(drop)
             })

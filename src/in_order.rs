@@ -62,17 +62,17 @@ pub(crate) struct Turns<'a, T> {
 }
 
 impl<T> Turns<'_, T> {
-    /// The next places; waits while others are too far behind. `None` if none are left, or nobody takes what is made.
+    /// The next places; waits while others are too far behind. `None` if none are left, or results are no longer taken.
     pub(crate) fn take(&self) -> Option<Range<u64>> {
         self.queue.take()
     }
 
-    /// Gives what was made of them; `None` if nobody takes it.
+    /// Hands on the results; `None` if they are no longer taken.
     pub(crate) fn give(&self, places: Range<u64>, made: T) -> Option<()> {
         self.send.send((places, made)).ok()
     }
 
-    /// Whether nobody takes what the threads make any more.
+    /// Whether results are no longer taken.
     pub(crate) fn is_closed(&self) -> bool {
         self.queue.is_closed()
     }

@@ -2,7 +2,7 @@
 //!
 //! Invariant: a viewer changes nothing about a run. At most one run is on show, and of its samples no more
 //! than viewers draw; the log has them all. A run hands a sample over once, however many follow, and never waits:
-//! who takes it too late misses it.
+//! a follower that takes it too late misses it.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -129,7 +129,7 @@ impl Show {
             };
             Some((channel, bytes))
         }));
-        // Nobody there any more is no fault.
+        // It is no error if no receiver is left.
         let _ = live.frames.send(Arc::new(Frame { time_ns, messages }));
     }
 }

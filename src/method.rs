@@ -159,7 +159,7 @@ pub struct Facts {
     pub(crate) lanes: bool,
     /// Is it computed for n = 2 where the motion stays in a plane?
     pub(crate) plane: bool,
-    /// Sweeps of a step that nobody has counted: for n = 3, elsewhere. 1 of a method without sweeps.
+    /// Sweeps assumed for a step where none were counted: for n = 3, elsewhere. 1 for a method without sweeps.
     pub(crate) sweeps: [f64; 2],
     /// Methods of a family have one colour, and stand together in tables.
     pub(crate) family: usize,
@@ -306,7 +306,7 @@ impl Integrator {
     }
 
     /// Members of an ensemble side by side, where that is quicker than one after the other; `None` elsewhere. (Free
-    /// bodies go one after the other: each step begins where that member's steps before lead.)
+    /// bodies are stepped individually: each step begins where that member's steps before lead.)
     pub(crate) fn side_by_side(self, parts: &Parts) -> Option<Box<dyn Members<3>>> {
         match self {
             Self::Vpd => Some(Box::new(VpdEnsemble::new(&parts.tableau, parts.stop)?)),
@@ -324,7 +324,7 @@ impl Integrator {
         self.facts().takes == Takes::Explicit
     }
 
-    /// The method whose measured costs are its own, too.
+    /// The method whose measured costs apply to this one.
     pub fn costs_as(self) -> Self {
         match self {
             Self::VrkmkProjected => Self::Vrkmk,

@@ -136,7 +136,7 @@ pub struct Advice {
     pub margin: f64,
     /// The time to which the run chosen was seen; beyond it its error was carried on.
     pub pilot_time_s: f64,
-    /// How well the pilots' reference is known.
+    /// How accurately the pilots' reference is known.
     pub reference_error: f64,
     /// What was tried, the cheapest first.
     pub candidates: Vec<Candidate>,

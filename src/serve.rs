@@ -84,7 +84,7 @@ const DRAIN: Duration = Duration::from_secs(9);
 const LAST_ANSWERS: Duration = Duration::from_secs(3);
 
 /// How far threads that compute stand behind those that answer: a tenth of the weight, where both want the
-/// processor, and all of it where nobody asks.
+/// processor, and all of it where no request waits.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 10;
 
@@ -193,7 +193,7 @@ pub async fn serve(
     let answered = tokio::time::timeout(LAST_ANSWERS, server);
     let (_, workers) = tokio::join!(answered, tokio::time::timeout(DRAIN, drained));
     if workers.is_err() {
-        // A run that goes on still writes to the directory: nobody else may have it while we live.
+        // A run that goes on still writes to the directory: no other process may have it while this one lives.
         std::mem::forget(lock);
         return Err(ServeError::Unfinished);
     }

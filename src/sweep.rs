@@ -88,7 +88,7 @@ impl Sweep {
         Self::from_tree(read_tree(text)?)
     }
 
-    /// The same of a text that was read as JSON.
+    /// The same for a text that was read as JSON.
     pub(crate) fn from_tree(tree: Value) -> Result<Self, ScenarioError> {
         let open = |_: &str| {
             let message = "is the path of a file; here the scenario itself is needed";

@@ -54,7 +54,7 @@ pub enum VerifyError {
     /// The log cannot be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// It is not whole: nobody knows how its job ended.
+    /// It is not whole: how its job ended is unknown.
     #[error("the log is not finished: {damage}")]
     Unfinished {
         /// What is wrong with its end.
@@ -211,7 +211,7 @@ fn send_all(log: &Path, out: &SyncSender<Vec<Entry>>) -> Result<(), LogError> {
             ControlFlow::Break(())
         }
     })?;
-    // Nobody listens any more once a difference was found.
+    // The receiver is gone once a difference was found.
     let _ = out.send(batch);
     Ok(())
 }

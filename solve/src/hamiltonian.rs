@@ -1,7 +1,7 @@
 //! Hamiltonians on T*SO(n), left-trivialised, and the one that is built in, the rotating body: H(g, mu) = T(mu) + U(g).
 //!
 //! Every potential term depends on the attitude through the body images `g^T v` of a few space vectors v
-//! alone (a direction, a source, an anchor; of a [`Potential`] of one's own the axes of space). In the frame of g0, where
+//! alone (a direction, a source, an anchor; of a user-defined [`Potential`] the axes of space). In the frame of g0, where
 //! a step works, the same formulas hold with `g0^T v` in the place of v: see [`RigidBody::seen_from`].
 //!
 //! Invariant: [`RigidBody::gradient`] is the derivative of [`RigidBody::energy`].
@@ -241,7 +241,7 @@ impl<const N: usize> RigidBody<N> {
         self.terms.is_empty() && self.own.is_empty() && self.driven.is_empty()
     }
 
-    /// The space vectors of the potential: one a term, and the axes if there is a potential of one's own.
+    /// The space vectors of the potential: one a term, and the axes if there is a user-defined potential.
     pub fn space_vectors(&self) -> impl Iterator<Item = &Vector<N>> {
         self.terms.iter().map(|term| &term.space).chain(&self.own.axes)
     }
@@ -274,7 +274,7 @@ impl<const N: usize> RigidBody<N> {
         sum
     }
 
-    /// `g = g0 u`, as the potentials of one's own see it.
+    /// `g = g0 u`, as user-defined potentials see it.
     fn attitude_of(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
         Own::attitude(u, seen.get(self.terms.len()..).unwrap_or_default())
     }

@@ -114,7 +114,7 @@ impl<const N: usize> Default for Clock<N> {
 }
 
 impl<const N: usize> Clock<N> {
-    /// So long after the beginning of the step.
+    /// The time `after` seconds from the beginning of the step.
     fn at(&self, after: f64) -> Time {
         Time { begun: self.time, after }
     }

@@ -19,7 +19,7 @@ pub trait System<const N: usize> {
         self.energy(g, mu)
     }
 
-    /// dH/dmu, the body angular velocity, for those who observe: of a Hamiltonian its `velocity`. `None` of a system that
+    /// dH/dmu, the body angular velocity, for observers: of a Hamiltonian its `velocity`. `None` for a system that
     /// does not name it.
     fn observed_velocity(&self, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
         None

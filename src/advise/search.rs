@@ -41,7 +41,7 @@ const MENDED_PART: f64 = 0.6;
 const UNSEEN: f64 = 1e3;
 /// Two runs that are so far apart show nothing more of how errors depend on the step.
 const LOST: f64 = 1e-2;
-/// A step that is to be smaller by so much is halved.
+/// A step that is to be smaller by a factor in this range is halved.
 const NEARLY_HALF: std::ops::Range<f64> = 1.6..2.4;
 /// A run and the same in half the steps, in steps of the run.
 const RUN_AND_HALF: f64 = 3.0;
@@ -291,7 +291,7 @@ impl Trial<'_> {
                         None
                     }
                 };
-                // So much smaller must the errors of the others be, too.
+                // The errors of the others must be smaller by the same factor.
                 for Contender { entry, choice, .. } in &mut *contenders {
                     if let Some(other) = choice.as_mut().filter(|other| !other.sure) {
                         let smaller = libm::pow(harsher, 1.0 / f64::from(entry.order));
@@ -570,7 +570,7 @@ impl Trial<'_> {
         self.carried_on(&errors, reference.error, reference.time_s)
     }
 
-    /// The same of the errors at the quarters of a time, known to `known`.
+    /// The same for the errors at the quarters of a time, known to `known`.
     fn carried_on(&self, errors: &[f64], known: f64, time_s: f64) -> Option<f64> {
         let largest = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
         // Not the last alone: an error that swings may pass through zero there. And no more is known than by the reference.

@@ -38,7 +38,7 @@ pub(super) struct DiffArgs {
     first: PathBuf,
     /// The other one.
     second: PathBuf,
-    /// Largest difference that is taken for none, in rad, kg m^2/s and J; or of one quantity alone: angle=1e-6, energy=1e-9. With
+    /// Largest difference that counts as none, in rad, kg m^2/s and J; or of one quantity alone: angle=1e-6, energy=1e-9. With
     /// none given each difference counts.
     #[arg(long = "tolerance", value_name = "[QUANTITY=]X")]
     tolerances: Vec<Tolerance>,

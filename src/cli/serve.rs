@@ -174,7 +174,7 @@ pub(super) fn own_log(format: LogFormat) -> (WorkerGuard, ErrorCounter) {
         Ok(filter) => (filter, None),
         Err(refused) => (Targets::new().with_default(LevelFilter::INFO), Some(refused)),
     };
-    // Written by a thread of its own: a stderr that nobody reads must not stall who answers.
+    // Written by a thread of its own: a stderr that is not read must not stall the threads that answer.
     let (out, rest) =
         NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
     let lost = out.error_counter();
@@ -227,7 +227,7 @@ pub(super) fn program() -> Option<PathBuf> {
     }
 }
 
-/// Says in the service's own log how many of its lines nobody took in time, each time there are more.
+/// Says in the service's own log how many of its lines were dropped, each time there are more.
 pub(super) async fn tell_of_lost_lines(lost: ErrorCounter) {
     let mut reported = 0;
     loop {

@@ -238,7 +238,7 @@ fn keep_log(sweep: &Sweep, member: u64, table: &Path, control: &Control) -> Resu
     let log = folder.join(format!("{member}.mcap"));
     std::fs::create_dir_all(&folder)
         .map_err(|source| CliError::Write { path: folder.clone(), source })?;
-    // A log of another sweep would be taken for one of this.
+    // A log of another sweep would be mistaken for one of this.
     run::execute(&plan, &JobContext { log: &log, control })?;
     Ok(())
 }

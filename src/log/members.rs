@@ -187,7 +187,7 @@ pub struct Members {
 pub struct MemberQuantile {
     /// The part, from 0 (the least value) to 1 (the largest).
     pub part: f64,
-    /// One value a time: the least that so large a part does not exceed.
+    /// One value a time: the least that this part of the members does not exceed.
     pub values: Vec<f32>,
 }
 
@@ -337,7 +337,7 @@ impl Reading {
             *failed.entry(row.outcome.clone()).or_default() += 1;
         }
         let members = self.rows.len() as u64;
-        // Who has no value comes last, whatever the order.
+        // A member without a value comes last, whatever the order.
         let size = |row: &MemberRow, last: f64| row.largest.unwrap_or(last);
         match order {
             MemberOrder::Member => self.rows.sort_by_key(|row| row.member),

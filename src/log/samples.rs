@@ -310,7 +310,7 @@ struct Reading<'a> {
     values: Vec<f64>,
 }
 
-/// Nobody waits any more.
+/// The caller no longer waits.
 struct Stopped;
 
 impl Reading<'_> {

@@ -120,7 +120,7 @@ pub struct LogWriter {
 /// What becomes of an unfinished file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Rest {
-    /// Nobody can go on from it.
+    /// No run can resume from it.
     Removed,
     /// The next run goes on from its last whole chunk.
     Kept,
@@ -501,7 +501,7 @@ impl LogWriter {
             return Err(LogError::NotFinite { step: sample.step });
         }
         if self.wants_checkpoint() {
-            // Nobody offered one.
+            // No checkpoint was offered.
             self.close_chunk(None)?;
         }
         let before = self.turns.get(&member).copied();

@@ -57,7 +57,7 @@ pub struct FirstSteps {
 /// What becomes of runs whose first step fails.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Fails {
-    /// Of the members that were looked at those that fail: of a run by itself all.
+    /// The fraction of the examined members that fail: 1 for a single run.
     pub(crate) part: f64,
     /// The nanoseconds that the step took on the machine that made it.
     pub(crate) ns: f64,
@@ -201,7 +201,7 @@ impl Plan {
         Self { step_ns: self.work_step_ns, run_s, ..self.clone() }
     }
 
-    /// About what so much work costs, in nanoseconds.
+    /// About what `work` costs, in nanoseconds.
     pub(crate) fn work_ns(&self, work: Counts) -> f64 {
         /// What a step takes that keeps the state.
         const AT_REST_NS: f64 = 5.0;
@@ -266,7 +266,7 @@ impl Plan {
         parts.map_or(0.0, |composition| composition.parts().iter().map(pieces).sum())
     }
 
-    /// The work of a step whose sweeps nobody has counted.
+    /// The work assumed for a step whose sweeps were not counted.
     fn usual_work(&self) -> Counts {
         /// Where a method has such.
         const PASSES_OF_SWEEP: f64 = 1.5;
@@ -350,7 +350,7 @@ impl Plan {
         Scheme { step_ns, sweep_ns, pass_ns, terms }
     }
 
-    /// About what the gradient of the potential costs at one attitude by itself.
+    /// About what the gradient of the potential costs at a single attitude.
     fn terms_cost_ns(&self) -> f64 {
         let n = self.dimension as f64;
         let mut kinds: BTreeMap<&str, f64> = BTreeMap::new();

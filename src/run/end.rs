@@ -1,4 +1,4 @@
-//! The end of a log, and what is said of the whole run: there, and to who asked for it.
+//! The end of a log, and what is reported of the whole run: there, and to the caller.
 //!
 //! Invariant: every log that is finished is finished here, with what its summary says and nothing of the clock.
 
@@ -46,7 +46,7 @@ pub(super) struct End {
     pub(super) reached: Reached,
     pub(super) diagnosis: Option<Diagnosis>,
     pub(super) ensemble: Option<EnsembleSummary>,
-    /// Of a run whose log does not show it; `None` if nobody knows how much of the energy moves.
+    /// Of a run whose log does not show it; `None` if it is unknown how much of the energy moves.
     pub(super) energy: Option<EnergySeen>,
 }
 

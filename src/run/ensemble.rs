@@ -1,7 +1,7 @@
 //! An ensemble: the members whose samples are logged, side by side, then all others on as many threads as there are
 //! cores, then what they are together.
 //!
-//! Invariant: the log depends neither on the threads nor on who goes next to whom. The end of each member stands in it
+//! Invariant: the log depends neither on the threads nor on which members run together. The end of each member stands in it
 //! once, and one whose end is in a whole chunk is not run again.
 
 use std::convert::Infallible;
@@ -149,7 +149,7 @@ impl Ensemble<'_> {
             }
             log.record_member(numbers[m], sample)?;
             if log.wants_checkpoint() {
-                // Nobody goes on from here: these members are few, and begin again.
+                // No run resumes from here: these members are few, and begin again.
                 self.checkpoint(log, 0)?;
             }
             Ok::<(), RunError>(())
@@ -315,7 +315,7 @@ impl Task for Worker<'_> {
     fn perform<const N: usize>(self, mut assembly: Assembly<N>) -> Option<()> {
         let Self { ensemble, left, turns } = self;
         let control: &Control = ensemble.context.control;
-        // Nobody sees the singular values of a member that is not logged in full.
+        // The singular values of a member that is not logged in full are not needed.
         let observables = Observables { sigma_min: false, ..ensemble.plan.observables() };
         while let Some(places) = turns.take() {
             let group = &left[places.start as usize..places.end as usize];

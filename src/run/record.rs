@@ -1,7 +1,7 @@
-//! A system of one's own, a stepper for it and a start → samples → log.
+//! A user-defined system, a stepper for it and a start → samples → log.
 //!
 //! Invariant: such a log is as sound as that of a scenario; only that it cannot be run again from itself, and that a run
-//! that is cut off does not resume, for nobody knows whether the law is still the same.
+//! that is cut off does not resume, for the law may have changed.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -24,7 +24,7 @@ use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
 /// A chunk of the log is closed, and so is safe from a kill, after this many samples.
 const SAMPLES_PER_CHUNK: u64 = 1000;
 
-/// What the log of a system of one's own says of it, and how it is written.
+/// What the log of a user-defined system says of it, and how it is written.
 ///
 /// ```
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -308,7 +308,7 @@ pub(super) enum Advised {
 }
 
 impl Advised {
-    /// The same of steps that adapt.
+    /// The same for steps that adapt.
     pub(super) fn of_own_steps(self) -> Self {
         match self {
             Self::Step { step_s, tried } => Self::OwnStep { largest_step_s: step_s, tried },
@@ -322,7 +322,7 @@ impl Advised {
 pub(super) enum Tried {
     /// Over the whole run.
     Throughout,
-    /// For so long, from the start and, if the run had come there with its energy, from where it failed.
+    /// For this long, from the start and, if the run had come there with its energy, from where it failed.
     For { time_s: f64 },
 }
 

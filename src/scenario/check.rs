@@ -152,7 +152,7 @@ pub(super) fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
     numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))
 }
 
-/// Refuses numbers that are not all zero, but all next to it.
+/// Refuses numbers that are not all zero, but all close to it.
 pub(super) fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check {
     let largest = largest(numbers);
     ensure(largest == 0.0 || largest >= SMALLEST_SIZE, pointer, || {

@@ -219,7 +219,7 @@ pub(crate) fn child() -> io::Result<()> {
         scope.spawn(|| {
             while !over.load(Ordering::Relaxed) {
                 thread::sleep(BEAT);
-                // Nobody listens: the service is gone, and `hear` knows it.
+                // There is no reader: the service is gone, and `hear` knows it.
                 let _ = say(&progress(&control));
             }
         });

@@ -201,7 +201,7 @@ impl Engine {
         asked!(self, sent(id))
     }
 
-    /// Stops a job: one that nobody has begun has ended when this returns, a running one ends soon.
+    /// Stops a job: one that has not begun has ended when this returns, a running one ends soon.
     pub(super) async fn cancel(&self, id: Uuid) -> Result<View, Refusal> {
         asked!(self, cancel(id))
     }

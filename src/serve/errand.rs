@@ -68,7 +68,7 @@ pub(super) enum Broken {
     Stopped,
     /// The store refuses something for now.
     Trouble(Trouble),
-    /// The record cannot be used; nobody knows whether for good.
+    /// The record cannot be used; whether for good is unknown.
     Aside(Fault),
     /// The study has no answer, for a person.
     Unanswered(String),

@@ -120,7 +120,7 @@ impl Trouble {
         Self { times: before.map_or(0, |before| before.times) + 1, ..self }
     }
 
-    /// How long the job rests: longer each time, and not so long that nobody would wait for the next try.
+    /// How long the job rests: longer each time, but not too long to wait for the next try.
     pub(super) fn pause(&self) -> Duration {
         const FIRST: Duration = Duration::from_millis(100);
         const LONGEST: Duration = Duration::from_secs(15);

@@ -215,7 +215,7 @@ pub(super) async fn listen(
         }
     }
     drop((listener, alive));
-    // Nobody sends: this returns when the last connection is closed.
+    // Nothing is sent: this returns when the last connection is closed.
     let _ = gone.recv().await;
 }
 
@@ -254,7 +254,7 @@ async fn serve(stream: TcpStream, entry: Entry, app: Router, mut stop: watch::Re
 /// Answers the first request of a connection that is one too many: come again later.
 async fn refuse(stream: TcpStream) -> Result<(), hyper::Error> {
     let service = service_fn(|request: Request<Incoming>| async {
-        // Who is still sending when it is closed would not see the answer.
+        // A client still sending when the connection is closed would not see the answer.
         gate::drain(Body::new(request.into_body()).into_data_stream()).await;
         Ok::<_, Infallible>(Problem::too_many_connections().into_response())
     });

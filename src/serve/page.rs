@@ -1,7 +1,7 @@
 //! What people look at: the page at `/`, the description at `/docs`, the layouts of viewers, the charts and the
 //! attitudes of a job.
 //!
-//! Invariant: a page uses the public routes alone and asks nobody else for anything; its policy allows it
+//! Invariant: a page uses the public routes alone and requests nothing else; its policy allows it
 //! no script and no style but the two that were built in.
 
 use std::collections::HashMap;
@@ -124,7 +124,7 @@ pub(super) struct Pictures {
 /// A chart of a log.
 type Wanted = (PathBuf, &'static str);
 
-/// A chart, or why there is none; of all who wait for it.
+/// A chart, or why there is none; shared by all that wait for it.
 type Drawn = Arc<Result<String, ChartError>>;
 
 impl Pictures {
@@ -214,7 +214,7 @@ impl Pictures {
         }
     }
 
-    /// The course of a quantity; `None` if there is no file. Who no longer waits ends the reading.
+    /// The course of a quantity; `None` if there is no file. A caller that no longer waits ends the reading.
     pub(super) async fn samples(
         &self,
         path: PathBuf,
@@ -233,7 +233,7 @@ impl Pictures {
         self.read(path, read).await
     }
 
-    /// The members of an ensemble that have ended; `None` if there is no file. Who no longer waits ends the reading.
+    /// The members of an ensemble that have ended; `None` if there is no file. A caller that no longer waits ends the reading.
     pub(super) async fn members(
         &self,
         path: PathBuf,
@@ -268,7 +268,7 @@ impl Pictures {
     }
 }
 
-/// Whether nobody waits any more.
+/// Whether no caller waits any more.
 type Stopped<'a> = &'a (dyn Fn() -> bool + Sync);
 
 /// The angular velocity of a momentum, both in body coordinates: `J w = m` for n = 3, else `(d_i + d_j) w_ij = m_ij`.

@@ -86,7 +86,7 @@ struct Shared {
     work: Condvar,
     store: StudyStore,
     limits: Limits,
-    /// Held by who draws an unfinished sweep.
+    /// Held by the request that draws an unfinished sweep.
     drawing: Mutex<()>,
     /// The program that carries out errands in a process of its own.
     program: Option<PathBuf>,
@@ -375,7 +375,7 @@ impl Studies {
     }
 
     fn picture(&self, id: Uuid) -> Result<String, StudyRefusal> {
-        // One at a time, for each reads a whole table; who would wait takes a thread from others.
+        // One at a time, for each reads a whole table; waiting would take a thread from others.
         let _turn = match self.0.drawing.try_lock() {
             Ok(turn) => turn,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -387,7 +387,7 @@ impl Studies {
     }
 }
 
-/// A study of the store: one that ended, or one to be made (again). None if nobody knows what it was.
+/// A study of the store: one that ended, or one to be made (again). None if it is unknown what it was.
 fn resume_job(found: FoundStudy) -> Option<Study> {
     let FoundStudy { id, attempts, request, result } = found;
     let damaged = |error: &dyn std::error::Error| {

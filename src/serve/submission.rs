@@ -1,6 +1,6 @@
 //! Submission slots: what is submitted is checked here, on a few threads that give way to those that answer.
 //!
-//! Invariant: a slot is held by the work and not by the client: one who leaves frees none, and what nobody
+//! Invariant: a slot is held by the work and not by the client: a client that leaves frees none, and what no client
 //! waits for any more is not begun.
 
 use std::sync::mpsc::{self, Receiver, Sender};

@@ -1,4 +1,4 @@
-//! Work and precision, and the map of stability, of a system of one's own: steppers, one table.
+//! Work and precision, and the map of stability, of a user-defined system: steppers, one table.
 //!
 //! What it does not do: gradients are not counted (their column is 0), and there is no search for an accuracy; for these a
 //! scene is needed, of which the plan knows the cost.
@@ -155,7 +155,7 @@ fn scales<const N: usize, Y: System<N> + ?Sized>(
     Err(ReferenceError::NoStep { time_s }.into())
 }
 
-/// A system of one's own, to be mapped.
+/// A user-defined system, to be mapped.
 struct OfSystem<'a, const N: usize, Y: ?Sized> {
     question: &'a Question<'a, N, Y>,
     exact: &'a Candidate<'a, N, Y>,

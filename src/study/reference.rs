@@ -94,7 +94,7 @@ impl fmt::Display for Growth {
     }
 }
 
-/// The state of a scene at a time, and how well it is known.
+/// The state of a scene at a time, and how accurately it is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reference {
     /// The time in seconds.
@@ -150,7 +150,7 @@ const FAR_FROM_IT: f64 = 1e-2;
 /// Growth by less may be that of a power of time: of as many radians as a reference may have.
 const CARRIED_OFF: f64 = 1e6;
 /// The second family may differ by this many errors of the first, its own round-off having grown as well. If it differs by
-/// more, two solutions of the first have met by luck: its error is taken for as much larger.
+/// more, two solutions of the first have met by luck: its error is taken to be that much larger.
 const OTHER_ROUND_OFF: f64 = 100.0;
 
 impl Reference {
@@ -181,7 +181,7 @@ impl Reference {
         Self::of(scene, 0, time_s, asked, scales, watch)
     }
 
-    /// The same of a member of the scene's ensemble.
+    /// The same for a member of the scene's ensemble.
     ///
     /// # Errors
     /// Those of [`Self::at`].
@@ -304,7 +304,7 @@ impl Reference {
         Ok(Some(reference))
     }
 
-    /// Where errors grow exponentially takes what the roundings of the start grow to for the error, if it is more.
+    /// Where errors grow exponentially, takes what the roundings of the start grow to as the error, if it is larger.
     ///
     /// ```text
     /// error(t) = rounding (sum_i |dz_i(t)|^2 / |dz_i(0)|^2)^(1/2),      dz_i from starts moved in orthogonal directions
@@ -419,7 +419,7 @@ impl Reference {
         }
     }
 
-    /// Takes the distance from another solution for the error.
+    /// Takes the distance from another solution as the error.
     fn compare(&mut self, other: &[Point]) {
         let mut most = 0.0_f64;
         let apart = self.points.iter().zip(other).map(|(own, point)| {

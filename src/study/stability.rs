@@ -204,7 +204,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// What is mapped: methods on a scene, or on a system of one's own.
+/// What is mapped: methods on a scene, or on a user-defined system.
 pub(super) trait Runs {
     /// A method.
     type Method;

@@ -138,7 +138,7 @@ impl Part {
         let mut found = Vec::new();
         (&mut file).take(begin.len() as u64).read_to_end(&mut found).map_err(failed)?;
         let same = found == begin.as_bytes();
-        // A beginning that was cut off is nobody's.
+        // A beginning that was cut off may be replaced.
         if !same && !replaces && !begin.as_bytes().starts_with(&found) {
             return Err(SweepError::Exists { path: part, finished: false });
         }

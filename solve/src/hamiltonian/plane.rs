@@ -11,7 +11,7 @@ impl RigidBody<3> {
     /// is a principal one and every term by itself pulls along the plane alone, at every attitude about the axis: then a
     /// momentum along the axis stays along it.
     pub fn across(&self, k: usize, frame: &Mat<3>) -> Option<RigidBody<2>> {
-        // Of a potential of one's own nothing is known.
+        // Nothing is known of a user-defined potential.
         if self.has_own() {
             return None;
         }

@@ -1,4 +1,4 @@
-//! A potential of one's own, next to the built-in terms.
+//! User-defined potentials, in addition to the built-in terms.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -154,7 +154,7 @@ impl<const N: usize> Own<N> {
 }
 
 impl<const N: usize> RigidBody<N> {
-    /// Adds a potential of your own, which acts next to the built-in terms.
+    /// Adds a user-defined potential, which acts in addition to the built-in terms.
     pub fn with_potential(mut self, potential: Arc<dyn Potential<N>>) -> Self {
         self.own.push(potential);
         self

@@ -85,7 +85,7 @@ pub struct Rescaled<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Rescaled<'a, N> {
-    /// `body`, which is not driven, in the time of `scale`, on the motion of so much energy in J.
+    /// `body`, which is not driven, in the time of `scale`, on the motion with this `energy` in J.
     pub fn new(body: &'a RigidBody<N>, scale: &'a TimeScale, energy: f64) -> Self {
         Self { body, scale, energy }
     }
@@ -95,7 +95,7 @@ impl<'a, const N: usize> Rescaled<'a, N> {
         self.energy
     }
 
-    /// The same on the motion of so much energy in J.
+    /// The same on the motion with this `energy` in J.
     pub fn with_energy(self, energy: f64) -> Self {
         Self { energy, ..self }
     }
@@ -317,7 +317,7 @@ impl AtStages {
         gradient: &mut [f64],
     ) {
         let (n, lanes) = (stack.n(), stack.lanes);
-        /// What a step that went astray may leave of S.
+        /// What a step that diverges may leave of S.
         const LEAST: f64 = 0.25;
         let (mut gained, mut nearer) = (lanes.constant(0.0), lanes.constant(0.0));
         let len = stack.numbers();

@@ -38,7 +38,7 @@ impl RigidBody<3> {
         (torque, nearness)
     }
 
-    /// The same of the potentials of one's own, which know no lanes; with it 0 where one of them refuses the attitude,
+    /// The same for user-defined potentials, which know no lanes; with it 0 where one of them refuses the attitude,
     /// else -1.
     fn own_torque<R: Stages>(
         &self,

@@ -66,7 +66,7 @@ impl Stepper<3> for Lgvi {
             self.composition.step(body, &mut self.seen, self.state, h, |top, h| {
                 let half = top.momentum * (0.5 * h);
                 let (turn, convergence) = solve(&inertia, &half, inverse * half, stop)?;
-                // F^T p by its change, relative to which it is rounded: `2 (v x (v x p) - s v x p)`, s by what it lacks of one.
+                // F^T p by its change, relative to which it is rounded: `2 (v x (v x p) - s v x p)`, s via 1 - s.
                 let v = Vector3::from(turn.vector());
                 let across = v.cross(&top.momentum);
                 let gain = (v.cross(&across) + across * deficit(&v, turn.scalar()) - across) * 2.0;

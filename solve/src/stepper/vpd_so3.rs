@@ -105,7 +105,7 @@ impl VpdSo3 {
         })
     }
 
-    /// The same for free bodies, whose momentum moves by itself: it carries an attitude only if `with_attitude`, and a
+    /// The same for free bodies, whose momentum evolves on its own: it carries an attitude only if `with_attitude`, and a
     /// step begins where those before lead.
     pub fn reduced(self, with_attitude: bool) -> Self {
         let state = if with_attitude {
@@ -113,7 +113,7 @@ impl VpdSo3 {
         } else {
             Carried::Reduced { momentum: Sum::new([0.0; 3], 0.0), square: 0.0 }
         };
-        // Many stages are better guessed by themselves.
+        // Many stages are better guessed without the steps before.
         let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
         Self { past, state, ..self }
     }
@@ -379,7 +379,7 @@ impl VpdSo3 {
         solved: Convergence,
     ) -> Result<Convergence, Failure> {
         self.check(body).map_err(|failure| self.turned(body, h, failure))?;
-        // What a law of one's own answers after the last sweep, nobody has looked at.
+        // What a user-defined law returns after the last sweep has not been checked yet.
         let Unknowns { kick, gain, .. } = &self.unknowns;
         if body.has_own() && !kick.iter().chain(gain).all(|x| x.is_finite()) {
             let failure = Failure::not_finite(None);

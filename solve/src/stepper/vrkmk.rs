@@ -371,7 +371,7 @@ fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) ->
     (xi, -(xi.bracket(m) + A::from_matrix(&body.spatial_gradient(g))))
 }
 
-/// The same of a driven body at a moment, and what goes in.
+/// The same for a driven body at a moment, and what goes in.
 fn driven_slopes<const N: usize, A: Skew<N>>(
     moment: &Moment<N>,
     g: &Mat<N>,

@@ -180,7 +180,7 @@ fn nearest_rotation<const N: usize>(matrix: &Mat<N>) -> Option<Mat<N>> {
 
 fn quantiles(mut values: Vec<f64>) -> Option<Quantiles> {
     values.sort_unstable_by(f64::total_cmp);
-    // The least value that so large a part does not exceed.
+    // The least value that this part of them does not exceed.
     let at = |part: f64| values[(part * (values.len() - 1) as f64).ceil() as usize];
     (!values.is_empty()).then(|| Quantiles {
         least: at(0.0),

@@ -44,10 +44,10 @@ use copies::Copies;
 pub(in crate::serve) use served::Served;
 use work::{Beat, Flow, Task};
 
-/// How long what was seen of a job is good enough for those who look again.
+/// How long the last view of a job serves repeated requests.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// The same of the list of all jobs.
+/// The same for the list of all jobs.
 const LOOK_AT_ALL: Duration = Duration::from_secs(1);
 
 /// How often all names are read, and not only those of jobs that may have changed.
@@ -307,7 +307,7 @@ impl Cluster {
         let (id, text) = (Uuid::now_v7(), scenario.to_json());
         let id = match key {
             None => id,
-            // Who died between the key and the scenario left an id that this job takes.
+            // A submission that died between the key and the scenario left an id that this job takes.
             Some(key) => {
                 let first = self.0.bucket.claim(key, id).await?;
                 match self.0.bucket.scenario(first).await? {
@@ -380,7 +380,7 @@ impl Cluster {
         self.view(id, held).await
     }
 
-    /// A job of which so much stands.
+    /// The view of a job, given what is held of it.
     async fn view(&self, id: Uuid, held: Held) -> Result<View, Refusal> {
         if held.ended {
             let ending = self.ending(id).await?;

@@ -50,7 +50,7 @@ struct Index {
     promised_bytes: u64,
     /// Places kept for jobs that are being written to the store.
     reserved: usize,
-    /// Who holds a copy has something to finish before a stop is complete; gone once the stop has begun.
+    /// Whoever holds a copy has something to finish before a stop is complete; gone once the stop has begun.
     alive: Option<mpsc::Sender<()>>,
 }
 
@@ -96,7 +96,7 @@ impl Index {
         self.promised_bytes.saturating_sub(written)
     }
 
-    /// Takes note of what a job is expected to take, of whose log so much is on the disk.
+    /// Records what a job is expected to take; `written_bytes` of its log are on the disk.
     fn owe(&mut self, id: Uuid, size: Size, written_bytes: u64) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let owed_bytes = size.log_bytes.saturating_sub(written_bytes);
@@ -190,7 +190,7 @@ pub(in crate::serve) struct Drained(mpsc::Receiver<()>);
 
 impl Drained {
     pub(in crate::serve) async fn wait(mut self) {
-        // Nobody sends: this returns when the last holder of a sender is gone.
+        // Nothing is sent: this returns when the last sender is gone.
         let _ = self.0.recv().await;
     }
 }

@@ -5,7 +5,7 @@
 //! the finished one, and `keys/<uuid v5>` names the job that came under an idempotency key.
 //!
 //! Invariants: those of the record on a disk, and: a finished log has the name of its checksum, and a part that of its place and
-//! build, so that a worker that was thought dead writes over nobody with something else. `attempt-N` holds the step
+//! build, so that a worker that was thought dead overwrites no other with something else. `attempt-N` holds the step
 //! from which that attempt went on.
 
 use std::collections::BTreeMap;

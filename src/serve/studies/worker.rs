@@ -23,7 +23,7 @@ use crate::serve::{apart, chain};
 /// Longest study of methods: nobody waits longer, and others wait behind it.
 const LONGEST: Duration = Duration::from_secs(900);
 
-/// A sweep may take days. After so long it lets the studies that wait go first, and goes on behind them.
+/// A sweep may take days. After this long it lets the studies that wait go first, and continues behind them.
 const TURN: Duration = Duration::from_secs(5);
 
 /// Pause between attempts to write a result: long enough not to spin, short enough to notice space that returns.
@@ -221,7 +221,7 @@ impl Shared {
     fn give_way(&self, turn: &Turn) {
         self.take_back_attempt(turn);
         let mut index = self.index();
-        // One that was cancelled at this moment ends in its next turn: who cancels holds the index.
+        // One that was cancelled at this moment ends in its next turn: a cancellation holds the index.
         let cancelled = turn.control.cancelled.load(Ordering::Relaxed);
         turn.control.settling.cancelled.store(cancelled, Ordering::Relaxed);
         if let Some(study) = index.studies.get_mut(&turn.id) {

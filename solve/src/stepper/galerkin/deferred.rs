@@ -504,7 +504,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             let jump = self.defects();
             let momenta = self.momenta_from_space();
-            // What attitudes lacked when the defect was evaluated is in it, times the turn.
+            // The shortfall of the attitudes when the defect was evaluated is in it, times the turn.
             let left = evaluations.left(jump).max(turn * shortfall);
             // An error of a momentum turns the end by its product with the turn of the step.
             let goal = ROUND_OFF * self.size / turn;
@@ -662,7 +662,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Ok(())
     }
 
-    /// [time]: the forces and the time of the stages, and the length of a step that is to last so long,
+    /// [time]: the forces and the time of the stages, and the length of a step that is to last a given time,
     /// `h = t / sum_k b_k sigma_k`.
     fn look_at_time(&mut self) {
         if let Forces::Rescaled { work, .. } = &self.forces {
@@ -1132,7 +1132,7 @@ impl Rounds {
         Self { expected, last: before, first: true }
     }
 
-    /// What is left of an error after a round that changed so much.
+    /// What is left of an error after a round whose change was `change`.
     pub(super) fn left(&mut self, change: f64) -> f64 {
         let change = change.max(0.3 * self.expected * self.last);
         let contraction =

@@ -47,7 +47,7 @@ const ROUNDS_AFTER: u32 = 4;
 const TORQUE_CONTRACTION: f64 = 0.02;
 /// Of the momentum, what may be missing in a collocation that is to be improved upon.
 const ENOUGH: f64 = 1e-15;
-/// What a step that went astray may leave of sigma^-2.
+/// What a step that diverges may leave of sigma^-2.
 const LEAST: f64 = 0.25;
 /// Number of torques, or evaluations, after which a step that does not converge is abandoned.
 const PATIENCE: u32 = 6;
@@ -361,7 +361,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 
     in_lanes! {
-    /// What [`Step::look`] looks at, and the length of a step that is to last so long.
+    /// What [`Step::look`] looks at, and the length of a step that is to last a given time.
     fn seen(&mut self) {
         let Given { tableau, body, seen, scale, start, .. } = self.given;
         self.looked = body.look(scale, &self.attitude.matrix(), seen);

@@ -288,7 +288,7 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     let (r, s) = (x.rate(&mu), cross(&p, &x.v));
     let d_w = r.w + dot(&p, &x.v);
     let d_v: Vec3<R> = vec3!(i => (mu[i] - p[i]) + (r.v[i] - (p[i] * x.w + s[i])));
-    // Rounds that went astray are worse than none.
+    // Rounds that diverged are worse than none.
     let square = Quaternion { w: x.w + 1.0, v: x.v }.square();
     let deficit = lanes.constant((square + -1.0).abs().largest());
     let x = x.select(deficit, MOST_DEFICIT, &kept_on);

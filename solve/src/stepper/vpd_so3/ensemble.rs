@@ -2,9 +2,9 @@
 //!
 //! A lane goes through the sweeps of [`VpdSo3`] with the same bits; its solution is taken when its own iteration has
 //! converged, whatever the others still do, and it holds the state of the member until that is asked for. A member
-//! whose sweeps do not converge makes that step by itself, with Newton's method where that helps. Without AVX2, and with
+//! whose sweeps do not converge makes that step individually, with Newton's method where that helps. Without AVX2, and with
 //! more than four stages, which fill the lanes of one member, this would gain nothing: then every member is stepped
-//! by itself. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
+//! individually. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
 //! arithmetic itself is the limit.)
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
@@ -57,7 +57,7 @@ pub struct VpdEnsemble {
     /// What each member starts from.
     blank: VpdSo3,
     lanes: Lanes,
-    /// Whose lane is ahead of the member, which is written when it is asked for.
+    /// Whether the lane is ahead of its member, which is written only on request.
     ahead: [bool; WIDTH],
     motion: Motion<Row>,
     seen: Vec<Vec3<Row>>,
@@ -71,7 +71,7 @@ enum Lanes {
     Two(Box<Side<2>>),
     Three(Box<Side<3>>),
     Four(Box<Side<4>>),
-    /// Members go by themselves.
+    /// Members are stepped individually.
     None,
 }
 
@@ -283,7 +283,7 @@ impl Members<3> for VpdEnsemble {
             stepper.start(state);
         }
         *ahead = [false; WIDTH];
-        // Lanes of nobody repeat the others.
+        // Unused lanes repeat the others.
         for (lane, own) in members.iter().filter_map(VpdSo3::motion).cycle().take(WIDTH).enumerate()
         {
             motion.take(lane, own);

@@ -122,7 +122,7 @@ pub(super) fn guess<R: Stages>(
         deficit = (next.square() + -1.0).abs();
         attitude = next.lengthened();
     }
-    // Rounds that went astray are worse than none.
+    // Rounds that diverged are worse than none.
     let last_deficit = deficit.largest();
     let deficit = lanes.spread(last_deficit);
     let attitude = attitude.select(deficit, MOST_DEFICIT, &turned);

@@ -207,7 +207,7 @@ pub(super) struct Unknowns<S, P> {
     pub(super) inverse: Sym3<S>,
     /// E_k = P_k - I.
     pub(super) stretch: Sym3<S>,
-    /// The same of the end point.
+    /// The same for the end point.
     pub(super) end_stretch: Sym3<P>,
     /// pi1 - p0.
     pub(super) kick: Vec3<P>,

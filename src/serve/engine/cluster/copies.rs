@@ -1,6 +1,6 @@
 //! Copies of logs on the disk of a service, for what draws from them and follows them.
 //!
-//! Invariant: a copy with the name of a log is whole and has its checksum. Copies take so much room and no more; the
+//! Invariant: a copy with the name of a log is whole and has its checksum. Copies take a limited amount of room; the
 //! oldest go first, and a start begins without any.
 
 use std::collections::HashMap;
@@ -19,7 +19,7 @@ use crate::serve::ServeError;
 use crate::serve::store::bucket::{Bucket, copy_of};
 use crate::serve::store::{LogSum, StoreError};
 
-/// How long a copy of an unfinished log is good enough for those who look again.
+/// How long a copy of an unfinished log serves repeated requests.
 const LOOK: Duration = Duration::from_millis(500);
 
 /// A copy, held by one who changes it; when it was looked at last.

@@ -97,7 +97,7 @@ pub(in crate::serve) struct Beat {
     pub(super) eta_s: Option<f64>,
 }
 
-/// When what did not come to its end is tried again; so often at most, or without an end if that is 0.
+/// When what did not come to its end is tried again; at most `attempts` times, or without a limit if that is 0.
 fn pauses(lease_s: f64, attempts: u32) -> RetryPolicy {
     let longest = Duration::from_secs_f64(lease_s / 2.0).min(LONGEST_PAUSE);
     RetryPolicy::builder()

@@ -24,10 +24,10 @@ use crate::serve::errand::{Broken, Done, Errand};
 use crate::serve::job::{Fault, Phase, State, Trouble};
 use crate::serve::store::{Ending, KeptPlan, Line, LogSum, Record, Size, StoreError, Waiting};
 
-/// So often a result is written anew before its job rests, and the pauses between, which double.
+/// Number of attempts to write a result before its job rests, and the pauses between, which double.
 const PUBLISHING: (u32, Duration) = (5, Duration::from_millis(100));
 
-/// So often it is tried to give the log of a job that ends its process an end: that may end one as well.
+/// Number of attempts to finish the log of a job that ends its process: an attempt may end its process as well.
 const MAX_GIVING_UP: u32 = 2;
 
 /// A job in the hands of a worker.
