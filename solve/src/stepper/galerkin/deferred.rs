@@ -253,7 +253,7 @@ pub(super) struct Collocation {
     coefficients: Coefficients,
     /// The instruction set; without one, one number at a time.
     pub(super) level: Option<Level>,
-    /// 1, 2, 4 or 8.
+    /// 2, 4 or 8.
     lanes: usize,
     unknowns: Unknowns,
     end: End,
@@ -263,7 +263,8 @@ impl Collocation {
     /// For `tableau` in n dimensions; `None` if it is not its own partner, or has more stages than there are lanes.
     pub(super) fn new(tableau: &Tableau, n: usize) -> Option<Self> {
         let coefficients = Coefficients::new(tableau)?;
-        let lanes = coefficients.stages.next_power_of_two();
+        // One number at a time would be slower than two.
+        let lanes = coefficients.stages.next_power_of_two().max(2);
         let zeros = || Numbers::zeros(n * n);
         let end = End {
             c: zeros(),
@@ -291,7 +292,6 @@ impl Collocation {
     ) -> Result<Solved, Stuck> {
         let Self { coefficients, level, lanes, unknowns: u, end } = self;
         match (lanes, *level) {
-            (1, _) => solve_any(Rows([0.0; 1]), coefficients, start, source, u, end),
             (2, Some(level)) => {
                 widest!(level below Avx512, f64x2, lanes => solve(lanes, coefficients, start, source, u, end),
                 else solve_any(Rows([0.0; 2]), coefficients, start, source, u, end))
