@@ -23,7 +23,7 @@ mod encounters;
 use encounters::{Scene, scenes};
 
 fn main() {
-    // What cargo passes itself begins with dashes.
+    // Arguments that cargo passes itself begin with dashes.
     let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
     for scene in scenes() {
         if asked.is_empty() || asked.iter().any(|asked| scene.name.contains(asked.as_str())) {
@@ -86,7 +86,7 @@ fn least(tried: &[Tried], error: f64, by: fn(&Tried) -> f64) -> Option<Tried> {
     tried.iter().filter(|of| of.error <= error).min_by(|a, b| by(a).total_cmp(&by(b))).copied()
 }
 
-/// What a run comes to, and its microseconds, the least of a few.
+/// Returns the result of a run, and its microseconds, the least of a few.
 fn timed(run: impl Fn() -> Option<(State<3>, u64)>) -> Option<(State<3>, u64, f64)> {
     let mut us = f64::INFINITY;
     let mut found = None;

@@ -34,7 +34,7 @@ fn main() {
         ("largest_steps", largest_steps),
         ("growth", growth),
     ];
-    // What cargo passes itself begins with dashes.
+    // Arguments that cargo passes itself begin with dashes.
     let asked: Vec<String> = std::env::args().skip(1).filter(|arg| !arg.starts_with('-')).collect();
     for (name, part) in parts {
         if asked.is_empty() || asked.iter().any(|asked| asked == name) {
@@ -399,7 +399,7 @@ fn on_quaternions(stages: usize) -> QuaternionGauss {
     QuaternionGauss::new(stages, StopRule::default()).expect("1 to 8 stages")
 }
 
-/// The most accurate runs: what an error costs, and the energy.
+/// The most accurate runs: the cost of an error, and the energy.
 fn long_run() {
     at_equal_error();
     say("\n## Energy over 1,000,000 steps, looked at after each\n");
@@ -556,7 +556,7 @@ fn ensembles() {
             ensemble.start(&states);
             let begun = Instant::now();
             for _ in 0..steps {
-                // What fails fails together as well as alone.
+                // Steps that fail do so together as well as alone.
                 ensemble.step(body, h, &everybody, &mut |_, _| {});
             }
             least[0] = least[0].min(begun.elapsed().as_secs_f64());
@@ -630,7 +630,7 @@ fn largest_steps() {
     }
 }
 
-/// How the time of a step grows with n and with the stages.
+/// Shows how the time of a step grows with n and with the stages.
 fn growth() {
     say("\n## Growth of a step with n (two stages, h = 0.01)\n");
     say("| n | ns a step | sweeps | power since the row above |\n|---|---|---|---|");

@@ -1,4 +1,4 @@
-//! Nanoseconds of a step, and of what a step is made of: `cargo bench --bench steps`.
+//! Nanoseconds of a step, and of its parts: `cargo bench --bench steps`.
 //!
 //! For a speed next to the accuracy it is reached at: `cargo bench --bench ratios`.
 
@@ -77,7 +77,7 @@ fn lyapunov<const N: usize>(bencher: Bencher) {
     bencher.bench_local(|| so::lyapunov(black_box(&m), black_box(&c), &Mat::zeros()));
 }
 
-/// The floor: what no method can do without.
+/// The floor: work that no method can do without.
 #[divan::bench(consts = [3, 4, 5, 8, 16])]
 fn gradient<const N: usize>(bencher: Bencher) {
     let (body, start) = body::<N>();

@@ -1,4 +1,4 @@
-//! A free body for n = 3: 10000 steps of the reduced method, and what it keeps.
+//! A free body for n = 3: 10000 steps of the reduced method, and the quantities it keeps.
 //!
 //!     cargo run --release -p vpd-solve --example free_body
 

@@ -15,11 +15,11 @@ use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, State, 
 /// Keeps the largest errors of the samples.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Largest {
-    /// Of the energy, in J.
+    /// Error of the energy, in J.
     pub energy: f64,
     /// Spectral norm of g g^T - I.
     pub orthogonality: f64,
-    /// Of the momentum that the scene conserves, in kg m^2/s.
+    /// Drift of the momentum that the scene conserves, in kg m^2/s.
     pub drift: f64,
 }
 

@@ -8,8 +8,8 @@
 //! Integration, V.3.2). Here S is kick, drift, kick: half a step of the potential's torque, a step of the
 //! free body, the other half; kicks that meet are made at once.
 //!
-//! Many small changes add up to a step; what rounding takes off a sum is carried to the next, so that it makes a random
-//! walk and no line (Hairer, McLachlan, Razakarivony 2008, BIT 48).
+//! Many small changes add up to a step; the part of a sum lost to rounding is carried to the next,
+//! so that it makes a random walk and no line (Hairer, McLachlan, Razakarivony 2008, BIT 48).
 //!
 //! Invariant: a composition of a symplectic and symmetric S is symplectic and symmetric.
 
@@ -48,16 +48,16 @@ const ORDER_8: [f64; 9] = [
     -0.605_508_533_830_034_6,
 ];
 
-/// What a drift does to the free body.
+/// Effect of a drift on the free body.
 #[derive(Clone, Copy, Debug)]
 pub struct Drift {
     /// f of `g1 = g0 f`.
     pub turn: Quaternion<f64>,
-    /// What the body momentum gains.
+    /// Change of the body momentum.
     pub gain: Vector3<f64>,
 }
 
-/// A point of T*SO(3) as a sum: what it is, and what is still to be added.
+/// A point of T*SO(3) as a sum: its value, and the part still to be added.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sum {
     /// The point.
@@ -85,7 +85,7 @@ impl Sum {
     /// `q1 = q0 + q0 (f - 1)`, and the deficit of its length from one.
     fn turn(&mut self, turn: &Quaternion<f64>) {
         let Self { top: Top { attitude, .. }, carry: Top { attitude: carry, .. } } = self;
-        // Of the two quaternions of a rotation that next to one, with 1 - w = |v|^2 / (1 + w).
+        // The quaternion of the rotation that is close to one, with 1 - w = |v|^2 / (1 + w).
         let turn = turn * 1.0_f64.copysign(turn.w);
         let v = turn.vector();
         let small = Quaternion::from_parts(-v.norm_squared() / (1.0 + turn.w), v.into_owned());
@@ -129,8 +129,8 @@ impl Composition {
         &self.parts
     }
 
-    /// One step of `h` from `state`; `drift` carries the free body on. Convergence counts the iterations of
-    /// all drifts and the largest last increment.
+    /// Makes one step of `h` from `state`; `drift` carries the free body on. Convergence counts the
+    /// iterations of all drifts and the largest last increment.
     ///
     /// `seen` is scratch.
     ///
@@ -166,7 +166,7 @@ impl Composition {
     }
 }
 
-/// `-h dH/dg`: what the potential adds to the body momentum.
+/// Returns `-h dH/dg`, the change of the body momentum by the potential.
 fn kick(
     body: &RigidBody<3>,
     seen: &[Vector<3>],

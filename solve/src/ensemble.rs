@@ -15,7 +15,7 @@ pub trait Members<const N: usize> {
     /// Begins at the states, at most [`WIDTH`] of them.
     fn start(&mut self, states: &[State<N>]);
 
-    /// Carries the members of `going` forward by `h`; what became of each is given to `stepped`.
+    /// Carries the members of `going` forward by `h`; gives the result of each to `stepped`.
     fn step(
         &mut self,
         body: &RigidBody<N>,
@@ -24,7 +24,7 @@ pub trait Members<const N: usize> {
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     );
 
-    /// The next step begins at this time, in seconds: see [`Stepper::set_time`].
+    /// Sets the time at which the next step begins, in seconds: see [`Stepper::set_time`].
     fn set_time(&mut self, _time_s: f64) {}
 
     /// Brings member `m` to the end of its last step: see [`Stepper::settle`].
@@ -35,11 +35,11 @@ pub trait Members<const N: usize> {
         Ok(0)
     }
 
-    /// Member `m` as it is.
+    /// Returns member `m` as it is.
     fn member(&mut self, m: usize) -> &dyn Stepper<N>;
 }
 
-/// Members one after the other: any scheme.
+/// Members one after the other, with any scheme.
 pub struct Apart<const N: usize>(pub [Box<dyn Stepper<N>>; WIDTH]);
 
 impl<const N: usize> Members<N> for Apart<N> {

@@ -1,4 +1,4 @@
-//! What can go wrong in a step, by name.
+//! Failures of a step, by name.
 //!
 //! Invariant: the only numerical failures of the program; each carries the code that users match on, the
 //! quantity that was measured and its limit. Codes are fixed: files and scripts rely on them.
@@ -106,7 +106,7 @@ impl fmt::Display for FailureCode {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{code}: {}", code.cause())]
 pub struct Failure {
-    /// What happened.
+    /// Code of the failure.
     pub code: FailureCode,
     /// Stage (0-based) at which it was seen, where it belongs to one.
     pub stage: Option<usize>,
@@ -129,13 +129,14 @@ impl Failure {
         Self { code, stage, measured, limit, iterations: 0, increments: Vec::new(), turn_rad: None }
     }
 
-    /// A value that is infinite or not a number: of a stage, or of the end.
+    /// Creates the failure of a value that is infinite or not a number: at a stage, or at the end.
     pub(crate) fn not_finite(stage: Option<usize>) -> Self {
         Self::new(FailureCode::NonFinite, stage, f64::INFINITY, f64::MAX)
     }
 
-    /// This failure of an iteration, or the close approach that `check` found in it: a charge that was met explains a failed
-    /// iteration better than the iteration does. What the solver counted stays.
+    /// Returns this failure of an iteration, or the close approach that `check` found in it: a
+    /// charge that was met explains a failed iteration better than the iteration does. The counts
+    /// of the solver stay.
     pub(crate) fn explained_by(self, check: Result<(), Self>) -> Self {
         match check {
             Ok(()) => self,

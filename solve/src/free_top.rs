@@ -27,9 +27,10 @@
 //! The integral of the last term (an elliptic one of the third kind) is taken by Gauss quadrature on pieces
 //! so short that it is exact to round-off.
 //!
-//! The momentum has the period `4 K / l = 2 pi / agm(sqrt(max(a, b)), sqrt(|a - b|))` (Gauss 1799; Abramowitz, Stegun,
-//! 17.6), and `e . mu`, a dn, half of it: of a longer motion the whole periods leave the momentum where it is, and
-//! each adds the same to psi. So a motion costs at most a period and a half, however long it is.
+//! The momentum has the period `4 K / l = 2 pi / agm(sqrt(max(a, b)), sqrt(|a - b|))` (Gauss 1799;
+//! Abramowitz, Stegun, 17.6), and `e . mu`, a dn, half of it: in a longer motion the whole periods
+//! leave the momentum where it is, and each adds the same to psi. So a motion costs at most a
+//! period and a half, however long it is.
 //!
 //! Invariant: the spatial momentum and the kinetic energy are kept to round-off.
 
@@ -44,7 +45,7 @@ const LONGEST_PIECE: f64 = 0.125;
 const TERMS: usize = 8;
 /// More pieces than this in a step are refused: over 10^4 radians.
 const MAX_PIECES: f64 = 1e5;
-/// Up to here three nodes leave 1e-17.
+/// Length up to which three nodes leave 1e-17.
 const SHORT: f64 = 0.02;
 /// Nodes and weights of Gauss quadrature on [0, 1] (Abramowitz, Stegun, table 25.4).
 const RULE: [(f64, f64); 5] = [
@@ -54,15 +55,15 @@ const RULE: [(f64, f64); 5] = [
     (0.769_234_655_052_841_6, 0.239_314_335_249_683_24),
     (0.953_089_922_969_332, 0.118_463_442_528_094_54),
 ];
-/// The same with three nodes.
+/// Nodes and weights with three nodes.
 const SHORT_RULE: [(f64, f64); 3] = [
     (0.112_701_665_379_258_31, 0.277_777_777_777_777_8),
     (0.5, 0.444_444_444_444_444_4),
     (0.887_298_334_620_741_7, 0.277_777_777_777_777_8),
 ];
 
-/// How a free body moves in `h`, given its inverse principal moments of inertia and its momentum, and in how many pieces that
-/// was computed: see [`pieces`].
+/// Returns the motion of a free body in `h`, given its inverse principal moments of inertia and its
+/// momentum, and the number of pieces in which it was computed: see [`pieces`].
 ///
 /// `None` if the values are not finite or the body turns by more than about 10^4 radians.
 pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift, f64)> {
@@ -79,10 +80,10 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift,
     if !(longest <= MAX_PIECES * LONGEST_PIECE) || !size.is_finite() {
         return None;
     }
-    // Of x and z the one that keeps its sign: it belongs to dn.
+    // The one of x and z that keeps its sign: it belongs to dn.
     let place = if a >= b { 2 } else { 0 };
     let pole = Pole { axis: axes.0[place], sign: 1.0_f64.copysign(m[place]) };
-    // From m on: the integral of 1 / (G + e . mu), and what m gains.
+    // From m on: the integral of 1 / (G + e . mu), and the change of m.
     let along = |h: f64, mut m: [f64; 3]| {
         let longest = constants.length(h);
         let rule: &[(f64, f64)] = if longest <= SHORT { &SHORT_RULE } else { &RULE };
@@ -126,8 +127,8 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift,
     Some((Drift { turn: (start * turn * end.conjugate()).normalize(), gain }, pieces))
 }
 
-/// The pieces in which [`flow`] computes a motion, of a body given by its inverse principal moments and its momentum: what it
-/// costs is about proportional to them.
+/// Returns the number of pieces in which [`flow`] computes a motion of a body given by its inverse
+/// principal moments and its momentum: the cost is about proportional to it.
 pub fn pieces(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> f64 {
     let axes = Axes::new(inverse);
     let constants = Constants::new(axes.0.map(|axis| inverse[axis]), axes.0.map(|axis| mu[axis]));
@@ -136,7 +137,7 @@ pub fn pieces(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> f64 {
     count(constants.length(rest)) + of_period
 }
 
-/// The pieces of a motion over which the argument u goes so far.
+/// Returns the number of pieces of a motion over which the argument u goes by `length`.
 fn count(length: f64) -> f64 {
     (length / LONGEST_PIECE).ceil().clamp(1.0, MAX_PIECES)
 }
@@ -150,10 +151,11 @@ struct Course {
 
 /// Puts `mu + gain` back to where the size of the momentum and the energy are those of `mu`.
 ///
-/// The constants of the exact solution are the same numbers at every step of a body whose motion is regular, and
-/// so is what their rounding takes off what is kept: it would add up to a line (Vilmart 2008, Journal of
-/// Computational Physics 227). To first order, for `d_G = gain . (2 mu + gain)` and, `w` being the mean of J^-1
-/// along mu, `d_T = gain . (J^-1 - w) (2 mu + gain)`,
+/// The constants of the exact solution are the same numbers at every step of a body whose motion is
+/// regular, and so is the error of their rounding in the conserved quantities: it would add up to a
+/// line (Vilmart 2008, Journal of Computational Physics 227). To first order, for
+/// `d_G = gain . (2 mu + gain)` and, `w` being the mean of J^-1 along mu,
+/// `d_T = gain . (J^-1 - w) (2 mu + gain)`,
 ///
 /// ```text
 /// gain <- gain - d_G mu / (2 |mu|^2) - d_T n / (2 |n|^2),     n = (J^-1 - w) mu, which is across mu
@@ -189,13 +191,13 @@ impl Axes {
     }
 }
 
-/// What does not change along the motion.
+/// Constants of the motion.
 struct Constants {
     /// alpha, beta, gamma.
     rates: [f64; 3],
     /// a and b.
     squares: [f64; 2],
-    /// a - b, in which what both have is left out.
+    /// a - b, without the term that both share.
     difference: f64,
 }
 
@@ -208,20 +210,20 @@ impl Constants {
         Self { rates: [alpha, beta, gamma], squares, difference }
     }
 
-    /// How far the argument u goes in `h`.
+    /// Returns how far the argument u goes in `h`.
     fn length(&self, h: f64) -> f64 {
         let [a, b] = self.squares;
         // The sum keeps a NaN, a maximum would not.
         h.abs() * (a + b).sqrt()
     }
 
-    /// Of the momentum; infinite on a separatrix and where it rests.
+    /// Returns the period of the momentum; infinite on a separatrix and where it rests.
     fn period(&self) -> f64 {
         let [a, b] = self.squares;
         std::f64::consts::TAU / agm(a.max(b).sqrt(), self.difference.abs().sqrt())
     }
 
-    /// What `h` is in periods of the momentum.
+    /// Splits `h` into whole periods of the momentum and a rest.
     fn course(&self, h: f64) -> Course {
         // K is at least pi / 2.
         if self.length(h) < 6.0 {
@@ -247,10 +249,10 @@ impl Constants {
         Series { t, squares: [a, b], w }
     }
 
-    /// What x, y, z gain in a piece.
+    /// Returns the change of x, y, z in a piece.
     ///
-    /// In the small numbers c - 1 and d - 1: ratios next to one would round the same way in every
-    /// piece, and the size of the momentum would drift.
+    /// Computed in the small numbers c - 1 and d - 1: ratios near one would round the same way in
+    /// every piece, and the size of the momentum would drift.
     fn change(&self, [x, y, z]: [f64; 3], series: &Series) -> [f64; 3] {
         let [alpha, beta, gamma] = self.rates;
         let [s, c, d] = series.at(1.0);
@@ -330,7 +332,7 @@ mod tests {
     use super::*;
     use crate::so3::{self, Top};
 
-    /// Where the body is after `h`.
+    /// Returns the body after `h`.
     fn after(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
         let (Drift { turn, gain }, _) = flow(inverse, &top.momentum, h)?;
         let attitude = so3::renormalised(&(top.attitude * turn));
@@ -381,7 +383,7 @@ mod tests {
             [3.0, -2.0, 5.0],
             [1e-2, 4.0, 1e-2],
             [0.1, 0.2, -7.0],
-            // Next to the separatrix of the first body.
+            // Near the separatrix of the first body.
             [1.0, 0.4, 1.41],
         ];
         let mut periods_seen = 0.0;
@@ -405,7 +407,7 @@ mod tests {
                 };
                 let long = |top: &Top| after(&inverse, top, 2.0 * period).expect("finite");
                 let end = long(&start);
-                // What rounding of the start alone makes, which is much next to a separatrix.
+                // Effect of rounding of the start alone, which is large near a separatrix.
                 let nudged = |axis: usize| {
                     let mut top = start;
                     top.momentum[axis] += 1e-15 * momentum.norm();

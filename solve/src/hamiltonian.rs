@@ -79,7 +79,8 @@ pub enum Kinetic<const N: usize> {
 }
 
 impl Kinetic<3> {
-    /// Of principal moments of inertia, in kg m^2: the plane (i, j) turns about the third axis.
+    /// Returns the kinetic energy for principal moments of inertia, in kg m^2: the plane (i, j)
+    /// turns about the third axis.
     pub fn of_moments(moments: [f64; 3]) -> Self {
         let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / moments[3 - i - j] });
         Self::Principal { weights }
@@ -87,13 +88,14 @@ impl Kinetic<3> {
 }
 
 impl<const N: usize> Kinetic<N> {
-    /// Of second moments about the body axes, in kg m^2.
+    /// Returns the kinetic energy for second moments about the body axes, in kg m^2.
     pub fn of_second_moments(d: [f64; N]) -> Self {
         let weights = Mat::from_fn(|i, j| if i == j { 0.0 } else { 1.0 / (d[i] + d[j]) });
         Self::Principal { weights }
     }
 
-    /// Of an inertia tensor in kg m^2, for n = 3; `None` if it is not symmetric to rounding and positive definite.
+    /// Returns the kinetic energy for an inertia tensor in kg m^2, for n = 3; `None` if it is not
+    /// symmetric to rounding and positive definite.
     pub fn of_tensor(inertia: Matrix3<f64>) -> Option<Self> {
         const ROUNDING: f64 = 1e-12;
         if !((inertia - inertia.transpose()).amax() <= ROUNDING * inertia.amax()) {
@@ -145,7 +147,7 @@ impl<const N: usize> RigidBody<N> {
     /// potential energy that does not depend on the attitude.
     ///
     /// # Panics
-    /// If `kinetic` is a tensor and n is not 3.
+    /// Panics if `kinetic` is a tensor and n is not 3.
     pub fn new(kinetic: Kinetic<N>, terms: Vec<Term<N>>, constant: f64) -> Self {
         assert!(
             N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }),
@@ -164,7 +166,7 @@ impl<const N: usize> RigidBody<N> {
         }
     }
 
-    /// A term more.
+    /// Adds a term.
     fn push(&mut self, term: Term<N>) {
         self.reaches.push(term.reach());
         self.terms.push(term);
@@ -220,12 +222,13 @@ impl<const N: usize> RigidBody<N> {
         so::asym(&so::product(mu, omega)) - self.gradient_seen(u, seen)
     }
 
-    /// The same body, with work to be counted, and ended, by `work`.
+    /// Lets `work` count the work for the body, and end it.
     pub fn with_work(self, work: Work) -> Self {
         Self { work, ..self }
     }
 
-    /// What was done for the body since it was made. Of a free body no gradients are counted.
+    /// Returns the work done for the body since it was made. No gradients are counted for a free
+    /// body.
     pub fn work(&self) -> &Work {
         &self.work
     }

@@ -52,8 +52,9 @@ impl<const N: usize> Lagrangian<N> for RigidBody<N> {
     }
 }
 
-/// The energy `<mu, Omega> - L` of a Lagrangian at a state, for its [`System::energy`]: `-L(g, 0)` is the potential part
-/// and what is left the kinetic one, as of `L = T - U`. NaN where the momentum `mu` has no velocity.
+/// The energy `<mu, Omega> - L` of a Lagrangian at a state, for its [`System::energy`]: `-L(g, 0)`
+/// is the potential part and the rest the kinetic one, as for `L = T - U`. NaN where the momentum
+/// `mu` has no velocity.
 pub fn energy<const N: usize>(
     lagrangian: &(impl Lagrangian<N> + ?Sized),
     g: &Mat<N>,

@@ -20,7 +20,7 @@ pub const WIDTH: usize = 8;
 pub struct Row(pub [f64; WIDTH]);
 
 impl Row {
-    /// The same number in all lanes.
+    /// Returns the row with the same number in all lanes.
     pub const fn splat(value: f64) -> Self {
         Self([value; WIDTH])
     }
@@ -50,8 +50,9 @@ impl IndexMut<usize> for Row {
 }
 
 /// Does the work in lanes of a wide instruction set, compiled for it, if there is one; else the other.
-// Not of each that there is: a piece of work is compiled once for each. The more registers of AVX-512 make few lanes of n = 3
-// quicker by a tenth, and four lanes of n = 16; two lanes of matrices they gain nothing.
+// Not for every instruction set: a piece of work is compiled once for each. The additional
+// registers of AVX-512 make few lanes of n = 3 quicker by a tenth, and four lanes of n = 16; two
+// lanes of matrices gain nothing.
 macro_rules! widest {
     (@on $token:ident, $vector:ident, $lanes:ident => $work:expr) => {{
         let $lanes = $vector::splat($token, 0.0);
@@ -99,27 +100,27 @@ pub trait Real:
     fn constant(self, value: f64) -> Self;
     /// The square root.
     fn sqrt(self) -> Self;
-    /// The size.
+    /// The absolute value.
     fn abs(self) -> Self;
-    /// The larger of two numbers that are.
+    /// The larger of two numbers if neither is NaN.
     fn max_or_nan(self, other: Self) -> Self;
     /// `self` where `measure` is a number up to `limit`, elsewhere `other`.
     fn select(self, measure: Self, limit: f64, other: Self) -> Self;
 }
 
-/// What belongs to a step as a whole: one number, or one for each member of an ensemble.
+/// Quantity of a step as a whole: one number, or one for each member of an ensemble.
 pub trait Whole: Real {
-    /// As it lies in memory.
+    /// Layout in memory.
     type Plain: Copy;
-    /// From memory, like `self`.
+    /// Loads from memory, like `self`.
     fn load(self, plain: &Self::Plain) -> Self;
-    /// To memory.
+    /// Stores to memory.
     fn store(self, plain: &mut Self::Plain);
-    /// Lanes: of one number one, else as many as there are members.
+    /// Number of lanes: one for a single number, else as many as there are members.
     const LANES: usize;
     /// The number in a lane.
     fn lane(self, lane: usize) -> f64;
-    /// From the numbers of the lanes.
+    /// Builds the value from the numbers of the lanes.
     fn of_lanes(self, lanes: &Row) -> Self;
 }
 
@@ -127,39 +128,39 @@ pub trait Whole: Real {
 pub trait Stored: Real {
     /// Lanes.
     const LANES: usize;
-    /// As many of them side by side as a register holds.
+    /// Group of them side by side, as many as a register holds.
     type Wide: Real;
-    /// How many that are.
+    /// Number of them in a group.
     const GROUP: usize;
-    /// From the beginning of a slice, like `self`.
+    /// Reads from the beginning of a slice, like `self`.
     fn get(self, from: &[f64]) -> Self;
-    /// To the beginning of a slice.
+    /// Writes to the beginning of a slice.
     fn put(self, to: &mut [f64]);
-    /// A group from the beginning of a slice.
+    /// Reads a group from the beginning of a slice.
     fn get_wide(self, from: &[f64]) -> Self::Wide;
-    /// To the beginning of a slice.
+    /// Writes a group to the beginning of a slice.
     fn put_wide(wide: Self::Wide, to: &mut [f64]);
-    /// The same one, as often as a group has.
+    /// Reads one from the beginning of a slice and repeats it to fill a group.
     fn repeated(self, from: &[f64]) -> Self::Wide;
     /// The sum over a group, by halves.
     fn folded(wide: Self::Wide) -> Self;
 }
 
-/// What belongs to the stages of a step: a number for each.
+/// Quantity of the stages of a step: a number for each.
 pub trait Stages: Stored {
-    /// What belongs to the step as a whole.
+    /// Quantity of the step as a whole.
     type Whole: Whole + Stored;
-    /// As it lies in memory.
+    /// Layout in memory.
     type Plain: Copy;
-    /// At most.
+    /// Largest number of stages.
     const STAGES: usize;
-    /// From memory, like `self`.
+    /// Loads from memory, like `self`.
     fn load(self, plain: &Self::Plain) -> Self;
-    /// To memory.
+    /// Stores to memory.
     fn store(self, plain: &mut Self::Plain);
     /// Constants, one for each stage.
     fn row(self, row: &Row) -> Self;
-    /// The same for all stages.
+    /// Returns the same number for all stages.
     fn spread(self, whole: Self::Whole) -> Self;
     /// The number of stage `k`.
     fn stage(self, k: usize) -> Self::Whole;
@@ -175,7 +176,7 @@ pub trait Stages: Stored {
     fn vectorized<T>(self, work: impl FnOnce() -> T) -> T;
     /// The largest over the stages.
     fn largest(self) -> Self::Whole;
-    /// What a law that knows no lanes makes of three rows of three numbers, lane by lane.
+    /// Applies a law that is not written in lanes to three rows of three numbers, lane by lane.
     fn lane_by_lane(
         numbers: [[Self; 3]; 3],
         law: &mut dyn FnMut([[f64; 3]; 3]) -> [f64; 4],
@@ -401,8 +402,9 @@ macro_rules! stage_lanes {
 
             #[inline(always)]
             fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self {
-                // By way of memory, from where spreading a number costs nothing. The compiler would take each out of
-                // its register, through the port that half the arithmetic needs. (A row: see `aligned_zero`.)
+                // Through memory, from where spreading a number costs nothing. The compiler would
+                // take each out of its register, through the port that half the arithmetic needs.
+                // (A row: see `aligned_zero`.)
                 let mut values = Row::splat(0.0);
                 self.store_slice(&mut values.0[..$lanes]);
                 let values = std::hint::black_box(&values);
@@ -602,7 +604,8 @@ impl<S: Simd> Whole for f64x8<S> {
     }
 }
 
-/// Rows of `$stages` stages: `$whole` is what belongs to the step as a whole, `$plain` the stages as they lie in memory.
+/// Rows of `$stages` stages: `$whole` is the quantity of the step as a whole, `$plain` the stages
+/// as they lie in memory.
 macro_rules! stages_in_turn {
     ($stages:tt, $whole:ty, $plain:ty, $group:tt $(, $simd:ident)?) => {
         impl$(<$simd: Simd>)? Stored for Rows<$whole, $stages> {

@@ -34,22 +34,23 @@ mod past;
 use newton::Newton;
 pub use past::{Continued, Past};
 
-/// When an iteration has converged and when it has failed.
+/// Conditions under which an iteration has converged or failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StopRule {
     /// The increment (relative to the size of the unknowns) at which the iteration has converged.
     pub tolerance: f64,
     /// Sweeps, or corrections of Newton's method, after which it has failed.
     pub max_iterations: u32,
-    /// What may be tried.
+    /// Rungs that may be tried.
     pub rungs: Rungs,
-    /// Whether a sweep is spared that would change next to nothing. What is left out is biased.
+    /// Whether a sweep that would change next to nothing is spared. The part left out is biased.
     pub foresee: bool,
 }
 
 impl StopRule {
-    /// A rule that goes to round-off, to the last digit that sweeps find: what they leave at its tolerance is biased, and would
-    /// add up to a line. One with a tolerance of its own stays as it is.
+    /// Makes a rule that goes to round-off go to the last digit that sweeps find: the error left at
+    /// its tolerance is biased, and would add up to a line. A rule with a tolerance of its own
+    /// stays as it is.
     pub fn to_the_floor(self) -> Self {
         let round_off = Self::default().tolerance;
         if self.tolerance > round_off {
@@ -72,7 +73,7 @@ pub enum Rungs {
 }
 
 impl Default for StopRule {
-    /// To round-off.
+    /// Returns the rule that goes to round-off.
     fn default() -> Self {
         Self { tolerance: 1e-15, max_iterations: 100, rungs: Rungs::Both, foresee: true }
     }
@@ -84,7 +85,8 @@ const ROUND_OFF: f64 = 4e-15;
 const ROUND_OFF_FLOOR: f64 = 1e-12;
 /// A contraction that can be relied upon to go on.
 const FAST: f64 = 0.1;
-/// A sweep is spared if it would change less than this part of the tolerance: what is left out is biased, and a tenth of the tolerance at each step shows as a drift of the energy.
+/// A sweep is spared if it would change less than this part of the tolerance: the part left out is
+/// biased, and a tenth of the tolerance at each step shows as a drift of the energy.
 const FORESEEN: f64 = 1e-2;
 /// Number of sweeps after which convergence is judged, and number of latest sweeps over which ...
 const TRIAL: u32 = 16;
@@ -97,7 +99,7 @@ const CYCLE: u32 = 6;
 /// This many sweeps in a row without progress are divergence, not a transient.
 const PATIENCE: u32 = 3;
 
-/// Which rung of the solver made the step.
+/// Rung of the solver that made the step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rung {
     /// Fixed-point sweeps.
@@ -109,7 +111,7 @@ pub enum Rung {
 }
 
 impl Rung {
-    /// All of them.
+    /// All rungs.
     pub const ALL: [Self; 3] = [Self::FixedPoint, Self::Newton, Self::Explicit];
 
     /// The rung's name in logs and answers.
@@ -122,7 +124,7 @@ impl Rung {
     }
 }
 
-/// How a solve ended.
+/// Result of a solve.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Convergence {
     /// Sweeps made; corrections of Newton's method, each of several sweeps.
@@ -134,7 +136,7 @@ pub struct Convergence {
 }
 
 impl Convergence {
-    /// What a step without equations to solve reports.
+    /// Result of a step without equations to solve.
     pub const EXPLICIT: Self = Self { iterations: 1, increment: 0.0, rung: Rung::Explicit };
 }
 
@@ -143,23 +145,23 @@ pub trait Equations {
     /// Sets the unknowns to their first guess, a function of the state alone.
     ///
     /// # Errors
-    /// If there is none.
+    /// Fails if there is none.
     fn guess(&mut self) -> Result<(), Failure>;
 
     /// Moves unknowns that a sweep finds at once from where the guess has left them: in Newton's method they would
     /// drown the others.
     ///
     /// # Errors
-    /// Where the unknowns make no sense.
+    /// Fails where the unknowns make no sense.
     fn settle(&mut self) -> Result<(), Failure> {
         Ok(())
     }
 
-    /// Improves the unknowns in place; returns the size of its change, relative to theirs. What it makes of the
-    /// unknowns depends on nothing but the unknowns.
+    /// Improves the unknowns in place; returns the size of its change, relative to theirs. The new
+    /// unknowns depend on the old ones alone.
     ///
     /// # Errors
-    /// Where they make no sense.
+    /// Fails where they make no sense.
     fn sweep(&mut self) -> Result<f64, Failure>;
 
     /// Appends the unknowns, in units that make them about one in size.
@@ -169,7 +171,7 @@ pub trait Equations {
     fn set(&mut self, values: &[f64]);
 }
 
-/// A solver and what it works with.
+/// A solver and its workspace.
 #[derive(Clone, Debug)]
 pub struct Solver {
     rule: StopRule,
@@ -177,7 +179,7 @@ pub struct Solver {
 }
 
 impl Solver {
-    /// A solver that follows `rule`.
+    /// Creates a solver that follows `rule`.
     pub fn new(rule: StopRule) -> Self {
         Self { rule, newton: Newton::default() }
     }
@@ -187,7 +189,7 @@ impl Solver {
         self.rule
     }
 
-    /// The same by sweeps alone.
+    /// Returns the same solver by sweeps alone.
     pub fn by_sweeps(&self) -> Self {
         Self::new(StopRule { rungs: Rungs::FixedPoint, ..self.rule })
     }
@@ -202,7 +204,7 @@ impl Solver {
         self.watched(equations, |_| {})
     }
 
-    /// The same; `watch` sees the increments of the sweeps.
+    /// Solves as [`Solver::solve`] does; `watch` sees the increments of the sweeps.
     fn watched(
         &mut self,
         equations: &mut impl Equations,
@@ -216,7 +218,7 @@ impl Solver {
             Rungs::Both => match swept(Progress::new(self.rule, true), sweep) {
                 Ok(Some(convergence)) => Ok(convergence),
                 Err(stopped) if stopped.code == FailureCode::Stopped => Err(stopped),
-                // If nothing gets there, the sweeps show why more plainly.
+                // If nothing gets there, the sweeps show the reason more plainly.
                 stuck => {
                     // Sweeps that converged, but ran out, stand near a solution.
                     if let Err(Failure { code: FailureCode::MaxIterations, .. }) = stuck
@@ -224,7 +226,7 @@ impl Solver {
                     {
                         return Ok(convergence);
                     }
-                    // From the beginning: where other sweeps went is no better a place.
+                    // From the beginning: the place that other sweeps reached is no better.
                     equations.guess()?;
                     let newton = self.newton.solve(self.rule, equations);
                     newton.map_err(|failure| match failure.code {
@@ -265,7 +267,7 @@ fn swept(
     }
 }
 
-/// What the increments of a fixed-point iteration show.
+/// Progress of a fixed-point iteration, as its increments show it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Progress {
     rule: StopRule,
@@ -275,11 +277,11 @@ pub(super) struct Progress {
     grown: u32,
     smallest: f64,
     since_smallest: u32,
-    /// The contraction that steps before have shown, if there were any.
+    /// Contraction of the steps before, if there were any.
     expected: f64,
 }
 
-/// What to do after a sweep.
+/// Decision after a sweep.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Verdict {
     /// Another sweep.
@@ -291,7 +293,7 @@ pub(super) enum Verdict {
 }
 
 impl Progress {
-    /// An iteration that begins; it is left for Newton's method where that is quicker if `leave`.
+    /// Begins an iteration; if `leave`, it is left for Newton's method where that is quicker.
     pub(super) fn new(rule: StopRule, leave: bool) -> Self {
         let (smallest, since_smallest) = (f64::INFINITY, 0);
         Self {
@@ -321,7 +323,7 @@ impl Progress {
     /// Judges the iteration by its newest increment.
     ///
     /// # Errors
-    /// If it does not converge.
+    /// Fails if it does not converge.
     #[inline] // A caller would wait for what comes back by way of memory.
     pub(super) fn judged(&mut self, increment: f64) -> Result<Verdict, Failure> {
         let Self { rule, leave, history, iteration, grown, smallest, since_smallest, expected } =
@@ -338,8 +340,8 @@ impl Progress {
         } else {
             *since_smallest += 1;
         }
-        // What is left after this sweep is about the increment times the contraction. Of the last two the
-        // worse: one may be luck.
+        // The error left after this sweep is about the increment times the contraction, the worse
+        // of the last two: one may be luck.
         let contraction =
             if *iteration > 2 { (increment / previous).max(previous / before) } else { *expected };
         let foreseen = rule.foresee

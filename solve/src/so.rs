@@ -132,7 +132,7 @@ pub const fn dimension(n: usize) -> usize {
 /// For n = 3 the hat map, `hat(x) y = x cross y`; else the entries above the diagonal, row by row.
 ///
 /// # Panics
-/// If `coordinates` is not of length n(n-1)/2.
+/// Panics if `coordinates` is not of length n(n-1)/2.
 pub fn hat<const N: usize>(coordinates: &[f64]) -> Mat<N> {
     assert_eq!(coordinates.len(), dimension(N), "coordinates of so({N})");
     let mut x = Mat::<N>::zeros();
@@ -148,7 +148,7 @@ pub fn vee<const N: usize>(x: &Mat<N>) -> Vec<f64> {
     coordinate_places::<N>().map(|(i, j, sign)| sign * x[(i, j)]).collect()
 }
 
-/// Where each coordinate of so(n) stands: row, column, sign.
+/// Returns the place of each coordinate of so(n): row, column, sign.
 fn coordinate_places<const N: usize>() -> impl Iterator<Item = (usize, usize, f64)> {
     // hat(x) = [[0, -x3, x2], [x3, 0, -x1], [-x2, x1, 0]]
     let vector = [(2, 1, 1.0), (0, 2, 1.0), (1, 0, 1.0)];
@@ -199,7 +199,7 @@ fn inverse_transpose<const N: usize>(a: &Mat<N>) -> Option<Mat<N>> {
         let cofactors = [c0 * scale, r2.cross(&r0) * scale, r0.cross(&r1) * scale];
         Some(Mat::from_fn(|i, j| cofactors[i][j]))
     } else {
-        // Of a length that the compiler does not know: compiled once.
+        // With a length that the compiler does not know: compiled once.
         let inverse = DMatrix::from_column_slice(N, N, a.as_slice()).try_inverse()?;
         Some(Mat::from_row_slice(inverse.as_slice()))
     }
@@ -293,14 +293,14 @@ pub fn exp<const N: usize>(x: &Mat<N>) -> Mat<N> {
             even + a * x[(i, j)]
         })
     } else if inner(x, x) <= LARGEST_ANGLE * LARGEST_ANGLE {
-        // Squaring doubles what rounding left; one correction takes it back.
+        // Squaring doubles the rounding error; one correction takes it back.
         orthonormalised(&(Mat::identity() + exp_minus_one(x)))
     } else {
         Mat::repeat(f64::NAN)
     }
 }
 
-/// The largest angle in radians of which [`exp`] still knows the place on the circle.
+/// The largest angle in radians at which [`exp`] still resolves the place on the circle.
 pub(super) const LARGEST_ANGLE: f64 = 1e6;
 
 /// `exp(X) - I`: kept apart from I, so that squaring does not round at the size of one.
@@ -349,7 +349,8 @@ pub fn lyapunov<const N: usize>(m: &Mat<N>, c: &Mat<N>, guess: &Mat<N>) -> Optio
     lyapunov_in(m, c, guess, &mut 0)
 }
 
-/// [`lyapunov`], its iterations added to those before: what is far from the identity takes many times the usual ones.
+/// [`lyapunov`], adding its iterations to those before: a matrix far from the identity takes many
+/// times the usual number.
 pub(super) fn lyapunov_in<const N: usize>(
     m: &Mat<N>,
     c: &Mat<N>,
@@ -448,7 +449,7 @@ pub fn smallest_eigenvalue<const N: usize>(p: &Mat<N>) -> f64 {
 /// For n = 3, by Newton's method for `det(P - x I) = 0` from a bound below all roots, which are real: it comes nearer
 /// monotonically. `None` for other n, and where a second eigenvalue is next to it.
 fn smallest_of_three<const N: usize>(p: &Mat<N>) -> Option<f64> {
-    // Of so small an entry the determinant would be rounded to zero.
+    // With so small an entry the determinant would be rounded to zero.
     const SMALLEST: f64 = 1e-90;
     const STEPS: u32 = 12;
     let size = p.amax();
@@ -498,7 +499,8 @@ pub fn smallest_eigenvalue_bound<const N: usize>(p: &Mat<N>) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// How far `g` is from the group: the spectral norm of `g g^T - I`; NaN where that overflows.
+/// Returns the distance of `g` from the group: the spectral norm of `g g^T - I`; NaN where that
+/// overflows.
 pub fn orthogonality_error<const N: usize>(g: &Mat<N>) -> f64 {
     let defect = product(g, &g.transpose()) - Mat::<N>::identity();
     eigenvalues(&defect).map_or(f64::NAN, |values| values.amax())

@@ -20,12 +20,12 @@ pub struct Top {
 }
 
 impl Top {
-    /// At rest in the attitude 1.
+    /// Creates the top at rest in the attitude 1.
     pub fn at_rest() -> Self {
         Self { attitude: Quaternion::identity(), momentum: Vector3::zeros() }
     }
 
-    /// The same point in coordinates of its own.
+    /// Converts `state` to the coordinates of this module.
     pub fn from_state(state: &State<3>) -> Self {
         Self { attitude: unit(&state.attitude), momentum: vee(&state.momentum) }
     }
@@ -43,7 +43,8 @@ impl Top {
     }
 }
 
-/// The skew matrix of a vector, `hat(v) y = v cross y`: [`crate::so::hat`], of a vector of fixed size.
+/// The skew matrix of a vector, `hat(v) y = v cross y`: [`crate::so::hat`] for a vector of fixed
+/// size.
 pub fn hat(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()
 }
@@ -63,7 +64,8 @@ pub fn unit(g: &Matrix3<f64>) -> Quaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*g)).normalize()
 }
 
-/// A quaternion that is of length one to about 1e-8, to round-off: one step of Newton's for `1 / |q|`.
+/// Normalises a quaternion whose length is one to about 1e-8, to round-off: one step of Newton's
+/// for `1 / |q|`.
 pub fn renormalised(q: &Quaternion<f64>) -> Quaternion<f64> {
     q * (1.5 - 0.5 * q.norm_squared())
 }

@@ -1,6 +1,6 @@
 //! Vectors, matrices and quaternions of space, in lanes. Matrices are rows of columns.
 //!
-//! Invariant: what a function computes in a lane does not depend on the other lanes.
+//! Invariant: the result in a lane does not depend on the other lanes.
 
 use super::lanes::Real;
 
@@ -59,7 +59,7 @@ pub fn plus<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> Vec3<T> {
     vec3!(i => a[i] + b[i])
 }
 
-/// `a + b`, and what rounding left over (Knuth's two-sum).
+/// Returns `a + b`, and the part of it lost to rounding (Knuth's two-sum).
 #[inline(always)]
 pub fn sum<T: Real>(a: T, b: T) -> (T, T) {
     let sum = a + b;
@@ -187,8 +187,9 @@ impl<T: Real> Quaternion<T> {
         Self { w: half[0].constant(1.0), v: *half }.normalised()
     }
 
-    /// Of length one, to second order in the deficit. It goes to w rather than to v, which holds the angle: (1 + v^2) w^2 +
-    /// v^2 v^2 = 1. A common factor near one is biased, and the energy of a run with it.
+    /// Normalises to second order in the deficit. It goes to w rather than to v, which holds the
+    /// angle: (1 + v^2) w^2 + v^2 v^2 = 1. A common factor near one is biased, and the energy of a
+    /// run with it.
     #[inline(always)]
     pub fn lengthened_by_w(&self) -> Self {
         let square = dot(&self.v, &self.v);
@@ -197,7 +198,8 @@ impl<T: Real> Quaternion<T> {
         Self { w: self.w + self.w * for_w, v: vec3!(i => self.v[i] + self.v[i] * for_v) }
     }
 
-    /// `self (1 + half)`, of length one to the fourth order of `half` and the second of the deficit of `self`.
+    /// `self (1 + half)`, normalised to the fourth order of `half` and the second of the deficit of
+    /// `self`.
     #[inline(always)]
     pub fn turned(&self, half: &Vec3<T>) -> Self {
         let Self { w, v } = self.lengthened_by_w();
@@ -222,14 +224,14 @@ impl<T: Real> Quaternion<T> {
         self.w * self.w + dot(&self.v, &self.v)
     }
 
-    /// Of length one, to second order in the deficit of the square.
+    /// Normalises to second order in the deficit of the square.
     #[inline(always)]
     pub fn lengthened(&self) -> Self {
         // 1 / sqrt(1 + e) = 1 - e / 2
         self.scaled(self.square() * -0.5 + 1.5)
     }
 
-    /// Of length one.
+    /// Normalises to length one.
     #[inline(always)]
     pub fn normalised(&self) -> Self {
         let length = self.square().sqrt();

@@ -1,9 +1,9 @@
 //! The matrices of the stages of a step side by side: one formula for all stages at once.
 //!
-//! An n x n matrix lies in memory row by row, and of each entry the numbers of all lanes. Where there are fewer lanes than a
-//! register holds, several columns go into one.
+//! An n x n matrix lies in memory row by row, each entry as the numbers of all lanes. Where there
+//! are fewer lanes than a register holds, several columns go into one.
 //!
-//! Invariant: what is computed in a lane does not depend on the other lanes, nor on the instruction set.
+//! Invariant: the result in a lane does not depend on the other lanes, nor on the instruction set.
 
 use std::ops::{Deref, DerefMut, IndexMut};
 
@@ -17,7 +17,7 @@ pub trait Dimension: Copy {
     type Vector<R: Copy>: Copy + IndexMut<usize, Output = R>;
     /// n.
     fn n(self) -> usize;
-    /// The same number n times.
+    /// Returns the vector of n times the same number.
     fn vector<R: Copy>(self, value: R) -> Self::Vector<R>;
 }
 
@@ -192,7 +192,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         for i in 0..n {
             let mut group = 0;
             if const { D::KNOWN.is_some() } {
-                // As many columns as there are: a constant, so that the other arms are not compiled.
+                // All columns at once; a constant, so that the other arms are not compiled.
                 match Self::GROUPS {
                     0 => {}
                     1 => self.groups::<1, T>(s, a, b, c, i, 0),
@@ -331,7 +331,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         }
     }
 
-    /// `C += a b^T - b a^T`, to nothing if it is the `first`.
+    /// `C += a b^T - b a^T`, from zero if it is the `first`.
     #[inline(always)]
     pub fn add_wedge(self, first: bool, a: &D::Vector<R>, b: &D::Vector<R>, c: &mut [f64]) {
         let c = &mut c[..self.numbers()];
@@ -344,7 +344,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         }
     }
 
-    /// To memory, number by number.
+    /// Writes a vector to memory, number by number.
     #[inline(always)]
     pub fn put_vector(self, v: &D::Vector<R>, to: &mut [f64]) {
         for (i, to) in to.chunks_exact_mut(R::LANES).enumerate() {
@@ -397,7 +397,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
 }
 
 impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
-    /// The same for what belongs to the step as a whole.
+    /// Returns the arithmetic for the step as a whole.
     #[inline(always)]
     pub fn whole(self) -> Stack<f64, D> {
         Stack { lanes: 0.0, dimension: self.dimension }

@@ -54,32 +54,38 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
         Ok(0)
     }
 
-    /// The longest own step, of a scheme with a time of its own: from now on it may be another.
+    /// Returns the longest own step of a scheme with a time of its own, which may be changed from
+    /// now on.
     fn own_step_s(&mut self) -> Option<&mut f64> {
         None
     }
 
-    /// Where the scheme is in its own time, for a checkpoint; `None` of one that has none.
+    /// Returns the position of the scheme in its own time, for a checkpoint; `None` for one that
+    /// has none.
     fn own_time(&self) -> Option<OwnTime<N>> {
         None
     }
 
-    /// How time passes for the scheme at the state that was looked at last; `None` of one with no time of its own.
+    /// Returns the pace of time for the scheme at the state that was looked at last; `None` for one
+    /// with no time of its own.
     fn pace(&self) -> Option<Pace> {
         None
     }
 
-    /// The next step begins at this time, in seconds; a scheme for systems that do not change with time does not look.
+    /// Sets the time at which the next step begins, in seconds; a scheme for systems that do not
+    /// change with time ignores it.
     fn set_time(&mut self, _time_s: f64) {}
 
-    /// What time and torques that are no potential's have put into the energy since [`Stepper::start`], in J, by the
-    /// weights of the scheme; zero of a system that is not driven.
+    /// Returns the energy put in by time and torques that are no potential's since
+    /// [`Stepper::start`], in J, by the weights of the scheme; zero for a system that is not
+    /// driven.
     fn work(&self) -> f64 {
         0.0
     }
 
-    /// What torques that are no potential's have put into the spatial momentum since [`Stepper::start`], skew, in N m s,
-    /// by the weights of the scheme; `None` of a scheme that takes no such torques.
+    /// Returns the spatial momentum put in by torques that are no potential's since
+    /// [`Stepper::start`], skew, in N m s, by the weights of the scheme; `None` for a scheme that
+    /// takes no such torques.
     fn impulse(&self) -> Option<Mat<N>> {
         None
     }
@@ -97,12 +103,12 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     }
 }
 
-/// The time of a driven system, and what was put into its energy and its momentum.
+/// The time of a driven system, and the input to its energy and its momentum.
 #[derive(Clone, Debug)]
 struct Clock<const N: usize> {
     time: f64,
     work: f64,
-    /// What rounding left of the sum.
+    /// Part of the work lost to rounding.
     carry: f64,
     impulse: Sum<N>,
 }
@@ -119,20 +125,21 @@ impl<const N: usize> Clock<N> {
         Time { begun: self.time, after }
     }
 
-    /// Goes on by a step, with what was put in during it.
+    /// Advances by a step, with the input during it.
     fn advance(&mut self, h: f64, put_in: &Input<N>) {
         self.time += h;
         (self.work, self.carry) = super::space::sum(self.work, put_in.power + self.carry);
-        // Not without torques: then it stays zero.
+        // Without torques it stays zero.
         if let Some(torque) = &put_in.torque {
             self.impulse.add(torque);
         }
     }
 }
 
-/// How far, as `|g - h|_F / sqrt(2)`, a step may end from where two of half its length do. On random scenes at the largest
-/// steps that are solved, the right solutions of two to four stages end by at most 0.4 from there, and those of the second
-/// roots that Newton's method has found by 0.5 to 1.4; one stage errs by 0.9 by itself.
+/// Largest distance, as `|g - h|_F / sqrt(2)`, between the end of a step and that of two of half
+/// its length. On random scenes at the largest steps that are solved, the right solutions of two to
+/// four stages end by at most 0.4 from there, and those of the second roots that Newton's method
+/// has found by 0.5 to 1.4; one stage errs by 0.9 by itself.
 const FAR: [f64; 2] = [1.0, 0.5];
 
 /// Refuses a step that Newton's method has solved for a root that belongs to no smaller step: two of half the length by
@@ -152,7 +159,7 @@ fn check_root<const N: usize>(
         match half() {
             Ok(attitude) => reached = attitude,
             Err(stopped) if stopped.code == FailureCode::Stopped => return Err(stopped),
-            // Where these are not solved either, nothing is known.
+            // If these are not solved either, nothing is known.
             Err(_) => return Ok(()),
         }
     }

@@ -1,4 +1,4 @@
-//! What the time loop asks of a system, whatever the law by which it moves.
+//! The system as the time loop sees it, whatever the law by which it moves.
 //!
 //! A system has its energy here and its law in one of two forms: [`crate::hamiltonian::Hamiltonian`] or
 //! [`crate::lagrangian::Lagrangian`]. A body with built-in terms, [`crate::hamiltonian::RigidBody`], has both.
@@ -14,24 +14,25 @@ pub trait System<const N: usize> {
     /// part and zero for the other. Where there is no energy the answer is NaN: the run then ends with a named failure.
     fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy;
 
-    /// Energy at a time in seconds, of a system that changes with it.
+    /// Energy at a time in seconds, for a system that changes with it.
     fn energy_at(&self, _time_s: f64, g: &Mat<N>, mu: &Mat<N>) -> Energy {
         self.energy(g, mu)
     }
 
-    /// dH/dmu, the body angular velocity, for observers: of a Hamiltonian its `velocity`. `None` for a system that
-    /// does not name it.
+    /// dH/dmu, the body angular velocity, for observers: for a Hamiltonian its `velocity`. `None`
+    /// for a system that does not name it.
     fn observed_velocity(&self, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
         None
     }
 
-    /// Does the energy change with time, or by torques that are no potential's? Then what the stepper says of
+    /// Does the energy change with time, or by torques that are no potential's? Then the answer of
     /// [`super::stepper::Stepper::work`] counts.
     fn is_driven(&self) -> bool {
         false
     }
 
-    /// Do torques act that are no potential's? Then what the stepper says of [`super::stepper::Stepper::impulse`] counts.
+    /// Do torques act that are no potential's? Then the answer of
+    /// [`super::stepper::Stepper::impulse`] counts.
     fn is_pushed(&self) -> bool {
         false
     }
@@ -61,7 +62,7 @@ pub trait System<const N: usize> {
     /// Takes note of a sweep of the nonlinear solver that begins.
     ///
     /// # Errors
-    /// If it is not to begin: see [`super::work`].
+    /// Fails if it is not to begin: see [`super::work`].
     fn begin_sweep(&self) -> Result<(), Failure> {
         Ok(())
     }

@@ -19,7 +19,7 @@ pub struct Tableau {
     order: u32,
 }
 
-/// Why coefficients do not make a usable tableau.
+/// Reason why coefficients do not make a usable tableau.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum TableauError {
     /// `a` is not square of the size of `b`, or empty, or larger than [`MAX_STAGES`].
@@ -59,7 +59,7 @@ pub const MIN_WEIGHT: f64 = 1e-6;
 pub const MAX_COEFFICIENT: f64 = 1e3;
 /// Order up to which the conditions of every tree are checked for a pair that is not symplectic by itself.
 const MAX_PAIR_ORDER: u32 = 6;
-/// And for one tableau by itself: 200 trees.
+/// Order up to which the conditions are checked for one tableau by itself: 200 trees.
 const MAX_CLASSICAL_ORDER: u32 = 8;
 /// Tolerance of an order condition; coefficients are good to a few units of the last place.
 const CONDITION_TOLERANCE: f64 = 1e-12;
@@ -68,7 +68,8 @@ impl Tableau {
     /// A tableau from its coefficients; the nodes are the row sums of `a`.
     ///
     /// # Errors
-    /// If the shape is wrong, a weight of an implicit tableau is zero, or the weights do not sum to one.
+    /// Fails if the shape is wrong, a weight of an implicit tableau is zero, or the weights do not
+    /// sum to one.
     pub fn new(a: Vec<Vec<f64>>, b: Vec<f64>) -> Result<Self, TableauError> {
         let stages = b.len();
         let square = a.len() == stages && a.iter().all(|row| row.len() == stages);
@@ -98,7 +99,7 @@ impl Tableau {
     /// Makes sure that it has a symplectic partner.
     ///
     /// # Errors
-    /// If a weight is zero.
+    /// Fails if a weight is zero.
     pub fn partnered(&self) -> Result<(), TableauError> {
         match self.b.iter().position(|weight| weight.abs() < MIN_WEIGHT) {
             Some(stage) => Err(TableauError::ZeroWeight { stage, weight: self.b[stage] }),
@@ -181,7 +182,7 @@ impl Tableau {
 
     /// Is it symplectic by itself, but for rounding: `b_i a_ij + b_j a_ji = b_i b_j`?
     pub fn is_own_partner(&self) -> bool {
-        /// What rounding may make of a coefficient.
+        /// Rounding error of a coefficient.
         const ROUNDED: f64 = 1e-14;
         let part = |i: usize, j: usize| self.a[i][j] / self.b[j];
         let stages = self.stages();

@@ -24,8 +24,9 @@ pub struct State<const N: usize> {
 }
 
 impl<const N: usize> State<N> {
-    /// How far it is from a state: the largest entry of `g^T g - I`, or that of `mu + mu^T` in parts of the largest of mu if it is
-    /// larger; 2 for a reflection, NaN for what is not finite.
+    /// Returns the distance from a state: the largest entry of `g^T g - I`, or of `mu + mu^T` in
+    /// parts of the largest of mu if that is larger; 2 for a reflection, NaN for what is not
+    /// finite.
     pub fn defect(&self) -> f64 {
         let Self { attitude, momentum } = self;
         let group = (so::transposed_product(attitude, attitude) - Mat::identity()).amax();
@@ -40,7 +41,7 @@ impl<const N: usize> State<N> {
     }
 }
 
-/// How far and how finely to go.
+/// Length and resolution of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
     /// The step h in seconds, finite and above zero.
@@ -51,18 +52,18 @@ pub struct Schedule {
     pub every: u64,
 }
 
-/// How time passes for a scheme whose own steps last as long as they last.
+/// Pace of time for a scheme whose own steps differ in duration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pace {
     /// dt / dtau at the sample.
     pub sigma: f64,
-    /// How long the own step around the sample lasts, in seconds; 0 at the start.
+    /// Duration of the own step around the sample, in seconds; 0 at the start.
     pub step_s: f64,
     /// Own steps made before the sample.
     pub steps: u64,
     /// The least dt / dtau of an own step since the sample before.
     pub least_sigma: f64,
-    /// By how much the state is later than the sample says, in seconds.
+    /// Time of the state minus the time of the sample, in seconds.
     pub time_error_s: f64,
 }
 
@@ -74,7 +75,7 @@ impl Pace {
     }
 }
 
-/// Where a scheme is in its own time: the end of its last own step.
+/// Position of a scheme in its own time: the end of its last own step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnTime<const N: usize> {
     /// The attitude g there.
@@ -83,13 +84,13 @@ pub struct OwnTime<const N: usize> {
     pub momentum: Mat<N>,
     /// The time there, in seconds since the start.
     pub time_s: f64,
-    /// What rounding has taken off that.
+    /// Part of that time lost to rounding.
     pub carry_s: f64,
     /// Own steps made.
     pub steps: u64,
 }
 
-/// What is computed at a sample in addition to the state: what the caller asked for.
+/// Quantities computed at a sample in addition to the state, as the caller asked for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Observables {
     /// Kinetic and potential energy.
@@ -100,14 +101,14 @@ pub struct Observables {
     pub momentum: bool,
     /// The smallest singular value met in the step.
     pub sigma_min: bool,
-    /// How time passes, for a scheme with a time of its own.
+    /// Pace of time, for a scheme with a time of its own.
     pub pace: bool,
 }
 
 impl std::ops::BitOr for Observables {
     type Output = Self;
 
-    /// What one or the other asks for.
+    /// Returns the observables that either of the two asks for.
     fn bitor(self, other: Self) -> Self {
         let Self { energy, orthogonality, momentum, sigma_min, pace } = other;
         Self {
@@ -120,7 +121,7 @@ impl std::ops::BitOr for Observables {
     }
 }
 
-/// One sample. What was not asked for is `None`.
+/// One sample. Values that were not asked for are `None`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sample<const N: usize> {
     /// Number of the step that ended here; 0 at the start.
@@ -131,32 +132,33 @@ pub struct Sample<const N: usize> {
     pub attitude: Option<Mat<N>>,
     /// The body momentum mu, skew.
     pub momentum: Mat<N>,
-    /// The body angular velocity Omega, skew; `None` of a system that does not name it.
+    /// The body angular velocity Omega, skew; `None` for a system that does not name it.
     pub angular_velocity: Option<Mat<N>>,
     /// Energy H = T + U.
     pub energy: Option<Energy>,
-    /// Energy now minus energy at the start, and of a driven system minus what was put in since.
+    /// Energy now minus energy at the start; for a driven system also minus the input since.
     pub energy_error: Option<f64>,
-    /// What time and torques have put into the energy since the start, in J; `None` also of a system that is not driven.
+    /// Energy put in by time and torques since the start, in J; `None` also for a system that is
+    /// not driven.
     pub work: Option<f64>,
-    /// Change of the Jacobi integral since the start, in J; `None` also of a system that has none, see
-    /// [`System::turning_frame`].
+    /// Change of the Jacobi integral since the start, in J; `None` also for a system that has none,
+    /// see [`System::turning_frame`].
     pub jacobi_error: Option<f64>,
     /// Spectral norm of g g^T - I.
     pub orthogonality_error: Option<f64>,
     /// Spatial momentum g mu g^T.
     pub spatial_momentum: Option<Mat<N>>,
-    /// Size of the change of the conserved part of the spatial momentum since the start, and of a system that is pushed
-    /// less the impulse since; `None` also where the scene conserves none.
+    /// Size of the change of the conserved part of the spatial momentum since the start, for a
+    /// system that is pushed less the impulse since; `None` also where the scene conserves none.
     pub momentum_drift: Option<f64>,
-    /// What torques that are no potential's have put into the spatial momentum since the start, in N m s; `None` also of a
-    /// system that is not pushed.
+    /// Spatial momentum put in by torques that are no potential's since the start, in N m s; `None`
+    /// also for a system that is not pushed.
     pub impulse: Option<Mat<N>>,
     /// How the nonlinear solver ended the step; `None` at the start.
     pub convergence: Option<Convergence>,
     /// Smallest singular value of the interpolated matrices of the step; `None` at the start.
     pub sigma_min: Option<f64>,
-    /// How time passes for the scheme; `None` of one with no time of its own.
+    /// Pace of time for the scheme; `None` for one with no time of its own.
     pub pace: Option<Pace>,
 }
 
@@ -207,9 +209,9 @@ impl<const N: usize> Sample<N> {
     }
 }
 
-/// Where samples go: the MCAP log, or a `Vec` that keeps them.
+/// Destination of samples: the MCAP log, or a `Vec` that keeps them.
 pub trait Sink<const N: usize> {
-    /// What may go wrong when a sample is kept.
+    /// Error of keeping a sample.
     type Error;
 
     /// Takes one sample.
@@ -218,7 +220,7 @@ pub trait Sink<const N: usize> {
     /// Ends the trajectory.
     fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error>;
 
-    /// Whether a checkpoint is wanted at the sample that came last.
+    /// Returns whether a checkpoint is wanted at the last sample.
     fn wants_checkpoint(&self) -> bool {
         false
     }
@@ -241,7 +243,8 @@ impl<const N: usize> Sink<N> for Vec<Sample<N>> {
     }
 }
 
-/// Where a trajectory is at a sample: all that it needs, in addition to where it began, to go on from there.
+/// State of a trajectory at a sample: all that it needs, in addition to its start, to go on from
+/// there.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint<const N: usize> {
     /// Steps made.
@@ -256,12 +259,12 @@ pub struct Checkpoint<const N: usize> {
     pub iterations: u64,
     /// How the last step was solved; `None` if none was made.
     pub convergence: Option<Convergence>,
-    /// What was put into the energy since the start, in J: see [`Stepper::work`].
+    /// Energy put in since the start, in J: see [`Stepper::work`].
     pub work: f64,
-    /// What torques that are no potential's have put into the spatial momentum since the start, in N m s: see
+    /// Spatial momentum put in by torques that are no potential's since the start, in N m s: see
     /// [`Stepper::impulse`].
     pub impulse: Mat<N>,
-    /// Of a scheme with a time of its own.
+    /// Own time of a scheme that has one.
     pub own_time: Option<OwnTime<N>>,
 }
 
@@ -272,7 +275,7 @@ impl<const N: usize> Checkpoint<N> {
         State { attitude, momentum: self.momentum }
     }
 
-    /// Before any step and sample.
+    /// Creates the checkpoint before any step and sample.
     pub fn at_start(state: &State<N>) -> Self {
         Self {
             step: 0,
@@ -288,12 +291,12 @@ impl<const N: usize> Checkpoint<N> {
     }
 }
 
-/// Where a trajectory begins, and where it resumes if it was interrupted.
+/// Start of a trajectory, and where it resumes if it was interrupted.
 #[derive(Clone, Copy, Debug)]
 pub struct Origin<'a, const N: usize> {
     /// The state at t = 0: drifts and errors are measured against it.
     pub initial: &'a State<N>,
-    /// Where to go on: also from a start other than that, with the energy that belongs to that.
+    /// Checkpoint to go on from: also one of another start, with the energy that belongs to that.
     pub checkpoint: Option<&'a Checkpoint<N>>,
 }
 
@@ -314,12 +317,12 @@ pub enum Ending {
     Failed(Failure),
 }
 
-/// What a trajectory leaves behind.
+/// Result of a trajectory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory<const N: usize> {
     /// How it ended.
     pub ending: Ending,
-    /// Where.
+    /// Where it ended.
     pub reached: Checkpoint<N>,
 }
 
@@ -435,9 +438,9 @@ impl<const N: usize> Bookkeeping<N> {
         self.sampled != Some(self.reached.step)
     }
 
-    /// The sample of the state that was reached, unless there was one; `settled` is what came of bringing
-    /// the stepper there. A sample that cannot be taken ends the trajectory: it is good up to the sample before, and all
-    /// that is reported ends there.
+    /// Takes the sample of the state that was reached, unless there was one; `settled` is the
+    /// result of bringing the stepper there. A sample that cannot be taken ends the trajectory: it
+    /// is good up to the sample before, and all that is reported ends there.
     pub(super) fn sample<Y: System<N> + ?Sized>(
         &mut self,
         system: &Y,
@@ -460,7 +463,8 @@ impl<const N: usize> Bookkeeping<N> {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
                 if step == 0 {
-                    // As it was given, not as the variables of the scheme hold it: a checkpoint there changes nothing.
+                    // The state as given, not as the scheme's variables hold it: a checkpoint there
+                    // changes nothing.
                     let initial = &observer.initial;
                     reached.attitude = sample.attitude.map(|_| initial.attitude);
                     reached.momentum = initial.momentum;
@@ -482,20 +486,20 @@ impl<const N: usize> Bookkeeping<N> {
         }
     }
 
-    /// Every way to an end leads past a sample of the last state.
+    /// Returns the trajectory. Every way to an end leads past a sample of the last state.
     pub(super) fn end(self) -> Trajectory<N> {
         Trajectory { ending: self.ending, reached: self.reached }
     }
 }
 
-/// What was put into a driven system since the start.
+/// Input to a driven system since the start.
 struct PutIn<const N: usize> {
     work: f64,
     /// `None` from a stepper that does not know.
     impulse: Option<Mat<N>>,
 }
 
-/// Computes what a sample holds in addition to the state, measured against the start.
+/// Computes the values that a sample holds in addition to the state, measured against the start.
 struct Observer<const N: usize> {
     observables: Observables,
     driven: bool,
@@ -554,7 +558,7 @@ impl<const N: usize> Observer<N> {
             energy_error: energy.map(|now| now.total() - self.initial_energy - work),
             work: energy.filter(|_| self.driven).map(|_| work),
             jacobi_error: energy.zip(self.turning_frame).map(|(now, rate)| {
-                // H - <W, m>, less what it was.
+                // H - <W, m>, less its initial value.
                 let turned = self.along(&rate, &State { attitude: g, momentum });
                 (now.total() - turned) - (self.initial_energy - self.along(&rate, &self.initial))
             }),
@@ -577,8 +581,9 @@ impl<const N: usize> Observer<N> {
         if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
     }
 
-    /// How far what the scene conserves has moved: the spatial momentum among the free directions, less the impulse of
-    /// torques, or, without an attitude, the coadjoint orbit of the body momentum.
+    /// Returns the change of what the scene conserves: the spatial momentum among the free
+    /// directions, less the impulse of torques, or, without an attitude, the coadjoint orbit of the
+    /// body momentum.
     fn drift(
         &self,
         attitude: Option<Mat<N>>,
@@ -587,7 +592,7 @@ impl<const N: usize> Observer<N> {
     ) -> Option<f64> {
         let start = &self.initial;
         match attitude {
-            // Nothing is known of a scheme that does not report what torques have put in.
+            // Nothing is known of a scheme that does not report the impulse of torques.
             Some(_) if self.pushed && impulse.is_none() => None,
             Some(g) => self.conserved.map(|q| {
                 let mut change =

@@ -21,14 +21,14 @@ pub struct Work {
 }
 
 impl Default for Work {
-    /// Without end.
+    /// Counts without a limit.
     fn default() -> Self {
         Self::limited(u64::MAX, Arc::default())
     }
 }
 
 impl Work {
-    /// At most `most_sweeps` sweeps, and none once `stop` is set.
+    /// Allows at most `most_sweeps` sweeps, and none once `stop` is set.
     pub fn limited(most_sweeps: u64, stop: Arc<AtomicBool>) -> Self {
         let none = || Cell::new(0);
         Self {
@@ -46,13 +46,13 @@ impl Work {
         self.gradients.get()
     }
 
-    /// Sweeps begun so far: of an explicit scheme or a composition, steps.
+    /// Sweeps begun so far: for an explicit scheme or a composition, steps.
     pub fn sweeps(&self) -> u64 {
         self.sweeps.get()
     }
 
-    /// Passes so far over attitudes and momenta within sweeps, which take no gradient and of a defect only what is new: of the
-    /// collocation with a deferred defect.
+    /// Passes so far over attitudes and momenta within sweeps of the collocation with a deferred
+    /// defect; they take no gradient, and of a defect only the new part.
     pub fn passes(&self) -> u64 {
         self.passes.get()
     }

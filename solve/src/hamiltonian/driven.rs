@@ -1,4 +1,4 @@
-//! What of a body changes with time, pushes it without being a potential, or spins in it.
+//! Parts of a body that change with time, push it without being a potential, or spin in it.
 //!
 //! A driven body is looked at moment by moment: [`RigidBody::at`] gives its potential as it is then, and the torques. In
 //! the extended phase space the momentum of time changes by `-dH/dt`, so that
@@ -17,35 +17,36 @@ use super::{Energy, RigidBody};
 use crate::failure::{Failure, FailureCode};
 use crate::so::{self, Mat, Vector};
 
-/// How the space vector of a term moves.
+/// Motion of the space vector of a term.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Path<const N: usize> {
-    /// Not at all.
+    /// No motion.
     Fixed,
-    /// It turns at a constant rate, from one of two orthonormal vectors towards the other; what of it is across their
-    /// plane stays.
+    /// Turns at a constant rate, from one of two orthonormal vectors towards the other; its part
+    /// across their plane stays.
     Turning {
         /// The plane.
         plane: [Vector<N>; 2],
-        /// In rad/s.
+        /// Turn rate, in rad/s.
         rate: f64,
     },
-    /// It follows a Kepler orbit: the term's own vector points to the pericentre, and turns from there towards `across`. A
-    /// place has the semi-major axis for its length, and comes nearer and goes farther; of a direction the length stays, and
-    /// the gradient of gravity along it is multiplied by the inverse cube of the distance in semi-major axes.
+    /// Follows a Kepler orbit: the term's own vector points to the pericentre, and turns from there
+    /// towards `across`. A place has the semi-major axis for its length, and comes nearer and goes
+    /// farther; a direction keeps its length, and the gradient of gravity along it is multiplied by
+    /// the inverse cube of the distance in semi-major axes.
     Orbit {
-        /// Of length one, orthogonal to the term's own vector.
+        /// Unit vector, orthogonal to the term's own vector.
         across: Vector<N>,
-        /// In rad/s.
+        /// Mean motion, in rad/s.
         mean_motion: f64,
-        /// From 0 to less than 1.
+        /// Eccentricity, from 0 to less than 1.
         eccentricity: f64,
-        /// At t = 0, in rad.
+        /// Mean anomaly at t = 0, in rad.
         mean_anomaly: f64,
     },
 }
 
-/// What the strength of a term is multiplied by.
+/// Factor by which the strength of a term is multiplied.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Factor {
     /// One.
@@ -56,21 +57,21 @@ pub enum Factor {
         mean: f64,
         /// The amplitude.
         amplitude: f64,
-        /// In rad/s.
+        /// Rate, in rad/s.
         rate: f64,
-        /// In rad.
+        /// Phase, in rad.
         phase: f64,
     },
-    /// By a table.
+    /// Given by a table.
     Table(Table<1>),
 }
 
-/// Values at times, and between them.
+/// Values at given times, and between them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table<const M: usize> {
-    /// Ascending.
+    /// Times, ascending.
     pub times: Vec<f64>,
-    /// As many.
+    /// Values, one row for each time.
     pub values: Vec<[f64; M]>,
     /// Cubic between two times, with slopes by the neighbours (Catmull and Rom 1974), so that steps keep their order up to
     /// the fourth; else straight, with corners at the times.
@@ -128,9 +129,9 @@ impl<const M: usize> Table<M> {
 pub struct DrivenTerm<const N: usize> {
     /// The term.
     pub term: Term<N>,
-    /// How its space vector moves.
+    /// Motion of its space vector.
     pub path: Path<N>,
-    /// How its strength changes.
+    /// Factor on its strength.
     pub factor: Factor,
 }
 
@@ -141,13 +142,13 @@ pub enum Torque<const N: usize> {
     Body(Mat<N>),
     /// Constant in space coordinates: skew, in N m.
     Space(Mat<N>),
-    /// Along a fixed element of so(n) in the body, as strong as a table says.
+    /// Along a fixed element of so(n) in the body, with the strength of a table.
     Table {
-        /// Skew.
+        /// Element of so(n), skew.
         along: Mat<N>,
         /// Are these space coordinates?
         spatial: bool,
-        /// In N m.
+        /// Strength, in N m.
         table: Table<1>,
     },
     /// `-c_ij Omega_ij`: viscous, with a coefficient for each plane, in N m s.
@@ -156,7 +157,7 @@ pub enum Torque<const N: usize> {
     OfMomentum(f64),
 }
 
-/// What of a body changes with time, or pushes it.
+/// Parts of a body that change with time, or push it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Driven<const N: usize> {
     terms: Vec<DrivenTerm<N>>,
@@ -212,7 +213,7 @@ impl<const N: usize> Driven<N> {
         &self,
         fixed: impl Iterator<Item = &'a Vector<N>>,
     ) -> Option<Mat<N>> {
-        /// Relative to the rate: rounding of what a scenario gives.
+        /// Relative to the rate: rounding of the numbers in a scenario.
         const NEAR: f64 = 1e-12;
         let rates: Option<Vec<Mat<N>>> = self.terms.iter().map(DrivenTerm::turning).collect();
         let rates = rates.filter(|_| self.torques.is_empty())?;
@@ -229,25 +230,26 @@ impl<const N: usize> Driven<N> {
 /// A driven body at one moment.
 #[derive(Clone, Debug)]
 pub(crate) struct Moment<const N: usize> {
-    /// Its potential as it is then.
+    /// The body with its potential at that moment.
     pub(crate) body: RigidBody<N>,
     torques: Vec<Torque<N>>,
     changing: Vec<Changing<N>>,
-    /// Why there is no such moment.
+    /// Failure, if there is no such moment.
     refused: Option<Failure>,
 }
 
-/// What time and torques put into a driven body: at a moment, or, times the weights of a step, in a step.
+/// Input of time and torques to a driven body: at a moment, or, times the weights of a step, in a
+/// step.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Input<const N: usize> {
-    /// Into the energy.
+    /// Input to the energy.
     pub(crate) power: f64,
-    /// Of torques that are no potential's, into the spatial momentum; `None` if none act.
+    /// Input of torques that are no potential's to the spatial momentum; `None` if none act.
     pub(crate) torque: Option<Mat<N>>,
 }
 
 impl<const N: usize> Input<N> {
-    /// Adds what goes in at a stage of such a weight.
+    /// Adds the input at a stage of the given weight.
     pub(crate) fn add(&mut self, weight: f64, at_stage: &Self) {
         self.power += weight * at_stage.power;
         if let Some(torque) = &at_stage.torque {
@@ -256,10 +258,10 @@ impl<const N: usize> Input<N> {
     }
 }
 
-/// A driven term then.
+/// A driven term at a moment.
 #[derive(Clone, Debug)]
 struct Changing<const N: usize> {
-    /// The law with the rate of its strength in the place of that.
+    /// The law, with its strength replaced by the rate of that.
     strengthening: Law<N>,
     law: Law<N>,
     space: Vector<N>,
@@ -267,8 +269,8 @@ struct Changing<const N: usize> {
     moving: Vector<N>,
 }
 
-/// A time: that of the beginning of a step, and how long after it. Their sum would be rounded to what a clock late in a run
-/// can tell, which is a noise in every phase.
+/// A time: the beginning of a step, and the time since. Their sum would be rounded to the
+/// resolution of a clock late in a run, which is a noise in every phase.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Time {
     pub(crate) begun: f64,
@@ -374,7 +376,7 @@ impl<const N: usize> DrivenTerm<N> {
     }
 }
 
-/// E of Kepler's equation `E - e sin E = M`, to round-off, less whole turns.
+/// Solves Kepler's equation `E - e sin E = M` for E, to round-off, less whole turns.
 fn eccentric_anomaly(mean: f64, e: f64) -> f64 {
     /// Newton's method from this start gains digits from the first round on for every e below one.
     const ROUNDS: usize = 60;
@@ -418,13 +420,14 @@ impl<const N: usize> Moment<N> {
         so::asym(&so::product(mu, omega)) - self.gradient(g, mu, omega)
     }
 
-    /// The same at fixed spatial momentum, right-trivialised: `v (g dU/dq)^T - ... - g F g^T`.
+    /// Returns `dH/dg - F` at fixed spatial momentum, right-trivialised:
+    /// `v (g dU/dq)^T - ... - g F g^T`.
     pub(crate) fn spatial_gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let torque = self.torque(g, mu, omega);
         self.body.spatial_gradient(g) - so::conjugate(g, &torque)
     }
 
-    /// What goes in: `dH/dt + <F, Omega>` into the energy, `g F g^T` into the spatial momentum.
+    /// Returns the input: `dH/dt + <F, Omega>` to the energy, `g F g^T` to the spatial momentum.
     pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Input<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
@@ -443,26 +446,27 @@ impl<const N: usize> Moment<N> {
         self.body.check_distances(g)
     }
 
-    /// The energy then.
+    /// Returns the energy at that moment.
     pub(crate) fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy {
         self.body.energy(g, mu)
     }
 }
 
 impl<const N: usize> RigidBody<N> {
-    /// The same body in a term more, one that changes with time.
+    /// Adds a term that changes with time.
     pub fn with_driven_term(mut self, term: DrivenTerm<N>) -> Self {
         self.driven.terms.push(term);
         self
     }
 
-    /// The same body under a torque more that is no potential's.
+    /// Adds a torque that is no potential's.
     pub fn with_torque(mut self, torque: Torque<N>) -> Self {
         self.driven.torques.push(torque);
         self
     }
 
-    /// The same body with wheels in it whose angular momentum relative to it is constant: `mu = J Omega + wheels`, skew.
+    /// Sets wheels whose angular momentum relative to the body is constant:
+    /// `mu = J Omega + wheels`, skew.
     pub fn with_wheels(mut self, wheels: Mat<N>) -> Self {
         self.wheels = Some(wheels);
         self
@@ -473,10 +477,10 @@ impl<const N: usize> RigidBody<N> {
         !self.driven.is_empty()
     }
 
-    /// The body at a moment.
+    /// Returns the body at a moment.
     pub(crate) fn at(&self, t: Time) -> Moment<N> {
         let changing: Vec<_> = self.driven.terms.iter().map(|driven| driven.at(t)).collect();
-        // Without what drives it: tables may be long.
+        // Built without the drive: its tables may be long.
         let mut body = RigidBody {
             kinetic: self.kinetic.clone(),
             terms: self.terms.clone(),

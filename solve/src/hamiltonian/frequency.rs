@@ -1,4 +1,4 @@
-//! How stiff a potential is.
+//! Stiffness of a potential.
 
 use super::RigidBody;
 use crate::so::{self, Mat};

@@ -3,7 +3,7 @@
 use super::{Kinetic, RigidBody, Term};
 use crate::so::{Mat, Vector};
 
-/// What rounding may make of a space vector that lies in the plane, in parts of its length.
+/// Rounding error of a space vector that lies in the plane, in parts of its length.
 const ROUNDED: f64 = 8.0 * f64::EPSILON;
 
 impl RigidBody<3> {

@@ -71,11 +71,12 @@ pub trait Potential<const N: usize>: Debug + Send + Sync {
     }
 }
 
-/// How far `gradient` is from the derivative of `energy` at `g`: the largest difference from central differences of the
-/// energy along the axes of so(n), in parts of the largest of either. About 1e-9 where the two agree, 2 where the sign is wrong;
-/// NaN where one of them is.
+/// Returns how far `gradient` is from the derivative of `energy` at `g`: the largest difference
+/// from central differences of the energy along the axes of so(n), in parts of the largest of
+/// either. About 1e-9 where the two agree, 2 where the sign is wrong; NaN where one of them is.
 pub fn gradient_error<const N: usize>(potential: &dyn Potential<N>, g: &Mat<N>) -> f64 {
-    /// Half of what a difference is taken over, in radians: what curvature and what rounding spoil is then about equal.
+    /// Half the interval of a difference, in radians: the errors by curvature and by rounding are
+    /// then about equal.
     const TURN_RAD: f64 = 1e-5;
     let gradient = so::vee(&(so::asym(&potential.gradient(g)) * 0.5));
     let slope = |k: usize| {
@@ -125,14 +126,14 @@ impl<const N: usize> Own<N> {
         self.laws.iter().flat_map(|law| law.space_vectors()).collect()
     }
 
-    /// `start` and the energies of the laws.
+    /// Returns `start` plus the energies of the laws.
     pub(super) fn energy(&self, start: f64, g: &Mat<N>) -> f64 {
         self.laws.iter().fold(start, |sum, law| sum + law.energy(g))
     }
 
     pub(super) fn gradient(&self, g: &Mat<N>) -> Mat<N> {
         let sum = self.laws.iter().fold(Mat::zeros(), |sum, law| sum + law.gradient(g));
-        // Of what is skew to the bit, itself.
+        // A sum that is skew to the bit stays as it is.
         so::asym(&sum) * 0.5
     }
 

@@ -31,17 +31,20 @@ use crate::system::System;
 /// sigma(g), a function of the distances to the point sources of a body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TimeScale {
-    /// Of each term of the body the distance, in m, below which its time slows down; 0 of a term that is no point source.
+    /// Distance for each term of the body, in m, below which its time slows down; 0 for a term that
+    /// is no point source.
     near_m: Vec<f64>,
 }
 
 impl TimeScale {
-    /// `near_m` has a length for each term of the body, in m; 0 if time does not look at it.
+    /// Creates a time scale from a length for each term of the body, in m; 0 if time does not look
+    /// at it.
     pub fn new(near_m: Vec<f64>) -> Self {
         Self { near_m }
     }
 
-    /// For each point source the distance of its body point from the fixed point; `None` if there are none.
+    /// Returns the time scale with, for each point source, the distance of its body point from the
+    /// fixed point; `None` if there are none.
     pub fn of<const N: usize>(body: &RigidBody<N>) -> Option<Self> {
         let arm = |law: &Law<N>| match law {
             Law::PointSource { body_point, .. } => so::norm(body_point.as_slice()),
@@ -56,8 +59,8 @@ impl TimeScale {
         self.with_gradient(body, g).0
     }
 
-    /// sigma at `g`, and its left-trivialised derivative: of a distance d at `q = g^T v`, up to multiples of q,
-    /// `dsigma/dq = -3/2 sigma^3 near^3 y / d^5`.
+    /// Returns sigma at `g`, and its left-trivialised derivative: for a distance d at `q = g^T v`,
+    /// up to multiples of q, `dsigma/dq = -3/2 sigma^3 near^3 y / d^5`.
     fn with_gradient<const N: usize>(&self, body: &RigidBody<N>, g: &Mat<N>) -> (f64, Mat<N>) {
         let (mut sum, mut gradient) = (1.0, Mat::zeros());
         for (term, near) in body.terms.iter().zip(&self.near_m) {
@@ -85,7 +88,8 @@ pub struct Rescaled<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Rescaled<'a, N> {
-    /// `body`, which is not driven, in the time of `scale`, on the motion with this `energy` in J.
+    /// Creates the system of `body`, which is not driven, in the time of `scale`, on the motion
+    /// with this `energy` in J.
     pub fn new(body: &'a RigidBody<N>, scale: &'a TimeScale, energy: f64) -> Self {
         Self { body, scale, energy }
     }
@@ -95,7 +99,7 @@ impl<'a, const N: usize> Rescaled<'a, N> {
         self.energy
     }
 
-    /// The same on the motion with this `energy` in J.
+    /// Returns the system on the motion with this `energy` in J.
     pub fn with_energy(self, energy: f64) -> Self {
         Self { energy, ..self }
     }
@@ -144,7 +148,7 @@ impl<const N: usize> Hamiltonian<N> for Rescaled<'_, N> {
 
 /// sigma as the stages see it.
 pub(crate) struct Scale<'a> {
-    /// As of [`TimeScale`].
+    /// See [`TimeScale`].
     pub(crate) near_m: &'a [f64],
     /// H0 less the part of H that does not depend on the state.
     pub(crate) energy: f64,
@@ -156,11 +160,11 @@ impl<'a, const N: usize> From<&Rescaled<'a, N>> for Scale<'a> {
     }
 }
 
-/// The same in vectors, for n = 3: what the attitudes of the stages say.
+/// Values at the attitudes of the stages, in vectors, for n = 3.
 pub(crate) struct Looked<R> {
     /// vee(dH/dg).
     pub(crate) torque: Vec3<R>,
-    /// As of [`RigidBody::torque`].
+    /// Nearness as returned by [`RigidBody::torque`].
     pub(crate) nearness: R,
     /// The potential energy less its constant.
     pub(crate) potential: R,
@@ -211,16 +215,17 @@ impl RigidBody<3> {
     }
 }
 
-/// What of K depends on the attitudes of the stages alone, in lanes.
+/// Part of K that depends on the attitudes of the stages alone, in lanes.
 ///
-/// Torques are taken at attitudes `I + C0`; the passes that follow change them to `I + C`. What K asks of a distance and of
-/// the potential follows to first order,
+/// Torques are taken at attitudes `I + C0`; the passes that follow change them to `I + C`. The
+/// distances and the potential in K follow to first order,
 ///
 /// ```text
 /// U = U0 + sum_ij (v s^T)_ij (C - C0)_ij      S = S0 + 3 sum_ij (v (y near^3 / d^5)^T)_ij (C - C0)_ij      sigma = S^(-1/2)
 /// ```
 ///
-/// s the slope of a term, or else H - H0 would be that of a momentum at one attitude and a potential at another.
+/// with s the slope of a term; else H - H0 would be that of a momentum at one attitude and a
+/// potential at another.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct AtStages {
     /// C0.
@@ -248,7 +253,7 @@ impl AtStages {
         &self.sigma
     }
 
-    /// All of it at attitudes `I + C_k`, with the new torques.
+    /// Evaluates all of it at attitudes `I + C_k`, with the new torques.
     #[inline(always)]
     pub(crate) fn look<R: Stages<Whole = f64>, D: Dimension>(
         &mut self,
@@ -317,7 +322,7 @@ impl AtStages {
         gradient: &mut [f64],
     ) {
         let (n, lanes) = (stack.n(), stack.lanes);
-        /// What a step that diverges may leave of S.
+        /// Least fraction of S that a diverging step may leave.
         const LEAST: f64 = 0.25;
         let (mut gained, mut nearer) = (lanes.constant(0.0), lanes.constant(0.0));
         let len = stack.numbers();

@@ -22,8 +22,9 @@ mod point_source;
 mod spring;
 mod uniform;
 
-/// The list of the laws, handed to the macro `$then`: of each its module, its name and its fields, each a `number`, a body
-/// `vector` or a symmetric `matrix` of the body. The first is the strength: U is proportional to it.
+/// The list of the laws, handed to the macro `$then`: for each its module, its name and its fields,
+/// each a `number`, a body `vector` or a symmetric `matrix` of the body. The first is the strength:
+/// U is proportional to it.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! laws {
@@ -72,7 +73,7 @@ pub struct Term<const N: usize> {
     pub space: Vector<N>,
 }
 
-/// What the space vector of a law is.
+/// Kind of the space vector of a law.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Space {
     /// A direction.
@@ -83,7 +84,8 @@ pub(super) enum Space {
     Tide,
 }
 
-/// Of a field by what it is: its type in a law, its type in [`Numbers`] and the way there; the same in a plane; an example.
+/// For each kind of field: its type in a law, its type in [`Numbers`] and the conversion; the same
+/// in a plane; an example.
 macro_rules! field {
     (type number $n:ident) => { f64 };
     (type vector $n:ident) => { Vector<$n> };
@@ -108,7 +110,7 @@ macro_rules! declare {
             $($(#[$field_doc:meta])* $field:ident: $kind:ident,)*
         }
     )*) => {
-        /// How a term depends on `q = g^T v`.
+        /// Dependence of a term on `q = g^T v`.
         #[derive(Clone, Debug, PartialEq)]
         pub enum Law<const N: usize> {
             $(
@@ -128,7 +130,8 @@ macro_rules! declare {
         }
 
         impl<const N: usize> Law<N> {
-            /// One of each law, its fields from numbers in [-1, 1): what the tests of every law go through.
+            /// Returns one of each law, its fields from numbers in [-1, 1), for the tests of every
+            /// law.
             pub fn examples(mut next: impl FnMut() -> f64) -> Vec<Self> {
                 vec![$(Self::$law {
                     $first: field!(example number next),
@@ -136,14 +139,14 @@ macro_rules! declare {
                 },)*]
             }
 
-            /// What the space vector is.
+            /// Returns the kind of the space vector.
             pub(super) fn space(&self) -> Space {
                 match self {
                     $(Self::$law { .. } => $module::SPACE,)*
                 }
             }
 
-            /// The same law, `factor` times as strong.
+            /// Returns the law `factor` times as strong.
             pub(super) fn times(&self, factor: f64) -> Self {
                 let mut law = self.clone();
                 match &mut law {
@@ -251,7 +254,7 @@ impl<const N: usize> Term<N> {
     }
 }
 
-/// What a law is written in: the body image q of a space vector at one attitude, or at several in lanes.
+/// Argument of a law: the body image q of a space vector at one attitude, or at several in lanes.
 pub(super) trait Image {
     type Number: Real;
     /// A number, in as many lanes.

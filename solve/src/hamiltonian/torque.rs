@@ -9,10 +9,11 @@ use crate::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
 use crate::stack::{Dimension, Known, Stack};
 
 impl RigidBody<3> {
-    /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0: [`RigidBody::gradient_seen`] in lanes. Next to
-    /// it the nearness, minus the square of the smallest relative distance to a point of the potential; -1 if
-    /// there is none; [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller
-    /// counts the evaluations: not every lane is a stage.
+    /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0:
+    /// [`RigidBody::gradient_seen`] in lanes. With it comes the nearness, minus the square of the
+    /// smallest relative distance to a point of the potential; -1 if there is none;
+    /// [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller counts
+    /// the evaluations: not every lane is a stage.
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
     #[inline(always)]
@@ -38,8 +39,8 @@ impl RigidBody<3> {
         (torque, nearness)
     }
 
-    /// The same for user-defined potentials, which know no lanes; with it 0 where one of them refuses the attitude,
-    /// else -1.
+    /// Returns the torque of user-defined potentials, which know no lanes; with it 0 where one of
+    /// them refuses the attitude, else -1.
     fn own_torque<R: Stages>(
         &self,
         u: &Mat3<R>,
@@ -64,7 +65,7 @@ impl RigidBody<3> {
 
 /// The terms of a rigid body's potential, of whatever n.
 pub(crate) trait Terms {
-    /// How many.
+    /// Number of terms.
     fn count(&self) -> usize;
     /// A term's law, and [`Term::reach`] of it.
     fn term(&self, i: usize) -> (Numbers<'_>, f64);
@@ -89,7 +90,7 @@ pub(crate) struct Torques<'a, R: Stages, D: Dimension> {
     pub(super) terms: &'a dyn Terms,
     /// The space vectors of the potential, as seen from g0, one after the other.
     seen: &'a [f64],
-    /// The largest nearness, as of [`RigidBody::torque`].
+    /// Largest nearness, as returned by [`RigidBody::torque`].
     pub(crate) nearness: f64,
 }
 
@@ -154,7 +155,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
         q
     }
 
-    /// `U_k (dH/dg) U_k^T` at the stages, with the slopes as they were last.
+    /// `U_k (dH/dg) U_k^T` at the stages, with the last slopes.
     #[inline(always)]
     pub(crate) fn spatial_gradient(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
         let Stack { lanes, dimension } = self.stack;

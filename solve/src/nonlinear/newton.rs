@@ -14,13 +14,13 @@ use crate::failure::{Failure, FailureCode};
 const FORCING: f64 = 1e-5;
 /// Products that a linear solve may take.
 const MAX_PRODUCTS: usize = 60;
-/// Length of a difference, for unknowns of size one: what rounding spoils and what curvature spoils is then about
-/// equal.
+/// Length of a difference, for unknowns of size one: the errors by rounding and by curvature are
+/// then about equal.
 const DIFFERENCE: f64 = 1e-7;
-/// How often a correction is halved before it is abandoned.
+/// Number of times a correction is halved before it is abandoned.
 const HALVINGS: u32 = 8;
 
-/// What Newton's method works with; kept from step to step so that a step allocates nothing.
+/// Workspace of Newton's method, kept from step to step so that a step allocates nothing.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Newton {
     /// z, and `G(z) - z`.
@@ -47,7 +47,7 @@ impl Newton {
         equations: &mut dyn Equations,
     ) -> Result<Convergence, Failure> {
         let mut history = History::new();
-        // A correction squares the error: none is needed for what is left at round-off.
+        // A correction squares the error: none is needed for an error at round-off.
         let tolerance = rule.tolerance.max(StopRule::default().tolerance);
         equations.settle()?;
         self.take(equations);
@@ -98,7 +98,7 @@ impl Newton {
             self.image.extend(self.at.iter().zip(&self.correction).map(|(z, d)| z + d));
             equations.set(&self.image);
             match equations.sweep() {
-                // Next to round-off an increment may rise a little.
+                // Near round-off an increment may rise a little.
                 Ok(increment) if increment <= before.max(super::ROUND_OFF_FLOOR) => {
                     std::mem::swap(&mut self.at, &mut self.image);
                     return Ok(increment);

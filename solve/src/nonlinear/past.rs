@@ -14,7 +14,7 @@ const DEPTH: usize = 8;
 /// `z_{n+1} = sum_i (-1)^i C(DEPTH, i + 1) z_{n-i}`
 const COEFFICIENTS: [f64; DEPTH] = [8.0, -28.0, 56.0, -70.0, 56.0, -28.0, 8.0, -1.0];
 
-/// An increment of which the next is not yet rounding.
+/// Increment above which the next one is not yet rounding.
 const CLEAR: f64 = 1e-12;
 
 /// The solutions of the last steps.
@@ -22,21 +22,21 @@ const CLEAR: f64 = 1e-12;
 pub struct Past {
     /// A ring of them.
     solutions: [Vec<f64>; DEPTH],
-    /// Where the newest is.
+    /// Index of the newest.
     newest: usize,
-    /// How many there are.
+    /// Number of them.
     known: usize,
-    /// Where the next step leads.
+    /// First guess of the next solution.
     next: Vec<f64>,
     /// The largest first increment from the guess of the equations themselves.
     first: f64,
-    /// The worst contraction that was seen.
+    /// Worst contraction seen.
     contraction: Option<f64>,
 }
 
 /// Equations whose solutions change smoothly from step to step.
 pub trait Continued: Equations {
-    /// Appends the numbers that do.
+    /// Appends the numbers that change smoothly.
     fn keep(&self, numbers: &mut Vec<f64>);
 
     /// Takes numbers in the order of [`Continued::keep`] as a first guess; returns how many sweeps that took.
@@ -47,7 +47,7 @@ pub trait Continued: Equations {
 }
 
 impl Past {
-    /// Nothing is remembered.
+    /// Forgets all steps.
     pub fn forget(&mut self) {
         (self.known, self.first, self.contraction) = (0, 0.0, None);
     }
@@ -147,10 +147,10 @@ impl Solver {
     }
 }
 
-/// What the increments of a step show.
+/// Measures of the increments of a step.
 #[derive(Debug)]
 struct Seen {
-    /// The first of them.
+    /// The first increment.
     first: f64,
     last: f64,
     /// The last contraction that rounding does not hide.

@@ -19,7 +19,7 @@ pub struct AtRest<const N: usize> {
 }
 
 impl<const N: usize> AtRest<N> {
-    /// A stepper that keeps a state at rest, and carries others forward by `method`.
+    /// Creates a stepper that keeps a state at rest, and carries others forward by `method`.
     pub fn new(method: Box<dyn Stepper<N>>) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         Self { method, state, stays: None }
@@ -61,7 +61,7 @@ impl<const N: usize> Stepper<N> for AtRest<N> {
     }
 
     fn sigma_min(&self) -> Option<f64> {
-        // Of a step that does not turn P is I.
+        // P is I for a step that does not turn.
         if self.moves() { self.method.sigma_min() } else { self.method.sigma_min().map(|_| 1.0) }
     }
 }

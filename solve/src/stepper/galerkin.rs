@@ -57,20 +57,22 @@ const MODEST_STRETCH: f64 = 0.5;
 /// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: at a quarter turn
 /// `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
 const MODEST_TURN: f64 = 1.0;
-/// What f of a solved step may differ from a rotation.
+/// Largest deviation from a rotation allowed for f of a solved step.
 const MOST_OFF_THE_GROUP: f64 = 1e-9;
-/// What a sweep over all unknowns takes, in rounds of the collocation: it is where that leads nowhere.
+/// Cost of a sweep over all unknowns, in rounds of the collocation; sweeps run where that leads
+/// nowhere.
 const ROUNDS_OF_A_SWEEP: u32 = 4;
 /// Minus the square of the relative distance to a point of the potential that is near.
 const FAR_ENOUGH: f64 = -CLOSEST_APPROACH * CLOSEST_APPROACH;
 
-/// What a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
+/// Equations that a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
 pub(super) trait Dynamics<const N: usize> {
     /// The velocity Omega_k of stage `k` at `u`, given its momentum `mu` and the `omega` before.
     fn velocity(&self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
-    /// dH/dg = -dL/dg of stage `k` at `u`, left-trivialised, for the momentum `mu`, which is computed if it is asked for,
-    /// and the velocity `omega`; less the torque, of a driven body; `None` if it is zero everywhere.
+    /// dH/dg = -dL/dg of stage `k` at `u`, left-trivialised, for the momentum `mu`, which is
+    /// computed on demand, and the velocity `omega`; less the torque of a driven body; `None` if it
+    /// is zero everywhere.
     fn gradient(
         &self,
         k: usize,
@@ -98,13 +100,14 @@ pub(super) struct Seen<'a, const N: usize> {
     pub(super) body: &'a RigidBody<N>,
     /// The space vectors of its potential, as seen from g0.
     pub(super) vectors: &'a [Vector<N>],
-    /// Of one in a time of its own.
+    /// Time scale of a body in a time of its own.
     pub(super) scale: Option<Scale<'a>>,
-    /// `Omega_ij = w_ij mu_ij`, of one in principal axes whose velocity is not asked of its Lagrangian.
+    /// w in `Omega_ij = w_ij mu_ij`, for a body in principal axes whose velocity is not asked of
+    /// its Lagrangian.
     pub(super) weights: Option<&'a Mat<N>>,
 }
 
-/// `value` as what it is for n = 3.
+/// Returns `value` as its type for n = 3.
 fn for_three<T: Any, U: Any>(value: &T) -> Option<&U> {
     (value as &dyn Any).downcast_ref()
 }
@@ -114,8 +117,8 @@ fn for_three<T: Any, U: Any>(value: &T) -> Option<&U> {
 pub(super) struct Length {
     /// h.
     pub(super) h: f64,
-    /// How long the step is to last, of a system in a time of its own, if that is what is known; h is then a guess, which
-    /// need not be improved.
+    /// Time that the step is to last, if that is what is known, for a system in a time of its own;
+    /// h is then a guess, which need not be improved.
     pub(super) lasting: Option<f64>,
 }
 
@@ -125,16 +128,16 @@ impl From<f64> for Length {
     }
 }
 
-/// The unknowns of a step and what solves for them.
+/// The unknowns of a step and their solvers.
 #[derive(Clone, Debug)]
 pub(super) struct GalerkinStep<const N: usize> {
     tableau: Tableau,
     solver: Solver,
-    /// The quick way, of a tableau that has it.
+    /// Fast solver, for a tableau that has one.
     collocation: Option<Collocation>,
-    /// The same for a rigid body with n = 3 in a time of its own.
+    /// Fast solver for a rigid body with n = 3 in a time of its own.
     in_vectors: Option<InVectors>,
-    /// The steps before, if they show where the next one leads.
+    /// Previous steps, if they show where the next one leads.
     past: Option<Past>,
     stages: Vec<Stage<N>>,
     end: End<N>,
@@ -142,21 +145,21 @@ pub(super) struct GalerkinStep<const N: usize> {
     seen: Vec<f64>,
 }
 
-/// What a solved step changes, in the frame of g0, each small by itself.
+/// Changes made by a solved step, in the frame of g0, each small by itself.
 #[derive(Clone, Debug)]
 pub(super) struct Solution<const N: usize> {
     /// f - I.
     pub(super) turn: Mat<N>,
-    /// `pi1 - p0`, what the forces add to the momentum.
+    /// `pi1 - p0`, added to the momentum by the forces.
     pub(super) impulse: Mat<N>,
-    /// `p1 - p0` of a rigid body that nothing drives, where it is known but as what the others make of it.
+    /// `p1 - p0` of an undriven rigid body, where it is known independently of the others.
     gain: Option<Mat<N>>,
     /// The length of the step.
     h: f64,
     by: By,
 }
 
-/// What solved a step.
+/// Solver of a step.
 #[derive(Clone, Copy, Debug)]
 enum By {
     Sweeps,
@@ -166,7 +169,7 @@ enum By {
     Vectors,
 }
 
-/// Where the solution of a step stands.
+/// Place where the solution of a step is stored.
 enum Found<'a> {
     /// In the stages of [`GalerkinStep`].
     Sweeps,
@@ -175,13 +178,13 @@ enum Found<'a> {
 }
 
 impl<const N: usize> Solution<N> {
-    /// How far f is from a rotation: the largest entry of `f^T f - I`.
+    /// Returns how far f is from a rotation: the largest entry of `f^T f - I`.
     fn off_the_group(&self) -> f64 {
         let turn = &self.turn;
         (turn + turn.transpose() + so::transposed_product(turn, turn)).amax()
     }
 
-    /// Refuses what is not a number.
+    /// Refuses a solution that is not finite.
     fn checked(&self) -> Result<(), Failure> {
         let finite = self.turn.iter().chain(&self.impulse).all(|x| x.is_finite());
         if finite { Ok(()) } else { Err(Failure::not_finite(None)) }
@@ -205,25 +208,25 @@ impl<const N: usize> GalerkinStep<N> {
         Self { stages, end, tableau, solver, collocation, in_vectors, past, solution, seen }
     }
 
-    /// The same for steps that follow one another smoothly: each begins where those before lead to, until
-    /// [`GalerkinStep::forget`].
+    /// Returns this step for steps that follow one another smoothly: each begins where the previous
+    /// ones lead, until [`GalerkinStep::forget`].
     pub(super) fn continued(self) -> Self {
         Self { past: Some(Past::default()), ..self }
     }
 
-    /// The same without Newton's method, with no step before.
+    /// Returns this step without Newton's method and without previous steps.
     pub(super) fn by_sweeps(&self) -> Self {
         Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
     }
 
-    /// The next step follows none.
+    /// Forgets the previous steps.
     pub(super) fn forget(&mut self) {
         if let Some(past) = &mut self.past {
             past.forget();
         }
     }
 
-    /// The same on an older instruction set, or without lanes.
+    /// Returns this step on an older instruction set, or without lanes.
     pub(super) fn on_level(mut self, level: Option<Level>) -> Self {
         if let Some(collocation) = &mut self.collocation {
             collocation.level = level;
@@ -278,7 +281,8 @@ impl<const N: usize> GalerkinStep<N> {
                 self.check(dynamics)?;
                 (self.solution.turn, self.solution.impulse) = self.changes(dynamics, h);
                 self.solution.checked()?;
-                // Where the equations have no solution nearby Newton's method may stop at what is not one.
+                // Where the equations have no solution nearby, Newton's method may stop at a point
+                // that is not one.
                 let defect = self.solution.off_the_group();
                 if defect <= MOST_OFF_THE_GROUP {
                     Ok(convergence)
@@ -301,7 +305,7 @@ impl<const N: usize> GalerkinStep<N> {
     ) -> Result<Option<Convergence>, Failure> {
         let in_vectors = self.in_vectors(dynamics, length, p0, omega);
         let solved = match in_vectors.unwrap_or(Err(Stuck::Lost)) {
-            // Not of a body, or lost there: matrices go a little further.
+            // Not a body, or not solved there: matrices go a little further.
             Err(Stuck::Lost) => self.in_matrices(dynamics, length, p0, omega),
             solved => solved,
         };
@@ -329,7 +333,8 @@ impl<const N: usize> GalerkinStep<N> {
         Ok(Some(Convergence { iterations, increment, rung: Rung::FixedPoint }))
     }
 
-    /// Solves the step of a rigid body for n = 3 in a time of its own in vectors; `None` of anything else.
+    /// Solves the step of a rigid body for n = 3 in a time of its own in vectors; `None` for
+    /// anything else.
     fn in_vectors(
         &mut self,
         dynamics: &dyn Dynamics<N>,
@@ -400,7 +405,7 @@ impl<const N: usize> GalerkinStep<N> {
         Ok(solved)
     }
 
-    /// What the step changes.
+    /// Returns the changes made by the step.
     pub(super) fn solution(&self) -> &Solution<N> {
         &self.solution
     }
@@ -411,7 +416,7 @@ impl<const N: usize> GalerkinStep<N> {
         matches!(self.solution.by, By::Sweeps)
     }
 
-    /// Where it stands.
+    /// Returns where the solution is stored.
     fn found(&self) -> Found<'_> {
         match (self.solution.by, &self.collocation, &self.in_vectors) {
             (By::Matrices, Some(collocation), _) => Found::Matrices(collocation),
@@ -434,7 +439,7 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// What went into a driven body in a step of length `h`: `h sum_k b_k input_k`.
+    /// Returns the input of a driven body in a step of length `h`: `h sum_k b_k input_k`.
     pub(super) fn put_in(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> Input<N> {
         let mut put_in = Input::default();
         for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
@@ -455,8 +460,8 @@ impl<const N: usize> GalerkinStep<N> {
         put_in
     }
 
-    /// How long the step lasted, of a system in a time of its own: `h sum_k b_k sigma(U_k)`, [time] of
-    /// docs/derivation.md.
+    /// Returns how long the step lasted, for a system in a time of its own:
+    /// `h sum_k b_k sigma(U_k)`, [time] of docs/derivation.md.
     pub(super) fn lasted(&self, system: &Rescaled<'_, N>, g0: &Mat<N>) -> f64 {
         let in_lanes = system.body.principal().is_some() && !system.body.has_own();
         let sigma = |k: usize| {
@@ -475,7 +480,7 @@ impl<const N: usize> GalerkinStep<N> {
         self.solution.h
     }
 
-    /// The moments of a step of length `h` from `time`, of a driven body.
+    /// Returns the moments of a driven body in a step of length `h` from `time`.
     pub(super) fn moments(&self, body: &RigidBody<N>, time: f64, h: f64) -> Vec<Moment<N>> {
         body.over(time, h, (0..self.stages.len()).map(|k| self.tableau.c(k)))
     }
@@ -496,8 +501,8 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// What the step of length `h` changes, in the frame of g0, each small by itself: `f - I = d - f E_e` for
-    /// `I + d = f (I + E_e)`, and the impulse of the forces
+    /// Returns the changes made by the step of length `h`, in the frame of g0, each small by
+    /// itself: `f - I = d - f E_e` for `I + d = f (I + E_e)`, and the impulse of the forces
     ///
     /// ```text
     /// pi1 - p0 = -h sum_k b_k U_k dH/dg(U_k) U_k^T,      p1 = f^T pi1 f
@@ -539,7 +544,7 @@ impl<const N: usize> GalerkinStep<N> {
         self.check_dynamics(dynamics)
     }
 
-    /// A determinant is blind past half a turn: continuity from node to node is what decides.
+    /// Refuses a solution that jumps between two nodes: a determinant is blind past half a turn.
     fn check_continuity(&self) -> Result<(), Failure> {
         // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
         let limit = N as f64 - 2.0;
@@ -579,7 +584,7 @@ fn to_stage<const N: usize>(matrix: &Mat<N>, matrices: &mut [f64], at: Place) {
     }
 }
 
-/// U of U - I.
+/// Returns U, given U - I.
 fn attitude_of<const N: usize>(c: &[f64], at: Place) -> Mat<N> {
     Mat::identity() + of_stage(c, at)
 }

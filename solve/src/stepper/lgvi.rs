@@ -41,8 +41,8 @@ pub struct Lgvi {
 }
 
 impl Lgvi {
-    /// A stepper of order 2, 4, 6 or 8 that solves each implicit equation until `stop`; `None` for any
-    /// other order.
+    /// Creates a stepper of order 2, 4, 6 or 8 that solves each implicit equation until `stop`;
+    /// `None` for any other order.
     pub fn new(order: u32, stop: StopRule) -> Option<Self> {
         let composition = Composition::new(order)?;
         Some(Self { composition, stop, state: Top::at_rest().into(), seen: Vec::new() })

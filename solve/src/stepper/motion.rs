@@ -1,9 +1,9 @@
-//! What is carried from step to step: attitude and momentum, and what rounding has taken off each.
+//! State carried from step to step: attitude and momentum, and the part of each lost to rounding.
 //!
 //! Both VPD and Gauss collocation on quaternions carry it. Written for one body and for members side by side: `P` is a number
 //! in memory, or one for each member.
 //!
-//! Invariant: the spatial momentum is what torques make of it and nothing else.
+//! Invariant: only torques change the spatial momentum.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
@@ -13,7 +13,7 @@ use crate::space::{
 };
 use crate::trajectory::State;
 
-/// A sum, and what rounding has taken off it.
+/// A sum, and the part of it lost to rounding.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sum<P, const K: usize> {
     pub(super) value: [P; K],
@@ -26,7 +26,7 @@ impl<P: Copy, const K: usize> Sum<P, K> {
         Self { value, carry: [zero; K] }
     }
 
-    /// Adds `change` and what is carried.
+    /// Adds `change` and the carried part.
     #[inline(always)]
     pub(super) fn add<W: Whole<Plain = P>>(&mut self, change: &[W; K]) {
         for i in 0..K {
@@ -44,14 +44,14 @@ impl<P: Copy, const K: usize> Sum<P, K> {
 pub(super) struct Motion<P> {
     /// A quaternion (w, v).
     pub(super) attitude: Sum<P, 4>,
-    /// In space.
+    /// Spatial momentum.
     pub(super) momentum: Sum<P, 3>,
-    /// In the body; with one or two stages, and of a free body, `g^T pi` and no sum.
+    /// Body momentum; with one or two stages, and for a free body, `g^T pi` and no sum.
     pub(super) body_momentum: Sum<P, 3>,
 }
 
 impl<P: Copy> Motion<P> {
-    /// At rest, not turned.
+    /// Creates a motion at rest, not turned.
     pub(super) fn blank(zero: P, one: P) -> Self {
         Self {
             attitude: Sum::new([one, zero, zero, zero], zero),
@@ -80,8 +80,8 @@ impl<P: Copy> Motion<P> {
         }
     }
 
-    /// Goes on by a step that turns by `end` and pushes by `kick`, both in the frame of its beginning; the momentum in
-    /// the body is left behind.
+    /// Advances by a step that turns by `end` and pushes by `kick`, both in the frame of its
+    /// beginning; the body momentum is left behind.
     #[inline(always)]
     pub(super) fn advance<W: Whole<Plain = P>>(
         &mut self,
@@ -91,13 +91,13 @@ impl<P: Copy> Motion<P> {
     ) {
         let start = load_turn(lanes, &self.attitude.value);
         self.momentum.add(&product(&start.matrix(), &vec3!(i => lanes.load(&kick[i]))));
-        // Of the two quaternions of a rotation that next to one: f - 1, with 1 - w = |v|^2 / (1 + w)
+        // The quaternion of the rotation that is close to one: f - 1, with 1 - w = |v|^2 / (1 + w)
         let w = lanes.load(&end.w);
         let one = lanes.constant(1.0);
         let sign = one.select(-w, 0.0, -one);
         let v: Vec3<W> = vec3!(i => lanes.load(&end.v[i]) * sign);
         let change = Quaternion { w: -dot(&v, &v) / (sign * w + 1.0), v };
-        // What is carried turns along.
+        // The carried part turns along.
         let carried = load_turn(lanes, &self.attitude.carry).times(&change);
         let change = start.times(&change);
         // The deficit of the length from one.
@@ -120,12 +120,14 @@ impl<P: Copy> Motion<P> {
         }
     }
 
-    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the momentum in
-    /// space, which nothing but torques changes, from that in the body, the direction of which is the more precise: `g <-
-    /// g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and less where the step has added more than there is.
+    /// Adds `gain` to the body momentum, and turns the attitude so that rounding does not separate
+    /// the spatial momentum, which only torques change, from the body momentum, whose direction is
+    /// the more precise: `g <- g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and
+    /// less where the step has added more than there is.
     ///
-    /// The lengths of the two are left as they are: to give the momentum in the body that of the other would take from all its
-    /// components what rounding has put into some, and the energy of a heavy top grew in a line by that.
+    /// The lengths of the two are left as they are: giving the body momentum the length of the
+    /// other would take from all its components what rounding has put into some, and the energy of
+    /// a heavy top grew in a line by that.
     #[inline(always)]
     pub(super) fn gain<W: Whole<Plain = P>>(&mut self, lanes: W, gain: &Vec3<P>) {
         let gain = vec3!(i => lanes.load(&gain[i]));
@@ -137,7 +139,7 @@ impl<P: Copy> Motion<P> {
         let square = dot(&seen, &seen) + dot(&gain, &gain);
         let scale = lanes.constant(0.5) / square.max_or_nan(lanes.constant(f64::MIN_POSITIVE));
         let half = scaled(&cross(&minus(&momentum, &seen), &seen), scale);
-        // Next to nothing: it is added at the next step.
+        // The turn is tiny: it is added at the next step.
         let Quaternion { w, v: [x, y, z] } = now.rate(&half);
         for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {
             (lanes.load(carry) + change).store(carry);
@@ -205,7 +207,8 @@ impl<const K: usize> Sum<Row, K> {
     }
 }
 
-/// Without the sign of zeros: a lane of no stage adds a zero of either sign. What is summed to these has none, either.
+/// Removes the sign of zeros: a lane without a stage adds a zero of either sign. Sums that begin
+/// with these have none, either.
 pub(super) fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
     numbers.map(|x| x + 0.0)
 }

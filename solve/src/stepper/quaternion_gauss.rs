@@ -15,10 +15,11 @@
 //! T*S^3, and on SO(3). The quaternion form of the equations: Betsch and Siebert (2009), International Journal
 //! for Numerical Methods in Engineering 79.
 //!
-//! mu is bilinear in q and pi, and of what is bilinear a Gauss method makes the quadrature of its rate at the stages
-//! (the same theorem). So is the spatial momentum, m = vec(pi q*) / 2, the rate of which is -g(q / |q|) tau: with `q* q` in
-//! |q|^2 of the second equation the lengths of the stages cancel. So the state is q, m, and with many stages the body
-//! momentum p; a step adds to each what is small:
+//! mu is bilinear in q and pi, and a Gauss method changes a bilinear quantity by the quadrature of
+//! its rate at the stages (the same theorem). The spatial momentum m = vec(pi q*) / 2 is bilinear,
+//! too, and its rate is -g(q / |q|) tau: with `q* q` in |q|^2 of the second equation the lengths of
+//! the stages cancel. So the state is q, m, and with many stages the body momentum p; a step adds a
+//! small change to each:
 //!
 //! ```text
 //! q1 = q0 + q0 sum_k h b_k u_k Omega_k / 2            Q_k = q0 u_k
@@ -26,12 +27,12 @@
 //! p1 = p0 + sum_k h b_k (mu_k x Omega_k - tau_k)      or g1^T m1, with up to four stages and of a free body
 //! ```
 //!
-//! VPD carries the same (`stepper/motion.rs`): the spatial momentum is what torques make of it.
+//! VPD carries the same (`stepper/motion.rs`): only torques change the spatial momentum.
 //!
-//! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is symplectic if
-//! `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j e_ij` and `e_ij + e_ji = 1` to the last bit it is, however b
-//! and e are rounded. What rounding takes off the state is carried to the next step, and the sweeps stop where what they
-//! leave is smaller than it.
+//! Rounding must not drift either (Hairer, McLachlan, Razakarivony 2008, BIT 48). The method is
+//! symplectic if `b_i a_ij + b_j a_ji = b_i b_j`: with `a_ij = b_j e_ij` and `e_ij + e_ji = 1` to
+//! the last bit it is, however b and e are rounded. The part of the state lost to rounding is
+//! carried to the next step, and the sweeps stop where the error they leave is smaller than it.
 //!
 //! Invariant: symplectic, symmetric, order 2 s; |q| = 1 to round-off, without projection; the same bits on every
 //! instruction set.
@@ -94,7 +95,8 @@ pub struct QuaternionGauss {
 }
 
 impl QuaternionGauss {
-    /// A stepper with 1 to 8 stages that solves each step until `stop`; `None` for any other number.
+    /// Creates a stepper with 1 to 8 stages that solves each step until `stop`; `None` for any
+    /// other number.
     pub fn new(stages: usize, stop: StopRule) -> Option<Self> {
         let tableau = Tableau::gauss(stages).filter(|_| stages <= WIDTH)?;
         Some(Self {
@@ -109,7 +111,8 @@ impl QuaternionGauss {
         })
     }
 
-    /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
+    /// Returns the stepper on an older instruction set, or without lanes: a test compares the bits,
+    /// a bench the time.
     pub fn on_level(self, level: Option<Level>) -> Self {
         Self { level, ..self }
     }
@@ -149,8 +152,8 @@ impl Stepper<3> for QuaternionGauss {
         });
         let End { turn, kick, gain } = in_lanes!(end, level, count, start, stages);
         body.count(torques * count as u64);
-        // A charge met explains non-finite values and divergence better than they do. What is not a number is looked at,
-        // too.
+        // A charge met explains non-finite values and divergence better than they do. A NaN is
+        // looked at, too.
         if !(solved.is_ok() && self.stages.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH) {
             self.check_distances(body)?;
         }
@@ -161,7 +164,7 @@ impl Stepper<3> for QuaternionGauss {
         })?;
         let mut motion = self.motion;
         motion.advance(0.0, &turn, &kick);
-        // As in VPD: a free body keeps the spatial one to the bit.
+        // As in VPD, a free body keeps the spatial momentum to the bit.
         if self.seen.is_empty() {
             motion.turn_momentum(0.0);
         } else {

@@ -37,8 +37,8 @@ pub struct Rk<const N: usize> {
 }
 
 impl<const N: usize> Rk<N> {
-    /// A stepper for an explicit tableau, with a polar projection after each step if `projected`; `None`
-    /// for any other tableau.
+    /// Creates a stepper for an explicit tableau, with a polar projection after each step if
+    /// `projected`; `None` for any other tableau.
     pub fn new(tableau: Tableau, projected: bool) -> Option<Self> {
         tableau.is_explicit().then(|| Self {
             order: tableau.classical_order(),
@@ -55,7 +55,7 @@ impl<const N: usize> Rk<N> {
     fn at(&self, stage: Option<usize>, part: impl Fn(usize) -> f64) -> Result<State<N>, Failure> {
         let State { attitude: mut g, momentum: mut mu } = self.state;
         for (j, (k, l)) in self.rates.iter().enumerate().take(stage.unwrap_or(usize::MAX)) {
-            // Of the eighth order a third is zero.
+            // At eighth order a third of them is zero.
             let part = part(j);
             if part != 0.0 {
                 g += k * part;
@@ -86,8 +86,9 @@ fn check_turn<const N: usize>(omega: &Mat<N>, h: f64) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The orthogonal polar factor of what a step ends at. Next to the group the iteration of Newton and Schulz needs no
-/// inverse: each round squares the defect, `E <- 3/4 E^2 + E^3 / 4` for `E = I - g^T g`.
+/// Returns the orthogonal polar factor of the end of a step. Close to the group the iteration of
+/// Newton and Schulz needs no inverse: each round squares the defect, `E <- 3/4 E^2 + E^3 / 4` for
+/// `E = I - g^T g`.
 fn projection<const N: usize>(g: &Mat<N>) -> Option<Mat<N>> {
     const NEAR: f64 = 1e-2;
     const ROUNDS: usize = 4;

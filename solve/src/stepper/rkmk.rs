@@ -40,7 +40,7 @@ pub struct Rkmk<const N: usize> {
 }
 
 impl<const N: usize> Rkmk<N> {
-    /// A stepper for an explicit tableau; `None` for any other.
+    /// Creates a stepper for an explicit tableau; `None` for any other.
     pub fn new(tableau: Tableau) -> Option<Self> {
         tableau.is_explicit().then(|| Self {
             order: tableau.classical_order(),

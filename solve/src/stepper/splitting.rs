@@ -22,7 +22,7 @@ use crate::so3::{self, Top};
 use crate::stepper::Stepper;
 use crate::trajectory::State;
 
-/// The stepper: a composition and what it knows of the body.
+/// The stepper: a composition and its data of the body.
 #[derive(Clone, Debug)]
 pub struct Splitting {
     composition: Composition,
@@ -33,7 +33,7 @@ pub struct Splitting {
 }
 
 impl Splitting {
-    /// A stepper of order 2 (Strang), 4, 6 or 8; `None` for any other order.
+    /// Creates a stepper of order 2 (Strang), 4, 6 or 8; `None` for any other order.
     pub fn new(order: u32) -> Option<Self> {
         Some(Self {
             composition: Composition::new(order)?,
@@ -87,7 +87,8 @@ struct PrincipalAxes {
 }
 
 impl PrincipalAxes {
-    /// By Jacobi's rotations: each takes one product of inertia away; four rounds reach round-off.
+    /// Diagonalises the tensor by Jacobi's rotations: each takes one product of inertia away; four
+    /// rounds reach round-off.
     fn of(tensor: &Matrix3<f64>) -> Self {
         let (mut d, mut r) = (*tensor, Matrix3::identity());
         for _ in 0..8 {

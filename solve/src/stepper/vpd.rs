@@ -25,12 +25,12 @@ pub struct Vpd<const N: usize, S: ?Sized = RigidBody<N>> {
 }
 
 impl<const N: usize, S: ?Sized> Vpd<N, S> {
-    /// A stepper for `tableau` that solves each step until `stop`.
+    /// Creates a stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         Self { carried: Carried::new(tableau, stop), system: PhantomData }
     }
 
-    /// The same stepper on an older instruction set, or without lanes: a test compares the bits.
+    /// Returns the stepper on an older instruction set, or without lanes: a test compares the bits.
     pub fn on_level(mut self, level: Option<Level>) -> Self {
         self.carried.step = self.carried.step.on_level(level);
         self
@@ -38,10 +38,11 @@ impl<const N: usize, S: ?Sized> Vpd<N, S> {
 }
 
 impl<const N: usize> Vpd<N, Rescaled<'_, N>> {
-    /// A step of length `h` in the system's own time, and how long it lasts in seconds: `h sum_k b_k sigma(U_k)`.
+    /// Makes a step of length `h` in the system's own time; also returns its duration in seconds:
+    /// `h sum_k b_k sigma(U_k)`.
     ///
     /// # Errors
-    /// As [`Stepper::step`].
+    /// Those of [`Stepper::step`].
     pub fn timed_step(
         &mut self,
         system: &Rescaled<'_, N>,
@@ -71,8 +72,8 @@ pub(super) fn solve<const N: usize, S: Hamiltonian<N> + ?Sized>(
     step.solve(&canonical, length, p0, &system.velocity(g0, p0))
 }
 
-/// (24f, vih6): `Omega = dH/dmu`; of a rigid body with the space vectors of the potential as seen from g0, of a driven one
-/// moment by moment.
+/// (24f, vih6): `Omega = dH/dmu`; for a rigid body with the space vectors of the potential as seen
+/// from g0, for a driven one moment by moment.
 struct Canonical<'a, const N: usize, S: ?Sized> {
     system: &'a S,
     g0: &'a Mat<N>,
@@ -188,7 +189,8 @@ mod tests {
         stepper.carried.step.was_swept()
     }
 
-    /// The comparison with the paper's literal step says something of the deferred defect only where that solves the step.
+    /// The comparison with the paper's literal step tests the deferred defect only where that
+    /// solves the step.
     #[test]
     fn a_modest_step_of_gauss_is_not_swept() {
         for stages in [1, 2, 3, 5, 8] {

@@ -8,7 +8,7 @@
 //! dt = dtau sum_k b_k sigma(U_k),      dtau = (k h - t) / sum_k b_k sigma(U_k)   aside
 //! ```
 //!
-//! and forgotten after the sample. t is a sum, and carries what rounding takes off it.
+//! and forgotten after the sample. t is a sum, and its part lost to rounding is carried.
 //!
 //! Invariant: own steps are of one length and do not depend on the samples; H0 is the energy at the start of the trajectory,
 //! wherever it is resumed.
@@ -45,7 +45,7 @@ pub struct VpdAdaptive<const N: usize> {
     pace: Pace,
 }
 
-/// Where an own step ended.
+/// End of an own step.
 #[derive(Clone, Debug)]
 struct Place<const N: usize> {
     motion: Motion<N>,
@@ -56,8 +56,8 @@ struct Place<const N: usize> {
 }
 
 impl<const N: usize> VpdAdaptive<N> {
-    /// A stepper for `tableau` that solves each step until `stop`. Its own steps are as long as those of the time loop, in a
-    /// time whose rate is `scale`, so none lasts longer.
+    /// Creates a stepper for `tableau` that solves each step until `stop`. Its own steps are as
+    /// long as those of the time loop, in a time whose rate is `scale`, so none lasts longer.
     pub fn new(tableau: Tableau, stop: StopRule, scale: TimeScale) -> Self {
         let start = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         let carried = Carried::new(tableau, stop);
@@ -78,7 +78,7 @@ impl<const N: usize> VpdAdaptive<N> {
 }
 
 impl<const N: usize> VpdAdaptive<N> {
-    /// The same with own steps of `longest_s` seconds.
+    /// Sets own steps of `longest_s` seconds.
     pub fn with_steps_of(self, longest_s: f64) -> Self {
         Self { longest_s: Some(longest_s), ..self }
     }
@@ -90,7 +90,7 @@ impl<const N: usize> Place<N> {
     }
 }
 
-/// Own steps between two times of the loop after which nothing is in proportion any more.
+/// Most own steps between two times of the loop: beyond it nothing is in proportion any more.
 const MOST_STEPS: u64 = 100_000;
 
 impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
@@ -199,9 +199,9 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     }
 }
 
-/// What a time may be missed by, relative to it.
+/// Error allowed in reaching a time, relative to it.
 const ROUND_OFF: f64 = 2.0 * f64::EPSILON;
-/// A few rounds of Newton's method; from a solution that knows how long it is to last none is needed.
+/// A few rounds of Newton's method; none is needed if the solution has the duration asked for.
 const MOST_TRIES: u32 = 8;
 
 impl<const N: usize> VpdAdaptive<N> {
@@ -211,8 +211,8 @@ impl<const N: usize> VpdAdaptive<N> {
         *self.energy.get_or_insert_with(|| body.energy(attitude, momentum).total())
     }
 
-    /// Own steps until the next ends after `goal`. Returns how they were solved: all sweeps, and the last rung of the ladder
-    /// that any of them needed.
+    /// Makes own steps until the next ends after `goal`. Returns how they were solved: all sweeps,
+    /// and the last rung of the ladder that any of them needed.
     fn go_to(&mut self, body: &RigidBody<N>, goal: f64, dtau: f64) -> Result<Convergence, Failure> {
         let energy = self.energy(body);
         let Self { scale, last, ahead, lasts, least_sigma, .. } = self;

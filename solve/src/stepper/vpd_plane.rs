@@ -12,10 +12,11 @@
 //! 2 P_k x_k = h b_k (2 omega_k Im N_k - tau_k)    mu_k = -2 Re N_k,    omega_k = mu_k / J
 //! ```
 //!
-//! (`i N_k = conj(u_k) W_k` of there.) Turn and momentum are sums, and what rounding takes off them is carried.
+//! (`i N_k = conj(u_k) W_k` of there.) Turn and momentum are sums, and their parts lost to
+//! rounding are carried.
 //!
-//! Invariant: what is across the axis stays zero to the bit. A start that is not in the plane, and a step that cannot
-//! be solved here, goes the way of n = 3, which also says why it fails.
+//! Invariant: components across the axis stay zero to the bit. A start that is not in the plane,
+//! and a step that cannot be solved here, go the way of n = 3, which also says why it fails.
 
 use nalgebra::Complex;
 
@@ -32,7 +33,7 @@ use crate::trajectory::State;
 /// Passes over the turns, and over the linear system of x, within a sweep: a torque costs more than they.
 const KINEMATIC_PASSES: usize = 3;
 const LINEAR_PASSES: usize = 2;
-/// How far from the plane rounding may put an attitude.
+/// Distance from the plane that rounding may give an attitude.
 const OFF_PLANE: f64 = 1e-14;
 
 /// A plane of space in which a body moves.
@@ -55,7 +56,7 @@ impl Plane {
             .find_map(|axis| Some(Self { axis, frame, body: body.across(axis, &frame)? }))
     }
 
-    /// Turn and momentum of a state in the plane; `None` of any other.
+    /// Returns turn and momentum of a state in the plane; `None` for any other.
     fn coordinates(&self, state: &State<3>) -> Option<(Complex<f64>, f64)> {
         let [i, j, k] = self.axes();
         let turned = self.frame.tr_mul(&state.attitude);
@@ -98,7 +99,7 @@ pub struct VpdPlane {
     inside: bool,
     turn: Complex<f64>,
     momentum: f64,
-    /// What rounding took off them.
+    /// Parts of turn and momentum lost to rounding.
     carry: (Complex<f64>, f64),
     tableau: Tableau,
     /// `a_ij` row by row, and `e_ik` column by column.
@@ -114,7 +115,8 @@ impl VpdPlane {
     /// to 0.8: `vpd run` on a pendulum with a spring, and in a gravity gradient.
     pub const MOST_STAGES: usize = 2;
 
-    /// A stepper for `tableau` that solves each step until `stop`; `space` is the same for n = 3.
+    /// Creates a stepper for `tableau` that solves each step until `stop`; `space` is the same for
+    /// n = 3.
     pub fn new(plane: Plane, tableau: Tableau, stop: StopRule, space: Box<dyn Stepper<3>>) -> Self {
         let stages = tableau.stages();
         // A sweep is cheap here, and with one stage a sweep that is spared shows: 4e-13 over 200 steps of a pendulum.
@@ -168,7 +170,7 @@ impl VpdPlane {
         // f - 1, with 1 - cos = sin^2 / (1 + cos)
         let change = Complex::new(-f.im * f.im / (1.0 + f.re), f.im);
         let (carried, of_momentum) = self.carry;
-        // The deficit of the length from one; what is carried turns along.
+        // The deficit of the length from one; the carried part turns along.
         let deficit = 0.5 * (1.0 - self.turn.norm_sqr());
         let change = self.turn * change + (carried * f + self.turn * f * deficit);
         let (re, lost_re) = space::sum(self.turn.re, change.re);
@@ -246,7 +248,7 @@ struct Point {
 }
 
 impl Point {
-    /// Of a number.
+    /// Splits a number into turn and stretch.
     fn of(z: Complex<f64>) -> Self {
         let stretch = z.norm_sqr().sqrt();
         Self { turn: z / stretch, stretch }
@@ -297,7 +299,7 @@ struct Sweeps<'a> {
     tableau: &'a Tableau,
     rows: &'a [f64],
     columns: &'a [f64],
-    /// Whose work is counted.
+    /// The body whose work is counted.
     body: &'a RigidBody<3>,
     plane: &'a RigidBody<2>,
     seen: &'a [Vector<2>],
@@ -341,14 +343,15 @@ impl Sweeps<'_> {
         })
     }
 
-    /// The units of turns and of what pushes.
+    /// Returns the units of turns and of pushes.
     fn units(&self) -> [f64; 2] {
         [self.step.unit * self.weight(), self.h.abs() * self.step.unit]
     }
 }
 
 impl Equations for Sweeps<'_> {
-    /// The torque at the beginning, kept constant, and one round of plain collocation from there.
+    /// Guesses with the torque at the beginning, kept constant, and one round of plain collocation
+    /// from there.
     fn guess(&mut self) -> Result<(), Failure> {
         let (h, p0, weight) = (self.h, self.p0, self.weight());
         let s = self.step.stages.len();
@@ -443,7 +446,7 @@ impl Equations for Sweeps<'_> {
             (stage.mu, stage.omega) = (mu, weight * mu);
             stage.rate = Complex::new(0.0, stage.omega) * stage.point.turn;
         }
-        // Of the momenta, or of a turn in the last pass.
+        // The change of the momenta, or of a turn in the last pass.
         let change = if change == 0.0 { 0.0 } else { change / size };
         Ok(change.max(turned))
     }

@@ -1,7 +1,7 @@
 //! The coefficients of Gauss collocation, computed in twice the digits of a double and rounded once.
 //!
-//! Weights that do not sum to one are a clock that is off: the body turns too far in every step, by the same part. So
-//! the outermost pair is what the others leave of one.
+//! Weights that do not sum to one are a clock that is off: the body turns too far in every step, by
+//! the same part. So the outermost pair is one minus the others.
 //!
 //! Invariant: the weights are symmetric and sum to one without a rounding; each coefficient is good to its last place.
 
@@ -103,7 +103,7 @@ impl Twice {
     }
 }
 
-/// The sum of some.
+/// Returns the sum of `numbers`.
 pub(super) fn total(numbers: impl Iterator<Item = Twice>) -> Twice {
     numbers.fold(Twice::from(0.0), |sum, x| sum + x)
 }

@@ -53,7 +53,7 @@ fn crowded<const N: usize>() -> (RigidBody<N>, TimeScale, State<N>) {
     (body, TimeScale::new(vec![0.0, 0.0, 0.0, 0.8, 1.1]), start)
 }
 
-/// The same Hamiltonian as any other system: the step does not know what it is.
+/// The same Hamiltonian as a system of no known kind: the step does not know what it is.
 struct Unknown<'a, const N: usize> {
     of: Rescaled<'a, N>,
     /// Leaves the term of H - H0 out of the gradient.
@@ -132,7 +132,7 @@ fn its_derivatives_are_those_of_its_energy() {
     law::<5>();
 }
 
-/// What the stages do side by side is the step that knows nothing of the system but its derivatives.
+/// The stages side by side make the step that knows nothing of the system but its derivatives.
 #[test]
 fn in_lanes_it_is_the_same_map() {
     fn law<const N: usize>() {
@@ -185,8 +185,9 @@ fn symplectic_with_its_second_term_alone() {
     law::<4>();
 }
 
-/// What makes the map symplectic in t and its momentum -H0, too. With H0 as a parameter of a symplectic map the images of
-/// directions (e, n) of the state and of the change of H0 must have
+/// Returns the defect of the condition that makes the map symplectic in t and its momentum -H0,
+/// too. With H0 as a parameter of a symplectic map the images of directions (e, n) of the state and
+/// of the change of H0 must have
 ///
 /// ```text
 /// omega(d/de (g, m), d/dH0 (g, m)) = -dt/de
@@ -259,7 +260,7 @@ fn orders_in_state_and_time() {
             );
             let order = 2.0 * stages as f64;
             assert!((state - order).abs() < 0.3, "n = {N}, {stages} stages: {state}");
-            // Where rounding does not hide it.
+            // Only where rounding does not hide it.
             if fine.1 > 1e-14 {
                 assert!((time - order).abs() < 0.3, "n = {N}, {stages} stages: time {time}");
             }
@@ -385,7 +386,7 @@ fn a_resumed_run_is_the_one_that_was_not_interrupted() {
     let whole = sampled(&scene, 2, 0.3, 40, 7);
     for checkpoint in &whole.checkpoints {
         let mut kept = Kept { every: 7, ..Kept::default() };
-        // Where the next checkpoint is due.
+        // The samples before the checkpoint: they tell when the next one is due.
         kept.samples = whole.samples[..checkpoint.samples as usize].to_vec();
         let origin = Origin { initial: &scene.start, checkpoint: Some(checkpoint) };
         let schedule = Schedule { step_s: scene.until / 40.0, steps: 40, every: 1 };

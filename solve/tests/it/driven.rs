@@ -122,7 +122,8 @@ fn start<const N: usize>() -> State<N> {
     State { attitude: numbers.rotation(), momentum: numbers.skew() * 2.0 }
 }
 
-/// The state after one second, and by how much at most the energy changed on the way, less what was put in.
+/// Returns the state after one second, and the largest change of the energy on the way, less the
+/// input.
 fn after<const N: usize>(
     stepper: &mut dyn Stepper<N>,
     body: &RigidBody<N>,
@@ -147,7 +148,7 @@ fn distance<const N: usize>(a: &State<N>, b: &State<N>) -> f64 {
     (a.attitude - b.attitude).amax().max((a.momentum - b.momentum).amax())
 }
 
-/// What the table of methods makes of a method for n.
+/// Maker of a method of the table for n.
 trait Sized<const N: usize> {
     fn make(method: &Method) -> Box<dyn Stepper<N>>;
 }
@@ -169,7 +170,7 @@ impl Sized<4> for Four {
     }
 }
 
-/// All of the table that can run such scenes.
+/// All methods of the table that can run such scenes.
 fn driven_methods() -> impl Iterator<Item = Method> {
     methods().into_iter().filter(Method::can_be_driven)
 }
@@ -199,7 +200,7 @@ fn orders_of_state_and_balance() {
             println!(
                 "{name}, n = {N}: {called}: {state:.2}, balance {work:.2} ({b:.1e}, {work_b:.1e})"
             );
-            // Where rounding does not hide it.
+            // Only where rounding does not hide it.
             if b > 1e-12 {
                 assert!(state > order - method.slope, "{name}, n = {N}, {called}: {state}");
             }
@@ -247,7 +248,7 @@ fn a_damped_free_body_follows_its_exact_motion() {
     law::<5>();
 }
 
-/// Where all space vectors turn about one axis at a constant rate w, `H - w . m` is kept: Jacobi.
+/// `H - w . m` is kept if all space vectors turn about one axis at a constant rate w: Jacobi.
 #[test]
 fn the_integral_of_jacobi_is_kept() {
     const RATE: f64 = 0.7;
@@ -327,8 +328,9 @@ impl<const N: usize> Sink<N> for Momenta {
     }
 }
 
-/// Along what the potential leaves free, the spatial momentum changes by the impulse of the torques: to rounding by methods
-/// that come of a variational principle, else with the order of the method.
+/// Along the directions that the potential leaves free, the spatial momentum changes by the impulse
+/// of the torques: to rounding for methods that come from a variational principle, else with the
+/// order of the method.
 #[test]
 fn the_momentum_changes_by_the_torques_alone() {
     fn law<const N: usize, S: Sized<N>>() {
@@ -355,7 +357,7 @@ fn the_momentum_changes_by_the_torques_alone() {
             } else {
                 assert!(fine < 1e-12 || rate > order - 0.2, "n = {N}, {name}: {rate}");
             }
-            // A checkpoint keeps what was put in.
+            // A checkpoint keeps the input.
             let (_, parts) = drift(stepper, 120, 7);
             assert!((parts - impulse).amax() <= 2e-14, "n = {N}, {name}");
         }
@@ -471,7 +473,8 @@ fn steps_are_symplectic_in_the_extended_phase_space() {
     law::<4, Four>();
 }
 
-/// What is symmetric goes back the way it came, through the same times, and gives back what was put in.
+/// A symmetric method goes back the way it came, through the same times, and gives back what was
+/// put in.
 #[test]
 fn symmetric_methods_are_their_own_reverse() {
     fn law<const N: usize, S: Sized<N>>(name: &str, body: &RigidBody<N>) {

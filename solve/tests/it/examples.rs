@@ -34,7 +34,7 @@ fn a_body_in_four_dimensions() {
 fn a_hamiltonian_of_ones_own() {
     let [large, group, drift] = custom_hamiltonian::run(0.1).expect("a run");
     assert!(large < 1e-4 && group < 1e-14 && drift < 1e-12, "{large:e} {group:e} {drift:e}");
-    // Of order 4.
+    // The method has order 4.
     let [small, ..] = custom_hamiltonian::run(0.05).expect("a run");
     assert!(large / small > 12.0, "{large:e} {small:e}");
 }

@@ -1,4 +1,5 @@
-//! What the tests of both crates begin from: numbers from a seed, the paper's dipole, and where it is known to go.
+//! Data from which the tests of both crates begin: numbers from a seed, the paper's dipole, and its
+//! known end.
 
 use serde_json::Value;
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};

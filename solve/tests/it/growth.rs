@@ -1,10 +1,12 @@
 //! Long runs: how the error of energy and momentum grows with the number of steps.
 //!
-//! A line grows like the number of steps, a random walk like its root (Brouwer's law), an oscillation not at all. The error
-//! of a run is taken in blocks; for blocks of k steps, the difference between the means of two that follow one
-//! another has a root mean square over a run and over runs that begin next to one another, and the slope of its logarithm
-//! over that of their length is the exponent: 1 of a line, 1/2 of a random walk, -1/2 of what swings without a memory
-//! (Allan 1966, Proceedings of the IEEE 54). The interval is that of the jackknife over the runs.
+//! A line grows like the number of steps, a random walk like its root (Brouwer's law), an
+//! oscillation not at all. The error of a run is taken in blocks; for blocks of k steps, the
+//! difference between the means of two that follow one another has a root mean square over a run
+//! and over runs that begin close to one another, and the slope of its logarithm over that of their
+//! length is the exponent: 1 for a line, 1/2 for a random walk, -1/2 for an oscillation without a
+//! memory (Allan 1966, Proceedings of the IEEE 54). The interval is that of the jackknife over the
+//! runs.
 
 use std::fmt::Write as _;
 use std::sync::Mutex;
@@ -185,7 +187,7 @@ struct Exponent {
     change: f64,
 }
 
-/// Of runs by the means over their blocks; `None` if nothing changes.
+/// Returns the exponent of runs by the means over their blocks; `None` if nothing changes.
 fn exponent(runs: &[&[f64]]) -> Option<Exponent> {
     /// Student's t for 95 % with 1, 2, ... degrees of freedom.
     const STUDENT: [f64; 9] = [12.71, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
@@ -203,7 +205,7 @@ fn exponent(runs: &[&[f64]]) -> Option<Exponent> {
     Some(Exponent { value, half, change: differences(runs.iter().copied(), BLOCKS / 2).0.sqrt() })
 }
 
-/// Those of energy and momentum.
+/// The exponents of energy and momentum.
 fn exponents(means: &[[Vec<f64>; 2]]) -> [Option<Exponent>; 2] {
     [0, 1].map(|i| {
         let runs: Vec<&[f64]> = means.iter().map(|run| run[i].as_slice()).collect();
@@ -225,7 +227,7 @@ fn differences<'a>(runs: impl Iterator<Item = &'a [f64]>, blocks: usize) -> (f64
     (sum / count, count)
 }
 
-/// Of the logarithms, each weighted with the number of its differences.
+/// Returns the slope of the logarithms, each weighted with the number of its differences.
 fn slope<'a>(runs: impl Iterator<Item = &'a [f64]> + Clone) -> Option<f64> {
     let (mut w, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for blocks in [1, 2, 4, 8] {
@@ -279,8 +281,8 @@ fn grown(
     found
 }
 
-/// The largest exponent that is rounding's own. Of many intervals of 95 % some miss it by chance, hardly one by twice its
-/// half.
+/// The largest exponent that is rounding's own. Among many intervals of 95 % some miss it by
+/// chance, hardly one by twice its half.
 const WALK: f64 = 0.6;
 
 /// A row of the table for people.
@@ -301,7 +303,7 @@ fn cells(exponents: &[Option<Exponent>; 2]) -> String {
     format!("{energy} | {momentum}")
 }
 
-/// A table for people, and what grows faster than a random walk.
+/// A table for people, and its rows that grow faster than a random walk.
 fn judged(methods: &[Method], steps: usize, members: usize) -> (String, String) {
     let (mut table, mut lines) = (String::new(), String::new());
     let scenes = scenes();
@@ -326,7 +328,7 @@ fn rounding_makes_a_random_walk_and_no_line() {
     let methods: Vec<Method> = methods().into_iter().filter(known).collect();
     let (_, lines) = judged(&methods, 40_000, 4);
     assert!(lines.is_empty(), "faster than a random walk:\n{lines}");
-    // What there is to be seen: a line, a random walk.
+    // A line must be told from a random walk.
     let line: Vec<Vec<f64>> = (0..4)
         .map(|m| (0..BLOCKS).map(|k| k as f64 + 0.1 * (m * k % 3) as f64).collect())
         .collect();
@@ -335,7 +337,8 @@ fn rounding_makes_a_random_walk_and_no_line() {
     assert!(exponent.value - 2.0 * exponent.half > WALK, "{exponent:?}");
 }
 
-/// Of a body that is the same all around its axis, on which its weight hangs, the momentum about the axis stays as it is.
+/// A body that is the same all around its axis, on which its weight hangs, keeps its momentum about
+/// the axis.
 #[test]
 fn momentum_about_the_axis_of_a_top_is_kept() {
     let Scene { body, start, .. } = &scenes()[1];

@@ -143,7 +143,7 @@ fn every_instruction_set_makes_the_same_bits() {
     }
 }
 
-/// The same of the step in any dimension.
+/// The step in any dimension has the same bits on every instruction set.
 #[test]
 fn matrices_in_lanes_have_the_same_bits_on_every_instruction_set() {
     fn law<const N: usize>() {
@@ -190,7 +190,7 @@ fn a_free_body_keeps_its_spatial_momentum() {
         }
         let lost = (momentum(&stepper) - before).amax();
         println!("{stages} stages, {step_s} s: {lost:e}");
-        // Only what the reading of it rounds is left.
+        // Only the rounding of the reading is left.
         assert!(lost < 2e-15, "{stages} stages, {step_s} s: {lost:e}");
     }
 }
@@ -301,8 +301,8 @@ fn members_are_their_own_runs_bit_for_bit() {
     }
 }
 
-/// The same where sweeps solve a step that is refused: one member rests where it all but meets a charge, too weak to push
-/// it.
+/// As above where sweeps solve a step that is refused: one member rests where it all but meets a
+/// charge, too weak to push it.
 #[test]
 fn a_member_that_is_solved_and_refused_is_refused_as_by_itself() {
     let up = Vector::<3>::new(0.0, 0.0, 1.0);
@@ -324,8 +324,8 @@ fn a_member_that_is_solved_and_refused_is_refused_as_by_itself() {
     }
 }
 
-/// A hundred steps of the members together and of each by itself, without lanes: who fails, and how. Who has failed tries
-/// again for a while, and then is left behind.
+/// Makes a hundred steps of the members together and of each by itself, without lanes; returns
+/// which fail, and how. A member that has failed tries again for a while, and then is left behind.
 fn together_and_alone(
     body: &RigidBody<3>,
     states: &[State<3>],

@@ -323,7 +323,7 @@ fn the_gradient_is_the_derivative_of_the_energy() {
                 let size = 1.0 + gradient.norm() * eta.norm();
                 assert!(error < 1e-10 * size, "n = {N}, {body:?}: {error:e} of {size}");
             }
-            // The same from the other side.
+            // The same gradient from the other side.
             let g = g0 * u;
             let difference = so::conjugate(&g, &gradient) - body.spatial_gradient(&g);
             let size = N as f64 * gradient.norm().max(1.0);
@@ -333,7 +333,8 @@ fn the_gradient_is_the_derivative_of_the_energy() {
     for_sizes!(law);
 }
 
-/// Where the strength of a term swings and its space vector turns, the energy changes by what both put in.
+/// If the strength of a term swings and its space vector turns, the energy changes by the input of
+/// both.
 #[test]
 fn the_power_of_every_law_is_the_rate_of_its_energy() {
     fn law<const N: usize>() {
@@ -536,7 +537,8 @@ fn an_inertia_is_the_same_by_moments_by_second_moments_and_by_its_tensor() {
     assert!(Kinetic::<3>::of_tensor(-tensor).is_none());
 }
 
-/// Steps of such a turn, as far as they are solved, up to 400: how far the attitude gets from the group, and how many.
+/// Makes steps of such a turn, as far as they are solved, up to 400; returns how far the attitude
+/// gets from the group, and their number.
 fn steps_of<const N: usize>(stages: usize, turn_rad: f64, terms: Vec<Term<N>>) -> (f64, usize) {
     let body = RigidBody::<N>::new(
         Kinetic::of_second_moments(std::array::from_fn(|i| 0.6 + 0.2 * i as f64)),
@@ -557,7 +559,7 @@ fn steps_of<const N: usize>(stages: usize, turn_rad: f64, terms: Vec<Term<N>>) -
     (off, made)
 }
 
-/// What rounding takes an attitude off the group must not grow, however far a step turns.
+/// The distance from the group by rounding must not grow, however far a step turns.
 #[test]
 fn long_steps_stay_on_the_group() {
     fn check<const N: usize>() {

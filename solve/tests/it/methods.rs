@@ -29,7 +29,7 @@ use crate::verification::trend;
 /// Makes a fresh stepper.
 pub(crate) type Make<const N: usize> = Box<dyn Fn() -> Box<dyn Stepper<N>>>;
 
-/// A method: what is made of it in each dimension, and what is expected.
+/// A method: its steppers in each dimension, and the results expected.
 pub(crate) struct Method {
     pub(crate) name: &'static str,
     pub(crate) order: f64,
@@ -46,7 +46,7 @@ pub(crate) struct Method {
     /// The largest orthogonality error of the attitude after the runs for the order, times 1e-16;
     /// `None` where it leaves the group.
     on_group: Option<f64>,
-    /// How near its slope comes to its order above round-off.
+    /// Deviation allowed of its slope from its order above round-off.
     pub(crate) slope: f64,
 }
 
@@ -77,12 +77,12 @@ impl Method {
         Self { on_group: Some(300.0), ..self }
     }
 
-    /// Can it run what changes with time or is pushed?
+    /// Can it run systems that change with time or are pushed?
     pub(crate) fn can_be_driven(&self) -> bool {
         self.beyond.is_some() && !self.free && !self.name.starts_with("vpd_adaptive")
     }
 
-    /// Does it come of a variational principle?
+    /// Does it come from a variational principle?
     pub(crate) fn is_variational(&self) -> bool {
         self.name.starts_with('v')
     }

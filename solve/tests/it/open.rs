@@ -215,7 +215,8 @@ fn a_potential_of_ones_own_is_its_derivative_beside_the_terms() {
     law::<5>();
 }
 
-/// A potential frees no direction unless it says so; what is said is conserved.
+/// A potential frees no direction unless it says so; the momentum among the freed directions is
+/// conserved.
 #[test]
 fn what_a_potential_of_ones_own_frees_is_conserved() {
     let mut numbers = Numbers(53);
@@ -451,7 +452,7 @@ fn any_hamiltonian_may_stand_behind_a_pointer() {
     assert!(apart(&own, &built_in) < 1e-13);
 }
 
-/// What goes wrong in a law of one's own.
+/// Ways in which a user-defined law goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Wrong {
     Energy,

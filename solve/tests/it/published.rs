@@ -30,16 +30,16 @@ fn gauss(stages: usize) -> Tableau {
     Tableau::gauss(stages).expect("1 to 8 stages")
 }
 
-/// What a method has to be able to do for a case.
+/// Demands of a case on a method.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Asks {
     /// A body that nothing acts on.
     Free,
-    /// The same with wheels.
+    /// A free body with wheels.
     FreeWithWheels,
     /// A potential.
     Potential,
-    /// What changes with time, or pushes.
+    /// A body that changes with time, or is pushed.
     Driven,
 }
 
@@ -54,7 +54,8 @@ const ALL: &[Asks] = &[Asks::Free, Asks::FreeWithWheels, Asks::Potential, Asks::
 const STILL: &[Asks] = &[Asks::Free, Asks::Potential];
 const FREE: &[Asks] = &[Asks::Free, Asks::FreeWithWheels];
 
-/// Of each family one of order 8. (`vpd_adaptive` wants a point source, and no case has one.)
+/// One method of order 8 from each family. (`vpd_adaptive` wants a point source, and no case has
+/// one.)
 const METHODS: [Method; 12] = [
     Method {
         name: "`vpd`, n = 3 in lanes",
@@ -212,7 +213,8 @@ fn kovalevskaya(stepper: &mut dyn Stepper<3>) -> Vec<f64> {
     [vec![most, least], end.to_vec()].concat()
 }
 
-/// Where the square of a rate of growth, linear in some x, is zero; the rates are known at two.
+/// Returns where the square of a rate of growth, linear in some x, is zero; the rates are known at
+/// two.
 fn threshold([a, b]: [(f64, f64); 2]) -> f64 {
     let (squared_a, squared_b) = (a.1 * a.1, b.1 * b.1);
     a.0 - squared_a * (b.0 - a.0) / (squared_b - squared_a)
@@ -366,8 +368,8 @@ fn pushed_spacecraft(stepper: &mut dyn Stepper<3>) -> Vec<f64> {
     rodrigues(&run(stepper, &body, &start, (600.0, 6000), |_, _, _| {}).0)
 }
 
-/// What the classical Runge-Kutta method makes of the same in modified Rodrigues parameters s, by steps of 0.1 s, as that
-/// program does: `4 s' = (1 - |s|^2) Omega + 2 s x Omega + 2 (s . Omega) s`.
+/// Solves the same by the classical Runge-Kutta method in modified Rodrigues parameters s, by steps
+/// of 0.1 s, as that program does: `4 s' = (1 - |s|^2) Omega + 2 s x Omega + 2 (s . Omega) s`.
 fn pushed_spacecraft_in_their_way() -> Vec<f64> {
     type Vec3 = nalgebra::Vector3<f64>;
     let moments = Vec3::from(PUSHED_BODY);
@@ -408,15 +410,15 @@ struct Case {
     title: &'static str,
     /// The scene.
     scene: &'static str,
-    /// Whose answer it is.
+    /// Source of the answer.
     source: &'static str,
     asks: Asks,
     run: fn(&mut dyn Stepper<3>) -> Vec<f64>,
     /// Each figure with the digits that are known of it.
     known: &'static [(&'static str, &'static str)],
-    /// How near, relative to the figure where that is above one.
+    /// Difference allowed, relative to the figure where that is above one.
     allowed: f64,
-    /// What is to be said of the differences.
+    /// Remark on the differences.
     said: &'static str,
 }
 
@@ -545,7 +547,7 @@ const CASES: &[Case] = &[
 ];
 
 impl Case {
-    /// How far off figures are, relative to those that are above one.
+    /// Returns how far off figures are, relative to those that are above one.
     fn off(&self, found: &[f64]) -> f64 {
         assert_eq!(found.len(), self.known.len(), "{}", self.title);
         let off = |(x, (_, known)): (&f64, &(&str, &str))| {
@@ -616,7 +618,7 @@ thousand steps. Each table has the methods that can run its scene. The differenc
 figures that are above one.
 ";
 
-/// What of the page is written by hand begins here.
+/// Heading of the part of the page that is written by hand.
 const BY_HAND: &str = "\n## Next to another simulator\n";
 
 fn file() -> std::path::PathBuf {

@@ -254,8 +254,8 @@ fn long_runs_keep_the_invariants() {
         assert!(mean <= 5e-16, "{name}: {mean:e}");
         assert!(seen.momentum_max <= 1e-12, "{name}: {:e}", seen.momentum_max);
         let (slope, deviation) = trend(&seen.energy);
-        // Where the method's own error is below 1e-12, what rounding leaves shows as a line: 4e-15 in each
-        // of the 50 intervals. Everywhere else there is none.
+        // Where the method's own error is below 1e-12, the rounding error shows as a line: 4e-15 in
+        // each of the 50 intervals. Everywhere else there is none.
         let rounding = if name == "GL6" && step_s == 0.01 { 1e-14 } else { 0.0 };
         assert!(
             slope.abs() <= (3.0 * deviation).max(rounding),

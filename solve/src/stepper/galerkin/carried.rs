@@ -1,5 +1,5 @@
-//! What the forms of VPD carry from step to step, next to the system: the shared step, the motion, and the time and work of
-//! a driven body.
+//! State that the forms of VPD carry from step to step, besides the system: the shared step, the
+//! motion, and the time and work of a driven body.
 //!
 //! Invariant: a step that fails leaves the motion as it was.
 
@@ -18,14 +18,14 @@ pub(in crate::stepper) struct Carried<const N: usize> {
     pub(in crate::stepper) step: GalerkinStep<N>,
     pub(in crate::stepper) motion: Motion<N>,
     clock: Clock<N>,
-    /// Of a driven body, at the stages and the end of the step.
+    /// Moments of a driven body at the stages and the end of the step (empty otherwise).
     pub(in crate::stepper) moments: Vec<Moment<N>>,
     /// The space vectors of the potential, from where the step begins.
     pub(in crate::stepper) seen: Vec<Vector<N>>,
 }
 
 impl<const N: usize> Carried<N> {
-    /// For steps of `tableau` that are solved until `stop`.
+    /// Creates the state for steps of `tableau` that are solved until `stop`.
     pub(in crate::stepper) fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
         Self {
@@ -37,23 +37,23 @@ impl<const N: usize> Carried<N> {
         }
     }
 
-    /// As [`crate::stepper::Stepper::start`].
+    /// See [`crate::stepper::Stepper::start`].
     pub(in crate::stepper) fn start(&mut self, state: &State<N>) {
         self.motion = Motion::new(state);
         self.clock = Clock::default();
     }
 
-    /// As [`crate::stepper::Stepper::set_time`].
+    /// See [`crate::stepper::Stepper::set_time`].
     pub(in crate::stepper) fn set_time(&mut self, time_s: f64) {
         self.clock.time = time_s;
     }
 
-    /// As [`crate::stepper::Stepper::work`].
+    /// See [`crate::stepper::Stepper::work`].
     pub(in crate::stepper) fn work(&self) -> f64 {
         self.clock.work
     }
 
-    /// As [`crate::stepper::Stepper::impulse`].
+    /// See [`crate::stepper::Stepper::impulse`].
     pub(in crate::stepper) fn impulse(&self) -> Mat<N> {
         self.clock.impulse.value
     }
@@ -91,7 +91,7 @@ impl<const N: usize> Carried<N> {
         Ok(convergence)
     }
 
-    /// Goes on by the step that was solved.
+    /// Advances by the step that was solved.
     fn advance(&mut self, h: f64) {
         if !self.moments.is_empty() {
             let put_in = self.step.put_in(h, &self.moments, self.motion.attitude());

@@ -9,7 +9,7 @@
 //! [T] T_j = U_j X_j                     [Y] Y_k = sum_j e_jk T_j         [S] S_k = sym(U_k^T W_k)
 //! ```
 //!
-//! summing the equations over the stages leaves of the momentum `pi_k = U_k mu_k U_k^T`
+//! summing the equations over the stages leaves, for the momentum `pi_k = U_k mu_k U_k^T`,
 //!
 //! ```text
 //! [transport]  pi_k = p0 - sum_j e_kj kappa_j + delta_k          kappa_j = h b_j U_j dH/dg(U_j) U_j^T
@@ -21,7 +21,8 @@
 //! order h^(s+1), to which its last two terms, of order h^2 each, cancel. So collocation is solved first, and the defect is
 //! evaluated one to three times up to a turn of 0.15 rad, four to eight times in larger steps.
 //!
-//! Everything is computed for all stages at once, in lanes. An operation carries the tag of what it computes.
+//! Everything is computed for all stages at once, in lanes. An operation carries the tag of its
+//! result.
 //!
 //! Invariant: a step that is not solved here to round-off is left to [`super`].
 
@@ -36,11 +37,11 @@ use crate::work;
 
 /// Rounds of any kind after which a step is left to [`super`].
 pub(super) const MOST_ROUNDS: u32 = 40;
-/// Passes over attitudes and momenta for each torque, of a system in a time of its own.
+/// Passes over attitudes and momenta for each torque, for a system in a time of its own.
 const PASSES: usize = 2;
-/// What forces anew leave of an error, until it is seen.
+/// Contraction of an error by new forces, assumed until it is measured.
 const FORCES_CONTRACTION: f64 = 0.01;
-/// Of the momentum, the shortfall at the end of a step that is allowed.
+/// Shortfall allowed at the end of a step, relative to the momentum.
 pub(super) const ROUND_OFF: f64 = 1e-16;
 
 /// A system as the step sees it.
@@ -53,7 +54,7 @@ pub(super) enum Source<'a> {
         seen: &'a [f64],
         work: &'a work::Work,
     },
-    /// Any other, one stage after the other.
+    /// Any other system, evaluated stage by stage.
     Stages(&'a dyn AtStage),
 }
 
@@ -61,7 +62,7 @@ pub(super) enum Source<'a> {
 pub(super) enum Velocity<'a> {
     /// `Omega_ij = w_ij mu_ij`; perhaps in a time of its own.
     Weights(&'a [f64], Option<Scale<'a>>),
-    /// As the system says, stage by stage.
+    /// Asked of the system, stage by stage.
     Stages(&'a dyn AtStage),
 }
 
@@ -77,19 +78,20 @@ pub(super) trait AtStage {
     fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
 }
 
-/// Where the matrix of a stage stands: entry e is number `e * lanes + stage`.
+/// Position of the matrix of a stage: entry e is number `e * lanes + stage`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Place {
     pub(super) stage: usize,
     pub(super) lanes: usize,
 }
 
-/// What a step begins from.
+/// Start of a step.
 pub(super) struct Start<'a> {
     /// n.
     pub(super) n: usize,
     pub(super) h: f64,
-    /// How long the step is to last, of a system in a time of its own, if that is what is known; h is then a guess.
+    /// Time that the step is to last, if it is known, for a system in a time of its own; h is then
+    /// a guess.
     pub(super) lasting: Option<f64>,
     /// p0 and its velocity, row by row.
     pub(super) momentum: &'a [f64],
@@ -110,7 +112,8 @@ impl From<Failure> for Stuck {
     }
 }
 
-/// A tableau of up to [`WIDTH`] stages that is its own partner, in lanes; what is beyond its stages is zero.
+/// A tableau of up to [`WIDTH`] stages that is its own partner, in lanes; lanes beyond its stages
+/// are zero.
 #[derive(Clone, Debug)]
 struct Coefficients {
     stages: usize,
@@ -136,8 +139,9 @@ impl Coefficients {
             lanes.weights[i] = tableau.b(i);
             lanes.nodes[i] = tableau.c(i);
             for j in 0..stages {
-                // Of two that make one to the last bit the smaller is what the larger leaves: off the diagonal the pair is
-                // symplectic whatever their rounding; e_kk is 1/2 to the bit for the built-in Gauss tableaux.
+                // Of two entries that sum to one, the smaller is one minus the larger, to the last
+                // bit: off the diagonal the pair is symplectic whatever their rounding; e_kk is 1/2
+                // to the bit for the built-in Gauss tableaux.
                 let smaller = part(i, j) < part(j, i);
                 let e = if smaller { 1.0 - part(j, i) } else { part(i, j) };
                 lanes.columns[j][i] = e;
@@ -169,7 +173,7 @@ struct Unknowns {
     /// `pi - p0`
     gain: Numbers,
     delta: Numbers,
-    /// What of delta does not depend on K.
+    /// Part of delta that does not depend on K.
     delta_rest: Numbers,
     s: Numbers,
     x: Numbers,
@@ -179,7 +183,7 @@ struct Unknowns {
     f_lambda: Numbers,
     room: [Numbers; 3],
     slopes: Vec<f64>,
-    /// Of a system in a time of its own.
+    /// Values at the stages, for a system in a time of its own.
     rescaled: AtStages,
 }
 
@@ -231,7 +235,8 @@ struct End {
     room: [Numbers; 2],
 }
 
-/// What else is known of a solution: the largest entry of any F, in vectors of any E, and the largest square of |C|.
+/// Measures of a solution: the largest entry of any F, in vectors of any E, and the largest square
+/// of |C|.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved {
     pub(super) rounds: u32,
@@ -243,11 +248,11 @@ pub(super) struct Solved {
     pub(super) stretch: f64,
     /// The largest `|C|_F^2`.
     pub(super) turn: f64,
-    /// As of [`crate::hamiltonian::RigidBody::torque`].
+    /// Nearness as returned by [`crate::hamiltonian::RigidBody::torque`].
     pub(super) nearness: f64,
 }
 
-/// The stepper's part of it, kept from step to step.
+/// Solver of the collocation, kept from step to step.
 #[derive(Clone, Debug)]
 pub(super) struct Collocation {
     coefficients: Coefficients,
@@ -260,7 +265,8 @@ pub(super) struct Collocation {
 }
 
 impl Collocation {
-    /// For `tableau` in n dimensions; `None` if it is not its own partner, or has more stages than there are lanes.
+    /// Creates the solver for `tableau` in n dimensions; `None` if the tableau is not its own
+    /// partner, or has more stages than there are lanes.
     pub(super) fn new(tableau: &Tableau, n: usize) -> Option<Self> {
         let coefficients = Coefficients::new(tableau)?;
         // One number at a time would be slower than two.
@@ -334,7 +340,7 @@ impl Collocation {
         }
     }
 
-    /// sigma_k, of a system in a time of its own, if it has been looked at.
+    /// Returns sigma_k of a system in a time of its own, if it has been evaluated.
     pub(super) fn sigma(&self, k: usize) -> Option<f64> {
         self.unknowns.rescaled.sigma().get(k).copied()
     }
@@ -380,7 +386,7 @@ fn solve<'a, R: Stages<Whole = f64>>(
     }
 }
 
-/// The same for any number of rows.
+/// Solves the step for any number of rows.
 fn solve_any<'a, R: Stages<Whole = f64>>(
     lanes: R,
     coefficients: &'a Coefficients,
@@ -392,9 +398,9 @@ fn solve_any<'a, R: Stages<Whole = f64>>(
     Step::new(lanes, Any(start.n), coefficients, start, source, unknowns, end).solve()
 }
 
-/// What turns the body, at all stages.
+/// Forces that turn the body, at all stages.
 enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
-    /// Nothing.
+    /// No forces.
     None {
         velocity: Velocity<'a>,
         work: &'a work::Work,
@@ -497,14 +503,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             rounds += 1;
             self.end_point(1);
             self.multipliers();
-            // X and S follow each other; the first time there are greater errors, but for many stages.
+            // X and S depend on each other; other errors are larger the first time, except with
+            // many stages.
             if evaluation > 1 || stages >= 4 || turn > 0.3 {
                 self.embed();
                 self.multipliers();
             }
             let jump = self.defects();
             let momenta = self.momenta_from_space();
-            // The shortfall of the attitudes when the defect was evaluated is in it, times the turn.
+            // The defect contains the shortfall of the attitudes at its evaluation, times the turn.
             let left = evaluations.left(jump).max(turn * shortfall);
             // An error of a momentum turns the end by its product with the turn of the step.
             let goal = ROUND_OFF * self.size / turn;
@@ -512,7 +519,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
             shortfall = passed.left;
             self.gradients()?;
-            // Of few stages the first evaluation is not yet sure of its order.
+            // With few stages the first evaluation does not yet know its order.
             if left <= 10.0 * goal && (stages >= 4 || evaluation > 1) {
                 let increment = self.finish(passed.last, goal)?;
                 return Ok(self.judged(rounds, increment / self.size));
@@ -529,9 +536,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
     }
 
-    /// Passes, each time with new forces, until what these change is `goal`; and the end point.
+    /// Repeats the passes with new forces until these change no more than `goal`, then computes the
+    /// end point.
     fn finish(&mut self, mut before: f64, goal: f64) -> Result<f64, Stuck> {
-        // In a time of its own they also follow the momenta.
+        // For a system in a time of its own the forces also depend on the momenta.
         let rescaled = matches!(self.forces, Forces::Rescaled { .. });
         let contraction = if rescaled { 3.0 * FORCES_CONTRACTION } else { FORCES_CONTRACTION };
         let mut rounds = Rounds::new(contraction, before);
@@ -552,7 +560,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
-    /// Gauss collocation, without the defect, until what is left is smaller than the defect is.
+    /// Solves Gauss collocation, without the defect, until the error left is smaller than the
+    /// defect.
     fn collocate(&mut self) -> Result<u32, Stuck> {
         let stages = self.coefficients.stages;
         let mut last = f64::INFINITY;
@@ -560,14 +569,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.gradients()?;
             let jump = self.momenta_in_body();
             if matches!(self.forces, Forces::Rescaled { .. }) {
-                // What momenta and attitudes make of sigma and H - H0 binds them to each other.
+                // Momenta and attitudes depend on each other through sigma and H - H0.
                 for _ in 0..PASSES {
                     self.attitudes();
                     self.momenta_in_body();
                 }
                 self.attitudes();
             } else {
-                // A second time costs little next to a torque.
+                // A second evaluation costs little compared with a torque.
                 self.momenta_in_body();
                 self.attitudes();
                 self.attitudes();
@@ -585,7 +594,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
-    /// Passes over attitudes and momenta, the defect's slow part kept, until what is left of the momenta is `goal`.
+    /// Repeats passes over attitudes and momenta, with the slow part of the defect kept, until the
+    /// error left in the momenta is `goal`.
     fn pass_until(&mut self, before: f64, goal: f64) -> Result<Passed, Stuck> {
         /// Below this part of the momentum a change that no longer falls is rounding.
         const FLOOR: f64 = 1e-14;
@@ -593,7 +603,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let (mut first, mut last) = (None, f64::INFINITY);
         for pass in 0..MOST_ROUNDS {
             self.begin_pass(pass)?;
-            // In a plane a momentum does not see the attitude.
+            // In a plane a momentum does not depend on the attitude.
             let sees = self.start.n > 2;
             if !sees {
                 self.u.t.copy_from_slice(&self.u.c);
@@ -627,7 +637,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     fn begin_pass(&self, pass: u32) -> Result<(), Failure> {
-        /// What a sweep has of them; more count as one each.
+        /// Usual number of passes in a sweep; each further pass counts as a sweep.
         const USUAL_PASSES: u32 = 8;
         if pass >= USUAL_PASSES {
             self.begin_sweep()?;
@@ -680,7 +690,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     in_lanes! {
-    /// sigma and the forces.
+    /// Evaluates sigma and the forces.
     fn scales(&mut self) {
         if let Forces::Rescaled { torques, scale, .. } = &mut self.forces {
             let Unknowns { c, rescaled, .. } = &mut *self.u;
@@ -692,7 +702,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.velocities();
     }
 
-    /// The velocity of the beginning, kept constant.
+    /// Guesses the unknowns from the initial velocity, kept constant.
     fn guess(&mut self) {
         let Self { stack, start, coefficients, u, end, forces, .. } = self;
         let (n, lanes) = (stack.n(), stack.lanes);
@@ -759,7 +769,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         stack.scale(*weights, w);
     }
 
-    /// [w], [D] and [C], with the K that there is: (24c, vih3).
+    /// [w], [D] and [C], with the current K: (24c, vih3).
     fn attitudes(&mut self) {
         let Self { stack, coefficients, weights, u, .. } = self;
         let Unknowns { w, c, d, k, omega, .. } = &mut **u;
@@ -769,7 +779,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         stack.difference(d, k, c);
     }
 
-    /// The largest momentum, and the largest turn of a step by a stage's velocity.
+    /// Measures the largest momentum, and the largest turn of a step by a stage's velocity.
     fn measure(&mut self) {
         let Self { stack, h, u, size, turn, .. } = self;
         let lanes = stack.lanes;
@@ -911,7 +921,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         e.copy_from_slice(next);
     }
 
-    /// [gain]: `p1 - p0 = sum_k h b_k ([mu_k, Omega_k] - dH/dg(U_k))`, what the equations of X say, summed over the stages.
+    /// [gain]: `p1 - p0 = sum_k h b_k ([mu_k, Omega_k] - dH/dg(U_k))`, the equations of X summed
+    /// over the stages.
     fn gain(&mut self) {
         self.rates();
         let Self { stack, u, end, .. } = self;
@@ -933,7 +944,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let (x, gradient, next) = (&mut x[..len], &gradient[..len], &mut next[..len]);
         for i in 0..n {
             for j in i + 1..n {
-                // of skew B, asym(A B) = -asym(A B^T)
+                // for skew B, asym(A B) = -asym(A B^T)
                 let commutator = stack.asym_of_product(mu, omega, i, j);
                 let load = stack.asym_of_product(s, omega, i, j);
                 let load = (commutator * 0.5 - load) + stack.get(gradient, i, j);
@@ -956,7 +967,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         stack.symmetric_part(turned, s);
     }
 
-    /// What of [defect] does not depend on K: `-asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)`.
+    /// Evaluates the part of [defect] that does not depend on K:
+    /// `-asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)`.
     fn slow_defects(&mut self) {
         let Self { stack, coefficients, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
@@ -979,7 +991,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// [defect] with the newest K; what it changes goes to pi. Returns the largest change.
+    /// [defect] with the newest K; its change is added to pi. Returns the largest change.
     fn newest_defects(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
@@ -1000,7 +1012,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         jump.largest()
     }
 
-    /// The largest change of an attitude since it was copied into t, which is room here, in units of momenta.
+    /// Returns the largest change of an attitude since it was copied into t (scratch space here),
+    /// in units of momenta.
     fn turned(&mut self) -> f64 {
         let Self { stack, u, size, .. } = self;
         let mut change = stack.lanes.constant(0.0);
@@ -1010,7 +1023,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         change.largest() * *size
     }
 
-    /// What a solution is judged by.
+    /// Computes the measures by which a solution is judged.
     fn judged(&mut self, rounds: u32, increment: f64) -> Solved {
         let Self { stack, u, end, forces, h, .. } = self;
         let lanes = stack.lanes;
@@ -1047,7 +1060,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.newest_defects()
     }
 
-    /// `h b ([mu, Omega] - dH/dg)`, which goes to the first room.
+    /// Writes `h b ([mu, Omega] - dH/dg)` to the first room.
     #[inline(always)]
     fn rates(&mut self) {
         let Self { stack, weights, u, .. } = self;
@@ -1064,7 +1077,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// Omega, by (24f, vih6). Returns by how much it is not yet what mu asks for, in units of mu.
+    /// Updates Omega by (24f, vih6). Returns how far it still is from the velocity of mu, in units
+    /// of mu.
     #[inline(always)]
     fn velocities(&mut self) -> f64 {
         let Unknowns { inertia, c, mu, omega, gradient, rescaled, .. } = &mut *self.u;
@@ -1093,8 +1107,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 }
 
-/// [F], [K] and [C]: one step of Newton's method for the polar factor of `I + D`, with the derivative at P = I, from the F
-/// that there is.
+/// [F], [K] and [C]: one step of Newton's method for the polar factor of `I + D`, with the
+/// derivative at P = I, from the current F.
 #[inline(always)]
 fn polar_factor<R: Stored, D: Dimension>(
     stack: Stack<R, D>,
@@ -1109,20 +1123,21 @@ fn polar_factor<R: Stored, D: Dimension>(
     stack.difference(d, k, c);
 }
 
-/// What passes over attitudes and momenta changed, in units of momenta.
+/// Changes made by passes over attitudes and momenta, in units of momenta.
 struct Passed {
     first: f64,
     last: f64,
-    /// What is left of an error.
+    /// Error left.
     left: f64,
 }
 
-/// How rounds converge.
+/// Convergence of rounds.
 #[derive(Debug)]
 pub(super) struct Rounds {
-    /// What a round leaves of an error, until it is seen.
+    /// Contraction of an error by a round, assumed until it is measured.
     expected: f64,
-    /// The last change, or what went before the first; a change that is much smaller than expected may be luck.
+    /// Last change, at first that before the rounds; a change much smaller than expected may be
+    /// luck.
     last: f64,
     first: bool,
 }
@@ -1132,13 +1147,13 @@ impl Rounds {
         Self { expected, last: before, first: true }
     }
 
-    /// What is left of an error after a round whose change was `change`.
+    /// Returns the error left after a round whose change was `change`.
     pub(super) fn left(&mut self, change: f64) -> f64 {
         let change = change.max(0.3 * self.expected * self.last);
         let contraction =
             if self.first { self.expected } else { (change / self.last).clamp(0.0, 1.0) };
         (self.last, self.first) = (change, false);
-        // Of no change nothing is left.
+        // No change leaves no error.
         if change > 0.0 { change * contraction } else { change }
     }
 }

@@ -1,17 +1,17 @@
-//! What is carried from step to step in n dimensions: the attitude, the spatial momentum, and what rounding has taken off
-//! each.
+//! State carried from step to step in n dimensions: the attitude, the spatial momentum, and the
+//! part of each lost to rounding.
 //!
 //! A step adds to each what is small relative to it: rounding makes a random walk and no drift (Brouwer's law; Hairer,
 //! McLachlan, Razakarivony 2008, BIT 48).
 //!
-//! Invariant: the spatial momentum is what forces make of it and nothing else; the attitude is a rotation to round-off.
+//! Invariant: only forces change the spatial momentum; the attitude is a rotation to round-off.
 
 use super::Solution;
 use crate::so::{self, Mat};
 use crate::space;
 use crate::trajectory::State;
 
-/// A sum, and what rounding has taken off it.
+/// A sum, and the part of it lost to rounding.
 #[derive(Clone, Debug)]
 pub(in crate::stepper) struct Sum<const N: usize> {
     pub(in crate::stepper) value: Mat<N>,
@@ -24,7 +24,7 @@ impl<const N: usize> Sum<N> {
         Self { value, carry: Mat::zeros() }
     }
 
-    /// Adds `change` and what is carried.
+    /// Adds `change` and the carried part.
     pub(in crate::stepper) fn add(&mut self, change: &Mat<N>) {
         for i in 0..N * N {
             let (sum, left) = space::sum(self.value[i], change[i] + self.carry[i]);
@@ -37,9 +37,9 @@ impl<const N: usize> Sum<N> {
 #[derive(Clone, Debug)]
 pub(in crate::stepper) struct Motion<const N: usize> {
     attitude: Sum<N>,
-    /// In space.
+    /// Spatial momentum.
     momentum: Sum<N>,
-    /// The same in the body; of a free and of a driven body `g^T pi g` and no sum.
+    /// Body momentum; for a free and for a driven body `g^T pi g` and no sum.
     body_momentum: Sum<N>,
 }
 
@@ -63,7 +63,7 @@ impl<const N: usize> Motion<N> {
         &self.body_momentum.value
     }
 
-    /// Goes on by a step.
+    /// Advances by a step.
     pub(in crate::stepper) fn advance(&mut self, solution: &Solution<N>) {
         let Solution { turn, impulse, gain, .. } = solution;
         let g = self.attitude.value;
@@ -85,9 +85,10 @@ impl<const N: usize> Motion<N> {
         }
     }
 
-    /// The momentum in the body gains `gain`, and the attitude is turned so that rounding does not part the spatial one, as it
-    /// is `seen` from the body, from it: `g <- g (I + theta)` with `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill
-    /// of `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is. See
+    /// Adds `gain` to the body momentum, and turns the attitude so that rounding does not separate
+    /// it from the spatial momentum as `seen` from the body: `g <- g (I + theta)` with
+    /// `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill of
+    /// `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is. See
     /// [`crate::stepper::motion::Motion::gain`].
     fn gain(&mut self, gain: &Mat<N>, seen: &Mat<N>) {
         self.body_momentum.add(gain);
@@ -95,12 +96,12 @@ impl<const N: usize> Motion<N> {
         let square = so::inner(seen, seen) + so::inner(gain, gain);
         let scale = 0.5 / square.max(f64::MIN_POSITIVE);
         let theta = skew(&(so::product(&apart, seen) - so::product(seen, &apart))) * scale;
-        // Next to nothing: it is added at the next step.
+        // The turn is tiny: it is added at the next step.
         self.attitude.carry += so::product(&self.attitude.value, &theta);
     }
 }
 
-/// The skew part, of what is skew but for rounding.
+/// Returns the skew part of a matrix that is skew but for rounding.
 fn skew<const N: usize>(x: &Mat<N>) -> Mat<N> {
     so::asym(x) * 0.5
 }

@@ -1,5 +1,6 @@
-//! The equations of the step by sweeps over all stages, as they stand in the documentation of [`super`]: of tableaux that are
-//! no partners of themselves, and behind the collocation with a deferred defect.
+//! The equations of the step, solved by sweeps over all stages, as they stand in the documentation
+//! of [`super`]: for tableaux that are not their own partner, and where the collocation with a
+//! deferred defect leads nowhere.
 //!
 //! Invariant: a sweep computes each unknown from the newest of the others, once.
 
@@ -51,7 +52,7 @@ pub(super) struct Sweeps<'a, const N: usize> {
     pub(super) omega: &'a Mat<N>,
     pub(super) stages: &'a mut [Stage<N>],
     pub(super) end: &'a mut End<N>,
-    /// What one of these is in sweeps of the way that the tableau usually goes.
+    /// Cost of a sweep, in sweeps of the usual solver for the tableau.
     pub(super) worth: u32,
 }
 
@@ -83,7 +84,7 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
         self.dynamics.begin_sweep()?;
         let mut iterations = 0;
         let swept = self.over_all(&mut iterations);
-        // What takes as long as several sweeps counts as several.
+        // A sweep that takes as long as several counts as several.
         let equations = self.stages.len() as u32 + 1;
         let several = (iterations / (USUAL * equations)).max(1) * self.worth;
         for _ in 1..several {
@@ -125,7 +126,8 @@ impl<const N: usize> Continued for Sweeps<'_, N> {
             (stage.u_omega, stage.omega, stage.v) =
                 (matrix(0, numbers), matrix(1, numbers), matrix(2, numbers));
         }
-        // A sweep finds f from the velocities before it, and finds anew the momenta that the next is measured by.
+        // A sweep computes f from the velocities before it, and the momenta against which the next
+        // is measured.
         self.sweep().map(|_| 1)
     }
 }
@@ -160,7 +162,7 @@ impl<const N: usize> Sweeps<'_, N> {
             let mut load =
                 -so::asym(&so::product(&so::transposed_product(&stage.u, &stage.v), &stage.omega));
             let weight = h * tableau.b(k);
-            // Of the unknowns, not of the sweep before.
+            // From the unknowns, not from the sweep before.
             let mu = || -so::asym(&so::transposed_product(&stage.u, &stage.v)) / weight;
             if let Some(gradient) = dynamics.gradient(k, &stage.u, &mu, &stage.omega) {
                 load -= gradient * weight;

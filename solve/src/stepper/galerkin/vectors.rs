@@ -43,27 +43,27 @@ use crate::tableau::Tableau;
 const ROUNDS: u32 = 2;
 /// Rounds after an evaluation of the defects.
 const ROUNDS_AFTER: u32 = 4;
-/// What torques anew leave of an error, until it is seen.
+/// Contraction of an error by new torques, assumed until it is measured.
 const TORQUE_CONTRACTION: f64 = 0.02;
-/// Of the momentum, what may be missing in a collocation that is to be improved upon.
+/// Shortfall allowed in a collocation that is still to be improved, relative to the momentum.
 const ENOUGH: f64 = 1e-15;
-/// What a step that diverges may leave of sigma^-2.
+/// Least fraction of sigma^-2 that a diverging step may leave.
 const LEAST: f64 = 0.25;
 /// Number of torques, or evaluations, after which a step that does not converge is abandoned.
 const PATIENCE: u32 = 6;
 /// From this number of stages on, the stretch of the end is neglected.
 const MANY: usize = 5;
 
-/// What a step begins from.
+/// Start of a step.
 pub(super) struct Start {
     pub(super) h: f64,
-    /// As of [`super::deferred::Start`].
+    /// As in [`super::deferred::Start`].
     pub(super) lasting: Option<f64>,
     pub(super) momentum: Vec3<f64>,
     pub(super) velocity: Vec3<f64>,
 }
 
-/// The stepper's part of it, kept from step to step.
+/// Solver in vectors, kept from step to step.
 #[derive(Clone, Debug)]
 pub(super) struct InVectors {
     tableau: LaneTableau,
@@ -73,7 +73,7 @@ pub(super) struct InVectors {
     found: Found,
 }
 
-/// What was found.
+/// Solution of a step.
 #[derive(Clone, Debug)]
 pub(super) struct Found {
     attitude: Quaternion<Row>,
@@ -87,7 +87,8 @@ pub(super) struct Found {
 }
 
 impl InVectors {
-    /// For `tableau`; `None` if it is not its own partner, or has more stages than there are lanes.
+    /// Creates the solver for `tableau`; `None` if the tableau is not its own partner, or has more
+    /// stages than there are lanes.
     pub(super) fn new(tableau: &Tableau) -> Option<Self> {
         if !tableau.is_own_partner() || tableau.stages() > WIDTH {
             return None;
@@ -123,7 +124,8 @@ impl InVectors {
         self.solve_seen(start, body, scale)
     }
 
-    /// The same along the vectors of the body that were taken in: not generic, so that it is compiled here and nowhere else.
+    /// Solves a step with the space vectors in `seen`: not generic, so that it is compiled here and
+    /// nowhere else.
     fn solve_seen(
         &mut self,
         start: &Start,
@@ -191,7 +193,7 @@ impl InVectors {
     }
 }
 
-/// What is the same in all rounds.
+/// Inputs that are the same in all rounds.
 struct Given<'a> {
     tableau: &'a LaneTableau,
     body: &'a RigidBody<3>,
@@ -228,7 +230,7 @@ struct Step<'a, R> {
     gain: Vec3<R>,
     mu: Vec3<R>,
     omega: Vec3<R>,
-    /// What the attitudes said, and which they were.
+    /// Values evaluated at the attitudes, and these attitudes.
     looked: Looked<R>,
     at: Quaternion<R>,
     sigma: R,
@@ -266,7 +268,7 @@ macro_rules! in_lanes {
 }
 
 impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
-    /// The velocity of the beginning, kept constant.
+    /// Creates a step whose guess keeps the initial velocity constant.
     #[inline(always)]
     fn new(lanes: R, given: &'a Given<'a>) -> Self {
         let LaneTableau { weights, nodes, .. } = given.tableau;
@@ -335,7 +337,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
                     break;
                 }
             }
-            // Of few stages the first evaluation is not yet sure of its order.
+            // With few stages the first evaluation does not yet know its order.
             let is_sure = stages >= 4 || evaluation > 1;
             if (is_sure && left <= ROUND_OFF) || is_rounding(jump, last) {
                 let increment = self.finish(turn, jump)?;
@@ -350,7 +352,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         Err(Stuck::Lost)
     }
 
-    /// The forces at the attitudes as they are.
+    /// Evaluates the forces at the current attitudes.
     fn look(&mut self) -> Result<(), Stuck> {
         let Given { tableau, body, .. } = self.given;
         let work = body.work();
@@ -361,7 +363,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 
     in_lanes! {
-    /// What [`Step::look`] looks at, and the length of a step that is to last a given time.
+    /// Evaluates the body for [`Step::look`], and the length of a step that is to last a given
+    /// time.
     fn seen(&mut self) {
         let Given { tableau, body, seen, scale, start, .. } = self.given;
         self.looked = body.look(scale, &self.attitude.matrix(), seen);
@@ -376,7 +379,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 
     in_lanes! {
-    /// As if the force at a stage had acted until then.
+    /// Guesses the momenta as if the force at a stage had acted until then.
     fn push(&mut self) {
         let elapsed = self.lanes.row(&self.given.tableau.nodes) * self.h;
         let pushed = product(&self.attitude.matrix(), &self.gradient);
@@ -384,7 +387,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         self.momenta();
     }
 
-    /// The largest turn of a velocity over the step.
+    /// Returns the largest turn of a velocity over the step.
     fn turn(&mut self) -> f64 {
         self.h.abs() * dot(&self.omega, &self.omega).largest().sqrt()
     }
@@ -396,7 +399,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
 
     }
 
-    /// mu, Omega and what follows them: `J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi`.
+    /// Updates mu, Omega and what depends on them: `J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi`.
     #[inline(always)]
     fn momenta(&mut self) {
         let Given { scale, inertia, wheels, .. } = self.given;
@@ -437,7 +440,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 
     in_lanes! {
-    /// [turn], and the momenta there. Returns the largest change of an attitude.
+    /// Updates the attitudes by [turn], and the momenta there. Returns the largest change of an
+    /// attitude.
     fn round(&mut self) -> f64 {
         let Quaternion { w, v } = self.collocated();
         let theta = &self.theta;
@@ -460,7 +464,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         self.gain = vec3!(i => self.delta[i] - self.kappa[i].apply_tableau(columns));
     }
 
-    /// Collocation, until what is left is smaller than the defects are. Returns the largest turn of a velocity over the step.
+    /// Solves the collocation until the error left is smaller than the defects. Returns the largest
+    /// turn of a velocity over the step.
     fn collocate(&mut self) -> Result<f64, Stuck> {
         let mut last = f64::INFINITY;
         for torques in 0..MOST_ROUNDS {
@@ -479,7 +484,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             if !(change <= 2.0) || (torques > PATIENCE && first > 0.5 * last) {
                 break;
             }
-            // What rounds leave, and torques.
+            // Errors left by the rounds, and by the torques.
             let seen =
                 if last < f64::INFINITY { (first / last).min(1.0) } else { TORQUE_CONTRACTION };
             if of_rounds.max(first * seen) <= enough {
@@ -491,7 +496,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         Err(Stuck::Lost)
     }
 
-    /// Evaluates theta and delta, with new forces. Returns their largest change, of delta relative to the momentum.
+    /// Evaluates theta and delta, with new forces. Returns their largest change, that of delta
+    /// relative to the momentum.
     fn evaluate(&mut self) -> Result<f64, Stuck> {
         self.evaluations += 1;
         let turned = self.polar_factors();
@@ -521,7 +527,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         largest(&turned)
     }
 
-    /// X, [Y] and [defect]; what it changes goes to pi. Returns the largest change of delta, relative to the momentum.
+    /// X, [Y] and [defect], whose change is added to pi. Returns the largest change of delta,
+    /// relative to the momentum.
     fn defects(&mut self) -> f64 {
         let lanes = self.lanes;
         let LaneTableau { columns, rows, .. } = self.given.tableau;
@@ -555,7 +562,8 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             self.x = over_k(&self.inverse, &scaled(&load, self.weight));
             [_, self.y] = embedded(&u, &self.x, rows);
         }
-        // K(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of the Y before
+        // K(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of
+        // the previous Y
         let m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + self.y[i][j]);
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
         let one = transposed_product(&m, &product(&u, omega));
@@ -590,11 +598,12 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         self.f_lambda = times_hat(&f, &lambda);
     }
 
-    /// The polar factor of the end; returns K(P_e)^-1 - I / 2.
+    /// Computes the polar factor of the end; returns K(P_e)^-1 - I / 2.
     fn turn_end(&mut self) -> Sym3<f64> {
         let d: Mat3<f64> = mat3!(i, j => self.w[i][j].sum());
         let mut inverse = [0.0; 6];
-        // It begins as near as the stages are to collocation of quaternions: of few stages that wants a second pass.
+        // It starts as close as the stages are to collocation of quaternions: with few stages that
+        // needs a second pass.
         let passes = if self.given.tableau.stages < MANY && self.evaluations == 1 { 2 } else { 1 };
         for _ in 0..passes {
             let f = self.f.matrix();
@@ -606,7 +615,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         inverse
     }
 
-    /// [w] and [transport], as they are at last.
+    /// Evaluates [w] and [transport] at the solution.
     fn last(&mut self) {
         self.transport();
         let u = self.attitude.matrix();
@@ -614,9 +623,9 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
     }
 
-    /// Rounds with new forces, until these change nothing, and the end point.
+    /// Repeats rounds with new forces until these change nothing, then computes the end point.
     fn finish(&mut self, turn: f64, jump: f64) -> Result<f64, Stuck> {
-        // They also follow the momenta.
+        // The forces also depend on the momenta.
         let mut forces = Rounds::new(3.0 * TORQUE_CONTRACTION, jump);
         let mut last = f64::INFINITY;
         for _ in 0..MOST_ROUNDS {
@@ -638,7 +647,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         Err(Stuck::Lost)
     }
 
-    /// What was found, and what it is judged by.
+    /// Stores the solution in `found` and returns the measures by which it is judged.
     #[inline(always)]
     fn judged(&self, increment: f64, found: &mut Found) -> Solved {
         let Self { attitude, mu, omega, sigma, stretch, f, end_stretch, .. } = self;
@@ -672,12 +681,12 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
 }
 
-/// What a round leaves of an error, until it is seen.
+/// Returns the contraction of an error by a round, assumed until it is measured.
 fn of_round(turn: f64) -> f64 {
     (0.15 * turn).clamp(0.01, 0.3)
 }
 
-/// Is a change, after the one before it, what rounding makes of none?
+/// Is a change, after the one before it, mere rounding?
 fn is_rounding(change: f64, last: f64) -> bool {
     /// A few units in the last place.
     const FLOOR: f64 = 4e-15;

@@ -8,8 +8,8 @@
 //! mu_k = vec(u_k* r_k)                   tau_k = vee(dH/dg) at u_k / |u_k|
 //! ```
 //!
-//! d is what torques do, and zero of a free body. Small numbers are computed as such: u as `x = u - 1`, mu as p0 and what is
-//! added to it.
+//! d is the effect of torques, zero for a free body. Small numbers are computed as such: u as
+//! `x = u - 1`, mu as p0 and what is added to it.
 //!
 //! Invariant: lanes beyond the stages stand at the beginning, and weigh nothing.
 
@@ -25,19 +25,19 @@ use crate::tableau::Tableau;
 pub(super) const FEW_STAGES: usize = 4;
 /// Number of rounds of the guess that take the same torque.
 const TORQUE_EVERY: u32 = 3;
-/// What |u|^2 may differ from one after the last of them.
+/// Largest deviation of |u|^2 from one allowed after the last round of the guess.
 const MOST_DEFICIT: f64 = 0.1;
 
-/// A Gauss tableau in lanes; what is beyond its stages is zero.
+/// A Gauss tableau in lanes; lanes beyond its stages are zero.
 #[derive(Clone, Debug)]
 pub(super) struct LaneTableau {
     /// `e_ij = a_ij / b_j`, column by column.
     columns: [Row; WIDTH],
     weights: Row,
     nodes: Row,
-    /// Of the guess.
+    /// Rounds of the guess.
     rounds: u32,
-    /// Over the kinematics, in a sweep.
+    /// Passes over the kinematics in a sweep.
     passes: u32,
 }
 
@@ -51,7 +51,8 @@ impl LaneTableau {
         for i in 0..s {
             (lanes.weights.0[i], lanes.nodes.0[i]) = (tableau.b(i), tableau.c(i));
             for j in 0..s {
-                // Of two that make one to the last bit the smaller is what the larger leaves.
+                // Of two entries that sum to one, the smaller is one minus the larger, to the last
+                // bit.
                 lanes.columns[j].0[i] = match (i == j, part(i, j) < part(j, i)) {
                     (true, _) => 0.5,
                     (_, true) => 1.0 - part(j, i),
@@ -62,13 +63,13 @@ impl LaneTableau {
         lanes
     }
 
-    /// How often the guess takes the torque at the stages.
+    /// Returns how often the guess takes the torque at the stages.
     pub(super) fn torques_of_guess(&self) -> u64 {
         2 + u64::from(self.rounds / TORQUE_EVERY)
     }
 }
 
-/// What a step is made from.
+/// Inputs of a step.
 pub(super) struct Start<'a> {
     tableau: &'a LaneTableau,
     body: &'a RigidBody<3>,
@@ -107,7 +108,7 @@ pub(super) struct Stages {
     torque: [Row; 3],
     /// `h b tau / |u|^2`
     push: [Row; 3],
-    /// The largest, as [`RigidBody::torque`] gives it.
+    /// Largest nearness, as returned by [`RigidBody::torque`].
     pub(super) nearness: f64,
 }
 
@@ -117,7 +118,7 @@ impl Stages {
         Self { x: [zero; 4], d: [zero; 4], torque: [zero; 3], push: [zero; 3], nearness: -1.0 }
     }
 
-    /// Stores what a sweep begins from.
+    /// Stores the start of a sweep.
     #[inline(always)]
     fn keep<R: Lanes>(
         &mut self,
@@ -143,11 +144,11 @@ impl Stages {
     }
 }
 
-/// Where a step leads to.
+/// End of a step.
 pub(super) struct End {
     /// `q0* q1`
     pub(super) turn: Quaternion<f64>,
-    /// What the spatial momentum changes by, in the frame of q0.
+    /// Change of the spatial momentum, in the frame of q0.
     pub(super) kick: Vec3<f64>,
     /// `p1 - p0`
     pub(super) gain: Vec3<f64>,
@@ -157,7 +158,7 @@ pub(super) struct End {
 pub(super) trait Lanes: lanes::Stages<Whole = f64, Plain = Row> {}
 impl<R: lanes::Stages<Whole = f64, Plain = Row>> Lanes for R {}
 
-/// What is the same in all passes.
+/// Inputs that are the same in all passes.
 struct Given<'a, R> {
     start: &'a Start<'a>,
     momentum: Vec3<R>,
@@ -203,7 +204,7 @@ impl<'a, R: Lanes> Given<'a, R> {
         vec3!(i => p[i] + (y[i] + (x.w * r[i] - r_w * x.v[i] + c[i])))
     }
 
-    /// w for h b Omega / 2.
+    /// Returns w, given h b Omega / 2.
     #[inline(always)]
     fn turning(&self, x: &Quaternion<R>, half: &Vec3<R>) -> Quaternion<R> {
         let Quaternion { w, v } = x.rate(half);
@@ -217,7 +218,7 @@ impl<'a, R: Lanes> Given<'a, R> {
         Quaternion { w: z.w.apply_tableau(columns), v: vec3!(i => z.v[i].apply_tableau(columns)) }
     }
 
-    /// u and d from those before, with h b tau / |u|^2 as it is.
+    /// Returns the next u and d, with h b tau / |u|^2 kept.
     #[inline(always)]
     fn pass(
         &self,
@@ -240,8 +241,9 @@ impl<'a, R: Lanes> Given<'a, R> {
         (torque, nearness, excess)
     }
 
-    /// That of u / |u|, and 1 / |u|^2 - 1: a quotient within 1e-8 above one would be rounded up as often as not, and never down, and
-    /// the torque of the stages be too large by that.
+    /// Returns the rotation u / |u|, and 1 / |u|^2 - 1: a quotient within 1e-8 above one would be
+    /// rounded up as often as not, and never down, and the torque of the stages be too large by
+    /// that.
     #[inline(always)]
     fn rotation(&self, x: &Quaternion<R>) -> (Mat3<R>, R) {
         let u = Quaternion { w: x.w + 1.0, v: x.v };
@@ -259,9 +261,10 @@ impl<'a, R: Lanes> Given<'a, R> {
 /// mu_i = p0 + h sum_j a_ij (mu_j x Omega_j - tau_j),      u_i = 1 + h sum_j a_ij u_j Omega_j / 2
 /// ```
 ///
-/// of which the momenta know the attitudes by the torques alone: however thin the body, its rounds contract by the angle
-/// that it turns. Its stages are those of the step but for terms of the order of the quadrature. The torque couples weakly:
-/// every third round takes it. A function of the state alone: a resumed run repeats it to the bit.
+/// in which the momenta depend on the attitudes through the torques alone: however thin the body,
+/// its rounds contract by the angle that it turns. Its stages are those of the step but for terms
+/// of the order of the quadrature. The torque couples weakly: every third round takes it. It is a
+/// function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
     let given = Given::new(lanes, start);
@@ -301,8 +304,9 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     stages.keep(&given, &x, &d, &torque, excess);
 }
 
-/// Passes over u and d with the torques as they are, then the torques: passes cost a third of them, for they couple the stages
-/// by J^-1. Returns by how much u has changed, or d relative to the momentum; not finite if an unknown is not.
+/// Passes over u and d with the torques kept, then takes the torques: passes cost a third of them,
+/// for they couple the stages by J^-1. Returns the largest change of u, or of d relative to the
+/// momentum; not finite if an unknown is not.
 #[inline(always)]
 pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> f64 {
     let given = Given::new(lanes, start);
@@ -336,12 +340,14 @@ pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) ->
     let (x, d) = given.pass(&old_x, &load(lanes, &stages.d), &push);
     let mu = given.body_momentum(&x, &d);
     let omega = given.velocity(&mu);
-    // The angle of a stage as the stages take it: what rounding makes of it is then that of another body, and symplectic.
+    // The angle of a stage as the stages take it: its rounding error is then that of another body,
+    // and symplectic.
     let half = scaled(&omega, given.weight * 0.5);
     let w = given.turning(&x, &half);
     let turned = cross(&mu, &half);
     let torque: Vec3<R> = vec3!(i => lanes.load(&stages.torque[i]));
-    // In the frame of q0, by the matrices that the torques are of: a spatial component that a potential leaves alone stays as it is.
+    // In the frame of q0, by the matrices at which the torques were taken: a spatial component that
+    // a potential leaves alone stays as it is.
     let pushed = product(&given.rotation(&old_x).0, &torque);
     End {
         turn: Quaternion { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
