@@ -1,5 +1,5 @@
 //! Compiles `src/log/vpd.proto`: message types for the code, a descriptor set for the logs
-//! themselves. Names the build by its sources, so that no build goes on with the log of another.
+//! themselves. Names the build by its sources, so that no build resumes the log of another.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         .file_descriptor_set();
     prost_build::Config::new().compile_fds(commented)?;
 
-    // Without: this copy rides in every log.
+    // Without comments: this copy is part of every log.
     let descriptors = protox::Compiler::new(includes)?
         .include_imports(true)
         .include_source_info(false)
@@ -29,10 +29,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Whatever can change a byte of a log.
+/// Sources that can change a byte of a log.
 const SOURCES: [&str; 4] = ["src", "solve/src", "build.rs", "Cargo.lock"];
 
-/// What of `src` cannot: how a job comes, and how it is looked at.
+/// Parts of `src` that cannot: those that accept jobs, and those that show results.
 const DOORS: [&str; 13] = [
     "src/main.rs",
     "src/cli.rs",
@@ -49,7 +49,8 @@ const DOORS: [&str; 13] = [
     "src/study/table.rs",
 ];
 
-/// FNV-1a (Fowler, Noll, Vo) of names and contents of all files, and of whether logs hold charts.
+/// Returns the FNV-1a (Fowler, Noll, Vo) of names and contents of all files, and of whether logs
+/// hold charts.
 fn fingerprint() -> io::Result<u64> {
     let mut files = Vec::new();
     for source in SOURCES {

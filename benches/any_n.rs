@@ -1,6 +1,6 @@
 //! VPD and its comparison methods from n = 3 to 32, on a body that two springs pull:
-//! `cargo bench --bench any_n -- docs/any-n` prints the table of docs/performance.md and draws its charts: time against
-//! error, and what an accuracy costs against n.
+//! `cargo bench --bench any_n -- docs/any-n` prints the table of docs/performance.md and draws its
+//! charts: time against error, and the cost of an accuracy against n.
 //!
 //! Steps are halved until the error is that of the reference; times are the least of several turns in which all runs take
 //! part. A few minutes.
@@ -16,7 +16,7 @@ use vpd::study::precision::{Precision, precision};
 use vpd::study::table::Row;
 use vpd::study::{Entry, Watch};
 
-/// The n of which there is a row; of those with a chart of time against error `true`.
+/// Values of n that have a row; those with a chart of time against error have `true`.
 const DIMENSIONS: [(usize, bool); 8] =
     [(3, true), (4, true), (5, true), (6, false), (8, true), (12, false), (16, false), (32, false)];
 const METHODS: [(&str, &str); 9] = [
@@ -37,7 +37,7 @@ const ERRORS: [f64; 3] = [1e-5, 1e-8, 1e-11];
 const UNTIL_S: f64 = 1.0;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // What cargo passes itself begins with dashes.
+    // Arguments of cargo's own begin with dashes.
     let directory = std::env::args().skip(1).find(|arg| !arg.starts_with('-'));
     let directory = directory.map(PathBuf::from);
     say(
@@ -106,12 +106,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What a method costs for each n, in microseconds.
+/// Costs of a method for each n, in microseconds.
 struct Curve {
     label: String,
-    /// A step.
+    /// Cost of a step.
     steps: Vec<(f64, f64)>,
-    /// A unit of time.
+    /// Cost of a unit of time.
     units: Vec<(f64, f64)>,
 }
 
@@ -120,7 +120,8 @@ fn say(line: &str) {
     let _ = writeln!(std::io::stdout(), "{line}");
 }
 
-/// The cheapest of the runs of a method whose error is small enough, with the microseconds of a step.
+/// Returns the cheapest of the runs of a method whose error is small enough, with the microseconds
+/// of a step.
 fn cheapest_row(study: &Precision, line: usize, error: f64) -> Option<(&Row, f64)> {
     let rows = study.table.rows[study.lines[line].clone()].iter();
     let fits = rows.filter(|row| row.error.is_some_and(|of| of <= error));
@@ -128,7 +129,8 @@ fn cheapest_row(study: &Precision, line: usize, error: f64) -> Option<(&Row, f64
     timed.min_by(|a, b| (a.1 / a.0.step_s).total_cmp(&(b.1 / b.0.step_s)))
 }
 
-/// Two springs and a body that turns by about one radian a second, and the methods that run there.
+/// Returns two springs and a body that turns by about one radian a second, and the methods that run
+/// there.
 fn scene(n: usize) -> Result<(Scenario, Vec<Entry>), Box<dyn Error>> {
     let vector =
         |a: f64, b: f64| -> Vec<f64> { (0..n).map(|i| a + b * (i as f64 * 1.7).sin()).collect() };

@@ -1,6 +1,7 @@
-//! What the parts of a step cost: `cargo bench --bench costs > src/plan/costs.json` makes the table that plans are
-//! estimated and methods are chosen by. Takes a few minutes on a machine that does nothing else; a word after `--` keeps
-//! to the methods whose name has it and prints their estimates next to what was measured.
+//! Costs of the parts of a step: `cargo bench --bench costs > src/plan/costs.json` makes the table
+//! by which plans are estimated and methods are chosen. Takes a few minutes on a machine that does
+//! nothing else; a word after `--` keeps to the methods whose name contains it and prints their
+//! estimates next to the measurements.
 
 use std::io::Write;
 
@@ -14,13 +15,13 @@ use vpd::study::measure::{Effort, effort};
 
 const GAUSS: &[&str] = &["gauss1", "gauss2", "gauss3", "gauss4", "gauss5", "gauss6", "gauss8"];
 const FEW: &[&str] = &["gauss1", "gauss2", "gauss4"];
-/// Before the name of a tableau: one next to it that is not its own partner.
+/// Prefix of the name of a tableau: one next to it that is not its own partner.
 const BY_SWEEPS: &str = "next to ";
 const EXPLICIT: &[&str] = &["rk3", "rk4", "rk8"];
 const ORDERS: &[&str] = &["2", "4", "8"];
 const DIMENSIONS: [usize; 8] = [2, 3, 4, 5, 6, 8, 12, 16];
 const KINDS: [&str; 4] = ["uniform", "point_source", "spring", "gravity_gradient"];
-/// Terms in the two scenes by which the cost of a term is found.
+/// Number of terms in the two scenes by which the cost of a term is found.
 const TERMS: [usize; 2] = [2, 16];
 /// A step that few sweeps solve, in radians.
 const SMALL_RAD: f64 = 0.02;
@@ -36,7 +37,7 @@ const RUNS: [(usize, f64); 9] = [
     (16, LARGE_RAD),
     (200, 0.2),
 ];
-/// What many stages take and few do not: a run that fails is left out.
+/// A step that many stages can take and few cannot: a run that fails is left out.
 const LARGE_RAD: f64 = 1.2;
 
 fn main() {
@@ -62,7 +63,8 @@ fn main() {
     ));
 }
 
-/// The methods that have costs of their own, with tableaux or orders, in the dimensions where each runs.
+/// Returns the methods that have costs of their own, with tableaux or orders, in the dimensions
+/// where each runs.
 fn measured() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
     let own = Integrator::ALL.iter().copied().filter(|method| method.costs_as() == *method);
     own.flat_map(|method| {
@@ -78,7 +80,8 @@ fn measured() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
     })
 }
 
-/// Those of them that solve by sweeps over the unknowns, where the tableau is not its own partner.
+/// Returns those of them that solve by sweeps over the unknowns, where the tableau is not its own
+/// partner.
 fn swept() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
     let methods = [Integrator::Vpd, Integrator::VpdLagrangian, Integrator::VpdReduced];
     methods.into_iter().flat_map(|method| {
@@ -98,7 +101,8 @@ fn rounded(ns: f64) -> f64 {
     (ns.max(0.0) * 100.0).round() / 100.0
 }
 
-/// What a term of each kind adds to a gradient: by the classical method, whose four stages are gradients and little else.
+/// Returns the cost that a term of each kind adds to a gradient: by the classical method, whose
+/// four stages are gradients and little else.
 fn terms_of(n: usize) -> Value {
     let cost = |kind: &str| {
         let [few, many] = TERMS.map(|count| timed("rk", "rk4", n, &[kind], count, SMALL_RAD));
@@ -111,8 +115,8 @@ fn terms_of(n: usize) -> Value {
     row
 }
 
-/// `t = step + sweeps sweep + passes pass + gradients share (what their terms cost by themselves)`: least squares of the
-/// relative misses.
+/// Fits `t = step + sweeps sweep + passes pass + gradients share (costs of their terms by
+/// themselves)`: least squares of the relative misses.
 fn scheme(method: Integrator, tableau: &str, n: usize, terms: &[Value]) -> Value {
     let row = terms.iter().find(|row| row["n"] == n).expect("a row for each n");
     let own = |count: usize| -> f64 {
@@ -145,7 +149,8 @@ fn scheme(method: Integrator, tableau: &str, n: usize, terms: &[Value]) -> Value
     row
 }
 
-/// Costs, none below zero, with which the rows come nearest to one: of all choices of costs that are zero the best.
+/// Returns the costs, none below zero, with which the rows come nearest to one: of all choices of
+/// costs that are zero the best.
 fn fitted(rows: &[[f64; 4]]) -> [f64; 4] {
     let mut best = ([0.0; 4], f64::INFINITY);
     for chosen in 1_u32..16 {
@@ -166,7 +171,7 @@ fn fitted(rows: &[[f64; 4]]) -> [f64; 4] {
     best.0
 }
 
-/// Prints estimates next to what is measured.
+/// Prints estimates next to the measurements.
 fn compare(asked: &[String]) {
     say("method,tableau,n,terms,turn_rad,ns,sweeps,passes,estimate_ns,ratio");
     for (method, tableau, n) in measured() {
@@ -189,7 +194,7 @@ fn compare(asked: &[String]) {
     }
 }
 
-/// A tableau so near to that of this name that it is its own partner no more.
+/// Returns a tableau so near to that of this name that it is no longer its own partner.
 fn next_to(name: &str) -> Value {
     const OFF: f64 = 1e-9;
     let stages = name.strip_prefix("gauss").and_then(|stages| stages.parse().ok());
@@ -207,8 +212,8 @@ fn timed(method: &str, tableau: &str, n: usize, kinds: &[&str], count: usize, tu
     if first.step_ns < second.step_ns { first } else { second }
 }
 
-/// A body that turns by about `turn_rad` a step, with `count` terms of the kinds in turn, which together pull about as
-/// much as one.
+/// Returns a body that turns by about `turn_rad` a step, with `count` terms of the kinds in turn,
+/// which together pull about as much as one.
 fn scenario(
     method: &str,
     tableau: &str,

@@ -1,5 +1,5 @@
-//! A Lagrangian of one's own, for which nobody has written a Hamiltonian: quartic kinetic energy in a magnetic field, in
-//! four dimensions, and its log.
+//! A user-defined Lagrangian without a known Hamiltonian: quartic kinetic energy in a magnetic
+//! field, in four dimensions, and its log.
 //!
 //!     cargo run --release --example custom_lagrangian
 

@@ -1,4 +1,4 @@
-//! A potential of one's own in space: a log that viewers open, and the chart of its energy.
+//! A user-defined potential in space: a log that viewers open, and the chart of its energy.
 //!
 //!     cargo run --release --example custom_potential
 
@@ -41,7 +41,7 @@ impl Potential<3> for Cubic {
 /// Writes `cubic.mcap` and `energy.svg` into a folder.
 pub(crate) fn run(folder: &Path) -> Result<Summary, Box<dyn Error>> {
     let moments = [0.02, 0.02, 0.01];
-    // Next to a built-in term, the weight of the body.
+    // In addition to a built-in term, the weight of the body.
     let up = Vector::<3>::new(0.0, 0.0, 1.0);
     let weight = Term { law: Law::Uniform { weight: 0.3, body_point: up }, space: up };
     let body = RigidBody::new(Kinetic::of_moments(moments), vec![weight], 0.0)

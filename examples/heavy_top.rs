@@ -41,7 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         writeln!(out, "{diagnosis}")?;
     }
 
-    // How far the axis of the top nods: its height is the last entry of the attitude.
+    // Nutation of the axis of the top: its height is the last entry of the attitude.
     let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
     read_samples(&log, |_, message| {
         if let Message::State(state) = message {

@@ -1,4 +1,4 @@
-//! A log read back: how it ended, and what it holds.
+//! Reads a log back: how it ended, and its contents.
 //!
 //!     cargo run --release --example read_a_log -- dipole.mcap
 
@@ -9,11 +9,11 @@ use std::path::Path;
 use vpd::log::inspect::inspect;
 use vpd::log::reader::{Message, read_samples};
 
-/// The samples with an attitude, and the largest error of the energy in J.
+/// Returns the number of samples with an attitude, and the largest error of the energy in J.
 pub(crate) fn read(log: &Path) -> Result<(u64, f64), Box<dyn Error>> {
     let (mut states, mut energy) = (0, 0.0_f64);
     let ending = read_samples(log, |_time_ns, message| match message {
-        // Row by row, body to space.
+        // The matrix is row by row, body to space.
         Message::State(state) if !state.attitude.is_empty() => states += 1,
         Message::Energy(message) => energy = energy.max(message.error.abs()),
         _ => {}
@@ -31,7 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (states, energy) = read(log)?;
     let mut out = std::io::stdout();
     writeln!(out, "{states} attitudes, energy off by at most {energy:.1e} J")?;
-    // The same and more, as `vpd inspect` says it.
+    // The same and more, as `vpd inspect` prints it.
     write!(out, "{}", inspect(log)?)?;
     Ok(())
 }

@@ -2,11 +2,13 @@
 //!
 //! 1. Each method is tried over the first part of the run, against a reference; its step is moved until the error that
 //!    it will have at the end is expected just below the one asked for.
-//! 2. The cheapest is run over the whole time, against a reference of the whole time, and its step mended, until the
-//!    cheapest is one that was seen to get there. Of an ensemble then every member.
-//! 3. A run longer than any reference is compared with itself in half the steps, as far as the work allowed goes; from there
-//!    its errors are carried on as the power of time by which they grew. Where they grow exponentially, or round-off alone
-//!    grows past what is asked, it is refused with the time until which it can be had.
+//! 2. The cheapest is run over the whole time, against a reference of the whole time, and its
+//!    step corrected, until the cheapest is one that was seen to reach the accuracy. For an
+//!    ensemble, every member is then checked.
+//! 3. A run longer than any reference is compared with itself with halved steps, as far as the
+//!    work allowed goes; from there its errors are extrapolated by the power of time by which they
+//!    grew. Where they grow exponentially, or round-off alone grows past the requested error, it is
+//!    refused with the time until which that can be reached.
 //!
 //! Cost is counted in steps, sweeps and gradients; only the estimate of a run's time is timed, on its first steps.
 //!
@@ -35,19 +37,20 @@ const SETTLING_NS: u64 = 15_000_000_000;
 const FIRST_STEPS: u64 = 64;
 const FIRST_NS: f64 = 3e5;
 const FIRST_SWEEPS: f64 = 24.0;
-/// Of harder steps `FEW_STEPS` are made, within `HARD_NS` of work; one unfinished by then counts as `UNENDED` times as hard.
+/// Harder steps: only `FEW_STEPS` are made, within `HARD_NS` of work; one unfinished by then counts
+/// as `UNENDED` times as hard.
 const FEW_STEPS: u64 = 4;
 const HARD_NS: f64 = 3e8;
 const UNENDED: f64 = 4.0;
 /// Steps that took this long, in nanoseconds, are not timed again: other load on the machine matters little then.
 const LONG_NS: f64 = 2e7;
-/// Steps that adapt are not all alike: they are given this many times more work.
+/// Factor on the allowed work of adaptive first steps, which are not all alike.
 const OWN_STEPS_MORE: f64 = 30.0;
-/// Easy steps of the scene that pilots are worth.
+/// Length of the pilot runs, in easy steps of the scene.
 const PILOT_STEPS: f64 = 600.0;
-/// Of the work allowed, what the reference of the whole run may take.
+/// Share of the allowed work that the reference of the whole run may take.
 const REFERENCE_PART: f64 = 0.4;
-/// Why an accuracy was not turned into a method and a step.
+/// Reason why an accuracy was not turned into a method and a step.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Unsettled {
     /// It was cancelled.
@@ -61,18 +64,18 @@ pub enum Unsettled {
     OutOfReach {
         /// The error asked for.
         asked: f64,
-        /// What stands in the way.
+        /// The obstacle.
         why: Obstacle,
     },
 }
 
-/// What keeps a scene from an accuracy.
+/// Obstacle that keeps a scene from reaching an accuracy.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Obstacle {
     /// There is nothing to compare a run with.
     #[error(transparent)]
     Reference(ReferenceError),
-    /// The reference itself is not known so well.
+    /// The reference itself is not known to that accuracy.
     #[error(
         "{growth}, doubles reach it until t = {until_s:.3} s, and {least:.1e} at t = {time_s:.3e} s; ask for less time, or for more error"
     )]
@@ -81,35 +84,35 @@ pub enum Obstacle {
         least: f64,
         /// The time of the reference.
         time_s: f64,
-        /// Until when what is asked can be measured.
+        /// Time until which the requested error can be measured.
         until_s: f64,
-        /// How errors grow.
+        /// Growth of the errors.
         growth: Growth,
     },
-    /// A member of the ensemble is not known so well.
+    /// An obstacle at one member of the ensemble.
     #[error("member {member}: {why}")]
     Member {
-        /// Which.
+        /// Number of the member.
         member: u64,
-        /// What keeps it from the accuracy.
+        /// The obstacle.
         why: Box<Obstacle>,
     },
-    /// More members than can be looked at.
+    /// There are more members than can be checked.
     #[error(
         "{members} members are too many to make sure of each, at most about {most} on this scene; give `method` and `step_s`, or ask for fewer"
     )]
     TooManyMembers {
         /// The members asked for.
         members: u64,
-        /// Those that the work allowed is enough for.
+        /// Members for which the allowed work is enough.
         most: u64,
     },
-    /// The search has cost all that it may.
+    /// The search used up the allowed work.
     #[error(
         "the search for a method was abandoned as too expensive, after {allowed_s:.1} s of computing as counted; give `method` and `step_s`"
     )]
     TooExpensive {
-        /// The computing that it may cost, by the plan's figures.
+        /// Allowed computing time, by the plan's figures.
         allowed_s: f64,
     },
     /// The run that was chosen is longer than any may be.
@@ -118,7 +121,7 @@ pub enum Obstacle {
     /// All methods were tried.
     #[error("no method was found to reach it{}", least.map_or_else(String::new, |least| format!("; the least error expected is {least:.1e}")))]
     NoMethod {
-        /// The least error that was expected of any.
+        /// Least error expected of any method.
         least: Option<f64>,
     },
 }
@@ -149,7 +152,8 @@ impl Unsettled {
     }
 }
 
-/// What is reported of a scenario that came without a method and keeps none: the accuracy is the field at fault.
+/// Error for a scenario that came without a method and gets none: the accuracy is the field at
+/// fault.
 impl From<Unsettled> for ScenarioError {
     fn from(unsettled: Unsettled) -> Self {
         match unsettled {
@@ -159,39 +163,39 @@ impl From<Unsettled> for ScenarioError {
     }
 }
 
-/// The plan of any scenario: an accuracy is turned into a method and a step first. Takes as long as that takes; who
-/// must be able to stop it calls [`Settled::new`].
+/// Plans any scenario: an accuracy is first turned into a method and a step. Blocks until that is
+/// done; to be able to stop it, use [`Settled::new`].
 ///
 /// # Errors
-/// Those of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
+/// The errors of [`Plan::new`], and at `/accuracy/error` where no method is known to reach it.
 pub fn plan(scenario: &Scenario) -> Result<Plan, ScenarioError> {
     Settled::new(scenario, &Watch::default())?.plan()
 }
 
-/// A scenario with all that only runs show of it: a method and a step for its accuracy, the work of its first steps. What is
-/// kept of it is enough to plan it again without any run.
+/// Scenario with everything that only runs can show: a method and a step for its accuracy, and the
+/// work of its first steps. A stored copy is enough to plan it again without any run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settled {
-    /// As it was asked for.
+    /// The scenario as requested.
     asked: Scenario,
-    /// With the method and the step that were chosen for its accuracy, and how.
+    /// The scenario with the method and step chosen for its accuracy, and how they were chosen.
     choice: Option<(Scenario, Advice)>,
-    /// What the first steps are like.
+    /// Measurements of the first steps.
     #[serde(flatten)]
     first: FirstSteps,
-    /// The least sigma that steps of their own would meet, where the potential has point sources.
+    /// Least sigma that adaptive steps would meet, where the potential has point sources.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     nearest_sigma: Option<f64>,
 }
 
 impl Settled {
-    /// Makes the runs. Another thread may stop them by `watch`, which may also allow them less work than they take by
-    /// themselves.
+    /// Makes the runs. Another thread may stop them by `watch`, which may also allow them less work
+    /// than they take by default.
     ///
     /// # Errors
     /// If they were stopped, or no method is known to reach the accuracy.
     pub fn new(scenario: &Scenario, watch: &Watch) -> Result<Self, Unsettled> {
-        // One that was built in Rust was not checked yet.
+        // A scenario built in Rust was not checked yet.
         scenario.check().map_err(Unsettled::Refused)?;
         let asked = scenario.clone();
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
@@ -204,17 +208,17 @@ impl Settled {
         Ok(settled)
     }
 
-    /// What a record of an older build holds: how an accuracy was settled.
+    /// Restores the choice for an accuracy that a record of an older build holds.
     #[cfg(feature = "serve")]
     pub(crate) fn chosen(asked: Scenario, settled: Scenario, advice: Advice) -> Self {
         let choice = Some((settled, advice));
         Self { asked, choice, first: FirstSteps::default(), nearest_sigma: None }
     }
 
-    /// The plan. No run is made.
+    /// Returns the plan. No run is made.
     ///
     /// # Errors
-    /// Those of [`Plan::new`].
+    /// The errors of [`Plan::new`].
     pub fn plan(&self) -> Result<Plan, ScenarioError> {
         let Some((settled, advice)) = &self.choice else {
             let mut plan = Plan::new(&self.asked)?;
@@ -232,8 +236,8 @@ impl Settled {
     }
 }
 
-/// The work of a step and the nanoseconds that it takes here, by the first steps of the run; of an ensemble by those of a few
-/// members, for they begin elsewhere.
+/// Returns the work of a step and the nanoseconds that it takes here, by the first steps of the
+/// run; for an ensemble, by those of a few members, because they begin elsewhere.
 fn first_of_each(plan: &Plan) -> Result<FirstSteps, ScenarioError> {
     let mut members = vec![0];
     if let Some(ensemble) = &plan.ensemble {
@@ -253,7 +257,7 @@ fn first_of_each(plan: &Plan) -> Result<FirstSteps, ScenarioError> {
             times_ns.push(timed_ns.unwrap_or_else(|| plan.work_ns(work)));
             works.push(work);
         }
-        // What is hard takes all that may be taken.
+        // A hard member takes all the work that is allowed.
         if hard_ns.is_some() {
             break;
         }
@@ -269,19 +273,19 @@ fn mean(of: &[f64]) -> Option<f64> {
 
 /// The first steps of a member.
 struct First {
-    /// Those made.
+    /// Number of steps made.
     steps: u64,
-    /// The work of one.
+    /// Work of one step.
     work: Counts,
-    /// Did the very first fail?
+    /// Whether the very first step failed.
     fails: bool,
-    /// The nanoseconds that one took here, where they are hard.
+    /// Nanoseconds that one step took here, where they are hard.
     hard_ns: Option<f64>,
-    /// The nanoseconds that all took here.
+    /// Nanoseconds that all steps took here.
     ns: f64,
 }
 
-/// Makes them: a few milliseconds as counted, and 0.3 s where they are hard.
+/// Makes the first steps: a few milliseconds as counted, and 0.3 s where they are hard.
 fn work_of_steps(plan: &Plan, member: u64) -> Result<First, ScenarioError> {
     let mut most_ns = FIRST_NS.max(FIRST_SWEEPS * plan.sweep_cost_ns());
     if plan.own_steps.is_some() {
@@ -310,7 +314,7 @@ fn work_of_steps(plan: &Plan, member: u64) -> Result<First, ScenarioError> {
     Ok(First { steps: run.steps, work, fails: first_failed, hard_ns, ns })
 }
 
-/// The first `steps` steps of a member's run, or those that fit into `most_ns` of work.
+/// Makes the first `steps` steps of a member's run, or those that fit into `most_ns` of work.
 fn first_steps(
     plan: &Plan,
     member: u64,
@@ -325,7 +329,7 @@ fn first_steps(
     let watch = Watch { allowance_ns: Some((most_ns.ceil() as u64).into()), ..Watch::default() };
     let probe = Probe::of(&settled.method, plan.step_s, steps);
     let mut probe = Probe { member, ..probe };
-    // Where steps adapt samples are steps, too.
+    // With adaptive steps, samples are steps, too.
     if plan.own_steps.is_some() {
         probe.every = plan.every.min(probe.steps);
     }
@@ -341,20 +345,21 @@ pub enum ErrorAtEnd {
     Below(f64),
 }
 
-/// The error at the end of a planned run, against a reference at that time. The run is
-/// made once more, in memory. One that is too long for a reference is made with smaller steps, too.
+/// Returns the error at the end of a planned run, against a reference at that time. The run is made
+/// once more, in memory. One that is too long for a reference is also made with smaller steps.
 ///
 /// # Errors
 /// If there is no such reference, or the run fails.
 pub fn error_at_end(plan: &Plan) -> Result<ErrorAtEnd, StudyError> {
-    /// A larger error is the size of the motion.
+    /// A larger error is as large as the motion itself.
     const LARGEST: f64 = 1e-2;
     let watch = Watch::default();
     let Plan { step_s, steps, settled: scenario, .. } = plan;
     let (step_s, steps) = (*step_s, *steps);
     let time_s = step_s * steps as f64;
     let scales = Scales::of(scenario, time_s, &watch)?;
-    // What turns is off by the roundings of its rate: of the inertia, of its inverse, of the momentum.
+    // A rotation is off by the roundings of its rate: of the inertia, of its inverse, of the
+    // momentum.
     let turned = 2.0 * f64::EPSILON * scales.fastest_rad_s * time_s;
     let mut reference = match Reference::known_to(scenario, time_s, LARGEST, &scales, &watch) {
         Err(too_far @ StudyError::Reference(ReferenceError::TooFar { .. })) => {
@@ -372,25 +377,26 @@ pub fn error_at_end(plan: &Plan) -> Result<ErrorAtEnd, StudyError> {
     Ok(if error > known { ErrorAtEnd::About(error) } else { ErrorAtEnd::Below(error + known) })
 }
 
-/// The error at the end of a run against the same in half the steps, and that against one in a quarter:
+/// Returns the error at the end of a run against the same run with halved steps, and of that
+/// against one with quartered steps:
 ///
 /// ```text
 /// d_1 = |z_h - z_{h/2}|,   d_2 = |z_{h/2} - z_{h/4}| = 2^-p d_1      where both are errors of the scheme, p its order
 /// ```
 ///
-/// Where d_2 is not much smaller both are of rounding, and a bound is all that is known. `None` where that takes too long, or
-/// shows nothing.
+/// Where d_2 is not much smaller, both are round-off and only a bound is known. `None` where that
+/// takes too long or shows nothing.
 fn against_halves(
     plan: &Plan,
     turned: f64,
     watch: &Watch,
 ) -> Result<Option<ErrorAtEnd>, StudyError> {
-    /// The work of the three runs, in steps of the first, and what it may take.
+    /// Work of the three runs, in steps of the first, and the work allowed.
     const STEPS: f64 = 7.0;
     const MOST_NS: f64 = 6e10;
-    /// By more than this is d_2 smaller: of order 2 by 4.
+    /// Largest ratio of d_2 to d_1 for errors of the scheme: order 2 has 1/4.
     const FALLS: f64 = 0.3;
-    /// Larger ones are the size of the motion.
+    /// Larger errors are as large as the motion itself.
     const LARGEST: f64 = 1e-2;
     let Plan { step_s, steps, settled: scenario, .. } = plan;
     if STEPS * *steps as f64 * plan.work_step_ns.max(plan.sweep_cost_ns()) > MOST_NS {
@@ -436,7 +442,7 @@ fn settle(
     };
     let pilot_s = duration_s.min(PILOT_STEPS * scales.easy_step_s);
     let left_ns = watch.left_ns();
-    // What matters of a motion past a point source is how it passes.
+    // For a motion past a point source, the passage itself matters.
     let pilot_s = if scales.adapts { duration_s } else { pilot_s };
     let near = known(pilot_s)?;
     let paid_ns = (left_ns - watch.left_ns()).max(1);
@@ -451,7 +457,7 @@ fn settle(
         Unmet::Obstacle(why) => out_of_reach(why),
     };
     trial.decide(&mut contenders, watch).map_err(unmet)?;
-    // The sort is stable: of equals the first in the list.
+    // The sort is stable: among equals the first in the list wins.
     contenders.sort_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
     let least = contenders.iter().filter_map(|tried| tried.least).min_by(f64::total_cmp);
     let Some(Contender { entry, choice: Some(choice), .. }) = contenders.first_mut() else {

@@ -11,28 +11,28 @@ use crate::solve::stepper::at_rest::AtRest;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::trajectory::State;
 
-/// What a plan is made of once its size is known.
+/// Parts that are made from a plan once its size is known.
 pub(crate) struct Assembly<const N: usize> {
     pub(crate) body: RigidBody<N>,
     pub(crate) stepper: Box<dyn Stepper<N>>,
     pub(crate) initial: State<N>,
-    /// Of an ensemble.
+    /// Members of an ensemble.
     pub(crate) members: Option<Box<dyn Members<N>>>,
     /// A second stepper of the same kind, to follow a motion next to the run.
     pub(crate) shadow: Option<Box<dyn Stepper<N>>>,
 }
 
-/// Something to be done with a planned body, whatever its n: a run that writes a log, a run of a study.
+/// Task for a planned body, whatever its n: a run that writes a log, a run of a study.
 pub(crate) trait Task {
-    /// What comes of it.
+    /// Result of the task.
     type Output;
 
-    /// Is a second stepper needed?
+    /// Returns whether a second stepper is needed.
     fn has_shadow(&self) -> bool {
         false
     }
 
-    /// Does it.
+    /// Performs the task.
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output;
 }
 
@@ -72,7 +72,7 @@ fn assembly<const N: usize>(
     Assembly { body, stepper: stepper(), initial, members, shadow }
 }
 
-/// What the stepper of the plan's method is made from.
+/// Returns the parts from which the stepper of the plan's method is made.
 fn parts(plan: &Plan) -> Parts {
     Parts {
         tableau: plan.model.tableau.clone(),
@@ -88,12 +88,12 @@ fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
     if alone { None } else { plan.formulation.method.side_by_side(&parts(plan)) }
 }
 
-/// The stepper that the plan chose, of those for any n; `None` for the others.
+/// Returns the stepper that the plan chose, of those for any n; `None` for the others.
 fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> {
     plan.formulation.method.in_any_dimension(parts(plan))
 }
 
-/// The stepper that the plan chose, for n = 3.
+/// Returns the stepper that the plan chose, for n = 3.
 fn in_three_dimensions(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
     let method = plan.formulation.method;
     if plan.model.is_driven() || plan.model.wheels.is_some() {

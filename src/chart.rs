@@ -28,7 +28,7 @@ pub use plot::{Axis, Line, Plot, Scale, Style};
 pub use studies::{long_term, precision};
 pub(crate) use sweep::sweep;
 
-/// Why a chart could not be drawn.
+/// Reason why a chart could not be drawn.
 #[derive(Debug, Error)]
 pub enum ChartError {
     /// The log could not be read.
@@ -42,7 +42,7 @@ pub enum ChartError {
     Write {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the system.
         source: io::Error,
     },
     /// The drawing itself failed.
@@ -107,7 +107,7 @@ pub fn draw_log(log: &Path, which: LogChart) -> Result<String, ChartError> {
     draw_course(&Course::of(log)?, which)
 }
 
-/// A chart of a log without its lines.
+/// Returns a chart of a log without its lines.
 fn empty(which: LogChart) -> Plot<'static> {
     match which {
         LogChart::Energy => over_time("Energy error", ENERGY),
@@ -117,10 +117,10 @@ fn empty(which: LogChart) -> Plot<'static> {
     }
 }
 
-/// Draws a chart of what was kept of a log.
+/// Draws a chart from the course of a log.
 ///
 /// # Errors
-/// If there is nothing that it shows.
+/// If there is nothing to show.
 pub fn draw_course(course: &Course, which: LogChart) -> Result<String, ChartError> {
     let points = course.points(which).to_vec();
     if points.is_empty() {
@@ -154,7 +154,7 @@ pub fn write<N: AsRef<Path>>(
         .collect()
 }
 
-/// An empty chart of sizes over time.
+/// Returns an empty chart of sizes over time.
 fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
     Plot {
         title: title.to_owned(),

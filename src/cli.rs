@@ -133,7 +133,7 @@ impl FromStr for Change {
             let slash = if pointer.is_empty() { String::new() } else { format!("; write /{text}") };
             return Err(wanted() + &slash);
         }
-        // What is not JSON is text, so that names need no quotes.
+        // Text that is not JSON is taken as a string, so that names need no quotes.
         let value = serde_json::from_slice(value.as_bytes()).unwrap_or_else(|_| value.into());
         Ok(Self { pointer: pointer.to_owned(), value })
     }
@@ -161,7 +161,7 @@ struct RunArgs {
     force: bool,
 }
 
-/// Where a log is to be written: not under a name that other programs would read as another format.
+/// Checks the path of a log to be written: other programs must not read its name as another format.
 fn log_path(path: PathBuf) -> Result<PathBuf, String> {
     let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
     let other = match ending.to_str() {
@@ -174,7 +174,7 @@ fn log_path(path: PathBuf) -> Result<PathBuf, String> {
     Err(format!("this is the log, name it .mcap; {other}"))
 }
 
-/// Where a picture may go: what is there is replaced, and a log or a table must not be.
+/// Checks the path of a picture: it may replace another, but not a log or a table.
 #[cfg(feature = "chart")]
 fn picture_path(path: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(path);
@@ -205,7 +205,7 @@ struct InspectArgs {
 
 #[derive(Debug, Args)]
 struct SchemaArgs {
-    /// Of what.
+    /// Kind of file that the schema describes.
     #[arg(value_enum, default_value_t)]
     of: SchemaOf,
 }
@@ -217,7 +217,7 @@ enum SchemaOf {
     Sweep,
 }
 
-/// What ends a command early.
+/// Error that ends a command early.
 #[derive(Debug, thiserror::Error)]
 enum CliError {
     #[error("{}: {source}", path.display())]
@@ -389,7 +389,7 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
     advise::plan(&scenario(&text)?).map_err(wrong)
 }
 
-/// An error of a file that is something else says what, at the field that shows it.
+/// Adds to the error of a file that is something else what it is, at the field that shows it.
 fn hinted(error: ScenarioError, text: &[u8], wanted: SchemaOf) -> ScenarioError {
     let tree: serde_json::Value = serde_json::from_slice(text).unwrap_or_default();
     let (message, pointer) = match (wanted, tree.get("scene"), tree.get("scenario")) {
@@ -404,8 +404,8 @@ fn hinted(error: ScenarioError, text: &[u8], wanted: SchemaOf) -> ScenarioError 
     ScenarioError { message: message.to_owned(), pointer: pointer.to_owned(), ..error }
 }
 
-/// The text of a scenario with some fields replaced or added. Of the text itself no more is asked than to be JSON without
-/// duplicate keys: a change may be what makes a scenario of it.
+/// Returns the text of a scenario with some fields replaced or added. The text itself only has to
+/// be JSON without duplicate keys: a change may be what makes it a scenario.
 fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
     let mut document = scenario::read_tree(text)?;
     for Change { pointer, value } in changes {
@@ -444,12 +444,12 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     } else {
         show(text::summary(&summary, &plan.warnings))?;
     }
-    // The run stands, with its log and its summary, where its error cannot be had.
+    // The run, its log and its summary stand even if its error cannot be computed.
     found?;
     Ok(exit_code(summary.outcome))
 }
 
-/// Runs a plan to a log and says how it ended.
+/// Runs a plan to a log and reports how it ended.
 fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
     let summary = watched(plan, log, force)?;
     show(text::summary(&summary, &plan.warnings))?;
@@ -470,7 +470,7 @@ fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
     const LONG_S: f64 = 10.0;
     let control = Arc::new(Control { replaces_nothing: !force, ..Control::default() });
     let interrupted = control.clone();
-    // Where there can be none, ctrl-c ends the process; the log is resumed all the same.
+    // Without a handler, ctrl-c ends the process; the log is resumed all the same.
     let _ = ctrlc::set_handler(move || interrupted.interrupt());
     let style = ProgressStyle::with_template(
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} steps, {eta} left",
@@ -548,7 +548,7 @@ fn verify(args: &InspectArgs) -> Result<ExitCode, CliError> {
     Ok(if verification.same { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
-/// A path of a file that begins as a log does.
+/// Returns the path if its file begins as a log does.
 fn a_log(path: &Path) -> Result<&Path, CliError> {
     if is_log(path)? { Ok(path) } else { Err(LogError::NotALog { path: path.to_owned() }.into()) }
 }
@@ -565,7 +565,7 @@ fn show(text: impl AsRef<[u8]>) -> io::Result<()> {
     enough(out.write_all(text.as_ref()).and_then(|()| out.flush()))
 }
 
-/// A closed pipe is no error.
+/// Takes a closed pipe as no error.
 fn enough(written: io::Result<()>) -> io::Result<()> {
     written.or_else(|error| match error.kind() {
         ErrorKind::BrokenPipe => Ok(()),

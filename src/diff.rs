@@ -16,13 +16,13 @@ use thiserror::Error;
 use crate::log::LogError;
 use crate::log::rows::{Row, read_rows};
 
-/// Why two logs cannot be compared.
+/// Reason why two logs cannot be compared.
 #[derive(Debug, Error)]
 pub enum DiffError {
     /// A log could not be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// They have no sample of one time, or nothing that both say of it.
+    /// The logs have no sample at the same time, or no quantity in common.
     #[error("there is nothing to compare: {} and {} have no time at which both log /state, /energy or /momentum", .0.display(), .1.display())]
     NothingShared(PathBuf, PathBuf),
     /// Their bodies turn in spaces of different dimension.
@@ -30,7 +30,7 @@ pub enum DiffError {
     Dimensions(PathBuf, PathBuf),
 }
 
-/// What is compared.
+/// Quantity that is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
@@ -45,11 +45,11 @@ pub enum Quantity {
 }
 
 impl Quantity {
-    /// All of them.
+    /// All quantities.
     pub const ALL: [Self; 4] =
         [Self::Angle, Self::BodyMomentum, Self::SpatialMomentum, Self::Energy];
 
-    /// Its name in questions and answers.
+    /// Returns its name in queries and answers.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Angle => "angle",
@@ -59,7 +59,7 @@ impl Quantity {
         }
     }
 
-    /// Its unit.
+    /// Returns its unit.
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Angle => "rad",
@@ -72,16 +72,16 @@ impl Quantity {
 /// The largest difference that counts as none: of one quantity, or of each in its own unit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
-    /// Of what; of all if absent.
+    /// Quantity to which it applies; all if absent.
     pub quantity: Option<Quantity>,
-    /// How much, in the unit of the quantity.
+    /// Tolerated difference, in the unit of the quantity.
     pub largest: f64,
 }
 
 impl FromStr for Tolerance {
     type Err = String;
 
-    /// `1e-6`, or `energy=1e-6`.
+    /// Parses `1e-6`, or `energy=1e-6`.
     fn from_str(text: &str) -> Result<Self, String> {
         let (quantity, number) = match text.split_once('=') {
             None => (None, text),
@@ -105,9 +105,9 @@ impl FromStr for Tolerance {
 /// Differences at one time, or the largest of several, in the order of [`Quantity::ALL`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
-    /// Time since the start in seconds; of several samples, that of the last.
+    /// Time since the start in seconds; for several samples, that of the last.
     pub time_s: f64,
-    /// By how much they differ; `None` of what not both logs have.
+    /// Difference of each quantity; `None` if not both logs have it.
     #[serde(flatten, serialize_with = "named")]
     pub by: [Option<f64>; 4],
 }
@@ -119,32 +119,32 @@ fn named<S: serde::Serializer>(by: &[Option<f64>; 4], serializer: S) -> Result<S
 /// A difference beyond what is tolerated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Beyond {
-    /// When, in seconds since the start.
+    /// Time in seconds since the start.
     pub time_s: f64,
-    /// Of what.
+    /// Quantity that differs.
     pub quantity: Quantity,
-    /// By how much.
+    /// Difference found.
     pub difference: f64,
-    /// How much is tolerated.
+    /// Difference tolerated.
     pub tolerance: f64,
 }
 
 /// The largest difference of a quantity, and the last.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Largest {
-    /// Of what.
+    /// Quantity that is compared.
     pub quantity: Quantity,
     /// Its unit.
     pub unit: &'static str,
     /// The largest difference.
     pub largest: f64,
-    /// When, in seconds since the start.
+    /// Time of the largest difference, in seconds since the start.
     pub time_s: f64,
     /// The difference at the last time of both.
     pub last: f64,
 }
 
-/// Two logs next to each other.
+/// Comparison of two logs.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Comparison {
     /// Times at which both have a sample.
@@ -153,27 +153,27 @@ pub struct Comparison {
     pub only_first: u64,
     /// Samples of the second one alone.
     pub only_second: u64,
-    /// Of what both have.
+    /// Largest differences of the quantities that both have.
     pub largest: Vec<Largest>,
     /// The first difference beyond what is tolerated.
     pub first_beyond: Option<Beyond>,
-    /// Over time, in few rows that keep every extreme.
+    /// Differences over time, in few rows that keep every extreme.
     pub over_time: Vec<Difference>,
-    /// Samples behind a row, at most.
+    /// Largest number of samples behind a row.
     #[serde(skip)]
     each: u64,
     #[serde(skip)]
     held: u64,
 }
 
-/// Rows over time, at most.
+/// Largest number of rows over time.
 const LIMIT: usize = 1 << 12;
 
-/// Rows that go from a reader to the comparison at once.
+/// Number of rows that go from a reader to the comparison at once.
 const BATCH: usize = 1 << 10;
 
-/// Compares the samples of two logs, finished or not; of ensembles those of one member. Quantities without a tolerance are
-/// not judged; without any at all, each difference counts.
+/// Compares the samples of two logs, finished or not; for ensembles, those of one member.
+/// Quantities without a tolerance are not judged; without any at all, each difference counts.
 ///
 /// # Errors
 /// If a log cannot be read, or they have nothing that can be compared.
@@ -285,7 +285,7 @@ impl Iterator for Rows {
     }
 }
 
-/// Whether what both say has the same number of entries.
+/// Returns whether the quantities of both rows have the same number of entries.
 fn sizes_agree(a: &Row, b: &Row) -> bool {
     let [states, momenta] = [
         a.state.as_ref().zip(b.state.as_ref()).is_none_or(|(a, b)| {
@@ -299,7 +299,7 @@ fn sizes_agree(a: &Row, b: &Row) -> bool {
     states && momenta
 }
 
-/// By how much two samples differ.
+/// Returns the differences between two samples.
 fn by(a: &Row, b: &Row) -> [Option<f64>; 4] {
     let states = || a.state.as_ref().zip(b.state.as_ref());
     let momenta = a.momentum.as_ref().zip(b.momentum.as_ref());
@@ -312,14 +312,16 @@ fn by(a: &Row, b: &Row) -> [Option<f64>; 4] {
     ]
 }
 
-/// Size of the difference of two vectors; `None` if there are none, or of different length.
+/// Returns the size of the difference of two vectors; `None` if there are none, or of different
+/// length.
 fn distance(a: &[f64], b: &[f64]) -> Option<f64> {
     let pairs = || a.iter().zip(b);
     (!a.is_empty() && a.len() == b.len())
         .then(|| pairs().map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt())
 }
 
-/// The largest angle by which two rotations, given row by row, turn a direction apart, in rad.
+/// Returns the largest angle by which two rotations, given row by row, turn a direction apart, in
+/// rad.
 ///
 /// With theta the largest angle in a plane of `a^T b`, the spectral norm of `a - b` is 2 sin(theta / 2): small angles lose no
 /// digits, as they would to a cosine.
@@ -379,14 +381,15 @@ impl Comparison {
         self.over_time.push(found);
     }
 
-    /// Over time in at most `most` rows, each with the largest differences since the one before.
+    /// Returns the differences over time in at most `most` rows, each with the largest since the
+    /// row before.
     pub fn rows(&self, most: usize) -> Vec<Difference> {
         thinned(&self.over_time, self.over_time.len().div_ceil(most.max(1)).max(1))
     }
 }
 
 impl Difference {
-    /// The largest of two, at the later time.
+    /// Returns the larger differences of the two, at the later time.
     fn and(&self, later: &Self) -> Self {
         let by = std::array::from_fn(|k| match (self.by[k], later.by[k]) {
             (Some(a), Some(b)) => Some(a.max(b)),

@@ -1,6 +1,7 @@
-//! 6 · Tables: what a log holds, for programs that know nothing of MCAP.
+//! 6 · Tables of what a log holds, for programs that cannot read MCAP.
 //!
-//! Invariant: every number reads back to the bit; a row a sample, a column a number, whatever the format.
+//! Invariant: every number reads back to the bit; one row per sample, one column per number, in any
+//! format.
 
 use std::io::{self, Write};
 use std::ops::ControlFlow;
@@ -23,13 +24,13 @@ mod columnar;
 /// The columns of every table of samples.
 const TIMES: [&str; 2] = ["log_time_ns", "time_s"];
 
-/// Why there is no table.
+/// Reason why there is no table.
 #[derive(Debug, Error)]
 pub enum ExportError {
     /// The log could not be read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The log holds nothing of what was asked for.
+    /// The log holds none of the requested data.
     #[error("{log} holds nothing of {asked}")]
     Empty {
         /// The log.
@@ -37,14 +38,14 @@ pub enum ExportError {
         /// The channels and the member.
         asked: String,
     },
-    /// A channel that is no table, or not one with the others.
+    /// A channel that cannot be exported, or not together with the others.
     #[error(
         "{channel} is not exported{with}; a table is of any of /state, /energy, /orthogonality, /momentum, /solver, /pace, or of /ensemble/members or /ensemble/statistics alone"
     )]
     Channel {
         /// The channel.
         channel: &'static str,
-        /// What it was asked for with.
+        /// The other requested channels.
         with: &'static str,
     },
     /// The table could not be written.
@@ -52,7 +53,7 @@ pub enum ExportError {
     Write(io::Error),
 }
 
-/// How a table is written.
+/// Format of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// Text with a head, comma-separated; numbers in the fewest digits that give them back.
@@ -68,7 +69,7 @@ pub enum Format {
 impl FromStr for Format {
     type Err = String;
 
-    /// By the ending of a file's name.
+    /// Parses the ending of a file's name.
     fn from_str(ending: &str) -> Result<Self, String> {
         match ending {
             "csv" => Ok(Self::Csv),
@@ -85,13 +86,13 @@ impl FromStr for Format {
     }
 }
 
-/// What of a log becomes a table.
+/// Part of a log that becomes a table.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Choice {
-    /// Channels: of samples any, each with every sample; or one of `/ensemble/members` and `/ensemble/statistics`. All of
-    /// samples if empty.
+    /// Channels: any that go with samples, or one of `/ensemble/members` and
+    /// `/ensemble/statistics`. All that go with samples if empty.
     pub channels: Vec<Channel>,
-    /// The member of an ensemble whose samples are meant; 0 is the run of the scene as given.
+    /// Member of an ensemble whose samples are exported; 0 is the run of the scene as given.
     pub member: u64,
 }
 
@@ -102,7 +103,7 @@ pub struct Exported {
     pub rows: u64,
     /// The names of its columns.
     pub columns: Vec<String>,
-    /// What was found at the end of the log.
+    /// State in which the end of the log was found.
     pub ending: Ending,
 }
 
@@ -115,7 +116,7 @@ enum Cell {
     Word(Option<String>),
 }
 
-/// What the values of a column are.
+/// Type of the values of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Number,
@@ -133,14 +134,14 @@ impl Kind {
     }
 }
 
-/// A column or several: a number, a vector, a matrix.
+/// One column or several: a number, a vector, a matrix.
 struct Field {
     name: String,
     kind: Kind,
     cells: Vec<Cell>,
 }
 
-/// The fields of a row; in every row of a table the same ones, though some may be without cells.
+/// Fields of a row; the same ones in every row of a table, though some may be without cells.
 struct Fields(Vec<Field>);
 
 impl Fields {
@@ -168,7 +169,7 @@ impl Fields {
         self.put(name, Kind::Word, cells);
     }
 
-    /// A state without its time.
+    /// Adds a state without its time.
     fn state(&mut self, before: &str, state: Option<&State>) {
         let list = |list: fn(&State) -> &Vec<f64>| state.map_or(&[][..], |state| list(state));
         self.numbers(format!("{before}attitude"), list(|state| &state.attitude));
@@ -187,7 +188,7 @@ impl Fields {
         one("largest", |of| of.largest);
     }
 
-    /// What chosen channels say of a sample.
+    /// Returns the fields of a sample on the chosen channels.
     fn of_row(row: &Row, channels: &[Channel], start_ns: u64) -> Self {
         let mut fields = Self(Vec::new());
         let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
@@ -239,7 +240,7 @@ impl Fields {
         fields
     }
 
-    /// How a member began and ended.
+    /// Returns how a member began and ended.
     fn of_member(member: &Member) -> Self {
         let mut fields = Self(Vec::new());
         fields.count("member", Some(member.member));
@@ -260,7 +261,7 @@ impl Fields {
         fields
     }
 
-    /// Mean and spread at one time.
+    /// Returns mean and spread at one time.
     fn of_statistics(found: &EnsembleStatistics) -> Self {
         let mut fields = Self(Vec::new());
         fields.number("time_s", Some(found.time_s));
@@ -300,7 +301,7 @@ impl Columns {
         self.0.iter().flat_map(|(_, kind, width)| std::iter::repeat_n(*kind, *width)).collect()
     }
 
-    /// A row with a cell in each column.
+    /// Returns a row with a cell in each column.
     fn row(&self, Fields(fields): Fields) -> Vec<Cell> {
         let wide = self.0.iter().zip(fields).flat_map(|((_, kind, width), Field { cells, .. })| {
             let missing = width.saturating_sub(cells.len());
@@ -310,7 +311,8 @@ impl Columns {
     }
 }
 
-/// The names of the columns of a field: with the axes of vectors for n = 3, else with row and column from 1 on.
+/// Returns the names of the columns of a field: with the axes of vectors for n = 3, else with row
+/// and column from 1 on.
 fn names(field: &str, width: usize) -> Vec<String> {
     let label = |labels: &[&str]| labels.iter().map(|label| format!("{field}_{label}")).collect();
     let pairs = |n: usize| (1..=n).flat_map(move |i| (1..=n).map(move |j| (i, j)));
@@ -358,7 +360,7 @@ impl<W: Write> Table for csv::Writer<W> {
     }
 }
 
-/// The error of the file system alone, whose kind says what happened.
+/// Returns the error of the file system alone, whose kind says what happened.
 fn plain(error: csv::Error) -> io::Error {
     match error.into_kind() {
         csv::ErrorKind::Io(error) => error,
@@ -366,12 +368,12 @@ fn plain(error: csv::Error) -> io::Error {
     }
 }
 
-/// Writes what is chosen of a log, finished or not, as a table. Columns of vectors for n = 3 end in x, y, z, those of a
-/// matrix in its row and column; the logarithms of the log, which follow from its errors, are left out.
+/// Writes the chosen part of a log, finished or not, as a table. Columns of vectors for n = 3 end
+/// in x, y, z, those of a matrix in its row and column; the logarithms of the log, which follow
+/// from its errors, are left out.
 ///
-/// # Errors
-/// If the log cannot be read or holds nothing of what is chosen, a chosen channel is no table, or the table cannot be
-/// written.
+/// If the log cannot be read or holds nothing of the chosen part, a chosen channel is no table, or
+/// the table cannot be written.
 pub fn export<'a>(
     log: &Path,
     choice: &Choice,
@@ -416,7 +418,7 @@ pub fn export<'a>(
     Ok(Exported { rows, columns: names, ending })
 }
 
-/// Shows the rows of what is chosen.
+/// Passes on the rows of the chosen part.
 fn each(
     log: &Path,
     choice: &Choice,

@@ -1,7 +1,7 @@
-//! Work spread over threads, and what comes of it in order.
+//! Work spread over threads, with its results in order.
 //!
-//! Invariant: what is handed on depends neither on the number of threads nor on which of them is quick. A thread that leaves
-//! early, or panics, ends the others: none waits for what never comes.
+//! Invariant: the results depend neither on the number of threads nor on which of them is quick. A
+//! thread that leaves early, or panics, ends the others: none waits for what never comes.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError, mpsc};
 use std::thread;
 
-/// As many threads as the machine has cores for this process.
+/// Returns the number of cores that this process may use.
 pub(crate) fn cores() -> usize {
     thread::available_parallelism().map_or(1, NonZeroUsize::get)
 }
@@ -19,7 +19,7 @@ pub(crate) fn cores() -> usize {
 /// A worker returns `None` if it leaves early, while places may be left.
 ///
 /// # Errors
-/// Those of `put`, which end all of it.
+/// The errors of `put`, which end all of it.
 pub(crate) fn in_order<T: Send, E>(
     places: Range<u64>,
     width: u64,
@@ -62,7 +62,8 @@ pub(crate) struct Turns<'a, T> {
 }
 
 impl<T> Turns<'_, T> {
-    /// The next places; waits while others are too far behind. `None` if none are left, or results are no longer taken.
+    /// Returns the next places; waits while others are too far behind. `None` if none are left, or
+    /// results are no longer taken.
     pub(crate) fn take(&self) -> Option<Range<u64>> {
         self.queue.take()
     }
@@ -72,7 +73,7 @@ impl<T> Turns<'_, T> {
         self.send.send((places, made)).ok()
     }
 
-    /// Whether results are no longer taken.
+    /// Returns whether results are no longer taken.
     pub(crate) fn is_closed(&self) -> bool {
         self.queue.is_closed()
     }
@@ -87,11 +88,11 @@ struct Queue {
     closed: AtomicBool,
 }
 
-/// How far they have come.
+/// Progress of the work.
 struct Places {
-    /// The first that no thread has taken.
+    /// First place that no thread has taken.
     next: u64,
-    /// The first that was not handed on.
+    /// First place that was not handed on.
     written: u64,
 }
 
@@ -126,7 +127,7 @@ impl Queue {
         Some(from..places.next)
     }
 
-    /// All places before this one were handed on.
+    /// Takes note that all places before this one were handed on.
     fn written(&self, place: u64) {
         self.places().written = place;
         self.moved.notify_all();

@@ -41,7 +41,7 @@ pub struct Live {
     floor: Mutex<Floor>,
 }
 
-/// Who is on show, and what is due.
+/// The run on show, and when its next messages are due.
 #[derive(Debug)]
 struct Floor {
     holder: Option<u64>,
@@ -61,7 +61,7 @@ impl Default for Live {
 }
 
 impl Live {
-    /// What is shown from now on. Nothing is prepared unless a client follows.
+    /// Subscribes to the frames shown from now on. Nothing is prepared unless a client follows.
     pub fn watch(&self) -> broadcast::Receiver<Arc<Frame>> {
         self.frames.subscribe()
     }

@@ -37,7 +37,8 @@ pub const JOB_RECORD: &str = "vpd.job";
 pub const OUTCOME_RECORD: &str = "vpd.outcome";
 /// Name of the attachment that holds the scenario.
 pub const SCENARIO_ATTACHMENT: &str = "scenario.json";
-/// What the names of the attachments of a long log begin with that hold what charts show of it, each a `vpd.Overview`.
+/// Prefix of the names of the attachments that hold the chart data of a long log, each a
+/// `vpd.Overview`.
 pub const OVERVIEW_ATTACHMENTS: &str = "overview/";
 
 /// A layout of panels for these logs, for Foxglove and Lichtblick: both read the same.
@@ -47,7 +48,7 @@ pub const LAYOUT: &str = include_str!("log/layout.json");
 /// reader allocates no more at once, whatever a damaged file asks for.
 pub const MAX_CHUNK_BYTES: u64 = 32 << 20;
 
-/// What can go wrong with a log.
+/// Error of a log.
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The disk or the quota is full.
@@ -55,7 +56,7 @@ pub enum LogError {
     StorageFull {
         /// The file.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the system.
         source: io::Error,
     },
     /// The file system failed in another way.
@@ -63,9 +64,9 @@ pub enum LogError {
     Storage {
         /// The file.
         path: PathBuf,
-        /// What was tried: "create", "write", ...
+        /// Operation that failed: "create", "write", ...
         action: &'static str,
-        /// The system's answer.
+        /// Error of the system.
         source: io::Error,
     },
     /// The MCAP layer refused for a reason other than the file system.
@@ -73,9 +74,9 @@ pub enum LogError {
     Format {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// Operation that failed.
         action: &'static str,
-        /// The MCAP layer's answer.
+        /// Error of the MCAP layer.
         source: mcap::McapError,
     },
     /// A time that a log cannot hold: negative, not a number, beyond the year 2106, or before the
@@ -93,7 +94,7 @@ pub enum LogError {
         /// The sample's step.
         step: u64,
     },
-    /// What stands at its place is to be kept: a finished log, or what another job has left unfinished.
+    /// The file at its place is to be kept: a finished log, or an unfinished one of another job.
     #[error("{} is there already{}; --force replaces it, -o writes another", path.display(), if *finished { "" } else { ", of another scenario or another build, unfinished" })]
     Exists {
         /// The file.
@@ -107,7 +108,7 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
-    /// The reading of what an earlier run left was cancelled; nothing was changed.
+    /// Reading the log that an earlier run left was cancelled; nothing was changed.
     #[error("resuming the log {} was interrupted", path.display())]
     Interrupted {
         /// The file.
@@ -122,7 +123,7 @@ pub enum LogError {
 }
 
 impl LogError {
-    /// The fixed code in answers and scripts.
+    /// Returns the fixed code in answers and scripts.
     pub fn code(&self) -> &'static str {
         match self {
             Self::StorageFull { .. } => "storage_full",
@@ -137,7 +138,7 @@ impl LogError {
         }
     }
 
-    /// Whether the file system may do later what it refused now.
+    /// Returns whether the file system may do later what it refused now.
     pub fn is_transient(&self) -> bool {
         match self {
             Self::StorageFull { source, .. } | Self::Storage { source, .. } => is_transient(source),
@@ -145,7 +146,7 @@ impl LogError {
         }
     }
 
-    /// Whether another process writes the log.
+    /// Returns whether another process writes the log.
     pub fn is_busy(&self) -> bool {
         matches!(self, Self::Storage { source, .. } if part::is_busy(source))
     }
@@ -168,8 +169,8 @@ impl LogError {
     }
 }
 
-/// Whether a refusal of the system is one of the moment (no room, no file handles, a disk that fails) and not of
-/// the file that was asked for: trying again later may succeed.
+/// Returns whether a refusal of the system is temporary (no room, no file handles, a disk that
+/// fails) and not due to the file itself: trying again later may succeed.
 pub(crate) fn is_transient(error: &io::Error) -> bool {
     use io::ErrorKind as K;
     // Those without a kind of their own: the limits of files, of the process and of the system, and a failing disk.
@@ -195,14 +196,15 @@ pub(crate) fn is_transient(error: &io::Error) -> bool {
     )
 }
 
-/// The name of a log while it is being written: `.part` is added.
+/// Returns the name of a log while it is being written: `.part` is added.
 pub fn part_path(path: &Path) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".part");
     PathBuf::from(name)
 }
 
-/// Log time of `time_s` after the epoch, in nanoseconds since 1970, rounded to the nearest.
+/// Returns the log time of `time_s` after the epoch, in nanoseconds since 1970, rounded to the
+/// nearest.
 ///
 /// `None` if that is before the epoch, not a number, or beyond the 32-bit seconds (year 2106) of
 /// the viewers' time stamps.

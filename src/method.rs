@@ -1,7 +1,8 @@
 //! The methods: one row each, read by scenario, plan, assembly, studies, choice and charts.
 //!
-//! A new integrator is its stepper in `solve/stepper`, its line in `solve/stepper.rs`, and its row here: a name, facts, what
-//! makes it. The tests below measure its order. One that is tried for an accuracy needs measured costs, too.
+//! A new integrator is its stepper in `solve/stepper`, its line in `solve/stepper.rs`, and its row
+//! here: a name, facts, and its parts. The tests below measure its order. One that is tried for an
+//! accuracy needs measured costs, too.
 //!
 //! Invariant: `auto` is a scenario's word; an [`Integrator`] is one that runs.
 
@@ -46,7 +47,7 @@ macro_rules! names {
         }
 
         impl MethodName {
-            /// The integrator that is asked for; `None` if the plan chooses.
+            /// Returns the integrator that is asked for; `None` if the plan chooses.
             pub fn integrator(self) -> Option<Integrator> {
                 match self {
                     Self::Auto => None,
@@ -64,10 +65,10 @@ macro_rules! names {
         }
 
         impl Integrator {
-            /// All of them.
+            /// All integrators.
             pub const ALL: &[Self] = &[$(Self::$method),*];
 
-            /// The name in a scenario.
+            /// Returns the name in a scenario.
             pub fn as_str(self) -> &'static str {
                 match self {
                     $(Self::$method => $name,)*
@@ -105,20 +106,20 @@ names! {
 }
 
 impl MethodName {
-    /// The name in a scenario.
+    /// Returns the name in a scenario.
     pub fn as_str(self) -> &'static str {
         self.integrator().map_or("auto", Integrator::as_str)
     }
 }
 
 impl Default for Integrator {
-    /// The one for any scene.
+    /// Returns the method for any scene.
     fn default() -> Self {
         Self::Vpd
     }
 }
 
-/// What a method is made with.
+/// Parameter of a method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Takes {
     /// A tableau without zeros among its b_i.
@@ -138,53 +139,56 @@ pub(crate) enum Variant {
     Order(u32),
 }
 
-/// What is known of a method.
+/// Properties of a method.
 #[derive(Clone, Copy, Debug)]
 pub struct Facts {
-    /// What it is made with.
+    /// Parameter that it takes.
     pub takes: Takes,
-    /// Does its energy error stay at a level that the step fixes?
+    /// Whether its energy error stays at a level that the step fixes.
     pub symplectic: bool,
-    /// Is it for n = 3 alone?
+    /// Whether it is for n = 3 alone.
     pub three: bool,
-    /// Can it run scenes that change with time, and torques that are no potential's?
+    /// Whether it can run scenes that change with time, and torques that are no potential's.
     pub driven: bool,
-    /// Can it run bodies with wheels?
+    /// Whether it can run bodies with wheels.
     pub wheels: bool,
-    /// Is it for free bodies alone? Their momentum moves by itself, the attitude only where it is asked for.
+    /// Whether it is for free bodies alone. Their momentum moves by itself, the attitude only where
+    /// it is asked for.
     pub free: bool,
-    /// Has it Newton's method to go to?
+    /// Whether it can fall back on Newton's method.
     pub newton: bool,
-    /// Is it computed in lanes for n = 3? More stages than there are lanes go the way of general n.
+    /// Whether it is computed in lanes for n = 3. More stages than there are lanes are computed as
+    /// for general n.
     pub(crate) lanes: bool,
-    /// Is it computed for n = 2 where the motion stays in a plane?
+    /// Whether it is computed for n = 2 where the motion stays in a plane.
     pub(crate) plane: bool,
-    /// Sweeps assumed for a step where none were counted: for n = 3, elsewhere. 1 for a method without sweeps.
+    /// Number of sweeps assumed for a step where none were counted: for n = 3, elsewhere. 1 for a
+    /// method without sweeps.
     pub(crate) sweeps: [f64; 2],
-    /// Methods of a family have one colour, and stand together in tables.
+    /// Number of its family: methods of one have one colour, and stand together in tables.
     pub(crate) family: usize,
     /// Its lines in charts: few, so that they can be distinguished.
     charted: &'static [Variant],
     /// Its rows in the map of stability, once for each solver if `solvers`.
     mapped: &'static [Variant],
     solvers: bool,
-    /// What is tried of it for an accuracy, and in which turn: methods first whose steps are cheap.
+    /// Variants that are tried for an accuracy, and their turn: methods with cheap steps first.
     tried: (u8, &'static [Variant]),
 }
 
-/// What a stepper is made from.
+/// Parts from which a stepper is made.
 #[derive(Clone, Debug)]
 pub(crate) struct Parts {
     pub(crate) tableau: Tableau,
     pub(crate) order: u32,
     pub(crate) stop: StopRule,
     pub(crate) carries_attitude: bool,
-    /// The rate of time and the longest step, of a method whose steps adapt.
+    /// Rate of time and longest step, for a method with adaptive steps.
     pub(crate) own_steps: Option<(TimeScale, f64)>,
 }
 
 impl Integrator {
-    /// Its row.
+    /// Returns its row.
     #[rustfmt::skip]
     pub fn facts(self) -> Facts {
         use TableauName::{Gauss1, Gauss2, Gauss3, Gauss4, Gauss6, Gauss8, Rk3, Rk4, Rk8};
@@ -263,7 +267,8 @@ impl Integrator {
         }
     }
 
-    /// The stepper for any n; `None` of a method for n = 3 alone, and where the tableau is none of its own.
+    /// Returns the stepper for any n; `None` for a method for n = 3 alone, and where the tableau
+    /// does not suit it.
     pub(crate) fn in_any_dimension<const N: usize>(
         self,
         parts: Parts,
@@ -286,7 +291,7 @@ impl Integrator {
         })
     }
 
-    /// The stepper for n = 3, wherever the body goes.
+    /// Returns the stepper for n = 3, wherever the body goes.
     pub(crate) fn in_three_dimensions(self, parts: Parts) -> Option<Box<dyn Stepper<3>>> {
         let in_lanes = parts.tableau.stages() <= WIDTH;
         let Parts { tableau, order, stop, carries_attitude, own_steps } = parts;
@@ -305,8 +310,9 @@ impl Integrator {
         })
     }
 
-    /// Members of an ensemble side by side, where that is quicker than one after the other; `None` elsewhere. (Free
-    /// bodies are stepped individually: each step begins where that member's steps before lead.)
+    /// Returns a stepper for members of an ensemble side by side, where that is quicker than one
+    /// after the other; `None` elsewhere. (Free bodies are stepped individually: each step begins
+    /// where that member's steps before lead.)
     pub(crate) fn side_by_side(self, parts: &Parts) -> Option<Box<dyn Members<3>>> {
         match self {
             Self::Vpd => Some(Box::new(VpdEnsemble::new(&parts.tableau, parts.stop)?)),
@@ -314,17 +320,17 @@ impl Integrator {
         }
     }
 
-    /// Is it a composition, with an order in the place of a tableau?
+    /// Returns whether it is a composition, with an order in the place of a tableau.
     pub fn is_composition(self) -> bool {
         self.facts().takes == Takes::Order
     }
 
-    /// Does it take explicit tableaux only?
+    /// Returns whether it takes explicit tableaux only.
     pub fn is_explicit(self) -> bool {
         self.facts().takes == Takes::Explicit
     }
 
-    /// The method whose measured costs apply to this one.
+    /// Returns the method whose measured costs apply to this one.
     pub fn costs_as(self) -> Self {
         match self {
             Self::VrkmkProjected => Self::Vrkmk,
@@ -333,26 +339,26 @@ impl Integrator {
         }
     }
 
-    /// All of them, family by family.
+    /// Returns all methods, family by family.
     fn by_family() -> Vec<Self> {
         let mut all = Self::ALL.to_vec();
         all.sort_by_key(|method| method.facts().family);
         all
     }
 
-    /// The lines of charts.
+    /// Returns the lines of charts.
     pub(crate) fn charted() -> impl Iterator<Item = (Self, Variant)> {
         let variants = |method: Self| method.facts().charted.iter().map(move |of| (method, *of));
         Self::by_family().into_iter().flat_map(variants)
     }
 
-    /// The rows of the map of stability, and whether each solver has its own.
+    /// Returns the rows of the map of stability, and whether each solver has its own.
     pub(crate) fn mapped() -> impl Iterator<Item = (Self, &'static [Variant], bool)> {
         let rows = |method: Self| (method, method.facts().mapped, method.facts().solvers);
         Self::by_family().into_iter().map(rows)
     }
 
-    /// What is tried for an accuracy, in turn.
+    /// Returns the variants that are tried for an accuracy, in turn.
     pub(crate) fn tried(symplectic: bool) -> impl Iterator<Item = (Self, Variant)> {
         let mut all = Self::ALL.to_vec();
         all.retain(|method| method.facts().symplectic || !symplectic);
@@ -361,7 +367,7 @@ impl Integrator {
             .flat_map(|method| method.facts().tried.1.iter().map(move |of| (method, *of)))
     }
 
-    /// The names of those that are so, as a sentence has them: `a, b and c`.
+    /// Returns the names of those for which `are` holds, as a sentence has them: `a, b and c`.
     pub(crate) fn names(are: fn(Self) -> bool) -> String {
         let all = Self::ALL.iter().filter(|&&method| are(method));
         let names: Vec<&str> = all.map(|method| method.as_str()).collect();
@@ -393,7 +399,7 @@ pub enum TableauName {
 }
 
 impl TableauName {
-    /// Its coefficients.
+    /// Returns its coefficients.
     pub(crate) fn tableau(self) -> Option<Tableau> {
         match self {
             Self::Gauss1 => Tableau::gauss(1),
@@ -422,7 +428,7 @@ mod tests {
     use crate::solve::tableau::Tableau;
     use crate::solve::trajectory::State;
 
-    /// Of fourth order, in steps of `step_s`.
+    /// Returns the parts of a method of fourth order, in steps of `step_s`.
     fn parts(method: Integrator, step_s: f64) -> Parts {
         let usual = match method.facts().takes {
             Takes::Explicit => TableauName::Rk4,
@@ -438,7 +444,8 @@ mod tests {
         }
     }
 
-    /// By how many powers of the step the error of a second of motion falls, from steps of 1/16 s to 1/32 s.
+    /// Returns by how many powers of the step the error of a second of motion falls, from steps of
+    /// 1/16 s to 1/32 s.
     fn order<const N: usize>(
         method: Integrator,
         made: fn(Integrator, Parts) -> Option<Box<dyn Stepper<N>>>,

@@ -35,13 +35,14 @@ use model::{
 pub(crate) use problem::driven_term;
 use terms::{Extent, Terms};
 
-/// About what a log takes in addition to its samples: schemas, scenario, plan, index.
+/// Approximate size of a log in addition to its samples: schemas, scenario, plan, index.
 pub(crate) const LOG_FIXED_BYTES: u64 = 50_000;
 
-/// A body point within a tenth of its arm from a point source, as the least sigma of steps that adapt: `(1 + 10^3)^(-1/2)`.
+/// Least sigma of adaptive steps for a body point within a tenth of its arm from a point source:
+/// `(1 + 10^3)^(-1/2)`.
 pub(crate) const NEAR_SIGMA: f64 = 0.0316;
 
-/// What a job will do, for people and for [`crate::run`].
+/// Plan of a job, for people and for [`crate::run`].
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct Plan {
     /// n of SO(n).
@@ -64,16 +65,17 @@ pub struct Plan {
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved, or changes by the
     /// torques alone.
     pub free_directions: usize,
-    /// What is kept, and logged as the energy error, of a scene that changes with time, is pushed or has wheels.
+    /// Balance that is kept, and logged as the energy error, in a scene that changes with time or
+    /// has torques or wheels.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub balance: Option<String>,
-    /// What is kept of the momentum of a scene that is pushed, and logged as its drift.
+    /// Balance of the momentum that is kept, and logged as its drift, in a scene with torques.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub momentum_balance: Option<String>,
     /// The Jacobi integral of a scene that has one; its change is logged as `jacobi_error`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jacobi_integral: Option<String>,
-    /// What the user should know before the run.
+    /// Warnings to the user before the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(default)]
     pub warnings: Vec<String>,
@@ -94,7 +96,7 @@ pub struct Plan {
     /// The members of an ensemble.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<EnsemblePlan>,
-    /// How method and step were chosen for an accuracy; see [`crate::advise`].
+    /// Choice of method and step for an accuracy; see [`crate::advise`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<Advice>,
     /// The scenario as it was asked for: an accuracy may stand in the place of method and step.
@@ -117,9 +119,9 @@ pub struct Plan {
 /// The members of an ensemble.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct EnsemblePlan {
-    /// How many there are.
+    /// Number of members.
     pub members: u64,
-    /// Those whose samples are logged, in their order; member 0 is the first.
+    /// Members whose samples are logged, in their order; member 0 is the first.
     pub in_full: Vec<u64>,
     /// Ends in a chunk of the log, by the same rule. An interrupted run goes on from there.
     pub members_per_chunk: u64,
@@ -132,13 +134,13 @@ pub struct Advice {
     pub error: f64,
     /// The error expected at the end of the run.
     pub expected_error: f64,
-    /// How many times the expected error fits into the one asked for.
+    /// Ratio of the error asked for to the expected one.
     pub margin: f64,
-    /// The time to which the run chosen was seen; beyond it its error was carried on.
+    /// The time to which the run chosen was seen; beyond it its error was extrapolated.
     pub pilot_time_s: f64,
-    /// How accurately the pilots' reference is known.
+    /// Error of the pilots' reference.
     pub reference_error: f64,
-    /// What was tried, the cheapest first.
+    /// Methods that were tried, the cheapest first.
     pub candidates: Vec<Candidate>,
 }
 
@@ -168,28 +170,28 @@ pub struct Formulation {
     pub stages: usize,
     /// Order of the scheme.
     pub order: u32,
-    /// Is the attitude computed? Only where a term of the potential or a channel needs it.
+    /// Whether the attitude is computed: only where a term of the potential or a channel needs it.
     pub carries_attitude: bool,
-    /// Why it was chosen.
+    /// Reason for the choice.
     pub why: &'static str,
-    /// What is made use of in addition: a body at rest, a motion in a plane.
+    /// Simplification used in addition: a body at rest, a motion in a plane.
     #[serde(skip_serializing_if = "Motion::is_general")]
     #[schemars(default)]
     pub motion: Motion,
 }
 
-/// What becomes of one term of the potential.
+/// Treatment of one term of the potential.
 #[derive(Clone, Debug, Serialize, JsonSchema)]
 pub struct TermPlan {
     /// JSON pointer of the term.
     pub pointer: String,
-    /// Is it modelled? One that is merged into another is not by itself.
+    /// Whether it is modelled; one that is merged into another is not by itself.
     pub kept: bool,
-    /// Why, or why not.
+    /// Reason why it is kept or dropped.
     pub why: String,
 }
 
-/// What the start and the terms make of the motion.
+/// Kind of motion that follows from the start and the terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Motion {
@@ -207,7 +209,7 @@ impl Motion {
         *self == Self::General
     }
 
-    /// The motion in words; `None` if there is nothing to be said.
+    /// Returns the motion in words; `None` if there is nothing to be said.
     pub fn words(self) -> Option<&'static str> {
         match self {
             Self::General => None,
@@ -222,7 +224,7 @@ impl Motion {
 pub struct ChannelPlan {
     /// Its topic.
     pub topic: Channel,
-    /// What is computed for it at each sample.
+    /// Description of what is computed for it at each sample.
     pub computes: &'static str,
 }
 
@@ -232,15 +234,16 @@ impl EnsemblePlan {
     const WAYPOINTS_OF_ALL: u64 = 1 << 20;
     const LEAST_WAYPOINTS: u64 = 8;
 
-    /// Samples from a point on the way of a member to the next; the member takes `samples` samples.
+    /// Returns the number of samples from a point on the way of a member to the next; the member
+    /// takes `samples` samples.
     pub fn samples_per_waypoint(&self, samples: u64) -> u64 {
         let points = Self::WAYPOINTS_OF_ALL / self.members.max(1);
         let points = points.clamp(Self::LEAST_WAYPOINTS, Self::MOST_WAYPOINTS);
-        // The start is one of them.
+        // The start is one of the points.
         samples.saturating_sub(1).div_ceil(points - 1).max(1)
     }
 
-    /// Points on the way of a member that takes `samples` samples.
+    /// Returns the number of points on the way of a member that takes `samples` samples.
     pub(crate) fn waypoints(&self, samples: u64) -> u64 {
         1 + samples.saturating_sub(1).div_ceil(self.samples_per_waypoint(samples))
     }
@@ -255,8 +258,8 @@ impl EnsemblePlan {
 }
 
 impl Plan {
-    /// Plans a scenario that was checked ([`Scenario::check`]), with a method and a step, without any run: the estimates are
-    /// those of a usual one. [`crate::advise::plan`] plans any.
+    /// Plans a scenario that was checked ([`Scenario::check`]), with a method and a step, without
+    /// any run: the estimates are those of a usual one. [`crate::advise::plan`] plans any scenario.
     ///
     /// # Errors
     /// Where the numbers make no body, no rotation or no tableau, with the pointer of the field.
@@ -352,7 +355,8 @@ impl Plan {
         Ok(plan)
     }
 
-    /// The plan of a scenario whose steps adapt and that names none: an easy one, of which the duration is a whole number.
+    /// Plans a scenario with adaptive steps that names none: with an easy one, of which the
+    /// duration is a whole number.
     fn in_easy_steps(asked: &Scenario, duration_s: f64) -> Result<Self, ScenarioError> {
         let with = |steps: f64| Scenario {
             step_s: Some(duration_s / steps),
@@ -369,7 +373,8 @@ impl Plan {
         Ok(Self { asked: asked.clone(), ..Self::new(&settled)? })
     }
 
-    /// A step in seconds that a Gauss tableau of `stages` stages takes easily where steps adapt.
+    /// Returns a step in seconds that a Gauss tableau of `stages` stages takes easily where steps
+    /// adapt.
     pub(crate) fn easy_own_step_s(&self, stages: usize) -> f64 {
         let asked = Adaptive::default();
         let terms = &self.model.terms;
@@ -377,7 +382,7 @@ impl Plan {
         self.model.easy_own_step_s(&near_m, stages)
     }
 
-    /// Is there a point source, and nothing that keeps steps from adapting to it?
+    /// Returns whether there is a point source, and nothing that keeps steps from adapting to it.
     pub(crate) fn can_adapt(&self) -> bool {
         !self.model.is_driven()
             && self.model.wheels.is_none()
@@ -385,7 +390,8 @@ impl Plan {
             && self.model.terms.iter().any(|term| term.as_point_source().is_some())
     }
 
-    /// Says where steps that adapt would pay, and where they do not, by the least sigma of a pilot run.
+    /// Says where adaptive steps would pay, and where they do not, by the least sigma of a pilot
+    /// run.
     pub(crate) fn offer_own_steps(&mut self, nearest_sigma: Option<f64>) {
         let Some(sigma) = nearest_sigma else { return };
         let distance = libm::cbrt(sigma * sigma);
@@ -401,22 +407,22 @@ impl Plan {
         }
     }
 
-    /// Steps of all members, or of the one run.
+    /// Returns the number of steps of all members, or of the one run.
     pub fn total_steps(&self) -> u64 {
         self.steps * self.ensemble.as_ref().map_or(1, |ensemble| ensemble.members)
     }
 
-    /// Is the channel logged?
+    /// Returns whether the channel is logged.
     pub fn logs(&self, channel: Channel) -> bool {
         self.channels.iter().any(|plan| plan.topic == channel)
     }
 
-    /// What the logged channels need at a sample.
+    /// Returns the figures that the logged channels need at a sample.
     pub(crate) fn observables(&self) -> Observables {
         Channel::observables(self.channels.iter().map(|plan| plan.topic))
     }
 
-    /// Puts the terms together to those that have to be modelled.
+    /// Combines the terms into those that have to be modelled.
     fn add_terms(&mut self, given: &[PotentialTerm], inertia: &DMatrix<f64>) {
         let given: Vec<PotentialTerm> =
             given.iter().map(|term| with_matrix(term, inertia)).collect();
@@ -503,7 +509,7 @@ impl Plan {
         Ok(Formulation { method, tableau: name, stages, order, carries_attitude, why, motion })
     }
 
-    /// What the motion is from the start that is given; members of an ensemble have others.
+    /// Returns the kind of motion from the given start; members of an ensemble have others.
     fn motion(&self, method: Integrator, stages: usize) -> Motion {
         if self.ensemble.is_some() {
             return Motion::General;
@@ -525,7 +531,7 @@ impl Plan {
     }
 }
 
-/// The tableau's name in a scenario, or `custom`.
+/// Returns the tableau's name in a scenario, or `custom`.
 fn tableau_name(scenario: &Scenario) -> Option<String> {
     match tableau_choice(&scenario.method) {
         TableauChoice::Named(name) => {
@@ -549,10 +555,10 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     logged.map(|topic| ChannelPlan { topic, computes: topic.computes() }).collect()
 }
 
-/// What is said of an inertia that no rigid body has: a moment is the sum of two second moments, none of which is
-/// negative, so none of the three is more than the other two.
+/// Returns a message about an inertia that no rigid body has: a moment is the sum of two second
+/// moments, none of which is negative, so none of the three is more than the other two.
 fn no_body(inertia: &DMatrix<f64>) -> Option<String> {
-    /// What decimal text may make of a flat body.
+    /// Error that decimal text may cause for a flat body.
     const ROUNDED: f64 = 1e-9;
     let n = inertia.nrows();
     // J = tr(D) I - D
@@ -571,7 +577,7 @@ fn no_body(inertia: &DMatrix<f64>) -> Option<String> {
     })
 }
 
-/// n less the rank of space vectors.
+/// Returns n less the rank of space vectors.
 fn free_directions<'a>(n: usize, vectors: impl Iterator<Item = &'a [f64]>) -> usize {
     // Gram and Schmidt, twice for round-off, as in [`crate::solve::hamiltonian::RigidBody::conserved_directions`].
     let mut taken: Vec<DVector<f64>> = Vec::new();

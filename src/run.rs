@@ -47,17 +47,17 @@ pub use summary::{
     Outcome, SolverSummary, Summary,
 };
 
-/// What a run shares with those who wait for it.
+/// Inputs that a run shares with other threads.
 #[derive(Clone, Copy, Debug)]
 pub struct JobContext<'a> {
-    /// Where the finished log goes. If an interrupted run of the same job left its log there, this one
+    /// Path of the finished log. If an interrupted run of the same job left its log there, this one
     /// goes on from it.
     pub log: &'a Path,
-    /// How the run is followed and stopped.
+    /// Handle to follow and stop the run.
     pub control: &'a Control,
 }
 
-/// How a run is followed and stopped from other threads.
+/// Handle to follow and stop a run from other threads.
 #[derive(Debug, Default)]
 pub struct Control {
     /// Steps done so far, those of interrupted runs included; the run writes it.
@@ -68,21 +68,24 @@ pub struct Control {
     pub durable_step: AtomicU64,
     /// Bytes of the unfinished log that are on the disk, no fewer than up to `durable_step`; the run writes it.
     pub durable_bytes: AtomicU64,
-    /// Whether the run is to end after its current step, with a finished log: see [`Control::cancel`].
+    /// Whether the run is to end after its current step, with a finished log: see
+    /// [`Control::cancel`].
     pub cancelled: AtomicBool,
-    /// Whether it is to end there with a log that a later run goes on from: see [`Control::interrupt`].
+    /// Whether it is to end there with a log that a later run goes on from: see
+    /// [`Control::interrupt`].
     pub interrupted: AtomicBool,
-    /// Whether a log that stands in the place of this one stays, and the run is refused; otherwise it is replaced. The log of
-    /// a run of the same name that failed is replaced in any case.
+    /// Whether an existing log at the same path stays, and the run is refused; otherwise it is
+    /// replaced. The log of a failed run of the same name is replaced in any case.
     pub replaces_nothing: bool,
-    /// How the search for a method and a step is stopped.
+    /// Handle to stop the search for a method and a step.
     pub settling: Watch,
     /// The run is cancelled at this step, as if `cancelled` had been set there.
     pub cancelled_at: Option<u64>,
-    /// Where the run writes each of its steps, eight bytes: when its process is found dead, they show whether it
-    /// always dies at the same place. It costs a call of the system each, so only suspects are traced.
+    /// File in which the run writes each of its steps, eight bytes: when its process is found dead,
+    /// they show whether it always dies at the same place. It costs a system call each, so only
+    /// suspects are traced.
     pub trace: Option<File>,
-    /// Where viewers follow.
+    /// Live view on which viewers follow.
     #[cfg(feature = "live")]
     pub live: Option<Arc<Live>>,
 }
@@ -100,7 +103,7 @@ impl Control {
         self.settling.cancelled.store(true, Ordering::Relaxed);
     }
 
-    /// Takes note of a step; whether there is to be another one.
+    /// Takes note of a step; returns whether there is to be another one.
     fn go_on(&self, steps: u64) -> bool {
         self.steps_done.store(steps, Ordering::Relaxed);
         self.note(steps);
@@ -127,19 +130,19 @@ impl Control {
         }
     }
 
-    /// Whether the run is to end.
+    /// Returns whether the run is to end.
     fn stopped(&self) -> bool {
         self.cancelled.load(Ordering::Relaxed) || self.interrupted.load(Ordering::Relaxed)
     }
 }
 
-/// Why a run has no result.
+/// Reason why a run has no result.
 #[derive(Debug, Error)]
 pub enum RunError {
     /// The log could not be written.
     #[error(transparent)]
     Log(LogError),
-    /// What a [`Recording`] begins from is no state, or its schedule none.
+    /// The start of a [`Recording`] is no state, or its schedule is not valid.
     #[error("{0}")]
     Invalid(String),
     /// It was interrupted; the next run resumes its log.
@@ -148,7 +151,7 @@ pub enum RunError {
 }
 
 impl RunError {
-    /// The failure code of a job that ends so.
+    /// Returns the failure code of a job that ends so.
     pub fn code(&self) -> &'static str {
         match self {
             Self::Log(error) => error.code(),
@@ -271,7 +274,7 @@ fn run<const N: usize>(
 struct Recorder<'a> {
     writer: LogWriter,
     figures: Figures,
-    /// What the charts in the log are drawn from.
+    /// Data for the charts in the log.
     course: Course,
     epoch_ns: u64,
     elsewhere: Duration,
@@ -388,7 +391,7 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
     }
 }
 
-/// What the log says of the job before its first sample.
+/// Returns the description of the job in the log before its first sample.
 fn header(plan: &Plan) -> LogHeader {
     let scenario = &plan.asked;
     let mut job = BTreeMap::from([
@@ -398,7 +401,7 @@ fn header(plan: &Plan) -> LogHeader {
         ("scenario".to_owned(), json(scenario)),
         ("plan".to_owned(), json(&plan.on_a_common_machine())),
     ]);
-    // What the errors in the log are of, where that is no plain conservation.
+    // Meaning of the errors in the log, where that is no plain conservation.
     for (key, statement) in [
         ("energy_balance", &plan.balance),
         ("momentum_balance", &plan.momentum_balance),

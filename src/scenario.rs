@@ -4,7 +4,8 @@
 //! as they stand. Whether the numbers make a body (a rotation, a positive inertia, ...) is for
 //! [`crate::plan`], which knows the mathematics.
 //!
-//! In Rust, what JSON may leave away is left to `of` (and to `Default` where nothing is needed), which takes what JSON needs.
+//! In Rust, `of` takes the fields that JSON requires and sets the others to their defaults;
+//! `Default` exists where none is required.
 //!
 //! Invariant: a [`Scenario`] exists only if every field has a legal form; every error carries the JSON
 //! pointer of the field at fault.
@@ -48,22 +49,22 @@ pub struct Scenario {
     pub(crate) schema: SchemaAddress,
     /// A short name: 1 to 200 bytes, printable.
     pub name: String,
-    /// What the scene shows.
+    /// Description of the scene.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub description: String,
     /// The body, its potential and where it starts.
     pub scene: Scene,
-    /// How it is integrated.
+    /// Method of integration.
     #[serde(default)]
     pub method: Method,
-    /// The step in seconds; either this or `accuracy`. Steps that adapt may do without: then an easy one is found.
+    /// The step in seconds; either this or `accuracy`. Adaptive steps may do without: then an easy one is found.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "parse::given")]
     #[schemars(with = "f64")]
     pub step_s: Option<f64>,
     /// Steps that are not all of one length.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub step: Option<Steps>,
-    /// How accurate the end of the run is to be; the program then chooses method and step.
+    /// Accuracy of the end of the run; the program then chooses method and step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub accuracy: Option<Accuracy>,
     /// Number of steps; either this or `duration_s`.
@@ -75,10 +76,10 @@ pub struct Scenario {
     /// Many runs of the scene, from starts that are spread about the given one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<Ensemble>,
-    /// What is logged.
+    /// Contents of the log.
     #[serde(default)]
     pub log: LogOptions,
-    /// What a good run of this scenario keeps to.
+    /// Bounds that a good run of this scenario keeps to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect: Option<Expect>,
 }
@@ -91,8 +92,8 @@ pub(crate) struct SchemaAddress;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Accuracy {
-    /// Largest error at the end: of the attitude (for n = 3 the spectral norm), plus of the body momentum in
-    /// parts of its largest size. Of an ensemble, of every member.
+    /// Largest error at the end: of the attitude (for n = 3 the spectral norm), plus of the body
+    /// momentum in parts of its largest size. For an ensemble, the error of every member.
     pub error: f64,
     /// Symplectic methods only: for long runs whose energy must not drift. `false` if absent.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -100,7 +101,7 @@ pub struct Accuracy {
 }
 
 impl Accuracy {
-    /// By any method.
+    /// Returns this accuracy for any method.
     pub fn of(error: f64) -> Self {
         Self { error, symplectic: false }
     }
@@ -131,12 +132,13 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Does nothing change with time, push without being a potential, or spin in the body?
+    /// Returns whether nothing changes with time, applies a torque without being a potential, or
+    /// spins in the body.
     pub(crate) fn is_plain(&self) -> bool {
         self.driven.is_empty() && self.torques.is_empty() && self.wheels.is_none()
     }
 
-    /// A free body of an inertia, at rest in the attitude of the identity.
+    /// Returns a free body with an inertia, at rest in the attitude of the identity.
     pub fn free(inertia: Inertia) -> Self {
         Self {
             inertia,
@@ -218,7 +220,7 @@ pub enum Entry {
     Row(Vec<f64>),
 }
 
-/// How the scene is integrated.
+/// Method of integration of the scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Method {
@@ -260,7 +262,7 @@ pub struct Coefficients {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Solver {
-    /// Which iteration.
+    /// Kind of iteration.
     #[serde(default)]
     pub kind: SolverKind,
     /// Relative increment at which the iteration ends; round-off by default.
@@ -304,7 +306,7 @@ pub enum SolverKind {
     Newton,
 }
 
-/// What is logged.
+/// Contents of the log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LogOptions {
@@ -365,7 +367,7 @@ pub struct Expect {
     pub final_attitude_error_max: Option<f64>,
 }
 
-/// What is wrong with a scenario, and where.
+/// Error of a scenario, with its place.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{}: {message}", if pointer.is_empty() { "the scenario" } else { pointer })]
 pub struct ScenarioError {
@@ -373,7 +375,7 @@ pub struct ScenarioError {
     pub kind: ScenarioErrorKind,
     /// JSON pointer (RFC 6901) of the field at fault; empty for the whole document.
     pub pointer: String,
-    /// What was given and what is allowed.
+    /// Text that says what was given and what is allowed.
     pub message: String,
 }
 
@@ -387,12 +389,12 @@ pub enum ScenarioErrorKind {
 }
 
 impl ScenarioError {
-    /// A field that is not as it must be.
+    /// Returns the error of a field that is not as it must be.
     pub(crate) fn invalid(pointer: impl Into<String>, message: impl Into<String>) -> Self {
         Self::new(ScenarioErrorKind::Invalid, pointer.into(), message.into())
     }
 
-    /// An error that repeats no more of what was given than a person reads.
+    /// Returns an error that repeats no more of the given text than a person reads.
     fn new(kind: ScenarioErrorKind, pointer: String, message: String) -> Self {
         // A list of all methods is longer than a line; names of ours and places in lists are short.
         const POINTER: usize = 200;
@@ -401,7 +403,7 @@ impl ScenarioError {
     }
 }
 
-/// A text of at most `most` characters: beginning and end of a longer one.
+/// Shortens a text to at most `most` characters: beginning and end of a longer one.
 fn shortened(text: String, most: usize) -> String {
     let count = text.chars().count();
     if count <= most {
@@ -413,8 +415,9 @@ fn shortened(text: String, most: usize) -> String {
 }
 
 impl Scenario {
-    /// A scenario without JSON: `scene` under `name`, with steps of `step_s` seconds, `steps` of them, and all else as
-    /// in a scenario that does not say. Further fields are set on what is returned, and checked by [`Scenario::check`].
+    /// Returns a scenario without JSON: `scene` under `name`, with `steps` steps of `step_s`
+    /// seconds, and the defaults for all else. Further fields are set on the result, and checked by
+    /// [`Scenario::check`].
     ///
     /// ```
     /// use vpd::plan::Plan;
@@ -447,7 +450,7 @@ impl Scenario {
     /// ```
     ///
     /// # Errors
-    /// The first thing wrong with it, with the pointer of its field.
+    /// The first fault found, with the pointer of its field.
     pub fn of(
         name: impl Into<String>,
         scene: Scene,
@@ -460,10 +463,11 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// The same to an accuracy, for which the program chooses method and step: see [`crate::advise::plan`].
+    /// Returns the same to an accuracy, for which the program chooses method and step: see
+    /// [`crate::advise::plan`].
     ///
     /// # Errors
-    /// The first thing wrong with it, with the pointer of its field.
+    /// The first fault found, with the pointer of its field.
     pub fn to_accuracy(
         name: impl Into<String>,
         scene: Scene,
@@ -494,7 +498,7 @@ impl Scenario {
         }
     }
 
-    /// The log time of t = 0 of a scenario that does not say, in nanoseconds since 1970.
+    /// Returns the default log time of t = 0 of a scenario, in nanoseconds since 1970.
     pub(crate) fn default_epoch_ns() -> u64 {
         check::epoch_ns(&Epoch::default().0).unwrap_or_default()
     }
@@ -502,7 +506,7 @@ impl Scenario {
     /// Reads and checks a scenario.
     ///
     /// # Errors
-    /// The first thing wrong with it, with the pointer of its field.
+    /// The first fault found, with the pointer of its field.
     pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
         let scenario = parse::parse(text)?;
         scenario.check()?;
@@ -512,12 +516,12 @@ impl Scenario {
     /// Checks form and range of every field, once more after fields were set: [`crate::run::execute`] does so, too.
     ///
     /// # Errors
-    /// The first thing wrong with it, with the pointer of its field.
+    /// The first fault found, with the pointer of its field.
     pub fn check(&self) -> Result<(), ScenarioError> {
         check::check(self)
     }
 
-    /// The canonical text of the scenario, with every default written out.
+    /// Returns the canonical text of the scenario, with every default written out.
     pub fn to_json(&self) -> Vec<u8> {
         let mut text = serde_json::to_vec_pretty(self)
             .expect("the types of a scenario are JSON by construction");
@@ -525,12 +529,12 @@ impl Scenario {
         text
     }
 
-    /// The scenario's name.
+    /// Returns the scenario's name.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// n of SO(n).
+    /// Returns n of SO(n).
     pub fn dimension(&self) -> usize {
         match &self.scene.inertia {
             Inertia::Principal(_) | Inertia::Matrix(_) => 3,
@@ -538,11 +542,12 @@ impl Scenario {
         }
     }
 
-    /// Number of steps, whichever way the duration was given; 0 while no step has been chosen.
+    /// Returns the number of steps, whichever way the duration was given; 0 while no step has been
+    /// chosen.
     pub fn step_count(&self) -> u64 {
         match (self.steps, self.duration_s) {
             (Some(steps), _) => steps,
-            // Checked to be whole.
+            // This was checked to be whole.
             (None, Some(duration_s)) => {
                 self.step_s.map_or(0, |step_s| (duration_s / step_s).round() as u64)
             }
@@ -550,13 +555,13 @@ impl Scenario {
         }
     }
 
-    /// A sample is taken every k steps.
+    /// Returns k, where a sample is taken every k steps.
     pub fn sample_every(&self) -> u64 {
         const VIEWER_RATE_HZ: f64 = 60.0;
         let step_s = self.step_s.unwrap_or(f64::INFINITY);
         match (self.log.every, self.log.every_s) {
             (Some(every), _) => every,
-            // Checked to be whole.
+            // This was checked to be whole.
             (None, Some(every_s)) => ((every_s / step_s).round() as u64).max(1),
             (None, None) => {
                 // A rate of 60 that only rounding lifts above 60 stays.
@@ -566,26 +571,27 @@ impl Scenario {
         }
     }
 
-    /// Where the program chooses the step, the number of steps is a multiple of this, so that each sample is at the end of one.
+    /// Returns the number of which the number of steps is a multiple where the program chooses the
+    /// step, so that each sample is at the end of one.
     pub(crate) fn multiple_of_steps(&self) -> u64 {
         let times = self.duration_s.zip(self.log.every_s);
-        // Checked to be whole.
+        // This was checked to be whole.
         times.map_or(1, |(duration_s, every_s)| ((duration_s / every_s).round() as u64).max(1))
     }
 
-    /// Does a step, in the place of the given one, leave the times whole that are given?
+    /// Returns whether the given times are whole numbers of `step_s`, in place of the given step.
     pub(crate) fn fits(&self, step_s: f64) -> bool {
         let times_s = [self.duration_s, self.log.every_s];
         times_s.into_iter().flatten().all(|time_s| check::is_whole(time_s, step_s))
     }
 
-    /// The log time of t = 0 in nanoseconds since 1970.
+    /// Returns the log time of t = 0 in nanoseconds since 1970.
     pub fn epoch_ns(&self) -> u64 {
         check::epoch_ns(&self.log.epoch.0).unwrap_or_default()
     }
 }
 
-/// The JSON Schema of a scenario, generated from the types.
+/// Returns the JSON Schema of a scenario, generated from the types.
 pub fn schema() -> serde_json::Value {
     schemars::schema_for!(Scenario).to_value()
 }

@@ -13,12 +13,13 @@
 //! - Only finished logs are served, or streams that end with one.
 //! - Other machines are served with tokens only, unless a flag says otherwise.
 //!
-//! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (who may come in) with `link`
-//! (signed addresses), `api` (routes, thin handlers) with `openapi` (their description), `view` (what answers look
-//! like) and `problem` (the only place that knows status codes), `submission` (slots in which they are checked), `download`
-//! and `follow` (the log over HTTP, finished and growing), `viewers` (the live view), `engine` (queue and workers),
-//! `errand` (what a worker does) and `apart` (in a process of its own), `job` (its life), `store` (the record),
-//! `metrics`.
+//! Reads in this order: `config`, `listen` (connections) within `handles`, `gate` (access) with
+//! `link` (signed addresses), `api` (routes, thin handlers) with `openapi` (their description),
+//! `view` (the form of answers) and `problem` (the only place that knows status codes),
+//! `submission` (slots in which submissions are checked), `download` and `follow` (the log over
+//! HTTP, finished and growing), `viewers` (the live view), `engine` (queue and workers), `errand`
+//! (the work of a worker) and `apart` (in a process of its own), `job` (its life), `store` (the
+//! record), `metrics`.
 
 mod api;
 pub(crate) mod apart;
@@ -77,18 +78,19 @@ use store::{DataLock, Store, StudyStore};
 use studies::Studies;
 use submission::SubmissionSlots;
 
-/// How long a stop waits for runs to end; together with what comes before and after, less than ten seconds.
+/// Time that a stop waits for runs to end; together with what comes before and after, less than ten
+/// seconds.
 const DRAIN: Duration = Duration::from_secs(9);
 
-/// How long a stop waits for answers in flight; a download that is cut off goes on with a range.
+/// Time that a stop waits for answers in flight; a download that is cut off goes on with a range.
 const LAST_ANSWERS: Duration = Duration::from_secs(3);
 
-/// How far threads that compute stand behind those that answer: a tenth of the weight, where both want the
-/// processor, and all of it where no request waits.
+/// Priority of threads that compute, below those that answer: a tenth of the weight, where both
+/// want the processor, and all of it where no request waits.
 #[cfg(target_os = "linux")]
 const NICENESS: i32 = 10;
 
-/// Why the service could not start, or not end in order.
+/// Reason why the service could not start, or not end in order.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// Another process serves this directory.
@@ -104,16 +106,16 @@ pub enum ServeError {
     Data {
         /// The directory.
         path: PathBuf,
-        /// What the system says.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// The record of the jobs cannot be read.
     #[error("cannot read the jobs in the data directory: {message}")]
     Record {
-        /// What failed, and why.
+        /// Operation that failed, and why.
         message: String,
     },
-    /// Everybody who reaches the address could run jobs.
+    /// Any client that reaches the address could run jobs.
     #[error(
         "{address} can be reached by other machines: give tokens (--tokens FILE), or insist with --insecure"
     )]
@@ -121,18 +123,18 @@ pub enum ServeError {
         /// The address.
         address: SocketAddr,
     },
-    /// The address of the live view cannot be had.
+    /// The address of the live view cannot be used.
     #[error("cannot listen for viewers on {address}: {source}")]
     Viewers {
         /// The address.
         address: SocketAddr,
-        /// What the system says.
+        /// Error of the system.
         source: std::io::Error,
     },
     /// A worker thread cannot be started, or the listener failed.
     #[error("the system refuses a thread or a socket")]
     System(#[from] std::io::Error),
-    /// There is no way to the other machines.
+    /// The other machines cannot be reached.
     #[cfg(feature = "cluster")]
     #[error(transparent)]
     Cluster(#[from] ClusterError),
@@ -201,16 +203,16 @@ pub async fn serve(
     Ok(())
 }
 
-/// What serves the requests.
+/// Parts that serve the requests.
 struct Parts {
     engine: Engine,
     studies: Option<Studies>,
     links: Option<LinkKey>,
-    /// Completes once everything that ran at the stop has come to its end.
+    /// Completes once everything that ran at the stop has ended.
     drained: Pin<Box<dyn Future<Output = ()> + Send>>,
 }
 
-/// The engine of the configuration, with what else there is on its side.
+/// Returns the engine of the configuration, and the other parts that go with it.
 async fn parts(
     config: &ServeConfig,
     limits: Limits,
@@ -247,8 +249,8 @@ async fn viewers_door(address: SocketAddr) -> Result<TcpListener, ServeError> {
     Ok(door)
 }
 
-/// Lets this thread, which computes for long, give way to those that answer. Where a thread has no
-/// priority of its own they share alike.
+/// Lets this thread, which computes for long, give way to those that answer. Where threads have no
+/// priority of their own they share alike.
 fn give_way() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(None, NICENESS) {
@@ -256,7 +258,7 @@ fn give_way() {
     }
 }
 
-/// An error and its causes in one line.
+/// Returns an error and its causes in one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();

@@ -1,12 +1,13 @@
 //! 4 · Studies: many runs of one scene, one table.
 //!
-//! Which method, which step: [`precision`] measures error and work against the step, [`long_term`] the energy
-//! and the distance from the group over a long run, [`stability`] where each method fails. All measure with
-//! [`measure`] and against a [`reference::Reference`] that the program computes itself. [`own`] is work and precision on
-//! a system that no scenario describes.
+//! Each answers a question on method and step: [`precision`] measures error and work against the
+//! step, [`long_term`] the energy and the distance from the group over a long run, [`stability`]
+//! where each method fails. All measure with [`measure`] and against a [`reference::Reference`]
+//! that the program computes itself. [`own`] is work and precision on a system that no scenario
+//! describes.
 //!
-//! Invariant: a study repeats to the bit but for its times, on however many cores; no time is measured while another run is
-//! made; it ends early only if it is cancelled.
+//! Invariant: a study repeats to the bit but for its times, on any number of cores; no time is
+//! measured while another run is made; it ends early only if it is cancelled.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -29,7 +30,7 @@ pub mod table;
 use measure::Probe;
 use reference::ReferenceError;
 
-/// Why a study has no result.
+/// Reason why a study has no result.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum StudyError {
     /// The scene cannot be planned with a method.
@@ -44,21 +45,22 @@ pub enum StudyError {
     /// It was cancelled.
     #[error("the study was cancelled")]
     Cancelled,
-    /// It has cost all that it may.
+    /// It used up the allowed work.
     #[error("it has cost all that it may")]
     TooExpensive,
 }
 
-/// What a study shares with those who wait for it.
+/// State that a study shares with other threads.
 #[derive(Debug, Default)]
 pub struct Watch {
     /// Runs made so far.
     pub done: AtomicU64,
     /// Runs to be made, as far as that is known.
     pub total: AtomicU64,
-    /// Set it to stop the study within a sweep of its current step.
+    /// Stops the study within a sweep of its current step when set.
     pub cancelled: Arc<AtomicBool>,
-    /// Work that may still be done, in nanoseconds by the plan's figures: counted, not timed. No end if absent.
+    /// Work that may still be done, in nanoseconds by the plan's figures: counted, not timed.
+    /// Unlimited if absent.
     pub allowance_ns: Option<AtomicU64>,
 }
 
@@ -83,7 +85,7 @@ impl Watch {
         self.allowance_ns.as_ref().map_or(u64::MAX, |left| left.load(Ordering::Relaxed))
     }
 
-    /// Takes what a run has cost from what may still be done.
+    /// Subtracts the cost of a run from the work that may still be done.
     fn pay(&self, cost_ns: u64) {
         if let Some(left) = &self.allowance_ns {
             left.store(self.left_ns().saturating_sub(cost_ns), Ordering::Relaxed);
@@ -91,7 +93,8 @@ impl Watch {
     }
 }
 
-/// What a study makes of each of its methods, in their order, on `threads` threads. Not for timings.
+/// Returns the result for each of the methods, in their order, on `threads` threads. Not for
+/// timings.
 fn of_each<T: Send>(
     entries: &[Entry],
     threads: usize,
@@ -111,15 +114,16 @@ fn of_each<T: Send>(
     Ok(made)
 }
 
-/// Threads for runs that are not timed: what one has cost may end others, and then their order counts.
+/// Returns the number of threads for runs that are not timed: the cost of one may end others, and
+/// then their order counts.
 fn threads(watch: &Watch) -> usize {
     if watch.allowance_ns.is_some() { 1 } else { cores() }
 }
 
-/// Makes sure that a scene is one, whatever method and step it will run with.
+/// Checks that a scene is valid, whatever method and step it will run with.
 ///
 /// # Errors
-/// Those of planning it.
+/// The errors of planning it.
 #[cfg(feature = "serve")]
 pub(crate) fn scene_of(scene: &Scenario) -> Result<(), ScenarioError> {
     measure::variant(scene, &Method::default(), 1.0, 1).map(drop)
@@ -139,10 +143,10 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// An entry for a method that runs on the scene.
+    /// Creates an entry for a method that runs on the scene.
     ///
     /// # Errors
-    /// Those of planning the scene with the method.
+    /// The errors of planning the scene with the method.
     pub fn new(scene: &Scenario, method: Method) -> Result<Self, ScenarioError> {
         let formulation = measure::variant(scene, &method, 1.0, 1)?.formulation;
         let tableau = formulation.tableau.unwrap_or_else(|| format!("order {}", formulation.order));
@@ -152,7 +156,7 @@ impl Entry {
         Ok(Self { method, integrator, tableau, order })
     }
 
-    /// `vpd gauss2`, and the solver where it was asked for.
+    /// Returns `vpd gauss2`, and the solver where it was asked for.
     pub fn label(&self) -> String {
         let name = self.integrator.as_str();
         match self.method.solver.kind {
@@ -162,7 +166,7 @@ impl Entry {
     }
 }
 
-/// A solver's name in a scenario.
+/// Returns a solver's name in a scenario.
 pub(crate) fn solver_word(kind: SolverKind) -> &'static str {
     match kind {
         SolverKind::Auto => "auto",
@@ -186,7 +190,7 @@ fn variant(integrator: Integrator, of: Variant) -> Method {
     Method { name: integrator.into(), tableau, order, ..Method::default() }
 }
 
-/// Those of the methods that run on the scene.
+/// Returns those of the methods that run on the scene.
 pub(crate) fn entries(
     scene: &Scenario,
     methods: impl Iterator<Item = (Integrator, Variant)>,
@@ -202,12 +206,13 @@ fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entr
     methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()
 }
 
-/// The methods of a chart: a few of each family, so that its lines can be distinguished.
+/// Returns the methods of a chart: a few of each family, so that its lines can be distinguished.
 pub fn usual_methods(scene: &Scenario) -> Vec<Entry> {
     entries(scene, Integrator::charted())
 }
 
-/// Every method and tableau worth a row of the stability map, the VPD methods with each solver.
+/// Returns every method and tableau worth a row of the stability map, the VPD methods with each
+/// solver.
 pub fn all_methods(scene: &Scenario) -> Vec<Entry> {
     let rows = |(integrator, variants, each_solver): (Integrator, &'static [Variant], bool)| {
         let kinds = if each_solver { SOLVERS } else { &[SolverKind::Auto] };
@@ -231,7 +236,7 @@ pub struct Scales {
     pub kinetic: f64,
     /// A step in seconds at which a method of eighth order works.
     pub easy_step_s: f64,
-    /// Is it one of steps that adapt, because a point source is passed closely?
+    /// Whether it is an adaptive step, because a point source is passed closely.
     pub adapts: bool,
 }
 
@@ -264,7 +269,7 @@ impl Scales {
             let probe = Probe { every: 1, ..Probe::of(method, step_s, steps) };
             let run = measure::measure(scene, probe, watch)?;
             watch.advance(0)?;
-            // Steps that adapt are shorter where the body is fast.
+            // Adaptive steps are shorter where the body is fast.
             let gentle =
                 run.least_sigma.is_some() || run.fastest_rad_s * step_s <= 2.0 * EASY_TURN_RAD;
             let energy = run.largest_kinetic;
@@ -282,8 +287,9 @@ impl Scales {
     }
 }
 
-/// The least sigma that steps which adapt meet within `time_s`, as far as a few milliseconds of them come, as counted: how
-/// near a body point comes to a point source. `None` where there is nothing to adapt to.
+/// Returns the least sigma that adaptive steps meet within `time_s`, as far as a few milliseconds
+/// of them come, as counted: how near a body point comes to a point source. `None` where there is
+/// nothing to adapt to.
 pub(crate) fn nearest_sigma(scene: &Scenario, time_s: f64) -> Result<Option<f64>, ScenarioError> {
     const MOST_NS: u64 = 10_000_000;
     const MOST_STEPS: f64 = 1e6;
@@ -298,7 +304,7 @@ pub(crate) fn nearest_sigma(scene: &Scenario, time_s: f64) -> Result<Option<f64>
     Ok(measure::measure(scene, probe, &watch)?.least_sigma)
 }
 
-/// The time a scene is studied for unless the caller says otherwise: about one turn, as far as it runs.
+/// Returns the default time for which a scene is studied: about one turn, as far as it runs.
 fn usual_time(scene: &Scenario) -> Result<f64, ScenarioError> {
     let plan = Plan::new(scene)?;
     let duration_s = plan.steps as f64 * plan.step_s;

@@ -45,7 +45,7 @@ pub use table::merge;
 use table::{Identity, Part, cell, figure};
 use values::Axis;
 
-/// The most members of a sweep.
+/// Largest number of members of a sweep.
 pub const MOST_MEMBERS: u64 = 1_000_000;
 
 /// A sweep that can be run.
@@ -54,7 +54,7 @@ pub struct Sweep {
     file: SweepFile,
     /// The scenario that is varied.
     base: Scenario,
-    /// The same as a tree.
+    /// The same scenario as a tree.
     tree: Value,
     axes: Vec<Axis>,
     members: u64,
@@ -62,7 +62,7 @@ pub struct Sweep {
 }
 
 impl Sweep {
-    /// Reads and checks the file of a sweep; the path of its scenario is seen from there.
+    /// Reads and checks the file of a sweep; a relative path of its scenario starts at that file.
     ///
     /// # Errors
     /// [`SweepError::Io`] if it cannot be read, else those of [`Sweep::from_json`].
@@ -82,13 +82,13 @@ impl Sweep {
     /// Reads and checks a sweep that holds its scenario.
     ///
     /// # Errors
-    /// The first thing wrong with it, with the pointer of its field. What is wrong with a member alone is not: it is reported in
-    /// its line.
+    /// The first fault found, with the pointer of its field. A fault of a member alone is none: it
+    /// is reported in its line.
     pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
         Self::from_tree(read_tree(text)?)
     }
 
-    /// The same for a text that was read as JSON.
+    /// Does the same for a text that was read as JSON.
     pub(crate) fn from_tree(tree: Value) -> Result<Self, ScenarioError> {
         let open = |_: &str| {
             let message = "is the path of a file; here the scenario itself is needed";
@@ -114,7 +114,7 @@ impl Sweep {
             "is no part of a sweep: a member is one run".into()
         })?;
         let tree = serde_json::to_value(&base).expect("a scenario is JSON by construction");
-        // As it stands from now on, whatever becomes of the file that it came from.
+        // The scenario is kept as it is now, whatever becomes of the file that it came from.
         file.scenario = tree.clone();
         let n = base.dimension();
         let ends = end_columns(n);
@@ -138,8 +138,8 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// Makes sure that the values of the first member stand where a scenario has a field: a pointer with a slip in it would
-    /// have every member refused.
+    /// Checks that the values of the first member are set in fields that a scenario has: a pointer
+    /// with a slip in it would have every member refused.
     fn check_form(&self) -> Result<(), ScenarioError> {
         let mut document = self.tree.clone();
         for (at, (Vary { pointer, .. }, value)) in
@@ -162,40 +162,40 @@ impl Sweep {
         })
     }
 
-    /// The sweep as JSON, with the scenario that it varies.
+    /// Returns the sweep as JSON, with the scenario that it varies.
     #[cfg(feature = "cluster")]
     pub(crate) fn to_json(&self) -> Vec<u8> {
         serde_json::to_vec(&self.file).expect("a sweep is JSON by construction")
     }
 
-    /// The name of the scenario.
+    /// Returns the name of the scenario.
     pub fn name(&self) -> &str {
         self.base.name()
     }
 
-    /// How many members there are.
+    /// Returns the number of members.
     pub fn members(&self) -> u64 {
         self.members
     }
 
-    /// The members whose logs are to be kept.
+    /// Returns the members whose logs are to be kept.
     pub fn kept_logs(&self) -> &[u64] {
         &self.file.keep_logs
     }
 
-    /// The heads of the table's columns.
+    /// Returns the heads of the table's columns.
     pub fn columns(&self) -> &[String] {
         &self.columns
     }
 
-    /// About how long it takes on one core, in seconds, and the bytes of its table: by the first, the middle and the last
-    /// member, as far as they are runs.
+    /// Returns about how long it takes on one core, in seconds, and the bytes of its table: by the
+    /// first, the middle and the last member, as far as they are runs.
     ///
     /// # Errors
-    /// If one of them asks for an accuracy: what that takes is not known before.
+    /// If one of them asks for an accuracy: its cost is not known before.
     #[cfg(feature = "serve")]
     pub(crate) fn estimate(&self) -> Result<(f64, u64), ScenarioError> {
-        /// Of a line, for each of its cells.
+        /// Bytes of a line, for each of its cells.
         const CELL_BYTES: u64 = 20;
         let looked_at = [0, self.members / 2, self.members - 1];
         let mut seconds = Vec::with_capacity(looked_at.len());
@@ -213,7 +213,7 @@ impl Sweep {
         Ok((runs * mean * self.members as f64, bytes))
     }
 
-    /// SHA-256 of all that the table depends on, in hexadecimal digits.
+    /// Returns the SHA-256 of everything that the table depends on, in hexadecimal digits.
     pub fn digest(&self) -> String {
         let SweepFile { scenario, vary, combine, seed, scores, .. } = &self.file;
         let text = json!({
@@ -223,13 +223,13 @@ impl Sweep {
         digest.iter().map(|byte| format!("{byte:02x}")).collect()
     }
 
-    /// The varied values of a member, in the order of their fields.
+    /// Returns the varied values of a member, in the order of their fields.
     fn values(&self, member: u64) -> Vec<Value> {
         let places = self.places(member);
         self.axes.iter().zip(places).map(|(axis, at)| axis.value(at)).collect()
     }
 
-    /// Which value of each field a member has.
+    /// Returns the number of the value of each field for a member.
     fn places(&self, member: u64) -> Vec<u64> {
         let counts = self.file.vary.iter().map(|field| field.values.count());
         match self.file.combine {
@@ -250,10 +250,11 @@ impl Sweep {
         }
     }
 
-    /// The scenario of a member.
+    /// Returns the scenario of a member.
     ///
     /// # Errors
-    /// What its values make wrong, with the pointer of the field in the scenario; a member past the last at the empty pointer.
+    /// An invalid value, with the pointer of the field in the scenario; a member past the last at
+    /// the empty pointer.
     pub fn scenario(&self, member: u64) -> Result<Scenario, ScenarioError> {
         ensure(member < self.members, "", || {
             format!("member {member} asked for, they are numbered from 0 to {}", self.members - 1)
@@ -278,21 +279,23 @@ impl Sweep {
         Ok(scenario)
     }
 
-    /// The plan of a member, for [`crate::run::execute`]: its log holds the motion whose figures are in the table.
+    /// Returns the plan of a member, for [`crate::run::execute`]: its log holds the motion whose
+    /// figures are in the table.
     ///
     /// # Errors
-    /// Those of [`Sweep::scenario`] and [`Plan::new`].
+    /// The errors of [`Sweep::scenario`] and [`Plan::new`].
     pub fn plan(&self, member: u64) -> Result<Plan, ScenarioError> {
         member::plan(&self.scenario(member)?, &Arc::default())
     }
 
-    /// Runs a member: its line of the table, and why it was refused if it was. `None` if `stop` was set.
+    /// Runs a member: returns its line of the table, and why it was refused if it was. `None` if
+    /// `stop` was set.
     fn line(&self, member: u64, stop: &Arc<AtomicBool>) -> Option<Line> {
         let values = self.values(member);
         let planned = self.with(&values).and_then(|scenario| member::plan(&scenario, stop));
         let outcome = match planned {
             Ok(plan) => member::run(&plan, &self.file.scores, stop)?,
-            // What was stopped is not refused.
+            // A member that was stopped is not refused.
             Err(_) if stop.load(Ordering::Relaxed) => return None,
             Err(error) => Outcome::Refused(error),
         };
@@ -331,7 +334,8 @@ struct Line {
     refusal: Option<ScenarioError>,
 }
 
-/// The heads of what every table has: before the varied values and after them up to the outcome, then the rest.
+/// Returns the heads of the columns that every table has: before the varied values and after them
+/// up to the outcome, then the rest.
 fn end_columns(n: usize) -> [Vec<String>; 2] {
     let names = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
     let head = names(&["member", "outcome", "code"]);
@@ -349,7 +353,7 @@ fn end_columns(n: usize) -> [Vec<String>; 2] {
     [head, tail]
 }
 
-/// The JSON Schema of a sweep, generated from the types.
+/// Returns the JSON Schema of a sweep, generated from the types.
 pub fn schema() -> Value {
     schemars::schema_for!(SweepFile).to_value()
 }
@@ -357,14 +361,14 @@ pub fn schema() -> Value {
 /// One of several parts of a sweep, for array jobs: the first is `1/N`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
-    /// Which, from 1 on.
+    /// Number of the part, from 1 on.
     number: u64,
-    /// Of how many.
+    /// Number of all parts.
     of: u64,
 }
 
 impl Shard {
-    /// The members that belong to it; all shards together have each once.
+    /// Returns the members that belong to it; all shards together have each once.
     fn range(self, members: u64) -> Range<u64> {
         let before =
             |number: u64| (u128::from(members) * u128::from(number) / u128::from(self.of)) as u64;
@@ -396,14 +400,14 @@ impl fmt::Display for Shard {
     }
 }
 
-/// What became of members.
+/// Outcomes of members.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Those that made all their steps.
+    /// Number of members that made all their steps.
     pub succeeded: u64,
-    /// Those of which a step could not be made.
+    /// Number of members of which a step could not be made.
     pub failed: u64,
-    /// Those whose values make no scenario.
+    /// Number of members whose values make no scenario.
     pub refused: u64,
 }
 
@@ -417,21 +421,22 @@ impl Counts {
     }
 }
 
-/// How a sweep is run.
+/// Options of the run of a sweep.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// Number of threads.
     pub threads: usize,
-    /// This part of it alone; the table is then one for [`merge`].
+    /// The only part of it to run; the table is then one for [`merge`].
     pub shard: Option<Shard>,
-    /// Whether what stands in the place of the table is replaced: a finished table, or an unfinished one of something else.
+    /// Whether a file in the place of the table is replaced: a finished table, or an unfinished one
+    /// of something else.
     pub replaces: bool,
 }
 
-/// What a table holds.
+/// Summary of a table that was made.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Made {
-    /// What became of the members.
+    /// Outcomes of the members.
     pub counts: Counts,
     /// Members whose lines an earlier run had made.
     pub resumed: u64,
@@ -439,12 +444,13 @@ pub struct Made {
     pub first_refused: Option<(u64, ScenarioError)>,
 }
 
-/// Runs a sweep, or goes on with what an interrupted run left in `table.part`: the table is the same, byte for byte.
-/// Blocks. `watch` counts members, and stops it. `finish` is called when all lines are there, before the table gets its
-/// name; it is given the members of this run.
+/// Runs a sweep, or resumes what an interrupted run left in `table.part`: the table is the same,
+/// byte for byte. Blocks. `watch` counts members, and stops it. `finish` is called when all lines
+/// are there, before the table gets its name; it is given the members of this run.
 ///
 /// # Errors
-/// If the table cannot be written, something else stands in its place, or the run is interrupted; those of `finish`.
+/// If the table cannot be written, something else is in its place, or the run is interrupted; those
+/// of `finish`.
 pub fn run<E: From<SweepError>>(
     sweep: &Sweep,
     table: &Path,
@@ -468,7 +474,7 @@ pub fn run<E: From<SweepError>>(
     let head = table::line(&sweep.columns);
     let head = head.trim_end();
     let whole = shard.is_none();
-    // An array job that is started again finds what it was asked for.
+    // An array job that is started again finds its finished part.
     if !whole
         && !replaces
         && let Some(counts) = table::finished(table, &identity, head)
@@ -518,7 +524,7 @@ pub fn run<E: From<SweepError>>(
     Ok(Made { counts, resumed, first_refused })
 }
 
-/// What ends a sweep or a merge early.
+/// Error that ends a sweep or a merge early.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepError {
     /// A field of the sweep is wrong.
@@ -529,12 +535,12 @@ pub enum SweepError {
     Io {
         /// The file.
         path: PathBuf,
-        /// What was tried.
+        /// Operation that failed.
         action: &'static str,
-        /// The system's answer.
+        /// Error of the system.
         source: io::Error,
     },
-    /// What stands in the place of the table is to be kept.
+    /// The file in the place of the table is to be kept.
     #[error("{} is there already{}; --force replaces it, -o writes another", path.display(), unfinished(*finished))]
     Exists {
         /// The file.
@@ -583,7 +589,7 @@ pub enum SweepError {
         members: (u64, u64),
         /// The shards that hold them, at most ten.
         shards: Vec<u64>,
-        /// Of how many.
+        /// Number of all shards.
         of: u64,
     },
     /// A table that is not of this sweep.
@@ -599,7 +605,7 @@ impl SweepError {
         Self::Io { path: path.to_owned(), action, source }
     }
 
-    /// Whether it is what was given that is wrong, and not what came of it.
+    /// Returns whether the input is wrong, and not the execution.
     pub fn is_bad_input(&self) -> bool {
         match self {
             Self::Io { action, source, .. } => *action == "read" || part::is_busy(source),
@@ -613,7 +619,7 @@ fn unfinished(finished: bool) -> &'static str {
     if finished { "" } else { ", of another sweep, another part or another build, unfinished" }
 }
 
-/// `shard 2/4 is`, for a list of shards.
+/// Returns `shard 2/4 is`, for a list of shards.
 fn words(shards: &[u64], of: u64) -> String {
     let named: Vec<String> = shards.iter().map(|number| format!("{number}/{of}")).collect();
     match named.as_slice() {

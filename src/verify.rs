@@ -19,36 +19,36 @@ use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT};
 use crate::run::{self, Control, JobContext, RunError};
 use crate::scenario::{Scenario, ScenarioError};
 
-/// Messages that travel together between the readers.
+/// Number of messages that are passed between the readers at once.
 const BATCH: usize = 256;
 
-/// What came of it.
+/// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Verification {
     /// Whether every sample is the same.
     pub same: bool,
     /// Messages that were compared and found the same.
     pub messages: u64,
-    /// How the job in the log ended.
+    /// End of the job in the log.
     pub state: String,
-    /// The first place where the logs part.
+    /// The first difference of the logs.
     pub difference: Option<Difference>,
     /// The build that wrote the log, and this one.
     pub builds: [String; 2],
 }
 
-/// Where two logs part.
+/// Difference of two logs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// The topic of the message in the log; of the new one if the log has no more.
     pub topic: String,
     /// Its time since the start of the log, in seconds.
     pub time_s: f64,
-    /// In what it differs.
+    /// Part in which it differs.
     pub what: &'static str,
 }
 
-/// Why a log cannot be verified.
+/// Reason why a log cannot be verified.
 #[derive(Debug, Error)]
 pub enum VerifyError {
     /// The log cannot be read.
@@ -57,13 +57,13 @@ pub enum VerifyError {
     /// It is not whole: how its job ended is unknown.
     #[error("the log is not finished: {damage}")]
     Unfinished {
-        /// What is wrong with its end.
+        /// Damage at its end.
         damage: String,
     },
     /// The scenario or the outcome is missing.
     #[error("the log holds no {what}")]
     Missing {
-        /// What is missing.
+        /// The missing part.
         what: &'static str,
     },
     /// This build does not take the scenario.
@@ -75,7 +75,7 @@ pub enum VerifyError {
     /// The job could not be run.
     #[error(transparent)]
     Run(#[from] RunError),
-    /// There is no place for the second log.
+    /// The second log cannot be placed.
     #[error("no temporary directory: {0}")]
     Place(#[from] std::io::Error),
 }
@@ -92,7 +92,8 @@ pub fn verify(log: &Path) -> Result<Verification, VerifyError> {
         if scenario.ensemble.is_some() {
             return Err(VerifyError::Cancelled);
         }
-        // The whole job again, for an accuracy chooses its step by how far the job was to go.
+        // The whole job is run again, because an accuracy chooses its step by how far the job was
+        // to go.
         let steps = outcome.get("steps").and_then(|steps| steps.parse().ok());
         control.cancelled_at = Some(steps.ok_or(VerifyError::Missing { what: "number of steps" })?);
     }
@@ -105,7 +106,7 @@ pub fn verify(log: &Path) -> Result<Verification, VerifyError> {
     Ok(Verification { same: difference.is_none(), messages, state, difference, builds })
 }
 
-/// What a log says of its job.
+/// Records of a log about its job.
 struct Kept {
     scenario: Scenario,
     outcome: BTreeMap<String, String>,
@@ -146,7 +147,8 @@ struct Entry {
     data: Vec<u8>,
 }
 
-/// Compares two logs message by message: how many are the same from the start, and the first difference.
+/// Compares two logs message by message: returns how many are the same from the start, and the
+/// first difference.
 fn compare(log: &Path, again: &Path) -> Result<(u64, Option<Difference>), LogError> {
     thread::scope(|scope| {
         let (send, kept) = sync_channel(4);
@@ -156,7 +158,7 @@ fn compare(log: &Path, again: &Path) -> Result<(u64, Option<Difference>), LogErr
             scope.spawn(move || send_all(again, &send_again)),
         ];
         let compared = meet(kept.iter().flatten(), made.iter().flatten());
-        // A reader that is not heard any more stops.
+        // A reader without a receiver stops.
         drop((kept, made));
         for reader in readers {
             reader.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
@@ -194,7 +196,7 @@ fn meet(
     }
 }
 
-/// Sends the messages of a log, but for its words about the job.
+/// Sends the messages of a log, but for its lines about the job.
 fn send_all(log: &Path, out: &SyncSender<Vec<Entry>>) -> Result<(), LogError> {
     let mut batch = Vec::with_capacity(BATCH);
     reader::read(log, |item| {

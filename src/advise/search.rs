@@ -12,42 +12,43 @@ use crate::study::{Entry, Scales, StudyError, Watch, entries};
 
 use super::Obstacle;
 
-/// The error asked for is aimed at with this margin where the whole run is seen.
+/// Margin below the requested error that is aimed at where the whole run is seen.
 pub(super) const MARGIN: f64 = 1.25;
-/// And with this one where their errors were carried on.
+/// Margin where the errors were extrapolated to the end.
 const CARRIED_MARGIN: f64 = 10.0;
-/// Errors that grow faster than this power of time are not carried on.
+/// Errors that grow faster than this power of time are not extrapolated.
 const FASTEST_GROWTH: f64 = 3.0;
-/// Errors are carried on by this much of a power of time faster than they were seen to grow.
+/// Power of time that is added to the observed growth when errors are extrapolated.
 const DOUBT: f64 = 0.5;
 /// A smaller error than this is luck.
 pub(super) const ROUND_OFF: f64 = 1e-16;
-/// Steps that are tried for a method.
+/// Number of steps tried for a method.
 const TRIES: u32 = 7;
-/// Steps that are tried for a method over the whole run.
+/// Number of steps tried for a method over the whole run.
 const WHOLE_TRIES: u32 = 4;
-/// And for a member of an ensemble.
+/// Number of steps tried for a member of an ensemble.
 const MEMBER_TRIES: u32 = 8;
 /// A step that is larger by less than this is not tried over the whole run.
 const WORTH_A_TRY: f64 = 0.93;
-/// Errors whose growth, as the first part of a run shows it, is too much only past this part of the run are looked at there.
+/// Part of the run up to which errors, by their growth in the first part, must stay small enough.
+/// Beyond it they are checked by a run.
 pub(super) const TO_BE_SEEN: f64 = 0.5;
-/// Steps that are tried where a run is followed past its reference.
+/// Number of steps tried where a run is followed past its reference.
 const FOLLOWING_TRIES: u32 = 5;
-/// Of the work that is left, what following it may take at first; and with a smaller step.
+/// Shares of the remaining work for following a run, at first and with a smaller step.
 const FOLLOWED_PART: f64 = 0.3;
 const MENDED_PART: f64 = 0.6;
-/// A run that is not seen to its end is made as many times more accurate.
+/// Factor by which a run that is not seen to its end is made more accurate.
 const UNSEEN: f64 = 1e3;
-/// Two runs that are so far apart show nothing more of how errors depend on the step.
+/// Distance at which two runs no longer show how errors depend on the step.
 const LOST: f64 = 1e-2;
 /// A step that is to be smaller by a factor in this range is halved.
 const NEARLY_HALF: std::ops::Range<f64> = 1.6..2.4;
-/// A run and the same in half the steps, in steps of the run.
+/// Work of a run and of the same with halved steps, in steps of the run.
 const RUN_AND_HALF: f64 = 3.0;
 
-/// The methods that are tried, those first whose steps are cheap: what costs much more than one that gets there is not
-/// tried.
+/// Returns the methods that are tried, those with cheap steps first: a method that costs much more
+/// than one that reaches the accuracy is not tried.
 fn methods(scene: &Scenario, asked: Accuracy, scales: &Scales) -> Vec<Entry> {
     let mut all = entries(scene, Integrator::tried(asked.symplectic));
     if scales.adapts {
@@ -56,7 +57,7 @@ fn methods(scene: &Scenario, asked: Accuracy, scales: &Scales) -> Vec<Entry> {
     all
 }
 
-/// The error to which a reference has to be known.
+/// Returns the error to which a reference has to be known.
 pub(super) fn needed(asked: Accuracy) -> f64 {
     asked.error / (2.0 * MARGIN)
 }
@@ -67,11 +68,11 @@ pub(super) struct Choice {
     pub(super) step_s: f64,
     /// The error expected at the end of the run.
     pub(super) expected: f64,
-    /// What a second of motion costs.
+    /// Cost of a second of motion.
     cost_ns: f64,
     /// The time to which the run was seen.
     pub(super) seen_s: f64,
-    /// Is that as far as it can be seen?
+    /// Whether that is as far as it can be seen.
     sure: bool,
 }
 
@@ -79,7 +80,7 @@ pub(super) struct Choice {
 pub(super) struct Contender {
     pub(super) entry: Entry,
     pub(super) choice: Option<Choice>,
-    /// The last step that was seen to get there, while a larger one is tried.
+    /// The last step that was seen to reach the accuracy, while a larger one is tried.
     sure: Option<Choice>,
     /// The least error that was met.
     pub(super) least: Option<f64>,
@@ -91,7 +92,7 @@ impl Contender {
         self.choice.map_or(f64::INFINITY, |choice| choice.cost_ns)
     }
 
-    /// What the plan says of it.
+    /// Returns its entry in the plan.
     pub(super) fn reported(&self) -> Candidate {
         let Self { entry, choice, least, .. } = self;
         Candidate {
@@ -104,7 +105,7 @@ impl Contender {
     }
 }
 
-/// Why a member keeps the ensemble from its accuracy.
+/// Reason why a member keeps the ensemble from its accuracy.
 pub(super) enum Unmet {
     Study(StudyError),
     Obstacle(Obstacle),
@@ -120,27 +121,27 @@ fn of_member(member: u64, why: Obstacle) -> Unmet {
     Unmet::Obstacle(Obstacle::Member { member, why: Box::new(why) })
 }
 
-/// What became of a choice that was followed past the reference.
+/// Outcome of following a choice past the reference.
 enum Followed {
-    /// This one gets there.
+    /// This choice reaches the accuracy.
     Reached(Choice),
-    /// None does; the least error met.
+    /// No choice reaches it; holds the least error met.
     Missed(Option<f64>),
 }
 
-/// What the search for a step needs to know.
+/// Inputs of the search for a step.
 pub(super) struct Trial<'a> {
     pub(super) scenario: &'a Scenario,
     pub(super) asked: Accuracy,
     pub(super) duration_s: f64,
     pub(super) scales: Scales,
-    /// Of the first part of the run.
+    /// Reference for the first part of the run.
     pub(super) near: Reference,
-    /// As far as a reference reaches: of the whole run, if it is not too long.
+    /// Reference that reaches as far as possible: over the whole run, if it is not too long.
     pub(super) far: Reference,
 }
 
-/// `steps` or a few more, a multiple of `of`.
+/// Returns `steps` or a few more, a multiple of `of`.
 fn multiple(steps: f64, of: u64) -> u64 {
     of * (steps / of as f64).ceil().max(1.0) as u64
 }
@@ -154,26 +155,27 @@ impl Trial<'_> {
         self.goal_seen_to(self.far.time_s)
     }
 
-    /// The error that is aimed at where a run is seen to a time.
+    /// Returns the error that is aimed at where a run is seen to `time_s`.
     fn goal_seen_to(&self, time_s: f64) -> f64 {
         self.asked.error / if time_s >= self.duration_s { MARGIN } else { CARRIED_MARGIN }
     }
 
-    /// The steps of such a size over a time: as they were tried, so that the run is the one that was seen.
+    /// Returns the number of steps of this size over a time, as they were tried, so that the run is
+    /// the one seen.
     pub(super) fn steps(&self, step_s: f64, time_s: f64) -> u64 {
-        // The last digit of a quotient is no step too many.
+        // The last digit of a quotient must not add a step.
         multiple(time_s / step_s * (1.0 - 1e-12), self.unit(time_s))
     }
 
-    /// What the number of steps over a time is a multiple of: so that a reference can be met, and over the whole run so that
-    /// samples come where they are asked for.
+    /// Returns the number of which the steps over a time are a multiple, so that a reference can be
+    /// met and, over the whole run, samples fall on the requested times.
     fn unit(&self, time_s: f64) -> u64 {
         let sampled = if time_s >= self.duration_s { self.scenario.multiple_of_steps() } else { 1 };
         let mut multiples = (1..QUARTERS).map(|k| k * sampled);
         multiples.find(|steps| steps % QUARTERS == 0).unwrap_or(QUARTERS * sampled)
     }
 
-    /// Makes sure that errors may be carried on to the end of the run, or to such a part of it.
+    /// Checks that errors may be extrapolated to the end of the run, or to this part of it.
     pub(super) fn carried(&self, part: f64) -> Result<(), Obstacle> {
         let Growth::Exponential { tenfold_s } = self.far.growth() else { return Ok(()) };
         if self.is_whole() {
@@ -191,7 +193,7 @@ impl Trial<'_> {
         Err(Obstacle::Untold { least: grown.min(2.0), time_s: self.duration_s, until_s, growth })
     }
 
-    /// All methods with the steps that the first part of the run asks for.
+    /// Returns all methods with the steps that the first part of the run asks for.
     pub(super) fn contenders(&self, watch: &Watch) -> Result<Vec<Contender>, StudyError> {
         let mut cheapest = f64::INFINITY;
         let mut contenders = Vec::new();
@@ -203,15 +205,15 @@ impl Trial<'_> {
         Ok(contenders)
     }
 
-    /// The cheapest step of a method that is expected to reach the accuracy, and the least error met. Given
-    /// up where it costs more than `cheapest`.
+    /// Returns the cheapest step of a method that is expected to reach the accuracy, and the least
+    /// error met. Gives up where it costs more than `cheapest`.
     fn search(
         &self,
         entry: &Entry,
         cheapest: f64,
         watch: &Watch,
     ) -> Result<(Option<Choice>, Option<f64>), StudyError> {
-        /// What costs this many times more by its usual sweeps is not even tried.
+        /// Methods that cost this many times more by their usual sweeps are not even tried.
         const TOO_DEAR: f64 = 6.0;
         let (time_s, goal) = (self.near.time_s, self.goal());
         let unit = self.unit(time_s);
@@ -260,8 +262,8 @@ impl Trial<'_> {
         Ok((reached.map(|(_, choice)| choice), least))
     }
 
-    /// Runs the cheapest as far as a reference reaches, follows it past that, and mends its step, until the cheapest is one
-    /// that was seen to get there.
+    /// Runs the cheapest as far as a reference reaches, follows it past that, and corrects its
+    /// step, until the cheapest is one that was seen to reach the accuracy.
     pub(super) fn decide(&self, contenders: &mut [Contender], watch: &Watch) -> Result<(), Unmet> {
         let time_s = self.far.time_s;
         let mut follow_s = None;
@@ -321,7 +323,7 @@ impl Trial<'_> {
                 libm::pow(expected.max(ROUND_OFF) / self.goal(), 1.0 / order)
             });
             let factor = (1.03 * ratio).clamp(0.4, 4.0);
-            // As much larger as pays for another try, or smaller until it gets there.
+            // Larger if that is worth another try, or smaller until it reaches the accuracy.
             let goes_on = sure.is_none() || (expected.is_some() && factor < WORTH_A_TRY);
             *choice = if *tries < WHOLE_TRIES && goes_on {
                 let factor = if sure.is_some() { factor } else { factor.max(1.03) };
@@ -337,15 +339,16 @@ impl Trial<'_> {
         }
     }
 
-    /// The time to which a choice may be followed for that part of the work that is left, in all members.
+    /// Returns the time to which a choice may be followed for this share of the remaining work, in
+    /// all members.
     fn affordable_s(&self, choice: Choice, part: f64, watch: &Watch) -> f64 {
         let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
         let allowed_ns = part * watch.left_ns() as f64 / members as f64;
         self.duration_s.min(allowed_ns / (RUN_AND_HALF * choice.cost_ns))
     }
 
-    /// Follows a choice past the reference, as it will be made, against the same in half the steps; its step is mended until
-    /// the two are near each other.
+    /// Follows a choice past the reference, as it will be made, against the same with halved steps,
+    /// and corrects its step until the two are near each other.
     ///
     /// ```text
     /// |z_h(t) - z_{h/2}(t)| = (1 - 2^-p) |z_h(t) - z(t)|,      p the order; and round-off of both
@@ -368,11 +371,11 @@ impl Trial<'_> {
         let (mut reached, mut least) = (None::<Choice>, None::<(f64, Reference)>);
         let (mut before, mut last) = (None::<(u64, Measured)>, None::<f64>);
         for attempt in 1..=FOLLOWING_TRIES {
-            // What others have taken, and a smaller step takes, is not there any more.
+            // Work taken by others, and by a smaller step, is no longer available.
             if member == 0 {
                 let part = if attempt == 1 { FOLLOWED_PART } else { MENDED_PART };
                 let affordable_s = self.affordable_s(choice, part, watch);
-                // A larger step than one that got there is not worth a shorter look.
+                // A larger step than one that reached the accuracy is not worth a shorter look.
                 if affordable_s <= self.far.time_s || (affordable_s < until_s && reached.is_some())
                 {
                     break;
@@ -400,8 +403,9 @@ impl Trial<'_> {
                     if least.as_ref().is_none_or(|(least, _)| met <= *least) {
                         least = Some((met, reference));
                     }
-                    // What half the step does not mend is round-off, unless the motion has been lost altogether. Less of it
-                    // shows nothing: near an anchor or a charge it matters where the steps fall.
+                    // An error that half the step does not reduce is round-off, unless the motion
+                    // has been lost altogether. A smaller one shows nothing: near an anchor or a
+                    // charge it matters where the steps fall.
                     if !is_mended && is_half && met < LOST {
                         break;
                     }
@@ -418,7 +422,7 @@ impl Trial<'_> {
                 if reached.is_none_or(|reached| seen.cost_ns < reached.cost_ns) {
                     reached = Some(seen);
                 }
-                // A larger step is for all members, and not where errors were carried on.
+                // A larger step is for all members, and not where errors were extrapolated.
                 if member > 0 || time_s < self.duration_s || factor > WORTH_A_TRY {
                     break;
                 }
@@ -456,7 +460,8 @@ impl Trial<'_> {
         }
     }
 
-    /// The choice with a smaller step, where its run is not seen to the end: a motion may become harsher there.
+    /// Returns the choice with a smaller step where its run is not seen to the end: a motion may
+    /// become harsher there.
     fn with_care(&self, entry: &Entry, choice: Choice, member: u64) -> Choice {
         if member > 0 || choice.seen_s >= self.duration_s {
             return choice;
@@ -466,7 +471,7 @@ impl Trial<'_> {
         Choice { step_s, cost_ns, ..choice }
     }
 
-    /// A run over a time, with its states at each quarter.
+    /// Makes a run over a time, with its states at each quarter.
     fn run(
         &self,
         entry: &Entry,
@@ -482,7 +487,7 @@ impl Trial<'_> {
         Ok(run)
     }
 
-    /// The choice with a step that is small enough for every member of an ensemble.
+    /// Returns the choice with a step that is small enough for every member of an ensemble.
     pub(super) fn every_member(
         &self,
         entry: &Entry,
@@ -517,7 +522,7 @@ impl Trial<'_> {
         Ok(choice)
     }
 
-    /// The choice with a step that is small enough for a member, too.
+    /// Returns the choice with a step that is small enough for a member, too.
     fn of_member(
         &self,
         entry: &Entry,
@@ -559,7 +564,8 @@ impl Trial<'_> {
         Err(obstacle(Obstacle::NoMethod { least: None }))
     }
 
-    /// The error expected at the end of the run; `None` where errors grow too fast to be carried on.
+    /// Returns the error expected at the end of the run; `None` where errors grow too fast to be
+    /// extrapolated.
     fn expected(&self, reference: &Reference, run: &Measured) -> Option<f64> {
         let errors: Vec<f64> = run
             .points
@@ -570,10 +576,11 @@ impl Trial<'_> {
         self.carried_on(&errors, reference.error, reference.time_s)
     }
 
-    /// The same for the errors at the quarters of a time, known to `known`.
+    /// Extrapolates the errors at the quarters of a time, known to `known`, to the end of the run.
     fn carried_on(&self, errors: &[f64], known: f64, time_s: f64) -> Option<f64> {
         let largest = |errors: &[f64]| errors.iter().copied().fold(0.0, f64::max);
-        // Not the last alone: an error that swings may pass through zero there. And no more is known than by the reference.
+        // Not the last alone: an error that swings may pass through zero there. Nor is more known
+        // than by the reference.
         let late = largest(&errors[errors.len() / 2..]) + known;
         if self.duration_s <= time_s {
             return Some(late);
@@ -581,7 +588,7 @@ impl Trial<'_> {
         let early = largest(&errors[..errors.len() / 2 + 1]).max(known).max(ROUND_OFF);
         let growth = libm::log2(late / early).max(1.0);
         let ratio = self.duration_s / time_s;
-        // What will be seen to its end is a guess here; what will not is to hold.
+        // For a run that will be seen to its end this is a guess; for any other it has to hold.
         if self.is_whole() {
             return Some(late * libm::pow(ratio, growth.min(FASTEST_GROWTH)));
         }

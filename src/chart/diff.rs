@@ -1,10 +1,10 @@
-//! Two logs next to each other.
+//! Chart of the differences of two logs.
 
 use super::plot::{Axis, Line, Scale, Style};
 use super::{ChartError, over_time};
 use crate::diff::{Comparison, Quantity};
 
-/// Draws the differences of two logs over time, a line a quantity; `names` are theirs.
+/// Draws the differences of two logs over time, one line per quantity; `names` names the logs.
 ///
 /// # Errors
 /// If the drawing fails, which no finite data makes it do.

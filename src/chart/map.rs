@@ -103,7 +103,7 @@ fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
     Ok(())
 }
 
-/// A window of steps that a method must not take: a wedge that stands on the lower edge of its row.
+/// Draws a window of steps that a method must not take: a wedge on the lower edge of its row.
 fn draw_window(root: &Area<'_>, (from, to, below): (i32, i32, i32)) -> Drawn {
     let middle = (from + to) / 2;
     let wedge = vec![(middle - 5, below - 1), (middle + 5, below - 1), (middle, below - 11)];
@@ -115,7 +115,7 @@ fn draw_window(root: &Area<'_>, (from, to, below): (i32, i32, i32)) -> Drawn {
 
 const CIVIDIS_MIDDLE: RGBColor = RGBColor(124, 123, 120);
 
-/// The classes that the map shows in addition to `stable`, each once.
+/// Returns the classes that the map shows in addition to `stable`, each once.
 fn classes(map: &Map) -> Vec<Class> {
     let mut classes = Vec::new();
     for class in map.cells.iter().flatten().map(|cell| cell.class) {
@@ -138,7 +138,7 @@ fn words(class: Class) -> String {
     }
 }
 
-/// Where a step stands on the axis, in pixels from the left.
+/// Returns the place of a step on the axis, in pixels from the left.
 fn column_of(map: &Map, step_s: f64) -> i32 {
     let (first, last) = (map.steps_s[0], map.steps_s[map.steps_s.len() - 1]);
     let columns =
@@ -153,7 +153,7 @@ fn color(map: &Map, energy_error: Option<f64>) -> RGBColor {
     shade((decade - low) / (high - low))
 }
 
-/// The colour at a place from 0, bright, to 1, dark.
+/// Returns the colour at a place from 0, bright, to 1, dark.
 pub(super) fn shade(place: f64) -> RGBColor {
     let scaled = place * (CIVIDIS.len() - 1) as f64;
     let index = (scaled as usize).min(CIVIDIS.len() - 2);
@@ -192,7 +192,7 @@ fn color_bar(
     Ok(())
 }
 
-/// A cell: its colour where it is usable, else grey with the hatch of its class.
+/// Draws a cell: its colour where it is usable, else grey with the hatch of its class.
 fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor) -> Drawn {
     let (w, h) = (CELL.0 - 1, CELL.1 - 1);
     let fill = if class.is_usable() { color } else { GREY };
@@ -255,7 +255,7 @@ fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor)
             Code::PotentialSingularity => flat(10)?,
             Code::OutsideTable => flat(14)?,
             Code::OpenOrbit => upright(14)?,
-            // Of a study that was stopped there is no map.
+            // A study that was stopped has no map.
             Code::Stopped => {}
             Code::NonFinite => {
                 let dots = [(6, 5), (13, 5), (19, 5), (6, 13), (13, 13), (19, 13)];
@@ -268,7 +268,7 @@ fn draw_cell(root: &Area<'_>, (x, y): (i32, i32), class: Class, color: RGBColor)
     Ok(())
 }
 
-/// Two digits, as short as can be.
+/// Formats a number in two digits, as short as possible.
 fn short(x: f64) -> String {
     let digits = libm::log10(x).floor() as i32 - 1;
     let unit = libm::pow(10.0, f64::from(digits));

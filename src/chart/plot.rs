@@ -11,7 +11,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::{Area, ChartError, Drawn, INK, PALE, PALETTE};
 
-/// How an axis is divided.
+/// Division of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
     /// Evenly.
@@ -23,9 +23,9 @@ pub enum Scale {
 /// An axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Axis<'a> {
-    /// What it shows, with its unit.
+    /// Quantity that it shows, with its unit.
     pub label: &'a str,
-    /// How it is divided.
+    /// Division of the axis.
     pub scale: Scale,
 }
 
@@ -36,14 +36,14 @@ pub struct Style {
     pub color: usize,
     /// Number of the member in its family.
     pub member: usize,
-    /// Is each point marked?
+    /// Whether each point is marked.
     pub marked: bool,
 }
 
 /// A line of a chart.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// What it is, for the legend; not shown for a single line.
+    /// Label for the legend; not shown for a single line.
     pub label: String,
     /// Its points.
     pub points: Vec<(f64, f64)>,
@@ -54,11 +54,11 @@ pub struct Line {
 /// A chart of lines.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plot<'a> {
-    /// What it shows.
+    /// Title of the chart.
     pub title: String,
-    /// Across.
+    /// Horizontal axis.
     pub x: Axis<'a>,
-    /// Up.
+    /// Vertical axis.
     pub y: Axis<'a>,
     /// The lines.
     pub lines: Vec<Line>,
@@ -66,7 +66,7 @@ pub struct Plot<'a> {
     pub points: Vec<(f64, f64)>,
     /// Dashed lines in black to compare slopes with: two ends each.
     pub guides: Vec<[(f64, f64); 2]>,
-    /// What the guides are, for the legend.
+    /// Label of the guides in the legend.
     pub guide_label: String,
 }
 
@@ -74,7 +74,7 @@ const SIZE: (u32, u32) = (960, 480);
 const TITLE_HEIGHT: u32 = 44;
 /// Values on a logarithmic axis below this are drawn at it: a tenth of the spacing of the numbers below one.
 const FLOOR: f64 = 1e-17;
-/// As many points as the plot is wide in pixels, and no more.
+/// Largest number of points: the width of the plot in pixels.
 const MAX_POINTS: usize = 800;
 /// Lengths of dash and gap in pixels; a dash of 0 is a whole line.
 const GUIDE: (u32, u32) = (5, 5);
@@ -89,7 +89,7 @@ struct Ruler {
 }
 
 impl Scale {
-    /// Where a value is drawn, in decades on a logarithmic axis.
+    /// Returns the place where a value is drawn, in decades on a logarithmic axis.
     fn place(self, value: f64) -> f64 {
         match self {
             Self::Linear => value,
@@ -97,7 +97,7 @@ impl Scale {
         }
     }
 
-    /// An axis on which all places can be drawn.
+    /// Returns an axis on which all places can be drawn.
     fn ruler(self, places: impl Iterator<Item = f64>) -> Ruler {
         let (low, high) = places
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
@@ -227,7 +227,7 @@ impl Plot<'_> {
         self.lines.len() > 1 || !self.guides.is_empty()
     }
 
-    /// Room for the names at the side of the chart, if there is more than one line.
+    /// Returns the room for the names at the side of the chart, if there is more than one line.
     fn legend_width(&self) -> u32 {
         let labels = self.lines.iter().map(|line| &line.label).chain([&self.guide_label]);
         let longest = labels.map(|label| label.chars().count() as u32).max().unwrap_or(0);
@@ -255,7 +255,7 @@ impl Plot<'_> {
 }
 
 impl Style {
-    /// Draws a line through pixels, and a mark at each (of a sample in a legend, in its middle).
+    /// Draws a line through pixels, and a mark at each (for a sample in a legend, in its middle).
     fn draw(self, area: &Area<'_>, pixels: Vec<(i32, i32)>) -> Drawn {
         let color = PALETTE[self.color % PALETTE.len()];
         let dash = DASHES[self.member % DASHES.len()];
@@ -300,7 +300,7 @@ fn dashed(
     Ok(())
 }
 
-/// The part of a straight line inside a box; `None` if there is none.
+/// Returns the part of a straight line inside a box; `None` if there is none.
 fn clipped([a, b]: [(f64, f64); 2], x: &Range<f64>, y: &Range<f64>) -> Option<[(f64, f64); 2]> {
     // Liang and Barsky: the parts of the line inside each of the four edges.
     let (dx, dy) = (b.0 - a.0, b.1 - a.1);
@@ -321,7 +321,7 @@ fn clipped([a, b]: [(f64, f64); 2], x: &Range<f64>, y: &Range<f64>) -> Option<[(
     (from < to).then(|| [point(from), point(to)])
 }
 
-/// The sizes of a line, the largest of each of at most [`MAX_POINTS`] intervals.
+/// Returns the sizes of a line, the largest in each of at most [`MAX_POINTS`] intervals.
 fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let width = points.len().div_ceil(MAX_POINTS).max(1);
     points

@@ -14,13 +14,13 @@ const WORK_TIME: Axis<'static> =
 const WORK_FORCES: Axis<'static> =
     Axis { label: "force evaluations for a second of motion", scale: Scale::Log };
 
-/// A time in four digits, as few as it has.
+/// Rounds a time to at most four digits.
 fn rounded(time_s: f64) -> f64 {
     format!("{time_s:.3e}").parse().unwrap_or(time_s)
 }
 
-/// The charts of a work-precision study: file name and SVG. Force evaluations are left out where there is no
-/// force.
+/// Draws the charts of a work-precision study and returns their file names and SVG. Force
+/// evaluations are left out where there is no force.
 ///
 /// # Errors
 /// If the drawing fails, which no finite data makes it do.
@@ -64,7 +64,8 @@ pub fn precision(
     Ok(drawn)
 }
 
-/// A line of the slope of each order, next to the first method that shows it, and their name.
+/// Returns a line of the slope of each order, next to the first method that shows it, and their
+/// name.
 fn slopes(entries: &[Entry], study: &Precision) -> (Vec<[(f64, f64); 2]>, String) {
     let mut orders: Vec<u32> = Vec::new();
     let mut guides = Vec::new();
@@ -90,7 +91,7 @@ fn slopes(entries: &[Entry], study: &Precision) -> (Vec<[(f64, f64); 2]>, String
     (guides, format!("slope {}", words.join(", ")))
 }
 
-/// The charts of long runs: file name and SVG.
+/// Draws the charts of long runs and returns their file names and SVG.
 ///
 /// # Errors
 /// If the drawing fails, which no finite data makes it do.
@@ -124,7 +125,7 @@ pub fn long_term(
     ])
 }
 
-/// A colour for each family of methods, a dash and a mark for each member of it.
+/// Returns a colour for each family of methods, a dash and a mark for each member of it.
 fn styles(entries: &[Entry], marked: bool) -> Vec<Style> {
     let colors: Vec<usize> = entries.iter().map(|entry| entry.integrator.facts().family).collect();
     let before = |at: usize| colors[..at].iter().filter(|&&color| color == colors[at]).count();

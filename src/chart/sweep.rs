@@ -12,7 +12,7 @@ use crate::sweep::{Cell, Kind, Shown, Side};
 
 const LEFT: i32 = 110;
 const TOP: i32 = 64;
-/// About the size of the map.
+/// Approximate size of the map in pixels.
 const MAP: (i32, i32) = (640, 480);
 const RIGHT: i32 = 190;
 const BELOW: i32 = 90;
@@ -35,7 +35,7 @@ pub(crate) fn sweep(shown: &Shown) -> Result<String, ChartError> {
     }
 }
 
-/// Over some decades, and of one sign, values are distinguished by their powers of ten.
+/// Returns a logarithmic scale for values of one sign over some decades, else a linear one.
 fn scale(values: &[f64]) -> Scale {
     let (low, high) = ends(values);
     if low > 0.0 && high > 1e3 * low { Scale::Log } else { Scale::Linear }
@@ -123,7 +123,7 @@ fn map(svg: &mut String, shown: &Shown, (x, y): (&Side, &Side), cells: &[Cell]) 
     Ok(())
 }
 
-/// The values that get a word, so that there are `apart` pixels between them.
+/// Returns the values that get a label, with `apart` pixels between them.
 fn ticks(values: &[String], cell: i32, apart: i32) -> impl Iterator<Item = (usize, &String)> {
     values.iter().enumerate().step_by((apart as usize).div_ceil(cell as usize).max(1))
 }
@@ -161,7 +161,7 @@ fn color_bar(
     Ok(())
 }
 
-/// What the hatches are, of those that are there.
+/// Draws the legend of the hatches that occur.
 fn legend(root: &Area<'_>, x: i32, cells: &[Cell], text: Texts<'_>) -> Drawn {
     let kinds = [
         (Cell::Failed, "failed"),
@@ -178,7 +178,7 @@ fn legend(root: &Area<'_>, x: i32, cells: &[Cell], text: Texts<'_>) -> Drawn {
     Ok(())
 }
 
-/// A cell of a size in pixels: its colour if it has a value, else a hatch.
+/// Draws a cell of a size in pixels: its colour if it has a value, else a hatch.
 fn draw_cell(
     root: &Area<'_>,
     (x, y): (i32, i32),

@@ -1,4 +1,4 @@
-//! `vpd export` and `vpd diff`: logs as tables, and next to each other.
+//! `vpd export` and `vpd diff`: tables of logs, and comparisons of two.
 
 use std::fs;
 use std::io::{self, BufWriter, Write};
@@ -86,7 +86,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
         }
     };
     if let Some(damage) = exported.ending.damage {
-        // Said next to the table, which may be on stdout.
+        // Reported on stderr: the table may be on stdout.
         let _ = writeln!(
             io::stderr(),
             "vpd: {}: {damage}; what stands before it is exported",
@@ -96,7 +96,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes a file under another name first: what stands at `path` is whole.
+/// Writes a file under another name first, so that whatever is at `path` is whole.
 fn to_file<T>(
     path: &Path,
     write: impl FnOnce(&fs::File) -> Result<T, CliError>,
@@ -105,7 +105,7 @@ fn to_file<T>(
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let mut builder = tempfile::Builder::new();
     builder.prefix(".vpd-");
-    // As any file that this user makes: what umask leaves of it.
+    // The usual permissions of a file of this user, as umask leaves them.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let new = builder.tempfile_in(folder.unwrap_or(Path::new("."))).map_err(failed)?;
@@ -134,7 +134,7 @@ pub(super) fn diff(args: &DiffArgs) -> Result<ExitCode, CliError> {
     Ok(if agree { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
-/// A comparison in a table and a few lines.
+/// Formats a comparison as a table and a few lines.
 fn text(found: &Comparison) -> String {
     let shown: Vec<Quantity> = found.largest.iter().map(|largest| largest.quantity).collect();
     let mut text = format!("{:>14}", "time in s");

@@ -74,7 +74,8 @@ pub(super) struct ServeArgs {
     /// Address on which Foxglove and Lichtblick watch a running job live, as 127.0.0.1:8765.
     #[arg(long, env = "VPD_FOXGLOVE_LISTEN", value_name = "ADDRESS")]
     foxglove_listen: Option<SocketAddr>,
-    /// Who runs the jobs: this machine, or workers on many (vpd worker, in a build with --features cluster), which need --bucket and --temporal.
+    /// Engine that runs the jobs: this machine, or workers on many (vpd worker, in a build with
+    /// --features cluster), which need --bucket and --temporal.
     #[arg(long, env = "VPD_ENGINE", value_enum, default_value_t = EngineName::Local)]
     engine: EngineName,
     #[command(flatten)]
@@ -87,7 +88,7 @@ pub(super) struct ServeArgs {
     log_format: LogFormat,
 }
 
-/// Who runs the jobs.
+/// Engine that runs the jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum EngineName {
     Local,
@@ -101,7 +102,7 @@ fn lease(text: &str) -> Result<f64, String> {
     }
 }
 
-/// How the service writes its own log.
+/// Format of the service's own log.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(super) enum LogFormat {
     Text,
@@ -111,7 +112,7 @@ pub(super) enum LogFormat {
 /// Lines of the service's own log that wait to be written; more are lost, and counted.
 const LOG_LINES: usize = 10_000;
 
-/// Pause between looks at how many were lost.
+/// Pause between checks for lost lines.
 const LOST_LINES_PAUSE: Duration = Duration::from_secs(10);
 
 /// Serves until it is asked to stop.
@@ -167,7 +168,7 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     served
 }
 
-/// Begins the service's own log. The rest of it is written when the guard goes.
+/// Starts the service's own log. The rest of it is written when the guard is dropped.
 pub(super) fn own_log(format: LogFormat) -> (WorkerGuard, ErrorCounter) {
     let asked = std::env::var("RUST_LOG").unwrap_or_default();
     let (filter, refused) = match detail(&asked) {
@@ -196,10 +197,11 @@ pub(super) fn own_log(format: LogFormat) -> (WorkerGuard, ErrorCounter) {
     (rest, lost)
 }
 
-/// What `RUST_LOG` asks for, levels and targets with a level: `vpd=trace,info`. Of no level, info.
+/// Parses the value of `RUST_LOG`, levels and targets with a level: `vpd=trace,info`. Without a
+/// level, info.
 ///
 /// # Errors
-/// What is neither.
+/// The part that is neither.
 fn detail(asked: &str) -> Result<Targets, &str> {
     let mut targets = Targets::new().with_default(LevelFilter::INFO);
     for part in asked.split(',').map(str::trim).filter(|part| !part.is_empty()) {
@@ -217,9 +219,9 @@ fn detail(asked: &str) -> Result<Targets, &str> {
     Ok(targets)
 }
 
-/// The program of this process, for others like it.
+/// Returns the path of this program, to start others like it.
 pub(super) fn program() -> Option<PathBuf> {
-    // Also where the file was replaced since.
+    // This works even if the file was replaced since.
     if cfg!(target_os = "linux") {
         Some("/proc/self/exe".into())
     } else {
@@ -227,7 +229,7 @@ pub(super) fn program() -> Option<PathBuf> {
     }
 }
 
-/// Says in the service's own log how many of its lines were dropped, each time there are more.
+/// Reports in the service's own log how many of its lines were dropped, each time there are more.
 pub(super) async fn tell_of_lost_lines(lost: ErrorCounter) {
     let mut reported = 0;
     loop {
@@ -240,16 +242,17 @@ pub(super) async fn tell_of_lost_lines(lost: ErrorCounter) {
     }
 }
 
-/// Listens with room for many clients that come at once; the usual 128 make the others wait a second.
+/// Listens with room for many clients that connect at once; the usual 128 make the others wait a
+/// second.
 fn listener(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4()? } else { TcpSocket::new_v6()? };
-    // As usual: a restart need not wait for the connections of before.
+    // As usual: a restart need not wait for earlier connections.
     socket.set_reuseaddr(cfg!(unix))?;
     socket.bind(address)?;
     socket.listen(4096)
 }
 
-/// The tokens in a file, or else in the environment.
+/// Reads the tokens from a file, or else from the environment.
 fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
     let text = match path {
         Some(path) => fs::read_to_string(path)

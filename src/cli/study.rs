@@ -51,7 +51,7 @@ pub(super) struct StabilityArgs {
     study: StudyArgs,
 }
 
-/// What all studies take.
+/// Arguments of all studies.
 #[derive(Debug, Args)]
 struct StudyArgs {
     /// Change a field of the scenario, named by its JSON pointer: --set /step_s=0.02
@@ -94,7 +94,7 @@ impl FromStr for MethodWord {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        /// A word as it stands in a scenario.
+        /// Parses a word as it is written in a scenario.
         fn word<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, String> {
             let reader: StrDeserializer<'a, WordError> = text.into_deserializer();
             T::deserialize(reader).map_err(|error| error.to_string())
@@ -122,7 +122,7 @@ impl FromStr for MethodWord {
 
 /// Draws logs, or studies scenarios.
 pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
-    // What cannot be read is named when it is read as a scenario.
+    // A file that cannot be read is reported when it is read as a scenario.
     let logs = args.inputs.iter().filter(|path| matches!(is_log(path), Ok(true))).count();
     if logs == args.inputs.len() {
         let drawn = chart::draw_logs(&args.inputs, &args.study.output)?;
@@ -183,7 +183,7 @@ fn list(paths: &[PathBuf]) -> io::Result<()> {
     show(paths.iter().map(|path| format!("{}\n", path.display())).collect::<String>())
 }
 
-/// The reference and the orders measured against it.
+/// Formats the reference and the orders measured against it.
 fn orders(entries: &[Entry], study: &Precision) -> String {
     let reference = &study.reference;
     let mut text = format!(
@@ -199,7 +199,7 @@ fn orders(entries: &[Entry], study: &Precision) -> String {
     text
 }
 
-/// The largest usable steps.
+/// Formats the largest usable steps.
 fn borders(borders: &[Border]) -> String {
     let mut text = format!("{:28} {:>12} {:>8}  beyond it\n", "method", "usable step", "turn");
     for border in borders {
@@ -226,7 +226,7 @@ fn borders(borders: &[Border]) -> String {
     text
 }
 
-/// Does a study on a thread of its own while a progress bar follows, on a terminal.
+/// Runs a study on its own thread while a progress bar follows, on a terminal.
 fn followed<T: Send>(
     name: &str,
     study: impl FnOnce(&Watch) -> Result<T, StudyError> + Send,

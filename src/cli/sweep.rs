@@ -57,7 +57,8 @@ pub(super) struct SweepArgs {
     /// Run the member and write its log.
     #[arg(long, value_name = "FILE.mcap", requires = "member", value_parser = PathBufValueParser::new().try_map(log_path))]
     log: Option<PathBuf>,
-    /// Who makes the members: this machine, or workers on many (vpd worker), which need --bucket and --temporal.
+    /// Engine that makes the members: this machine, or workers on many (vpd worker), which need
+    /// --bucket and --temporal.
     #[cfg(feature = "serve")]
     #[arg(long, value_enum, default_value_t = EngineName::Local, hide = !super::worker::CLUSTER, conflicts_with_all = ["shard", "threads", "member"])]
     engine: EngineName,
@@ -124,7 +125,7 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     show(format!("{text}table           {}\n", table.display()))?;
     #[cfg(feature = "chart")]
     draw(args, &sweep, &table)?;
-    // As of an ensemble: it has failed if every member has.
+    // As for an ensemble: it has failed if every member has.
     Ok(if succeeded > 0 || total == 0 { ExitCode::SUCCESS } else { ExitCode::from(1) })
 }
 
@@ -156,7 +157,7 @@ fn elsewhere(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<ExitCode, 
     Ok(ExitCode::SUCCESS)
 }
 
-/// Says what it would take.
+/// Returns an error that names the missing feature.
 #[cfg(all(feature = "serve", not(feature = "cluster")))]
 fn elsewhere(_: &SweepArgs, _: &Sweep, _: &Path) -> Result<ExitCode, CliError> {
     Err(CliError::Feature { wanted: "--engine cluster", feature: "cluster" })
@@ -169,7 +170,7 @@ pub(super) fn merge(args: &MergeArgs) -> Result<ExitCode, CliError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The scenario of a member, or its log.
+/// Prints the scenario of a member, or writes its log.
 fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliError> {
     let wrong = |source| CliError::Member { path: args.sweep.clone(), member, source };
     match &args.log {
@@ -182,13 +183,13 @@ fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliErro
     Ok(ExitCode::SUCCESS)
 }
 
-/// Runs on a thread of its own. On a terminal a progress bar follows; ctrl-c leaves a part that the same command goes on
-/// with.
+/// Runs on its own thread. On a terminal a progress bar follows; ctrl-c leaves a part from which
+/// the same command resumes.
 fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliError> {
     let watch = Watch::default();
     let control = Arc::new(Control::default());
     let (stop, interrupted) = (watch.cancelled.clone(), control.clone());
-    // Where there can be none, ctrl-c ends the process; the sweep goes on all the same.
+    // Without a handler, ctrl-c ends the process; the sweep goes on all the same.
     let _ = ctrlc::set_handler(move || {
         stop.store(true, Ordering::Relaxed);
         interrupted.interrupt();
@@ -218,7 +219,7 @@ fn followed(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Made, CliEr
     })
 }
 
-/// A progress bar, on a terminal.
+/// Returns a progress bar, on a terminal.
 fn bar(sweep: &Sweep) -> ProgressBar {
     let style = ProgressStyle::with_template(
         "{msg} {wide_bar} {percent:>3} % {pos}/{len} members, {eta} left",
@@ -231,7 +232,7 @@ fn bar(sweep: &Sweep) -> ProgressBar {
     }
 }
 
-/// Writes the log of a member into the folder next to the table. Of one that was refused there is none.
+/// Writes the log of a member into the folder next to the table. A refused member has none.
 fn keep_log(sweep: &Sweep, member: u64, table: &Path, control: &Control) -> Result<(), CliError> {
     let Ok(plan) = sweep.plan(member) else { return Ok(()) };
     let folder = table.with_extension("logs");

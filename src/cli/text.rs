@@ -1,11 +1,11 @@
-//! What a person reads of a run and of a plan.
+//! Text output for runs and plans.
 
 use std::fmt::Write;
 
 use crate::plan::{EnsemblePlan, Plan};
 use crate::run::Summary;
 
-/// A run in a few lines, with what its plan warned of.
+/// Formats a run in a few lines, with the warnings of its plan.
 pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
     let mut text = String::new();
     let mut line = |name: &str, value: String| {
@@ -31,7 +31,7 @@ pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
         line("error", format!("{error:.2e} at the end, against a reference"));
     }
     if let Some(bound) = summary.error_below {
-        /// A bound stays one when it is rounded to three digits.
+        /// Factor with which a bound stays one when it is rounded to three digits.
         const UPWARDS: f64 = 1.005;
         let bound = UPWARDS * bound;
         line("error", format!("below {bound:.2e} at the end: the reference is known no better"));
@@ -92,7 +92,7 @@ pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
     text
 }
 
-/// A plan in a few lines.
+/// Formats a plan in a few lines.
 pub(super) fn plan(name: &str, plan: &Plan) -> String {
     let mut text = String::new();
     let formulation = &plan.formulation;
@@ -173,7 +173,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         let verdict = if term.kept { "kept" } else { "dropped" };
         line("potential", format!("{} {verdict}: {}", term.pointer, term.why));
     }
-    // Of a scene that is pushed it is a balance, or nothing.
+    // For a scene with torques it is a balance, or nothing.
     let conserved = match plan.free_directions {
         0 | 1 => "no part of the spatial momentum".to_owned(),
         free if free == plan.dimension => "the whole spatial momentum".to_owned(),

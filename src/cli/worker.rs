@@ -10,10 +10,11 @@ use super::CliError;
 use super::serve::LogFormat;
 use crate::serve::Limits;
 
-/// Whether this program knows how to work with other machines.
+/// Whether this program can work with other machines.
 pub(super) const CLUSTER: bool = cfg!(feature = "cluster");
 
-/// Where the others are. A program without the feature hides these, and says so if they are given.
+/// Addresses of the other machines. A program without the feature hides these, and says so if they
+/// are given.
 #[derive(Debug, Args)]
 #[cfg_attr(not(feature = "cluster"), allow(dead_code, reason = "refused where they are given"))]
 pub(super) struct ClusterArgs {
@@ -31,7 +32,7 @@ pub(super) struct ClusterArgs {
 
 #[cfg(feature = "cluster")]
 impl ClusterArgs {
-    /// What was given, if it is all that is needed.
+    /// Returns the configuration, if everything needed was given.
     pub(super) fn config(&self, lease_s: f64) -> Result<crate::serve::ClusterConfig, CliError> {
         let needed = |given: &Option<String>, wanted| {
             let given = given.clone().filter(|given| !given.is_empty());
@@ -79,7 +80,7 @@ pub(super) fn work(args: &WorkerArgs) -> Result<ExitCode, CliError> {
     let (_rest, lost) = own_log(args.log_format);
     let workers = args.workers.or_else(|| std::thread::available_parallelism().ok());
     let config = WorkConfig {
-        // How long a lease is, is said with each job.
+        // Each job names the length of its lease.
         cluster: args.cluster.config(0.0)?,
         scratch: args.scratch.clone(),
         workers: workers.map_or(1, NonZeroUsize::get),
@@ -102,7 +103,7 @@ pub(super) fn work(args: &WorkerArgs) -> Result<ExitCode, CliError> {
     worked
 }
 
-/// Says what it would take.
+/// Returns an error that names the missing feature.
 #[cfg(not(feature = "cluster"))]
 pub(super) fn work(_: &WorkerArgs) -> Result<ExitCode, CliError> {
     Err(CliError::Feature { wanted: "vpd worker", feature: "cluster" })

@@ -1,4 +1,4 @@
-//! Tables by columns: Parquet and Arrow.
+//! Columnar tables: Parquet and Arrow.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -42,7 +42,7 @@ impl<W: Write> Batches for FileWriter<W> {
     }
 }
 
-/// Rows that wait to be a batch.
+/// Rows that wait to form a batch.
 struct Waiting<'a> {
     schema: SchemaRef,
     kinds: Vec<Kind>,
@@ -50,7 +50,7 @@ struct Waiting<'a> {
     out: Box<dyn Batches + 'a>,
 }
 
-/// A table as Parquet.
+/// Returns a table that is written as Parquet.
 pub(super) fn parquet<'a>(
     names: &[String],
     kinds: &[Kind],
@@ -67,7 +67,7 @@ pub(super) fn parquet<'a>(
     Ok(Box::new(Waiting { schema, kinds: kinds.to_vec(), rows: Vec::new(), out }))
 }
 
-/// A table as a file of Arrow.
+/// Returns a table that is written as a file of Arrow.
 pub(super) fn arrow<'a>(
     names: &[String],
     kinds: &[Kind],

@@ -1,4 +1,4 @@
-//! What charts of a log show over time, kept while it is written or read.
+//! Data of the charts of a log over time, kept while it is written or read.
 //!
 //! Invariant: memory is bounded, every extreme is kept, and a log and its writer give the same points.
 
@@ -8,7 +8,7 @@ use super::LogError;
 use super::reader::{Message, read_samples};
 use super::resume::Seen;
 
-/// What is drawn of a log over time.
+/// Chart of a log over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LogChart {
     /// The error of the energy.
@@ -17,15 +17,15 @@ pub enum LogChart {
     Orthogonality,
     /// The drift of the momentum that the scene conserves.
     Momentum,
-    /// How much shorter than the longest the steps are, where they adapt.
+    /// Factor by which adaptive steps are shorter than the longest.
     Pace,
 }
 
 impl LogChart {
-    /// All of them.
+    /// All charts.
     pub const ALL: [Self; 4] = [Self::Energy, Self::Orthogonality, Self::Momentum, Self::Pace];
 
-    /// The name of its file.
+    /// Returns the name of its file.
     pub const fn file(self) -> &'static str {
         match self {
             Self::Energy => "energy.svg",
@@ -36,12 +36,12 @@ impl LogChart {
     }
 }
 
-/// What the charts of a log are drawn from, gathered in bounded memory: from the log, or while it is written. Both
-/// give the same charts to the byte.
+/// Data from which the charts of a log are drawn, gathered in bounded memory: from the log, or
+/// while it is written. Both give the same charts to the byte.
 #[derive(Clone, Debug, Default)]
 pub struct Course {
     start_ns: Option<u64>,
-    /// In the order of [`LogChart::ALL`].
+    /// Series in the order of [`LogChart::ALL`].
     series: [Series; 4],
 }
 
@@ -56,7 +56,7 @@ impl Course {
         Ok(course)
     }
 
-    /// Takes note of what a resumed log held.
+    /// Takes note of the contents of a resumed log.
     pub fn note_seen(&mut self, seen: &Seen<'_>) {
         if let Seen::Message(time_ns, message) = seen {
             self.note_message(*time_ns, message);
@@ -80,19 +80,19 @@ impl Course {
         }
     }
 
-    /// Takes note of what a chart shows at a log time; the first time is its zero.
+    /// Takes note of the value of a chart at a log time; the first time is its zero.
     pub fn note(&mut self, time_ns: u64, which: LogChart, value: f64) {
         let since_ns = time_ns.saturating_sub(*self.start_ns.get_or_insert(time_ns));
         self.series[which as usize].push((since_ns as f64 * 1e-9, value));
     }
 
-    /// Whether a chart would show a line.
+    /// Returns whether a chart would show a line.
     pub fn has_line(&self, which: LogChart) -> bool {
         let points = self.points(which);
         points.first().zip(points.last()).is_some_and(|(first, last)| first.0 < last.0)
     }
 
-    /// The points of a chart: seconds since the first sample, and what is drawn.
+    /// Returns the points of a chart: seconds since the first sample, and the value.
     pub fn points(&self, which: LogChart) -> &[(f64, f64)] {
         &self.series[which as usize].points
     }
@@ -102,9 +102,9 @@ impl Course {
 #[derive(Clone, Debug)]
 struct Series {
     points: Vec<(f64, f64)>,
-    /// Samples behind a point.
+    /// Number of samples behind a point.
     each: usize,
-    /// Samples behind the last point.
+    /// Number of samples behind the last point.
     held: usize,
 }
 
@@ -134,7 +134,7 @@ impl Series {
     }
 }
 
-/// The point with the larger size.
+/// Returns the point with the larger size.
 fn larger(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     if b.1.abs() > a.1.abs() { b } else { a }
 }
@@ -154,7 +154,7 @@ mod tests {
         assert!(points.len() <= Series::LIMIT && points.len() > Series::LIMIT / 2);
         assert!(points.contains(&(777_777.0, -5.0)));
         assert!(points.windows(2).all(|pair| pair[0].0 < pair[1].0));
-        // What a point stands for is never far away.
+        // A point is never far from the samples that it stands for.
         assert!(points.windows(2).all(|pair| pair[1].0 - pair[0].0 <= 2.0 * series.each as f64));
         assert!(points.last().is_some_and(|point| point.0 >= 1e6 - 2.0 * series.each as f64));
     }

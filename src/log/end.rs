@@ -21,23 +21,24 @@ use super::MAX_CHUNK_BYTES;
 /// Bytes of the opcode and of the length before what a record says.
 const HEAD: usize = 1 + 8;
 
-/// Where a finished log has what.
+/// Places of the parts of a finished log.
 pub(super) struct End {
     /// Log times of the first message and of the last.
     pub(super) span_ns: (u64, u64),
-    /// Messages in all.
+    /// Total number of messages.
     pub(super) messages: u64,
-    /// Of the attachments.
+    /// Index of the attachments.
     pub(super) attachments: Vec<AttachmentIndex>,
     metadata: Vec<MetadataIndex>,
-    /// With the channels, and without the chunks.
+    /// Summary with the channels and without the chunks.
     summary: Summary,
-    /// In the file.
+    /// Place of the chunk index in the file.
     chunks: Range<u64>,
 }
 
 impl End {
-    /// `None` if the log has no end, or one that is damaged: so it is with one that grows, whose last bytes mean nothing.
+    /// Reads the end; `None` if the log has none or a damaged one, like a growing log, whose last
+    /// bytes mean nothing.
     pub(super) fn read(file: &mut File) -> Option<Self> {
         let footer_bytes = HEAD + 20;
         let length = file.seek(SeekFrom::End(0)).ok()?;
@@ -101,7 +102,7 @@ impl End {
         Some(())
     }
 
-    /// The entries of a metadata record.
+    /// Returns the entries of a metadata record.
     pub(super) fn metadata(&self, file: &mut File, name: &str) -> Option<BTreeMap<String, String>> {
         let at = self.metadata.iter().find(|index| index.name == name)?;
         let record = bytes_at(file, at.offset..at.offset.checked_add(at.length)?)?;
@@ -111,7 +112,8 @@ impl End {
         }
     }
 
-    /// Shows the messages of some topics in a stretch of log times, chunk by chunk, until `visit` has enough.
+    /// Passes on the messages of some topics in a stretch of log times, chunk by chunk, until
+    /// `visit` has enough.
     pub(super) fn messages(
         &self,
         file: &mut File,
@@ -122,7 +124,7 @@ impl End {
         let channels = self.summary.channels.values();
         let channels = channels.filter(|at| topics.contains(&at.topic.as_str()));
         let channels: Vec<u16> = channels.map(|at| at.id).collect();
-        // To the reader no topic is every topic.
+        // To the reader, no topic means every topic.
         if stretch.is_empty() || channels.is_empty() {
             return Ok(());
         }
@@ -153,7 +155,7 @@ impl End {
         Ok(())
     }
 
-    /// The chunks with messages of some channels in a stretch, as the reader wants them.
+    /// Returns the chunks with messages of some channels in a stretch, as the reader wants them.
     fn chunks_of(
         &self,
         file: &mut File,
@@ -191,7 +193,7 @@ impl End {
     }
 }
 
-/// What is attached, if its checksum agrees.
+/// Returns an attachment, if its checksum agrees.
 pub(super) fn attachment(file: &mut File, index: &AttachmentIndex) -> Option<Vec<u8>> {
     let record = bytes_at(file, index.offset..index.offset.checked_add(index.length)?)?;
     let (head, body) = record.split_at_checked(HEAD)?;
@@ -203,7 +205,7 @@ pub(super) fn attachment(file: &mut File, index: &AttachmentIndex) -> Option<Vec
     good.then(|| data.into_owned())
 }
 
-/// What a file holds at a place, if that is not more than any record of ours.
+/// Returns the bytes of a file in a range, unless that is longer than any record of ours.
 fn bytes_at(file: &mut File, at: Range<u64>) -> Option<Vec<u8>> {
     let length = at.end.checked_sub(at.start).filter(|&length| length <= MAX_CHUNK_BYTES)?;
     let mut bytes = vec![0; length as usize];

@@ -17,11 +17,11 @@ use super::{JOB_RECORD, LogError, OUTCOME_RECORD};
 pub struct Inspection {
     /// Whether the log is whole and says how the job ended.
     pub finished: bool,
-    /// Why it is not.
+    /// Damage that keeps it from being whole.
     pub damage: Option<String>,
     /// Entries of the outcome; `state` is `succeeded`, `failed` or `cancelled`.
     pub outcome: Option<BTreeMap<String, String>>,
-    /// What was run: scenario, plan, versions.
+    /// The job that was run: scenario, plan, versions.
     pub job: Option<BTreeMap<String, String>>,
     /// Topics with at least one message, in the order of their first.
     pub topics: Vec<Topic>,
@@ -162,7 +162,7 @@ impl Extremes {
                     self.sigma_min_min = Some(least);
                 }
             }
-            // Others have no extremes.
+            // Other messages have no extremes.
             _ => {}
         }
     }

@@ -17,16 +17,16 @@ use super::messages::{Figures, Member, State, Waypoints};
 use super::reader::{self, Item};
 use super::schema::Channel;
 
-/// What the members of an ensemble are compared by.
+/// Quantity by which the members of an ensemble are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum MemberQuantity {
     /// Angle between the attitudes of a member and of member 0, in rad. For n > 3 the root of the sum of the squares
     /// of its angles as long as they are small, at most pi.
     Distance,
-    /// Of an axis of the body to the axis of space of the same number, in rad.
+    /// Angle of an axis of the body to the axis of space of the same number, in rad.
     AxisAngle,
-    /// Its size, in rad/s.
+    /// Size of the angular velocity, in rad/s.
     AngularVelocity,
     /// Total energy minus that at the start, in joule.
     EnergyError,
@@ -37,7 +37,7 @@ pub enum MemberQuantity {
 }
 
 impl MemberQuantity {
-    /// All of them.
+    /// All quantities.
     pub const ALL: [Self; 6] = [
         Self::Distance,
         Self::AxisAngle,
@@ -47,7 +47,7 @@ impl MemberQuantity {
         Self::MomentumDrift,
     ];
 
-    /// Its name in questions and answers.
+    /// Returns its name in queries and answers.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Distance => "distance",
@@ -70,7 +70,8 @@ impl MemberQuantity {
         }
     }
 
-    /// Its value at each point on the way of a member; ends where member 0 does if it is compared with that.
+    /// Returns its value at each point on the way of a member, up to the end of member 0 if it is
+    /// compared with that.
     fn values(self, way: &Waypoints, nominal: &Waypoints, axis: usize) -> Vec<f32> {
         let count = way.time_s.len();
         match self {
@@ -99,7 +100,7 @@ impl MemberQuantity {
         }
     }
 
-    /// The largest value of all samples, where the figures of a member hold it.
+    /// Returns the largest value of all samples, where the figures of a member hold it.
     const fn largest(self, figures: &Figures) -> Option<f64> {
         match self {
             Self::EnergyError => figures.energy_max_abs_error,
@@ -110,7 +111,8 @@ impl MemberQuantity {
     }
 }
 
-/// The angle between two attitudes: the chord of two turns by an angle apart has the length `2 sqrt 2 sin(angle / 2)`.
+/// Returns the angle between two attitudes: the chord of two turns by an angle apart has the length
+/// `2 sqrt 2 sin(angle / 2)`.
 fn between(g: &[f32], g0: &[f32]) -> f32 {
     let squares = g.iter().zip(g0).map(|(x, y)| (f64::from(*x) - f64::from(*y)).powi(2));
     let chord = (squares.sum::<f64>() / 8.0).sqrt();
@@ -123,19 +125,19 @@ fn between(g: &[f32], g0: &[f32]) -> f32 {
 pub enum MemberOrder {
     /// By the largest value on the way, the largest first.
     Largest,
-    /// By the same, the smallest first.
+    /// By the same value, the smallest first.
     Smallest,
-    /// Those that failed first, the earliest of them first.
+    /// Failed members first, in the order of their failures.
     Failed,
     /// By number.
     Member,
 }
 
 impl MemberOrder {
-    /// All of them.
+    /// All orders.
     pub const ALL: [Self; 4] = [Self::Largest, Self::Smallest, Self::Failed, Self::Member];
 
-    /// Its name in questions.
+    /// Returns its name in queries.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Largest => "largest",
@@ -146,37 +148,37 @@ impl MemberOrder {
     }
 }
 
-/// What is asked of the members.
+/// Query for the members of an ensemble.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
-    /// What they are compared by.
+    /// Quantity by which they are compared.
     pub quantity: MemberQuantity,
-    /// Of an angle of axes the number of the axis, from 0.
+    /// Number of the axis for an angle of axes, from 0.
     pub axis: usize,
     /// The order of the rows.
     pub order: MemberOrder,
     /// Rows that are left out before the first.
     pub offset: usize,
-    /// Rows, at most.
+    /// Largest number of rows.
     pub limit: usize,
 }
 
 /// A quantity of all members over time, and some of the members.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Members {
-    /// What they are compared by.
+    /// Quantity by which they are compared.
     pub channel: MemberQuantity,
     /// The unit of the values; empty for a number.
     pub unit: &'static str,
     /// Members that have ended.
     pub members: u64,
-    /// Those that failed, by their code.
+    /// Number of failed members, by code.
     pub failed: BTreeMap<String, u64>,
     /// Times in seconds.
     pub time_s: Vec<f64>,
     /// Members that got to each time.
     pub count: Vec<u64>,
-    /// Where their values lie at each time.
+    /// Quantiles of their values at each time.
     pub quantiles: Vec<MemberQuantile>,
     /// The members in the order asked for.
     pub rows: Vec<MemberRow>,
@@ -213,7 +215,7 @@ pub struct MemberRow {
 /// The parts of the members that a fan shows.
 const PARTS: [f64; 7] = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
 
-/// Reads the members that have ended. `None` if `stopped` said so on the way.
+/// Reads the members that have ended. Returns `None` if `stopped` said so on the way.
 ///
 /// # Errors
 /// If the file cannot be read, or its index is damaged.
@@ -255,7 +257,7 @@ pub fn read_start(
     Ok(found)
 }
 
-/// Shows the ends of members; of an unfinished log those in whole chunks.
+/// Passes on the ends of members; in an unfinished log, those in whole chunks.
 fn each(path: &Path, mut visit: impl FnMut(Member) -> ControlFlow<()>) -> Result<(), LogError> {
     let mut file = File::open(path).map_err(|source| LogError::io(path, "read", source))?;
     let topic = Channel::EnsembleMembers.topic();

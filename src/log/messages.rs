@@ -17,7 +17,8 @@ include!(concat!(env!("OUT_DIR"), "/vpd.rs"));
 /// The lowest logarithm of an error: below every non-zero error that doubles near 1 can show.
 pub const LOG10_FLOOR: f64 = -20.0;
 
-/// Decimal logarithm of the size of `x`, not below [`LOG10_FLOOR`]: zero has a place in a plot.
+/// Returns the decimal logarithm of the size of `x`, not below [`LOG10_FLOOR`]: zero has a place in
+/// a plot.
 ///
 /// By the `libm` crate, so that the bits do not depend on the machine.
 pub fn log10_size(x: f64) -> f64 {
@@ -34,8 +35,8 @@ macro_rules! messages_of_samples {
         }
 
         impl Message {
-            /// The message behind `data`; `None` if the topic or the type is not ours or it cannot be
-            /// decoded.
+            /// Decodes the message behind `data`; `None` if the topic or the type is not ours or it
+            /// cannot be decoded.
             pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
                 let channel = Channel::from_topic(topic)?;
                 if channel.schema_name() != schema {
@@ -48,7 +49,8 @@ macro_rules! messages_of_samples {
             }
         }
 
-        /// What a log says of a sample; `None` where a channel is not logged, or says nothing of it.
+        /// Contents of a log for one sample; `None` where a channel is not logged, or has nothing
+        /// for it.
         #[derive(Clone, Debug, Default, PartialEq)]
         pub struct Row {
             /// Log time, in nanoseconds since 1970.
@@ -65,8 +67,8 @@ macro_rules! messages_of_samples {
         }
 
         impl Message {
-            /// What a sample says on a channel; `None` if it says nothing there. `turn` is its quaternion with the sign to
-            /// be shown.
+            /// Returns the message of a sample on a channel; `None` if there is none. `turn` is its
+            /// quaternion with the sign to be shown.
             pub fn of_sample<const N: usize>(
                 channel: Channel,
                 sample: &Sample<N>,
@@ -82,7 +84,7 @@ macro_rules! messages_of_samples {
                 message
             }
 
-            /// Its bytes in a log.
+            /// Returns its bytes in a log.
             pub fn encode(&self) -> Vec<u8> {
                 match self {
                     $(Self::$message(message) => message.encode_to_vec(),)*
@@ -103,18 +105,19 @@ messages_of_samples! {
     momentum: Momentum,
     /// How the step was solved.
     solver: Solver,
-    /// How time passes for steps that adapt.
+    /// Rate of time for adaptive steps.
     pace: Pace,
 }
 
 impl State {
-    /// Attitude and momentum of a sample.
+    /// Returns attitude and momentum of a sample.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Self {
         let velocity = sample.angular_velocity.as_ref();
         Self::at(sample.time_s, sample.attitude.as_ref(), &sample.momentum, velocity)
     }
 
-    /// An attitude, where there is one, a momentum and, where it has a name, its velocity at a time.
+    /// Returns an attitude, where there is one, a momentum and, where it has a name, its velocity
+    /// at a time.
     pub fn at<const N: usize>(
         time_s: f64,
         attitude: Option<&Mat<N>>,
@@ -131,7 +134,7 @@ impl State {
         }
     }
 
-    /// Attitude and momentum; `None` if one is missing or of another size.
+    /// Returns attitude and momentum; `None` if one is missing or of another size.
     pub fn point<const N: usize>(&self) -> Option<trajectory::State<N>> {
         (self.attitude.len() == N * N && self.body_momentum.len() == so::dimension(N)).then(|| {
             trajectory::State {
@@ -143,7 +146,7 @@ impl State {
 }
 
 impl Energy {
-    /// Energy of a sample, if it has any.
+    /// Returns the energy of a sample, if it has any.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         let (energy, error) = sample.energy.zip(sample.energy_error)?;
         Some(Self {
@@ -159,7 +162,7 @@ impl Energy {
 }
 
 impl Orthogonality {
-    /// Distance of a sample's attitude from the group, if computed.
+    /// Returns the distance of a sample's attitude from the group, if computed.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         let error = sample.orthogonality_error?;
         Some(Self { error, log10_error: log10_size(error) })
@@ -167,7 +170,7 @@ impl Orthogonality {
 }
 
 impl Momentum {
-    /// Spatial momentum of a sample, if computed.
+    /// Returns the spatial momentum of a sample, if computed.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         if sample.spatial_momentum.is_none() && sample.momentum_drift.is_none() {
             return None;
@@ -182,12 +185,12 @@ impl Momentum {
 }
 
 impl Solver {
-    /// How a sample's step was solved; `None` at the start.
+    /// Returns how a sample's step was solved; `None` at the start.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         Some(Self { sigma_min: sample.sigma_min, ..sample.convergence?.into() })
     }
 
-    /// What it was made from; `None` if this build does not know its rung.
+    /// Returns the convergence from which it was made; `None` if this build does not know its rung.
     pub fn convergence(&self) -> Option<Convergence> {
         let &Self { iterations, increment, .. } = self;
         let rung = Rung::ALL.into_iter().find(|rung| rung.as_str() == self.rung)?;
@@ -202,7 +205,7 @@ impl From<Convergence> for Solver {
 }
 
 impl Pace {
-    /// How time passed until a sample, of steps that adapt.
+    /// Returns the rate of time up to a sample, for adaptive steps.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
         let trajectory::Pace { sigma, step_s, steps, least_sigma, time_error_s } = sample.pace?;
         Some(Self { sigma, step_s, own_steps: steps, least_sigma, time_error_s })
@@ -210,7 +213,7 @@ impl Pace {
 }
 
 impl Checkpoint {
-    /// Where a trajectory is, and the figures of its samples so far.
+    /// Returns the place of a trajectory, and the figures of its samples so far.
     pub fn of<const N: usize>(checkpoint: &trajectory::Checkpoint<N>, figures: Figures) -> Self {
         // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
         let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
@@ -235,7 +238,7 @@ impl Checkpoint {
         }
     }
 
-    /// Can a trajectory on SO(n) go on from it?
+    /// Returns whether a trajectory on SO(n) can go on from it.
     pub(super) fn is_of(&self, n: usize) -> bool {
         let matrix = |rows: &Vec<f64>| rows.len() == n * n;
         let absent = |rows: &Vec<f64>| rows.is_empty() || matrix(rows);
@@ -249,7 +252,7 @@ impl Checkpoint {
             && self.solver.as_ref().is_none_or(|solver| solver.convergence().is_some())
     }
 
-    /// Where the trajectory is; `None` if it is of another dimension.
+    /// Returns the place of the trajectory; `None` if it is of another dimension.
     pub fn trajectory<const N: usize>(&self) -> Option<trajectory::Checkpoint<N>> {
         let present = |rows: &[f64]| (!rows.is_empty()).then(|| Mat::from_row_slice(rows));
         self.is_of(N).then(|| trajectory::Checkpoint {
@@ -294,7 +297,8 @@ impl Figures {
     }
 }
 
-/// The body's frame as seen from space, for viewers, and behind it those of what moves around it.
+/// Returns the body's frame as seen from space, for viewers, and behind it those of what moves
+/// around it.
 pub fn frames(
     [w, x, y, z]: [f64; 4],
     time_ns: u64,
@@ -311,21 +315,21 @@ pub fn frames(
     FrameTransforms { transforms: std::iter::once(body).chain(sources).collect() }
 }
 
-/// The quaternion of a sample, of the two signs the one nearer to the quaternion of the sample before, so that its components
-/// have no jumps; the first as it is found.
+/// Returns the quaternion of a sample with the sign that is nearer to the quaternion of the sample
+/// before, so that its components have no jumps; the first as it is found.
 pub fn nearer_sign(before: Option<[f64; 4]>, found: [f64; 4]) -> [f64; 4] {
     let along = |before: [f64; 4]| before.iter().zip(found).map(|(a, b)| a * b).sum::<f64>();
     let turned = before.is_some_and(|before| along(before) < 0.0);
     if turned { found.map(|x| -x) } else { found }
 }
 
-/// A log time as the viewers' time stamp.
+/// Returns a log time as the viewers' time stamp.
 pub(super) fn timestamp(time_ns: u64) -> Option<Timestamp> {
     let seconds = u32::try_from(time_ns / 1_000_000_000).ok()?;
     Timestamp::new_checked(seconds, (time_ns % 1_000_000_000) as u32)
 }
 
-/// The unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; `None` unless n = 3.
+/// Returns the unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; `None` unless n = 3.
 ///
 /// The largest of the four squared components gives the first one and the others follow by division
 /// (Shepperd 1978): no cancellation and no trigonometry. A matrix that is not quite a rotation, as

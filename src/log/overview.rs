@@ -1,8 +1,8 @@
-//! What charts of a long log show, gathered while it is written and attached at its end: each quantity by itself, finely
-//! and coarsely, so that drawing a part of it reads little more than what is drawn.
+//! Chart data of a long log, gathered while it is written and attached at its end: each quantity by
+//! itself, finely and coarsely, so that drawing a part of it reads little more than what is drawn.
 //!
-//! Invariant: memory is bounded, no extreme is lost, and a resumed writer gathers what the one before it did: both take
-//! what stands in the messages.
+//! Invariant: memory is bounded, no extreme is lost, and a resumed writer gathers what the one
+//! before it did: both take it from the messages.
 
 use std::fs::File;
 use std::ops::Range;
@@ -17,22 +17,23 @@ use super::samples::Curve;
 use super::schema::Topic;
 use crate::solve::so;
 
-/// Samples from which on a log has an overview: fewer are read themselves in no time.
+/// Least number of samples of a log with an overview: fewer are read themselves in no time.
 const LEAST_SAMPLES: u64 = 1 << 16;
 
-/// Samples behind a point of it, at least: so the log grows by 3 % at most.
+/// Least number of samples behind a point of it: the log grows by 3 % at most.
 const LEAST_EACH: u64 = 1 << 6;
 
-/// Values of a quantity, points times components: what bounds the memory.
+/// Largest number of values of a quantity, points times components: bounds the memory.
 const VALUES: usize = 1 << 19;
 
-/// Points of a quantity, at most, and at least: with too many components for these there is no overview of it.
+/// Least and largest number of points of a quantity; one with too many components for these has no
+/// overview.
 const POINTS: Range<usize> = 1 << 10..1 << 17;
 
-/// Of more points than this there are fewer as well, each of [`COARSER`] of them.
+/// With more points than this, a coarser copy is kept as well, with [`COARSER`] of them to a point.
 const FEW: usize = 1 << 13;
 
-/// A power of two.
+/// Number of points behind a coarser one, a power of two.
 const COARSER: u64 = 1 << 4;
 
 /// A quantity over time in few points, each the smallest and the largest value of as many samples.
@@ -44,9 +45,9 @@ pub(super) struct Points {
     pub(super) low: Vec<Vec<f64>>,
     /// The largest value behind each point, one list a component.
     pub(super) high: Vec<Vec<f64>>,
-    /// What was pushed behind each point but the last.
+    /// Number of entries behind each point but the last.
     pub(super) each: u64,
-    /// What was pushed behind the last point.
+    /// Number of entries behind the last point.
     held: u64,
 }
 
@@ -58,8 +59,9 @@ impl Default for Points {
 }
 
 impl Points {
-    /// Takes the values between `low` and `high` at a time; two neighbours become one point each time there are more
-    /// than `limit`, which is 2 or more. What has no value, or another number of them, is passed over.
+    /// Takes the values between `low` and `high` at a time; two neighbours become one point each
+    /// time there are more than `limit`, which is 2 or more. Entries without a value, or with
+    /// another number of them, are skipped.
     pub(super) fn push(&mut self, since_ns: u64, low: &[f64], high: &[f64], limit: usize) {
         if self.since_ns.is_empty() {
             self.low = vec![Vec::new(); low.len()];
@@ -89,7 +91,8 @@ impl Points {
         }
     }
 
-    /// Makes one point of two neighbours. Of an odd number the last one has room for as many again.
+    /// Makes one point of two neighbours. If their number is odd, the last one has room for as many
+    /// again.
     fn halve(&mut self) {
         if self.since_ns.len().is_multiple_of(2) {
             self.held += self.each;
@@ -123,7 +126,7 @@ impl Points {
         }
     }
 
-    /// `None` if it is not what [`Points::overview`] makes.
+    /// Decodes an overview; `None` if it is not one that [`Points::overview`] makes.
     fn of(overview: Overview, curve: Curve) -> Option<Self> {
         let Overview { curve: name, each, since_ns, lines } = overview;
         let (low, high): (Vec<_>, Vec<_>) =
@@ -150,7 +153,7 @@ impl Points {
         }
     }
 
-    /// Of these points those of a range, in as many as are wanted.
+    /// Returns the points of a range, reduced to as many as are wanted.
     pub(super) fn part(&self, range: Range<usize>, limit: usize) -> Self {
         let mut part = Self::default();
         let [mut low, mut high] = [Vec::new(), Vec::new()];
@@ -168,13 +171,13 @@ impl Points {
 /// The quantities of a run, or of member 0, on their way into an overview.
 #[derive(Debug, Default)]
 pub(super) struct Curves {
-    /// In the order of [`Curve::ALL`].
+    /// Points in the order of [`Curve::ALL`].
     points: [Points; Curve::ALL.len()],
     values: Vec<f64>,
 }
 
 impl Curves {
-    /// Takes note of what a message says at a time since the start, in nanoseconds.
+    /// Takes note of a message at a time since the start, in nanoseconds.
     pub(super) fn note(&mut self, topic: Topic, since_ns: u64, message: &Message) {
         if topic.member > 0 {
             return;
@@ -190,7 +193,7 @@ impl Curves {
         }
     }
 
-    /// What a log of `samples` samples has attached, by name.
+    /// Returns the overviews that a log of `samples` samples has attached, by name.
     pub(super) fn overviews(self, samples: u64) -> impl Iterator<Item = (String, Overview)> {
         let curves = Curve::ALL.into_iter().zip(self.points);
         let long = move |(_, points): &(Curve, Points)| {
@@ -209,7 +212,8 @@ impl Curves {
     }
 }
 
-/// About how many bytes the overviews of `samples` samples take with all channels, in the log and before.
+/// Returns about how many bytes the overviews of `samples` samples take with all channels, in the
+/// log and in memory.
 pub(crate) fn bytes(samples: u64, n: usize) -> u64 {
     if samples < LEAST_SAMPLES {
         return 0;
@@ -223,14 +227,15 @@ pub(crate) fn bytes(samples: u64, n: usize) -> u64 {
     fine as u64 * (COARSER + 1) / COARSER
 }
 
-/// Points of a quantity with this many components.
+/// Returns the largest number of points of a quantity with this many components.
 fn limit(components: usize) -> Option<usize> {
     let points = (VALUES / components.max(1)).min(POINTS.end);
     (components > 0 && points >= POINTS.start).then_some(points)
 }
 
-/// What is attached of a quantity in points, coarse ones first, as far as they can be read; of those that cannot have
-/// `least` points in `part` of the log nothing is read. The samples say the same.
+/// Returns the overviews of a quantity in points, coarse ones first, as far as they can be read.
+/// Those that cannot have `least` points in `part` of the log are not read: the samples give as
+/// many.
 pub(super) fn of_curve(
     end: &End,
     file: &mut File,
@@ -242,7 +247,7 @@ pub(super) fn of_curve(
     let mut found: Vec<&AttachmentIndex> =
         end.attachments.iter().filter(|at| at.name.starts_with(&prefix)).collect();
     found.sort_by_key(|at| at.length);
-    // A time, and of one component or more two values.
+    // A point has a time and, for one component or more, two values.
     let most = move |at: &AttachmentIndex| part * (at.length / 24) as f64;
     let enough = found.into_iter().filter(move |at| most(at) >= least as f64);
     enough.filter_map(move |at| {
@@ -274,10 +279,10 @@ mod tests {
             for (k, since_ns) in points.since_ns.iter().enumerate() {
                 assert_eq!(*since_ns, k as u64 * points.each);
             }
-            // The peak stands where it was.
+            // The peak stayed in its place.
             let peak = points.low[0].iter().position(|low| *low == -5.0).expect("kept");
             assert!((points.since_ns[peak]..points.since_ns[peak] + points.each).contains(&77_777));
-            // So it does in fewer points of a part.
+            // It also stays there in fewer points of a part.
             let part = points.part(count / 2..count, 2);
             assert!(part.since_ns.len() <= 2 && part.since_ns[0] == points.since_ns[count / 2]);
             assert_eq!(least(&part.low[0]), least(&points.low[0][count / 2..]));

@@ -29,15 +29,15 @@ struct Inner {
 
 enum Mode {
     Writing(BufWriter<File>),
-    /// What is written must be what the file holds.
+    /// Written bytes must be those that the file holds.
     Comparing(BufReader<File>),
     /// Nothing is written any more.
     Left,
 }
 
 impl Part {
-    /// An empty file, over any file of that name; what is no file, or a link to one, is left alone, and so is what another
-    /// process writes.
+    /// Creates an empty file, over any file of that name. Anything that is no file, or a link to
+    /// one, is left alone, and so is a file that another process writes.
     pub(super) fn create(path: &Path) -> io::Result<Self> {
         // Emptied once it is locked.
         let file = own(path, OpenOptions::new().write(true).create(true).truncate(false))?;
@@ -45,8 +45,8 @@ impl Part {
         Ok(Self::new(Mode::Writing(BufWriter::new(file))))
     }
 
-    /// The file that an interrupted run left; what is written is compared with it until its end or
-    /// [`Part::go_on`].
+    /// Opens the file that an interrupted run left; written bytes are compared with it until its
+    /// end or [`Part::go_on`].
     pub(super) fn compare(path: &Path) -> io::Result<Self> {
         let file = own(path, OpenOptions::new().read(true).write(true))?;
         let held = BufReader::with_capacity(COMPARED, file);
@@ -70,12 +70,12 @@ impl Part {
         }
     }
 
-    /// Whether something was written that the file does not hold.
+    /// Returns whether something was written that the file does not hold.
     pub(super) fn differs(&self) -> bool {
         self.inner().differs
     }
 
-    /// Lets the file be as it is: what the MCAP layer writes when it is dropped goes nowhere.
+    /// Leaves the file as it is: what the MCAP layer writes when it is dropped goes nowhere.
     pub(super) fn leave(&self) {
         if let Mode::Writing(buffer) = std::mem::replace(&mut self.inner().mode, Mode::Left) {
             // Not flushed: only whole chunks count, and those were.
@@ -83,12 +83,12 @@ impl Part {
         }
     }
 
-    /// Bytes written so far.
+    /// Returns the number of bytes written so far.
     fn position(&self) -> u64 {
         self.inner().position
     }
 
-    /// Everything to the disk, and the file given back: it is locked until that is dropped.
+    /// Brings everything to the disk and returns the file, which is locked until it is dropped.
     pub(super) fn close(&self) -> io::Result<File> {
         match std::mem::replace(&mut self.inner().mode, Mode::Left) {
             Mode::Writing(buffer) => {
@@ -122,7 +122,7 @@ impl Inner {
         Ok(())
     }
 
-    /// Compares the beginning of `bytes`; how many there were.
+    /// Compares the beginning of `bytes`; returns how many there were.
     fn compare(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let Mode::Comparing(held) = &mut self.mode else { return Ok(0) };
         let expected = held.fill_buf()?;
@@ -162,7 +162,7 @@ impl Write for Part {
 }
 
 impl Seek for Part {
-    /// Gives the position; the MCAP layer is set up to go nowhere else.
+    /// Returns the position; the MCAP layer is set up to go nowhere else.
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         match to {
             SeekFrom::Current(0) => Ok(self.inner().position),
@@ -171,8 +171,8 @@ impl Seek for Part {
     }
 }
 
-/// Opens and locks a regular file: a link that was put in its place would have its target written over, and what
-/// is read from a pipe may never come.
+/// Opens and locks a regular file: through a link in its place the target would be overwritten, and
+/// reading from a pipe may never end.
 pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::custom_flags(
@@ -194,12 +194,12 @@ pub(super) struct Busy {
     holder: Option<u32>,
 }
 
-/// Whether it is that another process writes the file.
+/// Returns whether the error is that another process writes the file.
 pub(crate) fn is_busy(error: &io::Error) -> bool {
     error.get_ref().is_some_and(|inner| inner.is::<Busy>())
 }
 
-/// Locks a file for as long as it is open: two writers would leave what is no log.
+/// Locks a file for as long as it is open: two writers would not leave a valid log.
 #[cfg(unix)]
 fn lock(file: &File, path: &Path) -> io::Result<()> {
     use std::fs::TryLockError;
@@ -207,10 +207,10 @@ fn lock(file: &File, path: &Path) -> io::Result<()> {
     let busy = |holder| Err(io::Error::new(io::ErrorKind::ResourceBusy, Busy { holder }));
     let place = |found: std::fs::Metadata| (found.dev(), found.ino());
     match file.try_lock() {
-        // Finished since it was opened: by now it has another name.
+        // The file was finished since it was opened: by now it has another name.
         Ok(()) if place(file.metadata()?) != place(path.symlink_metadata()?) => busy(None),
         Err(TryLockError::WouldBlock) => busy(holder(file.metadata()?.ino())),
-        // A file system without locks.
+        // The file system has no locks.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(()),
     }
 }
@@ -220,7 +220,8 @@ fn lock(_: &File, _: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// The process that has locked a file, where the system says it: lines of `1: FLOCK ADVISORY WRITE pid major:minor:inode ..`.
+/// Returns the process that has locked a file, where the system tells it: lines of `1: FLOCK
+/// ADVISORY WRITE pid major:minor:inode ..`.
 #[cfg(unix)]
 fn holder(inode: u64) -> Option<u32> {
     let locks = std::fs::read_to_string("/proc/locks").ok()?;
@@ -234,7 +235,7 @@ fn holder(inode: u64) -> Option<u32> {
 /// A place in the log: the step of a checkpoint, and the bytes of the file up to its end.
 type Place = (u64, u64);
 
-/// How far the file is on the disk.
+/// Extent to which the file is on the disk.
 #[derive(Debug, Default)]
 struct Durable {
     step: AtomicU64,
@@ -262,7 +263,8 @@ impl Syncer {
         Self { part, folder: folder(path).to_owned(), durable: Arc::default(), running: None }
     }
 
-    /// Brings what is flushed by now, the samples up to `step`, to the disk; soon, and without waiting.
+    /// Brings what is flushed by now, the samples up to `step`, to the disk; soon, and without
+    /// waiting.
     ///
     /// # Errors
     /// If an earlier sync failed.
@@ -294,12 +296,12 @@ impl Syncer {
         self.durable.step.load(Ordering::Acquire)
     }
 
-    /// Bytes of the file that are known to be on the disk.
+    /// Returns the number of bytes of the file that are known to be on the disk.
     pub(super) fn durable_bytes(&self) -> u64 {
         self.durable.bytes.load(Ordering::Acquire)
     }
 
-    /// Waits for what was requested.
+    /// Waits for the requested syncs.
     ///
     /// # Errors
     /// If a sync failed.
@@ -310,7 +312,7 @@ impl Syncer {
     }
 }
 
-/// The life of the thread: syncs as often as the disk can, and no more often than it was asked to.
+/// Runs the thread: syncs as often as the disk can, and no more often than requested.
 fn sync(
     file: &File,
     folder: &Path,
@@ -331,7 +333,7 @@ fn sync(
     Ok(())
 }
 
-/// The folder in which a file stands.
+/// Returns the folder in which a file stands.
 pub(crate) fn folder(path: &Path) -> &Path {
     match path.parent() {
         Some(folder) if folder != Path::new("") => folder,

@@ -62,12 +62,12 @@ pub enum Item<'a> {
     },
 }
 
-/// What was found at the end of a log.
+/// State of the end of a log.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Ending {
     /// Whether the log is finished: whole to the last byte, every checksum right, the outcome last.
     pub finished: bool,
-    /// Why it is not, for a person. `None` also if the visitor stopped the reading.
+    /// Reason why it is not, for a person. `None` also if the visitor stopped the reading.
     pub damage: Option<String>,
     /// Chunks seen.
     pub chunks: u64,
@@ -75,10 +75,10 @@ pub struct Ending {
     pub bytes: u64,
 }
 
-/// Who is shown the parts of a log.
+/// Visitor that is shown the parts of a log.
 type Visit<'a> = dyn FnMut(Item<'_>) -> ControlFlow<()> + 'a;
 
-/// Whether a file begins as an MCAP log does, finished or not.
+/// Returns whether a file begins as an MCAP log does, finished or not.
 ///
 /// # Errors
 /// If it cannot be opened or read.
@@ -92,8 +92,8 @@ pub fn is_log(path: &Path) -> Result<bool, LogError> {
 
 /// Reads `path` and shows its parts to `visit`, until that breaks off.
 ///
-/// Damage is no error: it ends the reading and is reported in the [`Ending`]. What was shown before it
-/// is sound.
+/// Damage is no error: it ends the reading and is reported in the [`Ending`]. Everything shown
+/// before it is sound.
 ///
 /// # Errors
 /// If the file cannot be opened or read.
@@ -104,7 +104,7 @@ pub fn read(
     read_for(path, &mut visit)
 }
 
-/// The same, compiled once for all visitors.
+/// Does the same, compiled once for all visitors.
 fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
     let failed = |source| LogError::io(path, "read", source);
     let file = File::open(path).map_err(failed)?;
@@ -159,7 +159,7 @@ pub fn read_samples(path: &Path, mut visit: impl FnMut(u64, Message)) -> Result<
     })
 }
 
-/// What is known of the log so far. Its errors are damage, in words.
+/// State of the log so far. Its errors are damage, in words.
 #[derive(Default)]
 struct Walk {
     schemas: HashMap<u16, String>,
@@ -284,7 +284,7 @@ impl Walk {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// What is missing in a file that was read to its end.
+    /// Returns what is missing in a file that was read to its end.
     fn missing(&self) -> Option<String> {
         if !self.data_ended {
             Some(damaged("its data has no end record"))

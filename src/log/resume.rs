@@ -21,7 +21,7 @@ use super::schema::{Channel, Topic};
 use super::writer::{LogHeader, LogWriter};
 use super::{LogError, part_path};
 
-/// What an unfinished log held.
+/// Part of the contents of an unfinished log.
 #[derive(Debug)]
 pub enum Seen<'a> {
     /// A message of ours, of a run or of member 0, with its log time.
@@ -42,8 +42,8 @@ impl LogWriter {
     /// Resumes the unfinished log of `path` behind its last checkpoint. `None` if there is none that
     /// this build would write for this job, or none with a checkpoint; nothing is changed then.
     ///
-    /// `seen` is shown what stands before the checkpoint; also if the log is not resumed in the end. The reading
-    /// ends once `stopped`, and the file stays as it is.
+    /// Everything before the checkpoint is shown to `seen`, even if the log is not resumed in the
+    /// end. The reading ends once `stopped`, and the file stays as it is.
     ///
     /// # Errors
     /// If the file cannot be read, or not be cut off behind the checkpoint, or the reading was stopped.
@@ -120,7 +120,7 @@ impl LogWriter {
         }
     }
 
-    /// Writes again what a chunk held, up to its checkpoint.
+    /// Writes the contents of a chunk again, up to its checkpoint.
     fn feed(
         &mut self,
         messages: Vec<Pending>,
@@ -147,7 +147,7 @@ impl LogWriter {
     }
 }
 
-/// The quaternion that a message holds.
+/// Returns the quaternion of a message.
 fn turn(channel: Channel, data: &[u8]) -> Option<[f64; 4]> {
     match channel {
         Channel::State => State::decode(data).ok()?.quaternion.try_into().ok(),
@@ -159,8 +159,8 @@ fn turn(channel: Channel, data: &[u8]) -> Option<[f64; 4]> {
     }
 }
 
-/// The step of the last checkpoint of an unfinished log: how far an interrupted run has come. `None` if
-/// there is no such log, or none that holds a checkpoint.
+/// Returns the step of the last checkpoint of an unfinished log: how far an interrupted run has
+/// come. `None` if there is no such log, or none that holds a checkpoint.
 ///
 /// # Errors
 /// If the file cannot be read.

@@ -1,4 +1,5 @@
-//! The course of a quantity over a log, in few points that keep every extreme: for charts that people ask for.
+//! The course of a quantity over a log, in few points that keep every extreme: for charts on
+//! request.
 //!
 //! Invariant: memory is bounded by what is asked for, however long the log is; a point holds the smallest and the largest
 //! of the samples behind it, so no peak is lost.
@@ -17,7 +18,7 @@ use super::overview::{self, Points};
 use super::reader::{self, Item};
 use super::schema::Channel;
 
-/// What a chart shows over time.
+/// Quantity that a chart shows over time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Curve {
@@ -27,20 +28,20 @@ pub enum Curve {
     OrthogonalityError,
     /// Change of the part of the spatial momentum that the scene conserves, in kg m^2/s.
     MomentumDrift,
-    /// In body coordinates, in rad/s.
+    /// Angular velocity in body coordinates, in rad/s.
     AngularVelocity,
     /// Angular momentum in body coordinates, in kg m^2/s.
     BodyMomentum,
     /// Spatial angular momentum, in kg m^2/s.
     SpatialMomentum,
-    /// Of each axis of the body to the axis of space of the same number, in rad.
+    /// Angle of each axis of the body to the axis of space of the same number, in rad.
     AxisAngle,
-    /// Of a step that adapts, in s.
+    /// Length of an adaptive step, in s.
     Step,
 }
 
 impl Curve {
-    /// All of them.
+    /// All quantities.
     pub const ALL: [Self; 8] = [
         Self::EnergyError,
         Self::OrthogonalityError,
@@ -52,7 +53,7 @@ impl Curve {
         Self::Step,
     ];
 
-    /// Its name in questions and answers.
+    /// Returns its name in queries and answers.
     pub const fn name(self) -> &'static str {
         match self {
             Self::EnergyError => "energy_error",
@@ -78,7 +79,7 @@ impl Curve {
         }
     }
 
-    /// The channel whose messages say it.
+    /// Returns the channel whose messages hold it.
     pub const fn channel(self) -> Channel {
         match self {
             Self::EnergyError => Channel::Energy,
@@ -89,7 +90,7 @@ impl Curve {
         }
     }
 
-    /// Adds what a message of its channel says; nothing if it does not say it.
+    /// Adds its values from a message of its channel; nothing if the message holds none.
     pub(super) fn values(self, message: &Message, velocity: Velocity<'_>, values: &mut Vec<f64>) {
         match (self, message) {
             (Self::EnergyError, Message::Energy(energy)) => values.push(energy.error),
@@ -102,7 +103,7 @@ impl Curve {
                 values.extend_from_slice(&state.body_momentum);
             }
             (Self::AngularVelocity, Message::State(state)) => {
-                // Logs of builds before have the momentum alone.
+                // Logs of earlier builds hold the momentum alone.
                 match state.angular_velocity.as_slice() {
                     [] => values.extend(velocity(&state.body_momentum)),
                     found => values.extend_from_slice(found),
@@ -119,24 +120,24 @@ impl Curve {
     }
 }
 
-/// The angular velocity of a momentum, both in body coordinates.
+/// Function that returns the angular velocity of a momentum, both in body coordinates.
 pub type Velocity<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);
 
-/// A part of a log in time, and in how many points.
+/// Part of a log in time, and the number of points for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Window {
     /// Its beginning in seconds.
     pub from_s: f64,
     /// Its end in seconds, at most.
     pub to_s: f64,
-    /// Points, at most.
+    /// Largest number of points.
     pub points: usize,
 }
 
 /// The course of a quantity.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Samples {
-    /// What it is the course of.
+    /// Quantity whose course it is.
     pub channel: Curve,
     /// The unit of the values; empty for a number.
     pub unit: &'static str,
@@ -146,20 +147,20 @@ pub struct Samples {
     pub low: Vec<Vec<f64>>,
     /// The largest value behind each point, one list a component.
     pub high: Vec<Vec<f64>>,
-    /// Samples behind a point, at most.
+    /// Largest number of samples behind a point.
     pub each: u64,
     /// Time of the last sample of the log in seconds; absent while it is being written.
     pub end_s: Option<f64>,
 }
 
-/// Messages of a log from which on several threads read it: each a part of the time.
+/// Least number of messages of a log that several threads read, each a part of the time.
 const LONG: u64 = 50_000;
 
-/// Threads that read one log, at most.
+/// Largest number of threads that read one log.
 const MOST_THREADS: usize = 4;
 
-/// Reads the course of a quantity, of an ensemble that of member 0. Of an unfinished log what stands in whole chunks.
-/// `None` if `stopped` said so on the way.
+/// Reads the course of a quantity, for an ensemble that of member 0. Of an unfinished log the whole
+/// chunks are read. Returns `None` if `stopped` said so on the way.
 ///
 /// # Errors
 /// If the file cannot be read, or its index is damaged.
@@ -191,7 +192,7 @@ pub fn read_course(
             let Item::Message { topic, time_ns, data, .. } = item else {
                 return ControlFlow::Continue(());
             };
-            // Whatever comes first is of the start.
+            // The first message belongs to the start.
             let start_ns = *start_ns.get_or_insert(time_ns);
             if topic != curve.channel().topic() {
                 return ControlFlow::Continue(());
@@ -242,20 +243,22 @@ pub fn read_course(
     Ok(Some(Samples::of(curve, all, Some(last_ns))))
 }
 
-/// Points for the samples before and after what an overview holds of a window, of each.
+/// Number of points for the samples before what an overview holds of a window, and as many for
+/// those after.
 const EDGE_POINTS: usize = 2;
 
-/// The part of a window that an overview answers for.
+/// The part of a window that an overview covers.
 struct Inside {
     overview: Points,
     /// Its points.
     range: Range<usize>,
-    /// Their time since the start, in nanoseconds.
+    /// Time of the points since the start, in nanoseconds.
     span: Range<u64>,
 }
 
 impl Inside {
-    /// `None` if the overview has at most half of the points wanted of the window: the samples give as many.
+    /// Returns `None` if the overview has at most half of the points wanted of the window: the
+    /// samples give as many.
     fn of(overview: Points, window: &Range<u64>, last_ns: u64, wanted: usize) -> Option<Self> {
         let times = &overview.since_ns;
         let first = times.partition_point(|&since_ns| since_ns < window.start);
@@ -301,7 +304,7 @@ fn in_parallel<T: Send>(
 struct Reading<'a> {
     curve: Curve,
     points: Points,
-    /// In nanoseconds since the start.
+    /// Span in nanoseconds since the start.
     span: Range<u64>,
     limit: usize,
     velocity: Velocity<'a>,
@@ -331,7 +334,7 @@ impl Reading<'_> {
         Ok(())
     }
 
-    /// Whether nothing of the part comes at or after a time.
+    /// Returns whether no message of the part comes at or after a time.
     fn is_over(&self, since_ns: u64) -> bool {
         since_ns >= self.span.end
     }

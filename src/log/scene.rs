@@ -1,4 +1,4 @@
-//! What a viewer draws: the body's box of inertia with its points, and what stands around it.
+//! Drawings for viewers: the body's box of inertia with its points, and its surroundings.
 //!
 //! Invariant: body and sources move by their frames alone, so each drawing is sent once, at the start.
 //!
@@ -20,17 +20,18 @@ pub const SPACE_FRAME: &str = "space";
 /// Name of the frame that turns with the body.
 pub const BODY_FRAME: &str = "body";
 
-/// Name of the frame that turns with a member of an ensemble; that of member 0 is the body's.
+/// Returns the name of the frame that turns with a member of an ensemble; that of member 0 is the
+/// body's.
 pub fn body_frame(member: u64) -> Cow<'static, str> {
     if member == 0 { BODY_FRAME.into() } else { format!("{BODY_FRAME}/{member}").into() }
 }
 
-/// Name of the frame of the k-th source that moves.
+/// Returns the name of the frame of the k-th source that moves.
 fn source_frame(k: usize) -> String {
     format!("source/{k}")
 }
 
-/// What to draw; empty unless n = 3.
+/// Objects to draw; empty unless n = 3.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneGeometry {
     /// Edge lengths of the box with the body's inertia; zeros for none.
@@ -43,25 +44,25 @@ pub struct SceneGeometry {
     pub space_points: Vec<Marker>,
     /// Directions of uniform fields and of gravity, in the space frame; lengths are ignored.
     pub directions: Vec<[f64; 3]>,
-    /// What moves, each in a frame of its own.
+    /// Objects that move, each in a frame of its own.
     pub moving: Vec<Mover>,
 }
 
 /// A source that moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mover {
-    /// How.
+    /// The term that moves it.
     pub term: DrivenTerm<3>,
-    /// A charge or an anchor at its place; `None` of a direction.
+    /// Colour of a charge or an anchor at its place; `None` for a direction.
     pub ball: Option<Sign>,
 }
 
 /// A point to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Marker {
-    /// Where it is.
+    /// Position of the point.
     pub position: [f64; 3],
-    /// How it is coloured.
+    /// Colour of the point.
     pub sign: Sign,
 }
 
@@ -77,7 +78,7 @@ pub enum Sign {
 }
 
 impl SceneGeometry {
-    /// The body with its points and axes, in its own frame.
+    /// Returns the body with its points and axes, in its own frame.
     pub fn body(&self, time_ns: u64) -> SceneUpdate {
         let unit = self.unit();
         let mut entity = entity("body", BODY_FRAME, time_ns);
@@ -99,12 +100,12 @@ impl SceneGeometry {
         update(entity)
     }
 
-    /// Whether anything stands around the body.
+    /// Returns whether anything stands around the body.
     pub fn has_sources(&self) -> bool {
         !self.space_points.is_empty() || !self.directions.is_empty() || !self.moving.is_empty()
     }
 
-    /// Charges, anchors and directions, in space coordinates; `None` if there are none.
+    /// Returns charges, anchors and directions, in space coordinates; `None` if there are none.
     pub fn sources(&self, time_ns: u64) -> Option<SceneUpdate> {
         if !self.has_sources() {
             return None;
@@ -130,8 +131,8 @@ impl SceneGeometry {
         Some(SceneUpdate { deletions: Vec::new(), entities })
     }
 
-    /// The frames of what moves as seen from space, for viewers: a charge is at the origin of its frame, a direction
-    /// along the x axis.
+    /// Returns the frames of the moving objects as seen from space, for viewers: a charge is at the
+    /// origin of its frame, a direction along the x axis.
     pub fn frames(&self, time_s: f64, time_ns: u64) -> Vec<FrameTransform> {
         let frame = |(k, mover): (usize, &Mover)| {
             let now = <[f64; 3]>::from(mover.term.space_at(time_s));
@@ -151,7 +152,8 @@ impl SceneGeometry {
         self.moving.iter().enumerate().map(frame).collect()
     }
 
-    /// The length that is drawn as 1: half the longest edge, or how far the farthest body point is.
+    /// Returns the length that is drawn as 1: half the longest edge, or the distance of the
+    /// farthest body point.
     fn unit(&self) -> f64 {
         let points = self.body_points.iter().map(|point| norm(point.position));
         let edges = self.box_size.into_iter().map(|edge| 0.5 * edge);
@@ -165,7 +167,7 @@ fn entity(id: &str, frame: &str, time_ns: u64) -> SceneEntity {
         timestamp: timestamp(time_ns),
         frame_id: frame.to_owned(),
         id: id.to_owned(),
-        // Zero: until replaced.
+        // Zero means: until replaced.
         lifetime: Some(Duration::new(0, 0)),
         frame_locked: true,
         ..SceneEntity::default()
@@ -189,7 +191,7 @@ fn sphere(point: &Marker, unit: f64, diameter: f64) -> SpherePrimitive {
     }
 }
 
-/// An arrow from the origin.
+/// Returns an arrow from the origin.
 fn arrow(along: [f64; 3], length: f64, diameter: f64, rgb: [f64; 3]) -> ArrowPrimitive {
     ArrowPrimitive {
         pose: pose([0.0; 3], turn_to(along)),
@@ -201,7 +203,7 @@ fn arrow(along: [f64; 3], length: f64, diameter: f64, rgb: [f64; 3]) -> ArrowPri
     }
 }
 
-/// The rotation that turns the x axis, along which viewers draw arrows, to a direction.
+/// Returns the rotation that turns the x axis, along which viewers draw arrows, to a direction.
 fn turn_to(direction: [f64; 3]) -> [f64; 4] {
     let length = norm(direction);
     if !(length > 0.0 && length.is_finite()) {

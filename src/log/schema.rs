@@ -1,6 +1,7 @@
 //! The channels of a log, one row each: topic, message type, the scenes that have it, what it needs and what it takes.
 //!
-//! A new channel is its message in `vpd.proto`, its row here and what it says of a sample in [`super::messages`].
+//! A new channel is its message in `vpd.proto`, its row here and how a sample fills it in
+//! [`super::messages`].
 //!
 //! Invariant: one channel per topic and one schema per message type; topics and names are fixed.
 
@@ -20,7 +21,7 @@ const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/vpd.descrip
 /// The encoding of every schema and message.
 pub(crate) const ENCODING: &str = "protobuf";
 
-/// How chunks are compressed.
+/// Compression of chunks.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Compression {
@@ -44,12 +45,12 @@ macro_rules! channels {
         }
 
         impl Channel {
-            /// Every channel, in the order in which logs list them.
+            /// Returns every channel, in the order in which logs list them.
             pub const fn all() -> [Self; [$($topic),*].len()] {
                 [$(Self::$channel),*]
             }
 
-            /// The topic.
+            /// Returns the topic.
             pub const fn topic(self) -> &'static str {
                 match self {
                     $(Self::$channel => $topic,)*
@@ -70,7 +71,7 @@ channels! {
     Momentum = "/momentum",
     /// How the steps were solved.
     Solver = "/solver",
-    /// How time passes for steps that adapt.
+    /// Rate of time for adaptive steps.
     Pace = "/pace",
     /// The body's frame for viewers; n = 3.
     Tf = "/tf",
@@ -102,24 +103,24 @@ enum Scope {
 /// Bytes of a message before compression.
 #[derive(Clone, Copy, Debug)]
 struct Bytes {
-    /// Of matrices and vectors, whose digits do not compress.
+    /// Bytes of matrices and vectors, whose digits do not compress.
     dense: usize,
     rest: usize,
 }
 
-/// What is known of a channel.
+/// Properties of a channel.
 struct Row {
     /// Full name of the message type.
     schema: &'static str,
     descriptors: fn() -> Cow<'static, [u8]>,
     scope: Scope,
-    /// What is computed for it, in words.
+    /// Description of what is computed for it.
     computes: &'static str,
     /// The figures that a sample must have for it.
     needs: Observables,
-    /// Does it show the attitude?
+    /// Whether it shows the attitude.
     attitude: bool,
-    /// Of the message of a sample, about; `None` if it is not written with every sample.
+    /// Approximate size of the message of a sample; `None` if it is not written with every sample.
     sample: Option<Bytes>,
 }
 
@@ -133,7 +134,7 @@ pub struct Schema {
 
 impl Channel {
     fn row(self, n: usize) -> Row {
-        // Tag and value; a list has its tag and length once.
+        // The size of tag and value; a list has its tag and length once.
         const DOUBLE: usize = 9;
         const LIST: usize = 4;
         let nothing = Observables::default();
@@ -192,7 +193,8 @@ impl Channel {
                 descriptors: well_known::<FrameTransforms>,
                 scope: Scope::ThreeDimensions,
                 attitude: true,
-                // Time stamp, two names, translation and four doubles, each part with tag and length.
+                // Sizes of the time stamp, two names, translation and four doubles, each part with
+                // tag and length.
                 sample: sample(0, 75),
                 ..plain("foxglove.FrameTransforms", "the attitude as a quaternion")
             },
@@ -224,18 +226,18 @@ impl Channel {
         }
     }
 
-    /// Do only ensembles have it?
+    /// Returns whether only ensembles have it.
     pub fn is_of_ensembles(self) -> bool {
         self.row(3).scope == Scope::Ensembles
     }
 
-    /// The channel of a topic.
+    /// Returns the channel of a topic.
     pub fn from_topic(topic: &str) -> Option<Self> {
         Self::all().into_iter().find(|channel| channel.topic() == topic)
     }
 
-    /// Whether a scene has the channel: of n = 3 or not, with or without something there to draw, of an ensemble or
-    /// of one run, in steps that adapt or not.
+    /// Returns whether a scene has the channel: for n = 3 or not, with or without something there
+    /// to draw, an ensemble or one run, in adaptive steps or not.
     pub(crate) fn exists(
         self,
         three: bool,
@@ -252,90 +254,93 @@ impl Channel {
         }
     }
 
-    /// Whether the channel is for n = 3 only.
+    /// Returns whether the channel is for n = 3 only.
     pub fn needs_three(self) -> bool {
         !self.exists(false, true, true, true)
     }
 
-    /// Whether the channel is for ensembles only.
+    /// Returns whether the channel is for ensembles only.
     pub fn needs_ensemble(self) -> bool {
         !self.exists(true, true, false, true)
     }
 
-    /// Whether the channel is for steps that adapt only.
+    /// Returns whether the channel is for adaptive steps only.
     pub fn needs_own_steps(self) -> bool {
         !self.exists(true, true, true, false)
     }
 
-    /// What is computed for it, in words.
+    /// Returns a description of what is computed for it.
     pub(crate) fn computes(self) -> &'static str {
         self.row(3).computes
     }
 
-    /// The figures that a sample must have for all of `channels`.
+    /// Returns the figures that a sample must have for all of `channels`.
     pub(crate) fn observables(channels: impl IntoIterator<Item = Self>) -> Observables {
         let needs = channels.into_iter().map(|channel| channel.row(3).needs);
         needs.fold(Observables::default(), |all, needs| all | needs)
     }
 
-    /// Whether it shows the attitude.
+    /// Returns whether it shows the attitude.
     pub(crate) fn shows_attitude(self) -> bool {
         self.row(3).attitude
     }
 
-    /// Whether a message of the channel belongs to a sample.
+    /// Returns whether a message of the channel belongs to a sample.
     pub fn is_sampled(self) -> bool {
         self.row(3).sample.is_some()
     }
 
-    /// Name of the channel's message type.
+    /// Returns the name of the channel's message type.
     pub fn schema_name(self) -> &'static str {
         self.row(3).schema
     }
 
-    /// The channel's message type with its descriptors.
+    /// Returns the channel's message type with its descriptors.
     pub fn schema(self) -> Schema {
         let Row { schema: name, descriptors, .. } = self.row(3);
         Schema { name, descriptors: descriptors() }
     }
 
-    /// About how many bytes a sample takes on this channel before compression, message header and
-    /// index included: for estimates of the size of a log and of its chunks. 0 for channels that
-    /// are not written with every sample.
+    /// Returns about how many bytes a sample takes on this channel before compression, message
+    /// header and index included: for estimates of the size of a log and of its chunks. 0 for
+    /// channels that are not written with every sample.
     pub fn bytes_per_sample(self, n: usize) -> u64 {
-        // Opcode, length, channel, sequence and two times; then an entry of the index.
+        // The size of opcode, length, channel, sequence and two times; then an entry of the index.
         const HEADER: usize = 1 + 8 + 2 + 4 + 8 + 8;
         const INDEX: usize = 16;
         let bytes = |Bytes { dense, rest }| (HEADER + INDEX + dense + rest) as u64;
         self.row(n).sample.map_or(0, bytes)
     }
 
-    /// Of these the bytes of matrices and vectors, whose digits do not compress.
+    /// Returns how many of these bytes are of matrices and vectors, whose digits do not compress.
     pub fn dense_bytes_per_sample(self, n: usize) -> u64 {
         self.row(n).sample.map_or(0, |bytes| bytes.dense as u64)
     }
 }
 
-/// The numbers of a state: attitude, momentum, velocity, and for n = 3 the quaternion.
+/// Returns the size of the numbers of a state: attitude, momentum, velocity, and for n = 3 the
+/// quaternion.
 const fn state_bytes(n: usize) -> u64 {
     (8 * (n * n + 2 * so::dimension(n)) + if n == 3 { 32 } else { 0 }) as u64
 }
 
-/// About how many bytes the end of a member of an ensemble takes before compression, with `waypoints` points on its way.
+/// Returns about how many bytes the end of a member of an ensemble takes before compression, with
+/// `waypoints` points on its way.
 pub const fn bytes_per_member(n: usize, waypoints: u64) -> u64 {
     const FIGURES: u64 = 180;
     const TIME: u64 = 8;
     dense_bytes_per_member(n, waypoints) + FIGURES + waypoints * TIME
 }
 
-/// Of these the bytes of its two states and of its points, whose digits do not compress.
+/// Returns how many of these bytes are of its two states and of its points, whose digits do not
+/// compress.
 pub const fn dense_bytes_per_member(n: usize, waypoints: u64) -> u64 {
     const VELOCITY_AND_ERRORS: usize = 4;
     2 * state_bytes(n) + waypoints * 4 * (n * n + n + VELOCITY_AND_ERRORS) as u64
 }
 
-/// Where a message stands: its channel, and of an ensemble the member. Member 0, and a run that is no ensemble,
-/// have the channel's own topic; the others stand below `/members`.
+/// Topic of a message: its channel and, for an ensemble, the member. Member 0, and a run that is no
+/// ensemble, have the channel's own topic; the others stand below `/members`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Topic {
     /// Number of the member.
@@ -345,7 +350,7 @@ pub struct Topic {
 }
 
 impl Topic {
-    /// The name in the log.
+    /// Returns its name in the log.
     pub fn name(self) -> String {
         match self {
             Self { member: 0, channel } => channel.topic().to_owned(),
@@ -353,7 +358,7 @@ impl Topic {
         }
     }
 
-    /// The topic of a name.
+    /// Returns the topic of a name.
     pub fn parse(name: &str) -> Option<Self> {
         let (member, channel) = match name.strip_prefix("/members/") {
             None => (0, name),

@@ -1,4 +1,4 @@
-//! A stretch of a log for drawing: attitudes one after another, and what stands in the scene.
+//! A stretch of a log for drawing: attitudes one after another, and the objects of the scene.
 //!
 //! Invariant: what is read and kept is bounded by what is asked for, however long a finished log is; of an
 //! unfinished one only the beginning is read.
@@ -33,7 +33,7 @@ pub struct Stretch {
     pub angular_velocity: Vec<Vec<f64>>,
     /// Time of the last sample of the log in seconds; absent while it is being written.
     pub end_s: Option<f64>,
-    /// What viewers draw; empty unless n = 3.
+    /// Shapes that viewers draw; empty unless n = 3.
     pub scene: Vec<Drawing>,
 }
 
@@ -63,14 +63,14 @@ pub struct Shape {
     pub color: [f64; 4],
 }
 
-/// What is wanted of a log.
+/// Query for a stretch of a log.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wanted {
-    /// Time of the first attitude in seconds, of a finished log.
+    /// Time of the first attitude in seconds, for a finished log.
     pub from_s: f64,
-    /// The least time between two attitudes in seconds.
+    /// Least time between two attitudes in seconds.
     pub every_s: f64,
-    /// Attitudes, at most.
+    /// Largest number of attitudes.
     pub samples: usize,
 }
 
@@ -92,7 +92,7 @@ fn finished(file: &mut File, end: &End, wanted: Wanted) -> Result<Stretch, McapE
     let (start_ns, end_ns) = end.span_ns;
     stretch.end_s = Some((end_ns - start_ns) as f64 * 1e-9);
     let scene = [Channel::SceneBody.topic(), Channel::SceneSources.topic()];
-    // The scene is of the start.
+    // The scene belongs to the start.
     end.messages(file, &scene, start_ns..start_ns.saturating_add(1), |_, data| {
         stretch.draw(data);
         ControlFlow::Continue(())
@@ -103,7 +103,7 @@ fn finished(file: &mut File, end: &End, wanted: Wanted) -> Result<Stretch, McapE
     Ok(stretch)
 }
 
-/// The first samples of a log that is being written.
+/// Reads the first samples of a log that is being written.
 fn beginning(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
     let mut stretch = Stretch::default();
     reader::read(path, |item| {
@@ -155,7 +155,7 @@ fn edges(size: Option<Vector3>) -> [f64; 3] {
     size.map_or([0.0; 3], |size| [size.x, size.y, size.z])
 }
 
-/// Shapes of their messages; what has no place is not drawn.
+/// Returns the shapes of their messages; one without a place is not drawn.
 fn shapes<T>(
     primitives: Vec<T>,
     parts: impl Fn(T) -> (Option<Pose>, [f64; 3], Option<Color>),

@@ -33,21 +33,21 @@ use super::{
 };
 use crate::solve::trajectory::{Checkpoint, Sample, Sink};
 
-/// Goes into the file's header; part of the bytes.
+/// Library name in the file's header; part of the bytes.
 const LIBRARY: &str = concat!("vpd/", env!("CARGO_PKG_VERSION"));
 
-/// What a log starts with.
+/// Contents of the beginning of a log.
 #[derive(Clone, Debug)]
 pub struct LogHeader {
-    /// n: what is recorded moves on SO(n).
+    /// n: the recorded system moves on SO(n).
     pub dimension: usize,
     /// Log time of t = 0, in nanoseconds since 1970.
     pub epoch_ns: u64,
-    /// What to write. Channels that need n = 3 are passed over for other n.
+    /// Channels to write. Those that need n = 3 are passed over for other n.
     pub channels: Vec<Channel>,
-    /// The members of an ensemble whose samples are written; of a single run, 0.
+    /// Members of an ensemble whose samples are written; 0 for a single run.
     pub members: Vec<u64>,
-    /// How chunks are compressed.
+    /// Compression of chunks.
     pub compression: Compression,
     /// A chunk is closed, and so is safe from a kill, after this many samples; fewer where the chunk
     /// would outgrow [`MAX_CHUNK_BYTES`].
@@ -56,11 +56,11 @@ pub struct LogHeader {
     pub scenario_json: Option<Vec<u8>>,
     /// Entries of the record [`JOB_RECORD`].
     pub job: BTreeMap<String, String>,
-    /// What viewers draw.
+    /// Objects that viewers draw.
     pub scene: SceneGeometry,
 }
 
-/// How the job ended.
+/// Outcome of the job.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// `succeeded`, `failed` or `cancelled`; becomes the entry `state`.
@@ -71,7 +71,7 @@ pub struct Outcome {
     pub charts: Vec<(&'static str, String)>,
 }
 
-/// How grave a line of the log is.
+/// Severity of a line of the log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Level {
     /// For the record.
@@ -88,7 +88,7 @@ pub enum Level {
 /// the disk soon after: [`LogWriter::durable_step`] says how far.
 pub struct LogWriter {
     path: PathBuf,
-    /// n.
+    /// n of SO(n).
     pub(super) dimension: usize,
     /// Empty once the file is no longer ours to remove.
     pub(super) part: PathBuf,
@@ -96,39 +96,40 @@ pub struct LogWriter {
     part_file: Part,
     pub(super) syncer: Syncer,
     given_up: bool,
-    /// What becomes of the file when the writer is dropped.
+    /// Fate of the file when the writer is dropped.
     rest: Rest,
     pub(super) epoch_ns: u64,
     scene: SceneGeometry,
     samples_per_chunk: u64,
-    /// What is to be written, in the order of the channel ids.
+    /// Topics to be written, in the order of the channel ids.
     topics: Vec<Topic>,
     /// Ids by topic, once registered.
     ids: Option<BTreeMap<Topic, u16>>,
     pub(super) samples: u64,
-    /// Samples when the last chunk was closed.
+    /// Number of samples when the last chunk was closed.
     closed_at: u64,
     /// Whether the open chunk holds messages; one without would start in 1970.
     chunk_has_messages: bool,
     last_ns: u64,
     /// The last quaternion of each member: the next has the nearer sign.
     pub(super) turns: BTreeMap<u64, [f64; 4]>,
-    /// What charts of a long log show.
+    /// Chart data of a long log.
     pub(super) curves: Curves,
 }
 
-/// What becomes of an unfinished file.
+/// Fate of an unfinished file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Rest {
     /// No run can resume from it.
     Removed,
     /// The next run goes on from its last whole chunk.
     Kept,
-    /// The same, of what is known to be on the disk: a sync failed, and what it lost is not known.
+    /// The next run goes on from the last chunk known to be on the disk: a sync failed, and what it
+    /// lost is not known.
     KeptWhereSynced,
 }
 
-/// Is it the log of a job of this name, and one that failed? A link is none.
+/// Returns whether it is the log of a job of this name, and one that failed. A link is none.
 fn is_of_failed(path: &Path, name: Option<&String>) -> bool {
     let outcome = || {
         let mut file = path.symlink_metadata().ok()?.is_file().then(|| File::open(path).ok())??;
@@ -141,7 +142,7 @@ fn is_of_failed(path: &Path, name: Option<&String>) -> bool {
 }
 
 impl LogWriter {
-    /// Starts the log of `path` under the name of [`super::part_path`], over anything of that name.
+    /// Starts the log of `path` under the name of [`super::part_path`], over any file of that name.
     ///
     /// # Errors
     /// If the file cannot be created or written.
@@ -152,7 +153,7 @@ impl LogWriter {
             let _ = fs::remove_file(&part);
         })?;
         log.part = part;
-        // For those who follow: the first chunk may take a while.
+        // Flushed for readers that follow: the first chunk may take a while.
         log.part_file.flush().map_err(|source| LogError::io(path, "write", source))?;
         let start = log.time(0.0)?;
         log.put(Channel::SceneBody, start, &header.scene.body(start))?;
@@ -164,11 +165,12 @@ impl LogWriter {
         Ok(log)
     }
 
-    /// The same, but what stands there is left alone: a finished log, or one that this job did not leave unfinished. Only
-    /// the log of a job of this name that failed goes when this one is finished.
+    /// Does the same, but leaves a file in its place alone if it is a finished log, or one that
+    /// this job did not leave unfinished. Only the log of a failed job of this name is replaced
+    /// when this one is finished.
     ///
     /// # Errors
-    /// Those of [`LogWriter::create`], and [`LogError::Exists`].
+    /// The errors of [`LogWriter::create`], and [`LogError::Exists`].
     pub fn create_new(path: &Path, header: &LogHeader) -> Result<Self, LogError> {
         let exists =
             |path: &Path, finished| Err(LogError::Exists { path: path.to_owned(), finished });
@@ -183,13 +185,13 @@ impl LogWriter {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
                 return Err(LogError::io(path, "resume", source));
             }
-            // None, or one of this job that ended before its first checkpoint.
+            // There is none, or one of this job that ended before its first checkpoint.
             _ => {}
         }
         Self::create(path, header)
     }
 
-    /// Writes what comes before the first message.
+    /// Writes everything before the first message.
     pub(super) fn begin(
         path: &Path,
         header: &LogHeader,
@@ -299,17 +301,17 @@ impl LogWriter {
         self.put(Channel::Log, time_ns, &line)
     }
 
-    /// Samples recorded so far.
+    /// Returns the number of samples recorded so far.
     pub fn samples(&self) -> u64 {
         self.samples
     }
 
-    /// The step up to which the log is on the disk: what a reader finds after a power cut.
+    /// Returns the step up to which the log is on the disk: what a reader finds after a power cut.
     pub fn durable_step(&self) -> u64 {
         self.syncer.durable_step()
     }
 
-    /// Bytes of the unfinished log that are on the disk.
+    /// Returns the number of bytes of the unfinished log that are on the disk.
     pub fn durable_bytes(&self) -> u64 {
         self.syncer.durable_bytes()
     }
@@ -353,7 +355,7 @@ impl LogWriter {
         self.attempt(|file| file.finish().map(drop))?;
 
         let synced = self.syncer.settle().and_then(|()| self.part_file.close());
-        // Locked until it has its name.
+        // The file stays locked until it has its name.
         let _file = synced.map_err(|source| self.refused("sync", source))?;
         let renamed = fs::rename(&self.part, &self.path);
         renamed.map_err(|source| self.refused("rename", source))?;
@@ -362,8 +364,8 @@ impl LogWriter {
         sync_folder(folder(&self.path)).map_err(|source| LogError::io(&self.path, "sync", source))
     }
 
-    /// Takes note that the file system refused something: no more is written, and the file stays if it may be done
-    /// later.
+    /// Takes note that the file system refused something: no more is written, and the file stays if
+    /// that may succeed later.
     fn refused(&mut self, action: &'static str, source: std::io::Error) -> LogError {
         self.given_up = true;
         self.rest = match (is_transient(&source), action) {
@@ -404,10 +406,10 @@ impl LogWriter {
         self.write(&header, payload)
     }
 
-    /// The id of a topic that is to be written.
+    /// Returns the id of a topic that is to be written.
     pub(super) fn id(&mut self, topic: Topic) -> Result<u16, LogError> {
-        // Only now, with a message at hand: channels without one leave an empty chunk that starts
-        // in 1970, and viewers with it.
+        // Registered only now, with a message at hand: channels without one leave an empty chunk
+        // that starts in 1970, and viewers with it.
         if self.ids.is_none() {
             self.register()?;
         }
@@ -466,7 +468,7 @@ impl LogWriter {
     /// Takes a sample of a member of an ensemble.
     ///
     /// # Errors
-    /// If it holds what a log cannot, or the file cannot be written.
+    /// If it holds values that a log cannot hold, or the file cannot be written.
     ///
     /// # Panics
     /// If it is of another dimension than the log.
@@ -486,7 +488,7 @@ impl LogWriter {
         self.record_seen(member, seen, &message)
     }
 
-    /// The same, compiled once for all dimensions.
+    /// Does the same, compiled once for all dimensions.
     fn record_seen(
         &mut self,
         member: u64,
@@ -514,7 +516,7 @@ impl LogWriter {
             }
             if topic.channel == Channel::Tf {
                 if let Some(turn) = turn {
-                    // What moves moves for all members alike.
+                    // Moving objects move alike for all members.
                     let sources = if member == 0 {
                         self.scene.frames(sample.time_s, time_ns)
                     } else {
@@ -550,13 +552,13 @@ impl LogWriter {
         self.put(Channel::EnsembleStatistics, time_ns, statistics)
     }
 
-    /// Whether the open chunk is full.
+    /// Returns whether the open chunk is full.
     pub fn wants_checkpoint(&self) -> bool {
         self.samples - self.closed_at == self.samples_per_chunk
     }
 }
 
-/// What the writer looks at in a sample.
+/// Parts of a sample that the writer looks at.
 struct SampleSeen {
     step: u64,
     time_s: f64,
@@ -582,7 +584,7 @@ impl<const N: usize> Sink<N> for LogWriter {
 
 impl Drop for LogWriter {
     fn drop(&mut self) {
-        // The MCAP writer completes its file when it is dropped: that must not be seen.
+        // The MCAP writer completes its file when it is dropped: that must not reach the file.
         self.part_file.leave();
         let _ = self.syncer.settle();
         if self.part.as_os_str().is_empty() {

@@ -1,4 +1,5 @@
-//! Steps that adapt to the point sources of a scene: near which of them, from where on, and how long a step is easy.
+//! Adaptive steps near the point sources of a scene: near which of them, from where on, and how
+//! long a step is easy.
 
 use schemars::JsonSchema;
 use serde::Serialize;
@@ -12,12 +13,14 @@ use crate::solve::hamiltonian::TimeScale;
 pub struct OwnSteps {
     /// The longest, in seconds: that far from all point sources.
     pub largest_step_s: f64,
-    /// Of each modelled term the distance in metres below which steps shorten; 0 of one that is no point source.
+    /// Distance in metres below which steps shorten, for each modelled term; 0 for one that is no
+    /// point source.
     pub near_m: Vec<f64>,
 }
 
 impl OwnSteps {
-    /// Those of a scenario with the terms `given`, of which `modelled` are left.
+    /// Returns the adaptive steps of a scenario with the terms `given`, of which `modelled` are
+    /// left.
     pub(super) fn new(
         asked: &Adaptive,
         step_s: f64,
@@ -31,7 +34,7 @@ impl OwnSteps {
             [all] => *all,
             each => each[k],
         };
-        // Sources between the same points are one.
+        // Sources between the same points count as one.
         let near = |term: &PotentialTerm| {
             let Some(own) = term.as_point_source() else { return 0.0 };
             let is_own = |other: &&PointSource| {
@@ -46,16 +49,17 @@ impl OwnSteps {
         }
     }
 
-    /// The rate of their time.
+    /// Returns the rate of their time.
     pub(crate) fn scale(&self) -> TimeScale {
         TimeScale::new(self.near_m.clone())
     }
 }
 
 impl Model {
-    /// A step in seconds that a tableau of `stages` stages takes easily in a time of its own. Near a source of strength s at
-    /// the distance d turns go as fast as `sqrt(s |y|^2 / (J d^3))`, and sigma takes the last of it away, so what is left is
-    /// about the sum of the squares with near in the place of d, of those of the other terms, and of the start.
+    /// Returns a step in seconds that a tableau of `stages` stages takes easily in a time of its
+    /// own. Near a source of strength s at the distance d turns go as fast as `sqrt(s |y|^2 / (J
+    /// d^3))`, and sigma takes the last of it away. What is left is about the sum of the squares
+    /// with near in the place of d, of those of the other terms, and of the start.
     pub(super) fn easy_own_step_s(&self, near_m: &[f64], stages: usize) -> f64 {
         const RAD_A_STAGE: f64 = 0.1;
         let mobility = |y: &[f64]| match &self.kinetic {
@@ -65,7 +69,7 @@ impl Model {
                 .fold(0.0, f64::max),
             ModelKinetic::Tensor { .. } => self.kinetic.mobility() * length(y) * length(y),
         };
-        // Of the start the square of |Omega|.
+        // The part of the start is the square of |Omega|.
         let mut square = match &self.kinetic {
             ModelKinetic::Principal { weights } => {
                 self.momentum.component_mul(weights).norm_squared() / 2.0

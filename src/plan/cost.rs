@@ -1,11 +1,13 @@
-//! What a run costs: time, log, memory, chunks.
+//! Cost of a run: time, log, memory, chunks.
 //!
-//! A step costs what belongs to each step, to each sweep and to each gradient: figures for each method, number of stages
-//! and n, measured on one core of a common machine and kept in `costs.json`, which `cargo bench --bench costs` writes
-//! anew when a solver has changed. How many sweeps and gradients there are is counted in the first steps. Where these
-//! were timed as well, times are estimated by that: machines differ by up to eight times, and not alike in all methods.
+//! The cost of a step is the sum of those per step, per sweep and per gradient: figures for each
+//! method, number of stages and n, measured on one core of a common machine and kept in
+//! `costs.json`, which `cargo bench --bench costs` writes anew when a solver has changed. The
+//! numbers of sweeps and gradients are counted in the first steps. Where these were timed as well,
+//! times are estimated by that: machines differ by up to eight times, and not alike in all methods.
 //!
-//! Invariant: estimates are finite; all that shapes a log or ends a search depends on the plan and the table alone.
+//! Invariant: estimates are finite; everything that shapes a log or ends a search depends on the
+//! plan and the table alone.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -27,34 +29,36 @@ use crate::solve::trajectory::Observables;
 /// Work that was counted, or is expected.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Counts {
-    /// Steps.
+    /// Number of steps.
     pub steps: f64,
-    /// Those of Newton's method included; of a method without sweeps its steps.
+    /// Number of sweeps, those of Newton's method included; for a method without sweeps, of its
+    /// steps.
     pub sweeps: f64,
-    /// Within sweeps: [`crate::solve::work::Work::passes`].
+    /// Number of passes within sweeps: [`crate::solve::work::Work::passes`].
     #[serde(default)]
     pub passes: f64,
-    /// Gradients of the potential, each at one attitude.
+    /// Number of gradients of the potential, each at one attitude.
     pub gradients: f64,
-    /// Of the exact free body, beyond the first of each of its motions: the faster it turns, the more there are.
+    /// Number of pieces of the exact free body, beyond the first of each of its motions: the faster
+    /// it turns, the more there are.
     #[serde(default)]
     pub pieces: f64,
 }
 
-/// What is known of the first steps of a run.
+/// Measurements of the first steps of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FirstSteps {
-    /// The work of a step; absent where the first fails.
+    /// Work of a step; absent where the first fails.
     pub(crate) step: Option<Counts>,
-    /// The nanoseconds that it took on the machine that made it.
+    /// Nanoseconds that it took on the machine that made it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) step_ns: Option<f64>,
-    /// Of a first step that fails: there are no others.
+    /// Cost of a first step that fails: there are no others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) fails: Option<Fails>,
 }
 
-/// What becomes of runs whose first step fails.
+/// Cost of runs whose first step fails.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Fails {
     /// The fraction of the examined members that fail: 1 for a single run.
@@ -64,7 +68,7 @@ pub(crate) struct Fails {
 }
 
 impl Counts {
-    /// The mean of some, if there are any.
+    /// Returns the mean of `of`, if there are any.
     pub(crate) fn mean(of: &[Self]) -> Option<Self> {
         let part = |part: fn(&Self) -> f64| of.iter().map(part).sum::<f64>() / of.len() as f64;
         (!of.is_empty()).then(|| Self {
@@ -77,22 +81,23 @@ impl Counts {
     }
 }
 
-/// What the parts of a method cost.
+/// Cost of the parts of a method.
 #[derive(Clone, Copy, Debug, Deserialize)]
 struct Scheme {
     step_ns: f64,
-    /// Without the terms of the potential.
+    /// Cost of a sweep without the terms of the potential.
     sweep_ns: f64,
     #[serde(default)]
     pass_ns: f64,
-    /// What a term costs here, in parts of what it costs in [`Table::terms`].
+    /// Cost of a term here, relative to that in [`Table::terms`].
     terms: f64,
 }
 
 #[derive(Debug, Deserialize)]
 struct SchemeRow {
     method: Integrator,
-    /// Of a tableau that is not its own partner, or by Newton's method alone: the unknowns are found by sweeps over them.
+    /// Whether the unknowns are found by sweeps over them: for a tableau that is not its own
+    /// partner, or by Newton's method alone.
     #[serde(default)]
     swept: bool,
     stages: usize,
@@ -101,7 +106,7 @@ struct SchemeRow {
     costs: Scheme,
 }
 
-/// What a gradient of one term costs, in nanoseconds, by its kind.
+/// Cost of a gradient of one term, in nanoseconds, by its kind.
 #[derive(Debug, Deserialize)]
 struct TermRow {
     n: usize,
@@ -110,7 +115,7 @@ struct TermRow {
 }
 
 impl TermRow {
-    /// A kind that was not measured yet counts as the most expensive.
+    /// Returns the cost of a kind; one that was not measured yet counts as the most expensive.
     fn of(&self, kind: &str) -> f64 {
         let most = || self.of_kind.values().copied().fold(0.0, f64::max);
         self.of_kind.get(kind).copied().unwrap_or_else(most)
@@ -127,8 +132,8 @@ static TABLE: LazyLock<Table> = LazyLock::new(|| {
     serde_json::from_slice(include_bytes!("costs.json")).expect("a table that the bench wrote")
 });
 
-/// The value at `x` on straight lines through points that ascend, in the given measure of both; beyond their ends the last
-/// line goes on, and never below zero.
+/// Returns the value at `x` on straight lines through points that ascend, in the given measure of
+/// both; beyond their ends the last line goes on, and never below zero.
 fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
     let Some(&(_, only)) = points.first() else { return 0.0 };
     let after = points.iter().position(|&(at, _)| at >= x).unwrap_or(points.len());
@@ -136,7 +141,7 @@ fn between(points: &[(f64, f64)], x: f64, measure: fn(f64) -> f64) -> f64 {
     let (Some(&(x0, y0)), Some(&(x1, y1))) = (points.get(after - 1), points.get(after)) else {
         return only;
     };
-    // Next to nothing has no logarithm to draw a line by.
+    // A value near zero has no logarithm to draw a line by.
     let part = (measure(x) - measure(x0)) / (measure(x1) - measure(x0));
     (y0 + (y1 - y0) * part).max(0.0)
 }
@@ -177,7 +182,8 @@ impl Plan {
             let dense = dense_bytes_per_member(n, points);
             let members = ensemble.members as f64;
             log += members * compressed(end_bytes, dense, compression);
-            // Of the others samples are looked at and not written; each begins and ends once.
+            // The samples of the other members are looked at and not written; each begins and ends
+            // once.
             let looked_at_ns = self.samples as f64 * (sample_ns - written_ns);
             let ends_ns = 10_000.0 + 30.0 * libm::pow(n as f64, 3.0);
             let member_s = |step_ns: f64| 1e-9 * (steps * step_ns + looked_at_ns + ends_ns);
@@ -194,18 +200,18 @@ impl Plan {
         self.memory_bytes = (self.memory(raw) + kept + chunks * CHUNK_INDEX_BYTES) as u64;
     }
 
-    /// The plan as a log holds it: with the times of a common machine in the place of those of this one, for logs have the same
-    /// bytes wherever they are made.
+    /// Returns the plan as a log holds it: with the times of a common machine in the place of those
+    /// of this one, because logs have the same bytes wherever they are made.
     pub fn on_a_common_machine(&self) -> Self {
         let run_s = self.work_s + 1e-9 * LOG_NS;
         Self { step_ns: self.work_step_ns, run_s, ..self.clone() }
     }
 
-    /// About what `work` costs, in nanoseconds.
+    /// Returns about what `work` costs, in nanoseconds.
     pub(crate) fn work_ns(&self, work: Counts) -> f64 {
-        /// What a step takes that keeps the state.
+        /// Cost of a step that keeps the state.
         const AT_REST_NS: f64 = 5.0;
-        /// Of what it takes in three dimensions, in a plane.
+        /// Cost in a plane, relative to that in three dimensions.
         const IN_PLANE: f64 = 0.7;
         const PIECE_NS: f64 = 70.0;
         let part = match self.formulation.motion {
@@ -226,9 +232,10 @@ impl Plan {
         part * parts.iter().sum::<f64>()
     }
 
-    /// Bytes in a sample of what was put in, of a scene that changes with time or is pushed, and of its Jacobi integral.
+    /// Returns the bytes of a sample for the energy and momentum put in, in a driven scene, and for
+    /// its Jacobi integral.
     fn put_in_bytes(&self) -> u64 {
-        /// A tag and eight bytes.
+        /// The size of a tag and eight bytes.
         const DOUBLE: u64 = 9;
         let logged = |topic| self.channels.iter().any(|plan| plan.topic == topic);
         let mut bytes = 0;
@@ -241,7 +248,7 @@ impl Plan {
         bytes
     }
 
-    /// About what it costs to look at a driven body, or one with wheels, at one stage.
+    /// Returns about what it costs to look at a driven body, or one with wheels, at one stage.
     fn driven_ns(&self) -> f64 {
         const STAGE_NS: f64 = 250.0;
         const PART_NS: f64 = 60.0;
@@ -253,7 +260,8 @@ impl Plan {
         STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n
     }
 
-    /// The pieces of a step of `splitting` beyond the first of each free part, as the body turns at the start.
+    /// Returns the pieces of a step of `splitting` beyond the first of each free part, as the body
+    /// turns at the start.
     fn usual_pieces(&self) -> f64 {
         let Formulation { method: Integrator::Splitting, order, .. } = self.formulation else {
             return 0.0;
@@ -266,9 +274,9 @@ impl Plan {
         parts.map_or(0.0, |composition| composition.parts().iter().map(pieces).sum())
     }
 
-    /// The work assumed for a step whose sweeps were not counted.
+    /// Returns the work assumed for a step whose sweeps were not counted.
     fn usual_work(&self) -> Counts {
-        /// Where a method has such.
+        /// Passes in a sweep, for a method that has them.
         const PASSES_OF_SWEEP: f64 = 1.5;
         let Formulation { method, stages, .. } = self.formulation;
         let sweeps = method.facts().sweeps[usize::from(self.dimension != 3)];
@@ -276,8 +284,8 @@ impl Plan {
         Counts { steps: 1.0, sweeps, passes, gradients, pieces: self.usual_pieces() }
     }
 
-    /// About what one sweep over all stages costs with all that belongs to it, in nanoseconds: of a method without sweeps
-    /// a step.
+    /// Returns about what one sweep over all stages costs with all that belongs to it, in
+    /// nanoseconds; for a method without sweeps, a step.
     pub(crate) fn sweep_cost_ns(&self) -> f64 {
         let Counts { sweeps, passes, gradients, pieces, .. } = self.usual_work();
         let steps = if sweeps == 1.0 { 1.0 } else { 0.0 };
@@ -285,7 +293,7 @@ impl Plan {
         self.work_ns(Counts { steps, sweeps: 1.0, passes, gradients, pieces }).max(1.0)
     }
 
-    /// The same for steps that adapt, by a Gauss tableau of `stages` stages.
+    /// Returns the same for adaptive steps, by a Gauss tableau of `stages` stages.
     pub(crate) fn own_sweep_cost_ns(&self, stages: usize) -> f64 {
         let Some(tableau) = Tableau::gauss(stages) else { return self.sweep_cost_ns() };
         let mut adapting = self.clone();
@@ -295,10 +303,10 @@ impl Plan {
         adapting.sweep_cost_ns()
     }
 
-    /// What the method's parts cost with this number of stages, in this dimension.
+    /// Returns the cost of the method's parts with this number of stages, in this dimension.
     fn scheme(&self) -> Scheme {
         let Formulation { method, stages, .. } = self.formulation;
-        // More stages than lanes go the way of general n.
+        // More stages than lanes are computed as for general n.
         let alone = self.model.is_driven() || self.model.wheels.is_some();
         let adapts = method == Integrator::VpdAdaptive;
         let method = method.costs_as();
@@ -350,7 +358,7 @@ impl Plan {
         Scheme { step_ns, sweep_ns, pass_ns, terms }
     }
 
-    /// About what the gradient of the potential costs at a single attitude.
+    /// Returns about what the gradient of the potential costs at a single attitude.
     fn terms_cost_ns(&self) -> f64 {
         let n = self.dimension as f64;
         let mut kinds: BTreeMap<&str, f64> = BTreeMap::new();
@@ -365,7 +373,8 @@ impl Plan {
         kinds.into_iter().map(|(kind, count)| count * of_one(kind)).sum()
     }
 
-    /// About what a sample of `raw` bytes costs: its figures, its messages and its part of a compressed chunk.
+    /// Returns about what a sample of `raw` bytes costs: its figures, its messages and its part of
+    /// a compressed chunk.
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let matrix_ns = if self.dimension == 3 { 200.0 } else { 50.0 * n * n };
@@ -385,40 +394,43 @@ impl Plan {
         self.written_ns(raw) + matrices * matrix_ns + of(energy, 0.5) * self.terms_cost_ns()
     }
 
-    /// About what it costs to write `raw` bytes of a sample. What repeats itself is compressed in half the time.
+    /// Returns about what it costs to write `raw` bytes of a sample. Bytes that repeat are
+    /// compressed in half the time.
     fn written_ns(&self, raw: u64) -> f64 {
         let part = if self.formulation.motion == Motion::AtRest { 0.5 } else { 1.0 };
         part * WRITTEN_BYTE_NS * raw as f64
     }
 
-    /// What a run takes of the memory in addition to its members.
+    /// Returns the memory of a run in addition to that of its members.
     fn memory(&self, sample_bytes: u64) -> f64 {
         let n = self.dimension as f64;
         // The program with its charts, and the two parts of a chunk, before and after compression.
         const RUN_BYTES: f64 = 14e6;
         let overview = overview::bytes(self.samples, self.dimension) as f64;
         let chunk = 2.0 * (self.samples_per_chunk * sample_bytes) as f64;
-        // As JSON, as numbers and as what the threads compute with.
+        // Terms are held as JSON, as numbers, and in the form that the threads compute with.
         let terms = self.model.terms.len() as f64 * (2_000.0 + 16.0 * 8.0 * n * n);
         RUN_BYTES + overview + chunk + terms
     }
 }
 
-/// What a run takes before its steps find everything at hand.
+/// Cost of a run before its first steps reach their usual speed.
 const START_NS: f64 = 5_000.0;
-/// What a log takes to begin and to end: files, charts, and the disk that has to have it.
+/// Cost of beginning and ending a log: files, charts, and the disk that has to have it.
 const LOG_NS: f64 = 3e6;
-/// What a byte of a sample costs on its way into the log: 700 of them take 5.9 us, `docs/performance.md`.
+/// Cost of a byte of a sample on its way into the log: 700 of them take 5.9 us,
+/// `docs/performance.md`.
 const WRITTEN_BYTE_NS: f64 = 8.0;
-/// What the writer keeps of a chunk until the log is finished.
+/// Memory that the writer keeps of a chunk until the log is finished.
 const CHUNK_INDEX_BYTES: f64 = 350.0;
 
 impl EnsemblePlan {
-    /// What is kept of a member until all have ended: its figures.
+    /// Memory that is kept of a member until all have ended: its figures.
     const KEPT_BYTES: f64 = 40.0;
 }
 
-/// About how many bytes `raw` bytes compress to, `dense` of them numbers whose digits are unpredictable.
+/// Returns about how many bytes `raw` bytes compress to, `dense` of them numbers whose digits are
+/// unpredictable.
 fn compressed(raw: u64, dense: u64, compression: Compression) -> f64 {
     let (of_dense, of_rest) = match compression {
         Compression::Zstd => (0.98, 0.5),
@@ -428,8 +440,9 @@ fn compressed(raw: u64, dense: u64, compression: Compression) -> f64 {
     dense as f64 * of_dense + (raw - dense) as f64 * of_rest
 }
 
-/// Samples of `sample_bytes` bytes, each computed in `sample_s` seconds, in a chunk of the log. A chunk is what a
-/// viewer fetches at once, and what a kill costs: `docs/decisions/0004-the-log-is-the-checkpoint.md`.
+/// Returns the number of samples of `sample_bytes` bytes, each computed in `sample_s` seconds, in a
+/// chunk of the log. A chunk is what a viewer fetches at once, and what a kill costs:
+/// `docs/decisions/0004-the-log-is-the-checkpoint.md`.
 fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
     const USUAL_BYTES: u64 = 512 << 10;
     // An estimate may be wrong by a few times: a chunk is promised to take at most 15 s.

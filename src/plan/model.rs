@@ -26,17 +26,17 @@ pub(crate) struct Model {
     /// The terms that change with time, every default filled in.
     pub(crate) driven: Vec<DrivenTerm>,
     pub(crate) torques: Vec<Torque>,
-    /// The angular momentum of wheels, skew, in the body frame.
+    /// Angular momentum of wheels, skew, in the body frame.
     pub(crate) wheels: Option<DMatrix<f64>>,
-    /// n x n, a rotation to 1e-8.
+    /// Attitude at the start, n x n, a rotation to 1e-8.
     pub(crate) attitude: DMatrix<f64>,
-    /// n x n, skew, in the body frame.
+    /// Momentum at the start, n x n, skew, in the body frame.
     pub(crate) momentum: DMatrix<f64>,
     pub(crate) tableau: Tableau,
     pub(crate) stop: StopRule,
 }
 
-/// How velocity follows from momentum.
+/// Relation between velocity and momentum.
 #[derive(Clone, Debug)]
 pub(crate) enum ModelKinetic {
     /// `Omega_ij = w_ij mu_ij`.
@@ -66,7 +66,8 @@ impl Model {
 }
 
 impl Model {
-    /// Directions of space that rotations of the potential leave free at all times.
+    /// Returns the number of directions of space that rotations of the potential leave free at all
+    /// times.
     pub(super) fn free_directions(&self, n: usize) -> usize {
         let of_path = |driven: &'_ DrivenTerm| -> Vec<Vec<f64>> {
             let own = driven.term.law().space_vector().to_vec();
@@ -83,7 +84,8 @@ impl Model {
         super::free_directions(n, fixed.chain(moving.iter().map(Vec::as_slice)))
     }
 
-    /// What is kept of a scene that changes with time, is pushed or has wheels; `None` of any other, which keeps its energy.
+    /// Describes what is kept of a scene that changes with time or has torques or wheels; `None`
+    /// for any other, which keeps its energy.
     pub(super) fn balance(&self) -> Option<String> {
         let mut parts = Vec::new();
         if !self.driven.is_empty() {
@@ -105,8 +107,9 @@ impl Model {
         Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
     }
 
-    /// What is kept of the momentum, and logged as its drift, where torques push and the potential leaves `free` of n
-    /// directions free; `None` of a scene that is not pushed, or that leaves none.
+    /// Describes what is kept of the momentum, and logged as its drift, where torques act and the
+    /// potential leaves `free` of n directions free; `None` for a scene without torques, or one
+    /// that leaves none.
     pub(super) fn momentum_balance(
         &self,
         n: usize,
@@ -127,14 +130,14 @@ impl Model {
         Some(format!("{part} less the impulse of the torques, to {kept}"))
     }
 
-    /// The Jacobi integral, where there is one.
+    /// Describes the Jacobi integral, where there is one.
     pub(super) fn jacobi_integral(&self) -> Option<String> {
         self.turns_alike().then(|| {
             "H - w.m, for all that changes turns at one constant rate w; m is the spatial momentum".to_owned()
         })
     }
 
-    /// Refuses a method that cannot run a scene that changes with time, is pushed or has wheels.
+    /// Refuses a method that cannot run a scene that changes with time or has torques or wheels.
     pub(super) fn allows(&self, method: Integrator) -> Result<(), ScenarioError> {
         let facts = method.facts();
         let refused = |what: &str, names: String| {
@@ -157,7 +160,8 @@ impl Model {
         Ok(())
     }
 
-    /// n = 3: the inverse principal moments of inertia, and the momentum at the start along their axes.
+    /// Returns, for n = 3, the inverse principal moments of inertia, and the momentum at the start
+    /// along their axes.
     pub(super) fn in_principal_axes(&self) -> (Vector3<f64>, Vector3<f64>) {
         let m = &self.momentum;
         let momentum = Vector3::new(m[(2, 1)], m[(0, 2)], m[(1, 0)]);
@@ -174,7 +178,7 @@ impl Model {
 }
 
 impl ModelKinetic {
-    /// A bound on the velocity that a momentum of one makes.
+    /// Returns a bound on the velocity for a momentum of one.
     pub(super) fn mobility(&self) -> f64 {
         match self {
             Self::Principal { weights } => weights.amax(),
@@ -185,7 +189,7 @@ impl ModelKinetic {
     }
 }
 
-/// The rungs of the solver that a scenario allows.
+/// Returns the rungs of the solver that a scenario allows.
 pub(super) fn rungs(kind: SolverKind) -> Rungs {
     match kind {
         SolverKind::Auto => Rungs::Both,
@@ -198,7 +202,7 @@ pub(super) fn rows(rows: &[Vec<f64>]) -> DMatrix<f64> {
     DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j])
 }
 
-/// The inertia matrix in body coordinates: `J = tr(D) I - D` for second moments D.
+/// Returns the inertia matrix in body coordinates: `J = tr(D) I - D` for second moments D.
 pub(super) fn inertia_matrix(inertia: &Inertia) -> DMatrix<f64> {
     match inertia {
         Inertia::Principal(moments) => DMatrix::from_diagonal(&DVector::from_column_slice(moments)),
@@ -231,7 +235,7 @@ pub(super) fn kinetic(
         }
         Inertia::Matrix(_) => {
             let pointer = "/scene/inertia/matrix";
-            // Finite, so that a few iterations do.
+            // Finite, so that a few iterations are enough.
             const MOST_ROUNDS: usize = 1000;
             let tensor = Matrix3::from_iterator(matrix.iter().copied());
             let eigen = tensor.try_symmetric_eigen(f64::EPSILON, MOST_ROUNDS);
@@ -254,7 +258,8 @@ pub(super) fn kinetic(
     }
 }
 
-/// What a start may differ from a state. Decimal text of a rotation is off by its last digit; more than this is another matrix.
+/// Largest distance of a start from a valid state. Decimal text of a rotation is off by its last
+/// digit; more than this is another matrix.
 pub(crate) const MOST_DEFECT: f64 = 1e-8;
 
 pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64>, ScenarioError> {
@@ -291,7 +296,7 @@ pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64
     }
 }
 
-/// The skew matrix of a 3-vector or of rows.
+/// Returns the skew matrix of a 3-vector or of rows.
 pub(super) fn skew(entries: &[Entry]) -> DMatrix<f64> {
     let numbers: Vec<f64> = entries
         .iter()
@@ -309,7 +314,7 @@ pub(super) fn skew(entries: &[Entry]) -> DMatrix<f64> {
     (&a - a.transpose()) * 0.5
 }
 
-/// The body momentum at the start.
+/// Returns the body momentum at the start.
 pub(super) fn momentum(
     scenario: &Scenario,
     kinetic: &ModelKinetic,
@@ -342,14 +347,14 @@ pub(super) fn momentum(
     }
 }
 
-/// The tableau asked for, or the method's own.
+/// Returns the tableau asked for, or the method's own.
 pub(super) fn tableau_choice(method: &Method) -> TableauChoice {
     let is_explicit = method.name.integrator().is_some_and(Integrator::is_explicit);
     let usual = if is_explicit { TableauName::Rk4 } else { TableauName::Gauss2 };
     method.tableau.clone().unwrap_or(TableauChoice::Named(usual))
 }
 
-/// The tableau, checked to be one that the method takes.
+/// Returns the tableau, checked to be one that the method takes.
 pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau, ScenarioError> {
     let tableau = coefficients(choice)?;
     let name = method.name.as_str();
@@ -380,7 +385,7 @@ fn coefficients(choice: &TableauChoice) -> Result<Tableau, ScenarioError> {
     }
 }
 
-/// What is said of a tableau that cannot be used.
+/// Returns the error for a tableau that cannot be used.
 fn refused(choice: &TableauChoice, error: &TableauError) -> ScenarioError {
     let pointer = match (choice, error) {
         (TableauChoice::Named(_), _) | (_, TableauError::Size) => "/method/tableau".to_owned(),

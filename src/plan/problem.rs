@@ -13,7 +13,7 @@ use crate::solve::system::System as _;
 use crate::solve::trajectory::State;
 
 impl Model {
-    /// The body and its state at the start, with their const size.
+    /// Returns the body and its state at the start, with their const size.
     pub(crate) fn problem<const N: usize>(&self) -> (RigidBody<N>, State<N>) {
         let kinetic = match &self.kinetic {
             ModelKinetic::Principal { weights } => {
@@ -40,7 +40,8 @@ impl Model {
         (body, state)
     }
 
-    /// Does anything change with time, push without being a potential, or spin?
+    /// Returns whether anything changes with time, applies a torque without being a potential, or
+    /// spins.
     pub(crate) fn is_driven(&self) -> bool {
         !(self.driven.is_empty() && self.torques.is_empty())
     }
@@ -68,12 +69,12 @@ impl Model {
         }
     }
 
-    /// The value of a term at the start.
+    /// Returns the value of a term at the start.
     pub(super) fn value_at_start(&self, given: &PotentialTerm) -> f64 {
         potential([given]).energy(&self.rotation(), &Mat::zeros()).potential
     }
 
-    /// Does nothing move at the start, and nothing push?
+    /// Returns whether nothing moves at the start, and no torque acts.
     pub(super) fn is_at_rest(&self) -> bool {
         let torque = || potential(&self.terms).gradient(&self.rotation());
         !self.is_driven()
@@ -82,8 +83,8 @@ impl Model {
             && torque().iter().all(|&x| x == 0.0)
     }
 
-    /// The attitude at the start. Decimal text puts a rotation a digit off the group; the run starts on it. In more
-    /// dimensions than the body has it turns nothing.
+    /// Returns the attitude at the start. Decimal text puts a rotation a digit off the group; the
+    /// run starts on it. In more dimensions than the body has, it turns nothing.
     fn rotation<const N: usize>(&self) -> Mat<N> {
         let n = self.attitude.nrows();
         let own = |i: usize, j: usize| {
@@ -93,11 +94,11 @@ impl Model {
     }
 }
 
-/// A size into which every body fits: the rest of it is zero.
+/// Size into which every body fits: the rest of it is zero.
 const LARGEST: usize = 16;
 
 impl Model {
-    /// Does all that changes turn at one constant rate, and nothing push?
+    /// Returns whether everything that changes turns at one constant rate, and no torque acts.
     pub(super) fn turns_alike(&self) -> bool {
         if !self.torques.is_empty() {
             return false;
@@ -108,7 +109,7 @@ impl Model {
     }
 }
 
-/// Terms, and nothing that moves, in whatever dimension.
+/// Returns a body with these terms, and nothing that moves, in any dimension.
 fn potential<'a>(terms: impl IntoIterator<Item = &'a PotentialTerm>) -> RigidBody<LARGEST> {
     let kinetic = Kinetic::Principal { weights: Mat::zeros() };
     RigidBody::new(kinetic, terms.into_iter().map(term).collect(), 0.0)
@@ -126,7 +127,7 @@ fn unit_vector(v: &[f64]) -> DVector<f64> {
     DVector::from_column_slice(v).normalize()
 }
 
-/// What of a vector is across a unit vector, of length one.
+/// Returns the part of a vector across a unit vector, of length one.
 fn across(v: &[f64], unit: &DVector<f64>) -> DVector<f64> {
     let v = unit_vector(v);
     let rest = &v - unit * unit.dot(&v);

@@ -1,4 +1,5 @@
-//! The terms of the potential, put together: what a scene says in many pieces, and what of it has to be modelled.
+//! The terms of the potential, combined: a scene gives them in many pieces, and only some have to
+//! be modelled.
 //!
 //! Terms of one law add up before the run where they are one function of the attitude, in several pieces:
 //!
@@ -12,7 +13,8 @@
 //! taken from among theirs, or independent points: at most n, and none if they cancel. Gradients along one direction add
 //! their matrices; with one matrix they add `s d d^T`, and a multiple of I there pulls alike at every attitude.
 //!
-//! Invariant: at every attitude what is modelled and the constant sum to what is given, up to the rounding of the sum.
+//! Invariant: at every attitude the modelled terms and the constant sum to the given ones, up to
+//! the rounding of the sum.
 
 use nalgebra::allocator::Allocator;
 use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Dyn, OMatrix};
@@ -21,9 +23,10 @@ use super::{Model, TermPlan};
 use crate::scenario::{GravityGradient, PotentialTerm, Uniform};
 use crate::solve::space;
 
-/// What rounding may make of a number: a few units in its last place.
+/// Relative error of a number by rounding: a few units in its last place.
 const ROUNDED: f64 = 8.0 * f64::EPSILON;
-/// What moves the body by less than this part of what moves it, and by less than this in radians, is left out.
+/// Limit of what is left out: terms that move the body by less than this part of the total, and by
+/// less than this in radians.
 const UNSEEN: f64 = 1e-16;
 
 const DEPENDS: &str = "depends on the attitude";
@@ -35,23 +38,24 @@ const ALONG: &str = "they are along one direction";
 
 /// The terms of a scene on the way to those that are modelled.
 pub(super) struct Terms {
-    /// Of those given the ones that are still modelled, as changed.
+    /// The given terms that are still modelled, as changed.
     left: Vec<Option<PotentialTerm>>,
     plans: Vec<TermPlan>,
     constant: f64,
 }
 
-/// How much there is to be moved, and for how long.
+/// Size of the motion, and its duration.
 pub(super) struct Extent {
     pub(super) duration_s: f64,
     /// Size of the momentum at the start.
     pub(super) momentum: f64,
-    /// The largest velocity that a momentum of one makes.
+    /// Largest velocity for a momentum of one.
     pub(super) mobility: f64,
 }
 
 impl Terms {
-    /// Those of the scene, each with every default filled in; what does not depend on the attitude is left out.
+    /// Takes the terms of the scene, each with every default filled in; those that do not depend on
+    /// the attitude are left out.
     pub(super) fn new(given: &[PotentialTerm]) -> Self {
         let mut terms = Self { left: Vec::new(), plans: Vec::new(), constant: 0.0 };
         for (index, term) in given.iter().enumerate() {
@@ -66,12 +70,12 @@ impl Terms {
         terms
     }
 
-    /// Those left.
+    /// Returns the terms left.
     pub(super) fn modelled(&self) -> impl Iterator<Item = &PotentialTerm> {
         self.left.iter().flatten()
     }
 
-    /// Puts together what is one, and leaves out what is too weak to be seen.
+    /// Combines terms that are one, and leaves out those too weak to be seen.
     pub(super) fn put_together(mut self, extent: &Extent, model: &Model) -> Self {
         self.add_uniform();
         self.add_equal();
@@ -81,7 +85,7 @@ impl Terms {
         self
     }
 
-    /// What is modelled, the constant next to it, and what became of each term.
+    /// Returns the modelled terms, the constant added to them, and what became of each term.
     pub(super) fn into_parts(self) -> (Vec<PotentialTerm>, f64, Vec<TermPlan>) {
         (self.left.into_iter().flatten().collect(), self.constant, self.plans)
     }
@@ -96,7 +100,7 @@ impl Terms {
         self.leave_out(index, format!("merged into {}: {law}", into.join(", ")));
     }
 
-    /// Leaves out terms that are nothing together.
+    /// Leaves out terms that sum to nothing.
     fn cancel(&mut self, indices: &[usize]) {
         for (place, &index) in indices.iter().enumerate() {
             let other = indices[usize::from(place == 0)];
@@ -104,13 +108,14 @@ impl Terms {
         }
     }
 
-    /// The term stands for others, too.
+    /// Makes the term stand for others, too.
     fn stands(&mut self, index: usize, term: PotentialTerm) {
         self.left[index] = Some(term);
         self.plans[index].why = STANDS.to_owned();
     }
 
-    /// Uniform fields, and springs of no length at rest, as few as there are independent directions or points.
+    /// Combines uniform fields, and springs of no length at rest, into as few as there are
+    /// independent directions or points.
     fn add_uniform(&mut self) {
         let linear = |(k, term): (usize, &Option<PotentialTerm>)| {
             term.as_ref().and_then(Linear::of).map(|linear| (k, linear))
@@ -124,7 +129,7 @@ impl Terms {
         if basis.members.len() == parts.len() {
             return;
         }
-        // What goes with a vector of the basis, and whether it is nothing.
+        // The other factor of a vector of the basis, and whether it is zero.
         let other = |part: &Linear| {
             (if by_direction { &part.point } else { &part.direction }).clone() * part.weight
         };
@@ -171,7 +176,7 @@ impl Terms {
         }
     }
 
-    /// Sources, and springs, between the same points.
+    /// Adds sources, and springs, between the same points.
     fn add_equal(&mut self) {
         for first in 0..self.left.len() {
             let Some(term) = self.left[first].clone() else { continue };
@@ -205,7 +210,7 @@ impl Terms {
         }
     }
 
-    /// Gravity gradients of one matrix that together are the same in every direction.
+    /// Leaves out gravity gradients of one matrix that together are the same in every direction.
     fn add_isotropic(&mut self) {
         let mut looked_at = vec![false; self.left.len()];
         for first in 0..self.left.len() {
@@ -251,7 +256,7 @@ impl Terms {
         }
     }
 
-    /// Gravity gradients along one direction.
+    /// Adds gravity gradients along one direction.
     fn add_along(&mut self) {
         let along: Vec<Option<DVector<f64>>> = (0..self.left.len())
             .map(|k| Some(unit(&DVector::from_column_slice(&self.gradient(k)?.direction))))
@@ -306,15 +311,16 @@ impl Terms {
         }
     }
 
-    /// Terms whose torque, at its largest and for the whole run, changes the momentum by less than a part of what changes
-    /// it anyway and turns the body by less than can be seen: `w tau T^2 <= 1e-16`.
+    /// Leaves out terms whose torque, at its largest and for the whole run, changes the momentum by
+    /// less than a part of what changes it anyway and turns the body by less than can be seen: `w
+    /// tau T^2 <= 1e-16`.
     fn leave_out_unseen(&mut self, extent: &Extent, model: &Model) {
         let Extent { duration_s, momentum, mobility } = *extent;
         let torque = |term: &PotentialTerm| term.law().largest_torque();
         let torques: Vec<f64> =
             self.left.iter().map(|term| term.as_ref().map_or(f64::NAN, torque)).collect();
         let largest = torques.iter().copied().filter(|x| x.is_finite()).fold(0.0, f64::max);
-        // All of them together.
+        // The limit is for all of them together.
         let unseen = UNSEEN / torques.len().max(1) as f64;
         for (index, torque) in torques.into_iter().enumerate() {
             let impulse = torque * duration_s;
@@ -339,7 +345,7 @@ struct Linear {
 }
 
 impl Linear {
-    /// The term in this form, if it has one.
+    /// Returns the term in this form, if it has one.
     fn of(term: &PotentialTerm) -> Option<Self> {
         let vector = |v: &[f64]| DVector::from_column_slice(v);
         match term {
@@ -367,17 +373,18 @@ struct Basis {
 }
 
 impl Basis {
-    /// The vectors, by number, that have a part of the member `i`.
+    /// Returns the numbers of the vectors that have a part of the member `i`.
     fn shares(&self, i: usize) -> impl Iterator<Item = usize> {
         (0..self.coordinates.len()).filter(move |&k| self.coordinates[k][i] != 0.0)
     }
 
-    /// The members of which the vector `k` has a part.
+    /// Returns the members of which the vector `k` has a part.
     fn vectors_of(&self, k: usize) -> impl Iterator<Item = usize> {
         (0..self.members.len()).filter(move |&i| self.coordinates[k][i] != 0.0)
     }
 
-    /// Gram and Schmidt, twice for round-off, with the first of the vectors of which much is left.
+    /// Finds a basis by Gram and Schmidt, twice for round-off, with the first of the vectors of
+    /// which much is left.
     fn of<'a>(vectors: impl Iterator<Item = &'a DVector<f64>>) -> Self {
         let vectors: Vec<&DVector<f64>> = vectors.collect();
         let units: Vec<DVector<f64>> = vectors.iter().map(|v| unit(v)).collect();
@@ -428,7 +435,7 @@ impl Basis {
     }
 }
 
-/// `v / |v|`, whose square may be too small for a number; of zero zero.
+/// Returns `v / |v|`, whose square may be too small for a number; zero for zero.
 pub(super) fn unit(v: &DVector<f64>) -> DVector<f64> {
     let size = v.amax();
     if size == 0.0 {
@@ -437,7 +444,7 @@ pub(super) fn unit(v: &DVector<f64>) -> DVector<f64> {
     (v / size).normalize()
 }
 
-/// `c` where `v = c u` to rounding.
+/// Returns `c` where `v = c u` to rounding.
 fn multiple(v: &DVector<f64>, u: &DVector<f64>) -> Option<f64> {
     let scale = u.amax();
     let (v, u) = (v / scale, u / scale);
@@ -445,7 +452,7 @@ fn multiple(v: &DVector<f64>, u: &DVector<f64>) -> Option<f64> {
     ((&v - &u * c).amax() <= ROUNDED * v.amax() && c.is_finite()).then_some(c)
 }
 
-/// The sum, by two-sums, and the sum of the sizes.
+/// Returns the sum, by two-sums, and the sum of the sizes.
 fn sum<C: Dim>(summands: &[OMatrix<f64, Dyn, C>]) -> (OMatrix<f64, Dyn, C>, f64)
 where
     DefaultAllocator: Allocator<Dyn, C>,
@@ -462,13 +469,13 @@ where
     (total + carry, size)
 }
 
-/// Are these the same numbers, but for rounding of the largest?
+/// Returns whether these are the same numbers, but for rounding of the largest.
 fn near(v: impl Iterator<Item = f64> + Clone, u: impl Iterator<Item = f64> + Clone) -> bool {
     let size = u.clone().fold(0.0, |size: f64, x| size.max(x.abs()));
     v.zip(u).all(|(v, u)| (v - u).abs() <= ROUNDED * size)
 }
 
-/// The strength of `other` if it is the law of `term` between the same points.
+/// Returns the strength of `other` if it is the law of `term` between the same points.
 fn equal_strength(term: &PotentialTerm, other: &PotentialTerm) -> Option<f64> {
     let same = |v: &[f64], u: &[f64]| near(v.iter().copied(), u.iter().copied());
     match term {

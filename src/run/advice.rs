@@ -32,28 +32,30 @@ const LEAST_NS: f64 = 6e8;
 const MOST_NS: f64 = 2e9;
 /// Steps that failed and steps that did not are brought as near as this.
 const NEAR: f64 = 1.2;
-/// A part of the search that one try may take: there are some that fail, one that does not, and a few between.
+/// Part of the search that one try may take: there are some that fail, one that does not, and a few
+/// between.
 const SHARE: f64 = 1.0 / 8.0;
-/// Stages of steps that adapt.
+/// Number of stages for adaptive steps.
 const OWN_STAGES: usize = 2;
-/// Sweeps of a step, for want of knowing: most take fewer.
+/// Number of sweeps assumed for a step: most take fewer.
 const SWEEPS: f64 = 8.0;
-/// Looks at the energy in a try.
+/// Number of times that the energy is checked in a try.
 const LOOKS: u64 = 2000;
-/// What the energy may be off by, as a part of what moves: half of what is warned of, for the looks are few.
+/// Largest error of the energy, as a part of what moves: half of what is warned of, because the
+/// checks are few.
 const LOST: f64 = 0.5 * summary::MEANINGLESS;
 
-/// How much work a search may be, and who ends it.
+/// Limits of the work of a search, and its way to be stopped.
 #[derive(Clone, Debug)]
 pub(super) struct Patience {
     most_sweeps: u64,
-    /// The same work in steps that adapt.
+    /// The same work in adaptive steps.
     most_own_sweeps: u64,
     stop: Arc<AtomicBool>,
 }
 
 impl Patience {
-    /// For one of `members` members of a run.
+    /// Returns the limits for one of `members` members of a run.
     pub(super) fn of(plan: &Plan, control: &Control, members: u64) -> Self {
         let most_ns = (RUNS * plan.work_s * 1e9).clamp(LEAST_NS, MOST_NS);
         let most = |sweep_ns: f64| (most_ns / sweep_ns / members.max(1) as f64) as u64;
@@ -68,17 +70,18 @@ impl Patience {
 /// A run of which a step failed.
 #[derive(Clone, Copy)]
 pub(super) struct Broken<'a, const N: usize> {
-    /// Where it began.
+    /// State where it began.
     pub(super) initial: &'a State<N>,
-    /// Where it stood before that step.
+    /// State before that step.
     pub(super) reached: &'a Checkpoint<N>,
     pub(super) schedule: Schedule,
-    /// Whose `step_s` it is; `None` of steps that adapt.
+    /// Scenario whose `step_s` it is; `None` for adaptive steps.
     pub(super) asked: Option<&'a Scenario>,
     pub(super) failure: &'a Failure,
 }
 
-/// A stepper for `body` whose steps adapt, and the longest of them in seconds, if it has a point source to which they could.
+/// Returns an adaptive stepper for `body`, and its longest step in seconds, if it has a point
+/// source to which steps could adapt.
 pub(super) fn own_steps<const N: usize>(
     plan: &Plan,
     body: &RigidBody<N>,
@@ -91,7 +94,8 @@ pub(super) fn own_steps<const N: usize>(
     Some((Box::new(stepper), own_s))
 }
 
-/// What failed, and with what smaller step it does not; or with which of `own_steps`.
+/// Returns the diagnosis: what failed, and with what smaller step it does not; or with which of
+/// `own_steps`.
 pub(super) fn diagnosis<const N: usize>(
     body: &RigidBody<N>,
     stepper: &mut dyn Stepper<N>,
@@ -104,7 +108,7 @@ pub(super) fn diagnosis<const N: usize>(
     let Patience { most_sweeps, most_own_sweeps, stop } = patience;
     let body = body.clone().with_work(Work::limited(most_sweeps, stop.clone()));
     let start = body.energy(&initial.attitude, &initial.momentum);
-    // Of steps that adapt the longest is what may be shorter.
+    // For adaptive steps, the longest is what may be shorter.
     let longest_s = stepper.own_step_s().map(|longest| *longest);
     let reached_in_longest;
     let searched = match longest_s {
@@ -140,8 +144,8 @@ pub(super) fn diagnosis<const N: usize>(
     }
 }
 
-/// The fastest frequency of the potential where the run began or failed, if that is what asks for a smaller step and not
-/// how fast the body turns.
+/// Returns the fastest frequency of the potential where the run began or failed, if that is what
+/// asks for a smaller step and not how fast the body turns.
 fn stiffness<const N: usize>(body: &RigidBody<N>, broken: &Broken<'_, N>) -> Option<f64> {
     /// A step of less than this part of a radian is short for any frequency.
     const SHORT_RAD: f64 = 0.5;
@@ -156,7 +160,7 @@ fn stiffness<const N: usize>(body: &RigidBody<N>, broken: &Broken<'_, N>) -> Opt
     (frequency * schedule.step_s.abs() > SHORT_RAD && frequency > 2.0 * rate).then_some(frequency)
 }
 
-/// How a try went.
+/// Outcome of a try.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Went {
     /// To its end, with its energy.
@@ -174,9 +178,9 @@ struct Search<'a, const N: usize> {
     broken: &'a Broken<'a, N>,
     /// The energy at the start.
     start: f64,
-    /// Do its steps adapt, so that the longest of them is what is tried?
+    /// Whether its steps adapt, so that the longest of them is what is tried.
     adapts: bool,
-    /// Of steps that adapt the shortest that was seen.
+    /// Shortest adaptive step that was seen.
     nearest: Option<Pace>,
 }
 
@@ -211,7 +215,8 @@ impl<const N: usize> Search<'_, N> {
         Advised::Step { step_s: found.0, tried: found.1 }
     }
 
-    /// About this step or a little less, in few digits, with which the scenario is accepted as it is.
+    /// Returns about this step or a little less, in few digits, with which the scenario is accepted
+    /// as it is.
     fn short(&self, step_s: f64) -> f64 {
         let &Broken { schedule, asked, .. } = self.broken;
         let Some(asked) = asked else { return two_digits(step_s) };
@@ -224,8 +229,8 @@ impl<const N: usize> Search<'_, N> {
         less.find(|&less| asked.fits(less)).unwrap_or(part)
     }
 
-    /// How far steps that adapt were tried, if they carry the run past a point source and, if the run may be tried no
-    /// further, past the place of the failure.
+    /// Returns how far adaptive steps were tried, if they carry the run past a point source and, if
+    /// the run may be tried no further, past the place of the failure.
     fn passes(&mut self, own_s: f64, most_sweeps: f64) -> Option<Tried> {
         let &Broken { initial, reached, schedule, failure, .. } = self.broken;
         let Schedule { step_s, steps, .. } = schedule;
@@ -253,7 +258,7 @@ impl<const N: usize> Search<'_, N> {
         if !self.body.is_driven() && (energy.total() - self.start).abs() > LOST * energy.kinetic {
             return went;
         }
-        // Not to come past the place is to know nothing.
+        // A try that does not come past the place shows nothing.
         if past > span.steps {
             return Went::Out;
         }
@@ -303,7 +308,8 @@ impl<const N: usize> Search<'_, N> {
                 let energy = body.energy_at(time_s(step), &attitude, &stepper.momentum());
                 kinetic = kinetic.max(energy.kinetic);
                 off = off.max((energy.total() - begun - stepper.work()).abs());
-                // No energy: infinite, or not a number; or so much lost that no more will move to outweigh it.
+                // No energy: infinite, or not a number; or so much lost that no more will move to
+                // outweigh it.
                 let is_gone = off > GONE * LOST * kinetic && off > ROUND_OFF * begun.abs();
                 if !energy.total().is_finite() || is_gone {
                     return Went::Badly;
@@ -315,11 +321,11 @@ impl<const N: usize> Search<'_, N> {
     }
 }
 
-/// How far a try goes.
+/// Length of a try.
 #[derive(Clone, Copy, Debug)]
 struct Span {
     steps: u64,
-    /// Is that the whole run?
+    /// Whether that is the whole run.
     is_whole: bool,
 }
 

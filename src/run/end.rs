@@ -1,6 +1,7 @@
-//! The end of a log, and what is reported of the whole run: there, and to the caller.
+//! The end of a log, and the report on the whole run: there, and to the caller.
 //!
-//! Invariant: every log that is finished is finished here, with what its summary says and nothing of the clock.
+//! Invariant: every log that is finished is finished here, with the figures of its summary and none
+//! of the clock.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -22,7 +23,7 @@ use crate::scenario::Expect;
 use crate::solve::nonlinear::Convergence;
 use crate::solve::trajectory::Checkpoint;
 
-/// Where a run came to.
+/// State that a run reached.
 pub(super) struct Reached {
     pub(super) step: u64,
     samples: u64,
@@ -39,31 +40,32 @@ impl<const N: usize> From<&Checkpoint<N>> for Reached {
     }
 }
 
-/// How a run ended.
+/// End of a run.
 pub(super) struct End {
     pub(super) outcome: Outcome,
-    /// Where it came to; of an ensemble, where member 0 did.
+    /// State that it reached; for an ensemble, that of member 0.
     pub(super) reached: Reached,
     pub(super) diagnosis: Option<Diagnosis>,
     pub(super) ensemble: Option<EnsembleSummary>,
-    /// Of a run whose log does not show it; `None` if it is unknown how much of the energy moves.
+    /// Energy of a run whose log does not show it; `None` if it is unknown how much of the energy
+    /// moves.
     pub(super) energy: Option<EnergySeen>,
 }
 
-/// What was to be run.
+/// The run that was asked for.
 #[derive(Clone, Copy)]
 pub(super) struct Asked<'a> {
     step_s: f64,
     steps: u64,
-    /// Of an ensemble.
+    /// Number of members of an ensemble.
     members: Option<u64>,
     expect: Option<&'a Expect>,
-    /// What the plan warns of.
+    /// Warnings of the plan.
     warnings: &'a [String],
 }
 
 impl<'a> Asked<'a> {
-    /// By a plan.
+    /// Returns the run that a plan asks for.
     pub(super) fn of(plan: &'a Plan) -> Self {
         let members = plan.ensemble.as_ref().map(|planned| planned.members);
         let Plan { step_s, steps, .. } = *plan;
@@ -71,13 +73,13 @@ impl<'a> Asked<'a> {
         Self { step_s, steps, members, expect, warnings }
     }
 
-    /// `steps` steps of one trajectory.
+    /// Returns a run of `steps` steps of one trajectory.
     pub(super) fn steps(step_s: f64, steps: u64) -> Self {
         Self { step_s, steps, members: None, expect: None, warnings: &[] }
     }
 }
 
-/// Gives a log its end, and sums up what it holds. What the clock says is left to the caller.
+/// Gives a log its end, and sums up its contents. Figures of the clock are left to the caller.
 pub(super) fn finish(
     asked: Asked<'_>,
     log: &Path,
@@ -138,7 +140,8 @@ pub(super) fn finish(
     Ok(summary)
 }
 
-/// What the log says of the job after its last sample: figures and charts of the run, none of the clock.
+/// Returns the description of the job in the log after its last sample: figures and charts of the
+/// run, none of the clock.
 fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     let mut entries = BTreeMap::from([
         ("steps".to_owned(), summary.steps.to_string()),
@@ -168,7 +171,7 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     LogOutcome { state: summary.outcome.as_str().to_owned(), entries, charts: charts(course) }
 }
 
-/// The pictures in the log: file names and SVG.
+/// Draws the pictures in the log: file names and SVG.
 #[cfg(feature = "chart")]
 fn charts(course: &Course) -> Vec<(&'static str, String)> {
     let charts = [LogChart::Energy, LogChart::Orthogonality, LogChart::Pace].into_iter();

@@ -1,5 +1,5 @@
-//! An ensemble: the members whose samples are logged, side by side, then all others on as many threads as there are
-//! cores, then what they are together.
+//! An ensemble: the members whose samples are logged, side by side, then all others on as many
+//! threads as there are cores, then their statistics.
 //!
 //! Invariant: the log depends neither on the threads nor on which members run together. The end of each member stands in it
 //! once, and one whose end is in a whole chunk is not run again.
@@ -37,7 +37,7 @@ mod way;
 use statistics::{Ends, Spread};
 use way::Way;
 
-/// A member that made all its steps.
+/// Outcome of a member that made all its steps.
 const SUCCEEDED: &str = "succeeded";
 
 /// A run of an ensemble that writes its log.
@@ -280,7 +280,7 @@ impl Ensemble<'_> {
         Ok(if searched && self.context.control.stopped() { None } else { Some(ends) })
     }
 
-    /// How a member ended, and its diagnosis if it failed.
+    /// Returns how a member ended, and its diagnosis if it failed.
     fn outcome<const N: usize>(
         &self,
         assembly: &mut Assembly<N>,
@@ -304,7 +304,7 @@ impl Ensemble<'_> {
 /// A thread that runs members, a few at a time.
 struct Worker<'a> {
     ensemble: &'a Ensemble<'a>,
-    /// The members that have not ended.
+    /// Members that have not ended.
     left: &'a [u64],
     turns: &'a Turns<'a, Vec<Member>>,
 }
@@ -336,7 +336,8 @@ impl Task for Worker<'_> {
     }
 }
 
-/// Resumes the log of an interrupted run with the ends that it holds and what its charts show, or begins one.
+/// Resumes the log of an interrupted run with the ends that it holds and its chart data, or begins
+/// one.
 fn open<const N: usize>(
     context: &JobContext<'_>,
     header: &LogHeader,
@@ -355,7 +356,7 @@ fn open<const N: usize>(
     Ok((begin_log(context, header)?, Ends::default(), Course::default()))
 }
 
-/// Where member 0 came to, from `initial`.
+/// Returns the state that member 0 reached, from `initial`.
 fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Checkpoint<N> {
     let last = nominal.and_then(|end| end.last.as_ref()?.point());
     let State { attitude, momentum } = last.unwrap_or_else(|| initial.clone());

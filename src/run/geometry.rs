@@ -1,4 +1,4 @@
-//! What viewers draw of a scene: the body's box of inertia, its points, and what stands around it.
+//! Drawings of a scene for viewers: the body's box of inertia, its points, and its surroundings.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
@@ -6,7 +6,7 @@ use crate::log::scene::{Marker, Mover, SceneGeometry, Sign};
 use crate::plan::{ModelKinetic, Plan, driven_term};
 use crate::scenario::{Drawn, DrivenTerm};
 
-/// The drawing of a scene; empty unless n = 3.
+/// Returns the drawing of a scene; empty unless n = 3.
 pub(super) fn scene(plan: &Plan) -> SceneGeometry {
     if plan.dimension != 3 {
         return SceneGeometry::default();
@@ -54,8 +54,9 @@ fn three(v: &[f64]) -> [f64; 3] {
     [v[0], v[1], v[2]]
 }
 
-/// Edges and orientation (w, x, y, z) of the homogeneous box of unit mass with the body's inertia: an
-/// edge a has the second moment a^2 / 12. A negative second moment, which no real body has, is drawn flat.
+/// Returns edges and orientation (w, x, y, z) of the homogeneous box of unit mass with the body's
+/// inertia: an edge a has the second moment a^2 / 12. A negative second moment, which no real body
+/// has, is drawn flat.
 fn inertia_box(kinetic: &ModelKinetic) -> ([f64; 3], [f64; 4]) {
     let (moments, axes) = match kinetic {
         // w_ij = 1 / J_k for the plane (i, j) about the axis k.

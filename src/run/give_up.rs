@@ -1,6 +1,7 @@
 //! Ends the log of a job that is run no more, for a reason outside its steps.
 //!
-//! Invariant: nothing is computed of the run that brought its process down: no step is made and no sample taken.
+//! Invariant: nothing of the run that brought its process down is computed: no step is made and no
+//! sample taken.
 
 use std::path::Path;
 
@@ -13,18 +14,19 @@ use crate::log::writer::LogWriter;
 use crate::plan::Plan;
 use crate::solve::trajectory::Checkpoint;
 
-/// Why a job is run no more.
+/// Reason why a job is run no more.
 #[derive(Clone, Copy, Debug)]
 pub struct Reason<'a> {
     /// The failure code.
     pub code: &'a str,
-    /// What happened, for a person.
+    /// Description of what happened, for a person.
     pub cause: &'a str,
-    /// What to do about it, for a person.
+    /// Advice, for a person.
     pub advice: &'a str,
 }
 
-/// Ends the log of `log` as failed: what interrupted runs left in whole chunks, or no sample at all, and why.
+/// Ends the log of `log` as failed, with the whole chunks that interrupted runs left, or no sample
+/// at all, and the reason.
 ///
 /// # Errors
 /// If the log cannot be written.
@@ -34,7 +36,7 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
     let resumed = LogWriter::resume(log, &header, &mut |seen| course.note_seen(&seen), &|| false)?;
     let (writer, checkpoint) = match resumed {
         Some((writer, mut checkpoint)) => {
-            // Of an ensemble all members are counted; the log says where member 0 came to.
+            // All members of an ensemble are counted; the log says how far member 0 came.
             checkpoint.step = checkpoint.step.min(plan.steps);
             (writer, Some(checkpoint))
         }
@@ -72,10 +74,10 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
     Ok(Summary { resumed_step, ..summary })
 }
 
-/// What interrupted runs left.
+/// Results that interrupted runs left.
 struct Left<'a> {
     plan: &'a Plan,
-    /// `None` if that is nothing.
+    /// The last checkpoint; `None` if there is none.
     checkpoint: Option<&'a messages::Checkpoint>,
 }
 

@@ -24,7 +24,7 @@ use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
 /// A chunk of the log is closed, and so is safe from a kill, after this many samples.
 const SAMPLES_PER_CHUNK: u64 = 1000;
 
-/// What the log of a user-defined system says of it, and how it is written.
+/// Description of a user-defined system in its log, and options of the log.
 ///
 /// ```
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -71,21 +71,22 @@ const SAMPLES_PER_CHUNK: u64 = 1000;
 pub struct Recording {
     /// A short name.
     pub name: String,
-    /// What else there is to say of the system: further entries of the record `vpd.job`. Those that this program writes
-    /// itself (`name`, `vpd_version`, `vpd_build`, `dimension`, `order`, `step_s`, `steps`, `every`) are not replaced.
+    /// Further entries of the record `vpd.job` about the system. Those that this program writes
+    /// itself (`name`, `vpd_version`, `vpd_build`, `dimension`, `order`, `step_s`, `steps`,
+    /// `every`) are not replaced.
     pub notes: BTreeMap<String, String>,
     /// The channels to log, and what is computed for them; by default all of a single run.
     pub channels: Vec<Channel>,
     /// Log time of t = 0, in nanoseconds since 1970. At first that of a scenario.
     pub epoch_ns: u64,
-    /// How chunks are compressed.
+    /// Compression of chunks.
     pub compression: Compression,
-    /// What viewers draw; at first nothing but the axes of the body. n = 3.
+    /// Objects that viewers draw; by default only the axes of the body. n = 3.
     pub scene: SceneGeometry,
 }
 
 impl Recording {
-    /// All channels under a name.
+    /// Creates a recording of all channels under a name.
     pub fn new(name: impl Into<String>) -> Self {
         let single = |channel: &Channel| !channel.needs_ensemble();
         Self {
@@ -102,10 +103,10 @@ impl Recording {
     /// from the group in it. Blocks; [`super::Control`] follows and stops it. A log that is there already is replaced, unless
     /// [`super::Control::replaces_nothing`].
     ///
-    /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis, whose step is a guess that was
-    /// not tried. Momentum drift is given
-    /// as far as the system says what is conserved. A warning that the run means little is not given: how much of the
-    /// energy of the system moves is not known.
+    /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis,
+    /// whose step is a guess that was not tried. Momentum drift is given as far as the system tells
+    /// what is conserved. A warning that the run means little is not given: it is not known how
+    /// much of the energy of the system moves.
     ///
     /// # Errors
     /// If the start is more than 1e-8 away from a state, or the step is not a number above zero: nothing is written then. If

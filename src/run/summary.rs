@@ -1,4 +1,4 @@
-//! What a run leaves in addition to its log: figures, the last state, and why it failed if it did.
+//! Results of a run in addition to its log: figures, the last state, and why it failed if it did.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -13,7 +13,7 @@ use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::State;
 
-/// How a run ended.
+/// Outcome of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
@@ -26,7 +26,7 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// The word in logs and answers.
+    /// Returns the word in logs and answers.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Succeeded => "succeeded",
@@ -36,10 +36,10 @@ impl Outcome {
     }
 }
 
-/// What a run leaves in addition to its log.
+/// Results of a run in addition to its log.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Summary {
-    /// How it ended.
+    /// Outcome of the run.
     pub outcome: Outcome,
     /// Steps made.
     pub steps: u64,
@@ -56,7 +56,7 @@ pub struct Summary {
     /// [`crate::advise::error_at_end`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<f64>,
-    /// In its place a bound, where the reference is known no better.
+    /// A bound in place of `error`, where the reference is known no better.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_below: Option<f64>,
     /// Energy; absent if `/energy` was not logged.
@@ -74,28 +74,28 @@ pub struct Summary {
     /// The log. In answers of the service a link is in its place.
     #[schemars(skip)]
     pub log: String,
-    /// Why the run failed.
+    /// Reason why the run failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
-    /// Of an ensemble, what became of its members; all else here is of member 0.
+    /// Outcome of the members of an ensemble; all else here is of member 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<EnsembleSummary>,
-    /// Why the run may mean little, though no step of it failed.
+    /// Warning that the run may mean little, though no step of it failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub warning: Option<String>,
-    /// What the scenario expected and the run did not keep to.
+    /// Expectations of the scenario that the run did not meet.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unmet: Vec<String>,
 }
 
-/// What became of the members of an ensemble.
+/// Outcome of the members of an ensemble.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EnsembleSummary {
     /// Members whose end is in the log.
     pub members: u64,
-    /// Those that made all their steps.
+    /// Number of members that made all their steps.
     pub succeeded: u64,
-    /// How many failed, by their code.
+    /// Number of failed members, by code.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub failed: BTreeMap<String, u64>,
     /// Root mean square of the angles between the attitudes at the end and their mean, in radians.
@@ -158,7 +158,7 @@ pub struct SolverSummary {
     pub kind: Option<String>,
 }
 
-/// Why a step could not be made, and what to do.
+/// Diagnosis of a step that could not be made, with advice.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Diagnosis {
     /// The failure code; fixed.
@@ -169,9 +169,9 @@ pub struct Diagnosis {
     pub time_s: f64,
     /// The step size in seconds.
     pub step_s: f64,
-    /// The stage at which it was seen, counted from 0.
+    /// The stage at which the failure was seen, counted from 0.
     pub stage: Option<usize>,
-    /// What was measured; absent where it is not finite.
+    /// Measured value; absent where it is not finite.
     pub measured: Option<f64>,
     /// The limit it broke; absent where there is none.
     pub limit: Option<f64>,
@@ -179,12 +179,12 @@ pub struct Diagnosis {
     pub iterations: u32,
     /// The last increments of the nonlinear solver, oldest first.
     pub increments: Vec<f64>,
-    /// What happened, for a person.
+    /// Description of what happened, for a person.
     pub cause: String,
-    /// What to do about it, for a person.
+    /// Advice, for a person.
     pub advice: String,
-    /// A step in seconds that carries the run, as far as it was tried; absent if none was found. Of steps that adapt it is
-    /// the longest.
+    /// A step in seconds that carries the run, as far as it was tried; absent if none was found.
+    /// For adaptive steps it is the longest.
     pub advised_step_s: Option<f64>,
     /// The longest step of `vpd_adaptive` that carries the run past a point source, as far as it was tried.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -192,7 +192,7 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
-    /// The same with steps that adapt, which were tried.
+    /// Adds the result for adaptive steps, which were tried.
     pub(super) fn with_own_steps(self, largest_step_s: f64, tried: Tried) -> Self {
         let advice = format!(
             "steps that adapt to the point source carry the run: try \"method\": {{ \"name\": \"vpd_adaptive\" }}, \
@@ -212,13 +212,14 @@ pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
     })
 }
 
-/// As in a stability map, an error beyond this part of the energy that moves is no integration any more.
+/// Largest error of a meaningful run, as a part of the energy that moves; the same as in a
+/// stability map.
 pub(super) const MEANINGLESS: f64 = 0.1;
 
 /// The energy of a run, as far as it was measured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EnergySeen {
-    /// At the start.
+    /// Energy at the start.
     initial: f64,
     /// Largest |H - H0|.
     error: f64,
@@ -227,7 +228,7 @@ pub(super) struct EnergySeen {
 }
 
 impl EnergySeen {
-    /// At the samples; `None` if `/energy` was not logged.
+    /// Returns the energy at the samples; `None` if `/energy` was not logged.
     pub(super) fn at_samples(figures: &Figures) -> Option<Self> {
         Some(Self {
             initial: figures.energy_initial?,
@@ -236,7 +237,8 @@ impl EnergySeen {
         })
     }
 
-    /// At the start and at the end alone, where nothing is seen of what a driven body was given on its way.
+    /// Returns the energy at the start and at the end alone, where the energy that a driven body
+    /// received is not known.
     pub(super) fn at_the_ends<const N: usize>(
         body: &RigidBody<N>,
         start: &State<N>,
@@ -255,7 +257,8 @@ impl EnergySeen {
     }
 }
 
-/// A run may lose its energy without a step that fails: steps over a near charge, each of them finite.
+/// Returns a warning if a run lost its energy without a step that fails: steps over a near charge,
+/// each of them finite.
 pub(super) fn warning(seen: EnergySeen) -> Option<String> {
     /// At rest nothing moves, and the round-off of the potential is no loss.
     const ROUND_OFF: f64 = 1e-9;
@@ -289,26 +292,26 @@ pub(super) fn final_state<const N: usize>(
     FinalState { attitude: attitude.map(rows), body_momentum }
 }
 
-/// What came of a search for a smaller step.
+/// Result of a search for a smaller step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Advised {
     /// A step that was tried.
     Step { step_s: f64, tried: Tried },
     /// The work allowed was done before one was found.
     NotFound {
-        /// The smallest that failed.
+        /// The smallest step that failed.
         tried_s: f64,
     },
-    /// There is none.
+    /// No step works.
     NoneWorks,
     /// A guess: nothing was tried.
     Untried { step_s: f64 },
-    /// The longest of steps that adapt, which was tried.
+    /// The longest of adaptive steps, which was tried.
     OwnStep { largest_step_s: f64, tried: Tried },
 }
 
 impl Advised {
-    /// The same for steps that adapt.
+    /// Returns the same for adaptive steps.
     pub(super) fn of_own_steps(self) -> Self {
         match self {
             Self::Step { step_s, tried } => Self::OwnStep { largest_step_s: step_s, tried },
@@ -317,7 +320,7 @@ impl Advised {
     }
 }
 
-/// How far a step was tried.
+/// Extent to which a step was tried.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Tried {
     /// Over the whole run.
@@ -327,7 +330,7 @@ pub(super) enum Tried {
 }
 
 impl Tried {
-    /// An advice, and for how long it was tried if that is not the whole run.
+    /// Returns an advice, and for how long it was tried if that is not the whole run.
     fn appended_to(self, advice: String) -> String {
         match self {
             Self::Throughout => advice,
@@ -336,7 +339,8 @@ impl Tried {
     }
 }
 
-/// What happened, for a person: the common reason, or the stiffness where that is it.
+/// Returns a description of what happened, for a person: the common reason, or the stiffness where
+/// that is it.
 fn cause(failure: &Failure, frequency: Option<f64>, step_s: f64) -> String {
     use FailureCode as Code;
     let of_size = matches!(failure.code, Code::MaxIterations | Code::Diverged | Code::Stalled);
@@ -412,7 +416,7 @@ impl fmt::Display for Diagnosis {
     }
 }
 
-/// What an expectation asks and a run did not keep to.
+/// Returns the expectations that a run did not meet.
 pub(super) fn unmet(expect: &Expect, summary: &Summary) -> Vec<String> {
     let mut unmet = Vec::new();
     if summary.outcome != Outcome::Succeeded {

@@ -1,15 +1,16 @@
-//! A field of a scenario, set by its JSON pointer (RFC 6901): what `--set` and sweeps do.
+//! Sets a field of a scenario by its JSON pointer (RFC 6901), for `--set` and for sweeps.
 
 use serde_json::{Value, json};
 
 use super::suggest::keys_at;
 use super::{ScenarioError, schema};
 
-/// Puts `value` in the place of `pointer`; `null` takes away what stands there, as if it had never been written. Sections on
-/// the way may be absent from the text; one that does not exist is refused when the document is read.
+/// Puts `value` in the place of `pointer`; `null` removes the field there, as if it had never been
+/// written. Sections on the way may be absent from the text; one that does not exist is refused
+/// when the document is read.
 ///
 /// # Errors
-/// If the way leads through a list without such an item, or through what has no fields.
+/// If the way leads through a list without such an item, or through a value without fields.
 pub(crate) fn set(document: &mut Value, pointer: &str, value: Value) -> Result<(), ScenarioError> {
     let mut place = document;
     let mut way = pointer.split('/').skip(1).peekable();

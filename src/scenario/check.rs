@@ -10,11 +10,13 @@ use crate::method::Integrator;
 
 /// Largest n of SO(n) that the program is built for.
 const MAX_DIMENSION: usize = 16;
-/// And the one beyond it: each n costs a fifteenth of the program's build.
+/// The one n beyond it for which the program is also built: each n costs a fifteenth of the
+/// program's build.
 const LARGE_DIMENSION: usize = 32;
 /// Largest size of any number of a scene.
 pub(crate) const MAX_SIZE: f64 = 1e15;
-/// Smallest size of a vector that is not zero: its square, and that of what follows from it, is a number still.
+/// Smallest size of a vector that is not zero: its square, and that of what follows from it, is
+/// still a number.
 pub(super) const SMALLEST_SIZE: f64 = 1e-15;
 /// Smallest strength of a term that is not zero.
 const SMALLEST_STRENGTH: f64 = 1e-30;
@@ -49,7 +51,7 @@ pub(crate) fn ensure(
     if condition { Ok(()) } else { Err(ScenarioError::invalid(pointer, message())) }
 }
 
-/// Checks everything that can be said without mathematics.
+/// Checks everything that can be checked without mathematics.
 pub(super) fn check(scenario: &Scenario) -> Check {
     text("/name", &scenario.name, 200, false)?;
     text("/description", &scenario.description, 4000, true)?;
@@ -74,7 +76,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     expect(scenario, n)
 }
 
-/// What changes with time, pushes or spins.
+/// Checks the terms that change with time, the torques and the wheels.
 fn driven(scenario: &Scenario, n: usize) -> Check {
     let Scene { driven, torques, wheels, .. } = &scenario.scene;
     let most = |count: usize, pointer: &str| {
@@ -84,7 +86,7 @@ fn driven(scenario: &Scenario, n: usize) -> Check {
     };
     most(driven.len(), "/scene/driven")?;
     most(torques.len(), "/scene/torques")?;
-    // Of an unknown number of steps nothing is said here: that is looked at next.
+    // An unknown number of steps is checked later.
     let steps = scenario.step_s.zip(scenario.steps).map(|(step_s, steps)| steps as f64 * step_s);
     let duration_s = scenario.duration_s.or(steps);
     for (index, term) in driven.iter().enumerate() {
@@ -116,7 +118,8 @@ fn text(pointer: &str, given: &str, most: usize, lines: bool) -> Check {
     }
 }
 
-/// Direction marks, and what takes no place of its own: with them two names look alike, or a name like none.
+/// Returns whether a character is a direction mark or takes no room: with these two names look
+/// alike, or a name looks empty.
 fn is_unseen(c: char) -> bool {
     matches!(c,
         '\u{ad}' | '\u{34f}' | '\u{61c}' | '\u{115f}' | '\u{1160}' | '\u{17b4}' | '\u{17b5}'
@@ -139,7 +142,7 @@ fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
     given.iter().enumerate().try_for_each(|(i, &x)| number(&format!("{pointer}/{i}"), x))
 }
 
-/// A number that is zero, or not so small that what is made of it is lost.
+/// Checks that a number is zero, or not so small that what is made of it is lost.
 pub(super) fn strength(pointer: &str, x: f64) -> Check {
     number(pointer, x)?;
     ensure(x == 0.0 || x.abs() >= SMALLEST_STRENGTH, pointer, || {
@@ -147,7 +150,7 @@ pub(super) fn strength(pointer: &str, x: f64) -> Check {
     })
 }
 
-/// The largest of them.
+/// Returns the largest size of the numbers.
 pub(super) fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
     numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))
 }
@@ -184,7 +187,7 @@ pub(super) fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
     given.iter().enumerate().try_for_each(|(i, row)| vector(&format!("{pointer}/{i}"), row, n))
 }
 
-/// `sign` +1: symmetric, -1: skew.
+/// Checks that a matrix is symmetric (`sign` +1) or skew (`sign` -1).
 pub(super) fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
     let size = largest(given.iter().flatten());
     for (i, row) in given.iter().enumerate() {
@@ -370,7 +373,7 @@ fn method(scenario: &Scenario, n: usize) -> Check {
     Ok(())
 }
 
-/// An accuracy is given in the place of a method and a step.
+/// Checks a scenario with an accuracy in the place of a method and a step.
 fn accuracy(scenario: &Scenario, error: f64) -> Check {
     let (low, high) = ACCURACY_RANGE;
     ensure(error >= low && error <= high, "/accuracy/error", || {
@@ -395,25 +398,26 @@ fn whole_duration(duration_s: f64) -> Check {
     })
 }
 
-/// Is a duration a whole number of steps, but for rounding?
+/// Returns whether a duration is a whole number of steps, but for rounding.
 pub(super) fn is_whole(duration_s: f64, step_s: f64) -> bool {
     let count = duration_s / step_s;
     let whole = count.round();
     (count - whole).abs() <= 1e-9 * count.max(1.0) && whole >= 1.0
 }
 
-/// The longest step, but for rounding, that is no longer than `step_s` and of which a duration is a whole number.
+/// Returns the longest step, but for rounding, that is no longer than `step_s` and of which a
+/// duration is a whole number.
 pub(crate) fn dividing(duration_s: f64, step_s: f64) -> f64 {
     twelve_digits(duration_s / (duration_s / step_s).ceil())
 }
 
-/// A number in few characters, be it ever so small or large.
+/// Formats a number in few characters, however small or large it is.
 pub(crate) fn short(x: f64) -> String {
     let plain = x.to_string();
     if plain.len() > 24 { format!("{x:e}") } else { plain }
 }
 
-/// Enough for a whole number of steps.
+/// Rounds to twelve digits, which is enough for a whole number of steps.
 pub(crate) fn twelve_digits(x: f64) -> f64 {
     format!("{x:.11e}").parse().unwrap_or(x)
 }
@@ -471,7 +475,7 @@ fn duration(scenario: &Scenario) -> Check {
     })
 }
 
-/// The spacing of samples in seconds.
+/// Checks the spacing of samples in seconds.
 fn every_s(scenario: &Scenario, every_s: f64) -> Check {
     let pointer = "/log/every_s";
     ensure(scenario.log.every.is_none(), pointer, || {
@@ -488,7 +492,7 @@ fn every_s(scenario: &Scenario, every_s: f64) -> Check {
                 short(every_s)
             )
         }),
-        // The step will be chosen.
+        // The step will be chosen later.
         (None, Some(duration_s)) => {
             ensure(is_whole(duration_s, every_s), pointer, || {
                 let less = dividing(duration_s, every_s);
@@ -561,7 +565,7 @@ fn log(scenario: &Scenario, n: usize) -> Check {
     })
 }
 
-/// Nanoseconds since 1970 of an RFC 3339 moment.
+/// Returns the nanoseconds since 1970 of an RFC 3339 moment.
 pub(super) fn epoch_ns(text: &str) -> Result<u64, ScenarioError> {
     let wrong = |message: String| ScenarioError::invalid("/log/epoch", message);
     let allowed = "a moment like 2026-01-01T00:00:00Z, in the years 1990 to 2099, is needed";

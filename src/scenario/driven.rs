@@ -1,4 +1,4 @@
-//! What changes with time, pushes or spins: terms of the potential that move, torques that are no potential's, wheels.
+//! Terms of the potential that change with time, torques that are no potential's, and wheels.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -15,22 +15,22 @@ use super::{Entry, Framed};
 pub struct DrivenTerm {
     /// The term, as it is at t = 0; on an orbit, see there.
     pub term: PotentialTerm,
-    /// How its direction or position moves; it stays if absent.
+    /// Motion of its direction or position; it stays if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<Path>,
-    /// What its strength is multiplied by; one if absent.
+    /// Factor on its strength; one if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factor: Option<Factor>,
 }
 
 impl DrivenTerm {
-    /// One that stays as it is until a path or a factor is set.
+    /// Returns a term that stays as it is until a path or a factor is set.
     pub fn of(term: PotentialTerm) -> Self {
         Self { term, path: None, factor: None }
     }
 }
 
-/// How the direction or position of a term moves in space.
+/// Motion of the direction or position of a term in space.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Path {
@@ -44,11 +44,11 @@ pub enum Path {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Turning {
-    /// It turns from here...
+    /// Vector from which it turns.
     pub from: Vec<f64>,
-    /// ...to here; the two need not be orthogonal, nor of length one.
+    /// Vector towards which it turns; the two need not be orthogonal, nor of length one.
     pub towards: Vec<f64>,
-    /// In rad/s.
+    /// Rate in rad/s.
     pub rate_rad_s: f64,
 }
 
@@ -62,7 +62,7 @@ pub struct Orbit {
     pub towards: Vec<f64>,
     /// Mean motion, 2 pi over the period, in rad/s.
     pub mean_motion_rad_s: f64,
-    /// From 0 to 0.99.
+    /// Eccentricity, from 0 to 0.99.
     #[serde(default)]
     pub eccentricity: f64,
     /// Mean anomaly at t = 0 in rad; 0 is the pericentre.
@@ -71,13 +71,13 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// A circle, from the pericentre.
+    /// Returns a circle, from the pericentre.
     pub fn of(towards: Vec<f64>, mean_motion_rad_s: f64) -> Self {
         Self { towards, mean_motion_rad_s, eccentricity: 0.0, mean_anomaly_rad: 0.0 }
     }
 }
 
-/// What a strength is multiplied by.
+/// Factor on a strength.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Factor {
@@ -96,15 +96,15 @@ pub struct Harmonic {
     pub mean: f64,
     /// The amplitude.
     pub amplitude: f64,
-    /// In rad/s.
+    /// Rate in rad/s.
     pub rate_rad_s: f64,
-    /// In rad; 0 if absent.
+    /// Phase in rad; 0 if absent.
     #[serde(default)]
     pub phase_rad: f64,
 }
 
 impl Harmonic {
-    /// About a mean of one, from its crest.
+    /// Returns an oscillation about a mean of one, from its crest.
     pub fn of(amplitude: f64, rate_rad_s: f64) -> Self {
         Self { mean: Self::one(), amplitude, rate_rad_s, phase_rad: 0.0 }
     }
@@ -118,9 +118,9 @@ impl Harmonic {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// Ascending, in s.
+    /// Times, ascending, in s.
     pub times_s: Vec<f64>,
-    /// One for each time.
+    /// Values, one for each time.
     pub values: Vec<f64>,
     /// Cubic between the times, with slopes by the neighbours (the default): methods keep their order up to the fourth.
     /// Else straight lines; put the times on steps then.
@@ -129,7 +129,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// Cubic between the times.
+    /// Returns a table that is cubic between the times.
     pub fn of(times_s: Vec<f64>, values: Vec<f64>) -> Self {
         Self { times_s, values, smooth: Self::smooth() }
     }
@@ -159,7 +159,7 @@ pub enum Torque {
 pub struct TorqueTable {
     /// Its direction, used as given, not normalised.
     pub along: Framed,
-    /// How strong it is, in N m.
+    /// Strength over time, in N m.
     pub table: Table,
 }
 
@@ -167,7 +167,7 @@ pub struct TorqueTable {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Viscous {
-    /// The same about all axes, in N m s.
+    /// The same coefficient about all axes, in N m s.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coefficient: Option<f64>,
     /// n = 3: one for each body axis; any n: a symmetric matrix, c_ij for the plane of the axes i and j.
@@ -179,7 +179,7 @@ pub struct Viscous {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OfMomentum {
-    /// In 1/s; the momentum falls as `exp(-rate t)` where it is above zero.
+    /// Rate in 1/s; the momentum falls as `exp(-rate t)` where it is above zero.
     pub rate_per_s: f64,
 }
 
@@ -224,7 +224,7 @@ impl DrivenTerm {
 
 impl Table {
     fn check(&self, at: &str, duration_s: Option<f64>) -> Check {
-        /// Most rows.
+        /// Largest number of rows.
         const MOST: usize = 100_000;
         let (times, values) = (&self.times_s, &self.values);
         ensure((2..=MOST).contains(&times.len()), format!("{at}/times_s"), || {
@@ -290,7 +290,7 @@ impl Viscous {
         }
     }
 
-    /// c_ij; `None` if there is no such matrix.
+    /// Returns c_ij; `None` if there is no such matrix.
     pub(crate) fn planes(&self, n: usize) -> Option<Vec<Vec<f64>>> {
         if let Some(coefficient) = self.coefficient {
             return Some(vec![vec![coefficient; n]; n]);
@@ -315,7 +315,7 @@ impl Viscous {
     }
 }
 
-/// Wheels.
+/// Checks the wheels.
 pub(super) fn wheels(entries: &[Entry], n: usize) -> Check {
     framed("/scene/wheels", &Framed::Body(entries.to_vec()), n).map_err(|error| {
         super::ScenarioError { pointer: error.pointer.replace("/wheels/body", "/wheels"), ..error }

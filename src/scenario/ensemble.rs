@@ -31,9 +31,9 @@ pub struct Ensemble {
 
 #[cfg(feature = "serve")]
 impl Scenario {
-    /// One member of its ensemble as a run of its own. It begins at `attitude`, a matrix row by row, and `momentum`, in body
-    /// coordinates: for n = 3 the vector, else the entries above the diagonal, row by row. `None` if these are of another
-    /// dimension.
+    /// Returns one member of its ensemble as a run of its own. It begins at `attitude`, a matrix
+    /// row by row, and `momentum`, in body coordinates: for n = 3 the vector, else the entries
+    /// above the diagonal, row by row. `None` if these are of another dimension.
     pub(crate) fn member(
         mut self,
         number: u64,
@@ -76,12 +76,13 @@ impl Scenario {
 }
 
 impl Ensemble {
-    /// The most members.
+    /// Largest number of members.
     pub const MOST: u64 = 100_000;
-    /// The most members logged in full in addition to member 0: with it, as many as go side by side.
+    /// Largest number of members logged in full in addition to member 0: with it, as many as run
+    /// side by side.
     pub const MOST_IN_FULL: usize = 7;
 
-    /// `members` members that are not spread yet.
+    /// Returns an ensemble of `members` members that are not spread yet.
     pub fn of(members: u64) -> Self {
         Self {
             members,

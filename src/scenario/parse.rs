@@ -1,4 +1,4 @@
-//! JSON text → the types of a scenario, with the pointer of whatever does not fit.
+//! JSON text → the types of a scenario, with the pointer of anything that does not fit.
 //!
 //! Two passes. The first reads any JSON into a tree and refuses duplicate keys; it puts the key `kind`
 //! first, so that the second, typed pass can choose the variant of a potential term before its fields and
@@ -28,12 +28,12 @@ pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
     typed(&tree).map_err(|error| with_suggestion(error, &tree))
 }
 
-/// The second pass: a tree → types.
+/// Makes the second pass: a tree → types.
 pub(crate) fn from_tree<T: DeserializeOwned + Serialize>(tree: Value) -> Result<T, ScenarioError> {
     typed(&tree)
 }
 
-/// The same, of a tree that is kept.
+/// Does the same for a tree that is kept.
 pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, ScenarioError> {
     let typed = serde_path_to_error::deserialize(tree).map_err(|error| {
         let at = pointer(error.path());
@@ -54,7 +54,8 @@ pub(super) fn typed<T: DeserializeOwned + Serialize>(tree: &Value) -> Result<T, 
 /// serde takes a list of its fields for an object, or counts what is in the list.
 const A_LIST: &str = "is a list where an object belongs";
 
-/// What serde means where one of several forms is to be given, and none or more than one is.
+/// Explains serde's error where one of several forms is expected, and none or more than one is
+/// given.
 fn several_keys(message: &str, given: Option<&Value>) -> Option<String> {
     let keys: Vec<_> = given?.as_object()?.keys().map(|key| format!("`{key}`")).collect();
     (message.ends_with("map with a single key") && keys.len() != 1).then(|| match keys.len() {
@@ -63,8 +64,9 @@ fn several_keys(message: &str, given: Option<&Value>) -> Option<String> {
     })
 }
 
-/// serde also takes a list of its fields for an object: that is not what the description of the API says, and
-/// a field that is added would change what it means. What prints as an object must have been given as one.
+/// Refuses a list of fields in the place of an object, which serde takes: the description of the
+/// API does not allow it, and a new field would change its meaning. A value that prints as an
+/// object must have been given as one.
 fn no_list_for_an_object(given: &Value, printed: &Value, at: &str) -> Result<(), ScenarioError> {
     match (given, printed) {
         (Value::Array(_), Value::Object(_)) => Err(ScenarioError::invalid(at, A_LIST)),
@@ -88,7 +90,7 @@ fn no_list_for_an_object(given: &Value, printed: &Value, at: &str) -> Result<(),
     }
 }
 
-/// The first pass: text → a tree without duplicate keys.
+/// Makes the first pass: text → a tree without duplicate keys.
 pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     let mut reader = serde_json::Deserializer::from_slice(text);
     let Tree(value) = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
@@ -110,12 +112,12 @@ pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     Ok(value)
 }
 
-/// A number that may be left out, but may not be `null`.
+/// Reads a number that may be left out, but may not be `null`.
 pub(super) fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
     f64::deserialize(deserializer).map(Some)
 }
 
-/// A JSON pointer (RFC 6901) from the path that serde took.
+/// Returns a JSON pointer (RFC 6901) from the path that serde took.
 fn pointer(path: &Path) -> String {
     path.iter()
         .map(|segment| match segment {
@@ -128,7 +130,7 @@ fn pointer(path: &Path) -> String {
         .collect()
 }
 
-/// serde's words for types, in the words of JSON.
+/// Translates serde's words for types into those of JSON.
 fn plain(message: &str) -> String {
     const WORDS: &[(&str, &str)] = &[
         ("expected f64", "expected a number"),

@@ -29,7 +29,7 @@ pub struct Adaptive {
 }
 
 impl Scenario {
-    /// How the steps adapt, if they do.
+    /// Returns the options of adaptive steps, if the steps adapt.
     pub(crate) fn adaptive(&self) -> Option<Adaptive> {
         match (&self.step, self.method.name) {
             (Some(Steps::Adaptive(adaptive)), _) => Some(adaptive.clone()),

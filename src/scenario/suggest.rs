@@ -1,7 +1,7 @@
-//! What to write in the place of a value that is of the wrong form: of what the schema allows there, the first that the value
-//! fits into.
+//! Suggestions for a value of the wrong form: the first of the forms that the schema allows there
+//! into which the value fits.
 //!
-//! Invariant: only what would be read is suggested.
+//! Invariant: only what would be accepted is suggested.
 
 use serde_json::{Value, json};
 
@@ -18,7 +18,7 @@ pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioErr
     let Some((keys, written)) = found.flatten() else { return error };
     let named: Vec<String> = keys.iter().map(|key| format!("`{key}`")).collect();
     let mut message = error.message;
-    // serde's word for what names one of several forms.
+    // serde's term for the name of one of several forms.
     if let Some((before, _)) = message.split_once("expected string or map") {
         message = match words(tree, &pointer) {
             Some(words) if named.is_empty() => format!("{before}expected {words}"),
@@ -33,7 +33,7 @@ pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioErr
     ScenarioError::invalid(pointer, message)
 }
 
-/// What is allowed where a word belongs, as the answer to one that is none says it.
+/// Returns the words that are allowed at a place, from the error for a word that is not.
 fn words(tree: &Value, pointer: &str) -> Option<String> {
     let mut other = tree.clone();
     *other.pointer_mut(pointer)? = Value::from("");
@@ -42,7 +42,7 @@ fn words(tree: &Value, pointer: &str) -> Option<String> {
     (error.pointer == pointer).then(|| words.to_owned())
 }
 
-/// The same key with its unit, if there is one and a number was given.
+/// Returns the same key with its unit, if there is one and a number was given.
 fn with_unit(tree: &Value, pointer: &str) -> Option<String> {
     tree.pointer(pointer)?.as_number()?;
     let (parent, key) = pointer.rsplit_once('/')?;
@@ -50,7 +50,7 @@ fn with_unit(tree: &Value, pointer: &str) -> Option<String> {
     keys_at(&schema(), parent).into_iter().find(|other| other.starts_with(&start))
 }
 
-/// The keys that an object may have at a pointer, and what fits there.
+/// Returns the keys that an object may have at a pointer, and what fits there.
 fn suggestion(tree: &Value, pointer: &str) -> Option<(Vec<String>, Option<String>)> {
     let given = tree.pointer(pointer)?;
     let schema = schema();
@@ -59,20 +59,20 @@ fn suggestion(tree: &Value, pointer: &str) -> Option<(Vec<String>, Option<String
         given.as_str().and_then(|text| text.parse::<f64>().ok()).map(|number| json!(number));
     let in_object = keys.iter().map(|key| json!({ key: given }));
     let candidates = number.into_iter().chain(in_object).chain([json!([given])]);
-    // Nothing was meant by a null.
+    // A null has no intended value.
     let mut candidates = candidates.filter(|_| !given.is_null());
     let fits = |candidate: &Value| {
         let mut whole = tree.clone();
         let Some(place) = whole.pointer_mut(pointer) else { return false };
         *place = candidate.clone();
-        // What else is wrong is of another place.
+        // Any other error is of another place.
         typed::<Scenario>(&whole).map_or_else(|other| !other.pointer.starts_with(pointer), |_| true)
     };
     let written = candidates.find(fits).map(|found| found.to_string());
     Some((keys, written.filter(|text| text.len() <= SHOWN)))
 }
 
-/// The keys of the objects that a schema allows at a pointer.
+/// Returns the keys of the objects that a schema allows at a pointer.
 pub(super) fn keys_at(schema: &Value, pointer: &str) -> Vec<String> {
     let mut places = alternatives(schema, schema);
     for key in pointer.split('/').skip(1) {
@@ -85,7 +85,7 @@ pub(super) fn keys_at(schema: &Value, pointer: &str) -> Vec<String> {
     keys.flat_map(|properties| properties.keys().cloned()).collect()
 }
 
-/// A schema, or what it is one of, without references.
+/// Returns a schema, or the schemas of its choices, without references.
 fn alternatives<'a>(root: &'a Value, schema: &'a Value) -> Vec<&'a Value> {
     let referred = schema["$ref"].as_str().and_then(|at| root.pointer(at.strip_prefix('#')?));
     let several = ["oneOf", "anyOf", "allOf"].iter().filter_map(|word| schema[*word].as_array());

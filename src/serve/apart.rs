@@ -1,9 +1,10 @@
-//! Errands in a process of their own: for jobs and studies during which the service ended before. If it was they that
-//! ended it, they end this process now, and the service sees it; if not, nothing happens to them.
+//! Errands in a process of their own: for jobs and studies during which the service ended before.
+//! If they caused that, they now end this process, and the service sees it; if not, nothing happens
+//! to them.
 //!
 //! ```text
 //! service ── errand, one line of JSON; then c (cancel) or i (interrupt) ──→ child
-//!         ←── progress, lines of JSON; at last what came of it ─────────────
+//!         ←── progress, lines of JSON; at last the result ──────────────────
 //! ```
 //!
 //! Invariants: a child does not outlive the service. Only a death that the service saw, and that no signal to stop
@@ -27,16 +28,17 @@ use crate::run::Control;
 /// The subcommand of the program that carries out an errand.
 pub(crate) const SUBCOMMAND: &str = "apart";
 
-/// How often the two sides exchange something.
+/// Interval at which the two sides exchange messages.
 const BEAT: Duration = Duration::from_millis(50);
 
 /// An errand that ends its process at the same step this many times in a row is abandoned.
 const MAX_DEATHS_AT_ONE_PLACE: u32 = 3;
 
-/// An errand of which this many processes in a row ended without having come further is abandoned, wherever that was.
+/// An errand is abandoned after this many processes in a row that ended without further progress,
+/// wherever that was.
 pub(super) const MAX_FRUITLESS: u32 = 20;
 
-/// What a child says.
+/// Message of a child.
 #[derive(Debug, Serialize, Deserialize)]
 enum Line {
     Progress { steps_done: u64, resumed_step: u64, durable_step: u64, durable_bytes: u64 },
@@ -61,14 +63,14 @@ impl Deaths {
         self.last = Some(step);
     }
 
-    /// Whether the errand itself is to blame.
+    /// Returns whether the errand itself is to blame.
     fn convict(&self) -> bool {
         self.at_one_place >= MAX_DEATHS_AT_ONE_PLACE || self.fruitless >= MAX_FRUITLESS
     }
 }
 
-/// Carries out an errand in processes of its own, until one comes back or the errand is convicted of ending them.
-/// Blocks.
+/// Carries out an errand in processes of its own, until one returns or the errand is found to end
+/// them. Blocks.
 pub(super) fn carry_out(
     program: &Path,
     errand: &Errand,
@@ -106,14 +108,14 @@ pub(super) fn carry_out(
     }
 }
 
-/// The last step that a run has noted.
+/// Returns the last step that a run has noted.
 fn traced(errand: &Errand) -> u64 {
     let Errand::Run { trace: Some(trace), .. } = errand else { return 0 };
     let noted = fs::read(trace).ok().and_then(|bytes| bytes.try_into().ok());
     noted.map_or(0, u64::from_le_bytes)
 }
 
-/// Whether a process ended because it was asked to, and not by what it did.
+/// Returns whether a process ended because it was asked to, and not by what it did.
 fn asked_to_stop(status: ExitStatus) -> bool {
     #[cfg(unix)]
     {
@@ -128,7 +130,7 @@ fn asked_to_stop(status: ExitStatus) -> bool {
     }
 }
 
-/// How a child ended.
+/// End of a child.
 enum Ended {
     Back(Result<Done, Broken>),
     Died(ExitStatus),
@@ -153,7 +155,7 @@ fn in_a_child(program: &Path, errand: &Errand, control: &Control) -> io::Result<
     Ok(end.map_or(Ended::Died(status), Ended::Back))
 }
 
-/// How a child ended; one that said its last word has nothing more to do.
+/// Returns how a child ended; one that sent its last message has nothing more to do.
 fn reaped(child: &mut Child, has_ended: bool) -> io::Result<ExitStatus> {
     if has_ended {
         let _ = child.kill();
@@ -161,7 +163,8 @@ fn reaped(child: &mut Child, has_ended: bool) -> io::Result<ExitStatus> {
     child.wait()
 }
 
-/// Sends the errand, and then what becomes of it here. A child that is gone hears nothing.
+/// Sends the errand, and then the signals that arrive here. A child that has ended receives
+/// nothing.
 fn pass_on(stdin: Option<ChildStdin>, errand: &Errand, control: &Control, over: &AtomicBool) {
     let Some(mut stdin) = stdin else { return };
     let Ok(mut text) = serde_json::to_vec(errand) else { return };
@@ -182,7 +185,7 @@ fn pass_on(stdin: Option<ChildStdin>, errand: &Errand, control: &Control, over: 
     }
 }
 
-/// Follows what a child says to its end; `None` if it ends without.
+/// Follows the messages of a child to their end; `None` if it ends without a result.
 fn listen(stdout: impl Read, control: &Control) -> Option<Result<Done, Broken>> {
     for line in BufReader::new(stdout).lines() {
         match serde_json::from_slice(line.ok()?.as_bytes()).ok()? {
@@ -198,12 +201,12 @@ fn listen(stdout: impl Read, control: &Control) -> Option<Result<Done, Broken>> 
     None
 }
 
-/// The child: reads an errand from stdin, carries it out and says on stdout what came of it.
+/// Runs the child: reads an errand from stdin, carries it out and writes the result to stdout.
 ///
 /// # Errors
 /// If stdin holds no errand or stdout is closed.
 pub(crate) fn child() -> io::Result<()> {
-    // The service may have no time to say that it ends.
+    // The service may have no time to announce that it ends.
     #[cfg(target_os = "linux")]
     rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
     let mut text = String::new();
@@ -235,7 +238,7 @@ fn progress(control: &Control) -> Line {
     Line::Progress {
         steps_done: control.steps_done.load(Ordering::Relaxed),
         resumed_step: control.resumed_step.load(Ordering::Relaxed),
-        // Before its bytes, of which there are then enough.
+        // Loaded before its bytes, of which there are then enough.
         durable_step: control.durable_step.load(Ordering::Acquire),
         durable_bytes: control.durable_bytes.load(Ordering::Acquire),
     }
@@ -249,7 +252,7 @@ fn say(line: &Line) -> io::Result<()> {
     out.flush()
 }
 
-/// Does what the service says; if it says nothing more, it is gone.
+/// Follows the messages of the service; if there are no more, it is gone.
 fn hear(stdin: impl BufRead, control: &Control) {
     for word in stdin.bytes() {
         match word {
@@ -276,9 +279,9 @@ mod tests {
         assert!(!after([7, 7]));
         assert!(after([7, 7, 7]));
         assert!(!after([7, 7, 8, 8, 7, 7]));
-        // Each came further than all before.
+        // Each process came further than all before.
         assert!(!after(1..100));
-        // From side to side, and never further.
+        // The step goes up and down, and never further.
         assert!(!after((0..19).map(|k| 9 - k % 2)));
         assert!(after((0..21).map(|k| 9 - k % 2)));
     }

@@ -44,19 +44,19 @@ use request::json_text;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
-/// What handlers work with.
+/// State of the handlers.
 #[derive(Clone, Debug)]
 pub(super) struct App {
     engine: Engine,
-    /// None where jobs go to other machines.
+    /// `None` where jobs go to other machines.
     studies: Option<Studies>,
     pictures: Pictures,
     public_url: Option<String>,
-    /// Where viewers follow while a job runs.
+    /// Address on which viewers follow while a job runs.
     live: Option<SocketAddr>,
-    /// Where there are tokens.
+    /// Key that signs links, where there are tokens.
     links: Option<LinkKey>,
-    /// Where what is submitted is checked.
+    /// Slots in which submissions are checked.
     submissions: SubmissionSlots,
 }
 
@@ -82,11 +82,11 @@ impl App {
     }
 }
 
-/// A route: where it is, what it says of itself, who may use it, what it does.
+/// A route: its path, its description, its scope, its handler.
 struct Route {
     method: Method,
     path: &'static str,
-    /// `None`: everybody.
+    /// Scope that is needed; `None` if none is.
     scope: Option<Scope>,
     /// Whether pages of other origins may read the answer.
     shared: bool,
@@ -118,7 +118,7 @@ impl Route {
     }
 }
 
-/// All routes but that of their description.
+/// Returns all routes but that of their description.
 fn routes() -> Vec<Route> {
     use Scope::{Admin, Read, Submit};
     let op = Operation::new;
@@ -413,12 +413,12 @@ fn routes() -> Vec<Route> {
     ]
 }
 
-/// A scenario, as the list of them shows it.
+/// Returns a scenario, as the list of them shows it.
 fn example() -> Value {
     serde_json::from_slice(SHIPPED[0].1.as_bytes()).unwrap_or_default()
 }
 
-/// All routes of the service.
+/// Returns all routes of the service.
 pub(super) fn router(app: App, gate: Gate, cors: &Cors) -> Router {
     let routes = routes();
     let described = routes.iter().map(|route| {
@@ -444,7 +444,7 @@ pub(super) fn router(app: App, gate: Gate, cors: &Cors) -> Router {
     guarded(all, gate).with_state(app)
 }
 
-/// What every request goes through, whichever door it comes by.
+/// Adds the layers that every request passes, whichever listener it comes by.
 pub(super) fn guarded<S: Clone + Send + Sync + 'static>(
     router: Router<S>,
     gate: Gate,
@@ -462,7 +462,7 @@ pub(super) fn guarded<S: Clone + Send + Sync + 'static>(
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
 }
 
-/// A request in the service's own log: without its query, which may hold a signature.
+/// Returns a request for the service's own log: without its query, which may hold a signature.
 fn span(request: &Request) -> tracing::Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let (method, path) = (request.method(), request.uri().path());

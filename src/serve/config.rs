@@ -1,4 +1,4 @@
-//! What the service is given at its start: where, for whom, and how much.
+//! Configuration of the service: addresses, access, and limits.
 
 use std::fmt;
 use std::net::SocketAddr;
@@ -16,16 +16,16 @@ use crate::scenario::twelve_digits;
 /// Shortest token that is taken, bytes: long enough not to be guessed.
 const SHORTEST_TOKEN: usize = 16;
 
-/// What the service needs to know.
+/// Configuration of the service.
 #[derive(Clone, Debug)]
 pub struct ServeConfig {
     /// Directory of jobs and logs; made if it is not there. One service at a time.
     pub data: PathBuf,
-    /// How many jobs run at once, at least 1.
+    /// Number of jobs that run at once, at least 1.
     pub workers: usize,
-    /// How much is taken on.
+    /// Limits of what is taken on.
     pub limits: Limits,
-    /// Which web pages may read the logs.
+    /// Web pages that may read the logs.
     pub cors: Cors,
     /// Address under which viewers reach the service, as `https://example.org/vpd`; absent: the one
     /// that the client used.
@@ -33,23 +33,24 @@ pub struct ServeConfig {
     /// Names under which clients may call the service, in addition to `localhost`, addresses and the name in
     /// `public_url`. Any other name is a sign of DNS rebinding.
     pub hosts: Vec<String>,
-    /// Who may do what; without any token, everybody everything.
+    /// Tokens with their scopes; without any token, every client may do everything.
     pub tokens: Tokens,
     /// Whether to serve other machines without tokens.
     pub insecure: bool,
     /// Address on which viewers follow while a job runs; port 0 for any.
     pub live: Option<SocketAddr>,
-    /// The `vpd` program, which runs in a process of its own what may have ended this one; absent: there is none, and
-    /// such jobs run within.
+    /// The `vpd` program, which runs jobs that may have ended this process in a process of their
+    /// own; if absent, such jobs run within this one.
     pub program: Option<PathBuf>,
-    /// Where jobs go that other machines run; absent: this one runs them. Then `data` holds copies of logs and nothing that
-    /// is missed.
+    /// Way to the other machines that run the jobs; if absent, this one runs them. Otherwise `data`
+    /// holds copies of logs and nothing that is missed.
     #[cfg(feature = "cluster")]
     pub cluster: Option<ClusterConfig>,
 }
 
 impl ServeConfig {
-    /// A service of one worker on `data` with the limits of [`Limits::default`], for this machine.
+    /// Returns the configuration of a service of one worker on `data` with the limits of
+    /// [`Limits::default`], for this machine.
     pub fn new(data: impl Into<PathBuf>) -> Self {
         Self {
             data: data.into(),
@@ -68,7 +69,7 @@ impl ServeConfig {
     }
 }
 
-/// How much the service takes on. What goes beyond is refused with the figures.
+/// Limits of what the service takes on. Anything beyond is refused with the figures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Jobs that may wait; one more is answered 429.
@@ -117,7 +118,7 @@ impl Limits {
             let too_many_times =
                 samples_bytes(plan.log_bytes) / samples_bytes(self.log_bytes).max(1.0);
             let every = ((plan.every as f64 * too_many_times * 1.01).ceil() as u64).min(plan.steps);
-            // Even of the first and the last sample alone?
+            // Is it too large even with the first and the last sample alone?
             let least = LOG_FIXED_BYTES as f64
                 + 2.0 * samples_bytes(plan.log_bytes) / plan.samples.max(2) as f64;
             let (pointer, advice) = match plan.asked.log.every_s {
@@ -141,7 +142,8 @@ impl Limits {
     }
 }
 
-/// A `log.every_s` that the scenario is accepted with, of at least `every` steps of the plan.
+/// Returns a `log.every_s` that the scenario is accepted with, of at least `every` steps of the
+/// plan.
 fn spacing_s(plan: &Plan, every: u64) -> f64 {
     let spacing_s = twelve_digits(every as f64 * plan.step_s);
     match (plan.asked.step_s, plan.asked.duration_s) {
@@ -151,7 +153,7 @@ fn spacing_s(plan: &Plan, every: u64) -> f64 {
     }
 }
 
-/// What a client may do; each includes the ones before it.
+/// Rights of a client; each includes the ones before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Scope {
     /// Look at jobs, logs and figures.
@@ -172,18 +174,18 @@ impl fmt::Display for Scope {
     }
 }
 
-/// Bearer tokens and what each allows.
+/// Bearer tokens and their scopes.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub struct Tokens(Vec<(Scope, String)>);
 
 impl Tokens {
-    /// True if there are none.
+    /// Returns true if there are none.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// What a token allows; `None` if it is not one of ours. Takes as long for a wrong one as for a
-    /// right one of the same length.
+    /// Returns the scope of a token; `None` if it is not one of ours. Takes as long for a wrong one
+    /// as for a right one of the same length.
     pub(super) fn scope(&self, token: &str) -> Option<Scope> {
         let same = |known: &str| bool::from(known.as_bytes().ct_eq(token.as_bytes()));
         let found = self.0.iter().filter(|(_, known)| same(known));
@@ -201,8 +203,8 @@ impl fmt::Debug for Tokens {
 impl FromStr for Tokens {
     type Err = String;
 
-    /// Lines of `read TOKEN`, `submit TOKEN` or `admin TOKEN`; empty ones and those that begin with #
-    /// are passed over.
+    /// Parses lines of `read TOKEN`, `submit TOKEN` or `admin TOKEN`; empty ones and those that
+    /// begin with # are skipped.
     fn from_str(text: &str) -> Result<Self, String> {
         let mut tokens = Vec::new();
         for (number, line) in (1..).zip(text.lines()) {
@@ -229,24 +231,24 @@ impl FromStr for Tokens {
     }
 }
 
-/// Which web pages (viewers) may read logs from this service.
+/// Web pages (viewers) that may read logs from this service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cors {
-    /// All of them.
+    /// All pages.
     Any,
-    /// None but our own.
+    /// Only our own.
     Nobody,
     /// Those of the listed origins, as `https://app.foxglove.dev`.
     Origins(Vec<String>),
 }
 
 impl Cors {
-    /// Whether a page of this origin may read.
+    /// Returns whether a page of this origin may read.
     pub(super) fn admits(&self, origin: &str) -> bool {
         *self == Self::Any || self.names(origin)
     }
 
-    /// Whether the origin was named.
+    /// Returns whether the origin was named.
     pub(super) fn names(&self, origin: &str) -> bool {
         matches!(self, Self::Origins(origins) if origins.iter().any(|named| named == origin))
     }
@@ -255,7 +257,7 @@ impl Cors {
 impl FromStr for Cors {
     type Err = String;
 
-    /// `*`, `none`, or origins with commas between.
+    /// Parses `*`, `none`, or origins with commas between.
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "*" => Ok(Self::Any),

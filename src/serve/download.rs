@@ -1,8 +1,8 @@
 //! The finished log over HTTP, as viewers read it: whole, or by single ranges; with a strong ETag; readable by
 //! pages of other origins.
 //!
-//! Invariant: a range is answered only out of the file that the client began with. The bytes are never
-//! compressed: their length and positions are what viewers go by.
+//! Invariant: a range is answered only out of the file that the client began with. The bytes are
+//! never compressed: viewers rely on their length and positions.
 
 use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
@@ -55,13 +55,13 @@ pub(super) async fn from_bucket(
     log: super::engine::cluster::Served,
     mut request: Request,
 ) -> Result<Response, Problem> {
-    // The one file that it serves.
+    // The one path that it serves.
     *request.uri_mut() = axum::http::Uri::from_static("/log.mcap");
     let service = ServeDir::with_backend("", log).append_index_html_on_directories(false);
     ranged(id, Source::Bucket(service), request).await
 }
 
-/// What knows ranges and ETags.
+/// Handler of ranges and ETags.
 enum Source {
     File(ServeFile),
     #[cfg(feature = "cluster")]
@@ -87,7 +87,7 @@ async fn ranged(id: Uuid, mut source: Source, mut request: Request) -> Result<Re
         let mut probe = Request::new(Body::empty());
         *probe.method_mut() = Method::HEAD;
         let head = source.answer(probe).await?;
-        // Only an equal strong ETag says that it is the same file; a date is too coarse for that.
+        // Only an equal strong ETag shows that it is the same file; a date is too coarse for that.
         if head.headers().get(ETAG) != Some(&wanted) {
             request.headers_mut().remove(RANGE);
         }
@@ -96,8 +96,8 @@ async fn ranged(id: Uuid, mut source: Source, mut request: Request) -> Result<Re
     Ok(if response.status().is_success() { as_log(id, response) } else { response })
 }
 
-/// The table of a sweep, streamed: of one that is being made the whole lines that are there, without the first, which says of
-/// what they are.
+/// Returns the table of a sweep, streamed. For one that is being made, these are the whole lines
+/// that exist, without the first, which describes them.
 pub(super) async fn table(path: PathBuf, finished: bool) -> Result<Body, Problem> {
     let open = move || {
         if !path.symlink_metadata()?.is_file() {
@@ -130,7 +130,7 @@ pub(super) async fn table(path: PathBuf, finished: bool) -> Result<Body, Problem
     Ok(Body::from_stream(pieces))
 }
 
-/// The length of a file of `length` bytes up to the end of its last whole line.
+/// Returns the length of a file of `length` bytes up to the end of its last whole line.
 fn whole_lines(mut file: &File, length: u64) -> io::Result<u64> {
     let mut end = length;
     let mut bytes = vec![0; PIECE];
@@ -147,7 +147,8 @@ fn whole_lines(mut file: &File, length: u64) -> io::Result<u64> {
     Ok(0)
 }
 
-/// What stands at a path. HTTP knows no date before 1970: a file that has one, of a clock that stood wrong, gets another.
+/// Returns the metadata of a path. HTTP knows no date before 1970: a file that has one, from a
+/// clock that was wrong, gets another.
 fn dated(path: &Path) -> io::Result<Metadata> {
     let metadata = path.symlink_metadata()?;
     if metadata.is_file() && metadata.modified()? < UNIX_EPOCH {
@@ -156,10 +157,11 @@ fn dated(path: &Path) -> io::Result<Metadata> {
     Ok(metadata)
 }
 
-/// Whether a header asks for bytes as RFC 9110 (14.1) has it; what does not is to be ignored (14.2).
+/// Returns whether a header asks for bytes in the form of RFC 9110 (14.1); any other is to be
+/// ignored (14.2).
 fn is_range(value: &HeaderValue) -> bool {
     let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    // As numbers of any length: a longer one is larger, once zeros are gone.
+    // Compared as numbers of any length: a longer one is larger, once zeros are gone.
     let at_most = |first: &str, last: &str| {
         let [first, last] = [first, last].map(|number| number.trim_start_matches('0'));
         (first.len(), first) <= (last.len(), last)

@@ -1,4 +1,5 @@
-//! What the service asks of an engine, and the two that there are: on this machine (`local`), and on many (`cluster`).
+//! The interface of the engines, and the two that there are: on this machine (`local`), and on many
+//! (`cluster`).
 //!
 //! Invariant: both engines give the same answers. The record holds the jobs, an engine only what is in flight.
 
@@ -18,7 +19,7 @@ use crate::advise::Settled;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
-/// Why the engine does not do what it was asked for.
+/// Reason why the engine refuses a request.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Refusal {
     #[error("{limit} jobs wait already: try again later")]
@@ -64,7 +65,7 @@ pub(super) enum Refusal {
 }
 
 impl Refusal {
-    /// What programs match on.
+    /// Returns the fixed code for programs.
     pub(super) fn code(&self) -> &'static str {
         match self {
             Self::QueueFull { .. } => "queue_full",
@@ -96,7 +97,8 @@ pub(super) enum Engine {
     Cluster(cluster::Cluster),
 }
 
-/// The same call to the engine that there is; `now` for what the one on this machine has at hand.
+/// Makes the same call to the engine in use; `now` for results that the one on this machine has at
+/// hand.
 macro_rules! asked {
     ($engine:expr, $name:ident($($given:expr),*) now) => {
         match $engine {
@@ -115,8 +117,9 @@ macro_rules! asked {
 }
 
 impl Engine {
-    /// Takes a job, with its plan unless its accuracy is yet to be settled. When this returns the job is on record.
-    /// A key that came before, with the same scenario, gives the job of that time.
+    /// Takes a job, with its plan unless its accuracy is yet to be settled. When this returns the
+    /// job is on record. A key that was used before, with the same scenario, returns the job of
+    /// that time.
     pub(super) async fn submit(
         &self,
         scenario: Scenario,
@@ -127,18 +130,18 @@ impl Engine {
         asked!(self, submit(scenario, planned, key, sent))
     }
 
-    /// One job, with how it ended or what is planned.
+    /// Returns one job, with its end or its plan.
     pub(super) async fn get(&self, id: Uuid) -> Result<View, Refusal> {
         asked!(self, get(id))
     }
 
-    /// One job, as far as it is known without its plan and its end.
+    /// Returns one job, as far as it is known without its plan and its end.
     pub(super) async fn brief(&self, id: Uuid) -> Result<View, Refusal> {
         asked!(self, brief(id) now)
     }
 
-    /// Jobs newest first, older than `cursor`, with `name` in their names in any case; and the cursor for more of them,
-    /// if there are more.
+    /// Returns jobs newest first, older than `cursor`, with `name` in their names in any case; and
+    /// the cursor for more of them, if there are more.
     pub(super) async fn list(
         &self,
         state: Option<State>,
@@ -153,12 +156,13 @@ impl Engine {
         }
     }
 
-    /// The file of the finished log of a job, found to be what the job wrote.
+    /// Returns the file of the finished log of a job, checked to be what the job wrote.
     pub(super) async fn log(&self, id: Uuid) -> Result<PathBuf, Refusal> {
         asked!(self, log(id))
     }
 
-    /// Where the log of a job stands once it is finished; the unfinished one has its name with `.part`, as far as it has come.
+    /// Returns the path of the finished log of a job; the unfinished one has its name with `.part`,
+    /// as far as it has come.
     pub(super) async fn log_so_far(&self, view: &View) -> Result<PathBuf, Refusal> {
         match self {
             Self::Local(local) => Ok(local.log_path(view.id)),
@@ -167,7 +171,7 @@ impl Engine {
         }
     }
 
-    /// The figures of the service as text.
+    /// Returns the figures of the service as text.
     pub(super) async fn metrics(&self) -> Result<String, Refusal> {
         match self {
             Self::Local(local) => {
@@ -180,12 +184,13 @@ impl Engine {
         }
     }
 
-    /// The scenario of a job, as accepted.
+    /// Returns the scenario of a job, as accepted.
     pub(super) async fn scenario(&self, id: Uuid) -> Result<Bytes, Refusal> {
         asked!(self, scenario(id))
     }
 
-    /// The scenario of a job with the method and the step that were found for its accuracy; as accepted if none was.
+    /// Returns the scenario of a job with the method and the step that were found for its accuracy;
+    /// as accepted if none was.
     pub(super) async fn settled(&self, id: Uuid) -> Result<Option<Scenario>, Refusal> {
         let accepted = self.scenario(id).await?;
         let settled = asked!(self, settled(id))?;
@@ -196,7 +201,7 @@ impl Engine {
         Ok(planned.await.map_err(|_| Refusal::Stopping)?.ok())
     }
 
-    /// The scenario of a job, as it was sent.
+    /// Returns the scenario of a job, as it was sent.
     pub(super) async fn sent(&self, id: Uuid) -> Result<Bytes, Refusal> {
         asked!(self, sent(id))
     }
@@ -220,7 +225,7 @@ impl Engine {
         }
     }
 
-    /// Whether jobs are taken.
+    /// Returns whether jobs are taken.
     pub(super) fn is_ready(&self) -> bool {
         match self {
             Self::Local(local) => local.is_ready(),
@@ -235,7 +240,7 @@ async fn to_the_end<T: Send + 'static>(task: impl Future<Output = T> + Send + 's
     joined(tokio::spawn(task)).await
 }
 
-/// What a task returns; a panic of it is one here.
+/// Returns the result of a task; a panic in it is one here.
 pub(super) async fn joined<T>(task: JoinHandle<T>) -> T {
     match task.await {
         Ok(value) => value,

@@ -1,4 +1,5 @@
-//! What is done for a job or a study away from those who ask: in this process, or in one of its own (`apart`).
+//! Work for a job or a study away from the threads that answer: in this process, or in one of its
+//! own (`apart`).
 //!
 //! Invariant: an errand takes all it needs with it and gives all it found back, so that it does not matter where it is
 //! carried out.
@@ -19,10 +20,11 @@ use crate::scenario::Scenario;
 use crate::study::StudyError;
 use crate::sweep::SweepError;
 
-/// Something to be done.
+/// Work to be done.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Errand {
-    /// Find what only runs show of a scenario: a method and a step for its accuracy, the work of its steps.
+    /// Find what only runs can show of a scenario: a method and a step for its accuracy, the work
+    /// of its steps.
     Settle {
         /// The scenario, as accepted.
         scenario: Box<Scenario>,
@@ -30,28 +32,28 @@ pub(super) enum Errand {
     /// Run a job to its end.
     Run {
         settled: Box<Settled>,
-        /// Where its log goes.
+        /// Path of its log.
         log: PathBuf,
-        /// Where the run leaves a note of each step.
+        /// File in which the run leaves a note of each step.
         trace: Option<PathBuf>,
     },
-    /// Give the log of a job that is run no more an end.
+    /// End the log of a job that is run no more.
     GiveUp {
         settled: Box<Settled>,
         log: PathBuf,
-        /// Why.
+        /// Reason for that.
         fault: Fault,
     },
     /// Make a study.
     Study {
         /// The request, as it was sent.
         request: String,
-        /// Where the table of a sweep goes.
+        /// Folder for the table of a sweep.
         folder: PathBuf,
     },
 }
 
-/// What came of an errand.
+/// Result of an errand.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Done {
     Settled(Box<Settled>),
@@ -59,7 +61,7 @@ pub(super) enum Done {
     Studied(Answer),
 }
 
-/// Why nothing came of it.
+/// Reason why there is no result.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Broken {
     /// The job has failed.
@@ -93,7 +95,7 @@ impl From<StoreError> for Broken {
 }
 
 impl Errand {
-    /// Does it.
+    /// Carries out the errand.
     pub(super) fn carry_out(&self, control: &Control) -> Result<Done, Broken> {
         match self {
             Self::Settle { scenario } => match Settled::new(scenario, &control.settling) {
@@ -132,7 +134,7 @@ impl Errand {
         }
     }
 
-    /// The file for the notes of each step, made anew.
+    /// Returns the file for the notes of each step, made anew.
     pub(super) fn trace(&self) -> Option<File> {
         match self {
             Self::Run { trace, .. } => File::create(trace.as_ref()?).ok(),

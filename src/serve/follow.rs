@@ -20,13 +20,13 @@ use super::engine::{Engine, Refusal};
 use super::job::View;
 use super::view::{JobView, Progress, Reach};
 
-/// How often a job is looked at.
+/// Interval at which a job is looked at.
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Bytes read of a log at once.
 const PIECE: usize = 256 << 10;
 
-/// What was sent of a job last.
+/// State of a job that was sent last.
 #[derive(Default)]
 struct Sent {
     state: Option<super::job::State>,
@@ -34,7 +34,8 @@ struct Sent {
     over: bool,
 }
 
-/// Events `state`, with the whole job, and `progress` until the job has ended; at most one a [`LOOK`].
+/// Returns the events `state`, with the whole job, and `progress` until the job has ended; at most
+/// one a [`LOOK`].
 pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
     let events = stream::unfold(Sent::default(), move |mut sent| {
         let (engine, reach) = (engine.clone(), reach.clone());
@@ -44,7 +45,7 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
                 if sent.state.is_some() {
                     tokio::time::sleep(LOOK).await;
                 }
-                // Forgotten, or the service stops: nothing more will come.
+                // The job was forgotten, or the service stops: nothing more will come.
                 let view = engine.brief(id).await.ok().filter(|_| engine.is_ready())?;
                 if sent.state != Some(view.state) {
                     let view = engine.get(id).await.ok()?;
@@ -67,7 +68,7 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
     Sse::new(events).keep_alive(KeepAlive::default()).into_response()
 }
 
-/// The log of a job from its first byte, as its chunks are closed, up to its last one.
+/// Returns the log of a job from its first byte, as its chunks are closed, up to its last one.
 pub(super) async fn log(engine: Engine, id: Uuid) -> Result<Response, Refusal> {
     if engine.brief(id).await?.state.is_final() {
         engine.log(id).await?;
@@ -88,7 +89,7 @@ struct Reading {
 fn pieces(reading: Reading) -> impl Stream<Item = io::Result<Bytes>> {
     stream::try_unfold(reading, |mut reading| async move {
         loop {
-            // The state first: what ended before the file is read is whole when it is read.
+            // The state is read first: a log that ended before is whole when it is read.
             let view = reading.engine.brief(reading.id).await.map_err(io::Error::other)?;
             let path = reading.engine.log_so_far(&view).await.map_err(io::Error::other)?;
             let (back, piece) = tokio::task::spawn_blocking(move || {
@@ -115,12 +116,13 @@ enum Piece {
 }
 
 impl Reading {
-    /// The next bytes of the file. Blocking.
+    /// Returns the next bytes of the file. Blocking.
     fn read(&mut self, view: &View, path: &Path) -> io::Result<Piece> {
         if self.file.is_none() {
             self.file = match view.state.is_final() {
                 true => Some(open(path)?),
-                // Once it makes steps, it stands fast what an interrupted run has left of the log.
+                // Once the run makes steps, the part that an interrupted run left of the log no
+                // longer changes.
                 false if view.steps_done > 0 => open(&crate::log::part_path(path)).ok(),
                 false => None,
             };

@@ -1,5 +1,5 @@
-//! Who may come in: the name that was called, how often, from which page, with which token or link, and how large a
-//! body.
+//! Checks of requests: the name that was called, the rate, the page, the token or link, and the
+//! size of the body.
 //!
 //! Invariant: a request reaches a handler only under a name of ours, within the rate of its address, not from a page
 //! of another origin if it changes anything, with a token of the route's scope or a link to what it reads if there are
@@ -31,26 +31,26 @@ use super::problem::Problem;
 /// Largest request body, bytes.
 const MAX_BODY: usize = 1 << 20;
 
-/// How much of a body that is too large is read and thrown away, bytes: a client that is still sending
+/// Bytes of a body that is too large that are read and thrown away: a client that is still sending
 /// would not see the answer.
 const DRAINED: usize = 16 << 20;
 
-/// How long that may take.
+/// Longest time for that.
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Longest time for a body.
 const BODY_TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Addresses of which the rate is remembered before the quiet ones are forgotten.
+/// Number of addresses whose rate is remembered before the quiet ones are forgotten.
 const REMEMBERED: usize = 10_000;
 
-/// What watches over the service asks here, however busy its address is.
+/// Paths for monitors, which are answered however busy their address is.
 const PROBES: [&str; 2] = ["/healthz", "/readyz"];
 
-/// Where a browser says how the page that asks stands to the place that is asked.
+/// Header in which a browser names the relation of the page to the address that it calls.
 const SEC_FETCH_SITE: &str = "sec-fetch-site";
 
-/// What is checked of each request.
+/// Checks that each request passes.
 #[derive(Clone, Debug)]
 pub(super) struct Gate(Arc<Rules>);
 
@@ -61,7 +61,7 @@ struct Rules {
     public_origin: Option<String>,
     cors: Cors,
     tokens: Tokens,
-    /// Where there are tokens.
+    /// Key that signs links, where there are tokens.
     links: Option<LinkKey>,
     rate: RateLimiter<IpAddr, HashMapStateStore<IpAddr>, DefaultClock>,
 }
@@ -84,7 +84,8 @@ impl Gate {
         }))
     }
 
-    /// Whether a name is ours. An address is: a page that rebinds a name to our address still calls the name.
+    /// Returns whether a name is ours. An address is: a page that rebinds a name to our address
+    /// still calls the name.
     fn knows(&self, authority: &Authority) -> bool {
         let host = authority.host().to_ascii_lowercase();
         let bare = host.trim_start_matches('[').trim_end_matches(']');
@@ -94,7 +95,8 @@ impl Gate {
             || self.0.hosts.contains(&host)
     }
 
-    /// Whether the origin is that of our own page: what was called, or what a proxy calls us.
+    /// Returns whether the origin is that of our own page, under the name that was called or the
+    /// one of a proxy.
     fn is_own(&self, origin: &str, request: &Request) -> bool {
         let own = called(request).is_some_and(|called| {
             let (_, asking) = origin.split_once("://").unwrap_or_default();
@@ -103,7 +105,7 @@ impl Gate {
         own || self.0.public_origin.as_deref() == Some(origin)
     }
 
-    /// A page of another origin may change nothing, unless it was named: `*` is for reading.
+    /// Refuses a change by a page of another origin, unless that was named: `*` is for reading.
     fn check_change(&self, request: &Request) -> Result<(), Problem> {
         let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
         match foreign_page(request, |origin| self.is_own(origin, request)) {
@@ -112,7 +114,7 @@ impl Gate {
         }
     }
 
-    /// A socket is not held to the rules of sharing by browsers: we do.
+    /// Refuses a page of an origin that may not read: browsers do not check that for a socket.
     fn check_reader(&self, request: &Request) -> Result<(), Problem> {
         match foreign_page(request, |origin| self.is_own(origin, request)) {
             Some(origin) if !self.0.cors.admits(origin) => Err(Problem::foreign_page()),
@@ -142,7 +144,7 @@ impl Gate {
         })
     }
 
-    /// Whether a request may do what `scope` says, by its token or as a link to what stands here.
+    /// Returns whether a request has the rights of `scope`, by its token or by a link to this path.
     fn check_token(
         &self,
         request: &Request,
@@ -171,8 +173,8 @@ impl Gate {
     }
 }
 
-/// The name and port that were called. An absolute address in the request line goes before the header (RFC 9112,
-/// 3.2.2).
+/// Returns the name and port that were called. An absolute address in the request line takes
+/// precedence over the header (RFC 9112, 3.2.2).
 fn called(request: &Request) -> Option<Authority> {
     if let Some(authority) = request.uri().authority() {
         return Some(authority.clone());
@@ -182,7 +184,8 @@ fn called(request: &Request) -> Option<Authority> {
     host.filter(|_| hosts.next().is_none())
 }
 
-/// The origin of the page that asks, if one does and it is not our own; empty if the browser does not send it.
+/// Returns the origin of the page that asks, if one does and it is not our own; empty if the
+/// browser does not send it.
 fn foreign_page(request: &Request, is_own: impl Fn(&str) -> bool) -> Option<&str> {
     let header = |name| request.headers().get(name).map(|value| value.to_str().unwrap_or_default());
     match header(SEC_FETCH_SITE) {
@@ -200,7 +203,7 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     kind.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-/// Host, rate and page, for every request.
+/// Checks host, rate and page, for every request.
 pub(super) async fn admit(
     State(gate): State<Gate>,
     request: Request,
@@ -212,7 +215,7 @@ pub(super) async fn admit(
     Ok(next.run(request).await)
 }
 
-/// The token, for the requests of one route.
+/// Checks the token, for the requests of one route.
 pub(super) async fn authorise(
     State((gate, scope)): State<(Gate, Scope)>,
     request: Request,
@@ -223,7 +226,7 @@ pub(super) async fn authorise(
     Ok(next.run(request).await)
 }
 
-/// Page and token, for viewers of the live view.
+/// Checks page and token, for viewers of the live view.
 pub(super) async fn look_on(
     State(gate): State<Gate>,
     request: Request,
@@ -241,7 +244,7 @@ pub(super) async fn whole_body(request: Request, next: Next) -> Result<Response,
     }
     let (parts, body) = request.into_parts();
     let announced = parts.headers.get(CONTENT_LENGTH).and_then(|n| n.to_str().ok()?.parse().ok());
-    // A client that asks first gets the answer before it sends.
+    // A client that expects an answer first gets it before it sends.
     if announced.is_some_and(|n: usize| n > MAX_BODY) && parts.headers.contains_key(EXPECT) {
         return Err(Problem::too_large());
     }

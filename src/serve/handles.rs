@@ -6,7 +6,7 @@
 use super::listen::REFUSALS;
 use super::{Limits, viewers};
 
-/// Handles for the store, the listeners, the service's own log and what else there is.
+/// Handles for the store, the listeners, the service's own log and everything else.
 const STORE: u64 = 64;
 
 /// Handles of a worker: its log, its record, what it syncs.
@@ -15,10 +15,11 @@ const WORKER: u64 = 16;
 /// Handles of a connection: its socket, and the file that it reads.
 const CONNECTION: u64 = 2;
 
-/// Connections that are granted in any case: fewer serve nobody.
+/// Connections that are granted in any case: fewer are of no use.
 const FEWEST: usize = 16;
 
-/// The limits with as many connections as the handles carry; says so if those are fewer than were asked for.
+/// Returns the limits with as many connections as the handles carry; says so if those are fewer
+/// than were asked for.
 pub(super) fn within(limits: Limits, workers: usize, with_viewers: bool) -> Limits {
     let Some(granted) = raised() else { return limits };
     let viewers = if with_viewers { viewers::SEATS as u64 } else { 0 };
@@ -30,17 +31,18 @@ pub(super) fn within(limits: Limits, workers: usize, with_viewers: bool) -> Limi
     Limits { connections, ..limits }
 }
 
-/// How many connections `granted` handles carry in addition to the workers and viewers.
+/// Returns the number of connections that `granted` handles carry in addition to the workers and
+/// viewers.
 fn connections(granted: u64, workers: u64, viewers: u64) -> usize {
     let kept = STORE.saturating_add(WORKER.saturating_mul(workers)).saturating_add(viewers);
     let free = granted.saturating_sub(kept);
-    // For each four of them there may be one more that is answered that it is too many, up to a number.
+    // For each four of them one more may be refused with an answer, up to a number.
     let few = free / (4 * CONNECTION + 1) * 4;
     let carried = few.max(free.saturating_sub(REFUSALS as u64) / CONNECTION);
     usize::try_from(carried).unwrap_or(usize::MAX).max(FEWEST)
 }
 
-/// Raises the limit of this process as far as it may; how many handles that is, `None` if there is no limit.
+/// Raises the limit of this process as far as it may and returns it; `None` if there is no limit.
 #[cfg(unix)]
 fn raised() -> Option<u64> {
     use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -76,7 +78,7 @@ mod tests {
                     let taken = 2 * carried as u64 + refusals(carried) as u64;
                     let left = granted.saturating_sub(taken + viewers);
                     assert!(carried == 16 || left >= 64 + 16 * workers, "{granted} {workers}");
-                    // And no fewer than that.
+                    // They are not fewer than that either.
                     let more = granted.saturating_sub(taken + 9 + viewers);
                     assert!(more < 64 + 16 * workers, "{granted} {workers}");
                 }

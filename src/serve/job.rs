@@ -24,7 +24,7 @@ use crate::plan::Plan;
 use crate::run::{Control, Outcome, Reason, RunError, Summary};
 use crate::scenario::ScenarioError;
 
-/// Where a job stands.
+/// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[schemars(rename = "JobState")]
@@ -37,16 +37,16 @@ pub(super) enum State {
 }
 
 impl State {
-    /// All of them, in the order of a job's life.
+    /// All states, in the order of a job's life.
     pub(super) const ALL: [Self; 5] =
         [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
-    /// True once nothing more happens to the job.
+    /// Returns true once nothing more happens to the job.
     pub(super) fn is_final(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
     }
 
-    /// The state in answers and queries.
+    /// Returns the state in answers and queries.
     pub(super) fn as_str(self) -> &'static str {
         match self {
             Self::Queued => "queued",
@@ -73,10 +73,10 @@ pub(super) struct View {
     pub(super) has_log: bool,
     /// Size and checksum of the finished log.
     pub(super) log: Option<LogSum>,
-    /// Why it waits although a run of it began.
+    /// Reason why it waits although a run of it began.
     pub(super) trouble: Option<Trouble>,
     pub(super) plan: Option<Box<RawValue>>,
-    /// How it ended; only where a single job is asked for.
+    /// Its end; only where a single job is asked for.
     pub(super) record: Option<Record>,
 }
 
@@ -87,7 +87,7 @@ pub(super) enum Phase {
         control: Arc<Control>,
         since: Instant,
     },
-    /// Out of the queue: being cancelled or forgotten.
+    /// Taken out of the queue: being cancelled or forgotten.
     Leaving,
     Ended {
         state: State,
@@ -99,14 +99,15 @@ pub(super) enum Phase {
     Aside(Fault),
 }
 
-/// Why a job waits although a run of it began: the store refused something that it may do later.
+/// Reason why a job waits although a run of it began: the store refused something that it may do
+/// later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub(super) struct Trouble {
     /// `storage_full` or `storage_error`.
     code: Cow<'static, str>,
-    /// What could not be done.
+    /// Operation that failed.
     message: String,
-    /// How often in a row.
+    /// Number of times in a row.
     times: u32,
 }
 
@@ -115,12 +116,13 @@ impl Trouble {
         Self { code: code.into(), message, times: 1 }
     }
 
-    /// One more in a row.
+    /// Counts one more in a row.
     pub(super) fn again(self, before: Option<&Self>) -> Self {
         Self { times: before.map_or(0, |before| before.times) + 1, ..self }
     }
 
-    /// How long the job rests: longer each time, but not too long to wait for the next try.
+    /// Returns the time that the job rests: longer each time, but not too long to wait for the next
+    /// try.
     pub(super) fn pause(&self) -> Duration {
         const FIRST: Duration = Duration::from_millis(100);
         const LONGEST: Duration = Duration::from_secs(15);
@@ -138,11 +140,13 @@ pub(super) struct Job {
     pub(super) cancelled: bool,
     /// The key under which the client sent it.
     pub(super) key: Option<Uuid>,
-    /// What it takes; `None` as long as its method and step are not settled.
+    /// Its size; `None` as long as its method and step are not settled.
     pub(super) size: Option<Size>,
-    /// What its log is expected to take of the disk beyond what earlier runs have written.
+    /// Bytes that its log is expected to take of the disk beyond those that earlier runs have
+    /// written.
     pub(super) owed_bytes: u64,
-    /// The plan as JSON, until the record holds it; as text, for there may be many jobs, and many who ask.
+    /// The plan as JSON, until the record holds it; as text, because there may be many jobs, and
+    /// many clients.
     pub(super) plan: Option<Box<RawValue>>,
     pub(super) trouble: Option<Trouble>,
     pub(super) phase: Phase,
@@ -171,7 +175,7 @@ impl Job {
         }
     }
 
-    /// The same job, planned.
+    /// Returns the same job, planned.
     pub(super) fn planned(self, plan: &Plan) -> Self {
         let text = serde_json::value::to_raw_value(plan).ok();
         Self { size: Some(Size::of(plan)), plan: text, ..self }
@@ -190,7 +194,7 @@ impl Job {
         self.size.map_or(0, |size| size.steps)
     }
 
-    /// How much of `owed_bytes` is on the disk by now, about.
+    /// Returns about how many bytes of `owed_bytes` are on the disk by now.
     pub(super) fn bytes_written(&self) -> u64 {
         let Phase::Running { control, .. } = &self.phase else { return 0 };
         let from = control.resumed_step.load(Ordering::Relaxed);
@@ -199,7 +203,7 @@ impl Job {
         (self.owed_bytes as f64 * (made as f64 / to_make as f64).min(1.0)) as u64
     }
 
-    /// Bytes of memory that its run takes.
+    /// Returns the bytes of memory that its run takes.
     pub(super) fn memory_bytes(&self) -> u64 {
         self.size.map_or(0, |size| size.memory_bytes)
     }
@@ -254,7 +258,7 @@ impl Job {
         }
     }
 
-    /// The record of a run that came to its end.
+    /// Returns the record of a run that came to its end.
     pub(super) fn record_of(&self, summary: &Summary) -> Record {
         let state = match summary.outcome {
             Outcome::Succeeded => State::Succeeded,
@@ -264,14 +268,14 @@ impl Job {
         let diagnosis =
             summary.diagnosis.as_ref().and_then(|found| serde_json::to_value(found).ok());
         let mut summary = serde_json::to_value(summary).unwrap_or_default();
-        // Where the log stands is our affair; clients have a link.
+        // The path of the log is internal; clients have a link.
         if let Some(summary) = summary.as_object_mut() {
             summary.remove("log");
         }
         Record { has_log: true, summary: Some(summary), diagnosis, ..self.record(state, None) }
     }
 
-    /// The record of an end without a summary.
+    /// Returns the record of an end without a summary.
     pub(super) fn record(&self, state: State, fault: Option<&Fault>) -> Record {
         Record {
             name: self.name.clone(),
@@ -289,21 +293,21 @@ impl Job {
     }
 }
 
-/// When a job or a study was taken: its id says it.
+/// Returns the time when a job or a study was taken, which its id holds.
 pub(super) fn created(id: Uuid) -> Option<DateTime<Utc>> {
     let (seconds, nanos) = id.get_timestamp()?.to_unix();
     DateTime::from_timestamp(i64::try_from(seconds).ok()?, nanos)
 }
 
-/// Why a job ended without a summary of its run.
+/// Reason why a job ended without a summary of its run.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[schemars(rename = "JobFault")]
 pub(super) struct Fault {
     /// The code; fixed.
     code: Cow<'static, str>,
-    /// What happened, for a person.
+    /// Description of what happened, for a person.
     message: String,
-    /// What to do about it, for a person.
+    /// Advice, for a person.
     advice: Cow<'static, str>,
 }
 
@@ -341,7 +345,8 @@ impl Fault {
         )
     }
 
-    /// No method and step for the accuracy that was asked for; `None` if the search was stopped.
+    /// Returns the fault of an accuracy without a method and step; `None` if the search was
+    /// stopped.
     pub(super) fn unsettled(error: &Unsettled) -> Option<Self> {
         match error {
             Unsettled::Cancelled => None,
@@ -352,12 +357,13 @@ impl Fault {
         }
     }
 
-    /// More than the service takes on, which shows only once method and step are settled.
+    /// Returns the fault of a job beyond the limits of the service, which shows only once method
+    /// and step are settled.
     pub(super) fn beyond(refusal: &Refusal) -> Self {
         Self::new(refusal.code(), refusal.to_string())
     }
 
-    /// A record that cannot be read: what is left of the job is its state.
+    /// Returns the fault of a record that cannot be read: only the state of the job is left.
     pub(super) fn damaged(error: Option<&StoreError>) -> Self {
         let why = error.map_or_else(String::new, |error| format!(": the service {error}"));
         Self::new("record_damaged", format!("the record of this job cannot be used{why}"))
@@ -370,12 +376,12 @@ impl Fault {
         )
     }
 
-    /// Whether the job is abandoned because its runs end their process.
+    /// Returns whether the job is abandoned because its runs end their process.
     pub(super) fn is_of_the_process(&self) -> bool {
         self.code == "worker_crashed"
     }
 
-    /// For the log.
+    /// Returns the reason for the log.
     pub(super) fn reason(&self) -> Reason<'_> {
         Reason { code: &self.code, cause: &self.message, advice: &self.advice }
     }
@@ -384,7 +390,8 @@ impl Fault {
         Self::new("internal", "the run panicked")
     }
 
-    /// The cause may name files of the machine: it goes to the service's own log, not into the record.
+    /// Returns the fault of a run. The cause may name files of the machine: it goes to the
+    /// service's own log, not into the record.
     pub(super) fn run(error: &RunError) -> Self {
         Self::new(error.code(), "the run broke off")
     }

@@ -19,10 +19,10 @@ use super::store::{parse_id, put_aside};
 #[cfg(feature = "cluster")]
 use super::{ServeError, chain};
 
-/// How long a link is good, at most, seconds.
+/// Longest time that a link is valid, seconds.
 const LIFE_S: u64 = 86_400;
 
-/// Ends of links are whole hours: a job that is asked for twice looks the same twice.
+/// Ends of links are whole hours: a job that is requested twice looks the same twice.
 const GRAIN_S: u64 = 3600;
 
 /// The file of the key, in the data directory.
@@ -30,7 +30,7 @@ const FILE: &str = "link-key";
 
 const KEY_BYTES: usize = 32;
 
-/// What a link opens.
+/// Target of a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Subject {
     /// The log of a job, finished or growing.
@@ -40,7 +40,7 @@ pub(super) enum Subject {
 }
 
 impl Subject {
-    /// What stands at a path, if links lead there.
+    /// Returns the target at a path, if links lead there.
     pub(super) fn at(path: &str) -> Option<Self> {
         let (id, file) = path.strip_prefix("/jobs/")?.split_once('/')?;
         let is_log = matches!(file, "log.mcap" | "live.mcap");
@@ -48,7 +48,7 @@ impl Subject {
     }
 }
 
-/// As it is signed.
+/// The text that is signed.
 impl fmt::Display for Subject {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -58,11 +58,11 @@ impl fmt::Display for Subject {
     }
 }
 
-/// Makes links and knows its own again.
+/// Makes links and recognises its own.
 #[derive(Clone)]
 pub(super) struct LinkKey(Hmac<Sha256>);
 
-/// The key is shown nowhere.
+/// Does not show the key.
 impl fmt::Debug for LinkKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("a key of links")
@@ -70,10 +70,10 @@ impl fmt::Debug for LinkKey {
 }
 
 impl LinkKey {
-    /// The key of a data directory, made if there is none: links outlive a restart.
+    /// Returns the key of a data directory, made if there is none: links outlive a restart.
     pub(super) fn of(data: &Path) -> io::Result<Self> {
         let path = data.join(FILE);
-        // What is no file may never open.
+        // Opening anything but a file may block forever.
         if path.symlink_metadata().is_ok_and(|found| !found.is_file()) {
             put_aside(&path)?;
         }
@@ -89,7 +89,7 @@ impl LinkKey {
         Hmac::new_from_slice(&key).map(Self).map_err(io::Error::other)
     }
 
-    /// The key of a bucket, which all its services have.
+    /// Returns the key of a bucket, which all its services have.
     #[cfg(feature = "cluster")]
     pub(super) async fn shared(bucket: &Bucket) -> Result<Self, ServeError> {
         let unreadable = |message: String| ServeError::Record { message };
@@ -97,7 +97,7 @@ impl LinkKey {
         Hmac::new_from_slice(&key).map(Self).map_err(|error| unreadable(error.to_string()))
     }
 
-    /// The query of a link that is good for about a day.
+    /// Returns the query of a link that is valid for about a day.
     pub(super) fn query(&self, subject: Subject) -> String {
         let end_s = (now_s() / GRAIN_S) * GRAIN_S + LIFE_S;
         let signature = self.signed(subject, end_s).finalize().into_bytes();
@@ -105,8 +105,8 @@ impl LinkKey {
         format!("expires={end_s}&signature={hex}")
     }
 
-    /// Whether a query is that of a link of ours to `subject`, and has not ended. Takes as long for a wrong signature
-    /// as for the right one.
+    /// Returns whether a query is that of a link of ours to `subject`, and has not ended. Takes as
+    /// long for a wrong signature as for the right one.
     pub(super) fn opens(&self, subject: Subject, query: &str) -> bool {
         let field = |name| query.split('&').find_map(|pair| pair.strip_prefix(name));
         let end_s = field("expires=").and_then(|text| text.parse().ok());

@@ -1,8 +1,8 @@
 //! Connections: taken, counted, timed.
 //!
-//! Invariants: a connection that says nothing, or reads nothing, is closed in the end; there are never more
-//! than the limits allow, and one too many harms none that has said what it wants and is answered so; a failed accept does not
-//! end the service.
+//! Invariants: a connection that says nothing, or reads nothing, is closed in the end; there are
+//! never more than the limits allow, and one too many is refused with an answer and harms none that
+//! has sent its request; a failed accept does not end the service.
 
 use std::collections::{BTreeMap, HashMap};
 use std::convert::Infallible;
@@ -54,17 +54,17 @@ pub(super) struct Open(Arc<Mutex<Places>>);
 struct Places {
     limits: Limits,
     by_address: HashMap<IpAddr, usize>,
-    /// Those that have not said yet what they want, the longest waiting first.
+    /// Connections that have not sent a request yet, the longest waiting first.
     silent: BTreeMap<u64, JoinHandle<()>>,
     next_id: u64,
-    /// Those that are being answered that they are too many.
+    /// Number of connections that are being refused with an answer.
     refused: usize,
 }
 
-/// Connections beyond a limit that are answered so at the same time, at most.
+/// Largest number of connections beyond a limit that are refused with an answer at the same time.
 pub(super) const REFUSALS: usize = 128;
 
-/// How many are answered so if `connections` are allowed; more are closed.
+/// Returns how many are refused with an answer if `connections` are allowed; more are closed.
 pub(super) fn refusals(connections: usize) -> usize {
     (connections / 4).clamp(1, REFUSALS)
 }
@@ -101,7 +101,7 @@ impl Open {
         *count += 1;
         places.next_id += 1;
         let id = places.next_id;
-        // Behind the lock: it cannot speak before it is known as silent.
+        // Under the lock: it cannot speak before it is known as silent.
         let task = tokio::spawn(connection(stream, Entry { open: self.clone(), peer, id }));
         places.silent.insert(id, task);
         Ok(())
@@ -120,7 +120,7 @@ impl Open {
         }
     }
 
-    /// Whether another one would be one too many.
+    /// Returns whether another one would be one too many.
     fn is_full(&self) -> bool {
         self.places().is_full()
     }
@@ -150,7 +150,7 @@ struct Entry {
 }
 
 impl Entry {
-    /// A whole head has come.
+    /// Takes note that a whole head has come.
     fn speaks(&self) {
         self.open.places().silent.remove(&self.id);
     }
@@ -246,7 +246,7 @@ async fn serve(stream: TcpStream, entry: Entry, app: Router, mut stop: watch::Re
         }
     };
     if let Err(error) = ended {
-        // A client that leaves, or talks nonsense, is no concern of ours.
+        // A client that leaves, or talks nonsense, is no error of the service.
         tracing::debug!(%peer, %error, "connection ended early");
     }
 }

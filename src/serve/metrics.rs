@@ -1,6 +1,7 @@
 //! Figures for Prometheus.
 //!
-//! Invariant: counters only grow while the service lives; what the index knows is read from it when asked.
+//! Invariant: counters only grow while the service lives; figures that the index knows are read
+//! from it on request.
 
 use std::sync::atomic::AtomicU64;
 
@@ -54,7 +55,8 @@ pub(super) struct Metrics {
 }
 
 impl Metrics {
-    /// `aside` is the number of things in the data directory that a start set aside.
+    /// Creates all figures. `aside` is the number of things in the data directory that a start set
+    /// aside.
     pub(super) fn new(aside: usize) -> Self {
         let mut metrics = Self {
             registry: Registry::with_prefix("vpd"),
@@ -109,17 +111,17 @@ impl Metrics {
         metrics
     }
 
-    /// The record of a job cannot be used.
+    /// Counts a job whose record cannot be used.
     pub(super) fn set_aside(&self) {
         self.aside.inc();
     }
 
-    /// A job was answered 202.
+    /// Counts a job that was answered 202.
     pub(super) fn accept(&self) {
         self.accepted.inc();
     }
 
-    /// A job has ended, with a log of `log_bytes` bytes.
+    /// Counts a job that has ended, with a log of `log_bytes` bytes.
     pub(super) fn end(&self, record: &Record, log_bytes: u64) {
         self.ended.get_or_create(&OfState { state: record.state }).inc();
         self.steps.inc_by(record.steps_done);
@@ -139,7 +141,7 @@ impl Metrics {
         }
     }
 
-    /// The text, with what is known at this moment in addition to the counters.
+    /// Returns the text, with what is known at this moment in addition to the counters.
     pub(super) fn text(&self, jobs: &[(State, usize)], queue: usize, free_bytes: u64) -> String {
         for (state, count) in jobs {
             self.jobs.get_or_create(&OfState { state: *state }).set(*count as i64);
@@ -148,7 +150,7 @@ impl Metrics {
         self.free_bytes.set(free_bytes);
         self.pilot_runs.set(runs());
         let mut text = String::new();
-        // A String takes everything.
+        // Writing to a string cannot fail.
         let _ = encode(&mut text, &self.registry);
         text
     }

@@ -18,7 +18,7 @@ fn schema_of<T: JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
     generator.subschema_for::<T>()
 }
 
-/// What the description says of a route.
+/// Description of a route.
 pub(super) struct Operation {
     id: &'static str,
     summary: &'static str,
@@ -63,23 +63,23 @@ impl Operation {
         self
     }
 
-    /// The JSON that is sent, with an example.
+    /// Adds the JSON that is sent, with an example.
     pub(super) fn body<T: JsonSchema>(mut self, example: fn() -> Value) -> Self {
         self.body = Some((schema_of::<T>, example));
         self
     }
 
-    /// An answer in JSON.
+    /// Adds an answer in JSON.
     pub(super) fn json<T: JsonSchema>(self, status: u16, about: &'static str) -> Self {
         self.answer::<T>(status, "application/json", about)
     }
 
-    /// An answer in text or bytes.
+    /// Adds an answer in text or bytes.
     pub(super) fn raw(self, status: u16, media_type: &'static str, about: &'static str) -> Self {
         self.answer::<String>(status, media_type, about)
     }
 
-    /// An answer of a media type with parts of one schema.
+    /// Adds an answer of a media type with parts of one schema.
     pub(super) fn answer<T: JsonSchema>(
         mut self,
         status: u16,
@@ -91,7 +91,7 @@ impl Operation {
         self
     }
 
-    /// An answer without content.
+    /// Adds an answer without content.
     pub(super) fn empty(mut self, status: u16, about: &'static str) -> Self {
         self.answers.push(Answer { status, about, content: None });
         self
@@ -163,7 +163,7 @@ impl Operation {
     }
 }
 
-/// The whole description, of OpenAPI 3.1.
+/// Returns the whole description, of OpenAPI 3.1.
 pub(super) fn document<'a>(
     routes: impl Iterator<Item = (&'a Method, &'a str, Option<Scope>, &'a Operation)>,
 ) -> Value {
@@ -222,8 +222,8 @@ fn tag(path: &str) -> &'static str {
     }
 }
 
-/// Makes a choice of words, each with its meaning, a list of them: what a generator of clients knows as an enumeration. The
-/// meanings go into the description.
+/// Turns a choice of words, each with its meaning, into a list of them, which generators of clients
+/// know as an enumeration. The meanings go into the description.
 fn list_words(schema: &mut Value) {
     let Some(parts) = schema["oneOf"].as_array() else { return };
     let (mut words, mut meanings) = (Vec::new(), Vec::new());
@@ -260,7 +260,7 @@ fn name_choices(of: &str, schema: &mut Value, taken: &[String]) {
     }
 }
 
-/// `point_source` → `PointSource`.
+/// Converts `point_source` → `PointSource`.
 fn camel(words: &str) -> String {
     let word = |word: &str| {
         let mut letters = word.chars();
@@ -269,7 +269,8 @@ fn camel(words: &str) -> String {
     words.split('_').filter_map(word).collect()
 }
 
-/// Where any JSON will do a schema may be `true`, which generators of clients do not take: `{}` says the same.
+/// Replaces a schema `true`, which generators of clients do not take, by `{}`, which means the
+/// same.
 fn spell_out(value: &mut Value) {
     match value {
         Value::Array(values) => values.iter_mut().for_each(spell_out),

@@ -1,5 +1,5 @@
-//! What people look at: the page at `/`, the description at `/docs`, the layouts of viewers, the charts and the
-//! attitudes of a job.
+//! Pages for people: the page at `/`, the description at `/docs`, the layouts of viewers, the
+//! charts and the attitudes of a job.
 //!
 //! Invariant: a page uses the public routes alone and requests nothing else; its policy allows it
 //! no script and no style but the two that were built in.
@@ -28,19 +28,20 @@ use crate::log::stretch::{self, Stretch};
 use crate::log::{LogError, part_path};
 use crate::scenario::Inertia;
 
-/// Attitudes in one answer, if the client does not say, and at most.
+/// Number of attitudes in one answer, if the client does not say, and at most.
 pub(super) const STRETCH: usize = 300;
 pub(super) const MAX_STRETCH: usize = 2000;
 
-/// Points of one course, if the client does not say, and at most.
+/// Number of points of one course, if the client does not say, and at most.
 pub(super) const POINTS: usize = 500;
 pub(super) const MAX_POINTS: usize = 5000;
 
-/// Members in one answer, if the client does not say, and at most.
+/// Number of members in one answer, if the client does not say, and at most.
 pub(super) const MEMBERS: usize = 20;
 pub(super) const MAX_MEMBERS: usize = 200;
 
-/// Logs that are read at once for charts, and as many for attitudes: a long log keeps a thread busy for seconds.
+/// Number of logs that are read at once for charts, and as many for attitudes: a long log keeps a
+/// thread busy for seconds.
 const READERS: usize = 2;
 
 const STYLE: &str = concat!(include_str!("page/uplot/uplot.css"), include_str!("page/style.css"));
@@ -64,7 +65,8 @@ const SCRIPT: &str = concat!(
 /// A page as one file.
 struct OneFile {
     text: String,
-    /// What a browser may load for it: what is in it, by its hash, and answers of this service.
+    /// Content that a browser may load for it: what is in it, by its hash, and answers of this
+    /// service.
     policy: String,
 }
 
@@ -124,7 +126,7 @@ pub(super) struct Pictures {
 /// A chart of a log.
 type Wanted = (PathBuf, &'static str);
 
-/// A chart, or why there is none; shared by all that wait for it.
+/// A chart, or why there is none; shared by all requests that wait for it.
 type Drawn = Arc<Result<String, ChartError>>;
 
 impl Pictures {
@@ -133,7 +135,7 @@ impl Pictures {
         Self { drawing: Arc::default(), charts: turns(), stretches: turns() }
     }
 
-    /// The chart with the file name `name` of a finished log.
+    /// Returns the chart with the file name `name` of a finished log.
     pub(super) async fn chart(&self, name: &str, log: PathBuf) -> Result<Response, Problem> {
         let which = LogChart::ALL.into_iter().find(|which| which.file() == name);
         let which = which.ok_or_else(|| Problem::not_found("chart"))?;
@@ -159,12 +161,12 @@ impl Pictures {
             }
         };
         let drawn = seen.wait_for(Option::is_some).await;
-        // Without a word only if it panicked, or the service goes down.
+        // This fails only if the task panicked, or the service is shutting down.
         let drawn = drawn.map_err(|error| Problem::unreadable(&error))?.clone();
         drawn.ok_or_else(|| Problem::not_found("chart"))
     }
 
-    /// Draws a chart when its turn comes, unless nobody waits for it any more.
+    /// Draws a chart when its turn comes, unless no request waits for it any more.
     async fn draw(self, which: LogChart, wanted: Wanted, drawn: watch::Sender<Option<Drawn>>) {
         let turn = tokio::select! {
             turn = self.charts.acquire() => turn,
@@ -179,12 +181,12 @@ impl Pictures {
         }
     }
 
-    /// Ends when nobody waits for a chart; then it is taken off the list.
+    /// Ends when no request waits for a chart; then it is taken off the list.
     async fn unwanted(&self, wanted: &Wanted, drawn: &watch::Sender<Option<Drawn>>) {
         loop {
             drawn.closed().await;
             let mut drawing = self.drawing();
-            // Not if a visitor came since.
+            // It stays if another request came since.
             if drawn.is_closed() {
                 drawing.remove(wanted);
                 return;
@@ -196,7 +198,8 @@ impl Pictures {
         self.drawing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Attitudes of a log from a time on; of one that is being written, its first ones.
+    /// Returns the attitudes of a log from a time on; for one that is being written, its first
+    /// ones.
     pub(super) async fn attitudes(
         &self,
         log: PathBuf,
@@ -208,13 +211,14 @@ impl Pictures {
         let read = aside(move || stretch::read_stretch(own_file(&path)?, wanted)).await;
         match read.map_err(|error| Problem::unreadable(&error))? {
             Ok(stretch) => Ok(stretch),
-            // Not begun yet, or finished at this moment.
+            // It has not begun yet, or finished at this moment.
             Err(_) if !finished => Ok(Stretch::default()),
             Err(error) => Err(Problem::unreadable(&error)),
         }
     }
 
-    /// The course of a quantity; `None` if there is no file. A caller that no longer waits ends the reading.
+    /// Returns the course of a quantity; `None` if there is no file. A caller that no longer waits
+    /// ends the reading.
     pub(super) async fn samples(
         &self,
         path: PathBuf,
@@ -233,7 +237,8 @@ impl Pictures {
         self.read(path, read).await
     }
 
-    /// The members of an ensemble that have ended; `None` if there is no file. A caller that no longer waits ends the reading.
+    /// Returns the members of an ensemble that have ended; `None` if there is no file. A caller
+    /// that no longer waits ends the reading.
     pub(super) async fn members(
         &self,
         path: PathBuf,
@@ -242,7 +247,7 @@ impl Pictures {
         self.read(path, move |file, stopped| members::read_members(file, wanted, stopped)).await
     }
 
-    /// Where a member of an ensemble began; `None` if it has not ended, or there is none.
+    /// Returns the start of a member of an ensemble; `None` if it has not ended, or there is none.
     pub(super) async fn start(&self, path: PathBuf, member: u64) -> Result<Option<State>, Problem> {
         self.read(path, move |file, stopped| members::read_start(file, member, stopped)).await
     }
@@ -268,11 +273,11 @@ impl Pictures {
     }
 }
 
-/// Whether no caller waits any more.
+/// Function that returns whether no caller waits any more.
 type Stopped<'a> = &'a (dyn Fn() -> bool + Sync);
 
-/// The angular velocity of a momentum, both in body coordinates: `J w = m` for n = 3, else `(d_i + d_j) w_ij = m_ij`.
-/// Nothing if the momentum is not of this body.
+/// Returns the angular velocity of a momentum, both in body coordinates: `J w = m` for n = 3, else
+/// `(d_i + d_j) w_ij = m_ij`. Empty if the momentum is not of this body.
 pub(super) fn angular_velocity(inertia: &Inertia, momentum: &[f64]) -> Vec<f64> {
     let by = |moments: &[f64]| {
         let parts = momentum.iter().zip(moments);
@@ -317,7 +322,7 @@ async fn aside<T: Send + 'static>(work: impl FnOnce() -> T + Send + 'static) -> 
     result.await.map_err(io::Error::other)
 }
 
-/// A path that is a file: a link planted in the data directory must not lead out of it.
+/// Returns a path that is a file: a link planted in the data directory must not lead out of it.
 fn own_file(path: &Path) -> Result<&Path, LogError> {
     let storage = |source| LogError::Storage { path: path.to_owned(), action: "read", source };
     let metadata = path.symlink_metadata().map_err(storage)?;

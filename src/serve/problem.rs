@@ -1,7 +1,7 @@
 //! Errors over HTTP: RFC 9457 problem details. The only place that knows status codes.
 //!
-//! Invariants: every answer of 400 and above is a problem with a fixed `code` to match on, whoever made it
-//! (`fill` sees to that); no answer names a file of the machine.
+//! Invariants: every answer of 400 and above is a problem with a fixed `code` to match on, wherever
+//! it was made (`fill` ensures that); no answer names a file of the machine.
 
 use std::any::Any;
 use std::io;
@@ -37,7 +37,7 @@ const RETRY_S: u64 = 5;
 /// Longest wait suggested for a log, seconds.
 const MAX_RETRY_S: f64 = 60.0;
 
-/// An error as a client sees it.
+/// An error in an answer to a client.
 #[derive(Debug)]
 pub(super) struct Problem {
     status: StatusCode,
@@ -56,103 +56,104 @@ impl Problem {
         Self { retry_after_s: Some(seconds), ..self }
     }
 
-    /// No resource of this name.
+    /// Reports that there is no resource of this name.
     pub(super) fn not_found(what: &str) -> Self {
         Self::new(StatusCode::NOT_FOUND, "not_found", format!("there is no {what} of this name"))
     }
 
-    /// A query parameter that cannot be used.
+    /// Reports a query parameter that cannot be used.
     pub(super) fn bad_query(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, "bad_query", detail)
     }
 
-    /// A body that is not plain JSON by its headers.
+    /// Reports a body whose headers do not declare plain JSON.
     pub(super) fn not_json() -> Self {
         let detail = "send the scenario as plain JSON with Content-Type: application/json";
         Self::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail)
     }
 
-    /// A request that does not say whom it calls.
+    /// Reports a request that does not name the host it calls.
     pub(super) fn bad_host() -> Self {
         Self::new(StatusCode::BAD_REQUEST, "bad_host", "the request needs one Host header")
     }
 
-    /// A name that is not ours.
+    /// Reports a host name that is not ours.
     pub(super) fn misdirected() -> Self {
         let detail = "the service is not known by this name: use localhost or its address, or start it with --host NAME";
         Self::new(StatusCode::MISDIRECTED_REQUEST, "unknown_host", detail)
     }
 
-    /// Too many requests from this address.
+    /// Reports too many requests from this address.
     pub(super) fn too_often(wait: Duration) -> Self {
         let detail = "too many requests from this address: wait a moment";
         let seconds = wait.as_secs_f64().ceil().max(1.0) as u64;
         Self::new(StatusCode::TOO_MANY_REQUESTS, "rate_limited", detail).retry(seconds)
     }
 
-    /// No token, or none of ours.
+    /// Reports that there is no token, or none of ours.
     pub(super) fn unauthorised() -> Self {
         let detail = "send a token: Authorization: Bearer TOKEN; or, for a log, use a link that has not ended";
         Self::new(StatusCode::UNAUTHORIZED, "unauthorized", detail)
     }
 
-    /// A token that does not reach so far.
+    /// Reports a token without the required scope.
     pub(super) fn forbidden(scope: Scope) -> Self {
         let detail = format!("this needs a token of the scope {scope}");
         Self::new(StatusCode::FORBIDDEN, "forbidden", detail)
     }
 
-    /// A page of another origin that asks for what pages of others may not have.
+    /// Reports a page of another origin that requests something not shared with other origins.
     pub(super) fn foreign_page() -> Self {
         let detail = "a page of another origin asks: name its origin with --cors";
         Self::new(StatusCode::FORBIDDEN, "foreign_page", detail)
     }
 
-    /// A viewer that does not speak as ours do.
+    /// Reports a viewer that does not speak our protocol.
     pub(super) fn other_protocol() -> Self {
         let detail = "speak one of the subprotocols foxglove.sdk.v1 and foxglove.websocket.v1";
         Self::new(StatusCode::BAD_REQUEST, "other_protocol", detail)
     }
 
-    /// One viewer too many.
+    /// Reports one viewer too many.
     pub(super) fn no_seat() -> Self {
         let detail = "as many viewers follow as can: try again later";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_viewers", detail).retry(RETRY_S)
     }
 
-    /// One connection too many.
+    /// Reports one connection too many.
     pub(super) fn too_many_connections() -> Self {
         let detail = "as many connections as may be are open, in all or from this address: try again later, or keep fewer";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_connections", detail).retry(1)
     }
 
-    /// A body beyond the limit.
+    /// Reports a body beyond the limit.
     pub(super) fn too_large() -> Self {
         Self::from_status(StatusCode::PAYLOAD_TOO_LARGE)
     }
 
-    /// A body that did not come in time.
+    /// Reports a body that did not come in time.
     pub(super) fn too_slow() -> Self {
         let detail = "the body did not come within 30 s";
         Self::new(StatusCode::REQUEST_TIMEOUT, "too_slow", detail)
     }
 
-    /// A body that breaks off.
+    /// Reports a body that breaks off.
     pub(super) fn broken_body() -> Self {
         Self::from_status(StatusCode::BAD_REQUEST)
     }
 
-    /// A header that cannot be used.
+    /// Reports a header that cannot be used.
     pub(super) fn bad_header(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, "bad_header", detail)
     }
 
-    /// The service stops or does not take jobs.
+    /// Reports that the service stops or does not take jobs.
     pub(super) fn not_ready() -> Self {
         Refusal::Stopping.into()
     }
 
-    /// A file that should be there cannot be read. One that is gone was forgotten while it was asked for.
+    /// Reports a file that should be there and cannot be read. One that is gone was forgotten
+    /// during the request.
     pub(super) fn unreadable(error: &(dyn std::error::Error + 'static)) -> Self {
         if is_gone(error) {
             return Self::from_status(StatusCode::NOT_FOUND);
@@ -165,7 +166,7 @@ impl Problem {
         )
     }
 
-    /// What a bare status of the library below us means.
+    /// Returns the meaning of a bare status of the library below us.
     fn from_status(status: StatusCode) -> Self {
         let (code, detail) = match status {
             StatusCode::BAD_REQUEST => ("bad_request", "the request cannot be understood"),
@@ -205,7 +206,7 @@ impl Problem {
     }
 }
 
-/// Whether an error says that there is no such file.
+/// Returns whether an error says that there is no such file.
 fn is_gone(error: &(dyn std::error::Error + 'static)) -> bool {
     let mut cause = Some(error);
     while let Some(error) = cause {
@@ -221,7 +222,7 @@ fn is_gone(error: &(dyn std::error::Error + 'static)) -> bool {
     false
 }
 
-/// A pointer to the field, or if that is too long, to what it lies in.
+/// Returns a pointer to the field, or if that is too long, to what it lies in.
 fn nearest(pointer: &str) -> &str {
     if pointer.len() <= MAX_POINTER {
         return pointer;
@@ -239,16 +240,16 @@ pub(super) struct Body {
     kind: String,
     title: String,
     status: u16,
-    /// What is wrong, for a person.
+    /// Description of the error, for a person.
     detail: String,
-    /// What is wrong, for a program; fixed.
+    /// Code of the error, for a program; fixed.
     code: &'static str,
     /// JSON pointer of the field at fault; of what it lies in, if it is longer than 200 bytes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pointer: Option<String>,
 }
 
-/// The code as a sentence opens: `queue_full` → `Queue full`.
+/// Returns the code as the beginning of a sentence: `queue_full` → `Queue full`.
 fn title(code: &str) -> String {
     let mut words = code.replace('_', " ");
     if let Some(first) = words.get_mut(..1) {
@@ -335,7 +336,7 @@ impl From<Refusal> for Problem {
                 let wait = eta_s.unwrap_or(RETRY_S as f64).ceil().clamp(1.0, MAX_RETRY_S);
                 with(StatusCode::CONFLICT).retry(wait as u64)
             }
-            // Forgotten while it was asked for.
+            // The job was forgotten during the request.
             Refusal::Store(error) if is_gone(&error) => Refusal::UnknownJob.into(),
             Refusal::Store(error) => {
                 tracing::error!(error = chain(&error), "store failed");
@@ -371,7 +372,7 @@ pub(super) async fn fill(response: Response) -> Response {
     problem
 }
 
-/// The answer where a handler panicked.
+/// Returns the answer where a handler panicked.
 pub(super) fn panicked(_: Box<dyn Any + Send>) -> Response {
     tracing::error!("a handler panicked");
     Problem::from_status(StatusCode::INTERNAL_SERVER_ERROR).into_response()

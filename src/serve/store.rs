@@ -3,15 +3,16 @@
 //! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, sent.json, scenario.json, plan.json, cancel, attempt-1, …, log.mcap,
 //! result.json}`.
 //!
-//! Invariants: a job exists while its `scenario.json` or its `result.json` does. `attempt-N` and `result.json` are
-//! written put-if-absent: the first counts the runs that never came back, the second lets a job end once. What a call
-//! has written is on the disk when the call returns, under a checksum. A file named `log.mcap` is finished, and
-//! it is the job's log once `result.json` stands, which holds its checksum. No name that a client sent becomes part of
-//! a path. Nothing is removed but what a client deleted (`trash`) and what an answer that was never given left; what is
-//! not understood is reported and left alone.
+//! Invariants: a job exists while its `scenario.json` or its `result.json` does. `attempt-N` and
+//! `result.json` are written put-if-absent: the first counts the runs that never came back, the
+//! second lets a job end once. Everything that a call has written is on the disk when the call
+//! returns, under a checksum. A file named `log.mcap` is finished, and it is the job's log once
+//! `result.json` exists, which holds its checksum. No name that a client sent becomes part of a
+//! path. Nothing is removed but what a client deleted (`trash`) and the remains of a request that
+//! was never answered; anything that is not understood is reported and left alone.
 //!
-//! `index.jsonl` repeats of each job what lists show, so that a start need not read them all. It is no
-//! record: what is missing there, or damaged, is read from the job.
+//! `index.jsonl` repeats the fields of each job that lists show, so that a start need not read them
+//! all. It is no record: lines that are missing there, or damaged, are read from the job.
 
 #[cfg(feature = "cluster")]
 pub(super) mod bucket;
@@ -51,10 +52,10 @@ use crate::scenario::Scenario;
 
 const JOBS: &str = "jobs";
 const SCENARIO: &str = "scenario.json";
-/// The scenario as the client wrote it, for people who go on from it; jobs of older builds have none.
+/// The scenario as the client wrote it, to be edited further; jobs of older builds have none.
 const SENT: &str = "sent.json";
 const PLAN: &str = "plan.json";
-/// Of jobs that an older build took.
+/// Plan of jobs that an older build took.
 const CHOSEN: &str = "settled.json";
 const RESULT: &str = "result.json";
 const CANCEL: &str = "cancel";
@@ -66,14 +67,15 @@ const KEY: &str = "key-";
 const INDEX: &str = "index.jsonl";
 const TRASH: &str = "trash";
 
-/// Files written at once. A disk is no faster for more, and their threads crowd out those that answer.
+/// Number of files written at once. A disk is no faster for more, and their threads crowd out those
+/// that answer.
 const WRITERS: usize = 8;
 
-/// What begins the last line of a text that has a checksum.
+/// Beginning of the last line of a text that has a checksum.
 const SEAL: &str = "crc32 ";
 
-/// How a job ended: the text of `result.json`. Plan, summary and diagnosis stay plain JSON, so that a
-/// newer build can show what an older one wrote.
+/// End of a job: the text of `result.json`. Plan, summary and diagnosis stay plain JSON, so that a
+/// newer build can show those that an older one wrote.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Record {
     pub(super) name: String,
@@ -91,7 +93,7 @@ pub(super) struct Record {
     pub(super) diagnosis: Option<Value>,
 }
 
-/// What makes out a log.
+/// Size and checksum of a log.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub(super) struct LogSum {
     /// Its size.
@@ -101,7 +103,7 @@ pub(super) struct LogSum {
 }
 
 impl LogSum {
-    /// Reads a log; `None` if that was stopped. Blocking.
+    /// Reads a log and returns them; `None` if that was stopped. Blocking.
     pub(super) fn of(path: &Path, stopped: impl Fn() -> bool) -> io::Result<Option<Self>> {
         let (mut file, mut piece) = (File::open(path)?, vec![0; 1 << 20]);
         let (mut sum, mut bytes) = (Sha256::new(), 0);
@@ -120,7 +122,7 @@ impl LogSum {
     }
 }
 
-/// The plan of a job as it is kept: what only runs show, and what people are shown.
+/// The plan of a job as it is kept: the results of runs, and the text for clients.
 #[derive(Serialize, Deserialize)]
 pub(super) struct KeptPlan {
     pub(super) settled: Settled,
@@ -134,14 +136,14 @@ impl KeptPlan {
     }
 }
 
-/// What an older build kept of an accuracy.
+/// Record that an older build kept of an accuracy.
 #[derive(Deserialize)]
 struct Chosen {
     scenario: Scenario,
     advice: Advice,
 }
 
-/// What the scan found of one job.
+/// Result of the scan for one job.
 #[derive(Debug)]
 pub(super) struct Found {
     pub(super) id: Uuid,
@@ -152,11 +154,11 @@ pub(super) struct Found {
     pub(super) has_log: bool,
     /// Size of its unfinished log.
     pub(super) part_bytes: u64,
-    /// What the index says of it.
+    /// Its line in the index.
     pub(super) line: Option<Line>,
 }
 
-/// What the index says of a job.
+/// Line of the index about a job.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(untagged)]
 pub(super) enum Line {
@@ -173,7 +175,7 @@ impl Line {
     }
 }
 
-/// What lists show of a job that ended.
+/// Fields of a job that ended, for lists.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Ending {
     pub(super) id: Uuid,
@@ -195,16 +197,16 @@ impl Ending {
     }
 }
 
-/// What lists show of a job that waits, and what it is expected to take.
+/// Fields of a waiting job, for lists, and its expected size.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Waiting {
     pub(super) id: Uuid,
     pub(super) name: String,
-    /// Of a job whose method and step are settled.
+    /// Size of a job whose method and step are settled.
     pub(super) size: Option<Size>,
 }
 
-/// What a job is expected to take.
+/// Resources that a job is expected to take.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Size {
     pub(super) steps: u64,
@@ -227,12 +229,12 @@ impl StoreError {
         move |source| Self { action, source: source.into() }
     }
 
-    /// A log cannot be read.
+    /// Returns the error of a log that cannot be read.
     pub(super) fn reading_a_log(source: io::Error) -> Self {
         Self::new("read the log")(source)
     }
 
-    /// `storage_full` or `storage_error`.
+    /// Returns `storage_full` or `storage_error`.
     pub(super) fn code(&self) -> &'static str {
         let full = |error: &io::Error| {
             matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
@@ -240,12 +242,12 @@ impl StoreError {
         if self.system().is_some_and(full) { "storage_full" } else { "storage_error" }
     }
 
-    /// Whether trying again later may succeed.
+    /// Returns whether trying again later may succeed.
     pub(super) fn is_transient(&self) -> bool {
         self.system().is_some_and(is_transient)
     }
 
-    /// What the system said, if it was the system.
+    /// Returns the error of the system, if there is one.
     fn system(&self) -> Option<&io::Error> {
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&*self.source);
         while let Some(error) = cause {
@@ -265,7 +267,7 @@ pub(super) struct Store {
     data: PathBuf,
     jobs: PathBuf,
     trash: PathBuf,
-    /// Open for appending, if it can be.
+    /// File open for appending, if it can be.
     index: Mutex<Option<File>>,
     writers: Semaphore,
 }
@@ -282,7 +284,7 @@ impl Store {
         Ok(Self { objects: objects(&data)?, data, jobs, trash, index, writers })
     }
 
-    /// Bytes that may still be written to the disk. Blocking.
+    /// Returns the bytes that may still be written to the disk. Blocking.
     #[cfg(unix)]
     pub(super) fn free_bytes(&self) -> Result<u64, StoreError> {
         let disk = rustix::fs::statvfs(&self.data).map_err(io::Error::from);
@@ -290,13 +292,14 @@ impl Store {
         Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
 
-    /// Unknown: a full disk is found by running into it.
+    /// Returns no limit: it is unknown, and a full disk shows when a write fails.
     #[cfg(not(unix))]
     pub(super) fn free_bytes(&self) -> Result<u64, StoreError> {
         Ok(u64::MAX)
     }
 
-    /// Keeps a new job, the text that was sent, and the key under which the client sent it. The scenario goes last: before it there is no job.
+    /// Keeps a new job, the text that was sent, and the key under which the client sent it. The
+    /// scenario goes last: before it there is no job.
     pub(super) async fn accept(
         &self,
         id: Uuid,
@@ -316,14 +319,14 @@ impl Store {
         self.create(id, SCENARIO, sealed(scenario)).await.map_err(StoreError::new(failed))
     }
 
-    /// The scenario of a job, as accepted.
+    /// Returns the scenario of a job, as accepted.
     pub(super) async fn scenario(&self, id: Uuid) -> Result<Bytes, StoreError> {
         let failed = "read the scenario";
         let text = self.read(id, SCENARIO).await.map_err(StoreError::new(failed))?;
         unsealed(text).map_err(StoreError::new(failed))
     }
 
-    /// The scenario of a job as it was sent; as accepted if that text is not kept.
+    /// Returns the scenario of a job as it was sent; as accepted if that text is not kept.
     pub(super) async fn sent(&self, id: Uuid) -> Result<Bytes, StoreError> {
         let kept = self.read(id, SENT).await.ok().map(unsealed);
         match kept {
@@ -332,7 +335,8 @@ impl Store {
         }
     }
 
-    /// What runs have shown of a job, for its plan; `None` if that is not known yet, or this build cannot use it.
+    /// Returns the results of runs for the plan of a job; `None` if they are not known yet, or this
+    /// build cannot use them.
     pub(super) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, StoreError> {
         if let Some(KeptPlan { settled, .. }) = self.found(id, PLAN, "read the plan").await? {
             return Ok(Some(settled));
@@ -346,7 +350,7 @@ impl Store {
         Ok(asked.map(|asked| Settled::chosen(asked, scenario, advice)))
     }
 
-    /// The plan of a job as people are shown it; `None` if there is none yet.
+    /// Returns the plan of a job for clients; `None` if there is none yet.
     pub(super) async fn plan(&self, id: Uuid) -> Result<Option<Box<RawValue>>, StoreError> {
         #[derive(Deserialize)]
         struct Shown {
@@ -360,13 +364,14 @@ impl Store {
     pub(super) async fn keep_plan(&self, id: Uuid, plan: &KeptPlan) -> Result<(), StoreError> {
         let failed = "keep the plan";
         let text = serde_json::to_vec(plan).map_err(StoreError::new(failed))?;
-        // Never closed.
+        // The semaphore is never closed.
         let _turn = self.writers.acquire().await;
         let kept = self.objects.put(&key(id, PLAN), sealed(text).into()).await;
         kept.map(drop).map_err(StoreError::new(failed))
     }
 
-    /// What a file of a job says that can be made again; `None` if there is none, or none that this build can use.
+    /// Reads a file of a job that can be made again; `None` if there is none, or none that this
+    /// build can use.
     async fn found<T: DeserializeOwned>(
         &self,
         id: Uuid,
@@ -402,12 +407,13 @@ impl Store {
         }
     }
 
-    /// A file in which a run leaves how far it came, should its process die.
+    /// Returns the file in which a run notes its progress, should its process die.
     pub(super) fn trace_path(&self, id: Uuid) -> PathBuf {
         self.directory(id).join(TRACE)
     }
 
-    /// Notes that the job is to be cancelled, so that it stays stopped if we die before it ends.
+    /// Notes that the job is to be cancelled, so that it stays stopped if the process dies before
+    /// it ends.
     pub(super) async fn note_cancel(&self, id: Uuid) -> Result<(), StoreError> {
         match self.create(id, CANCEL, Vec::new()).await {
             Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
@@ -428,7 +434,7 @@ impl Store {
         }
     }
 
-    /// How a job ended.
+    /// Returns how a job ended.
     pub(super) async fn record(&self, id: Uuid) -> Result<Record, StoreError> {
         let failed = "read the result";
         let text = self.read(id, RESULT).await.map_err(StoreError::new(failed))?;
@@ -436,12 +442,12 @@ impl Store {
         serde_json::from_slice(&text).map_err(StoreError::new(failed))
     }
 
-    /// Where the log of a job stands, or will stand once it is finished.
+    /// Returns the path of the log of a job once it is finished.
     pub(super) fn log_path(&self, id: Uuid) -> PathBuf {
         self.directory(id).join(LOG)
     }
 
-    /// Whether a run of the job has begun its log.
+    /// Returns whether a run of the job has begun its log.
     pub(super) fn has_begun(&self, id: Uuid) -> bool {
         [LOG, PART].iter().any(|name| self.directory(id).join(name).is_file())
     }
@@ -457,7 +463,7 @@ impl Store {
         renamed.map_err(StoreError::new("reopen an unpublished log"))
     }
 
-    /// Forgets a job and its log. One change of a name does it; the rest is rubbish that the next start removes.
+    /// Forgets a job and its log. A single rename does it; the rest is removed at the next start.
     pub(super) async fn forget(&self, id: Uuid) -> Result<(), StoreError> {
         let (from, to) = (self.directory(id), self.trash.join(id.to_string()));
         let removed = tokio::task::spawn_blocking(move || throw_away(&from, &to));
@@ -465,7 +471,7 @@ impl Store {
         removed.map_err(StoreError::new("forget the job"))
     }
 
-    /// All jobs, oldest first, and how many entries were found that are not jobs. Blocking.
+    /// Returns all jobs, oldest first, and how many entries were found that are not jobs. Blocking.
     pub(super) fn scan(&self) -> Result<(Vec<Found>, usize), StoreError> {
         let (prefixes, mut aside) =
             prefixes(&self.jobs).map_err(StoreError::new("list the jobs"))?;
@@ -518,7 +524,7 @@ impl Store {
         }
     }
 
-    /// The last sound line of the index of each job, and how many lines there are.
+    /// Returns the last sound line of the index of each job, and how many lines there are.
     fn read_index(&self) -> (HashMap<Uuid, Line>, usize) {
         let index = self.index.lock().unwrap_or_else(PoisonError::into_inner);
         if index.is_none() {
@@ -552,13 +558,13 @@ impl Store {
     }
 
     async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
-        // Never closed.
+        // The semaphore is never closed.
         let _turn = self.writers.acquire().await;
         create(&self.objects, &key(id, name), content).await
     }
 }
 
-/// The files of a directory, each on the disk when it is said to be written.
+/// Returns the files of a directory, each on the disk once it is reported as written.
 fn objects(data: &Path) -> Result<LocalFileSystem, ServeError> {
     let failed = |source| ServeError::Data { path: data.into(), source: io::Error::other(source) };
     Ok(LocalFileSystem::new_with_prefix(data).map_err(failed)?.with_fsync(true))
@@ -570,9 +576,9 @@ async fn create(objects: &LocalFileSystem, place: &Key, content: Vec<u8>) -> Res
     objects.put_opts(place, content.into(), options).await.map(drop)
 }
 
-/// The index, open for appending; `None` if it cannot be had, and the start reads each job.
+/// Opens the index for appending; `None` if that fails, and the start reads each job.
 fn open_index(path: &Path) -> Option<File> {
-    // What is no file may never open.
+    // Opening anything but a file may block forever.
     if path.symlink_metadata().is_ok_and(|found| !found.is_file())
         && let Err(error) = put_aside(path)
     {
@@ -583,7 +589,7 @@ fn open_index(path: &Path) -> Option<File> {
     file.inspect_err(|error| tracing::warn!(error = chain(error), "there is no index")).ok()
 }
 
-/// A line of the index: a checksum and what it covers.
+/// Returns a line of the index: a checksum and the text that it covers.
 fn index_line(line: &Line) -> serde_json::Result<String> {
     let json = serde_json::to_string(line)?;
     Ok(format!("{:08x} {json}\n", crc32fast::hash(json.as_bytes())))
@@ -599,16 +605,16 @@ fn index_entry(line: &[u8]) -> Option<Line> {
     }
 }
 
-/// A text with its checksum in a last line.
+/// Returns a text with its checksum in a last line.
 fn sealed(mut text: Vec<u8>) -> Vec<u8> {
     let sum = crc32fast::hash(&text);
     text.extend_from_slice(format!("\n{SEAL}{sum:08x}\n").as_bytes());
     text
 }
 
-/// The text above a checksum that is right.
+/// Returns the text above a checksum that is right.
 fn unsealed(text: Bytes) -> Result<Bytes, String> {
-    // Line end, word, eight digits, line end.
+    // The last line: line end, word, eight digits, line end.
     let end = text.len().checked_sub(SEAL.len() + 10).ok_or("the text breaks off")?;
     let sum = crc32fast::hash(&text[..end]);
     if text[end..] == *format!("\n{SEAL}{sum:08x}\n").as_bytes() {
@@ -618,7 +624,7 @@ fn unsealed(text: Bytes) -> Result<Bytes, String> {
     }
 }
 
-/// The one spelling of an id: lower case with hyphens. Anything else is no id.
+/// Parses the one spelling of an id: lower case with hyphens. Anything else is no id.
 pub(super) fn parse_id(text: &str) -> Option<Uuid> {
     Uuid::try_parse(text).ok().filter(|id| id.to_string() == text)
 }

@@ -1,8 +1,9 @@
-//! Studies over HTTP: one at a time, on a thread of their own, next to the jobs.
+//! Studies over HTTP: one at a time, on a thread of their own, in addition to the jobs.
 //!
-//! Invariants: all state sits behind one std mutex, held for moments; a study runs without it. What was asked is
-//! on the disk before the answer, and what was found before it is shown; a study without a result is made again
-//! at the next start, in a process of its own if the service ended during it.
+//! Invariants: all state is behind one std mutex, held for moments; a study runs without it. A
+//! request is on the disk before the answer, and results are before they are shown; a study without
+//! a result is made again at the next start, in a process of its own if the service ended during
+//! it.
 
 mod question;
 mod worker;
@@ -38,7 +39,7 @@ use question::{PICTURE, TABLE};
 const QUEUE: usize = 16;
 /// Studies that are kept, the oldest ended ones forgotten first.
 const KEPT: usize = 64;
-/// How a study ended: the text of its `result.json`.
+/// End of a study: the text of its `result.json`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Record {
     kind: Kind,
@@ -46,12 +47,12 @@ struct Record {
     state: State,
     runs: u64,
     runs_done: u64,
-    /// Why it has no result.
+    /// Reason why it has no result.
     error: Option<String>,
     answer: Answer,
 }
 
-/// Where a study stands.
+/// State of a study.
 #[derive(Clone, Debug)]
 enum Phase {
     Queued,
@@ -69,7 +70,7 @@ struct Study {
     /// Whether the process ended during its last run.
     suspect: bool,
     phase: Phase,
-    /// How it is followed and stopped.
+    /// Handle to follow and stop it.
     control: Arc<Control>,
 }
 
@@ -88,12 +89,12 @@ struct Shared {
     limits: Limits,
     /// Held by the request that draws an unfinished sweep.
     drawing: Mutex<()>,
-    /// The program that carries out errands in a process of its own.
+    /// Program that carries out errands in a process of its own.
     program: Option<PathBuf>,
     runtime: Handle,
 }
 
-/// A handle on the studies; copies are the same. What writes to the store blocks.
+/// Handle on the studies; copies are the same. Calls that write to the store block.
 #[derive(Clone, Debug)]
 pub(super) struct Studies(Arc<Shared>);
 
@@ -104,18 +105,18 @@ pub(super) struct StudyView {
     /// Its id.
     #[schemars(with = "String")]
     pub(super) id: Uuid,
-    /// What is studied.
+    /// Kind of the study.
     kind: Kind,
     /// Name of the scenario.
     name: String,
     state: State,
-    /// When it was taken.
+    /// Time when it was taken.
     created: Option<DateTime<Utc>>,
     /// Runs made.
     runs_done: u64,
     /// Runs to be made, as far as that is known.
     runs: u64,
-    /// Why it has no result.
+    /// Reason why it has no result.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
     /// Time in seconds, stated error and cross-check of the reference.
@@ -142,7 +143,7 @@ pub(super) struct StudyList {
     studies: Vec<StudyView>,
 }
 
-/// Why a study is not taken, found or shown.
+/// Reason why a study is not taken, found or shown.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum StudyRefusal {
     #[error("{QUEUE} studies wait already: try again later")]
@@ -170,7 +171,7 @@ pub(super) enum StudyRefusal {
 /// The table of a study.
 pub(super) enum TableOf {
     Text(String),
-    /// That of a sweep; while it is made, the lines that are there, below one that says of what.
+    /// Table of a sweep; while it is made, the lines so far, below one that describes them.
     File {
         path: PathBuf,
         finished: bool,
@@ -278,14 +279,14 @@ impl Studies {
         Ok(view)
     }
 
-    /// All of them, newest first, without their tables.
+    /// Returns all studies, newest first, without their tables.
     pub(super) fn list(&self) -> StudyList {
         let index = self.0.index();
         let brief = |(id, study): (&Uuid, &Study)| study.brief(*id);
         StudyList { studies: index.studies.iter().rev().map(brief).collect() }
     }
 
-    /// One study.
+    /// Returns one study.
     pub(super) fn get(&self, id: Uuid) -> Result<StudyView, StudyRefusal> {
         let index = self.0.index();
         index.studies.get(&id).map(|study| study.view(id)).ok_or(StudyRefusal::Unknown)
@@ -322,27 +323,27 @@ impl Studies {
         Ok(self.0.store.forget(id)?)
     }
 
-    /// The table of a study. Blocking.
+    /// Returns the table of a study. Blocking.
     pub(super) fn table(&self, id: Uuid) -> Result<TableOf, StudyRefusal> {
         if self.kind(id)? != Kind::Sweep {
             return self.file(id, TABLE).map(TableOf::Text);
         }
         let path = self.0.store.folder(id).join(TABLE);
         let part = part_path(&path);
-        // Finished between the two looks, it is there at the third.
+        // If it is finished between the first two looks, it is there at the third.
         let there = [(&path, true), (&part, false), (&path, true)];
         let found = there.into_iter().find(|(path, _)| path.is_file());
         let (path, finished) = found.ok_or(StudyRefusal::NoFile)?;
         Ok(TableOf::File { path: path.clone(), finished })
     }
 
-    /// The scenario of a member of a sweep. Blocking.
+    /// Returns the scenario of a member of a sweep. Blocking.
     pub(super) fn member(&self, id: Uuid, member: u64) -> Result<Vec<u8>, StudyRefusal> {
         let scenario = self.sweep(id)?.scenario(member).map_err(StudyRefusal::Member)?;
         Ok(scenario.to_json())
     }
 
-    /// What was asked of a sweep.
+    /// Returns the request of a sweep.
     fn sweep(&self, id: Uuid) -> Result<Box<Sweep>, StudyRefusal> {
         if self.kind(id)? != Kind::Sweep {
             return Err(StudyRefusal::NoFile);
@@ -351,7 +352,7 @@ impl Studies {
         match Question::from_json(&request) {
             Ok(Question::Sweep(sweep)) => Ok(sweep),
             Ok(Question::Methods(_)) => Err(StudyRefusal::NoFile),
-            // This build does not take it.
+            // This build does not take the request.
             Err(error) => Err(StudyRefusal::Member(error)),
         }
     }
@@ -360,7 +361,8 @@ impl Studies {
         self.0.index().studies.get(&id).map(|study| study.kind).ok_or(StudyRefusal::Unknown)
     }
 
-    /// A table or a chart of a study; the picture of a sweep that has not ended is drawn as far as it has come. Blocking.
+    /// Returns a table or a chart of a study; the picture of a sweep that has not ended is drawn as
+    /// far as it has come. Blocking.
     pub(super) fn file(&self, id: Uuid, name: &str) -> Result<String, StudyRefusal> {
         let index = self.0.index();
         let study = index.studies.get(&id).ok_or(StudyRefusal::Unknown)?;
@@ -375,7 +377,7 @@ impl Studies {
     }
 
     fn picture(&self, id: Uuid) -> Result<String, StudyRefusal> {
-        // One at a time, for each reads a whole table; waiting would take a thread from others.
+        // One at a time, because each reads a whole table; waiting would take a thread from others.
         let _turn = match self.0.drawing.try_lock() {
             Ok(turn) => turn,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -387,7 +389,8 @@ impl Studies {
     }
 }
 
-/// A study of the store: one that ended, or one to be made (again). None if it is unknown what it was.
+/// Returns a study of the store: one that ended, or one to be made (again). `None` if it is unknown
+/// what it was.
 fn resume_job(found: FoundStudy) -> Option<Study> {
     let FoundStudy { id, attempts, request, result } = found;
     let damaged = |error: &dyn std::error::Error| {
@@ -419,7 +422,7 @@ fn resume_job(found: FoundStudy) -> Option<Study> {
             damaged(&error);
             failed("the result cannot be read".to_owned())
         }
-        // Whether this build takes it is found out where it is made.
+        // It is checked where it is made whether this build takes the request.
         None => {
             let request: Value = serde_json::from_slice(request.as_deref()?).ok()?;
             return Some(Study {
@@ -479,7 +482,7 @@ impl Study {
         }
     }
 
-    /// Without its rows and borders.
+    /// Returns the study without its rows and borders.
     fn brief(&self, id: Uuid) -> StudyView {
         let record = match &self.phase {
             Phase::Ended(record) => Some(record),

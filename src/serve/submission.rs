@@ -1,7 +1,8 @@
-//! Submission slots: what is submitted is checked here, on a few threads that give way to those that answer.
+//! Submission slots: submissions are checked here, on a few threads that give way to those that
+//! answer.
 //!
-//! Invariant: a slot is held by the work and not by the client: a client that leaves frees none, and what no client
-//! waits for any more is not begun.
+//! Invariant: a slot is held by the work and not by the client: a client that leaves frees none,
+//! and work that no client waits for any more is not begun.
 
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,8 +13,8 @@ use tokio::sync::oneshot;
 use super::engine::Refusal;
 use super::give_way;
 
-/// Submissions that are checked at once. More of them would be kept a little sooner, and everybody who asks for a
-/// state would wait behind them all.
+/// Number of submissions that are checked at once. More of them would be kept a little sooner, and
+/// every request for a state would wait behind them all.
 const SLOTS: usize = 4;
 
 type Work = Box<dyn FnOnce() + Send>;
@@ -39,7 +40,7 @@ impl SubmissionSlots {
         Ok(Self(work))
     }
 
-    /// Waits for a slot and does the work in it. It fails, and says so, where that panics.
+    /// Waits for a slot and does the work in it. Returns an error if that panics.
     pub(super) async fn check<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> T + Send + 'static,

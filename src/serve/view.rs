@@ -1,4 +1,4 @@
-//! What answers look like.
+//! Types of the answers.
 
 use chrono::{DateTime, Utc};
 use schemars::JsonSchema;
@@ -14,19 +14,20 @@ use crate::plan::Plan;
 use crate::run::{Diagnosis, Summary};
 use crate::scenario::SHIPPED;
 
-/// A job as clients see it.
+/// A job in answers to clients.
 #[derive(Debug, Serialize, JsonSchema)]
 #[schemars(rename = "Job")]
 pub(super) struct JobView {
     id: Uuid,
     name: String,
     state: State,
-    /// When it was taken.
+    /// Time when it was taken.
     created: Option<DateTime<Utc>>,
     /// Runs so far.
     attempts: u32,
     progress: Progress,
-    /// Why it waits although a run of it began: the store refused something, and it is tried again.
+    /// Reason why it waits although a run of it began: the store refused something, and it is tried
+    /// again.
     #[serde(skip_serializing_if = "Option::is_none")]
     trouble: Option<Trouble>,
     /// Size and checksum of the finished log.
@@ -36,32 +37,32 @@ pub(super) struct JobView {
     /// turned into a method and a step.
     #[schemars(with = "Option<Plan>")]
     plan: Option<Box<RawValue>>,
-    /// When it ended.
+    /// Time when it ended.
     #[serde(skip_serializing_if = "Option::is_none")]
     finished: Option<DateTime<Utc>>,
     /// The figures of its run.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<Summary>")]
     summary: Option<Value>,
-    /// Why it failed: code, cause, advice.
+    /// Reason why it failed: code, cause, advice.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schemars(with = "Option<JobDiagnosis>")]
     diagnosis: Option<Value>,
     links: Links,
 }
 
-/// Why a job failed; `code` says it to a program.
+/// Reason why a job failed, with a `code` for programs.
 #[derive(JsonSchema)]
 #[schemars(untagged)]
 #[expect(dead_code, reason = "only its schema is used")]
 enum JobDiagnosis {
     /// A step could not be made.
     Step(Diagnosis),
-    /// There is no run to speak of.
+    /// There is no run to report on.
     Job(Fault),
 }
 
-/// How far a job has come.
+/// Progress of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub(super) struct Progress {
     steps: u64,
@@ -73,25 +74,25 @@ pub(super) struct Progress {
     eta_s: Option<f64>,
 }
 
-/// How the client, and so its viewers, reach the service.
+/// Addresses by which the client, and so its viewers, reach the service.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reach {
     /// The address of the service.
     pub(super) base: Option<String>,
     /// The address of the live view, if there is one that they reach.
     pub(super) live: Option<String>,
-    /// What signs the links that viewers follow, where there are tokens.
+    /// Key that signs the links that viewers follow, where there are tokens.
     pub(super) links: Option<LinkKey>,
 }
 
 impl Reach {
-    /// What has to follow an address, so that a viewer may read there.
+    /// Returns the query to add to an address, so that a viewer may read there.
     fn pass(&self, subject: Subject) -> String {
         self.links.as_ref().map_or(String::new(), |links| format!("?{}", links.query(subject)))
     }
 }
 
-/// Where the rest is.
+/// Links of a job.
 #[derive(Debug, Serialize, JsonSchema)]
 #[schemars(rename = "JobLinks")]
 struct Links {
@@ -101,8 +102,9 @@ struct Links {
     /// The scenario as it was sent.
     sent: String,
     events: String,
-    /// The finished log. Where there are tokens this address, and each that opens a log in a viewer, is signed: who has
-    /// it may read this log without a token, for a day.
+    /// The finished log. Where there are tokens this address, and each that opens a log in a
+    /// viewer, is signed: anyone who
+    /// has it may read this log without a token, for a day.
     #[serde(skip_serializing_if = "Option::is_none")]
     log: Option<String>,
     /// The log as it grows.
@@ -177,7 +179,7 @@ enum EventName {
 #[derive(Debug, Serialize, JsonSchema)]
 pub(super) struct JobList {
     jobs: Vec<JobView>,
-    /// Where the next page begins; null on the last one.
+    /// Cursor of the next page; null on the last one.
     next_cursor: Option<Uuid>,
     links: PageLinks,
 }
@@ -196,7 +198,7 @@ pub(super) struct ScenarioList {
 #[derive(Debug, Serialize, JsonSchema)]
 struct ScenarioEntry {
     name: &'static str,
-    /// What it shows; absent if it does not say.
+    /// Description of the scene; absent if it has none.
     description: Option<String>,
     links: ScenarioLinks,
 }
@@ -207,7 +209,7 @@ struct ScenarioLinks {
     this: String,
 }
 
-/// How the service is.
+/// State of the service.
 #[derive(Debug, Serialize, JsonSchema)]
 #[schemars(rename = "ServiceStatus")]
 pub(super) struct Status {
@@ -215,7 +217,7 @@ pub(super) struct Status {
 }
 
 impl JobView {
-    /// A job as a client that reaches us so sees it.
+    /// Returns a job for a client that reaches us by `reach`.
     pub(super) fn new(view: View, reach: &Reach) -> Self {
         let progress = Progress::of(&view);
         let View { id, name, state, created, attempts, has_log, plan, record, .. } = view;
@@ -337,7 +339,7 @@ impl LiveViewers {
     }
 }
 
-/// Everything but RFC 3986's unreserved characters as `%XX`.
+/// Returns a text with everything but RFC 3986's unreserved characters as `%XX`.
 pub(super) fn percent_encoded(text: &str) -> String {
     let encode = |byte: u8| match byte {
         b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'-' | b'.' | b'_' | b'~' => {

@@ -1,7 +1,8 @@
-//! The door of the live view: what a run shows, over Foxglove's WebSocket protocol.
+//! The endpoint of the live view: the frames of a run, over Foxglove's WebSocket protocol.
 //!
-//! Invariants: a viewer comes in through the gate, as every request does. Nothing it says reaches a run; what it does
-//! not take in time it misses, and one that takes nothing, or is not heard of, is let go.
+//! Invariants: a viewer comes in through the gate, as every request does. None of its messages
+//! reaches a run; frames that it does not take in time are lost to it, and one that takes nothing,
+//! or sends nothing, is disconnected.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock};
@@ -26,22 +27,22 @@ use super::problem::Problem;
 use crate::live::{Frame, Live};
 use crate::log::schema::{Channel, ENCODING};
 
-/// Names of the protocol, of which we speak what they share.
+/// Names of the protocol, of which we use the common part.
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 
-/// Viewers at once.
+/// Number of viewers at once.
 pub(super) const SEATS: usize = 64;
 
 /// Longest message of a viewer, bytes: it asks for channels, no more.
 const MAX_MESSAGE: usize = 64 << 10;
 
-/// Subscriptions of one viewer.
+/// Number of subscriptions of one viewer.
 const MAX_SUBSCRIPTIONS: usize = 256;
 
 /// Longest time in which a viewer does not take what is sent.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// How often a viewer has to be heard of; it answers when it is asked.
+/// Interval in which a viewer has to send something; it answers a ping.
 const PULSE: Duration = Duration::from_secs(20);
 
 /// First bytes of binary messages.
@@ -55,7 +56,7 @@ struct House {
     stop: watch::Receiver<bool>,
 }
 
-/// What stands behind the door: one place, for WebSockets.
+/// Returns the router of the live view: one path, for WebSockets.
 pub(super) fn router(live: Arc<Live>, gate: Gate, stop: watch::Receiver<bool>) -> Router {
     let house = House { live, seats: Arc::new(Semaphore::new(SEATS)), stop };
     Router::new()
@@ -75,7 +76,7 @@ async fn come_in(
     Ok(upgrade.on_upgrade(move |socket| Viewer::new(socket, house.live).look_on(house.stop, seat)))
 }
 
-/// What viewers are sent first.
+/// Messages that viewers are sent first.
 static WELCOME: LazyLock<[String; 2]> = LazyLock::new(|| {
     let channels: Vec<Value> = Channel::all().into_iter().zip(0..).map(advertised).collect();
     let info = json!({ "op": "serverInfo", "name": "vpd", "capabilities": ["time"] });
@@ -94,7 +95,7 @@ fn advertised((channel, id): (Channel, u64)) -> Value {
     })
 }
 
-/// What a viewer says; what else there is in the protocol we do not offer.
+/// Messages of a viewer; we do not offer the rest of the protocol.
 #[derive(Debug, Deserialize)]
 #[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
 enum Wish {
@@ -109,14 +110,14 @@ struct Subscription {
     channel_id: usize,
 }
 
-/// The viewer has left, or is to be let go.
+/// The viewer has left, or is to be disconnected.
 struct Gone;
 
 struct Viewer {
     socket: WebSocket,
     live: Arc<Live>,
     subscriptions: BTreeMap<u32, Channel>,
-    /// While it subscribes to anything.
+    /// Receiver of frames while it subscribes to anything.
     frames: Option<broadcast::Receiver<Arc<Frame>>>,
 }
 
@@ -125,7 +126,7 @@ impl Viewer {
         Self { socket, live, subscriptions: BTreeMap::new(), frames: None }
     }
 
-    /// Until it leaves, is let go, or the service stops.
+    /// Serves the viewer until it leaves, is disconnected, or the service stops.
     async fn look_on(mut self, mut stop: watch::Receiver<bool>, _seat: OwnedSemaphorePermit) {
         let welcome = WELCOME.iter().map(|text| Message::text(text.as_str())).collect();
         let mut shown = self.send(welcome).await;
@@ -148,7 +149,7 @@ impl Viewer {
         let _ = self.send(vec![Message::Close(None)]).await;
     }
 
-    /// Does as it wishes; what it may not wish, or we do not understand, is passed over.
+    /// Follows a message of the viewer; one that is not allowed, or not understood, is ignored.
     fn hear(&mut self, said: &Message) {
         let Message::Text(text) = said else { return };
         match serde_json::from_slice(text.as_bytes()) {
@@ -199,13 +200,13 @@ impl Viewer {
     }
 }
 
-/// The next frame; never, for one that watches nothing.
+/// Returns the next frame; never, for a viewer that watches nothing.
 async fn next(frames: &mut Option<broadcast::Receiver<Arc<Frame>>>) -> Arc<Frame> {
     if let Some(frames) = frames {
         loop {
             match frames.recv().await {
                 Ok(frame) => return frame,
-                // What was missed is missed.
+                // Missed frames are lost.
                 Err(RecvError::Lagged(_)) => {}
                 Err(RecvError::Closed) => break,
             }

@@ -9,13 +9,13 @@ use crate::scenario::Scenario;
 /// Long runs of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LongTerm {
-    /// One row a method.
+    /// One row per method.
     pub table: Table,
     /// Time, H - H0 and orthogonality error at the samples of each method, as far as it came.
     pub series: Vec<Vec<(f64, f64, f64)>>,
 }
 
-/// Samples of a run at most.
+/// Largest number of samples of a run.
 const SAMPLES: u64 = 100_000;
 
 /// Runs each method with the step and duration of the scenario, on all cores.
@@ -49,8 +49,9 @@ pub(super) fn on_threads(
     Ok(LongTerm { table: Table { rows }, series })
 }
 
-/// The change of a quantity over a run by a straight line through means of it, and the standard error that the
-/// change would have if the means were independent. Zero with fewer than 20 values.
+/// Returns the change of a quantity over a run by a straight line through means of it, and the
+/// standard error that the change would have if the means were independent. Zero with fewer than 20
+/// values.
 pub fn trend(values: &[f64]) -> (f64, f64) {
     const MEANS: usize = 50;
     let means = MEANS.min(values.len() / 2);

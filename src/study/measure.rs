@@ -38,24 +38,25 @@ pub struct Point {
 }
 
 impl Point {
-    /// Of a state.
+    /// Returns the point of a state.
     pub(super) fn of<const N: usize>(attitude: &Mat<N>, momentum: &Mat<N>) -> Self {
         let sized = |m: &Mat<N>| DMatrix::from_fn(N, N, |i, j| m[(i, j)]);
         Self { attitude: sized(attitude), momentum: sized(momentum) }
     }
 
-    /// As a state of this dimension, which is its own.
+    /// Returns it as a state of this dimension, which is its own.
     pub(super) fn state<const N: usize>(&self) -> State<N> {
         let sized = |m: &DMatrix<f64>| Mat::<N>::from_fn(|i, j| m[(i, j)]);
         State { attitude: sized(&self.attitude), momentum: sized(&self.momentum) }
     }
 
-    /// `|g - h|_F / sqrt(2)`: for n = 3 the spectral norm of the difference of two rotations.
+    /// Returns `|g - h|_F / sqrt(2)`: for n = 3 the spectral norm of the difference of two
+    /// rotations.
     pub fn attitude_distance(&self, other: &Self) -> f64 {
         half_norm(&self.attitude, &other.attitude)
     }
 
-    /// `|p - q|_F / sqrt(2)`: for n = 3 the length of the difference of the vectors.
+    /// Returns `|p - q|_F / sqrt(2)`: for n = 3 the length of the difference of the vectors.
     pub fn momentum_distance(&self, other: &Self) -> f64 {
         half_norm(&self.momentum, &other.momentum)
     }
@@ -71,26 +72,27 @@ pub(crate) struct Probe<'a, M = Method> {
     pub(crate) method: &'a M,
     pub(crate) step_s: f64,
     pub(crate) steps: u64,
-    /// A sample every k steps.
+    /// Number k, where a sample is taken every k steps.
     pub(crate) every: u64,
     /// The run is stopped once |H - H0| is above this.
     pub(crate) energy_limit: f64,
-    /// Are the states at the samples kept?
+    /// Whether the states at the samples are kept.
     pub(crate) keep: bool,
-    /// Where the run starts.
+    /// Start of the run.
     pub(crate) begin: Begin<'a>,
-    /// The member of the scene's ensemble that runs.
+    /// Member of the scene's ensemble that runs.
     pub(crate) member: u64,
 }
 
-/// Where a run starts.
+/// Start of a run.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Begin<'a> {
-    /// Where the scene does, or its member.
+    /// The start of the scene, or of its member.
     Scene,
-    /// Somewhere else.
+    /// Another state.
     State(&'a Point),
-    /// A rounding away from the scene's start, whose energy a method in a time of its own takes for that of the motion.
+    /// A rounding away from the scene's start, whose energy an adaptive method takes for that of
+    /// the motion.
     Near(&'a Point),
 }
 
@@ -103,7 +105,8 @@ impl<M> Clone for Probe<'_, M> {
 impl<M> Copy for Probe<'_, M> {}
 
 impl<'a, M> Probe<'a, M> {
-    /// From the start of the scene to the end, whatever the energy does, with a sample at either.
+    /// Returns a run from the start of the scene to the end, whatever the energy does, with a
+    /// sample at either.
     pub(crate) fn of(method: &'a M, step_s: f64, steps: u64) -> Self {
         Self {
             method,
@@ -117,7 +120,7 @@ impl<'a, M> Probe<'a, M> {
         }
     }
 
-    /// The same run of another method.
+    /// Returns the same run of another method.
     pub(crate) fn with<'b, P>(self, method: &'b P) -> Probe<'b, P>
     where
         'a: 'b,
@@ -127,7 +130,7 @@ impl<'a, M> Probe<'a, M> {
     }
 }
 
-/// How a run of a study ended.
+/// End of a run of a study.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum End {
     Completed,
@@ -137,7 +140,7 @@ pub(crate) enum End {
     Failed(Failure),
 }
 
-/// What a run of a study was like.
+/// Results of a run of a study.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
     pub(crate) end: End,
@@ -152,10 +155,10 @@ pub(crate) struct Measured {
     pub(crate) force_evaluations: u64,
     /// Sweeps, those of Newton's method and of a step that failed included.
     pub(crate) sweeps: u64,
-    /// Of the exact free body, beyond the first of each of its motions.
+    /// Number of pieces of the exact free body, beyond the first of each of its motions.
     pub(crate) passes: u64,
     pub(crate) pieces: u64,
-    /// What it costs by the plan's figures.
+    /// Cost by the plan's figures.
     pub(crate) cost_ns: f64,
     /// Largest size of the body angular velocity at a sample, rad/s.
     pub(crate) fastest_rad_s: f64,
@@ -191,7 +194,7 @@ impl Measured {
     }
 }
 
-/// The plan of a scene with another method and step.
+/// Returns the plan of a scene with another method and step.
 pub(crate) fn variant(
     scene: &Scenario,
     method: &Method,
@@ -199,7 +202,7 @@ pub(crate) fn variant(
     steps: u64,
 ) -> Result<Plan, ScenarioError> {
     let mut scenario = scene.clone();
-    // Another method has steps of one length, or own steps of the study's.
+    // Another method has steps of one length, or adaptive steps of the study's.
     if *method != scene.method {
         scenario.step = match (&scene.step, method.name) {
             (Some(Steps::Adaptive(adaptive)), MethodName::VpdAdaptive) => {
@@ -217,10 +220,10 @@ pub(crate) fn variant(
     Plan::new(&scenario)
 }
 
-/// The runs that this process has made to measure them.
+/// Number of runs that this process has made to measure them.
 static RUNS: AtomicU64 = AtomicU64::new(0);
 
-/// The runs made so far to choose a method, to estimate, or for a study.
+/// Returns the number of runs made so far to choose a method, to estimate, or for a study.
 #[cfg(feature = "serve")]
 pub(crate) fn runs() -> u64 {
     RUNS.load(Ordering::Relaxed)
@@ -389,8 +392,8 @@ fn size<const N: usize>(x: &Mat<N>) -> f64 {
     so::inner(x, x).sqrt()
 }
 
-/// A first guess of how fast a scene moves, in rad/s: the larger of its velocity at the start and the root
-/// of its acceleration there.
+/// Returns a first guess of how fast a scene moves, in rad/s: the larger of its velocity at the
+/// start and the root of its acceleration there.
 pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
     struct Rate;
     impl Task for Rate {
@@ -404,7 +407,7 @@ pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
     Ok(assembled(&plan, Rate))
 }
 
-/// The same at a state.
+/// Returns the same at a state.
 pub(crate) fn rate_at<const N: usize>(body: &RigidBody<N>, state: &State<N>) -> f64 {
     let mut seen = Vec::new();
     body.seen_from(&state.attitude, &mut seen);
@@ -413,7 +416,8 @@ pub(crate) fn rate_at<const N: usize>(body: &RigidBody<N>, state: &State<N>) -> 
     size(&omega).max(size(&body.velocity(&rate)).sqrt())
 }
 
-/// What the steps of a scenario take and do, without a log: for the bench that makes the table of costs.
+/// Work and time of the steps of a scenario, without a log: for the bench that makes the table of
+/// costs.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
     /// Nanoseconds of a step, the least of some turns.
@@ -446,8 +450,9 @@ pub fn effort(scenario: &Scenario) -> Result<Effort, ScenarioError> {
     })
 }
 
-/// Nanoseconds a step takes, each the least over `repeats` turns in which all runs take part one after
-/// the other, so that what disturbs the machine disturbs all alike. Stops early if cancelled.
+/// Returns the nanoseconds that a step takes, each the least over `repeats` turns in which all runs
+/// take part one after the other, so that a disturbance of the machine affects all alike. Stops
+/// early if cancelled.
 pub(crate) fn time(
     scene: &Scenario,
     runs: &[(&Entry, f64, u64)],
@@ -467,14 +472,15 @@ pub(crate) fn time(
     Ok(least)
 }
 
-/// Nanoseconds that one of the first steps of a member's run takes on this machine: the least of some turns, until three agree or
-/// enough time has gone by; `None` if a step fails.
+/// Returns the nanoseconds that one of the first steps of a member's run takes on this machine: the
+/// least of some turns, until three agree or enough time has gone by; `None` if a step fails.
 pub(crate) fn time_of_step(plan: &Plan, steps: u64, member: u64) -> Option<f64> {
     const MOST_TURNS: usize = 12;
     const AGREEING: usize = 3;
-    /// What two turns differ by that nothing disturbed.
+    /// Largest ratio of two turns that nothing disturbed.
     const NEAR: f64 = 1.1;
-    /// Enough, in nanoseconds: a few times what others keep a core for, so that a turn that was interrupted is not the only one.
+    /// Enough time, in nanoseconds: a few times as long as others keep a core, so that a turn that
+    /// was interrupted is not the only one.
     const ENOUGH_NS: u128 = 20_000_000;
     let begun = Instant::now();
     let (mut least, mut agreeing) = (f64::INFINITY, 0);
@@ -515,7 +521,7 @@ impl Task for Timing<'_> {
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
         let Assembly { body, mut stepper, initial, .. } = assembly;
-        // Long enough for the clock.
+        // This is long enough for the clock.
         const LEAST_NS: u128 = 100_000;
         let initial = match self.ensemble {
             Some(ensemble) => spread::start(&initial, ensemble, self.member),

@@ -1,7 +1,7 @@
 //! Work and precision, and the map of stability, of a user-defined system: steppers, one table.
 //!
-//! What it does not do: gradients are not counted (their column is 0), and there is no search for an accuracy; for these a
-//! scene is needed, of which the plan knows the cost.
+//! Gradients are not counted (their column is 0), and there is no search for an accuracy; both need
+//! a scene, of which the plan knows the cost.
 //!
 //! Invariant: all figures but the times repeat to the bit.
 
@@ -29,7 +29,7 @@ pub struct Candidate<'a, const N: usize, Y: ?Sized> {
     pub stepper: &'a dyn Fn() -> Box<dyn Stepper<N, Y>>,
 }
 
-/// A system, where it starts, and how it is studied.
+/// A system, its start, and the options of its study.
 pub struct Question<'a, const N: usize, Y: ?Sized> {
     /// The system.
     pub system: &'a Y,
@@ -39,26 +39,27 @@ pub struct Question<'a, const N: usize, Y: ?Sized> {
     pub time_s: f64,
     /// Steps of the first run of each candidate, at least 1: it should turn by about a radian in one.
     pub first_steps: u64,
-    /// How often the step is halved at most.
+    /// Largest number of times that the step is halved.
     pub halvings: u32,
 }
 
-/// What was measured.
+/// Results of the measurements.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OwnPrecision {
     /// The state at the end, to `error`.
     pub reference: Point,
-    /// How far two solutions of the reference's family, or its last and the nearest of the other, are apart: the larger.
+    /// Distance of two solutions of the reference's family, or of its last and the nearest of the
+    /// other: the larger.
     pub error: f64,
-    /// One row a run: each candidate with its steps from the largest down.
+    /// One row per run: each candidate with its steps from the largest down.
     pub table: Table,
 }
 
 /// Errors of a reference above this mean nothing.
 const USELESS: f64 = 1e-6;
-/// Solutions this near are the same.
+/// Distance at which two solutions count as the same.
 const AGREED: f64 = 1e-13;
-/// Turns in which times are measured.
+/// Number of turns in which times are measured.
 const REPEATS: u32 = 3;
 
 /// Runs each candidate with a step that is halved, and measures errors against a reference: the first of `families`,
@@ -100,8 +101,9 @@ pub fn precision<const N: usize, Y: System<N> + ?Sized>(
     Ok(OwnPrecision { reference, error, table })
 }
 
-/// Where each candidate fails on the system, as [`stability`](super::stability::stability) does it for scenes: a sweep of
-/// the step, and the border of what is usable. Steps are held against those of `exact`, best of order 16.
+/// Finds where each candidate fails on the system, as [`stability`](super::stability::stability)
+/// does it for scenes: a sweep of the step, and the border of what is usable. Steps are compared
+/// with those of `exact`, best of order 16.
 ///
 /// The body turns by as much as [`System::observed_velocity`] says, or by a radian in each of the question's first steps.
 ///
@@ -122,17 +124,17 @@ pub fn stability<const N: usize, Y: System<N> + ?Sized>(
     Ok(mapper.map(steps_s, methods))
 }
 
-/// How fast a system moves, and a step in which `exact` keeps its energy.
+/// Returns how fast a system moves, and a step in which `exact` keeps its energy.
 fn scales<const N: usize, Y: System<N> + ?Sized>(
     question: &Question<'_, N, Y>,
     exact: &Candidate<'_, N, Y>,
     watch: &Watch,
 ) -> Result<Scales, StudyError> {
-    /// Of the energy that moves, what an easy step may lose.
+    /// Largest loss in an easy step, relative to the energy that moves.
     const KEPT: f64 = 1e-6;
     let Question { time_s, first_steps, halvings, .. } = *question;
     let first_steps = first_steps.max(1);
-    // Of an energy in one part that part may be below zero.
+    // If the energy is all in one part, that part may be below zero.
     let State { attitude, momentum } = question.initial;
     let at_start = question.system.energy(attitude, momentum).kinetic.abs();
     for halving in 0..=halvings {
@@ -188,8 +190,8 @@ impl<'a, const N: usize, Y: System<N> + ?Sized> Runs for OfSystem<'a, N, Y> {
     }
 }
 
-/// The solution of a family and how far its last two are apart, or how near they come to another's. `None` if no two
-/// runs succeed.
+/// Returns the best solution of a family, with its distance to the one before or, if given, to
+/// `other`. `None` if no two runs succeed.
 fn solved<const N: usize, Y: System<N> + ?Sized>(
     question: &Question<'_, N, Y>,
     family: &Candidate<'_, N, Y>,

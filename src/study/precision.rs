@@ -8,23 +8,23 @@ use super::table::{Row, Table};
 use super::{Entry, Scales, StudyError, Watch, of_each, threads, usual_time};
 use crate::scenario::Scenario;
 
-/// What was measured of a scene.
+/// Results of the measurements on a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Precision {
     /// The state at the end of all runs.
     pub reference: Reference,
-    /// One row a run: each method with its steps from the largest down.
+    /// One row per run: each method with its steps from the largest down.
     pub table: Table,
     /// The rows of each method, in the order of the entries.
     pub lines: Vec<Range<usize>>,
 }
 
-/// Halvings of the step at most.
+/// Largest number of halvings of the step.
 const HALVINGS: u32 = 14;
-/// Turns in which the methods take part when their times are measured.
+/// Number of turns in which the methods take part when their times are measured.
 const REPEATS: u32 = 5;
 
-/// How the times of a study are measured, for their reader.
+/// Describes how the times of a study are measured, for its reader.
 pub fn timing() -> String {
     format!(
         "the least of {REPEATS} turns, in each of which all runs are made, one at a time on one thread"
@@ -107,8 +107,9 @@ pub(super) fn on_threads(
 }
 
 impl Precision {
-    /// The order that the errors of a method show: the slope of a line through the logarithms of those that
-    /// are small enough for it and above round-off; `None` with fewer than three.
+    /// Returns the order that the errors of a method show: the slope of a line through the
+    /// logarithms of those that are small enough for it and above round-off; `None` with fewer than
+    /// three.
     pub fn measured_order(&self, line: usize) -> Option<f64> {
         let above = 100.0 * self.reference.error.max(1e-15);
         let points: Vec<(f64, f64)> = self.table.rows[self.lines[line].clone()]

@@ -1,15 +1,17 @@
 //! The reference solution of any scene, computed by the program.
 //!
-//! For n = 3 VPD with Gauss 8 stages (order 16), its step halved until two solutions agree; then Gauss with 6
-//! stages in quaternions, which has other variables, another discretisation and another round-off, must meet it. For other n the first
-//! is Dormand and Prince's eighth order, projected, whose steps cost a twentieth there, and VPD must meet it.
+//! For n = 3 VPD with Gauss 8 stages (order 16), its step halved until two solutions agree; then
+//! Gauss with 6 stages in quaternions, which has other variables, another discretisation and
+//! another round-off, must agree with it. For other n the first is Dormand and Prince's eighth
+//! order, projected, whose steps cost a twentieth there, and VPD must agree with it.
 //!
 //! Where errors grow with time no step brings two solutions closer than round-off has grown: that distance is
-//! then the error of the reference, and nothing below it can be measured. How it grew shows whether the motion is chaotic.
-//! There two solutions may be near each other by luck; so others, from starts moved a little in orthogonal directions, show what
-//! the roundings of the start grow to.
+//! then the error of the reference, and nothing below it can be measured. Its growth shows whether
+//! the motion is chaotic. In that case two solutions may be near each other by luck; so others,
+//! from starts moved a little in orthogonal directions, show how far the roundings of the start
+//! grow.
 //!
-//! Invariant: a [`Reference`] is met by two families of methods to within its stated error.
+//! Invariant: two families of methods agree with a [`Reference`] to within its stated error.
 
 use std::fmt;
 
@@ -21,7 +23,7 @@ use super::{Scales, StudyError, Watch, with_tableau};
 use crate::method::Integrator;
 use crate::scenario::{Method, Scenario, TableauName};
 
-/// Why a scene has no reference at a time.
+/// Reason why a scene has no reference at a time.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ReferenceError {
     /// No step was small enough.
@@ -45,30 +47,30 @@ pub enum ReferenceError {
     Chaotic {
         /// The time.
         time_s: f64,
-        /// By how much they differ.
+        /// Difference of the solutions.
         difference: f64,
         /// The error they had to show.
         asked: f64,
-        /// Until when they know it.
+        /// Time until which they know it.
         until_s: f64,
-        /// How it came.
+        /// Growth of the difference.
         growth: Growth,
     },
-    /// The two families do not meet.
+    /// The two families do not agree.
     #[error(
         "the reference is in doubt: two families of methods differ by {difference:.1e} at t = {time_s} s, {allowed:.1e} is allowed"
     )]
     Disagree {
         /// The time.
         time_s: f64,
-        /// By how much they differ.
+        /// Difference of the families.
         difference: f64,
-        /// By how much they may.
+        /// Difference allowed.
         allowed: f64,
     },
 }
 
-/// How the distance of two solutions grows that differ by round-off.
+/// Growth of the distance of two solutions that differ by round-off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Growth {
     /// Tenfold every this many seconds.
@@ -99,53 +101,54 @@ impl fmt::Display for Growth {
 pub struct Reference {
     /// The time in seconds.
     pub time_s: f64,
-    /// The state at each quarter of the time, of a long one at each sixty-fourth, the start first.
+    /// The state at each quarter of the time, for a long one at each sixty-fourth, the start first.
     pub points: Vec<Point>,
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
     pub momentum_scale: f64,
-    /// How far the last two solutions of the first family are apart, or a hundredth of how far the second is if that is
-    /// more; no error below it can be measured.
+    /// Distance of the last two solutions of the first family, or a hundredth of that of the second
+    /// if that is more; no error below it can be measured.
     pub error: f64,
-    /// How far the second family is from the first.
+    /// Distance of the second family from the first.
     pub cross_check: f64,
     /// Steps of the solution that was taken.
     pub steps: u64,
-    /// How far the two were apart at most until each of the points.
+    /// Largest distance of the two until each of the points.
     pub apart: Vec<f64>,
     /// The method of the solution.
     method: Method,
 }
 
-/// Solutions are compared at this many times; their steps come in multiples of it.
+/// Number of times at which solutions are compared; their steps come in multiples of it.
 pub(crate) const QUARTERS: u64 = 4;
-/// Those of a reference of at least [`LONG_STEPS`] are compared at this many.
+/// The same number for a reference of at least [`LONG_STEPS`].
 const SIXTY_FOURTHS: u64 = 64;
 const LONG_STEPS: u64 = 512;
-/// What a rough family misses by less than this is tried with the other.
+/// Factor by which a rough family may miss the accuracy for the other to be tried.
 const ROUGH: f64 = 1e3;
 /// Distances of two solutions between these show how errors grow: above noise, below the size of the motion.
 const GROWTH_SEEN: std::ops::Range<f64> = 1e-13..1e-2;
-/// Distances that grew by less than this are no exponential.
+/// Least growth of distances that counts as exponential.
 const LEAST_GROWTH: f64 = 1e3;
-/// No power of time grows faster: what does is an exponential seen at few points.
+/// Largest power of time: faster growth is an exponential seen at few points.
 const STEEPEST: f64 = 6.0;
-/// Steps of the first solution at most.
+/// Largest number of steps of the first solution.
 pub(crate) const MOST_STEPS: f64 = 20_000.0;
-/// Two solutions that agree to this are taken.
+/// Distance to which two solutions have to agree.
 const AGREED: f64 = 1e-13;
 /// A reference worse than this is of no use.
 const USELESS: f64 = 1e-6;
-/// By how much of the momentum a start is moved: a thousand roundings, so that those of the run do not matter.
+/// Distance by which a start is moved, relative to the momentum: a thousand roundings, so that
+/// those of the run do not matter.
 const MOVED: f64 = 1e-13;
-/// Two solutions that are nearer to each other than this part of what is asked are not so by luck.
+/// Part of the requested error within which two solutions do not agree by luck.
 const NO_LUCK: f64 = 1e-4;
 /// The rounding of a number, in which a start and the body are off in each direction.
 const ROUNDED: f64 = 0.5 * f64::EPSILON;
-/// And in a time of its own, where `H - H0` is what a few roundings leave of it.
+/// The same for adaptive steps, where `H - H0` is what a few roundings leave of it.
 const ROUNDED_ENERGY: f64 = 10.0 * ROUNDED;
-/// Directions in which a start is moved.
+/// Number of directions in which a start is moved.
 const MOST_DIRECTIONS: usize = 3;
-/// What the first of them makes less of than this part of what is asked, the others make little of.
+/// If the first of them shows less than this part of the requested error, the others show little.
 const FAR_FROM_IT: f64 = 1e-2;
 /// Growth by less may be that of a power of time: of as many radians as a reference may have.
 const CARRIED_OFF: f64 = 1e6;
@@ -154,7 +157,7 @@ const CARRIED_OFF: f64 = 1e6;
 const OTHER_ROUND_OFF: f64 = 100.0;
 
 impl Reference {
-    /// The reference of a scene at `time_s`.
+    /// Returns the reference of a scene at `time_s`.
     ///
     /// # Errors
     /// If there is none, or it is in doubt.
@@ -167,10 +170,10 @@ impl Reference {
         Self::known_to(scene, time_s, USELESS, scales, watch)
     }
 
-    /// The same, where an error of `asked` will do.
+    /// Returns the reference of a scene where an error of `asked` is enough.
     ///
     /// # Errors
-    /// Those of [`Self::at`].
+    /// The errors of [`Self::at`].
     pub(crate) fn known_to(
         scene: &Scenario,
         time_s: f64,
@@ -181,10 +184,10 @@ impl Reference {
         Self::of(scene, 0, time_s, asked, scales, watch)
     }
 
-    /// The same for a member of the scene's ensemble.
+    /// Returns the reference of a member of the scene's ensemble.
     ///
     /// # Errors
-    /// Those of [`Self::at`].
+    /// The errors of [`Self::at`].
     pub(crate) fn of(
         scene: &Scenario,
         member: u64,
@@ -194,7 +197,7 @@ impl Reference {
         watch: &Watch,
     ) -> Result<Self, StudyError> {
         let most_s = MOST_STEPS * scales.easy_step_s;
-        // The last digit of a quotient is no step too many.
+        // The last digit of a quotient must not add a step.
         if time_s > most_s * (1.0 + 1e-12) {
             return Err(ReferenceError::TooFar { time_s, most_s }.into());
         }
@@ -210,7 +213,7 @@ impl Reference {
         let [first, second] = if scales.adapts { adaptive_families() } else { families(scene) };
         let mut reference = solve([first.clone(), second.clone()])?;
         reference.round_start(scene, member, asked, watch)?;
-        // What families with more round-off do not show others may.
+        // A family with less round-off may show what this one does not.
         if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
             let others = if scales.adapts { in_short_steps(scene) } else { [second, first] };
             match solve(others) {
@@ -230,7 +233,8 @@ impl Reference {
         Ok(reference)
     }
 
-    /// The solution of one family to round-off, or until it knows an error of `asked` no better.
+    /// Returns the solution of one family to round-off, or until it knows an error of `asked` no
+    /// better.
     fn solved(
         scene: &Scenario,
         member: u64,
@@ -255,8 +259,9 @@ impl Reference {
                         || reference.until(asked) > by * than.until(asked)
                 };
                 let better = best.as_ref().is_none_or(|best| further(best, 1.0));
-                // Order 16 gains 65536 a halving; what gains less than 4 is round-off. Where round-off has grown past what
-                // is asked, the time counts until which it has not.
+                // Order 16 gains 65536 a halving; a gain of less than 4 is round-off. Where
+                // round-off has grown past the requested error, the time counts until which it has
+                // not.
                 let fell = best.as_ref().is_none_or(|best| further(best, std::f64::consts::SQRT_2));
                 if better {
                     best = Some(reference);
@@ -272,7 +277,7 @@ impl Reference {
         Ok(best.ok_or(ReferenceError::NoStep { time_s })?)
     }
 
-    /// What is said of a reference that does not know an error of `asked`.
+    /// Returns the error of a reference that does not know an error of `asked`.
     pub(crate) fn chaotic(&self, asked: f64) -> ReferenceError {
         ReferenceError::Chaotic {
             time_s: self.time_s,
@@ -283,8 +288,8 @@ impl Reference {
         }
     }
 
-    /// The same solution from the start of a member of the scene's ensemble, held against one in half the steps; `None` if
-    /// one of them fails.
+    /// Returns the same solution from the start of a member of the scene's ensemble, compared with
+    /// one of halved steps; `None` if one of them fails.
     pub(crate) fn of_member(
         &self,
         scene: &Scenario,
@@ -304,7 +309,8 @@ impl Reference {
         Ok(Some(reference))
     }
 
-    /// Where errors grow exponentially, takes what the roundings of the start grow to as the error, if it is larger.
+    /// Where errors grow exponentially, takes the grown roundings of the start as the error, if
+    /// they are larger.
     ///
     /// ```text
     /// error(t) = rounding (sum_i |dz_i(t)|^2 / |dz_i(0)|^2)^(1/2),      dz_i from starts moved in orthogonal directions
@@ -347,7 +353,7 @@ impl Reference {
                 break;
             }
         }
-        // Of more dimensions these are a part.
+        // In more dimensions these are a part.
         let n = self.points[0].attitude.nrows();
         let all = if directions.len() == MOST_DIRECTIONS { n * (n - 1) / 2 } else { 1 };
         let parts = (all as f64 / directions.len() as f64).max(1.0);
@@ -368,10 +374,10 @@ impl Reference {
         Ok(())
     }
 
-    /// Orthogonal directions of a momentum, three at most: those of the momenta met, so that a motion which stays in a plane
-    /// has one.
+    /// Returns orthogonal directions of a momentum, three at most: those of the momenta met, so
+    /// that a motion which stays in a plane has one.
     fn directions(&self) -> Vec<DMatrix<f64>> {
-        /// A direction that is less than this part of a momentum is one of those before.
+        /// A direction that is less than this part of a momentum is one of the earlier ones.
         const NEW: f64 = 0.1;
         let mut found: Vec<DMatrix<f64>> = Vec::new();
         for Point { momentum, .. } in &self.points[1..] {
@@ -387,7 +393,8 @@ impl Reference {
         found
     }
 
-    /// The start with its momentum moved along a direction, and with its attitude turned about it.
+    /// Returns the start with its momentum moved along a direction, and with its attitude turned
+    /// about it.
     fn moved_starts(&self, along: &DMatrix<f64>) -> [Point; 2] {
         let Point { attitude, momentum } = &self.points[0];
         [
@@ -399,7 +406,7 @@ impl Reference {
         ]
     }
 
-    /// A run, as well as another shows it.
+    /// Returns the reference of a run, as accurate as another run shows it to be.
     pub(crate) fn of_runs(time_s: f64, method: &Method, run: &Measured, other: &[Point]) -> Self {
         let mut reference = Self::from_run(time_s, method, run);
         reference.compare(other);
@@ -430,7 +437,7 @@ impl Reference {
         self.error = most;
     }
 
-    /// The time until which the two solutions differ by no more than `error`.
+    /// Returns the time until which the two solutions differ by no more than `error`.
     pub(crate) fn until(&self, error: f64) -> f64 {
         let interval_s = self.time_s / (self.apart.len() - 1) as f64;
         let Some(past) = self.apart.iter().position(|&apart| apart > error) else {
@@ -443,8 +450,8 @@ impl Reference {
         (before as f64 + part) * interval_s
     }
 
-    /// How the two solutions came apart: `log d` is fitted as a line of t and as a line of log t, and the better is taken
-    /// unless its power is none.
+    /// Returns how the two solutions came apart: `log d` is fitted as a line of t and as a line of
+    /// log t, and the better is taken unless its power is none.
     pub(crate) fn growth(&self) -> Growth {
         let interval_s = self.time_s / (self.apart.len() - 1) as f64;
         let seen: Vec<(f64, f64)> = self
@@ -457,7 +464,8 @@ impl Reference {
             .collect();
         let (first, last) = match (seen.first(), seen.last()) {
             (Some(first), Some(last)) if seen.len() > 2 => (first, last),
-            // Between two points, or at once: from the round-off of the start to where it is past all measure.
+            // It grew between two points, or at once: from the round-off of the start to where it
+            // is past all measure.
             _ if self.error > GROWTH_SEEN.end => {
                 let decades = libm::log10(GROWTH_SEEN.end / f64::EPSILON);
                 return Growth::Exponential { tenfold_s: self.until(GROWTH_SEEN.end) / decades };
@@ -475,7 +483,8 @@ impl Reference {
         }
     }
 
-    /// Lets the second family meet the first: within a hundred errors, or else as nearly as its own solutions meet.
+    /// Lets the second family approach the first: within a hundred errors, or else as nearly as its
+    /// own solutions agree.
     fn check(
         &mut self,
         scene: &Scenario,
@@ -489,7 +498,7 @@ impl Reference {
         let least = (family.easy_steps * easy / points as f64).ceil().max(1.0) as u64;
         let (second, steps) = (family.method.clone(), points * least);
         let near = (OTHER_ROUND_OFF * self.error).max(10.0 * AGREED);
-        // How near its solutions come to the first, and the last two to each other.
+        // Distance of its solutions from the first, and of the last two from each other.
         let (mut difference, mut own) = (f64::INFINITY, 0.0_f64);
         let mut before: Option<Self> = None;
         for halvings in 0..4 {
@@ -509,7 +518,8 @@ impl Reference {
             self.cross_check = difference;
             return Ok(());
         }
-        // Solutions that meet each other no better than the first: round-off has grown here, too.
+        // If its solutions agree no better with each other than with the first, round-off has grown
+        // here, too.
         if let Some(scattered) = before.filter(|_| own > 0.1 * difference) {
             self.compare(&scattered.points);
             return Err(self.chaotic(asked).into());
@@ -518,13 +528,13 @@ impl Reference {
         Err(ReferenceError::Disagree { time_s: self.time_s, difference, allowed }.into())
     }
 
-    /// The error of a state: that of the attitude (for n = 3 the spectral norm) plus that of the body
-    /// momentum in parts of its largest size.
+    /// Returns the error of a state: that of the attitude (for n = 3 the spectral norm) plus that
+    /// of the body momentum in parts of its largest size.
     pub fn distance(&self, point: &Point) -> f64 {
         self.apart_from(self.end(), point)
     }
 
-    /// The error of a state at a quarter of the time.
+    /// Returns the error of a state at a quarter of the time.
     pub(crate) fn distance_at(&self, quarter: usize, point: &Point) -> f64 {
         let parts = (self.points.len() - 1) / QUARTERS as usize;
         self.apart_from(&self.points[parts * quarter], point)
@@ -535,29 +545,29 @@ impl Reference {
         own.attitude_distance(point) + own.momentum_distance(point) / scale
     }
 
-    /// The state at the end.
+    /// Returns the state at the end.
     pub fn end(&self) -> &Point {
         &self.points[self.points.len() - 1]
     }
 
-    /// The largest error at any of the points.
+    /// Returns the largest error at any of the points.
     fn worst(&self, points: &[Point]) -> f64 {
         let errors = self.points.iter().zip(points).map(|(own, point)| self.apart_from(own, point));
         errors.fold(0.0, f64::max)
     }
 }
 
-/// A method whose solutions are held against those of another.
+/// A method whose solutions are compared with those of another.
 #[derive(Clone)]
 struct Family {
     method: Method,
-    /// Its steps at first, for each easy one.
+    /// Its number of steps at first, for each easy one.
     easy_steps: f64,
-    /// Has it much round-off of its own?
+    /// Whether it has much round-off of its own.
     is_rough: bool,
 }
 
-/// The two families of a scene, the one to solve with first.
+/// Returns the two families of a scene, the one to solve with first.
 fn families(scene: &Scenario) -> [Family; 2] {
     let family = |method, easy_steps| Family { method, easy_steps, is_rough: false };
     let vpd = family(with_tableau(Integrator::Vpd, TableauName::Gauss8), 1.0);
@@ -569,8 +579,9 @@ fn families(scene: &Scenario) -> [Family; 2] {
     }
 }
 
-/// Of a scene that passes a point source closely two tableaux in steps that adapt, for steps of one length may be of no use
-/// there. Near the source a rounding of the energy weighs more in their time than in that of the body.
+/// Returns, for a scene that passes a point source closely, two tableaux in adaptive steps, because
+/// steps of one length may be of no use there. Near the source a rounding of the energy weighs more
+/// in their time than in that of the body.
 fn adaptive_families() -> [Family; 2] {
     let family = |tableau, easy_steps| Family {
         method: with_tableau(Integrator::VpdAdaptive, tableau),
@@ -580,14 +591,14 @@ fn adaptive_families() -> [Family; 2] {
     [family(TableauName::Gauss8, 1.0), family(TableauName::Gauss6, 1.5)]
 }
 
-/// The same scene in steps of one length, as short as a passage wants them.
+/// Returns the families in steps of one length, as short as a passage needs them.
 fn in_short_steps(scene: &Scenario) -> [Family; 2] {
-    /// Of those that do far from a source.
+    /// Factor by which these steps are shorter than far from a source.
     const SHORT: f64 = 4.0;
     families(scene).map(|family| Family { easy_steps: SHORT * family.easy_steps, ..family })
 }
 
-/// The slope of the line of least squares, and the sum of the squares that it leaves.
+/// Returns the slope of the line of least squares, and the sum of the squares that it leaves.
 fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let count = points.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
@@ -598,7 +609,7 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
     (slope, points.iter().map(|p| missed(p) * missed(p)).sum())
 }
 
-/// Where a solution begins.
+/// Start of a solution.
 #[derive(Clone, Copy)]
 struct Start<'a> {
     /// The member of the scene's ensemble.
@@ -606,7 +617,8 @@ struct Start<'a> {
     begin: Begin<'a>,
 }
 
-/// The end of a run in `steps` steps, with the states at `points` points on its way; `None` if it fails.
+/// Returns the end of a run in `steps` steps, with the states at `points` points on its way; `None`
+/// if it fails.
 fn solution(
     scene: &Scenario,
     Start { member, begin }: Start<'_>,

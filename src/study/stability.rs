@@ -1,4 +1,4 @@
-//! Where each method fails: a sweep of the step, and the border of what is usable.
+//! Maps where each method fails: a sweep of the step, and the border of what is usable.
 //!
 //! Invariant: a cell has exactly one class, the first that fits in the order of [`Class`] from the bottom up.
 
@@ -13,7 +13,7 @@ use crate::method::Integrator;
 use crate::scenario::{Scenario, TableauName};
 use crate::solve::failure::FailureCode;
 
-/// What became of a method at a step.
+/// Outcome of a method at a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Class {
     /// Bounded energy error, on the group, on the right branch.
@@ -31,7 +31,7 @@ pub enum Class {
 }
 
 impl Class {
-    /// The class in tables.
+    /// Returns the class in tables.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Stable => "stable",
@@ -43,7 +43,8 @@ impl Class {
         }
     }
 
-    /// Does a run of this class mean something? One whose energy drifts does, for a while.
+    /// Returns whether a run of this class means something. One whose energy drifts does, for a
+    /// while.
     pub fn is_usable(self) -> bool {
         matches!(self, Self::Stable | Self::EnergyDrifts)
     }
@@ -52,16 +53,17 @@ impl Class {
 /// A method at a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cell {
-    /// What became of it.
+    /// Outcome of the method.
     pub class: Class,
     /// The figures.
     pub row: Row,
-    /// By how much the strongest swing of the motion goes on in a step, rad: see `swing_rad`.
+    /// Angle by which the strongest swing of the motion goes on in a step, rad: see `swing_rad`.
     pub swing_rad: Option<f64>,
 }
 
-/// Steps in which a scheme loses its hold on the energy, though smaller and larger ones keep it: the swing of the motion
-/// and the steps meet again after a few of them, and what each step does wrong adds up.
+/// Steps in which a scheme loses its hold on the energy, though smaller and larger ones keep it:
+/// the swing of the motion and the steps meet again after a few of them, and the errors of the
+/// steps add up.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Resonance {
     /// Number of steps in one swing.
@@ -72,7 +74,7 @@ pub struct Resonance {
     pub worst_step_s: f64,
     /// The largest |H - H0| there, J.
     pub energy_error: f64,
-    /// What it would be there, by the steps on either side.
+    /// The energy error expected there, by the steps on either side.
     pub usual_energy_error: f64,
 }
 
@@ -83,11 +85,11 @@ pub struct Border {
     pub label: String,
     /// Largest usable step in seconds, to 5 %; absent if no step of the sweep is.
     pub usable_step_s: Option<f64>,
-    /// By how much the body turns in it where it is fastest, rad.
+    /// Angle by which the body turns in it where it is fastest, rad.
     pub turn_rad: Option<f64>,
     /// Smallest step beyond it that was tried, in seconds; absent if the whole sweep is usable.
     pub broken_step_s: Option<f64>,
-    /// What happens there.
+    /// Outcome at that step.
     pub broken: Option<&'static str>,
     /// Windows below the largest usable step in which the energy is lost.
     pub resonances: Vec<Resonance>,
@@ -98,9 +100,9 @@ pub struct Border {
 pub struct Map {
     /// The steps of the sweep in seconds, rising.
     pub steps_s: Vec<f64>,
-    /// Of each method, in the order of the entries, a cell for each step.
+    /// A cell for each step, for each method in the order of the entries.
     pub cells: Vec<Vec<Cell>>,
-    /// Of each method its border.
+    /// The border of each method.
     pub borders: Vec<Border>,
     /// The energy that moves, J: errors of the energy are seen in parts of it.
     pub energy_scale: f64,
@@ -108,39 +110,43 @@ pub struct Map {
     pub fastest_rad_s: f64,
 }
 
-/// Steps of the sweep.
+/// Number of steps of the sweep.
 const SWEEP: usize = 24;
 /// Angle by which the body turns in the smallest and the largest step of the sweep where it is fastest.
 const TURNS_RAD: (f64, f64) = (0.03, 6.0);
-/// Steps of each run: long enough for an instability to show, and a drift.
+/// Number of steps of each run: long enough for an instability to show, and a drift.
 const RUN_STEPS: u64 = 4000;
-/// A drift is one that goes on in a run this many times as long. What only swings slower than a run comes back.
+/// A drift is one that goes on in a run this many times as long. A swing slower than a run comes
+/// back.
 const LONGER: u64 = 4;
-/// By at least this factor: by [`LONGER`] if it is steady; on the dipole by 1.9 to 5, and by 1.2 at most where it swings.
+/// Least factor by which it goes on: [`LONGER`] if it is steady; on the dipole 1.9 to 5, and 1.2 at
+/// most where it swings.
 const GOES_ON: f64 = 1.5;
-/// Steps of each run that are held against where they should have ended, in addition to the one that begins fastest.
+/// Number of steps of each run that are compared with their exact ends, in addition to the one that
+/// begins fastest.
 const CHECKED_STEPS: usize = 8;
-/// The step beyond the border is at most this many times the largest usable one.
+/// Largest ratio of the step beyond the border to the largest usable one.
 const BORDER_RATIO: f64 = 1.05;
 /// An energy error beyond this part of the kinetic energy is no integration.
 const MEANINGLESS: f64 = 0.1;
 /// An attitude this far from orthogonal is no rotation.
 const OFF_GROUP: f64 = 1e-6;
-/// A step that ends further than this from where it should has gone to another branch: 60 degrees.
+/// A step that ends further than this from its exact end has gone to another branch: 60 degrees.
 const WRONG_BRANCH: f64 = 1.0;
 
-/// Steps to a swing of the resonances that are looked for. That of order m grows by the nonlinearity of degree m - 1 and is
-/// the weaker the larger m is; with two steps a swing the scheme is at its border.
+/// Numbers of steps to a swing of the resonances that are looked for. That of order m grows by the
+/// nonlinearity of degree m - 1 and is the weaker the larger m is; with two steps a swing the
+/// scheme is at its border.
 const STEPS_PER_SWING: [u32; 2] = [4, 3];
-/// A step is moved at most this many times until its swing is that of the resonance ...
+/// Largest number of times that a step is moved until its swing is that of the resonance ...
 const AIMS: u32 = 3;
 /// ... to this part.
 const AIMED: f64 = 2e-3;
-/// The steps about it that are tried; windows are some hundredths wide.
+/// Factors on the steps about it that are tried; windows are some hundredths wide.
 const ABOUT: [f64; 9] = [0.955, 0.97, 0.98, 0.99, 1.0, 1.01, 1.02, 1.03, 1.045];
 /// An energy error this many times that of the steps on either side is a resonance.
 const STANDS_OUT: f64 = 3.0;
-/// Samples from which the strongest swing is found.
+/// Number of samples from which the strongest swing is found.
 const SWING_SAMPLES: usize = 1024;
 
 /// Sweeps the step for each method and bisects the border of what is usable; methods on all cores.
@@ -165,7 +171,7 @@ pub(super) fn on_threads(
 }
 
 impl Map {
-    /// All cells as one table, the class as the outcome.
+    /// Returns all cells as one table, the class as the outcome.
     pub fn table(&self) -> Table {
         let row = |cell: &Cell| Row { outcome: cell.class.as_str().to_owned(), ..cell.row.clone() };
         Table { rows: self.cells.iter().flatten().map(row).collect() }
@@ -195,7 +201,7 @@ impl<'a> Judge<'a> {
         Ok(Self(Mapper { runs: OfScene { scene, exact }, scales }))
     }
 
-    /// A method at a step.
+    /// Returns the cell of a method at a step.
     ///
     /// # Errors
     /// If the scene cannot be planned with the method, or the study is cancelled.
@@ -204,7 +210,7 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// What is mapped: methods on a scene, or on a user-defined system.
+/// Subject of a map: methods on a scene, or on a user-defined system.
 pub(super) trait Runs {
     /// A method.
     type Method;
@@ -212,13 +218,13 @@ pub(super) trait Runs {
     /// Makes a run.
     fn run(&self, probe: Probe<'_, Self::Method>, watch: &Watch) -> Result<Measured, StudyError>;
 
-    /// The method that is held for exact in steps that are known to work.
+    /// Returns the method that is taken as exact in steps that are known to work.
     fn exact(&self) -> &Self::Method;
 
-    /// A method's name, for the map.
+    /// Returns a method's name, for the map.
     fn label(&self, method: &Self::Method) -> String;
 
-    /// The figures of a run.
+    /// Returns the figures of a run.
     fn row(&self, method: &Self::Method, step_s: f64, run: &Measured) -> Row;
 }
 
@@ -262,7 +268,7 @@ impl<R: Runs> Mapper<R> {
         Map { steps_s, cells, borders, energy_scale, fastest_rad_s }
     }
 
-    /// The cells of a method, and its border.
+    /// Returns the cells of a method, and its border.
     pub(super) fn along(
         &self,
         method: &R::Method,
@@ -291,7 +297,7 @@ impl<R: Runs> Mapper<R> {
         Ok((cells, border))
     }
 
-    /// The steps of the sweep in seconds, rising.
+    /// Returns the steps of the sweep in seconds, rising.
     pub(super) fn sweep(&self) -> Vec<f64> {
         let (low, high) = TURNS_RAD;
         let ratio = libm::pow(high / low, 1.0 / (SWEEP - 1) as f64);
@@ -331,17 +337,18 @@ impl<R: Runs> Mapper<R> {
         Ok(if drifts { Class::EnergyDrifts } else { Class::Stable })
     }
 
-    /// Has the energy error a trend beyond chance over a run?
+    /// Returns whether the energy error has a trend beyond chance over a run.
     fn drifts(&self, run: &Measured) -> bool {
         let errors: Vec<f64> = run.series.iter().map(|&(_, energy, _)| energy).collect();
         let (change, chance) = trend(&errors);
-        // The same way from quarter to quarter: a swing slower than the run has a trend too, but turns.
+        // The trend goes the same way from quarter to quarter: a swing slower than the run has one
+        // too, but turns.
         let quarter = errors.len() / 4;
         let mean = |k: usize| {
             errors[k * quarter..(k + 1) * quarter].iter().sum::<f64>() / quarter.max(1) as f64
         };
         let onwards = (0..3).all(|k| (mean(k + 1) - mean(k)) / change > 0.08);
-        // Beyond chance, beyond the amplitude of what only swings, and beyond round-off.
+        // The trend is beyond chance, beyond the amplitude of a mere swing, and beyond round-off.
         let largest = run.energy_error();
         onwards
             && change.abs() > 5.0 * chance
@@ -349,7 +356,7 @@ impl<R: Runs> Mapper<R> {
             && largest > 1e-12 * self.scales.kinetic
     }
 
-    /// Does the trend of a run go on in a longer one?
+    /// Returns whether the trend of a run goes on in a longer one.
     fn drifts_on(
         &self,
         probe: Probe<'_, R::Method>,
@@ -366,10 +373,11 @@ impl<R: Runs> Mapper<R> {
         Ok(!longer.completed() || self.drifts(&longer) && late(&longer) / late(run) > GOES_ON)
     }
 
-    /// Does a step end where it should not? Decided by a solution of order 16 in steps that are known to work.
+    /// Returns whether a step ends where it should not. Decided by a solution of order 16 in steps
+    /// that are known to work.
     ///
-    /// Each step is followed from its own start: by how much the run has strayed before, in phase or because errors
-    /// grow on the scene, does not count.
+    /// Each step is followed from its own start: the distance that the run has strayed before, in
+    /// phase or because errors grow on the scene, does not count.
     fn leaves_branch(
         &self,
         step_s: f64,
@@ -453,7 +461,7 @@ impl<R: Runs> Mapper<R> {
         Ok(found)
     }
 
-    /// The step between two at which the motion swings by `target`.
+    /// Returns the step between two at which the motion swings by `target`.
     fn aimed(
         &self,
         method: &R::Method,
@@ -482,7 +490,7 @@ impl<R: Runs> Mapper<R> {
         Ok(between(&low, &high))
     }
 
-    /// The steps of `cells` whose energy stands out, if there are any.
+    /// Returns the steps of `cells` whose energy stands out, if there are any.
     fn window(&self, steps_per_swing: u32, cells: &[Cell]) -> Option<Resonance> {
         let error = |cell: &Cell| match (cell.class, cell.row.energy_error) {
             (Class::Failed(_), _) | (_, None) => self.scales.kinetic,
@@ -504,8 +512,9 @@ impl<R: Runs> Mapper<R> {
     }
 }
 
-/// By how much the strongest swing of a motion goes on in a step, rad, between 0 and pi: where the periodogram of the
-/// momentum's liveliest component, with Hann's window, is largest. `None` of a run too short, or a momentum that stays.
+/// Returns the angle by which the strongest swing of a motion goes on in a step, rad, between 0 and
+/// pi: where the periodogram of the momentum's liveliest component, with Hann's window, is largest.
+/// `None` for a run too short, or a momentum that stays.
 fn swing_rad(run: &Measured) -> Option<f64> {
     let points = run.points.get(..SWING_SAMPLES)?;
     let n = points[0].momentum.nrows();
@@ -532,9 +541,9 @@ fn swing_rad(run: &Measured) -> Option<f64> {
         (a * a + b * b - c * a * b).max(0.0).sqrt()
     };
     let spectrum: Vec<f64> = (0..=SWING_SAMPLES / 2).map(strength).collect();
-    // The lines next to zero are what the window makes of the mean.
+    // The lines next to zero are the mean under the window.
     let line = (2..SWING_SAMPLES / 2).max_by(|&a, &b| spectrum[a].total_cmp(&spectrum[b]))?;
-    // Of Hann's window two lines give the place between them (Grandke 1983).
+    // With Hann's window two lines give the place between them (Grandke 1983).
     let (left, peak, right) = (spectrum[line - 1], spectrum[line], spectrum[line + 1]);
     let (next, side) = if right > left { (right, 1.0) } else { (left, -1.0) };
     let ratio = next / peak;
@@ -559,7 +568,8 @@ mod tests {
         let probe = Probe { every: 1, keep: true, ..Probe::of(&method, step_s, 400) };
         let mut run = measure(&scene, probe, &watch).expect("a run");
         assert!(!judge.0.leaves_branch(step_s, &run, &watch).expect("judged"));
-        // Half a turn about the body's third axis: a rotation still, of the same energy where it is a symmetry.
+        // Half a turn about the body's third axis: still a rotation, of the same energy where it is
+        // a symmetry.
         let made = run.points.len() - 1;
         let end = &mut run.points[3 * made / CHECKED_STEPS + 1].attitude;
         end.column_mut(0).neg_mut();

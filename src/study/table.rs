@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::Entry;
 use super::measure::{End, Measured};
 
-/// One run. What was not measured is absent.
+/// One run. Figures that were not measured are absent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Row {
     /// The method's name in a scenario.
@@ -31,7 +31,8 @@ pub struct Row {
     pub iterations_per_step: Option<f64>,
     /// Gradients of the potential taken over the run; 0 for a free body.
     pub force_evaluations: u64,
-    /// Time in the integrator for a step, least over the repeats. The one column that does not repeat.
+    /// Time in the integrator for a step, least over the repeats. The one column that does not
+    /// repeat.
     pub ns_per_step: Option<f64>,
     /// `succeeded`, `blew_up`, a class of the stability map, or the failure code.
     pub outcome: String,
@@ -40,14 +41,14 @@ pub struct Row {
 }
 
 impl Row {
-    /// The row of a run.
+    /// Creates the row of a run.
     pub(crate) fn new(entry: &Entry, step_s: f64, run: &Measured, error: Option<f64>) -> Self {
         let solver = super::solver_word(entry.method.solver.kind);
         let name = (entry.integrator.as_str(), entry.tableau.as_str(), entry.order);
         Self::named(name, solver, step_s, run, error)
     }
 
-    /// The row of a run of a method with this name, tableau and order.
+    /// Creates the row of a run of a method with this name, tableau and order.
     pub(super) fn named(
         (method, tableau, order): (&str, &str, u32),
         solver: &str,
@@ -85,12 +86,13 @@ impl Row {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Table {
-    /// In the order of the methods, each with its steps from the largest down.
+    /// Rows in the order of the methods, each with its steps from the largest down.
     pub rows: Vec<Row>,
 }
 
 impl Table {
-    /// Comma-separated values with a head line; an empty cell is a figure that was not measured.
+    /// Returns comma-separated values with a head line; an empty cell is a figure that was not
+    /// measured.
     pub fn to_csv(&self) -> String {
         const HEAD: [&str; 14] = [
             "method",
@@ -136,7 +138,7 @@ impl Table {
         String::from_utf8(text).expect("cells are text")
     }
 
-    /// JSON, an array of rows.
+    /// Returns JSON, an array of rows.
     pub fn to_json(&self) -> String {
         serde_json::to_string_pretty(self).expect("a table is JSON by construction")
     }

@@ -1,4 +1,4 @@
-//! The sweep as it is written: JSON → types, and what can be said of their form and range.
+//! The file of a sweep: JSON → types, and the checks of their form and range.
 
 use std::collections::HashSet;
 
@@ -9,9 +9,9 @@ use serde_json::Value;
 use super::MOST_MEMBERS;
 use crate::scenario::{LARGEST_SEED, MAX_SIZE, Scenario, ScenarioError, SchemaAddress, ensure};
 
-/// Most fields that are varied, and most scores.
+/// Largest number of fields that are varied, and of scores.
 const MOST_COLUMNS: usize = 32;
-/// Most members whose whole motion is logged.
+/// Largest number of members whose whole motion is logged.
 const MOST_LOGS: usize = 1000;
 /// Smallest end of a logarithmic range.
 const SMALLEST: f64 = 1e-30;
@@ -31,13 +31,13 @@ pub struct SweepFile {
     pub(crate) scenario: Value,
     /// The fields that are varied, 1 to 32 of them. They are set in this order.
     pub(crate) vary: Vec<Vary>,
-    /// How their values are put together.
+    /// Combination of their values.
     #[serde(default)]
     pub(crate) combine: Combine,
     /// Seed of all random values: the same seed, the same values. At most 2^53 - 1.
     #[serde(default)]
     pub(crate) seed: u64,
-    /// What is asked of each run in addition to its end and its errors, a column each; at most 32.
+    /// Scores of each run in addition to its end and its errors, a column each; at most 32.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) scores: Vec<Score>,
     /// The column that the picture shows; by default the first score, else the largest energy error.
@@ -48,7 +48,7 @@ pub struct SweepFile {
     pub(crate) keep_logs: Vec<u64>,
 }
 
-/// What this is.
+/// Kind of the document.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum SweepKind {
@@ -57,7 +57,7 @@ pub(crate) enum SweepKind {
     Sweep,
 }
 
-/// A scenario, or where one is.
+/// A scenario, or the path of one.
 #[derive(JsonSchema)]
 #[schemars(untagged)]
 #[expect(dead_code, reason = "only its schema is used")]
@@ -82,7 +82,7 @@ pub(crate) struct Vary {
 }
 
 impl Vary {
-    /// The head of its column.
+    /// Returns the head of its column.
     pub(crate) fn column(&self) -> &str {
         self.name.as_deref().unwrap_or(&self.pointer)
     }
@@ -92,7 +92,7 @@ impl Vary {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Values {
-    /// These, of any JSON type.
+    /// Listed values, of any JSON type.
     List(Vec<Value>),
     /// At even distances, both ends included.
     Linear(Span),
@@ -113,7 +113,7 @@ pub(crate) enum Values {
 pub(crate) struct Span {
     pub(crate) from: f64,
     pub(crate) to: f64,
-    /// How many values.
+    /// Number of values.
     pub(crate) count: u64,
 }
 
@@ -124,12 +124,12 @@ pub(crate) struct Normal {
     pub(crate) mean: f64,
     /// The standard deviation, above zero.
     pub(crate) deviation: f64,
-    /// How many values.
+    /// Number of values.
     pub(crate) count: u64,
 }
 
 impl Values {
-    /// How many there are.
+    /// Returns the number of values.
     pub(crate) fn count(&self) -> u64 {
         match self {
             Self::List(values) => values.len() as u64,
@@ -189,7 +189,7 @@ impl Values {
     }
 }
 
-/// How the values of several fields are put together.
+/// Combination of the values of several fields.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Combine {
@@ -206,11 +206,11 @@ pub(crate) enum Combine {
 pub(crate) struct Score {
     /// Its head: 1 to 64 letters, digits or `_`.
     pub(crate) name: String,
-    /// What stands in it.
+    /// Content of the column.
     pub(crate) measure: Measure,
 }
 
-/// What is measured of a run, at its samples: see `log.every` of the scenario.
+/// Measure of a run, taken at its samples: see `log.every` of the scenario.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Measure {
@@ -262,7 +262,7 @@ pub(crate) struct Condition {
     pub(crate) below: Option<f64>,
 }
 
-/// How a Lyapunov exponent is measured.
+/// Options of the measurement of a Lyapunov exponent.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Lyapunov {
@@ -270,8 +270,8 @@ pub(crate) struct Lyapunov {
     /// in parts of how fast the body moves at the start. 1e-12 to 1e-4.
     #[serde(default = "Lyapunov::default_distance")]
     pub(crate) distance: f64,
-    /// What comes before this time is left out of the mean, in seconds: until then the shadow turns into the direction that
-    /// grows most.
+    /// Time in seconds before which the run is left out of the mean: until then the shadow turns
+    /// into the direction that grows most.
     #[serde(default)]
     pub(crate) skip_s: f64,
 }
@@ -387,7 +387,8 @@ impl SweepFile {
         })
     }
 
-    /// Something must be left of the runs for the exponent, where all last as long as that of the scenario.
+    /// Checks that something is left of the runs for the exponent, where all last as long as that
+    /// of the scenario.
     pub(super) fn check_skips(&self, base: &Scenario) -> Result<(), ScenarioError> {
         let lasting = ["/step_s", "/steps", "/duration_s"];
         let duration_s = base.duration_s.or_else(|| Some(base.steps? as f64 * base.step_s?));
@@ -407,13 +408,13 @@ impl SweepFile {
         Ok(())
     }
 
-    /// Is a Lyapunov exponent asked for?
+    /// Returns whether a Lyapunov exponent is asked for.
     #[cfg(feature = "serve")]
     pub(super) fn has_exponent(&self) -> bool {
         self.scores.iter().any(|score| matches!(score.measure, Measure::LyapunovExponent(_)))
     }
 
-    /// How many members there are.
+    /// Returns the number of members.
     pub(super) fn members(&self) -> Result<u64, ScenarioError> {
         let counts: Vec<u64> = self.vary.iter().map(|field| field.values.count()).collect();
         match self.combine {

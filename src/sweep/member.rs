@@ -1,7 +1,7 @@
-//! One member of a sweep: its scenario, run in memory, and what comes of it.
+//! One member of a sweep: its scenario, run in memory, and its outcome.
 //!
-//! Invariant: the run makes the steps of the log that `vpd run` writes of the same scenario, to the bit: it also starts anew
-//! where a chunk of that log ends.
+//! Invariant: the run makes the steps of the log that `vpd run` writes of the same scenario, to the
+//! bit: the stepper also restarts where a chunk of that log ends.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -23,11 +23,11 @@ use crate::solve::work::Work;
 use crate::study::Watch;
 use crate::study::measure::rate_at;
 
-/// What came of a member.
+/// Outcome of a member.
 pub(super) enum Outcome {
     /// All steps were made.
     Succeeded(Row),
-    /// A step could not be made; what was reached before.
+    /// A step could not be made; holds the figures before it.
     Failed(&'static str, Row),
     /// Its scenario is not valid.
     Refused(ScenarioError),
@@ -44,7 +44,8 @@ pub(super) struct Row {
     pub(super) scores: Vec<Option<f64>>,
 }
 
-/// The plan of a member: that of `vpd run`. What `stop` ends is refused at its accuracy.
+/// Returns the plan of a member: that of `vpd run`. A member that `stop` ends is refused at its
+/// accuracy.
 pub(super) fn plan(scenario: &Scenario, stop: &Arc<AtomicBool>) -> Result<Plan, ScenarioError> {
     /// The plan of `vpd run` counts the work of the first steps, and where a step takes long makes its chunks shorter than
     /// half a mebibyte. That is looked up only where a run takes so long that it can matter.

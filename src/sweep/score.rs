@@ -1,4 +1,4 @@
-//! What a sweep asks of a run, taken sample by sample.
+//! The scores of a sweep, taken sample by sample.
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
@@ -10,7 +10,7 @@ use crate::solve::so::{self, Mat};
 use crate::solve::stepper::Stepper;
 use crate::solve::trajectory::{Sample, State};
 
-/// A score of a run that goes on.
+/// A score during a run.
 pub(super) enum Tally<'a, const N: usize> {
     Largest(Gauge<N>, Option<f64>),
     Smallest(Gauge<N>, Option<f64>),
@@ -19,7 +19,7 @@ pub(super) enum Tally<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Tally<'a, N> {
-    /// Of the scores; a Lyapunov exponent takes the shadow.
+    /// Returns the tallies of the scores; a Lyapunov exponent takes the shadow.
     pub(super) fn all(scores: &'a [Score], mut shadow: Option<Shadow<'a, N>>) -> Vec<Self> {
         let tally = |score: &'a Score| {
             Some(match &score.measure {
@@ -55,7 +55,7 @@ impl<'a, const N: usize> Tally<'a, N> {
         }
     }
 
-    /// The cell of a run that has ended; `completed` if it made all its steps.
+    /// Returns the cell of a run that has ended; `completed` if it made all its steps.
     pub(super) fn value(&self, completed: bool) -> Option<f64> {
         match self {
             Self::Largest(_, value) | Self::Smallest(_, value) | Self::FirstTime(_, _, value) => {
@@ -76,7 +76,7 @@ pub(super) enum Gauge<const N: usize> {
 impl<const N: usize> Gauge<N> {
     fn of(quantity: &Quantity) -> Self {
         let unit = |axis: &[f64]| {
-            // By the largest first, so that no square is lost.
+            // Divided by the largest first, so that no square is lost.
             let largest = axis.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
             let length = axis.iter().map(|x| (x / largest) * (x / largest)).sum::<f64>().sqrt();
             std::array::from_fn(|i| axis[i] / largest / length)
@@ -90,7 +90,7 @@ impl<const N: usize> Gauge<N> {
         }
     }
 
-    /// `None` without an attitude, where one is needed.
+    /// Returns the value at a sample; `None` without an attitude, where one is needed.
     fn read(&self, body: &RigidBody<N>, sample: &Sample<N>) -> Option<f64> {
         match self {
             Self::Tilt { body, space } => {
@@ -110,8 +110,9 @@ impl<const N: usize> Gauge<N> {
     }
 }
 
-/// A trajectory that begins close to a run and is brought back at each sample: what its distance has grown by until then,
-/// as a logarithm and summed, is the exponent times the time (Benettin, Galgani, Strelcyn 1976; with Giorgilli 1980, part 2).
+/// A trajectory that begins close to a run and is brought back at each sample: the growth of its
+/// distance until then, as a logarithm and summed, is the exponent times the time (Benettin,
+/// Galgani, Strelcyn 1976; with Giorgilli 1980, part 2).
 ///
 /// The distance of two states is `(|g - g'|_F^2 / 2 + |I^-1 (mu - mu')|^2 / rate^2)^(1/2)`: for n = 3 the sine of the angle
 /// between the attitudes, and the difference of the body velocities by how fast the body moves. Another one changes the
@@ -127,28 +128,28 @@ pub(super) struct Shadow<'a, const N: usize> {
     /// Sum of the logarithms, and the time over which it was taken.
     sum: f64,
     over_s: f64,
-    /// Whether it got lost.
+    /// Whether it was lost.
     lost: bool,
 }
 
 impl<'a, const N: usize> Shadow<'a, N> {
-    /// Farther than this the equations of small distances do not hold.
+    /// Farthest distance at which the equations of small distances hold.
     const FARTHEST: f64 = 1e-2;
 
-    /// `rate_rad_s` is how fast the body moves at the start.
+    /// Creates the shadow; `rate_rad_s` is how fast the body moves at the start.
     pub(super) fn new(
         stepper: Box<dyn Stepper<N>>,
         asked: &'a Lyapunov,
         step_s: f64,
         rate_rad_s: f64,
     ) -> Self {
-        // A body at rest where nothing pushes has no scale of its own.
+        // A body at rest without torques has no scale of its own.
         let rate_rad_s = if rate_rad_s > 0.0 { rate_rad_s } else { 1.0 };
         let (made, time_s, sum, over_s, lost) = (0, 0.0, 0.0, 0.0, false);
         Self { stepper, asked, step_s, rate_rad_s, made, time_s, sum, over_s, lost }
     }
 
-    /// The mean so far, in 1/s.
+    /// Returns the mean so far, in 1/s.
     fn exponent(&self) -> Option<f64> {
         (!self.lost && self.over_s > 0.0).then(|| self.sum / self.over_s)
     }
@@ -160,7 +161,7 @@ impl<'a, const N: usize> Shadow<'a, N> {
         };
         let distance = self.asked.distance;
         if sample.step == 0 {
-            // Somewhere: in a direction that no symmetry of a scene singles out.
+            // Begins in a direction that no symmetry of a scene singles out.
             let mut random = ChaCha8Rng::seed_from_u64(0);
             let mut somewhere = || {
                 let normal =
@@ -180,7 +181,7 @@ impl<'a, const N: usize> Shadow<'a, N> {
             self.made += 1;
         }
         let attitude = self.stepper.attitude().unwrap_or(run.attitude);
-        // Of a small turn the skew part: what it leaves out is of third order.
+        // The skew part of a small turn: the remainder is of third order.
         let turn = so::asym(&so::transposed_product(&run.attitude, &attitude)) * 0.5;
         let momentum = self.stepper.momentum() - run.momentum;
         let reached = self.length(body, &turn, &momentum);
@@ -197,7 +198,7 @@ impl<'a, const N: usize> Shadow<'a, N> {
         self.place(&run, &(turn * back), &(momentum * back));
     }
 
-    /// The length of a small difference of two states.
+    /// Returns the length of a small difference of two states.
     fn length(&self, body: &RigidBody<N>, turn: &Mat<N>, momentum: &Mat<N>) -> f64 {
         let velocity = norm(&body.velocity(momentum)) / self.rate_rad_s;
         (so::inner(turn, turn) + velocity * velocity).sqrt()

@@ -1,4 +1,4 @@
-//! What a picture of a table shows: a map over two varied fields, or points over one.
+//! The content of a picture of a table: a map over two varied fields, or points over one.
 //!
 //! Invariant: it does not grow with the table beyond what can be distinguished in a picture.
 
@@ -13,7 +13,7 @@ use super::file::{Combine, Values};
 use super::table::{Lines, cells};
 use super::{Sweep, SweepError};
 
-/// Most cells of a map along a side, and most places of points.
+/// Largest number of cells of a map along a side, and of places of points.
 const MOST_CELLS: u64 = 200;
 const PLACES: (f64, f64) = (400.0, 200.0);
 
@@ -25,7 +25,7 @@ pub(crate) struct Shown {
     /// The column whose values are shown.
     pub(crate) column: String,
     pub(crate) kind: Kind,
-    /// Members without a value in that column.
+    /// Number of members without a value in that column.
     pub(crate) without: u64,
 }
 
@@ -45,7 +45,7 @@ pub(crate) struct Side {
     pub(crate) name: String,
     /// A value for each cell along the side.
     pub(crate) values: Vec<String>,
-    /// Members in a cell, along this side.
+    /// Number of members in a cell, along this side.
     per_cell: u64,
 }
 
@@ -64,13 +64,13 @@ impl Side {
     }
 }
 
-/// Three digits, as short as can be.
+/// Formats a number in three digits, as short as possible.
 fn short(x: f64) -> String {
     let rounded = format!("{x:.2e}").parse().unwrap_or(x);
     super::figure(Some(rounded)).trim_end_matches(".0").to_owned()
 }
 
-/// What a cell of a map shows.
+/// Content of a cell of a map.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Cell {
     /// No member of it has a line yet.
@@ -87,7 +87,7 @@ pub(crate) enum Cell {
 }
 
 impl Cell {
-    /// What says more.
+    /// Returns the cell that says more.
     fn or(self, other: Self) -> Self {
         let rank = |cell: Self| match cell {
             Self::Waiting => 0,
@@ -105,7 +105,7 @@ impl Cell {
 }
 
 impl Sweep {
-    /// The column that a picture shows by default.
+    /// Returns the column that a picture shows by default.
     fn usual_column(&self) -> &str {
         let first = self.file.scores.first().map(|score| score.name.as_str());
         self.file.picture.as_deref().or(first).unwrap_or("energy_error_max")
@@ -147,7 +147,7 @@ impl Sweep {
             if values.iter().map(super::cell).ne(cells[1..=values.len()].iter().cloned()) {
                 return Err(other());
             }
-            // What a run has shown until it failed is no value of the whole.
+            // Figures of a run until it failed are no value of the whole.
             let cell = match (cells[outcome].as_str(), cells[at].parse::<f64>()) {
                 ("refused", _) => Cell::Refused,
                 ("failed", _) => Cell::Failed,
@@ -165,7 +165,7 @@ impl Sweep {
 /// The lines of a table, as far as they are read.
 struct Collected {
     kind: Kind,
-    /// Fields of x and y.
+    /// Numbers of the fields of x and y.
     fields: (Option<usize>, usize),
     without: u64,
 }

@@ -1,7 +1,9 @@
-//! The table of a sweep: a line a member, in order, and the file that holds them while they come.
+//! The table of a sweep: one line per member, in order, and the file that holds them until it is
+//! finished.
 //!
-//! Invariant: a table is finished, and then holds nothing but a head and its lines; until then, or if it is a part of a
-//! whole, it begins with a line that says of what. What follows the last whole line of a member is written anew.
+//! Invariant: a finished table holds nothing but a head and its lines; until then, or if it is a
+//! part of a whole, it begins with a line that describes it. Anything after the last whole line of
+//! a member is written anew.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -14,10 +16,10 @@ use super::{Counts, SweepError};
 use crate::log::part::{folder, own, sync_folder};
 use crate::log::part_path;
 
-/// With this a part begins; to most readers of tables a comment.
+/// Beginning of the first line of a part; to most readers of tables a comment.
 const MARK: &str = "# vpd sweep ";
 
-/// What a part is of.
+/// Description of a part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Identity {
     /// SHA-256 of the sweep.
@@ -26,10 +28,10 @@ pub(super) struct Identity {
     pub(super) build: String,
     /// Members of the whole.
     pub(super) members: u64,
-    /// The first member that is here, and the first after those.
+    /// The first member in this part, and the first after its last.
     pub(super) first: u64,
     pub(super) end: u64,
-    /// Which part of how many.
+    /// Number of the part, and of all parts.
     pub(super) shard: (u64, u64),
 }
 
@@ -44,7 +46,7 @@ impl Identity {
     }
 }
 
-/// A cell of any JSON value.
+/// Returns a cell of any JSON value.
 pub(super) fn cell(value: &Value) -> String {
     match value {
         Value::Number(number) => number.to_string(),
@@ -53,7 +55,7 @@ pub(super) fn cell(value: &Value) -> String {
     }
 }
 
-/// A line of cells, its end included.
+/// Returns a line of cells, its end included.
 pub(super) fn line(cells: &[String]) -> String {
     let mut out = csv::Writer::from_writer(Vec::new());
     out.write_record(cells).expect("memory takes what is written");
@@ -61,12 +63,12 @@ pub(super) fn line(cells: &[String]) -> String {
     String::from_utf8(line).expect("cells are text")
 }
 
-/// The shortest digits that give the same number back; empty if it is not finite.
+/// Returns the shortest digits that give the same number back; empty if it is not finite.
 pub(super) fn figure(x: Option<f64>) -> String {
     x.and_then(Number::from_f64).map_or_else(String::new, |number| number.to_string())
 }
 
-/// The cells of a line.
+/// Returns the cells of a line.
 pub(super) fn cells(line: &str) -> Vec<String> {
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
@@ -89,7 +91,8 @@ impl<R: BufRead> Lines<R> {
         Self { reader, columns, next, line: Vec::new() }
     }
 
-    /// The next line, its end included, and its cells; `None` where there is no whole line of the next member.
+    /// Returns the next line, its end included, and its cells; `None` where there is no whole line
+    /// of the next member.
     pub(super) fn read(&mut self) -> io::Result<Option<(&[u8], Vec<String>)>> {
         self.line.clear();
         self.reader.read_until(b'\n', &mut self.line)?;
@@ -111,14 +114,14 @@ pub(super) struct Part {
     file: File,
     /// The first member that is not there yet.
     pub(super) next: u64,
-    /// What became of those that are.
+    /// Outcomes of the members before it.
     pub(super) counts: Counts,
     /// Bytes of the first line, which a finished whole leaves out.
     mark: u64,
 }
 
 impl Part {
-    /// Begins the file of a table, or goes on with what an interrupted sweep left.
+    /// Begins the file of a table, or resumes that of an interrupted sweep.
     pub(super) fn open(
         path: &Path,
         identity: &Identity,
@@ -160,7 +163,7 @@ impl Part {
         Ok(table)
     }
 
-    /// Counts the lines that are there, and leaves out what follows the last whole one.
+    /// Counts the lines that are there, and leaves out anything after the last whole one.
     fn take_up(&mut self, begin: u64, head: &str, end: u64) -> io::Result<()> {
         let columns = cells(head);
         let outcome = columns.iter().position(|name| name == "outcome").unwrap_or_default();
@@ -183,7 +186,7 @@ impl Part {
         self.file.write_all(lines.as_bytes()).map_err(failed)
     }
 
-    /// Everything to the disk.
+    /// Brings everything to the disk.
     pub(super) fn sync(&self) -> Result<(), SweepError> {
         self.file.sync_data().map_err(|source| SweepError::io(&self.part, "sync", source))
     }
@@ -203,14 +206,14 @@ impl Part {
     }
 }
 
-/// Writes a file under another name first: what stands at `path` is whole.
+/// Writes a file under another name first, so that whatever is at `path` is whole.
 fn replace(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<&File>) -> io::Result<()>,
 ) -> io::Result<()> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(".vpd-");
-    // As any file that this user makes: what umask leaves of it.
+    // The usual permissions of a file of this user, as umask leaves them.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let new = builder.tempfile_in(folder(path))?;
@@ -235,7 +238,7 @@ impl Found {
     fn open(path: &Path) -> Result<Self, SweepError> {
         let failed = |source| SweepError::io(path, "read", source);
         let mut reader = BufReader::new(File::open(path).map_err(failed)?);
-        // No longer than any of ours.
+        // The line is no longer than any of ours.
         let mut line = || {
             let mut text = Vec::new();
             (&mut reader).take(1 << 20).read_until(b'\n', &mut text)?;
@@ -273,13 +276,14 @@ impl Found {
         if rest.is_empty() { Ok(()) } else { Err(SweepError::NoPart { path: self.path.clone() }) }
     }
 
-    /// Whether all its lines are there.
+    /// Checks that all its lines are there.
     fn check(&self) -> Result<(), SweepError> {
         self.lines(|_| Ok(()))
     }
 }
 
-/// What became of the members of a part that is finished; `None` if there is no such file, or it is of something else.
+/// Returns the outcomes of the members of a part that is finished; `None` if there is no such file,
+/// or it is of something else.
 pub(super) fn finished(path: &Path, identity: &Identity, head: &str) -> Option<Counts> {
     let found = Found::open(path).ok()?;
     let columns = cells(head);
@@ -296,8 +300,8 @@ pub(super) fn finished(path: &Path, identity: &Identity, head: &str) -> Option<C
     found.lines(count).ok().map(|()| counts)
 }
 
-/// Puts the parts of a sweep together to the table of the whole, as `vpd sweep` writes it in one piece. A part that is given
-/// twice, to the byte, counts once. Returns the number of members.
+/// Merges the parts of a sweep into the table of the whole, as `vpd sweep` writes it in one piece.
+/// A part that is given twice, to the byte, counts once. Returns the number of members.
 ///
 /// # Errors
 /// If a part is missing, unfinished, of another sweep or of another build, if two overlap, or a file cannot be read or written.
@@ -344,7 +348,7 @@ pub fn merge(parts: &[PathBuf], out: &Path, replaces: bool) -> Result<u64, Sweep
     if next < members {
         return Err(missing(next, members, members, of));
     }
-    // What is wrong with a part is said before anything is written.
+    // Errors of a part are reported before anything is written.
     for part in &whole {
         part.check()?;
     }
@@ -366,7 +370,8 @@ pub fn merge(parts: &[PathBuf], out: &Path, replaces: bool) -> Result<u64, Sweep
     }
 }
 
-/// The members from `first` to before `end` are in no part: which shards of `of` that is.
+/// Returns the error that the members from `first` to before `end` are in no part, with the shards
+/// of `of` that hold them.
 fn missing(first: u64, end: u64, members: u64, of: u64) -> SweepError {
     let shards = (1..=of).filter(|&number| {
         let shard = super::Shard { number, of }.range(members);

@@ -1,6 +1,7 @@
 //! The values of a field, each by its number alone.
 //!
-//! Invariant: a value depends on its number, the number of its field and the seed, not on who asked before or for what.
+//! Invariant: a value depends on its number, the number of its field and the seed, not on earlier
+//! calls.
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::{Rng, SeedableRng};
@@ -9,7 +10,7 @@ use serde_json::{Number, Value};
 
 use super::file::{Normal, Span, Values};
 
-/// A field's values, ready to be asked for.
+/// Values of a field, computed on request.
 #[derive(Clone, Debug)]
 pub(super) struct Axis {
     values: Values,
@@ -30,7 +31,7 @@ impl Axis {
         axis
     }
 
-    /// Value number `at`, counted from 0.
+    /// Returns value number `at`, counted from 0.
     pub(super) fn value(&self, at: u64) -> Value {
         let between = |Span { from, to, .. }: Span, part: f64| from + (to - from) * part;
         match &self.values {
@@ -54,22 +55,22 @@ impl Axis {
         }
     }
 
-    /// Random numbers of its own for each value.
+    /// Returns the random numbers of a value.
     fn random(&self, at: u64) -> ChaCha8Rng {
         let mut random = ChaCha8Rng::seed_from_u64(self.seed);
         random.set_stream((self.field << 32) | at);
         random
     }
 
-    /// Evenly distributed from 0 to 1, 1 excluded.
+    /// Returns a number evenly distributed from 0 to 1, 1 excluded.
     fn unit(&self, at: u64) -> f64 {
         const SPACING: f64 = 1.0 / (1_u64 << 53) as f64;
         (self.random(at).next_u64() >> 11) as f64 * SPACING
     }
 
-    /// The numbers below `count` in random order (Fisher, Yates 1938; Durstenfeld 1964).
+    /// Returns the numbers below `count` in random order (Fisher, Yates 1938; Durstenfeld 1964).
     fn shuffled(&self, count: u32) -> Vec<u32> {
-        // A stream that no value has.
+        // This stream belongs to no value.
         let mut random = self.random(u64::from(u32::MAX));
         let mut order: Vec<u32> = (0..count).collect();
         for last in (1..order.len()).rev() {
@@ -80,12 +81,13 @@ impl Axis {
     }
 }
 
-/// Where value `at` of `count` lies from 0 to 1, both ends included.
+/// Returns the place of value `at` of `count` from 0 to 1, both ends included.
 fn part(at: u64, count: u64) -> f64 {
     if count > 1 { at as f64 / (count - 1) as f64 } else { 0.0 }
 }
 
-/// A number of a scenario: whole numbers without a point, which also fit where steps are counted.
+/// Returns a number of a scenario: whole numbers without a point, which also fit where steps are
+/// counted.
 fn number(x: f64) -> Value {
     const EXACT: f64 = 9_007_199_254_740_992.0;
     if x == x.trunc() && x.abs() <= EXACT {

@@ -210,7 +210,7 @@ def test_temporal_dies():
         jobs = [made.submit(text) for _ in range(4)]
         wait("a run", lambda: any(made.job(id)["progress"]["steps_done"] for id in jobs))
         made.temporal.kill()
-        # What was accepted is in the bucket, and what is submitted now is accepted.
+        # Accepted jobs are in the bucket, and jobs submitted now are accepted.
         jobs.append(made.submit(text))
         time.sleep(2)
         made.temporal.start()
@@ -359,7 +359,7 @@ def test_sweep():
         wait("a part", lambda: "part of a sweep made" in made.workers[1].said())
         made.workers[1].kill()
         made.work(3)
-        # Who asked is killed as well: the same command goes on.
+        # The calling command is killed as well: the same command goes on.
         client.kill()
         client.start()
         assert client.child.wait(timeout=PATIENCE_S) == 0, client.said()

@@ -189,7 +189,7 @@ class Local(Bench):
         self.again(process)
 
     def taken_over(self, _id, _sleeper):
-        """A service that slept has nobody who could take its jobs: it sleeps past any lease."""
+        """No other process could take the jobs of a service that slept: it sleeps past any lease."""
         time.sleep(2 * LEASE_S)
 
     def logs(self, ids):

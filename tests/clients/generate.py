@@ -24,7 +24,7 @@ content_type_overrides:
   application/openmetrics-text: text/plain
 post_hooks: []
 """
-# What people would write; the compiler holds it against the description.
+# Code as users would write it; the compiler holds it against the description.
 USE = """
 import type { components, operations, paths } from "./api";
 type Schemas = components["schemas"];
@@ -101,7 +101,7 @@ def python_client(url, api, place):
 def typescript(place):
     (place / "use.ts").write_text(USE)
     made = subprocess.run([NODE / ".bin/openapi-typescript", "api.json", "-o", "api.d.ts",
-                           # What has a default may be left out of what is sent.
+                           # Fields with a default may be left out of a request.
                            "--default-non-nullable", "false"], cwd=place,
                           capture_output=True, text=True, check=False)
     good = check("openapi-typescript makes types", made.returncode == 0, made.stderr.strip()[:500])

@@ -30,7 +30,7 @@ async function open(to = url, options = {}) {
   return page;
 }
 
-// What stands in the editor; and what is put there, as if pasted.
+// Reads the text of the editor; and replaces it, as if pasted.
 const written = page => page.evaluate(() => text.value);
 const write = async (page, text) => {
   await page.click("#text");
@@ -256,7 +256,7 @@ await checks({
     await chart.waitForFunction(() => chart.found?.[0].channel === "step");
     const steps = await chart.evaluate(() => chart.found[0].high[0]);
     assert.ok(Math.max(...steps) > 2 * Math.min(...steps), `${Math.min(...steps)} to ${Math.max(...steps)} s`);
-    // Of a job that runs it shows what is there, and goes on.
+    // For a running job it shows the samples so far, and goes on.
     const { id } = await submit(url, { ...await long(), name: "grows", log: { every: 5, channels: ["/state", "/energy"] } });
     await chart.goto(`${url}/#/jobs/${id}`);
     await chart.waitForSelector(".plot canvas");
@@ -281,7 +281,7 @@ await checks({
     await crowd.waitForSelector(".members .plot canvas");
     const words = () => crowd.textContent(".members .readout");
     const column = k => crowd.$$eval(`.members tbody tr > :nth-child(${k})`, cells => cells.map(cell => cell.textContent));
-    // What the page is answered once something has been done, and shows.
+    // The answers to the page after an action, and what it shows.
     const answer = async (act, ...asked) => {
       const answered = crowd.waitForResponse(answer => answer.url().includes(`${id}/members?`) && asked.every(part => answer.url().includes(part)));
       await act();
@@ -452,7 +452,8 @@ await checks({
     assert.equal(await page.getAttribute("#text", "aria-invalid"), "true");
     await shoot(page, "page-error");
     await write(page, "{");
-    // What is said of an unfinished text, now and once it is checked, does not move the button away from a press.
+    // A message about an unfinished text, now and once it is checked, does not move the button away
+    // from a press.
     const top = () => page.$eval("button[type=submit]", button => button.getBoundingClientRect().top + scrollY);
     const before = await top();
     await page.waitForSelector("#check:not(:empty)");
@@ -497,12 +498,13 @@ await checks({
     assert.ok((await offered()).includes('"splitting"'));
     await editor.keyboard.press("Escape");
     await editor.waitForSelector(popup, { state: "detached" });
-    // What a field means, where the mouse is.
+    // The meaning of a field is shown at the mouse.
     await editor.hover(".cm-line .key:text('\"step_s\"')");
     await editor.waitForSelector(".hint");
     assert.match(await editor.textContent(".hint"), /^step_s number.*The step in seconds; either this or `accuracy`/s);
     await editor.mouse.move(5, 5);
-    // What is wrong is marked without asking the service: a word, a missing field, a type, and what is no JSON.
+    // Errors are marked without asking the service: a word, a missing field, a type, and text that
+    // is no JSON.
     const good = await written(editor);
     const marked = async (text, mark, words) => {
       await write(editor, text);
@@ -538,7 +540,7 @@ await checks({
     const value = () => written(own);
     await holds(own, "heavy-top");
     const shippedText = await value();
-    // An example that nobody changed goes without a word.
+    // An example that was not changed is replaced without a message.
     await own.selectOption("#shipped", "pendulum");
     await holds(own, "pendulum");
     assert.ok(!await own.isVisible("#replaced"));
@@ -613,7 +615,7 @@ await checks({
     await form.focus("#text");
     await form.keyboard.press("Control+Enter");
     await state(form, "succeeded");
-    // What was sent comes back as it was sent.
+    // The text that was sent comes back unchanged.
     const sent = await text();
     await form.selectOption("#shipped", "pendulum");
     await holds(form, "pendulum");
@@ -631,7 +633,7 @@ await checks({
     await write(from, text);
     await from.click("#share");
     await from.waitForFunction(() => document.querySelector("#share").textContent === "Copied");
-    // Firefox lets nobody read what was copied.
+    // Firefox does not let a page read the clipboard.
     const link = await from.evaluate(firefox => firefox ? shareLink() : navigator.clipboard.readText(), FIREFOX);
     assert.ok(link.startsWith(`${url}/#/draft/`) && /^[\w-]+$/.test(link.split("/").at(-1)), link);
     const to = await open();
@@ -694,7 +696,7 @@ await checks({
     assert.match(address, /^ws:\/\/127\.0\.0\.1:[1-9]\d*$/);
     assert.equal(await live.getAttribute("#live-foxglove", "href"), `https://app.foxglove.dev/~/view?ds=foxglove-websocket&ds.url=${encodeURIComponent(address)}`);
     assert.equal(await live.getAttribute("#follow", "href"), `${shown.url}/jobs/${id}/live.mcap`);
-    // What is linked answers as Foxglove's server does.
+    // The linked address answers as Foxglove's server does.
     const viewer = await live.context().newPage();
     const spoken = await viewer.evaluate(address => new Promise((resolve, reject) => {
       const socket = new WebSocket(address, ["foxglove.sdk.v1"]);
@@ -804,7 +806,7 @@ await checks({
     await shut.click("button[type=submit]");
     await state(shut, "succeeded");
     await shut.waitForFunction(() => document.querySelectorAll(".charts img").length === 3);
-    // What the page links to and shows leads to the log, and the token is in none of it.
+    // The links and pictures of the page lead to the log, and none of them holds the token.
     assert.match(await shut.getAttribute("#open-rerun", "href"), /log\.mcap%3Fexpires%3D\d+%26signature%3D[0-9a-f]{64}$/);
     const [download] = await Promise.all([shut.waitForEvent("download"), shut.click("#download")]);
     assert.equal((await readFile(await download.path())).subarray(1, 5).toString(), "MCAP");

@@ -1,4 +1,5 @@
-// What the tests in JavaScript share: a service of their own, a browser, and a line for each check.
+// Shared parts of the tests in JavaScript: a service of their own, a browser, and a line for each
+// check.
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";

@@ -1,4 +1,4 @@
-//! Steps that adapt to point sources: what the plan says of them, what is logged, and where they are advised.
+//! Adaptive steps near point sources: their plan, their log, and when they are advised.
 
 use serde_json::{Value, json};
 use vpd::advise::{self, Settled};
@@ -39,7 +39,7 @@ fn the_plan_offers_them_where_they_pay() {
     assert!(warnings.iter().any(|text| text.contains("do as well here")), "{warnings:?}");
 }
 
-/// What a plan says without a run is what it says again from what was kept of it.
+/// A plan from a stored copy is the same as the one made without a run.
 #[test]
 fn a_plan_that_was_kept_says_the_same() {
     let mut plain = flyby();
@@ -67,7 +67,7 @@ fn a_scenario_may_leave_all_of_it_to_the_program() {
     assert!((plan.steps as f64 * plan.step_s - 8.0).abs() < 1e-9);
     let own = plan.own_steps.expect("steps that adapt");
     assert!(own.largest_step_s > 0.01 && own.largest_step_s < 1.0, "{own:?}");
-    // The arm's length, of the point source alone.
+    // Only the point source has a length, that of its arm.
     assert_eq!(own.near_m.len(), 2);
     assert!(own.near_m[0] == 0.0 && (own.near_m[1] - 1.001_249).abs() < 1e-5, "{own:?}");
     let place = tempfile::tempdir().expect("a directory");
@@ -95,7 +95,7 @@ fn the_log_shows_how_time_passes() {
     assert!(times.iter().enumerate().all(|(k, &t)| t == k as f64 * 0.02), "{times:?}");
     assert!(paces.windows(2).all(|pair| pair[0].own_steps <= pair[1].own_steps));
     let least = paces.iter().map(|pace| pace.least_sigma).fold(1.0, f64::min);
-    // At a hundredth of the arm.
+    // This is at a hundredth of the arm.
     assert!(least > 5e-4 && least < 5e-3, "{least:e}");
     for pace in &paces {
         assert!(pace.sigma > 0.0 && pace.sigma <= 1.0 && pace.least_sigma <= 1.0, "{pace:?}");
@@ -130,7 +130,7 @@ fn they_are_advised_after_a_failure_near_a_charge_and_work() {
     assert_eq!(diagnosis.advised_largest_step_s, None, "{diagnosis}");
 }
 
-/// A run of steps that adapt which fails is advised a shorter longest step.
+/// An adaptive run that fails is advised a shorter longest step.
 #[test]
 fn of_steps_that_adapt_the_longest_may_be_too_long() {
     let place = tempfile::tempdir().expect("a directory");

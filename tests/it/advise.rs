@@ -16,7 +16,7 @@ fn scenario(value: &Value) -> Scenario {
     Scenario::from_json(value.to_string().as_bytes()).expect("a good scenario")
 }
 
-/// A body with a potential of its own, in three dimensions or four.
+/// Returns a body with a potential of its own, in three dimensions or four.
 fn scene(numbers: &mut Numbers, number: usize) -> Value {
     let n = if number % 8 == 7 { 4 } else { 3 };
     let mut list = |scale: f64| -> Vec<f64> { (0..n).map(|_| scale * numbers.next()).collect() };
@@ -73,7 +73,7 @@ fn an_accuracy_is_sampled_as_asked() {
     assert!(error <= 1e-7, "{error:e}");
 }
 
-/// Steps that adapt and that the program chooses fit, too.
+/// Adaptive steps that the program chooses fit, too.
 #[test]
 fn easy_steps_are_sampled_as_asked() {
     let mut flyby: Value =
@@ -89,7 +89,8 @@ fn easy_steps_are_sampled_as_asked() {
     assert_eq!((plan.samples, plan.steps % 7), (8, 0));
 }
 
-/// A scene that changes with time, is pushed and has a wheel gets its accuracy by a method that can run it.
+/// A scene that changes with time and has torques and a wheel gets its accuracy by a method that
+/// can run it.
 #[test]
 fn driven_scenes_have_an_accuracy() {
     let mut scenario: Value =
@@ -141,7 +142,8 @@ fn accuracies_are_kept_on_forty_scenes() {
         let plan = match advise::plan(&scenario) {
             Ok(plan) => plan,
             Err(refused) => {
-                // Said beforehand, so no promise is broken; but not the scenes' usual fate.
+                // The refusal comes beforehand, so no promise is broken; but it must not be the
+                // usual case.
                 println!("{number}: {refused}");
                 missed.push(format!("{number}: {refused}"));
                 continue;
@@ -150,7 +152,8 @@ fn accuracies_are_kept_on_forty_scenes() {
         let reached = match error_at_end(&plan) {
             Ok(ErrorAtEnd::About(reached) | ErrorAtEnd::Below(reached)) => reached,
             Err(unknown) => {
-                // How errors grow cannot be predicted: not kept, then.
+                // The growth of errors cannot be predicted, so the accuracy does not count as
+                // reached.
                 println!("{number}: {unknown}");
                 missed.push(format!("{number}: {unknown}"));
                 continue;
@@ -213,7 +216,7 @@ fn the_choice_is_the_cheapest_of_those_tried() {
     assert!(advice.margin >= 1.2, "{}", advice.margin);
     let finer = advise::plan(&scenario(&accurate_dipole(1e-10, 2.0))).expect("a choice");
     let cost = finer.advice.and_then(|advice| advice.candidates[0].cost_us);
-    // What is cheapest for the one may do for the other.
+    // The cheapest method for one may be good enough for the other.
     assert!(cost.is_some_and(|cost| cost >= costs[0]), "{cost:?} {costs:?}");
 }
 
@@ -252,7 +255,7 @@ fn a_choice_is_kept_to_the_bit() {
     let json = |plan: &Plan| serde_json::to_string(plan).expect("JSON");
     let kept = [&settled, &read].map(|settled| settled.plan().expect("a plan"));
     assert_eq!(json(&kept[0]), json(&kept[1]));
-    // Another choice differs in what was timed, and in nothing else.
+    // Another choice differs in its timings, and in nothing else.
     let direct = advise::plan(&asked).expect("a plan").on_a_common_machine();
     assert_eq!(json(&kept[0].on_a_common_machine()), json(&direct));
 }
@@ -326,7 +329,7 @@ fn a_choice_that_cannot_be_run_is_none() {
 /// perturbation of the start.
 const LONG_RUNS: &str = include_str!("../data/long-runs.json");
 
-/// The error of a run's end, as an accuracy means it.
+/// Returns the error of a run's end, as an accuracy means it.
 fn missed(run: &Value, summary: &Value) -> f64 {
     let number = |value: &Value| value.as_f64().expect("a number");
     let numbers = |rows: &Value| -> Vec<f64> {
@@ -391,7 +394,8 @@ fn accuracies_of_long_runs_are_met_or_refused_with_their_time() {
                         "{number}: {error:.0e} until {until_s:.0} s, by the growth {doubles_s:.0} of {duration_s} s; {growth}"
                     );
                     assert!(matches!(growth, Growth::Exponential { .. }), "{number}: {growth}");
-                    // A rounding of the start alone, and what rounding adds on the way: a few dozen times that.
+                    // The error comes from a rounding of the start and from roundings on the way: a
+                    // few dozen times that.
                     assert!(60.0 * grown * f64::EPSILON > error, "{number}: {grown:e}");
                     assert!(
                         (until_s / doubles_s - 1.0).abs() < 0.3,
@@ -427,7 +431,8 @@ fn what_cannot_be_seen_to_its_end_is_made_with_care() {
     assert!(unseen.0 >= seen.0 && unseen.1 < seen.1, "{seen:?} {unseen:?}");
 }
 
-/// Solutions to round-off came near each other here by luck, and runs were accepted that missed what was asked.
+/// Solutions to round-off came near each other here by luck, and runs were accepted that missed the
+/// accuracy.
 #[test]
 fn what_a_rounding_of_the_start_grows_past_is_refused() {
     let spring = |stiffness: f64, body_point: [f64; 3], position: [f64; 3]| json!({"kind": "spring", "stiffness": stiffness, "body_point": body_point, "position": position});
@@ -499,8 +504,8 @@ fn what_a_rounding_of_the_start_grows_past_is_refused() {
     }
 }
 
-/// Steps that adapt share the rounding of an energy, which a passage multiplies by 1e8; both of their families had it. The end is
-/// that of Taylor series in 80-bit floats, known to 5e-12.
+/// Adaptive steps share the rounding of an energy, which a passage multiplies by 1e8; both of their
+/// families had it. The end is that of Taylor series in 80-bit floats, known to 5e-12.
 #[test]
 fn a_reference_past_point_sources_knows_the_rounding_of_its_energy() {
     let source = |strength: f64, body_point: [f64; 3], position: [f64; 3]| json!({"kind": "point_source", "strength": strength, "body_point": body_point, "position": position});
@@ -535,7 +540,7 @@ fn a_reference_past_point_sources_knows_the_rounding_of_its_energy() {
     assert!(reached <= 5e-8, "{reached:e}");
 }
 
-/// It comes apart within a few of the points at which solutions are compared.
+/// The motion diverges within a few of the points at which solutions are compared.
 #[test]
 fn chaos_at_the_beginning_of_a_long_run_is_told_from_a_power() {
     let spring = json!({"kind": "spring", "stiffness": 3.0, "rest_length": 0.5, "body_point": [0.3, 0.2, 0.6], "position": [0.5, -1.0, 1.0]});
@@ -576,7 +581,7 @@ fn every_member_of_an_ensemble_keeps_the_accuracy() {
     let nominal = advise::plan(&scenario(&alone)).expect("within reach").settled;
     assert!(settled.steps > nominal.steps, "{:?} {:?}", settled.steps, nominal.steps);
     assert!(advice.expected_error <= error, "{:e}", advice.expected_error);
-    // Half the step moves no member by more than what was asked.
+    // Half the step moves no member by more than the requested error.
     let mut finer = settled.clone();
     finer.steps = settled.steps.map(|steps| 2 * steps);
     finer.step_s = settled.step_s.map(|step_s| 0.5 * step_s);

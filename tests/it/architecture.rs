@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Every Rust file below `path`, or the file itself.
+/// Returns every Rust file below `path`, or the file itself.
 fn sources(path: &Path) -> Vec<PathBuf> {
     if path.is_file() {
         return vec![path.to_owned()];
@@ -16,7 +16,7 @@ fn sources(path: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Lines of a module that contain one of the words.
+/// Returns the lines of a module that contain one of the words.
 fn lines_with(module: &str, words: &[&str]) -> Vec<String> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let source = root.join("src");
@@ -35,14 +35,14 @@ fn lines_with(module: &str, words: &[&str]) -> Vec<String> {
     found
 }
 
-/// That it knows nothing of the program, and no serde, the compiler holds.
+/// The compiler ensures that it knows nothing of the program, and no serde.
 #[test]
 fn solve_is_pure() {
     let impure = ["std::fs", "std::io", "std::time", "std::thread", "std::net", "print!("];
     assert_eq!(lines_with("solve", &impure), Vec::<String>::new());
 }
 
-/// But for the law of a term, which stands in the term's file.
+/// The law of a term, which stands in the term's file, is the exception.
 #[test]
 fn scenarios_do_not_know_the_mathematics() {
     let mut known = lines_with("scenario", &["crate::solve", "nalgebra"]);

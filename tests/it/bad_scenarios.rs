@@ -1,4 +1,4 @@
-//! Bad input gets an error that names the field: one table, tried at all three doors.
+//! Bad input gets an error that names the field: one table, tried at all three entry points.
 
 use serde_json::{Value, json};
 use vpd::plan::Plan;
@@ -18,7 +18,7 @@ pub(crate) fn so4() -> Value {
     serde_json::from_str(include_str!("../../scenarios/so4-free.json")).expect("shipped")
 }
 
-/// A dipole with every optional field written out, so that each can be spoiled.
+/// Returns a dipole with every optional field written out, so that each can be spoiled.
 fn full() -> Value {
     let mut full = dipole();
     full["method"]["solver"] = json!({"kind": "auto", "tolerance": 1e-15, "max_iterations": 50});
@@ -32,7 +32,7 @@ fn full() -> Value {
     full
 }
 
-/// A dipole with all that can change with time, push or spin.
+/// Returns a dipole with everything that can change with time, apply a torque or spin.
 fn driven() -> Value {
     let mut driven = full();
     let weight =
@@ -54,7 +54,7 @@ fn driven() -> Value {
     driven
 }
 
-/// `base` with the raw JSON text `raw` at `pointer` (its parent must exist).
+/// Returns `base` with the raw JSON text `raw` at `pointer` (its parent must exist).
 fn with(mut base: Value, pointer: &str, raw: &str) -> String {
     const MARK: &str = "@spoiled@";
     let (parent, key) = pointer.rsplit_once('/').expect("a pointer");
@@ -68,7 +68,7 @@ fn with(mut base: Value, pointer: &str, raw: &str) -> String {
     base.to_string().replace(&format!("\"{MARK}\""), raw)
 }
 
-/// `base` without the field at `pointer`.
+/// Returns `base` without the field at `pointer`.
 fn without(mut base: Value, pointer: &str) -> String {
     let (parent, key) = pointer.rsplit_once('/').expect("a pointer");
     let map = base.pointer_mut(parent).and_then(Value::as_object_mut).expect("parent exists");
@@ -502,7 +502,7 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(full(), "/method", &method), "/method/order");
     }
 
-    // Steps that adapt.
+    // Adaptive steps.
     let adaptive = |raw: &str| with(full(), "/step", raw);
     for (raw, at) in [
         ("{}", ""),
@@ -644,7 +644,7 @@ pub(crate) fn table() -> Vec<Bad> {
     for raw in ["\"a\\nb\"", "\"a\\r\\nb\"", "\"a\\u0000b\"", "\"a\\u202eb\"", "\"a\\u001b[2J\""] {
         add(with(full(), "/name", raw), "/name");
     }
-    // What nobody sees, or what turns the text round.
+    // Characters that are invisible, or that reverse the text.
     for mark in ["200b", "200d", "200e", "200f", "061c", "2060", "2067", "feff", "00ad", "3164"] {
         add(with(full(), "/name", &format!("\"a\\u{mark}b\"")), "/name");
         add(with(full(), "/description", &format!("\"a\\u{mark}b\"")), "/description");
@@ -750,8 +750,8 @@ fn every_bad_scenario_is_refused_at_its_field() {
     assert!(wrong.is_empty(), "{} of {} wrong:\n{}", wrong.len(), table.len(), wrong.join("\n"));
 }
 
-/// Of every kind of term, a new one included: it is read back as it was written, and every field that is missing, unknown, of
-/// the wrong type or of the wrong size is refused by its pointer.
+/// Every kind of term, a new one included, is read back as it was written, and every field that is
+/// missing, unknown, of the wrong type or of the wrong size is refused by its pointer.
 #[test]
 fn every_term_is_read_back_and_refuses_bad_fields() {
     const TERM: &str = "/scene/potential/0";
@@ -833,7 +833,7 @@ fn what_was_given_is_not_repeated_at_length() {
     assert!(error.is_some_and(|error| error.message.ends_with("`quaternion_gauss`")));
 }
 
-/// Where the number itself is the difficulty, the answer gives one that works, and in few characters.
+/// If the number itself is at fault, the answer gives one that works, in few characters.
 #[test]
 fn answers_say_what_would_do() {
     let mut short = dipole();
@@ -886,7 +886,7 @@ fn answers_say_what_would_do() {
         assert_eq!(pointer, at, "{message}");
         assert!(message.contains(says), "{message}");
     }
-    // What would not be read either is not suggested.
+    // A value that would not be accepted either is not suggested.
     let viscous = change(&short, &[("/scene/torques", json!([{ "viscous": null }]))]);
     let error = refused(viscous.as_bytes()).expect("refused");
     assert!(

@@ -130,7 +130,7 @@ fn fields_can_be_set_on_the_command_line() {
     let run = set(&["/method/name=vrkmk", "/method/tableau=gauss1", "/duration_s=1"]);
     let summary: Value = serde_json::from_slice(&run.stdout).expect("JSON");
     assert_eq!(summary["steps"], 500);
-    // What is wrong in the file may be what is set.
+    // A value may be set in the place of one that is wrong in the file.
     let spoiled = std::fs::read_to_string(&top).expect("shipped").replace("0.002", "0");
     std::fs::write(at.join("spoiled.json"), spoiled).expect("writable");
     assert_eq!(vpd(at, &["run", "spoiled.json"]).status.code(), Some(2));
@@ -196,7 +196,7 @@ fn a_closed_pipe_is_no_error() {
     let log = ["run", &scenario("heavy-top"), "-o", "it.mcap"];
     assert_eq!(vpd(at, &log).status.code(), Some(0));
     let top = scenario("heavy-top");
-    // Nobody reads at all, and of a table longer than a pipe holds only the beginning.
+    // The reader closes at once, or after the beginning of a table longer than a pipe holds.
     for (arguments, read) in [
         (&["schema"][..], 0),
         (&["completions", "bash"], 0),
@@ -235,7 +235,7 @@ fn a_scenario_comes_from_stdin() {
             .stderr(std::process::Stdio::piped())
             .spawn()
             .expect("the binary starts");
-        // Who refuses its arguments reads nothing.
+        // A command that refuses its arguments reads nothing.
         let _ = child.stdin.take().expect("a pipe").write_all(scenario.as_bytes());
         child.wait_with_output().expect("a child")
     };
@@ -260,7 +260,7 @@ fn shells_complete_what_there_is() {
             assert!(text(&script.stdout).contains(word), "{shell}: {word}");
         }
     }
-    // What bash makes of it, where there is one.
+    // Runs bash on the script, if it is installed.
     std::fs::write(
         directory.path().join("vpd.bash"),
         vpd(directory.path(), &["completions", "bash"]).stdout,
@@ -299,7 +299,7 @@ fn null_takes_a_field_away_wherever_it_stands() {
         changes.iter().for_each(|change| arguments.extend(["--set", *change]));
         vpd(at, &arguments)
     };
-    // Sections, fields with and without a default, items of lists, what is not there.
+    // Sections, fields with and without a default, items of lists, and fields that do not exist.
     for change in [
         "/expect=null",
         "/method=null",
@@ -445,7 +445,7 @@ fn a_log_is_not_written_under_the_name_of_a_table() {
     assert!(text(&refused.stderr).contains("name it .mcap"), "{}", text(&refused.stderr));
 }
 
-/// The dipole with `steps` steps, each in the log.
+/// Returns the dipole with `steps` steps, each in the log.
 fn every_step(steps: &str) -> Vec<String> {
     let steps = format!("/steps={steps}");
     ["run", &scenario("dipole"), "-o", "it.mcap", "--set", &steps, "--set", "/log/every=1"]
@@ -509,7 +509,7 @@ fn a_log_is_replaced_by_force_alone() {
     let short = ["run", &top, "-o", "it.mcap", "--set", "/duration_s=0.5"];
     assert_eq!(vpd(at, &short).status.code(), Some(0));
     let kept = std::fs::read(at.join("it.mcap")).expect("a log");
-    // One that would fail at its first step.
+    // This run would fail at its first step.
     let fails = ["run", &top, "-o", "it.mcap", "--set", "/step_s=5"];
     for arguments in [&short[..], &fails[..]] {
         let refused = vpd(at, arguments);
@@ -522,7 +522,7 @@ fn a_log_is_replaced_by_force_alone() {
     assert_ne!(std::fs::read(at.join("it.mcap")).expect("a log"), kept);
 }
 
-/// Who does what a failure advises runs the same command again.
+/// A user who follows the advice of a failure runs the same command again.
 #[test]
 fn a_log_of_a_failed_run_is_replaced_by_one_of_its_name() {
     let directory = tempfile::tempdir().expect("a temporary directory");
@@ -541,7 +541,7 @@ fn a_log_of_a_failed_run_is_replaced_by_one_of_its_name() {
     let succeeded = log();
     assert_eq!(code(fails), Some(2), "what has succeeded stays");
     assert_eq!(log(), succeeded);
-    // What a link leads to is not looked at.
+    // The target of a link is not looked at.
     #[cfg(unix)]
     {
         std::fs::write(at.join("failed.mcap"), failed).expect("a copy");

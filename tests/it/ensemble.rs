@@ -1,4 +1,4 @@
-//! An ensemble: its members, what they are together, and that its log does not depend on how it came about.
+//! Ensembles: their members, their statistics, and that the log does not depend on how it was made.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -35,7 +35,7 @@ fn ensemble(mut scene: Value, members: u64, steps: u64, method: &Value) -> Value
     scene
 }
 
-/// A scene with a wheel and a torque.
+/// Returns a scene with a wheel and a torque.
 fn dual_spin() -> Value {
     serde_json::from_str(include_str!("../../scenarios/dual-spin.json")).expect("shipped")
 }
@@ -52,7 +52,7 @@ fn run(scenario: &Scenario, log: &Path) -> Summary {
     .expect("a log")
 }
 
-/// What stands in the log of an ensemble.
+/// Contents of the log of an ensemble.
 #[derive(Default)]
 struct Contents {
     members: Vec<Member>,
@@ -89,7 +89,7 @@ fn contents(log: &Path) -> Contents {
     found
 }
 
-/// The attitudes at the end, of member after member.
+/// Returns the attitudes at the end, of member after member.
 pub(crate) fn ends(log: &Path) -> Vec<Vec<f64>> {
     let members = contents(log).members;
     members
@@ -133,7 +133,7 @@ fn every_member_ends_once_and_those_in_full_end_where_their_samples_do() {
     }
 }
 
-/// A member does not depend on the company: not on how many there are, nor on who is logged in full.
+/// A member does not depend on the others: not on their number, nor on which are logged in full.
 #[test]
 fn a_member_is_the_same_in_any_ensemble() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -190,7 +190,7 @@ fn starts_are_spread_as_asked() {
     }
 }
 
-/// What a member did on the way stands in few points that keep its extremes, whichever member it is.
+/// The motion of any member is kept in few points that hold its extremes.
 #[test]
 fn the_points_on_the_way_of_a_member_keep_the_extremes_of_its_samples() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -244,7 +244,7 @@ fn the_points_on_the_way_of_a_member_keep_the_extremes_of_its_samples() {
         let off = size.fold(0.0, f32::max) / found.angular_velocity[k] - 1.0;
         assert!(off.abs() < 1e-6, "{off}");
     }
-    // Of a member whose samples are not logged they are the same figures.
+    // The figures are the same for a member whose samples are not logged.
     let other = way(11);
     assert_eq!(other.time_s, found.time_s);
     assert_eq!(
@@ -276,7 +276,7 @@ fn a_member_that_fails_is_told_and_the_others_go_on() {
         assert_eq!(diagnosis["step"], json!(end.steps + 1));
         assert!(end.steps < 50 && end.last.as_ref().is_some_and(|last| last.attitude.len() == 9));
     }
-    // None of them gets through a step so large.
+    // No member gets through a step this large.
     scenario["step_s"] = json!(1000.0);
     scenario["method"]["tableau"] = json!("gauss1");
     let summary = run(&checked(&scenario), &log);
@@ -284,8 +284,8 @@ fn a_member_that_fails_is_told_and_the_others_go_on() {
     assert!(summary.diagnosis.is_some());
 }
 
-/// What a kill leaves is a beginning of the whole log; the run that takes it up ends with the whole, and does not
-/// run again whose end it holds.
+/// A kill leaves a beginning of the whole log; the run that resumes it ends with the whole, and
+/// does not run members again whose end it holds.
 #[test]
 fn an_interrupted_ensemble_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -21,7 +21,7 @@ use vpd::study::Watch;
 const SCENES: usize = 200;
 /// Estimated time of the steps that are made; at least one is.
 const RUN_NS: f64 = 2e7;
-/// What counts is the shortest time of this many runs: the machine is shared.
+/// The shortest time of this many runs counts: the machine is shared.
 const RUNS: usize = 3;
 
 struct Draw(u64);
@@ -43,7 +43,7 @@ impl Draw {
         &list[self.below(list.len())]
     }
 
-    /// From 10^low to 10^high, evenly in the exponent.
+    /// Draws a number from 10^low to 10^high, evenly in the exponent.
     fn size(&mut self, low: f64, high: f64) -> f64 {
         10_f64.powf(low + (high - low) * self.unit())
     }
@@ -52,7 +52,7 @@ impl Draw {
         if self.one_in(2) { -1.0 } else { 1.0 }
     }
 
-    /// About one in two scenes is of this world.
+    /// Draws a scale; about one in two scenes is of usual size.
     fn scale(&mut self, wild: bool) -> f64 {
         if wild { self.size(-14.9, 14.9) } else { self.size(-1.0, 1.0) }
     }
@@ -136,7 +136,7 @@ impl Draw {
                 let moments: Vec<f64> = (0..3).map(|_| self.size(-end, end)).collect();
                 json!({ "principal": moments })
             }
-            // Next to singular.
+            // The matrix is nearly singular.
             2 => {
                 json!({"matrix": [[1.0, 0.9999999, 0.0], [0.9999999, 1.0, 0.0], [0.0, 0.0, self.size(-3.0, 3.0)]]})
             }
@@ -185,7 +185,7 @@ impl Draw {
     }
 }
 
-/// What the trial has seen.
+/// Results of the trials.
 #[derive(Default)]
 struct Seen {
     accepted: usize,
@@ -199,7 +199,7 @@ struct Seen {
     ratios: Vec<(f64, usize)>,
     /// Time of a step, in parts of the estimate, where steps are half of the run.
     of_steps: Vec<(f64, usize)>,
-    /// The same of runs that fail: they end earlier.
+    /// The same for runs that fail: they end earlier.
     failed: Vec<(f64, usize)>,
 }
 
@@ -208,7 +208,7 @@ fn extreme_scenes_are_planned_or_refused() {
     let seed = std::env::var("VPD_SEED").ok().and_then(|text| text.parse().ok());
     let seed = seed.unwrap_or(20_261_122);
     println!("VPD_SEED={seed}");
-    // Those that a figure has pointed at.
+    // Only the scenes that a figure has pointed at.
     let only = std::env::var("VPD_ONLY").ok();
     let only: Option<Vec<usize>> =
         only.map(|text| text.split(',').filter_map(|number| number.parse().ok()).collect());
@@ -223,7 +223,7 @@ fn extreme_scenes_are_planned_or_refused() {
         try_one(&scenario, number, directory.path(), &mut seen);
     }
     let Seen { accepted, refused, run, succeeded, .. } = seen;
-    // Each made its log: finite numbers, by an estimate that is finite.
+    // Each accepted scene made its log: finite numbers, by an estimate that is finite.
     assert_eq!(run, accepted);
     println!("{accepted} planned, {refused} refused; {run} run, {succeeded} to their end");
     let slowest = |mut list: Vec<(f64, usize)>| {
@@ -269,12 +269,12 @@ fn a_large_turn_needs_little_stack() {
 
 fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     let text = scenario.to_string();
-    // For whoever looks for the scene that ended the process.
+    // Kept for finding the scene that ended the process.
     if std::env::var_os("VPD_TRACE").is_some() {
         println!("#{number} {text}");
     }
     let begun = Instant::now();
-    // A choice may cost a fraction of what it may otherwise, unless a hundred times as many are drawn.
+    // A choice may cost a fraction of the usual limit, unless a hundred times as many are drawn.
     let allowance_ns = (super::faults::scale() < 100).then(|| 300_000_000.into());
     let watch = Watch { allowance_ns, ..Watch::default() };
     let planned = Scenario::from_json(text.as_bytes())
@@ -302,7 +302,7 @@ fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     let estimate: Plan = advise::plan(&short).expect("it is shorter");
     let path = directory.join("log.mcap");
     let control = Control::default();
-    // A search for a better step is up to two seconds: of many scenes some are enough.
+    // A search for a better step takes up to two seconds: for many scenes some are enough.
     if !number.is_multiple_of(super::faults::scale()) {
         control.settling.cancelled.store(true, Ordering::Relaxed);
     }
@@ -321,10 +321,10 @@ fn try_one(scenario: &Value, number: usize, directory: &Path, seen: &mut Seen) {
     let all = summary.ensemble.as_ref().is_none_or(|members| members.succeeded == 8);
     let succeeded = summary.outcome == Outcome::Succeeded && all;
     seen.succeeded += usize::from(succeeded);
-    // What a search for a better step takes is no part of the estimate.
+    // The time of a search for a better step is no part of the estimate.
     control.settling.cancelled.store(true, Ordering::Relaxed);
     let again = (1..RUNS).map(|_| {
-        // It would be resumed.
+        // Without this the run would be resumed.
         std::fs::remove_file(&path).expect("a log");
         let context = JobContext { log: &path, control: &control };
         let summary = execute(&estimate, &context).expect("as before");

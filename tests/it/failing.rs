@@ -1,5 +1,5 @@
-//! Steps too large: what is advised after the failure carries the run, and is not much smaller than need be; and what is
-//! said of it.
+//! Steps that are too large: the step advised after the failure carries the run, and is not much
+//! smaller than need be; and the messages about it.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -26,11 +26,11 @@ use crate::scenarios::run;
 struct Trial {
     scene: Value,
     method: Value,
-    /// About what moves fastest, in seconds for a radian.
+    /// Time scale of the fastest motion, in seconds for a radian.
     quick_s: f64,
 }
 
-/// Scene number `k`: n = 3 to 5; springs, charges, fields, quick spins.
+/// Returns scene number `k`: n = 3 to 5; springs, charges, fields, quick spins.
 fn trial(k: u64) -> Trial {
     let mut numbers = Numbers(0x9e37_79b9_7f4a_7c15 ^ (k + 1).wrapping_mul(0x2545_f491_4f6c_dd1d));
     (0..20).for_each(|_| {
@@ -111,7 +111,7 @@ fn trial(k: u64) -> Trial {
 }
 
 impl Trial {
-    /// How long it runs: some swings.
+    /// Returns the duration of the run: some swings.
     fn time_s(&self) -> f64 {
         40.0 * self.quick_s
     }
@@ -126,7 +126,7 @@ impl Trial {
     }
 }
 
-/// What came of a trial.
+/// Result of a trial.
 #[derive(Debug)]
 enum End {
     /// No step that was tried failed.
@@ -223,8 +223,8 @@ fn an_advised_step_carries_the_run() {
     judged(20, 7);
 }
 
-/// What is advised is taken as it is, in the place of `step_s`: the duration is a whole number of it, and so is what is
-/// between samples.
+/// The advised step is used as it is, in the place of `step_s`: the duration is a whole number of
+/// it, and so is the time between samples.
 #[test]
 fn an_advised_step_divides_the_duration() {
     let directory = tempfile::tempdir().expect("a temporary directory");
@@ -254,7 +254,7 @@ fn advised_steps_of_two_hundred_scenes() {
     judged(200, 1);
 }
 
-/// A stiff spring, with steps that cannot be made.
+/// Returns a stiff spring, with steps that cannot be made.
 fn stiff() -> Value {
     json!({
         "name": "stiff",
@@ -294,7 +294,7 @@ fn a_search_ends_when_the_run_is_cancelled() {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let scenario = Scenario::from_json(stiff().to_string().as_bytes()).expect("a good scenario");
     let log = directory.path().join("run.mcap");
-    // Before the first sweep of the search, and heard by nothing else.
+    // Cancelled before the first sweep of the search, which alone notices it.
     let control = Control::default();
     control.settling.cancelled.store(true, Ordering::Relaxed);
     let context = JobContext { log: &log, control: &control };
@@ -334,11 +334,11 @@ fn lost_energy_is_noticed_without_its_channel() {
         assert!(warning(past(1e-6), channels.clone()).is_some(), "{channels}");
         assert_eq!(warning(past(0.5), channels), None);
     }
-    // At rest in the end as at the beginning: nothing is lost.
+    // It is at rest in the end as at the beginning: nothing is lost.
     let mut swing = past(0.5);
     swing["initial"]["angular_velocity"] = json!({ "body": [0, 0, 0] });
     assert_eq!(warning(swing, json!(["/state"])), None);
-    // Of a body that is pushed by its balance.
+    // The warning for a body with torques uses its balance.
     let pushed = |distance: f64, damping: f64| {
         let mut scene = past(distance);
         scene["torques"] = json!([{ "viscous": { "coefficient": damping } }]);

@@ -1,4 +1,5 @@
-//! Faults, given to the real binary: kills, stops, full and failing disks, damaged files, nonsense on the wire.
+//! Faults in the real binary: kills, stops, full and failing disks, damaged files, nonsense on the
+//! wire.
 //!
 //! Each test prints its seed (`VPD_SEED` sets another one) and counts that its faults were given; `VPD_FAULTS=20`
 //! gives twenty times as many.
@@ -14,12 +15,12 @@ mod wire;
 
 use serde_json::{Value, json};
 
-/// How many times more than in CI.
+/// Returns how many times more faults are made than in CI.
 pub(crate) fn scale() -> usize {
     std::env::var("VPD_FAULTS").ok().and_then(|text| text.parse().ok()).unwrap_or(1)
 }
 
-/// The numbers that a test draws; printed, so that it can be run again.
+/// Random numbers of a test; the seed is printed, so that it can be run again.
 struct Random(u64);
 
 impl Random {
@@ -38,7 +39,8 @@ impl Random {
     }
 }
 
-/// A dipole of `steps` steps, every fifth of them logged: a chunk, and so a checkpoint, each 30 ms or so.
+/// Returns a dipole of `steps` steps, every fifth of them logged: a chunk, and so a checkpoint,
+/// each 30 ms or so.
 fn dipole(steps: u64) -> Value {
     let mut scenario: Value =
         serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
@@ -47,7 +49,7 @@ fn dipole(steps: u64) -> Value {
     scenario
 }
 
-/// A body of n dimensions on many springs: steps that take long.
+/// Returns a body of n dimensions on many springs: steps that take long.
 fn heavy(n: usize, terms: usize, steps: u64) -> Value {
     let at = |k: usize, length: f64| -> Vec<f64> {
         (0..n).map(|i| if i == k % n { length } else { 0.1 * ((i + k) % 3) as f64 }).collect()
@@ -65,7 +67,7 @@ fn heavy(n: usize, terms: usize, steps: u64) -> Value {
     })
 }
 
-/// A pendulum whose method and step are to be found.
+/// Returns a pendulum whose method and step are to be found.
 fn pendulum(error: f64, duration_s: f64) -> Value {
     let mut scenario: Value =
         serde_json::from_str(include_str!("../../scenarios/pendulum.json")).expect("shipped");

@@ -15,7 +15,7 @@ use vpd::scenario::Scenario;
 
 use crate::scenarios::run;
 
-/// A scene, and what becomes of methods on it.
+/// A scene, and the outcomes of methods on it.
 #[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Room {
@@ -32,12 +32,12 @@ struct Case {
     step_s: f64,
     steps: u64,
     every: u64,
-    /// How it ends; absent only in a room that is still to be hung by `rewrite_the_gallery`.
+    /// End of the case; absent only in a room that is not yet recorded by `rewrite_the_gallery`.
     #[serde(default)]
     ends: Ends,
 }
 
-/// How a case ends.
+/// End of a case.
 #[derive(Clone, Debug, Default, Deserialize, PartialEq, Serialize)]
 #[serde(deny_unknown_fields)]
 struct Ends {
@@ -49,7 +49,7 @@ struct Ends {
     /// The step that is advised.
     #[serde(skip_serializing_if = "Option::is_none")]
     advised_step_s: Option<f64>,
-    /// Does the same time in advised steps succeed?
+    /// Whether the same time in advised steps succeeds.
     #[serde(skip_serializing_if = "Option::is_none")]
     advice_works: Option<bool>,
 }
@@ -73,7 +73,7 @@ fn rooms() -> Vec<(PathBuf, Room)> {
         .collect()
 }
 
-/// The scenario of a case with `steps` steps.
+/// Returns the scenario of a case with `steps` steps.
 fn scenario(room: &Room, case: &Case, step_s: f64, steps: u64, every: u64) -> String {
     json!({
         "name": "gallery", "scene": room.scene, "method": case.method, "step_s": step_s, "steps": steps,
@@ -82,7 +82,7 @@ fn scenario(room: &Room, case: &Case, step_s: f64, steps: u64, every: u64) -> St
     .to_string()
 }
 
-/// The states of a log, each number finite.
+/// Returns the states of a log, each number finite.
 fn states(path: &Path) -> Vec<Vec<u64>> {
     let mut states = Vec::new();
     read_samples(path, |_, message| {
@@ -96,7 +96,7 @@ fn states(path: &Path) -> Vec<Vec<u64>> {
     states
 }
 
-/// Runs a case and holds what must hold of every one.
+/// Runs a case and asserts what must hold for every one.
 fn observe(room: &Room, case: &Case) -> Ends {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let log = directory.path().join("run.mcap");
@@ -119,7 +119,7 @@ fn observe(room: &Room, case: &Case) -> Ends {
         assert!(keeps_its_energy(&summary) || summary.warning.is_some(), "nobody says so: {text}");
         return Ends { outcome: outcome.to_owned(), ..Ends::default() };
     };
-    // All samples before the step, and the same as of a run that was to end there.
+    // The log holds all samples before the step, and the same as a run that was to end there.
     assert_eq!(case.every, 1, "a case that fails keeps every sample");
     assert_eq!(summary.samples, diagnosis.step);
     let kept = states(&log);
@@ -146,17 +146,19 @@ fn observe(room: &Room, case: &Case) -> Ends {
     }
 }
 
-/// Is the energy what it was, but for its own size? Methods that solve no equations notice nothing.
+/// Returns whether the energy is unchanged, relative to its size. Methods that solve no equations
+/// notice nothing.
 fn keeps_its_energy(summary: &Summary) -> bool {
     summary.energy.is_some_and(|energy| energy.max_abs_error <= energy.initial.abs().max(1.0))
 }
 
-/// Is every attitude a rotation, but for rounding?
+/// Returns whether every attitude is a rotation, but for rounding.
 fn stays_on_the_group(summary: &Summary) -> bool {
     summary.orthogonality.is_none_or(|seen| seen.max <= 1e-11)
 }
 
-/// Does something with every case, on two threads, and returns what came of it in the order of the cases.
+/// Applies a function to every case, on two threads, and returns the results in the order of the
+/// cases.
 fn everywhere<T: Send>(
     rooms: &[(PathBuf, Room)],
     work: impl Fn(&Room, &Case) -> T + Sync,

@@ -1,4 +1,4 @@
-//! The service through its door: a real listener, a real client, real directories.
+//! The service over HTTP: a real listener, a real client, real directories.
 
 mod follow;
 mod guard;
@@ -25,7 +25,7 @@ use vpd::serve::{Cors, Limits, ServeConfig, ServeError, serve};
 /// Longest wait for anything that should happen soon: long, for machines under load.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A dipole of a hundred steps.
+/// Returns a dipole of a hundred steps.
 fn short() -> Value {
     json!({
         "name": "dipole",
@@ -48,7 +48,7 @@ fn short() -> Value {
     })
 }
 
-/// The same for hours.
+/// Returns a dipole that runs for hours.
 fn long() -> Value {
     let mut scenario = short();
     scenario["steps"] = json!(10_000_000_000_u64);
@@ -63,7 +63,7 @@ struct Server {
     thread: Option<JoinHandle<Result<(), ServeError>>>,
 }
 
-/// What a test wants of its service.
+/// Options of the service of a test.
 struct Setup {
     config: ServeConfig,
 }
@@ -141,7 +141,7 @@ impl Setup {
 }
 
 impl Server {
-    /// Stops in order; how long that took.
+    /// Stops in order; returns how long that took.
     fn stop(mut self) -> (Result<(), ServeError>, Duration) {
         let start = Instant::now();
         drop(self.stop.take());
@@ -209,12 +209,12 @@ impl Server {
         answer.json()
     }
 
-    /// The job once it is in this state.
+    /// Returns the job once it is in this state.
     fn wait(&self, id: &str, state: &str) -> Value {
         until(&format!("job {state}"), || Some(self.job(id)).filter(|job| job["state"] == state))
     }
 
-    /// A long job that has made steps.
+    /// Returns a long job that has made steps.
     fn running(&self) -> String {
         let id = self.submit(&long());
         until("steps", || {
@@ -223,14 +223,14 @@ impl Server {
         id
     }
 
-    /// A short job that has ended.
+    /// Returns a short job that has ended.
     fn finished(&self) -> String {
         let id = self.submit(&short());
         self.wait(&id, "succeeded");
         id
     }
 
-    /// Sends bytes as they are; the answer up to the end of the connection.
+    /// Sends bytes as they are; returns the answer up to the end of the connection.
     fn raw(&self, bytes: &[u8]) -> String {
         let mut stream = TcpStream::connect(self.address).expect("a connection");
         stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
@@ -304,12 +304,12 @@ fn directory() -> TempDir {
     tempfile::tempdir().expect("a directory")
 }
 
-/// Where a job's record stands.
+/// Returns the path of a job's record.
 fn record(data: &TempDir, id: &str) -> PathBuf {
     data.path().join("data/jobs").join(id)
 }
 
-/// A text as the store keeps it, with its checksum.
+/// Returns a text as the store keeps it, with its checksum.
 fn sealed(text: &str) -> String {
     format!("{text}\ncrc32 {:08x}\n", crc32fast::hash(text.as_bytes()))
 }

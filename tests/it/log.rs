@@ -1,4 +1,4 @@
-//! The log, through its doors: what is written is what is read.
+//! The log through its public interface: what is written is read back.
 
 mod damage;
 mod fixture;
@@ -100,7 +100,7 @@ fn quaternions_have_no_jumps_in_sign() {
     for (state, frame) in states.iter().zip(&frames) {
         let turn = frame.transforms[0].rotation.expect("a turn");
         assert_eq!(state.quaternion, [turn.w, turn.x, turn.y, turn.z]);
-        // Still the attitude.
+        // The quaternion is still that of the attitude.
         let [w, x, y, z] = state.quaternion[..] else { panic!("four") };
         let first = [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)];
         for (entry, wanted) in first.iter().zip(&state.attitude) {
@@ -355,7 +355,8 @@ fn the_estimate_of_the_size_is_close() {
     );
 }
 
-/// What a plan fixes: up to half a mebibyte a chunk, or what three seconds give, a fifth of what is promised.
+/// Limits of a plan: half a mebibyte a chunk, or the samples of three seconds, a fifth of what is
+/// promised.
 #[test]
 fn chunks_are_as_large_as_the_plan_says() {
     let shipped: Value =

@@ -1,6 +1,7 @@
-//! The program, one binary: its doors (scenario, run, command line, log, HTTP) and what it says of itself.
+//! The program, one binary: its entry points (scenario, run, command line, log, HTTP) and its
+//! documentation.
 
-// A test may say what it measured.
+// A test may print its measurements.
 #![allow(clippy::print_stdout)]
 
 mod adaptive;

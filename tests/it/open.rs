@@ -1,4 +1,4 @@
-//! Systems of a user's own through the program's doors: the examples, their logs, and what goes wrong.
+//! User-defined systems in the program: the examples, their logs, and errors.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -124,7 +124,7 @@ fn what_goes_wrong_is_said_in_a_finished_log() {
     assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 0);
 }
 
-/// Of order 2, 4 and 6 by the table, against a reference that both forms of VPD agree on.
+/// The orders are 2, 4 and 6 by the table, against a reference that both forms of VPD agree on.
 #[test]
 fn work_and_precision_of_a_system_of_ones_own() {
     struct Field(Mat<3>);
@@ -192,7 +192,7 @@ fn a_scenario_needs_no_json() {
     assert_eq!(refused.pointer, "/step_s");
 }
 
-/// The map of a scene, and of the body that it is made of as a system of one's own: the same borders.
+/// The map of a scene, and of its body as a user-defined system, have the same borders.
 #[test]
 fn the_map_of_a_system_of_ones_own() {
     let watch = Watch::default();

@@ -1,4 +1,5 @@
-//! Model no more than a scene needs: what the plan sees, what it says of it, and that it changes no result.
+//! No more is modelled than a scene needs: the simplifications of the plan, their messages, and
+//! that no result changes.
 //!
 //! Each scene is run as it is planned and, by the solver itself, with every term as it is given.
 
@@ -45,16 +46,16 @@ fn tumbling() -> Value {
     })
 }
 
-/// What the plan makes of a scene.
+/// Expected plan of a scene.
 struct Row {
     name: &'static str,
     inertia: Value,
     potential: Vec<Value>,
     initial: Value,
     method: Value,
-    /// What it says, and where: a term's index, or `method` or `motion`.
+    /// Messages, and their place: a term's index, or `method` or `motion`.
     says: &'static [(&'static str, &'static str)],
-    /// Terms that are still modelled.
+    /// Number of terms that are still modelled.
     modelled: usize,
 }
 
@@ -269,7 +270,7 @@ fn scenario(row: &Row) -> Value {
     })
 }
 
-/// The body with every term as it is given.
+/// Returns the body with every term as it is given.
 fn as_given<const N: usize>(
     weights: Mat<N>,
     potential: &[PotentialTerm],
@@ -316,7 +317,7 @@ fn carried<const N: usize>(
     (stepper.attitude().expect("carried"), stepper.momentum())
 }
 
-/// Attitude and momentum at the end of a run, with the energy at its start.
+/// Returns attitude and momentum at the end of a run, with the energy at its start.
 fn planned<const N: usize>(text: &str) -> (Mat<N>, Mat<N>, f64) {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let summary = run(text, &directory.path().join("run.mcap"));
@@ -381,7 +382,7 @@ fn what_the_plan_sees_is_said_and_changes_no_result() {
     }
 }
 
-/// Attitude and momentum at the start, by the program's own reading of them.
+/// Returns attitude and momentum at the start, as the program reads them.
 fn start_of(scenario: &Value) -> State<3> {
     let initial = &scenario["scene"]["initial"];
     let turn = &initial["attitude"]["axis_angle"];
@@ -453,7 +454,7 @@ fn a_step_that_the_plane_cannot_solve_fails_as_in_three_dimensions() {
     assert_eq!(ends[0].code, ends[1].code);
 }
 
-/// Which statement of conservation holds stands in the plan, and is what is logged.
+/// The plan states which conservation holds, and that one is logged.
 #[test]
 fn the_plan_says_what_is_kept() {
     let plan = |text: &str, changes: &[(&str, Value)]| {

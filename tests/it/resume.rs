@@ -1,4 +1,4 @@
-//! An interrupted run goes on, and its log does not show it.
+//! An interrupted run is resumed, and its log does not show it.
 
 use std::fs;
 use std::path::Path;
@@ -13,7 +13,7 @@ use vpd::log::resume::last_checkpoint;
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
 
-/// The dipole, for every method that can run it.
+/// Returns the dipole with a method that can run it.
 fn dipole(method: &Value) -> Value {
     let mut scenario: Value =
         serde_json::from_str(include_str!("../../scenarios/dipole.json")).expect("shipped");
@@ -88,7 +88,7 @@ fn a_checkpoint_at_the_start_changes_no_bit() {
     }
 }
 
-/// What a kill leaves is a beginning of the whole log: whatever beginning it is, the run that takes it up
+/// A kill leaves a beginning of the whole log: whatever beginning it is, the run that resumes it
 /// ends with the whole.
 fn resume_job(scenario: &Value, cuts: &[f64]) {
     let folder = tempfile::tempdir().expect("a folder");
@@ -177,7 +177,8 @@ fn driven_scenes_go_on_to_the_same_bytes() {
     resume_job(&shipped(include_str!("../../scenarios/dual-spin.json"), 3900), &[0.4, 0.9]);
 }
 
-/// Where steps adapt a checkpoint holds the end of the last of them, next to the sample that was taken aside.
+/// With adaptive steps a checkpoint holds the end of the last of them, next to the sample that was
+/// taken aside.
 #[test]
 fn steps_that_adapt_go_on_to_the_same_bytes() {
     for tableau in ["gauss2", "gauss4", "rk3"] {
@@ -200,7 +201,7 @@ fn an_interrupted_run_leaves_what_it_promised() {
     let mut resumed = 0;
     for stop in [8_000, 8_100, 20_000] {
         let (result, control) = run_until(&scenario, &parts, stop);
-        // On a machine that let the run pass us by there is nothing to see.
+        // If the run was quicker than the interruption there is nothing to see.
         if result.is_ok() {
             break;
         }
@@ -250,7 +251,7 @@ fn what_another_job_or_a_bad_disk_left_is_not_resumed_runs() {
     let other = checked(&other);
     run(&other, &at("other.mcap"));
 
-    // Of another job: begun anew.
+    // The log of another job is begun anew.
     fs::write(part_path(&at("other-again.mcap")), &left).expect("written");
     assert_eq!(run(&other, &at("other-again.mcap")).resumed_step, 0);
     assert!(

@@ -1,4 +1,4 @@
-//! Every shipped scenario is a test: it runs through the front door and keeps to its own `expect` block.
+//! Every shipped scenario is a test: it runs as a user runs it and meets its own `expect` block.
 
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -64,7 +64,8 @@ fn a_circular_orbit_has_a_jacobi_integral() {
     assert!(elliptic.iter().all(|(_, jacobi)| jacobi.is_none()));
 }
 
-/// Of a pushed scene the log holds what was put in: the errors are what is left, and the job record says so.
+/// The log of a scene with torques holds the energy and momentum put in: the errors are the
+/// remainder, and the job record says so.
 #[test]
 fn what_is_put_in_is_logged() {
     let directory = tempfile::tempdir().expect("a temporary directory");
@@ -94,7 +95,7 @@ fn what_is_put_in_is_logged() {
     let found = vpd::log::inspect::inspect(&log).expect("a log");
     let job = found.job.expect("the record");
     assert!(job["energy_balance"].contains("work") && job["momentum_balance"].contains("impulse"));
-    // A scene that nothing pushes says nothing of it.
+    // The log of a scene without torques does not mention it.
     let still = directory.path().join("heavy-top.mcap");
     run(include_str!("../../scenarios/heavy-top.json"), &still);
     let found = vpd::log::inspect::inspect(&still).expect("a log");
@@ -161,7 +162,7 @@ fn constant_terms_are_dropped_and_their_energy_kept() {
     let with = run(&scene(constant), &directory.path().join("with.mcap"));
     let without = run(&scene(""), &directory.path().join("without.mcap"));
     let energy = |summary: &Summary| summary.energy.expect("logged").initial;
-    // 2 / 1 + 4 / 2 * 0.5
+    // The expected energy: 2 / 1 + 4 / 2 * 0.5
     assert!((energy(&with) - energy(&without) - 3.0).abs() < 1e-15);
     assert_eq!(with.last, without.last);
 }
@@ -239,7 +240,7 @@ fn the_same_scenario_gives_the_same_bytes() {
     }
 }
 
-/// Inertia that no body has is computed, and everybody sees a warning.
+/// Inertia that no body can have is computed with, and a warning is shown everywhere.
 #[test]
 fn inertia_that_no_body_has_is_warned_of() {
     let directory = tempfile::tempdir().expect("a temporary directory");
@@ -319,7 +320,8 @@ fn thirty_two_dimensions_are_a_scene_like_any() {
     }
 }
 
-/// What is made in Rust from what JSON needs is what JSON makes of it, with the same defaults.
+/// A scenario made in Rust from the required fields is the one made from JSON, with the same
+/// defaults.
 #[test]
 fn what_is_left_away_in_rust_is_what_json_has() {
     fn same<T: serde::de::DeserializeOwned + PartialEq + std::fmt::Debug>(made: T, json: Value) {

@@ -1,4 +1,4 @@
-//! Where methods fail: the borders of the map, and what its classes mean.
+//! Stability maps: the borders of methods, and the meaning of the classes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,8 @@ use vpd::study::{Entry, Watch, all_methods};
 
 use crate::study::shipped;
 
-/// Label → on the dipole the largest usable step and the smallest beyond it that was tried, in seconds.
+/// Label → on the dipole the largest usable step and the smallest beyond it that was tried, in
+/// seconds.
 type Borders = BTreeMap<String, [f64; 2]>;
 
 fn recorded_at() -> PathBuf {
@@ -84,8 +85,8 @@ fn classes_mean_what_they_say() {
 
 #[test]
 fn a_turn_past_pi_that_looks_fine_is_refused() {
-    // Steady spin: energy and orthogonality are exact whatever the attitude does, and past half a turn in a
-    // step what is projected looks like a small one.
+    // Steady spin: energy and orthogonality are exact whatever the attitude does, and past half a
+    // turn in a step the projected turn looks like a small one.
     let scene = serde_json::json!({
         "name": "spin", "step_s": 0.1, "steps": 1000,
         "scene": {
@@ -109,7 +110,8 @@ fn a_turn_past_pi_that_looks_fine_is_refused() {
     }
 }
 
-/// A pendulum in a plane with a spring, pushed by `push_rad_s` from where it hangs, and omega of its small swings.
+/// Returns a pendulum in a plane with a spring, pushed by `push_rad_s` from where it hangs, and
+/// omega of its small swings.
 fn spring_pendulum(push_rad_s: f64) -> (Scenario, f64) {
     let (weight, stiffness, length, anchor) = (9.81, 4.0, 0.5, [0.5, -2.0]);
     // U of an angle, J = 1, by differences.
@@ -145,8 +147,8 @@ fn spring_pendulum(push_rad_s: f64) -> (Scenario, f64) {
     (scene, curvature(rest).sqrt())
 }
 
-/// Where the scheme turns its linear oscillator by 2 pi / m: the phase of Gauss's rational approximants of exp(i x) is
-/// pi / 2 and 2 pi / 3 there.
+/// Resonances lie where the scheme turns its linear oscillator by 2 pi / m: the phase of Gauss's
+/// rational approximants of exp(i x) is pi / 2 and 2 pi / 3 there.
 #[test]
 fn step_resonances_are_marked() {
     // Pushed harder, one stage is past its border before three steps make a swing.

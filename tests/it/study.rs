@@ -1,4 +1,5 @@
-//! Studies: the program's own references against digits, orders from the table, and what a cancel does.
+//! Studies: the program's own references against digits, orders from the table, and the effect of a
+//! cancel.
 
 use serde_json::Value;
 use vpd::plan::Plan;
@@ -70,14 +71,14 @@ fn the_table_shows_the_orders_and_repeats() {
     table_of("dipole", 0.5, 10);
 }
 
-/// The same of scenes that move, or are pushed and have a wheel.
+/// The same for scenes that move, or have torques and a wheel.
 #[test]
 fn so_does_that_of_driven_scenes() {
     table_of("satellite-elliptic", 4000.0, 5);
     table_of("dual-spin", 10.0, 5);
 }
 
-/// A study of a shipped scene up to a time, in which at least `orders` orders must show.
+/// Makes a study of a shipped scene up to a time, in which at least `orders` orders must show.
 fn table_of(name: &str, until_s: f64, orders: usize) {
     let scene = shipped(name);
     let entries = usual_methods(&scene);

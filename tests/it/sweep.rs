@@ -1,4 +1,4 @@
-//! Sweeps: values, lines, what a kill leaves, parts and their whole.
+//! Sweeps: values, lines, kills, parts and their whole.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -13,7 +13,7 @@ use vpd::sweep::{Sweep, schema};
 
 use crate::cli::vpd;
 
-/// A top that runs for some milliseconds.
+/// Returns a top that runs for some milliseconds.
 fn top(steps: u64) -> Value {
     json!({
         "name": "top",
@@ -41,7 +41,7 @@ fn of(sweep: &Value) -> Sweep {
     Sweep::from_json(sweep.to_string().as_bytes()).expect("a good sweep")
 }
 
-/// What stands at a pointer in the scenario of each member.
+/// Returns the value at a pointer in the scenario of each member.
 fn values(sweep: &Sweep, pointer: &str) -> Vec<f64> {
     let value = |member| {
         let scenario = sweep.scenario(member).expect("a scenario").to_json();
@@ -51,7 +51,7 @@ fn values(sweep: &Sweep, pointer: &str) -> Vec<f64> {
     (0..sweep.members()).map(value).collect()
 }
 
-/// One field with some values.
+/// Returns a sweep over one field with some values.
 fn one(values: &Value) -> Value {
     json!({ "scenario": top(1), "vary": [{ "pointer": SPIN, "values": values }] })
 }
@@ -128,7 +128,7 @@ fn fields_are_combined_and_whole_numbers_stay_whole() {
     let pairs = sweep("side_by_side", &json!({ "list": [10, 20, 30] }));
     assert_eq!(values(&pairs, "/steps"), [10.0, 20.0, 30.0]);
     assert_eq!(values(&pairs, SPIN), [1.0, 2.0, 3.0]);
-    // What makes no difference to the table is not in its digest.
+    // Changes that make no difference to the table are not in its digest.
     let mut file = one(&json!({ "list": [1, 2] }));
     let digest = of(&file).digest();
     file["keep_logs"] = json!([1]);
@@ -251,7 +251,7 @@ fn write(at: &Path, name: &str, sweep: &Value) {
     fs::write(at.join(name), sweep.to_string()).expect("writable");
 }
 
-/// The lines of a table whose cells hold no quotes, by the heads of their columns.
+/// Returns the lines of a table whose cells hold no quotes, by the heads of their columns.
 fn lines(at: &Path, name: &str) -> Vec<BTreeMap<String, String>> {
     let table = fs::read_to_string(at.join(name)).expect("a table");
     assert!(!table.contains("NaN") && !table.contains("inf"), "{table}");
@@ -269,7 +269,8 @@ fn number(line: &BTreeMap<String, String>, column: &str) -> f64 {
     line[column].parse().unwrap_or_else(|_| panic!("{column}: {:?}", line[column]))
 }
 
-/// Tops, some of which fail (a step that no solver makes), some are no scenario (a negative moment).
+/// Returns tops, some of which fail (a step that no solver makes), some are no scenario (a negative
+/// moment).
 fn mixed(steps: u64) -> Value {
     json!({
         "scenario": top(steps),
@@ -315,7 +316,7 @@ fn a_member_that_fails_or_is_refused_has_a_line() {
     }
     let map = fs::read_to_string(at.join("map.svg")).expect("a picture");
     assert!(map.contains("failed") && map.contains("refused") && !map.contains("NaN"));
-    // From the table as it stands; and points, of another column.
+    // Drawn from the table as it stands; and points, of another column.
     succeeds(at, &["sweep", "mixed.json", "--svg", "again.svg"]);
     assert_eq!(fs::read_to_string(at.join("again.svg")).expect("a picture"), map);
     refused(at, &["sweep", "mixed.json", "--svg", "x.svg", "--column", "height"], "height");
@@ -331,7 +332,7 @@ fn a_member_that_fails_or_is_refused_has_a_line() {
     // The table of another sweep is not drawn as that of this one.
     fs::copy(at.join("points.csv"), at.join("mixed.csv")).expect("copied");
     refused(at, &["sweep", "mixed.json", "--svg", "x.svg"], "no table of this sweep");
-    // None succeeds: as of an ensemble, that is a failure.
+    // No member succeeds: as for an ensemble, that is a failure.
     let mut bad = mixed(200);
     bad["vary"] = json!([{ "pointer": "/scene/inertia/principal/0", "values": { "list": [-1] } }]);
     write(at, "bad.json", &bad);
@@ -343,7 +344,7 @@ fn a_line_holds_the_figures_of_the_members_log() {
     line_of(&json!({}));
 }
 
-/// The same of a scene that is pushed, of which balances are logged.
+/// The same for a scene with torques, whose balances are logged.
 #[test]
 fn so_does_a_line_of_a_pushed_scene() {
     line_of(&json!({
@@ -352,7 +353,7 @@ fn so_does_a_line_of_a_pushed_scene() {
     }));
 }
 
-/// A line of a sweep over a top with more in its scene.
+/// Checks a line of a sweep over a top with more in its scene.
 fn line_of(more: &Value) {
     let directory = tempfile::tempdir().expect("a temporary directory");
     let at = directory.path();
@@ -463,7 +464,7 @@ fn lyapunov_exponents_are_those_of_known_motions() {
     for (exponent, known) in exponents.iter().zip([0.7 * rate, 1.4 * rate]) {
         assert!((exponent / known - 1.0).abs() < 2e-3, "{exponent}, {known}");
     }
-    // Of a regular motion distances grow in proportion to time: ln(50 / 25) / 25 s.
+    // In a regular motion distances grow in proportion to time: ln(50 / 25) / 25 s.
     assert_eq!(exponents.len(), 4);
     assert!(exponents[2..].iter().all(|x| x.abs() < 0.035), "{exponents:?}");
 
@@ -490,7 +491,7 @@ fn lyapunov_exponents_are_those_of_known_motions() {
     }
 }
 
-/// A sweep of a second or so on one core.
+/// Returns a sweep of a second or so on one core.
 fn busy() -> Value {
     json!({
         "scenario": top(8000),
@@ -512,7 +513,7 @@ fn begun(at: &Path, arguments: &[&str]) -> Child {
         .expect("the binary starts")
 }
 
-/// Waits until an unfinished table has `count` lines, or is finished; whether it has them.
+/// Waits until an unfinished table has `count` lines, or is finished; returns whether it has them.
 fn has_lines(at: &Path, table: &str, count: usize) -> bool {
     let part = at.join(format!("{table}.part"));
     loop {
@@ -556,17 +557,17 @@ fn a_sweep_that_is_killed_or_stopped_goes_on_to_the_same_table() {
     assert!(!part.exists());
 }
 
-/// What an interrupted sweep left is damaged, locked, stopped once more, and made whole.
+/// Damages and locks the table of an interrupted sweep, stops it once more, and completes it.
 #[cfg(unix)]
 fn stopped_and_resumed(at: &Path, arguments: &[&str]) {
     let (table, part) = (at.join("it.csv"), at.join("it.csv.part"));
-    // What a torn write leaves, and what nobody wrote.
+    // The remains of a torn write, and lines that no sweep wrote.
     let mut text = fs::read_to_string(&part).expect("lines");
     text.push_str("77,0.1,\n\0\0\0\n5,1,2\n");
     fs::write(&part, &text).expect("written");
-    // While one writes, no other does; stopped, it says how to go on.
+    // While one process writes, no other does; stopped, it says how to resume.
     let first = begun(at, arguments);
-    // More than were there: it has begun.
+    // More lines than before: it has begun.
     has_lines(at, "it.csv", text.lines().count() + 1);
     let holder = format!("another process ({}) writes it", first.id());
     let second = vpd(at, arguments);
@@ -582,7 +583,7 @@ fn stopped_and_resumed(at: &Path, arguments: &[&str]) {
     }
     assert_eq!(stopped.status.code(), Some(130), "{}", self::text(&stopped.stderr));
     assert!(self::text(&stopped.stderr).contains("the same command goes on"));
-    // Another sweep does not take its place.
+    // Another sweep does not replace it.
     let mut other = busy();
     other["seed"] = json!(3);
     write(at, "other.json", &other);
@@ -598,7 +599,7 @@ fn parts_of_many_processes_make_the_whole() {
     write(at, "mixed.json", &mixed(500));
     succeeds(at, &["sweep", "mixed.json"]);
     let whole = fs::read(at.join("mixed.csv")).expect("a table");
-    // One more than members: the first is empty.
+    // There is one shard more than members: the first is empty.
     let shards: Vec<String> = (1..=11).map(|number| format!("{number}/11")).collect();
     let children: Vec<Child> =
         shards.iter().map(|shard| begun(at, &["sweep", "mixed.json", "--shard", shard])).collect();

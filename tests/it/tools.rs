@@ -1,4 +1,4 @@
-//! What other programs get of a log: tables that read back to the bit, and two logs compared.
+//! Exports for other programs: tables that read back to the bit, and comparisons of two logs.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -8,7 +8,7 @@ use vpd::log::rows::{Row, read_rows};
 
 use crate::cli::{scenario, text, vpd};
 
-/// A run of a shipped scenario with changes, as `NAME.mcap`.
+/// Runs a shipped scenario with changes, to `NAME.mcap`.
 fn run(at: &Path, name: &str, log: &str, changes: &[&str]) {
     let scenario = scenario(name);
     let mut arguments = vec!["run", &scenario, "-o", log, "--set", "/expect=null"];
@@ -27,7 +27,7 @@ fn rows(log: &Path, member: u64) -> Vec<Row> {
     rows
 }
 
-/// The cells of a table by column; an empty one is `None`.
+/// Returns the cells of a table by column; an empty one is `None`.
 fn columns(csv: &[u8]) -> BTreeMap<String, Vec<Option<String>>> {
     let mut lines = text(csv).lines();
     let head: Vec<&str> = lines.next().expect("a head").split(',').collect();
@@ -92,7 +92,7 @@ fn a_table_reads_back_to_the_bit() {
     let few = columns(&std::fs::read(at.join("energy.csv")).expect("a table"));
     let names: Vec<&str> = few.keys().map(String::as_str).collect();
     let energies = ["energy_error", "energy_kinetic", "energy_potential", "energy_total"];
-    // Nothing is put in, and nothing turns.
+    // No energy is put in, and nothing turns.
     assert_eq!(names, [&energies[..], &["log_time_ns", "time_s"]].concat());
     assert_eq!(few["energy_error"], table["energy_error"]);
 }
@@ -122,7 +122,7 @@ fn other_dimensions_and_members_are_exported() {
     assert!(members["outcome"].iter().all(|outcome| outcome.as_deref() == Some("succeeded")));
     let place = members["member"].iter().position(|member| member.as_deref() == Some("3"));
     let last = third["quaternion_w"].last().expect("a sample");
-    // How it ended, with w >= 0.
+    // The last state of the member, with w >= 0.
     let (end, last) = (&members["quaternion_w"][place.expect("a member")], last);
     let size =
         |cell: &Option<String>| cell.as_ref().map(|cell| cell.trim_start_matches('-').to_owned());
@@ -156,7 +156,7 @@ fn a_table_replaces_nothing_and_its_format_is_known() {
         assert!(text(&refused.stderr).contains(said), "{}", text(&refused.stderr));
         assert!(!at.join(name).exists());
     }
-    // What stands in an unfinished log is exported, and said to be so.
+    // The contents of an unfinished log are exported, with a note that it is unfinished.
     let log = std::fs::read(at.join("top.mcap")).expect("a log");
     std::fs::write(at.join("cut.mcap"), &log[..log.len() - 100]).expect("writable");
     let cut = vpd(at, &["export", "cut.mcap"]);
@@ -191,7 +191,7 @@ fn parquet_and_arrow_read_back_to_the_bit() {
 
     let directory = tempfile::tempdir().expect("a temporary directory");
     let at = directory.path();
-    // More rows than one batch has.
+    // There are more rows than one batch has.
     run(at, "heavy-top", "top.mcap", &["/duration_s=20", "/log/every=1"]);
     let table = columns(&vpd(at, &["export", "top.mcap"]).stdout);
     for name in ["top.parquet", "top.arrow"] {
@@ -253,7 +253,7 @@ fn two_logs_are_compared() {
     assert_eq!(diff.status.code(), Some(1), "{}", text(&diff.stderr));
     let found: Value = serde_json::from_slice(&diff.stdout).expect("JSON");
     assert_eq!((&found["samples"], &found["only_second"]), (&101.into(), &100.into()));
-    // By the samples themselves.
+    // The expected difference, from the samples themselves.
     let angle = |a: &Row, b: &Row| {
         let (a, b) = (a.state.as_ref().expect("logged"), b.state.as_ref().expect("logged"));
         let cosine: f64 = a.quaternion.iter().zip(&b.quaternion).map(|(a, b)| a * b).sum();

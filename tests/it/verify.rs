@@ -10,7 +10,7 @@ use vpd::run::{Control, JobContext, execute};
 use vpd::scenario::{Accuracy, Method, Scenario};
 use vpd::verify::{VerifyError, verify};
 
-/// The dipole with some of its text replaced, and without what it expects.
+/// Returns the dipole with some of its text replaced, and without its expectations.
 fn dipole(steps: u64) -> Scenario {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/dipole.json");
     let mut scenario = Scenario::from_json(&fs::read(path).expect("a scenario")).expect("accepted");
@@ -36,7 +36,8 @@ fn a_log_is_what_its_job_gives_again() {
     assert_eq!(verification.messages, 201 * 6 - 1 + 2);
 }
 
-/// What changes with time, pushes or spins runs again to the same bytes, whoever integrates it.
+/// Scenes that change with time, or have torques or wheels, run again to the same bytes, with any
+/// method.
 #[test]
 fn so_is_the_log_of_a_scene_that_is_driven() {
     for method in ["vpd", "vpd_lagrangian", "vrkmk", "rkmk", "rk_projected"] {

@@ -1,4 +1,4 @@
-//! Where the members of an ensemble begin.
+//! Starts of the members of an ensemble.
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::SeedableRng;
@@ -8,8 +8,9 @@ use crate::scenario::Ensemble;
 use crate::solve::so;
 use crate::solve::trajectory::State;
 
-/// Where `member` begins: `g exp(hat(theta))` and `mu + hat(delta)`, with theta and delta normally distributed. Each
-/// member has a stream of random numbers of its own, so that it does not depend on how many there are.
+/// Returns the start of `member`: `g exp(hat(theta))` and `mu + hat(delta)`, with theta and delta
+/// normally distributed. Each member has its own stream of random numbers, so that it does not
+/// depend on how many there are.
 pub(crate) fn start<const N: usize>(
     nominal: &State<N>,
     ensemble: &Ensemble,

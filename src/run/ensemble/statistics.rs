@@ -12,7 +12,8 @@ use crate::run::summary::EnsembleSummary;
 use crate::solve::so::{self, Mat};
 use crate::solve::trajectory::State;
 
-/// Sums over states, each taken from the first: what they have in common would drown how they differ.
+/// Sums over states, each taken from the first: what they have in common would hide their
+/// differences.
 pub(super) struct Spread<const N: usize> {
     first: Option<State<N>>,
     count: u64,
@@ -92,7 +93,7 @@ pub(super) struct Ends<const N: usize> {
     energy: Vec<f64>,
     orthogonality: Vec<f64>,
     drift: Vec<f64>,
-    /// How many failed, by the code.
+    /// Number of failed members, by code.
     failed: BTreeMap<String, u64>,
 }
 
@@ -117,7 +118,7 @@ impl<const N: usize> Ends<N> {
         }
     }
 
-    /// How many there are.
+    /// Returns the number of members.
     pub(super) fn count(&self) -> u64 {
         self.members.len() as u64
     }
@@ -126,17 +127,17 @@ impl<const N: usize> Ends<N> {
         self.members.contains(&member)
     }
 
-    /// Steps of all of them.
+    /// Returns the number of steps of all members.
     pub(super) fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Member 0, once it has ended.
+    /// Returns member 0, once it has ended.
     pub(super) fn nominal(&self) -> Option<&Member> {
         self.nominal.as_ref()
     }
 
-    /// Of those that made all their steps.
+    /// Returns the statistics of the members that made all their steps.
     pub(super) fn statistics(&self, time_s: f64) -> EnsembleStatistics {
         EnsembleStatistics {
             time_s,
@@ -148,7 +149,7 @@ impl<const N: usize> Ends<N> {
         }
     }
 
-    /// What a summary says of them.
+    /// Returns their part of a summary.
     pub(super) fn summary(&self, statistics: &EnsembleStatistics) -> EnsembleSummary {
         EnsembleSummary {
             members: self.count(),
@@ -162,7 +163,8 @@ impl<const N: usize> Ends<N> {
     }
 }
 
-/// The rotation that lies nearest: of `U S V^T` it is `U diag(1, .., det(U V^T)) V^T`. `None` where many do.
+/// Returns the nearest rotation: of `U S V^T` it is `U diag(1, .., det(U V^T)) V^T`. `None` where
+/// many are nearest.
 fn nearest_rotation<const N: usize>(matrix: &Mat<N>) -> Option<Mat<N>> {
     let finite = matrix.iter().all(|x| x.is_finite());
     let matrix = finite.then(|| DMatrix::from_column_slice(N, N, matrix.as_slice()))?;
@@ -173,7 +175,7 @@ fn nearest_rotation<const N: usize>(matrix: &Mat<N>) -> Option<Mat<N>> {
     if mirrored {
         u.column_mut(N - 1).neg_mut();
     }
-    // Which one it is must not hang on rounding.
+    // The choice must not depend on rounding.
     let last = if mirrored { -singular[N - 1] } else { singular[N - 1] };
     (singular[N - 2] + last > 1e-6).then(|| Mat::from_column_slice((u * v).as_slice()))
 }

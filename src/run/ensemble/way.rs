@@ -1,4 +1,4 @@
-//! What a member of an ensemble did on the way, in a few points that keep every extreme.
+//! Motion of a member of an ensemble, in a few points that keep every extreme.
 
 use crate::log::messages::Waypoints;
 use crate::solve::so::{self, Mat};
@@ -9,7 +9,7 @@ use crate::solve::trajectory::Sample;
 pub(super) struct Way<const N: usize> {
     per_point: u64,
     samples: u64,
-    /// What stands behind the next point.
+    /// Samples behind the next point.
     next: Option<Point<N>>,
     points: Waypoints,
 }
@@ -19,7 +19,7 @@ pub(super) struct Way<const N: usize> {
 struct Point<const N: usize> {
     time_s: f64,
     attitude: Option<Mat<N>>,
-    /// The least cosine of each axis: of its largest angle.
+    /// Least cosine of each axis, which is that of its largest angle.
     cosines: [f64; N],
     velocity_squared: Option<f64>,
     energy: Option<f64>,
@@ -28,7 +28,7 @@ struct Point<const N: usize> {
 }
 
 impl<const N: usize> Way<N> {
-    /// Of a member whose points lie `per_point` samples apart.
+    /// Creates the way of a member whose points lie `per_point` samples apart.
     pub(super) fn new(per_point: u64) -> Self {
         Self { per_point, samples: 0, next: None, points: Waypoints::default() }
     }
@@ -46,7 +46,7 @@ impl<const N: usize> Way<N> {
         self.samples += 1;
     }
 
-    /// All points; the last one ends with the last sample.
+    /// Returns all points; the last one ends with the last sample.
     pub(super) fn points(mut self) -> Waypoints {
         self.close();
         self.points
@@ -54,7 +54,7 @@ impl<const N: usize> Way<N> {
 
     fn close(&mut self) {
         let Some(point) = self.next.take() else { return };
-        // Of a baseline that blows up it may be too large for single precision.
+        // For a baseline that blows up it may be too large for single precision.
         let single = |x: f64| (x as f32).clamp(f32::MIN, f32::MAX);
         let points = &mut self.points;
         points.time_s.push(point.time_s);

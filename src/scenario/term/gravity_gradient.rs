@@ -23,7 +23,7 @@ pub struct GravityGradient {
 }
 
 impl GravityGradient {
-    /// One that acts on the inertia, as in a scenario that gives no matrix.
+    /// Returns a term that acts on the inertia, as in a scenario that gives no matrix.
     pub fn of(strength: f64, direction: Vec<f64>) -> Self {
         Self { strength, direction, matrix: None }
     }
@@ -46,7 +46,7 @@ impl GravityGradient {
         hamiltonian::Law::GravityGradient { strength: self.strength, matrix }
     }
 
-    /// M; the plan fills it in before.
+    /// Returns M, which the plan has filled in.
     pub(crate) fn matrix(&self) -> DMatrix<f64> {
         let rows = self.matrix.as_deref().unwrap_or_default();
         DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j])
@@ -64,9 +64,10 @@ impl Law for GravityGradient {
         symmetry(&at, rows, 1.0, "symmetric")
     }
 
-    /// `strength / 2 |direction|^2 c` where the matrix, which the plan has filled in, is c I.
+    /// Returns `strength / 2 |direction|^2 c` where the matrix, which the plan has filled in, is c
+    /// I.
     fn constant(&self) -> Option<(f64, &'static str)> {
-        /// What rounding may make of a number: a few units in its last place.
+        /// Relative error of a number by rounding: a few units in its last place.
         const ROUNDED: f64 = 8.0 * f64::EPSILON;
         const ROUND: &str =
             "is the same at every attitude: its matrix is a multiple of I, to rounding";

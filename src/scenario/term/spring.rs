@@ -26,7 +26,7 @@ pub struct Spring {
 }
 
 impl Spring {
-    /// One without a length at rest, as in a scenario that gives none.
+    /// Returns a spring without a length at rest, as in a scenario that gives none.
     pub fn of(stiffness: f64, body_point: Vec<f64>, position: Vec<f64>) -> Self {
         Self { stiffness, rest_length: 0.0, body_point, position }
     }

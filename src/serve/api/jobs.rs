@@ -33,14 +33,14 @@ use crate::serve::view::{JobList, JobView, Reach, percent_encoded};
 use crate::serve::{download, follow, store};
 use crate::study::{Watch, scene_of};
 
-/// Jobs on a page of the list, unless the client says otherwise, and at most.
+/// Number of jobs on a page of the list, unless the client says otherwise, and at most.
 const PAGE: usize = 50;
 const MAX_PAGE: usize = 500;
 
 /// Longest part of a name to look for, characters: no name is longer.
 const MAX_NAME: usize = 200;
 
-/// What a time in a query is.
+/// Description of the times that a query may hold.
 const A_TIME: &str = "a time in seconds, 0 or more, is allowed";
 
 /// Longest idempotency key, bytes.
@@ -128,7 +128,7 @@ pub(super) async fn submit_job(
                 let plan = settled.plan()?;
                 Some((settled, plan))
             }
-            // A worker settles it; that there is a scene to settle it for is seen here.
+            // A worker settles it; that there is a scene to settle it for is checked here.
             Some(_) => {
                 scene_of(&scenario)?;
                 None
@@ -143,7 +143,7 @@ pub(super) async fn submit_job(
     Ok((status, location, Json(JobView::new(view, &reach))).into_response())
 }
 
-/// The key of a request as an id of ours: no text of a client becomes a name of a file.
+/// Returns the key of a request as an id of ours: no text of a client becomes a name of a file.
 fn idempotency_key(headers: &HeaderMap) -> Result<Option<Uuid>, Problem> {
     let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
     let key = key.as_bytes();
@@ -153,7 +153,7 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<Uuid>, Problem> {
     Ok(Some(Uuid::new_v5(&Uuid::NAMESPACE_OID, key)))
 }
 
-/// The problem of a field of a query.
+/// Returns the problem of a field of a query.
 fn bad(field: &'static str) -> impl Fn(String) -> Problem {
     move |message| Problem::bad_query(format!("{field}: {message}"))
 }
@@ -268,7 +268,7 @@ pub(super) async fn get_attitudes(
     Ok(Json(stretch))
 }
 
-/// The inertia of the body of a job; `None` if this build does not take its scenario.
+/// Returns the inertia of the body of a job; `None` if this build does not take its scenario.
 async fn inertia(app: &App, id: Uuid) -> Option<Inertia> {
     accepted(app, id).await.map(|scenario| scenario.scene.inertia)
 }
@@ -287,7 +287,7 @@ pub(super) struct SamplesQuery {
     to_s: Option<String>,
 }
 
-/// The problem of a field of a query, with its pointer.
+/// Returns the problem of a field of a query, with its pointer.
 fn invalid(pointer: &'static str) -> impl Fn(String) -> Problem {
     move |message| ScenarioError::invalid(pointer, message).into()
 }
@@ -316,7 +316,7 @@ pub(super) async fn get_samples(
             Err(Problem::not_found("channel in the log"))
         }
         Some(samples) => Ok(Json(samples)),
-        // Waits, or has ended at this moment.
+        // The job waits, or has ended at this moment.
         None => Err(Refusal::LogUnfinished { eta_s: eta_s.flatten() }.into()),
     }
 }
@@ -375,7 +375,8 @@ pub(super) async fn get_job_member(
     Ok(json_text(alone.ok_or_else(unknown)?.to_json()))
 }
 
-/// The log of a job as far as it stands on the disk; with it, of one that has not ended, the time that is left.
+/// Returns the log of a job as far as it is on the disk and, for one that has not ended, the time
+/// that is left.
 async fn readable(app: &App, id: Uuid) -> Result<(PathBuf, Option<Option<f64>>), Problem> {
     let view = app.engine.brief(id).await?;
     Ok(match view.state.is_final() {

@@ -1,4 +1,4 @@
-//! What handlers take from a request and give back, as checked types.
+//! Types that handlers take from a request and give back, all checked.
 //!
 //! Invariant: no text of a client goes further than this.
 
@@ -61,8 +61,8 @@ impl FromRequestParts<App> for Reach {
     }
 }
 
-/// The live view for a client that calls the service by `name`. Nothing leads from elsewhere to the loopback of
-/// this machine, and nothing through a proxy to the view.
+/// Returns the live view for a client that calls the service by `name`. Nothing leads from
+/// elsewhere to the loopback of this machine, and nothing through a proxy to the view.
 fn live_address(live: SocketAddr, name: &str) -> Option<String> {
     let near = name == "localhost"
         || name.trim_matches(['[', ']']).parse().is_ok_and(|ip: IpAddr| ip.is_loopback());
@@ -73,7 +73,8 @@ fn live_address(live: SocketAddr, name: &str) -> Option<String> {
     }
 }
 
-/// A value of a query, `absent` if it is not there; else what was given and what is `wanted`.
+/// Returns a value of a query, `absent` if it is not there; else an error with the value given and
+/// what is `wanted`.
 pub(super) fn within<T: FromStr + PartialOrd>(
     given: Option<String>,
     absent: T,
@@ -85,7 +86,8 @@ pub(super) fn within<T: FromStr + PartialOrd>(
     value.ok_or_else(|| format!("{given:?} given, {wanted}"))
 }
 
-/// What of `all` a query names, `absent` if it names none; else what was given and what is allowed.
+/// Returns the one of `all` that a query names, `absent` if it names none; else an error with the
+/// value given and those allowed.
 pub(super) fn named<T: Copy, const K: usize>(
     given: Option<String>,
     absent: T,
@@ -97,8 +99,8 @@ pub(super) fn named<T: Copy, const K: usize>(
     found.ok_or_else(|| format!("{given:?} given, one of {} is allowed", all.map(name).join(", ")))
 }
 
-/// True for an uncompressed body of type `application/json` or `application/…+json`. A form on a web page cannot
-/// send that, so no page can submit jobs behind the user's back.
+/// Returns true for an uncompressed body of type `application/json` or `application/…+json`. A form
+/// on a web page cannot send that, so no page can submit jobs without the user's knowledge.
 pub(super) fn is_plain_json(headers: &HeaderMap) -> bool {
     let kind = headers.get(CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
     let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();

@@ -44,31 +44,31 @@ use copies::Copies;
 pub(in crate::serve) use served::Served;
 use work::{Beat, Flow, Task};
 
-/// How long the last view of a job serves repeated requests.
+/// Time for which the last view of a job serves repeated requests.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// The same for the list of all jobs.
+/// Time for which the list of all jobs serves repeated requests.
 const LOOK_AT_ALL: Duration = Duration::from_secs(1);
 
-/// How often all names are read, and not only those of jobs that may have changed.
+/// Interval at which all names are read, and not only those of jobs that may have changed.
 const LOOK_AT_OLD: Duration = Duration::from_secs(60);
 
-/// How often jobs whose workflow could not be started are tried again.
+/// Interval at which workflows that could not be started are tried again.
 const START_AGAIN: Duration = Duration::from_secs(2);
 
-/// How often jobs are looked for that Temporal has forgotten.
+/// Interval of the search for jobs that Temporal has forgotten.
 const LOOK_FOR_LOST: Duration = Duration::from_secs(20);
 
-/// How long an answer waits for Temporal: the job is kept by then.
+/// Time that an answer waits for Temporal: the job is kept by then.
 const HAND_OVER: Duration = Duration::from_secs(1);
 
-/// What begins the name of the workflow of a job.
+/// Prefix of the name of the workflow of a job.
 const FLOW: &str = "job-";
 
-/// Requests at once where many jobs are looked at.
+/// Number of requests at once where many jobs are looked at.
 const WIDTH: usize = 16;
 
-/// How a service and its workers find each other.
+/// Addresses by which a service and its workers find each other.
 #[derive(Clone, Debug)]
 pub struct ClusterConfig {
     /// The address of the record: `s3://NAME/PREFIX`, or `file:///DIRECTORY` on a file system that all machines share.
@@ -77,19 +77,19 @@ pub struct ClusterConfig {
     pub temporal: String,
     /// The name of the queue, which service and workers share.
     pub queue: String,
-    /// How long a worker may give no sign of life before its job goes to another one.
+    /// Time without a sign of life from a worker after which its job goes to another one.
     pub lease: Duration,
 }
 
-/// Why there is no way to the other machines.
+/// Reason why the other machines cannot be reached.
 #[derive(Debug, thiserror::Error)]
 pub enum ClusterError {
-    /// The address of Temporal is not valid, or its variables hold what cannot be used.
+    /// The address of Temporal is not valid, or its variables cannot be used.
     #[error("Temporal at {given:?} cannot be asked: {message}; write HOST:PORT")]
     Address {
         /// The address.
         given: String,
-        /// What is wrong.
+        /// Description of the error.
         message: String,
     },
     /// Temporal does not answer.
@@ -97,7 +97,7 @@ pub enum ClusterError {
     Silent {
         /// The address.
         address: String,
-        /// What it says.
+        /// Error of the connection.
         message: String,
     },
     /// The record cannot be opened.
@@ -106,19 +106,19 @@ pub enum ClusterError {
     /// A worker could not start, or broke off.
     #[error("the worker broke off: {message}")]
     Worker {
-        /// Why.
+        /// Reason for that.
         message: String,
     },
 }
 
 impl ClusterError {
-    /// Whether what was given is wrong, and trying again is of no use.
+    /// Returns whether the configuration is wrong, so that trying again is of no use.
     pub(crate) fn is_bad_input(&self) -> bool {
         matches!(self, Self::Address { .. } | Self::Bucket(BucketError::Address { .. }))
     }
 }
 
-/// Asks Temporal in.
+/// Connects to Temporal.
 async fn connect(config: &ClusterConfig) -> Result<Client, ClusterError> {
     let wrong = |message: String| ClusterError::Address { given: config.temporal.clone(), message };
     let silent =
@@ -152,11 +152,11 @@ struct Inner {
     metrics: Metrics,
     begun: DateTime<Utc>,
     is_ready: AtomicBool,
-    /// How jobs ended: that does not change any more.
+    /// Ends of jobs, which do not change any more.
     ended: Mutex<HashMap<Uuid, Ending>>,
-    /// Name and size of those that have not.
+    /// Names and sizes of jobs that have not ended.
     waiting: Mutex<HashMap<Uuid, Waiting>>,
-    /// What was seen a moment ago.
+    /// Recent views of jobs.
     seen: Mutex<HashMap<Uuid, (Instant, View)>>,
     listing: tokio::sync::Mutex<Listing>,
     /// Jobs that have no workflow yet.
@@ -169,7 +169,7 @@ impl std::fmt::Debug for Inner {
     }
 }
 
-/// All jobs, as they stood a moment ago.
+/// All jobs, as they were a moment ago.
 #[derive(Default)]
 struct Listing {
     jobs: BTreeMap<Uuid, Held>,
@@ -178,17 +178,18 @@ struct Listing {
 }
 
 fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panic leaves maps whole.
+    // A panic leaves the maps whole.
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The name of the workflow of a job.
+/// Returns the name of the workflow of a job.
 fn flow_id(id: Uuid) -> String {
     format!("{FLOW}{id}")
 }
 
 impl Cluster {
-    /// Opens the record and the way to the workers; jobs without a result are handed to them.
+    /// Opens the record and the connection to the workers; jobs without a result are handed to
+    /// them.
     pub(in crate::serve) async fn start(
         config: &ClusterConfig,
         bucket: Bucket,
@@ -225,7 +226,7 @@ impl Cluster {
         Ok(cluster)
     }
 
-    /// Starts what could not be started, for as long as the service lives.
+    /// Starts workflows that could not be started, for as long as the service lives.
     async fn start_again(self) {
         let mut looked = Instant::now();
         while self.is_ready() {
@@ -245,9 +246,9 @@ impl Cluster {
         }
     }
 
-    /// Finds jobs without a result of whose workflow Temporal knows nothing.
+    /// Finds jobs without a result whose workflow Temporal does not know.
     async fn find_lost(&self) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
-        // What was taken since may not be in Temporal's list yet.
+        // Recent jobs may not be in Temporal's list yet.
         let before = minute_ago();
         let all = self.all().await?;
         let mut lost: HashSet<_> =
@@ -267,7 +268,7 @@ impl Cluster {
         Ok(())
     }
 
-    /// Hands a job to the workers; whether that could be done.
+    /// Hands a job to the workers; returns whether that succeeded.
     async fn hand_over(&self, id: Uuid) -> bool {
         let task = Task { id, lease_s: self.0.lease.as_secs_f64() };
         let options = WorkflowStartOptions::new(self.0.queue.clone(), flow_id(id))
@@ -307,7 +308,8 @@ impl Cluster {
         let (id, text) = (Uuid::now_v7(), scenario.to_json());
         let id = match key {
             None => id,
-            // A submission that died between the key and the scenario left an id that this job takes.
+            // A submission that died between the key and the scenario left an id that this job
+            // takes.
             Some(key) => {
                 let first = self.0.bucket.claim(key, id).await?;
                 match self.0.bucket.scenario(first).await? {
@@ -321,7 +323,7 @@ impl Cluster {
         super::to_the_end(async move {
             let bucket = &cluster.0.bucket;
             let job = Job { key, ..Job::new(scenario.name(), 0) };
-            // Its plan goes first: a job that stands has it.
+            // Its plan goes first: a job on record has it.
             let job = match planned {
                 Some((settled, plan)) => {
                     bucket.keep_plan(id, &KeptPlan::new(settled, &plan)?).await?;
@@ -355,7 +357,7 @@ impl Cluster {
             return Ok(view);
         }
         let Some(record) = self.0.bucket.record(id).await? else {
-            // Forgotten by another service.
+            // The job was forgotten by another service.
             lock(&self.0.ended).remove(&id);
             return Err(Refusal::UnknownJob);
         };
@@ -380,7 +382,7 @@ impl Cluster {
         self.view(id, held).await
     }
 
-    /// The view of a job, given what is held of it.
+    /// Returns the view of a job from its state in the bucket.
     async fn view(&self, id: Uuid, held: Held) -> Result<View, Refusal> {
         if held.ended {
             let ending = self.ending(id).await?;
@@ -402,7 +404,7 @@ impl Cluster {
         Ok(view)
     }
 
-    /// How a job ended.
+    /// Returns how a job ended.
     async fn ending(&self, id: Uuid) -> Result<Ending, Refusal> {
         if let Some(ending) = lock(&self.0.ended).get(&id) {
             return Ok(ending.clone());
@@ -417,7 +419,7 @@ impl Cluster {
         Ok(ending)
     }
 
-    /// Name and size of a job that has not ended.
+    /// Returns name and size of a job that has not ended.
     async fn waiting(&self, id: Uuid) -> Result<Waiting, Refusal> {
         let known = lock(&self.0.waiting).get(&id).cloned();
         if let Some(waiting) = known.filter(|waiting| waiting.size.is_some()) {
@@ -435,7 +437,7 @@ impl Cluster {
         Ok(waiting)
     }
 
-    /// How far the run of a job has come, as its worker says.
+    /// Returns the progress of the run of a job, as its worker reports it.
     async fn beat(&self, id: Uuid) -> Beat {
         let handle = self.0.client.get_workflow_handle::<Flow>(flow_id(id));
         match handle.describe(WorkflowDescribeOptions::default()).await {
@@ -462,7 +464,7 @@ impl Cluster {
         }
     }
 
-    /// All jobs.
+    /// Returns all jobs.
     async fn all(&self) -> Result<BTreeMap<Uuid, Held>, Refusal> {
         let fresh = |at: Option<Instant>, time| at.is_some_and(|at| at.elapsed() < time);
         let mut listing = self.0.listing.lock().await;
@@ -507,7 +509,7 @@ impl Cluster {
             && let Some(view) = views.next().await
         {
             let view = match view {
-                // Forgotten since.
+                // The job was forgotten since.
                 Err(Refusal::UnknownJob) => continue,
                 view => view?,
             };
@@ -545,7 +547,7 @@ impl Cluster {
         Ok(self.0.metrics.text(&counts, queue, self.0.copies.free_bytes()))
     }
 
-    /// Size and checksum of the finished log of a job.
+    /// Returns size and checksum of the finished log of a job.
     async fn log_sum(&self, id: Uuid) -> Result<LogSum, Refusal> {
         let view = self.brief(id).await?;
         match (view.state.is_final(), view.log) {
@@ -567,7 +569,7 @@ impl Cluster {
         }
     }
 
-    /// The finished log of a job, to be read from the bucket.
+    /// Returns the finished log of a job, to be read from the bucket.
     pub(in crate::serve) async fn served(&self, id: Uuid) -> Result<Served, Refusal> {
         let sum = self.log_sum(id).await?;
         let record = self.0.bucket.record(id).await?.ok_or(Refusal::UnknownJob)?;
@@ -599,7 +601,7 @@ impl Cluster {
                 (true, true) => return Err(Refusal::JobEnded),
                 (true, false) => {}
             }
-            // First here: a worker that is cancelled looks here whether a client asked for it.
+            // This is first: a worker that is cancelled checks here whether a client asked for it.
             bucket.note_cancel(id).await?;
             tracing::info!(job = %id, "job to be cancelled");
             if held.attempts == 0 {
@@ -650,7 +652,8 @@ impl Cluster {
     }
 }
 
-/// The id of a job that would have been taken a minute ago: clocks of services differ by less.
+/// Returns the id of a job that would have been taken a minute ago: clocks of services differ by
+/// less.
 fn minute_ago() -> Uuid {
     let since = Utc::now().timestamp().saturating_sub(60);
     let time = uuid::Timestamp::from_unix(uuid::NoContext, u64::try_from(since).unwrap_or(0), 0);

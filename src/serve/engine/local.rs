@@ -1,9 +1,9 @@
 //! The engine of one machine: an index of all jobs, a bounded queue, worker threads.
 //!
-//! Invariants: all state sits behind one std mutex, held for moments and never over an `.await`. A job runs on
-//! an OS thread of its own, and what it costs is seen through two atomics. A state is shown only after the
-//! store holds what it says; an operation once begun goes on to its end, whether or not the client waits. A start
-//! computes nothing and ends no job: that is left to the workers.
+//! Invariants: all state is behind one std mutex, held for moments and never over an `.await`. A
+//! job runs on an OS thread of its own, and its progress is read from two atomics. A state is shown
+//! only after the store holds it; an operation once begun goes on to its end, whether or not the
+//! client waits. A start computes nothing and ends no job: that is left to the workers.
 
 mod worker;
 
@@ -33,16 +33,16 @@ use crate::serve::store::{
 };
 use crate::serve::{Limits, ServeError, chain, give_way};
 
-/// How many records the start reads at a time.
+/// Number of records that the start reads at a time.
 const SCAN_WIDTH: usize = 16;
 
 #[derive(Debug)]
 struct Index {
     jobs: BTreeMap<Uuid, Job>,
     queue: VecDeque<Uuid>,
-    /// Jobs that wait for the store, until when.
+    /// Jobs that wait for the store, with the time until which they wait.
     resting: BTreeSet<(Instant, Uuid)>,
-    /// Those in the hands of workers.
+    /// Jobs in the hands of workers.
     running: BTreeSet<Uuid>,
     /// The job that came under each idempotency key.
     keys: HashMap<Uuid, Uuid>,
@@ -50,7 +50,8 @@ struct Index {
     promised_bytes: u64,
     /// Places kept for jobs that are being written to the store.
     reserved: usize,
-    /// Whoever holds a copy has something to finish before a stop is complete; gone once the stop has begun.
+    /// Sender whose copies are held by tasks to finish before a stop is complete; `None` once the
+    /// stop has begun.
     alive: Option<mpsc::Sender<()>>,
 }
 
@@ -90,7 +91,7 @@ impl Index {
         self.running.iter().filter_map(|id| self.jobs.get(id))
     }
 
-    /// Bytes that logs will still take of the disk.
+    /// Returns the bytes that logs will still take of the disk.
     fn bytes_to_come(&self) -> u64 {
         let written = self.running().map(Job::bytes_written).sum();
         self.promised_bytes.saturating_sub(written)
@@ -104,7 +105,7 @@ impl Index {
         (job.size, job.owed_bytes) = (Some(size), owed_bytes);
     }
 
-    /// Takes a job that waits out of the queue.
+    /// Takes a waiting job out of the queue.
     fn leave(&mut self, id: Uuid) {
         if let Some(job) = self.jobs.get_mut(&id) {
             job.phase = Phase::Leaving;
@@ -125,7 +126,7 @@ impl Index {
     }
 }
 
-/// What distinguishes a file from one that was changed since.
+/// Identity of a file, to tell it from one that was changed since.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Identity {
     bytes: u64,
@@ -159,10 +160,10 @@ struct Shared {
     metrics: Metrics,
     limits: Limits,
     live: Option<Arc<Live>>,
-    /// The program that carries out errands in a process of its own.
+    /// Program that carries out errands in a process of its own.
     program: Option<PathBuf>,
     index: Mutex<Index>,
-    /// The logs that were found to be what their jobs wrote.
+    /// Logs that were found to be what their jobs wrote.
     sound: Mutex<HashMap<Uuid, Identity>>,
     /// Logs are read through one at a time.
     summing: Semaphore,
@@ -184,7 +185,7 @@ impl Shared {
 #[derive(Clone, Debug)]
 pub(in crate::serve) struct Local(Arc<Shared>);
 
-/// Reports when everything that was going on at the stop has come to its end.
+/// Reports when everything that was going on at the stop has ended.
 #[derive(Debug)]
 pub(in crate::serve) struct Drained(mpsc::Receiver<()>);
 
@@ -195,7 +196,7 @@ impl Drained {
     }
 }
 
-/// What is kept for a job that is being written to the store; given back when dropped.
+/// Resources kept for a job that is being written to the store; given back when dropped.
 struct Place {
     shared: Arc<Shared>,
     key: Option<Uuid>,
@@ -204,7 +205,7 @@ struct Place {
 }
 
 impl Place {
-    /// The job stands: it has its place in the queue.
+    /// Puts the job, which is on record, into the queue.
     fn fill(mut self, id: Uuid, job: Job) {
         self.key = None;
         let mut index = self.shared.index();
@@ -315,8 +316,9 @@ impl Local {
         }
     }
 
-    /// Takes a job, with its plan unless its accuracy is yet to be settled. When this returns the job is on the
-    /// disk. A key that came before, with the same scenario, gives the job of that time.
+    /// Takes a job, with its plan unless its accuracy is yet to be settled. When this returns the
+    /// job is on the disk. A key that was used before, with the same scenario, returns the job of
+    /// that time.
     pub(in crate::serve) async fn submit(
         &self,
         scenario: Scenario,
@@ -329,7 +331,7 @@ impl Local {
         }
         let shared = self.0.clone();
         let free_bytes = tokio::task::spawn_blocking(move || shared.store.free_bytes()).await;
-        // A runtime that goes down takes no jobs.
+        // A runtime that is shutting down takes no jobs.
         let free_bytes = free_bytes.map_err(|_| Refusal::Stopping)??;
         let id = Uuid::now_v7();
         let text = scenario.to_json();
@@ -366,7 +368,7 @@ impl Local {
         .await
     }
 
-    /// A place for a job, or the job that came under its key before.
+    /// Returns a place for a job, or the job that came under its key before.
     fn reserve(
         &self,
         id: Uuid,
@@ -396,7 +398,7 @@ impl Local {
         Ok(Ok(Place { shared: self.0.clone(), key, log_bytes, _alive: alive }))
     }
 
-    /// The job that came under a key before, if it came with the same scenario.
+    /// Returns the job that came under a key before, if it came with the same scenario.
     async fn submitted_before(&self, id: Uuid, text: &[u8]) -> Result<View, Refusal> {
         self.brief(id).map_err(|_| Refusal::KeyBusy)?;
         if self.0.store.scenario(id).await?[..] != *text {
@@ -405,7 +407,7 @@ impl Local {
         self.get(id).await
     }
 
-    /// One job, with how it ended or what is planned.
+    /// Returns one job, with its end or its plan.
     pub(in crate::serve) async fn get(&self, id: Uuid) -> Result<View, Refusal> {
         let mut view = self.brief(id)?;
         if view.record.is_some() {
@@ -433,13 +435,13 @@ impl Local {
         Ok(view)
     }
 
-    /// One job, without a look at the disk.
+    /// Returns one job, without a look at the disk.
     pub(in crate::serve) fn brief(&self, id: Uuid) -> Result<View, Refusal> {
         self.0.index().jobs.get(&id).map(|job| job.view(id)).ok_or(Refusal::UnknownJob)
     }
 
-    /// Jobs newest first, older than `cursor`, with `name` in their names in any case; and the cursor for more of them,
-    /// if there are more.
+    /// Returns jobs newest first, older than `cursor`, with `name` in their names in any case; and
+    /// the cursor for more of them, if there are more.
     pub(in crate::serve) fn list(
         &self,
         state: Option<State>,
@@ -464,12 +466,12 @@ impl Local {
         (page, next)
     }
 
-    /// Where the log of a job stands, or will stand.
+    /// Returns the path of the log of a job, even before it exists.
     pub(in crate::serve) fn log_path(&self, id: Uuid) -> PathBuf {
         self.0.store.log_path(id)
     }
 
-    /// The figures of the service as text. Blocking.
+    /// Returns the figures of the service as text. Blocking.
     pub(in crate::serve) fn metrics(&self) -> String {
         let free_bytes = self.0.store.free_bytes().unwrap_or_default();
         let (counts, queue) = {
@@ -480,8 +482,8 @@ impl Local {
         self.0.metrics.text(&counts, queue, free_bytes)
     }
 
-    /// The finished log of a job, found to be what the job wrote: read through once after each start, and whenever
-    /// the file is not the one of before.
+    /// Returns the finished log of a job, checked to be what the job wrote: read through once after
+    /// each start, and whenever the file has changed.
     pub(in crate::serve) async fn log(&self, id: Uuid) -> Result<PathBuf, Refusal> {
         let view = self.brief(id)?;
         match (view.state.is_final(), view.has_log) {
@@ -495,7 +497,7 @@ impl Local {
         if self.0.is_known(id, &path) {
             return Ok(path);
         }
-        // Never closed.
+        // The semaphore is never closed.
         let _turn = self.0.summing.acquire().await;
         if self.0.is_known(id, &path) {
             return Ok(path);
@@ -509,7 +511,7 @@ impl Local {
             };
             // A link planted in the data directory must not lead out of it.
             let Some(found) = found.filter(Metadata::is_file) else {
-                // Forgotten since it was looked up.
+                // The job was forgotten since it was looked up.
                 if !shared.index().jobs.contains_key(&id) {
                     return Err(Refusal::UnknownJob);
                 }
@@ -529,18 +531,18 @@ impl Local {
         checked.await.map_err(|_| Refusal::Stopping)?
     }
 
-    /// The scenario of a job, as accepted.
+    /// Returns the scenario of a job, as accepted.
     pub(in crate::serve) async fn scenario(&self, id: Uuid) -> Result<axum::body::Bytes, Refusal> {
         self.brief(id)?;
         Ok(self.0.store.scenario(id).await?)
     }
 
-    /// What runs have shown of a job; `None` if that is not known yet.
+    /// Returns the results of the runs that settled a job; `None` if they are not known yet.
     pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, Refusal> {
         Ok(self.0.store.settled(id).await?)
     }
 
-    /// The scenario of a job, as it was sent.
+    /// Returns the scenario of a job, as it was sent.
     pub(in crate::serve) async fn sent(&self, id: Uuid) -> Result<axum::body::Bytes, Refusal> {
         self.brief(id)?;
         Ok(self.0.store.sent(id).await?)
@@ -597,7 +599,7 @@ impl Local {
         let shared = self.0.clone();
         let alive = self.alive()?;
         to_the_end(async move {
-            // It is gone for those who ask before its files are.
+            // Clients stop seeing it before its files are removed.
             let job = {
                 let mut index = shared.index();
                 let job = index.jobs.get(&id).ok_or(Refusal::UnknownJob)?;
@@ -635,7 +637,7 @@ impl Local {
         self.0.halt.notify_all();
     }
 
-    /// Whether jobs are taken.
+    /// Returns whether jobs are taken.
     pub(in crate::serve) fn is_ready(&self) -> bool {
         self.0.index().alive.is_some()
     }
@@ -666,14 +668,14 @@ impl Shared {
         self.sound.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether a log is the file that was found sound before.
+    /// Returns whether a log is the file that was found sound before.
     fn is_known(&self, id: Uuid, path: &Path) -> bool {
         let found = path.symlink_metadata().ok().map(|found| Identity::of(&found));
         found.is_some() && self.sound().get(&id).copied() == found
     }
 }
 
-/// A job of the store: one that ended, or one that waits.
+/// Returns a job of the store: one that ended, or one that waits.
 async fn resume_job(store: &Store, found: Found) -> (Uuid, Job) {
     let Found { id, key, attempts, cancelled, ended, .. } = found;
     if ended {
@@ -694,7 +696,7 @@ async fn resume_job(store: &Store, found: Found) -> (Uuid, Job) {
     (id, Job { key, cancelled, suspect: attempts > 0, ..job })
 }
 
-/// How a job ended that the index does not know.
+/// Returns a job that has ended and is not in the index.
 async fn unindexed(store: &Store, found: &Found) -> Job {
     match store.record(found.id).await {
         Ok(record) => {

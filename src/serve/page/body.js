@@ -130,7 +130,7 @@ class Stage {
     if (this.busy) { this.wanted = time; return; }
     for (const kept of Object.values(this.frames)) kept.length = 0;
     this.t = time;
-    // What was before it is the trail.
+    // The samples before it are the trail.
     await this.fetch(Math.max(0, time - 200 * this.every()));
     this.show();
     if (this.wanted !== undefined) { const wanted = this.wanted; this.wanted = undefined; await this.go(wanted); }
@@ -139,7 +139,7 @@ class Stage {
   run(on) {
     this.playing = on;
     this.play.textContent = on ? "Pause" : "Play";
-    // What stands still is a sample of the log.
+    // A paused view shows a sample of the log.
     if (!on) { this.t = this.frames.time_s[this.index()] ?? this.t; this.show(); return; }
     let before;
     const tick = now => {
@@ -191,7 +191,7 @@ class Stage {
     this.show();
   }
 
-  // What stands where: the points of the body and what acts on them.
+  // Labels the points of the body and what acts on them.
   name(terms) {
     const add = (frame, at, text) => {
       if (!at || at.length !== 3) return;
@@ -374,7 +374,7 @@ class Stage {
   }
 }
 
-// How far the eye is from the middle of the scene, in pixels.
+// Distance of the eye from the middle of the scene, in pixels.
 const EYE = 1100;
 
 function times(matrix, v) {

@@ -12,7 +12,7 @@ const PARTS = { axis_angle: k => `axis ${k + 1}` };
 const HUES = { light: ["#00598c", "#b34700", "#00654a", "#8a3a78", "#6b5200", "#1c2024"], dark: ["#7cc4f2", "#ffa768", "#63d0ab", "#f0a3d8", "#e6cf6a", "#e8e6e1"] };
 const night = matchMedia("(prefers-color-scheme: dark)");
 
-// How the axes of a chart look in the theme of the page, and a colour of it.
+// Reads the look of the axes of a chart in the theme of the page, and a colour of it.
 const shade = name => getComputedStyle(document.body).getPropertyValue(name).trim();
 
 function axes() {
@@ -159,7 +159,7 @@ class Chart {
     this.follow(this.at);
   }
 
-  // What the lines are worth at a time; without one, what the chart is of.
+  // Shows the values of the lines at a time; without one, the contents of the chart.
   read(t) {
     this.reading = t;
     if (t === null) {

@@ -23,7 +23,7 @@ async function call(path, options = {}) {
   const answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, cache: "no-store" });
   if (answer.ok) return answer;
   const problem = new Problem(await answer.json().catch(() => ({})), answer.status);
-  // What was asked before the token was given says nothing about it.
+  // A request that was sent before the token was given says nothing about it.
   problem.shut = answer.status === 401 && asked === token;
   if (problem.shut && !options.quiet) askToken();
   throw problem;
@@ -116,7 +116,7 @@ function standing({ state, progress, trouble }) {
   return `${percent.toFixed(1)} %, ${eta_s == null ? "starting" : `${span(eta_s)} left`}`;
 }
 
-// What happened, in plain words.
+// Describes the state of a job in plain words.
 function outcome(job) {
   const { summary, state } = job;
   if (state === "queued" && job.trouble) return `The job is stored and will be tried again: ${job.trouble.message}.`;

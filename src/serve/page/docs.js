@@ -1,7 +1,7 @@
 "use strict";
 // The description of the API as a page, which sends what is asked. All it knows is in openapi.json.
 
-// What is shown of an answer, in characters; the rest is for programs.
+// Characters of an answer that are shown; the rest is for programs.
 const SHOWN = 20000;
 
 const make = (tag, attributes, ...children) => {
@@ -95,7 +95,7 @@ const listed = (schema, types) => {
   return some ?? oneOf?.map(one => one.const).filter(value => value !== undefined);
 };
 
-// What is sent: a field for each parameter, the body as text.
+// The inputs of a request: a field for each parameter, the body as text.
 const form = (method, path, operation, types) => {
   const inputs = operation.parameters.map(parameter => {
     const choices = listed(parameter.schema, types);

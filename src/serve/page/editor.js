@@ -50,7 +50,7 @@ const view = new EditorView({
   ],
 });
 
-// What others see of it.
+// The interface of the editor for the other scripts.
 const text = {
   get value() { return view.state.doc.toString(); },
   focus() { view.focus(); },
@@ -60,7 +60,7 @@ let pointing = 0;
 
 const explained = ({ name, kind, said }) => [h("code", {}, name), ` ${kind}`, said ? h("br") : null, said ?? ""];
 
-// What the field means that the cursor stands in: for who has no mouse.
+// Shows the meaning of the field at the cursor, for users without a mouse.
 function showField() {
   const known = schema && meaning(text.value, pathAt(text.value, view.state.selection.main.head).path);
   $("keys").hidden = Boolean(known);
@@ -69,7 +69,7 @@ function showField() {
 
 // ---- what stood there before
 
-// What is written is kept: for the tab, and for the next one.
+// The text is kept: for the tab, and for the next one.
 const DRAFT = "vpd-draft";
 
 const edited = () => text.value !== view.state.field(placed).text;
@@ -130,7 +130,7 @@ $("editor").onkeydown = event => {
 
 // ---- what is wrong
 
-// What the service refused, until the text changes.
+// The refusal of the service, until the text changes.
 let refused = [];
 let checking = 0;
 
@@ -156,7 +156,7 @@ function check() {
 function complain({ body, message }) {
   unmark();
   view.contentDOM.setAttribute("aria-invalid", "true");
-  // What is studied is the text; of a sweep it is in the text.
+  // The scenario of a study is the text itself; that of a sweep is in the text.
   const pointer = isSweep(text.value) ? body?.pointer : body?.pointer?.replace(/^\/scenario(?=\/|$)/, "");
   const spot = pointer != null ? place(text.value, pointer) : null;
   const line = spot && view.state.doc.lineAt(spot[0]).number;

@@ -2,7 +2,7 @@
 const EXPLICIT = ["rkmk", "rk", "rk_projected"], COMPOSED = ["splitting", "lgvi"];
 const GAUSS = Array.from({ length: 8 }, (_, k) => `gauss${k + 1}`);
 
-// What a method can be made with; of an unknown one nothing.
+// Returns the tableaux or orders of a method; for an unknown one none.
 function schemes(method) {
   if (method === "auto") return [];
   if (EXPLICIT.includes(method)) return ["rk3", "rk4", "rk8"];
@@ -62,7 +62,7 @@ const changed = change => () => { if (filled) { alter(change); fillForm(); } };
 $("method").onchange = changed(source => {
   const name = $("method").value;
   const { tableau, order, solver } = filled.method ?? {};
-  // What the new method cannot be made with goes.
+  // Choices that do not fit the new method are removed.
   const fits = value => value != null && schemes(name).includes(String(value));
   return altered(source, ["method"], line({ name, ...fits(tableau) && { tableau }, ...fits(order) && { order }, ...solver && { solver } }));
 });

@@ -29,7 +29,8 @@ function parsed(source) {
 
 const child = (node, key) => node?.entries.find(entry => entry.key === key)?.value;
 
-// Where the value at a JSON pointer stands: [begin, end]; of what is missing, its parent.
+// Returns the place of the value at a JSON pointer: [begin, end]; for a missing one, that of its
+// parent.
 function place(source, pointer) {
   let node = parsed(source);
   if (!node) return null;
@@ -55,7 +56,7 @@ function altered(source, path, json) {
   const [keys, last] = [path.slice(0, -1), path.at(-1)];
   const parent = keys.reduce(child, root);
   if (parent?.kind !== "{") {
-    // What it stands in is missing, too.
+    // Its parent is missing, too.
     return json === null || !keys.length || !root ? source : altered(source, keys, `{ ${JSON.stringify(last)}: ${json} }`);
   }
   const { entries, begin, end } = parent;
@@ -69,7 +70,7 @@ function altered(source, path, json) {
   if (json === null) return source;
   const member = `${JSON.stringify(last)}: ${json}`;
   if (!entries.length) return cut(begin, end, `{ ${member} }`);
-  // As the members before it: on a line of its own, or not.
+  // Written like the members before it: on a line of its own, or not.
   const before = source.slice(entries.length > 1 ? entries.at(-2).value.end + 1 : begin + 1, entries.at(-1).begin);
   return cut(entries.at(-1).value.end, entries.at(-1).value.end, `,${/\s/.test(before) ? before.match(/\s[^]*$/)[0] : " "}${member}`);
 }

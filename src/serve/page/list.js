@@ -2,7 +2,7 @@
 const PAGE = 20;
 let jobs = [];
 let studies = null;
-// What is looked for, and where the pages begin that were turned to.
+// The search, and the cursors of the pages that were opened.
 const sought = { name: "", state: "", cursors: [null], next: null };
 // Jobs that are chosen to be deleted; null if none are being chosen.
 let chosen = null;
@@ -133,7 +133,8 @@ async function refreshStudies() {
 
 // ---- looking for jobs
 
-// Where the jobs begin that are no newer than a day: ids begin with their time in milliseconds.
+// Returns the cursor of the jobs that are no newer than a day: ids begin with their time in
+// milliseconds.
 function upTo(day) {
   if (!day) return null;
   const [year, month, date] = day.split("-").map(Number);
@@ -141,7 +142,8 @@ function upTo(day) {
   return `${digits.slice(0, 8)}-${digits.slice(8)}-7000-8000-000000000000`;
 }
 
-// Of a page of jobs, newest first, those of a day or later; once there are older ones, it is the last page.
+// Returns the jobs of a page, newest first, that are of a day or later; once there are older ones,
+// it is the last page.
 function since(day, page) {
   if (!day) return page;
   const [year, month, date] = day.split("-").map(Number);

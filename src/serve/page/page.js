@@ -23,7 +23,7 @@ function diagnosis(job) {
   if (!found) return null;
   const step = found.advised_step_s;
   const again = step && h("button", { type: "button", className: "main", id: "again", onclick: async () => {
-    // As far in time as was asked for.
+    // The run is to reach the same time.
     const steps = Math.ceil(job.plan.steps * job.plan.step_s / step);
     await edit(job, source => ["duration_s", "accuracy"].reduce((source, key) => altered(source, [key], null),
       altered(altered(source, ["step_s"], String(step)), ["steps"], String(steps))));
@@ -40,7 +40,7 @@ const own = path => new URL(path.replace(/^\//, ""), base);
 // A command that fetches something of the service. What a person pastes into a shell has to be one word to it.
 function fetching(path, ...options) {
   const place = own(path);
-  // Whoever pastes it has a token; a signed address would end in the history.
+  // The user who pastes it has a token; a signed address would end in the history.
   place.search = "";
   return ["curl", ...token ? ['-H "authorization: Bearer $TOKEN"'] : [], ...options, quoted(place.href)].join(" ");
 }
@@ -65,7 +65,7 @@ function links(job) {
   ];
 }
 
-// What can be looked at before the job has ended.
+// Links that can be opened before the job has ended.
 function liveLinks(job) {
   const { live, live_viewers: viewers } = job.links;
   const names = { foxglove: "Foxglove", foxglove_desktop: "Foxglove desktop", lichtblick_desktop: "Lichtblick" };
@@ -230,7 +230,7 @@ async function viewStudy(id) {
     const ended = ENDED.includes(study.state);
     title(study.name, study.state);
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
-    // Of a sweep the members so far.
+    // A sweep shows the members so far.
     const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
       .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
     card.replaceChildren(
@@ -297,7 +297,7 @@ async function openDraft(letters) {
   else replaceText(found, "", "the one of the address");
 }
 
-// What the editor opens with: what was written last, or an example.
+// First content of the editor: the text written last, or an example.
 async function firstText() {
   const found = kept();
   if (found) { restore(found); showPlaced(); return; }

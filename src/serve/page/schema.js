@@ -1,5 +1,5 @@
-// What a scenario may say, by its JSON Schema: what is missing or unknown in a text, what could stand at a place, and what
-// a field means. The service has the last word; this one is quick.
+// Checks of a scenario by its JSON Schema: missing or unknown fields of a text, values that could
+// stand at a place, and the meaning of a field. The service has the last word; this one is quick.
 let schema = null;
 
 // A schema with what it refers to; what it says itself comes first.
@@ -59,7 +59,7 @@ function formsAt(source, root, path) {
 const listed = (names, most = 12) => names.length > most ? `${names.slice(0, most).join(", ")}, …` : names.join(", ");
 const article = word => `${/^[aeio]/.test(word) ? "an" : "a"} ${word}`;
 
-// What is wrong with a text: [{ from, to, message }], in the order of the text.
+// Returns the mistakes in a text: [{ from, to, message }], in the order of the text.
 function mistakes(source) {
   try { JSON.parse(source); } catch (error) { return [unfinished(source, error)]; }
   const root = tree(source);
@@ -95,7 +95,7 @@ function mistakes(source) {
   return found.sort((a, b) => a.from - b.from);
 }
 
-// Where a text stops being JSON: at the first place the parser stumbles over.
+// Returns the place where a text stops being JSON: where the parser stumbles first.
 function unfinished(source, { message }) {
   let at = Number(/position (\d+)/.exec(message)?.[1] ?? source.length);
   codemirror.jsonLanguage.parser.parse(source).iterate({ enter: node => { if (node.type.isError) at = Math.min(at, node.from); } });
@@ -108,7 +108,7 @@ function unfinished(source, { message }) {
 
 const bounds = form => [form.minimum !== undefined && `at least ${form.minimum}`, form.maximum !== undefined && `at most ${form.maximum}`].filter(Boolean);
 
-// What is known of the value at a path: its name, its kind, its meaning.
+// Returns what is known of the value at a path: its name, its kind, its meaning.
 function meaning(source, path) {
   const root = tree(source);
   const { found, node } = formsAt(source, root, path);
@@ -145,7 +145,8 @@ function pathAt(source, at) {
 
 // ---- what could stand at a place
 
-// How far a text has come before a place: the keys that lead there, and whether a key or a value begins at `from`.
+// Returns the state of a text before a place: the keys that lead there, and whether a key or a
+// value begins at `from`.
 function reached(source, at) {
   const open = [];
   let [from, wants] = [at, "value"];

@@ -4,9 +4,9 @@
 //! `parts/<uuid>/<build>/<from>-<to>` are the bytes of its unfinished log that are durable, `logs/<uuid>/<sha256>.mcap` is
 //! the finished one, and `keys/<uuid v5>` names the job that came under an idempotency key.
 //!
-//! Invariants: those of the record on a disk, and: a finished log has the name of its checksum, and a part that of its place and
-//! build, so that a worker that was thought dead overwrites no other with something else. `attempt-N` holds the step
-//! from which that attempt went on.
+//! Invariants: those of the record on a disk, and: a finished log is named by its checksum, and a
+//! part by its place and build, so that a worker that was thought dead overwrites no other with
+//! something else. `attempt-N` holds the step from which that attempt went on.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -37,19 +37,19 @@ const PARTS: &str = "parts";
 const SWEEPS: &str = "sweeps";
 const LINK_KEY: &str = "link-key";
 
-/// Bytes of a log that are sent in one piece; a bucket takes ten thousand of them.
+/// Number of bytes of a log that are sent in one piece; a bucket takes ten thousand of them.
 const PIECE: usize = 16 << 20;
 
-/// Pieces on their way at once.
+/// Number of pieces that are sent at once.
 const UNDER_WAY: usize = 2;
 
-/// Requests at once where many small objects are read.
+/// Number of requests at once where many small objects are read.
 const WIDTH: usize = 16;
 
-/// The build whose unfinished logs this one goes on with.
+/// The build whose unfinished logs this one resumes.
 const BUILD: &str = env!("VPD_BUILD");
 
-/// Why a record cannot be opened.
+/// Reason why a record cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum BucketError {
     /// The address is not that of a bucket or a directory.
@@ -57,29 +57,29 @@ pub enum BucketError {
         "the bucket {given:?} cannot be used: {message}; write s3://NAME/PREFIX or file:///DIRECTORY"
     )]
     Address {
-        /// What was given.
+        /// The address given.
         given: String,
-        /// What is wrong with it.
+        /// Description of the error.
         message: String,
     },
-    /// The store behind the address cannot be reached or does not let us in.
+    /// The store behind the address cannot be reached or refuses access.
     #[error("the bucket {address} does not answer: {message}")]
     Silent {
         /// The address.
         address: String,
-        /// What it says.
+        /// Its answer.
         message: String,
     },
 }
 
-/// What stands of a job.
+/// State of a job in the bucket.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::serve) struct Held {
     /// Whether there is a job.
     pub(in crate::serve) accepted: bool,
     pub(in crate::serve) ended: bool,
     pub(in crate::serve) cancelled: bool,
-    /// Runs that have not come back.
+    /// Number of runs that have not come back.
     pub(in crate::serve) attempts: u32,
 }
 
@@ -102,7 +102,7 @@ impl Held {
 pub(in crate::serve) struct Bucket(Arc<dyn ObjectStore>);
 
 impl Bucket {
-    /// Opens the record at an address, and asks whether it answers.
+    /// Opens the record at an address, and checks that it answers.
     pub(in crate::serve) async fn open(address: &str) -> Result<Self, BucketError> {
         let wrong = |message: String| BucketError::Address { given: address.to_owned(), message };
         let objects: Arc<dyn ObjectStore> = match address.split_once("://") {
@@ -124,7 +124,8 @@ impl Bucket {
         }
     }
 
-    /// The bytes that sign links, drawn where there are none: all services of a bucket have the same.
+    /// Returns the bytes that sign links, drawn where there are none: all services of a bucket have
+    /// the same.
     pub(in crate::serve) async fn link_key(&self, drawn: Vec<u8>) -> Result<Bytes, StoreError> {
         let failed = "keep the key of links";
         let place = Key::from(LINK_KEY);
@@ -132,7 +133,7 @@ impl Bucket {
         self.read(&place).await.map_err(StoreError::new(failed))
     }
 
-    /// The job that came under a key first: `id` if that was now.
+    /// Returns the job that came under a key first: `id` if that was now.
     pub(in crate::serve) async fn claim(&self, key: Uuid, id: Uuid) -> Result<Uuid, StoreError> {
         let failed = "keep the key";
         let place = Key::from_iter([KEYS, &key.to_string()]);
@@ -161,23 +162,24 @@ impl Bucket {
         kept.map(drop).map_err(StoreError::new(failed))
     }
 
-    /// The scenario of a job, as accepted; `None` if there is no such job.
+    /// Returns the scenario of a job, as accepted; `None` if there is no such job.
     pub(in crate::serve) async fn scenario(&self, id: Uuid) -> Result<Option<Bytes>, StoreError> {
         self.text(id, SCENARIO, "read the scenario").await
     }
 
-    /// The scenario of a job as it was sent, if that is another text.
+    /// Returns the scenario of a job as it was sent, if that is another text.
     pub(in crate::serve) async fn sent(&self, id: Uuid) -> Result<Option<Bytes>, StoreError> {
         self.text(id, SENT, "read the scenario").await
     }
 
-    /// What runs have shown of a job; `None` if that is not known yet, or this build cannot use it.
+    /// Returns the results of runs for a job; `None` if they are not known yet, or this build
+    /// cannot use them.
     pub(in crate::serve) async fn settled(&self, id: Uuid) -> Result<Option<Settled>, StoreError> {
         let kept: Option<KeptPlan> = self.found(id, PLAN, "read the plan").await?;
         Ok(kept.map(|kept| kept.settled))
     }
 
-    /// The plan of a job as people are shown it; `None` if there is none yet.
+    /// Returns the plan of a job for clients; `None` if there is none yet.
     pub(in crate::serve) async fn plan(
         &self,
         id: Uuid,
@@ -198,7 +200,7 @@ impl Bucket {
         kept.map(drop).map_err(StoreError::new(failed))
     }
 
-    /// What stands of a job.
+    /// Returns the state of a job in the bucket.
     pub(in crate::serve) async fn look(&self, id: Uuid) -> Result<Held, StoreError> {
         let prefix = Key::from_iter([JOBS, &id.to_string()]);
         let mut held = Held::default();
@@ -210,7 +212,7 @@ impl Bucket {
         Ok(held)
     }
 
-    /// What stands of all jobs from one on.
+    /// Returns the states of all jobs from one on.
     pub(in crate::serve) async fn list(
         &self,
         from: Uuid,
@@ -231,7 +233,7 @@ impl Bucket {
         Ok(jobs)
     }
 
-    /// Notes that an attempt begins, which goes on from a step; its number.
+    /// Notes that an attempt begins at a step; returns its number.
     pub(in crate::serve) async fn begin_attempt(
         &self,
         id: Uuid,
@@ -260,7 +262,7 @@ impl Bucket {
         }
     }
 
-    /// Whether the last `count` attempts all went on from `step`, as this one does.
+    /// Returns whether the last `count` attempts all went on from `step`, as this one does.
     pub(in crate::serve) async fn is_stuck(
         &self,
         id: Uuid,
@@ -287,7 +289,7 @@ impl Bucket {
         noted.map(drop).map_err(StoreError::new("note the cancellation"))
     }
 
-    /// Whether the job is to be cancelled.
+    /// Returns whether the job is to be cancelled.
     pub(in crate::serve) async fn is_cancelled(&self, id: Uuid) -> Result<bool, StoreError> {
         match self.0.head(&of(id, CANCEL)).await {
             Ok(_) => Ok(true),
@@ -311,14 +313,15 @@ impl Bucket {
         self.record(id).await?.ok_or_else(|| StoreError::new(failed)("the job was forgotten"))
     }
 
-    /// How a job ended; `None` if it has not.
+    /// Returns how a job ended; `None` if it has not.
     pub(in crate::serve) async fn record(&self, id: Uuid) -> Result<Option<Record>, StoreError> {
         let failed = "read the result";
         let text = self.text(id, RESULT, failed).await?;
         text.map(|text| serde_json::from_slice(&text).map_err(StoreError::new(failed))).transpose()
     }
 
-    /// Brings what is durable of an unfinished log to a file, behind the bytes that it holds; how many it holds then.
+    /// Appends the durable part of an unfinished log to the bytes that a file holds; returns how
+    /// many it holds then.
     pub(in crate::serve) async fn fetch_part(
         &self,
         id: Uuid,
@@ -334,7 +337,7 @@ impl Bucket {
             let place = name.and_then(|(from, to)| Some((from.parse().ok()?, to.parse().ok()?)));
             parts.extend(place.map(|(from, to): (u64, u64)| (from, to, found.location.clone())));
         }
-        // Whoever wrote a part, its bytes are those of the log at that place.
+        // Whichever worker wrote a part, its bytes are those of the log at that place.
         parts.sort_by_key(|(from, to, _)| (*from, *to));
         let file = tokio::fs::File::options().create(true).append(true).open(path).await;
         let mut file = file.map_err(StoreError::new(failed))?;
@@ -411,7 +414,7 @@ impl Bucket {
             match sent {
                 Ok(()) => upload.finish().await.map(drop).map_err(StoreError::new(failed))?,
                 Err(error) => {
-                    // What stays of it is for the bucket's own rules to remove.
+                    // The remains are for the bucket's own rules to remove.
                     let _ = upload.abort().await;
                     return Err(StoreError::new(failed)(error));
                 }
@@ -433,7 +436,7 @@ impl Bucket {
         }
     }
 
-    /// Bytes of a finished log.
+    /// Returns bytes of a finished log.
     pub(in crate::serve) async fn log_bytes(
         &self,
         id: Uuid,
@@ -446,7 +449,7 @@ impl Bucket {
         Ok(found.into_stream().map_err(std::io::Error::other).boxed())
     }
 
-    /// Removes what a finished log makes needless.
+    /// Removes the parts that a finished log makes needless.
     pub(in crate::serve) async fn drop_parts(&self, id: Uuid) -> Result<(), StoreError> {
         self.remove(Key::from_iter([PARTS, &id.to_string()])).await
     }
@@ -466,7 +469,7 @@ impl Bucket {
         Ok(())
     }
 
-    /// Keeps an object of this name, unless it stands.
+    /// Keeps an object of this name, unless it exists.
     pub(in crate::serve) async fn keep(
         &self,
         name: &str,
@@ -476,7 +479,7 @@ impl Bucket {
         kept.map(drop).map_err(StoreError::new("keep a part of a sweep"))
     }
 
-    /// The object of a name; `None` if there is none.
+    /// Returns the object of a name; `None` if there is none.
     pub(in crate::serve) async fn kept(&self, name: &str) -> Result<Option<Bytes>, StoreError> {
         match self.read(&Key::from(name)).await {
             Ok(content) => Ok(Some(content)),
@@ -499,7 +502,7 @@ impl Bucket {
         }
     }
 
-    /// What an object says that can be made again.
+    /// Reads an object that can be made again.
     async fn found<T: DeserializeOwned>(
         &self,
         id: Uuid,
@@ -512,7 +515,7 @@ impl Bucket {
         Ok(serde_json::from_slice(&text).inspect_err(unusable).ok())
     }
 
-    /// A text of a job; `None` if there is none.
+    /// Returns a text of a job; `None` if there is none.
     async fn text(
         &self,
         id: Uuid,
@@ -530,7 +533,7 @@ impl Bucket {
         self.0.get(place).await?.bytes().await
     }
 
-    /// Writes an object that is not there yet; whether it was not.
+    /// Writes an object that is not there yet; returns whether it was not.
     async fn create(&self, place: &Key, content: Vec<u8>) -> Result<bool, Error> {
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
         match self.0.put_opts(place, PutPayload::from(content), options).await {
@@ -553,13 +556,14 @@ fn io_error(source: std::io::Error) -> Error {
     Error::Generic { store: "file", source: source.into() }
 }
 
-/// The bucket of an address; credentials, region and endpoint are in the usual variables, as AWS_ACCESS_KEY_ID.
+/// Returns the bucket of an address; credentials, region and endpoint are in the usual variables,
+/// as AWS_ACCESS_KEY_ID.
 #[cfg(feature = "s3")]
 fn s3(address: &str, place: &str) -> Result<Arc<dyn ObjectStore>, String> {
     use object_store::aws::{AmazonS3Builder, Checksum};
     use object_store::prefix::PrefixStore;
     let builder = AmazonS3Builder::from_env().with_url(address);
-    // Each part travels under its checksum, which the store compares.
+    // Each part is sent with its checksum, which the store compares.
     let objects = builder.with_checksum_algorithm(Checksum::SHA256).build();
     let objects = objects.map_err(|error| error.to_string())?;
     Ok(match place.split_once('/') {
@@ -573,7 +577,7 @@ fn s3(_: &str, _: &str) -> Result<Arc<dyn ObjectStore>, String> {
     Err("this program was built without the feature s3".to_owned())
 }
 
-/// Where the copy of a log stands in a directory.
+/// Returns the path of the copy of a log in a directory.
 pub(in crate::serve) fn copy_of(directory: &Path, id: Uuid) -> PathBuf {
     directory.join(format!("{id}.mcap"))
 }

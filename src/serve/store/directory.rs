@@ -1,6 +1,7 @@
-//! The data directory as the system has it: one service holds it, and what stands in it may be anything.
+//! The data directory in the file system: one service holds it, and its contents may be anything.
 //!
-//! Invariant: nothing is opened that is not what its name says, and nothing is removed but what was thrown away.
+//! Invariant: nothing is opened that is not what its name says, and nothing is removed but what was
+//! thrown away.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, DirBuilder, File, TryLockError};
@@ -12,10 +13,11 @@ use uuid::Uuid;
 
 use super::{KEY, SENT, ServeError, parse_id};
 
-/// How long a directory may be another's before it is said to be.
+/// Time for which a directory may be locked by another process before that is reported.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 
-/// The data directory is ours while this lives: two services on one record would run each other's jobs.
+/// Lock on the data directory, ours while this lives: two services on one record would run each
+/// other's jobs.
 #[derive(Debug)]
 pub(in crate::serve) struct DataLock {
     _file: File,
@@ -28,7 +30,8 @@ impl DataLock {
         if !data.exists() {
             make_directory(data).map_err(failed)?;
         }
-        // The directory itself, where that can be: a file in it could be removed, and a second one locked.
+        // The directory itself is locked where possible: a file in it could be removed, and a
+        // second one locked.
         let file = if cfg!(unix) {
             File::open(data)
         } else {
@@ -39,7 +42,8 @@ impl DataLock {
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(Self { _file: file }),
-                // A process that a killed service was just starting has its locks until it is itself.
+                // A child that a killed service was just starting holds its locks until it runs its
+                // own program.
                 Err(TryLockError::WouldBlock) if begun.elapsed() < LOCK_PATIENCE => {
                     std::thread::sleep(Duration::from_millis(20));
                 }
@@ -52,7 +56,8 @@ impl DataLock {
     }
 }
 
-/// A directory of ours, made if need be; what has its name and is not a directory is renamed and set aside.
+/// Returns a directory of ours, made if need be; anything else of its name is renamed and set
+/// aside.
 pub(in crate::serve) fn own_directory(data: &Path, name: &str) -> Result<PathBuf, ServeError> {
     let path = data.join(name);
     let failed = |source: io::Error| ServeError::Data { path: path.clone(), source };
@@ -63,7 +68,7 @@ pub(in crate::serve) fn own_directory(data: &Path, name: &str) -> Result<PathBuf
     Ok(path)
 }
 
-/// Gives what is in the place of a file or a directory of ours another name.
+/// Renames what is in the place of a file or a directory of ours.
 pub(in crate::serve) fn put_aside(path: &Path) -> io::Result<()> {
     if path.symlink_metadata().is_err() {
         return Ok(());
@@ -88,11 +93,11 @@ fn sync_directory(path: &Path) -> io::Result<()> {
     if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
 }
 
-/// What stands below a directory of jobs or studies under one id.
+/// Entries below a directory of jobs or studies under one id.
 #[derive(Debug, Default)]
 pub(in crate::serve) struct Prefix {
     pub(in crate::serve) files: BTreeSet<String>,
-    /// What is no file: directories, links, pipes.
+    /// Entries that are no files: directories, links, pipes.
     pub(in crate::serve) odd: BTreeSet<String>,
 }
 
@@ -101,14 +106,16 @@ impl Prefix {
         self.files.contains(name) || self.odd.contains(name)
     }
 
-    /// Whether this is what is left of a request that was never answered: a key, what was sent, or texts on their way.
+    /// Returns whether these are the remains of a request that was never answered: a key, the text
+    /// sent, or texts on their way.
     pub(in crate::serve) fn is_unanswered(&self) -> bool {
         let passing = |name: &String| name.starts_with(KEY) || name == SENT || name.contains('#');
         self.odd.is_empty() && self.files.iter().all(passing)
     }
 }
 
-/// The prefixes below a directory by their ids, and how many entries are not ours: these are reported.
+/// Returns the prefixes below a directory by their ids, and how many entries are not ours: these
+/// are reported.
 pub(in crate::serve) fn prefixes(directory: &Path) -> io::Result<(BTreeMap<Uuid, Prefix>, usize)> {
     let (mut found, mut aside) = (BTreeMap::new(), 0);
     let mut reported = |path: &Path, why: &dyn std::fmt::Display| {

@@ -21,13 +21,13 @@ use super::{
 const STUDIES: &str = "studies";
 const REQUEST: &str = "request.json";
 
-/// What the scan found of one study.
+/// Result of the scan for one study.
 #[derive(Debug)]
 pub(in crate::serve) struct FoundStudy {
     pub(in crate::serve) id: Uuid,
     pub(in crate::serve) attempts: u32,
     pub(in crate::serve) request: Result<Bytes, StoreError>,
-    /// None if it has not ended.
+    /// Result; `None` if it has not ended.
     pub(in crate::serve) result: Option<Result<Bytes, StoreError>>,
 }
 
@@ -48,18 +48,18 @@ impl StudyStore {
         Ok(Self { objects: objects(&data)?, studies, trash })
     }
 
-    /// Keeps what was asked.
+    /// Keeps the request of a study.
     pub(in crate::serve) async fn keep(&self, id: Uuid, request: &[u8]) -> Result<(), StoreError> {
         let failed = StoreError::new("keep the study");
         create(&self.objects, &key(id, REQUEST), sealed(request.to_vec())).await.map_err(failed)
     }
 
-    /// Where the files of a study stand.
+    /// Returns the folder with the files of a study.
     pub(in crate::serve) fn folder(&self, id: Uuid) -> PathBuf {
         self.studies.join(id.to_string())
     }
 
-    /// What was asked.
+    /// Returns the request of a study.
     pub(in crate::serve) async fn request(&self, id: Uuid) -> Result<Bytes, StoreError> {
         self.read(id, REQUEST).await
     }
@@ -103,7 +103,7 @@ impl StudyStore {
             .map_err(StoreError::new("forget the study"))
     }
 
-    /// All studies, oldest first, and how many entries were found that are not studies.
+    /// Returns all studies, oldest first, and how many entries were found that are not studies.
     pub(in crate::serve) async fn scan(&self) -> Result<(Vec<FoundStudy>, usize), StoreError> {
         let (prefixes, mut aside) =
             prefixes(&self.studies).map_err(StoreError::new("list the studies"))?;

@@ -1,7 +1,7 @@
-//! What a study is asked, and the making of its answer.
+//! Requests for studies, and the making of their answers.
 //!
-//! Invariant: a [`Question`] can be carried out: what a client sent is checked as a scenario is, with the pointer
-//! of the field at fault.
+//! Invariant: a [`Question`] can be carried out: a request of a client is checked as a scenario is,
+//! with the pointer of the field at fault.
 
 use std::path::Path;
 
@@ -28,7 +28,7 @@ pub(super) const TABLE: &str = "table.csv";
 /// The picture of a sweep.
 pub(super) const PICTURE: &str = "sweep.svg";
 
-/// What is studied.
+/// Kind of a study.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 #[schemars(rename = "StudyKind")]
@@ -37,13 +37,13 @@ pub(in crate::serve) enum Kind {
     Precision,
     /// Energy and orthogonality over the scenario's run.
     LongTerm,
-    /// Where each method fails.
+    /// Map of where each method fails.
     Stability,
     /// Many runs over fields of the scenario.
     Sweep,
 }
 
-/// What a client asks for.
+/// Request of a client.
 #[derive(JsonSchema)]
 #[schemars(untagged, rename = "StudyRequest")]
 #[expect(dead_code, reason = "only its schema is used")]
@@ -63,7 +63,7 @@ enum MethodsKind {
     Precision,
     /// Energy and orthogonality over the scenario's run.
     LongTerm,
-    /// Where each method fails.
+    /// Map of where each method fails.
     Stability,
 }
 
@@ -72,7 +72,7 @@ enum MethodsKind {
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "MethodsRequest")]
 pub(in crate::serve) struct Request {
-    /// What is studied.
+    /// Kind of the study.
     #[schemars(with = "MethodsKind")]
     kind: Kind,
     /// The scenario, as of a job.
@@ -126,7 +126,7 @@ impl Question {
         }
     }
 
-    /// The name of its scenario.
+    /// Returns the name of its scenario.
     pub(in crate::serve) fn name(&self) -> &str {
         match self {
             Self::Methods(methods) => methods.scene.name(),
@@ -134,7 +134,8 @@ impl Question {
         }
     }
 
-    /// Makes the study; the table of a sweep is written into `folder`, where what an interrupted one left is resumed.
+    /// Makes the study; the table of a sweep is written into `folder`, where that of an interrupted
+    /// one is resumed.
     ///
     /// # Errors
     /// If the scene cannot be studied, the table cannot be written, or the study is cancelled.
@@ -152,7 +153,7 @@ impl Question {
 
 /// Runs a sweep, unless its table is finished, and draws it.
 fn swept(sweep: &Sweep, watch: &Watch, table: &Path) -> Result<Answer, Unanswered> {
-    // Nothing else writes here: what is there is of this sweep, or of an older build.
+    // Nothing else writes here: a file that is there is of this sweep, or of an older build.
     if !table.is_file() {
         let options = Options { threads: sweep::cores(), shard: None, replaces: true };
         sweep::run(sweep, table, options, watch, |_| Ok::<(), SweepError>(()))?;
@@ -250,8 +251,8 @@ impl Methods {
     }
 }
 
-/// What a study found, as it is kept and shown: rows and borders are plain JSON, so that a newer build can show
-/// what an older one found.
+/// Results of a study, as they are kept and shown: rows and borders are plain JSON, so that a newer
+/// build can show those that an older one found.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(in crate::serve) struct Answer {
     /// File name and content.

@@ -1,7 +1,8 @@
 //! The thread that makes the studies, one after the other.
 //!
-//! Invariant: whatever happens in a study, the thread goes on and the study ends once, or not at all if the service
-//! stops, so that it is made again at the next start. What is shown as its end is on the disk.
+//! Invariant: whatever happens in a study, the thread goes on and the study ends once, or not at
+//! all if the service stops, so that it is made again at the next start. The end that is shown is
+//! on the disk.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::Ordering;
@@ -20,7 +21,7 @@ use crate::serve::job::State;
 use crate::serve::store::StoreError;
 use crate::serve::{apart, chain};
 
-/// Longest study of methods: nobody waits longer, and others wait behind it.
+/// Longest study of methods: no client waits longer, and other studies wait behind it.
 const LONGEST: Duration = Duration::from_secs(900);
 
 /// A sweep may take days. After this long it lets the studies that wait go first, and continues behind them.
@@ -39,7 +40,7 @@ struct Turn {
 }
 
 impl Shared {
-    /// The life of the thread.
+    /// Runs the thread.
     pub(super) fn work(&self) {
         while let Some(turn) = self.next() {
             let (answer, late) = thread::scope(|scope| {
@@ -98,7 +99,7 @@ impl Shared {
         }
     }
 
-    /// The oldest waiting study, marked as running; none once the service stops.
+    /// Returns the oldest waiting study, marked as running; none once the service stops.
     fn next(&self) -> Option<Turn> {
         let mut index = self.index();
         loop {
@@ -117,7 +118,7 @@ impl Shared {
         }
     }
 
-    /// Ends a study, however long the disk refuses it; false if the service stops first.
+    /// Ends a study, however long the disk refuses it; returns false if the service stops first.
     fn ends(&self, id: Uuid, state: State, error: &Option<String>, answer: &Answer) -> bool {
         loop {
             match self.end(id, state, error.clone(), answer.clone()) {
@@ -197,8 +198,9 @@ impl Shared {
         drop(waited);
     }
 
-    /// Stops a study of methods that takes too long, and a sweep that has had its turn while others wait; until the study has
-    /// ended, and with it the sender is dropped. Says whether it was too long.
+    /// Stops a study of methods that takes too long, and a sweep that has had its turn while others
+    /// wait; until the study has ended, and with it the sender is dropped. Returns whether it was
+    /// too long.
     fn limit(&self, turn: &Turn, end: &Receiver<()>) -> bool {
         let waited = |time| end.recv_timeout(time) == Err(RecvTimeoutError::Timeout);
         if turn.kind != Kind::Sweep {
@@ -245,7 +247,7 @@ impl Shared {
     }
 }
 
-/// Why a study has no answer, for a person.
+/// Returns why a study has no answer, for a person.
 fn reported(broken: &Broken) -> String {
     match broken {
         Broken::Unanswered(message) => message.clone(),

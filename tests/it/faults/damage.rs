@@ -75,10 +75,10 @@ fn every_damaged_file_is_reported() {
     println!("{} damaged files, all reported", 3 * count);
 }
 
-/// A kind of damage: what it is called, and how it is done to a path.
+/// A kind of damage: its name, and the function that applies it to a path.
 type Manner = (&'static str, fn(&Path));
 
-/// What is done to a data directory.
+/// Change of a data directory.
 type Act = Box<dyn Fn(&Path)>;
 
 const MANNERS: [Manner; 7] = [
@@ -108,7 +108,7 @@ fn replace(path: &Path, make: impl Fn(&Path) -> std::io::Result<()>) {
     make(path).expect("made");
 }
 
-/// All files below a directory.
+/// Returns all files below a directory.
 fn files(directory: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(directory).into_iter().flatten().flatten() {
@@ -120,7 +120,7 @@ fn files(directory: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Whatever is done to the data directory, a start serves the rest and removes nothing.
+/// Whatever the damage to the data directory, a start serves the rest and removes nothing.
 #[test]
 fn no_kind_of_damage_stops_a_start_or_is_swept_away() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -200,8 +200,8 @@ fn no_kind_of_damage_stops_a_start_or_is_swept_away() {
         }
         assert_eq!(service.reference(&dipole(2_000)), digest, "{name}");
         assert!(service.terminate().0.success(), "{name}");
-        // What was there is there, under its name or under that of what was set aside; but for what jobs that ran
-        // made of their own files.
+        // Every file is still there, under its name or under that of a file set aside, except those
+        // that running jobs changed themselves.
         let after = files(&copy);
         // Without its result a job runs again, and may not have come to the end.
         let again = name.starts_with(&format!("jobs/{victim}/result.json"));
@@ -223,7 +223,7 @@ fn no_kind_of_damage_stops_a_start_or_is_swept_away() {
     assert!(cases.len() >= 70);
 }
 
-/// Files of a corpus.
+/// Returns the files of a corpus.
 fn corpus(name: &str) -> Vec<Vec<u8>> {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(name);
     let entries = fs::read_dir(corpus).expect("a corpus");
@@ -243,7 +243,7 @@ fn ranges_of_the_corpus_and_their_neighbours_give_the_whole_the_right_part_or_41
     for seed in corpus("range") {
         for k in 0..20 * scale() {
             let range = if k == 0 { seed.clone() } else { damage(&mut random, &seed) };
-            // What no client sends; the fuzzer does.
+            // No client sends such bytes; the fuzzer does.
             if !range.iter().all(|byte| (b' '..=b'~').contains(byte)) {
                 continue;
             }
@@ -276,7 +276,7 @@ fn the_corpus_of_the_fuzzers_and_its_neighbours_are_read_without_a_panic() {
         for _ in 0..200 * scale() {
             match Scenario::from_json(&damage(&mut random, &text)) {
                 Ok(scenario) => {
-                    // What can be read can be planned, or is refused with its field.
+                    // A scenario that can be read can be planned, or is refused with its field.
                     let _ = Plan::new(&scenario);
                     assert_eq!(
                         Scenario::from_json(&scenario.to_json()).expect("read back"),

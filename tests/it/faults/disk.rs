@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::process::Service;
 use super::{dipole, scale};
 
-/// The shim that makes calls fail, and the file that says which.
+/// The shim that makes calls fail, and the file that controls it.
 pub(super) struct Faults {
     library: PathBuf,
     plan: File,
@@ -19,7 +19,7 @@ pub(super) struct Faults {
 }
 
 impl Faults {
-    /// `None`, loudly, where there is no C compiler or no preloading.
+    /// Returns `None`, with a message, where there is no C compiler or no preloading.
     pub(super) fn new(folder: &Path) -> Option<Self> {
         let library = folder.join("inject.so");
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/faults/inject.c");
@@ -43,7 +43,7 @@ impl Faults {
         self.start_on(folder, &folder.join("data"))
     }
 
-    /// Faults for the files whose paths begin so.
+    /// Starts a service with faults for the files whose paths begin with `folder`.
     pub(super) fn start_on(&self, folder: &Path, data: &Path) -> Service {
         let environment = [
             ("LD_PRELOAD", self.library.as_path()),
@@ -56,7 +56,7 @@ impl Faults {
     /// Lets the `nth` call from now fail, and `more` after it.
     pub(super) fn arm(&mut self, nth: i64, errno: i64, more: i64) {
         let [.., fired, _] = self.read();
-        // The countdown last: it is what arms.
+        // The countdown is written last: it arms the fault.
         for (slot, value) in [(1, errno), (2, more), (3, fired), (4, 0), (0, nth)] {
             self.plan.seek(SeekFrom::Start(8 * slot)).expect("a file");
             self.plan.write_all(&value.to_ne_bytes()).expect("written");
@@ -77,7 +77,7 @@ impl Faults {
     }
 }
 
-/// What becomes of a job on a bad disk that is mended: what becomes of it on a good one.
+/// Checks that a job on a bad disk that is mended has the result of one on a good disk.
 fn check(service: &Service, id: &str, digest: &str) {
     let job = service.ended(id);
     assert_eq!(job["state"], "succeeded", "{job}");
@@ -85,7 +85,7 @@ fn check(service: &Service, id: &str, digest: &str) {
     assert_eq!(job["log"]["sha256"], digest);
 }
 
-/// The trouble that a job is in, if it is.
+/// Returns the trouble that a job is in, if any.
 fn trouble(job: &Value) -> Option<&str> {
     job["trouble"]["code"].as_str()
 }
@@ -99,7 +99,7 @@ fn advance(errno: i64, code: &str) {
     let digest = service.reference(&scenario);
     let (mut refused, mut waited, mut nth) = (0, 0, 1);
     loop {
-        // Once single; every fourth time the disk stays bad until it is mended.
+        // Usually a single fault; every fourth time the disk stays bad until it is mended.
         let more = if nth % 4 == 0 { i64::MAX } else { 0 };
         let before = faults.given();
         faults.arm(nth, errno, more);
@@ -119,7 +119,8 @@ fn advance(errno: i64, code: &str) {
             202 => {
                 let id = answer.json()["id"].as_str().expect("an id").to_owned();
                 if more > 0 && given > 0 {
-                    // It waits as long as the disk is bad, and says why; what can be read of it is whole.
+                    // The job waits as long as the disk is bad, and says why; its readable files
+                    // are whole.
                     std::thread::sleep(Duration::from_millis(30));
                     let job = service.job(&id);
                     waited += usize::from(trouble(&job) == Some(code));
@@ -169,7 +170,7 @@ fn no_file_handle_at_each_write_in_turn() {
     advance(EMFILE, "storage_error");
 }
 
-/// What is shown as the end of a study is on the disk.
+/// The end of a study is on the disk before it is shown.
 #[test]
 fn a_study_waits_for_room_for_its_result() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -248,9 +249,9 @@ fn a_job_waits_for_room_on_a_disk_that_fills_up() {
         let id = service.submit(&scenario);
         fill(&ballast, room);
         let cancelled = service.send("POST", &format!("/jobs/{first}/cancel"), Some("")).status;
-        // On a slow machine its own chunk has met the full disk by now.
+        // On a slow machine its own chunk may have met the full disk by now.
         assert!(cancelled / 100 == 2 || cancelled == 409, "{cancelled}");
-        // What finds no room waits for it.
+        // A job without room waits for it.
         let begun = Instant::now();
         let mut job = service.job(&id);
         while job["state"] != "succeeded"
@@ -291,7 +292,7 @@ fn what_a_running_job_has_written_is_not_counted_twice() {
         scenario["log"] = serde_json::json!({ "every": 100, "compression": "none" });
         scenario
     };
-    // About 10 MiB, and 12 MiB for which there is room next to it from first to last.
+    // About 10 MiB, and 12 MiB that have room next to it from first to last.
     let first = service.submit(&sized(15_000));
     let mut job = service.job(&first);
     while job["progress"]["percent"].as_f64() < Some(40.0) {
@@ -302,7 +303,7 @@ fn what_a_running_job_has_written_is_not_counted_twice() {
     let state = service.job(&first)["state"].clone();
     println!("at {} % of a job that is now {state}: {}", job["progress"]["percent"], answer.status);
     assert_eq!(answer.status, 202, "{}", answer.code());
-    // And not forgotten: a third of that size has no room.
+    // The room is still taken: a third log of that size is refused.
     let answer = service.send("POST", "/jobs", Some(&sized(18_000).to_string()));
     assert_eq!((answer.status, answer.code().as_str()), (507, "storage_full"));
 }

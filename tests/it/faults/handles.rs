@@ -1,4 +1,5 @@
-//! A service that is short of what it needs from the system: file handles, and a client that reads its answers.
+//! A service that is short of resources of the system: file handles, and a client that reads its
+//! answers.
 
 use std::io::Write;
 use std::net::TcpStream;

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use super::process::Service;
 use super::{dipole, heavy, pendulum, scale};
 
-/// The worst that validation lets through, by what it costs.
+/// Returns the most expensive requests that validation lets through, by what makes them expensive.
 fn worst() -> Vec<(&'static str, String)> {
     let accurate = |mut scenario: Value, duration_s: f64| {
         for field in ["method", "step_s", "steps"] {
@@ -105,7 +105,7 @@ fn the_worst_requests_of_clients_that_leave_stall_nobody() {
         p99(&mut read),
         read.len()
     );
-    // An honest one among them is taken, and answers to refused ones name the field.
+    // A valid request among them is taken, and answers to refused ones name the field.
     let body = &worst[5].1;
     let answer = service.send("POST", "/jobs", Some(body));
     assert_eq!(answer.status, 422, "{}", String::from_utf8_lossy(&answer.body));
@@ -118,7 +118,7 @@ fn the_worst_requests_of_clients_that_leave_stall_nobody() {
     assert!(status.success() && took < Duration::from_secs(10), "{status}, {took:?}");
 }
 
-/// What is asked for an accuracy is settled by a worker: an answer does not wait for it, nor does a start.
+/// A worker settles a job for an accuracy: neither an answer nor a start waits for it.
 #[test]
 fn a_start_plans_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -149,7 +149,7 @@ fn a_start_plans_nothing() {
         );
         let job = service.job(&ids[count - 1]);
         assert_eq!((&job["state"], &job["plan"]), (&"queued".into(), &Value::Null), "{job}");
-        // Not even for the one that runs.
+        // Not even for the job that runs.
         assert_eq!(pilot_runs(&service), 0);
         assert!(service.terminate().0.success());
     }
@@ -161,7 +161,7 @@ fn a_start_plans_nothing() {
     assert!(job["plan"]["advice"]["expected_error"].as_f64() < Some(1e-8), "{job}");
     let digest = service.digest(&ids[0]);
     assert!(service.terminate().0.success());
-    // Settled once: what was found is kept with the job, and enough to run it.
+    // It was settled once: the result is kept with the job, and is enough to run it.
     let jobs = folder.path().join("data/jobs");
     let text = |name: &str| std::fs::read(jobs.join(&ids[0]).join(name)).expect("kept");
     let (scenario, plan) = (text("scenario.json"), text("plan.json"));
@@ -177,7 +177,7 @@ fn a_start_plans_nothing() {
     };
     let waiting: Vec<_> =
         (0..50).map(|_| add(&[("scenario.json", &scenario), ("plan.json", &plan)])).collect();
-    // As the version before kept it.
+    // The file as the version before kept it.
     let end = plan.len() - b"\ncrc32 00000000\n".len();
     let kept: Value = serde_json::from_slice(&plan[..end]).expect("JSON");
     let choice = &kept["settled"]["choice"];
@@ -192,13 +192,13 @@ fn a_start_plans_nothing() {
         assert_eq!(service.digest(id), digest);
     }
     assert_eq!(pilot_runs(&service), 0);
-    // One of which neither is kept is planned by a worker.
+    // A job without either is planned by a worker.
     let unplanned = service.submit(&pendulum(1e-8, 30.0));
     assert_eq!(service.ended(&unplanned)["state"], "succeeded");
     assert!(pilot_runs(&service) > 0);
 }
 
-/// The runs that a service has made to plan jobs.
+/// Returns the number of runs that a service has made to plan jobs.
 fn pilot_runs(service: &Service) -> u64 {
     let text = String::from_utf8(service.get("/metrics").body).expect("text");
     let figure = text.lines().find_map(|line| line.strip_prefix("vpd_pilot_runs "));
@@ -240,7 +240,7 @@ fn an_accuracy_that_cannot_be_had_fails_its_job_and_says_why() {
     assert!(["cancelled", "failed"].contains(&job["state"].as_str().expect("a state")), "{job}");
 }
 
-/// What takes more memory than there is by itself is refused; the others wait for each other.
+/// A job that alone exceeds the memory is refused; the others wait for each other.
 #[test]
 fn memory_is_admitted_like_the_disk() {
     let folder = tempfile::tempdir().expect("a folder");

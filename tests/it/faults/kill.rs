@@ -89,11 +89,12 @@ fn nothing_that_was_accepted_is_lost_to_kills() {
     assert!(caught > kills / 4 && resumed > 0, "the kills came at the wrong moments");
     let left: Vec<_> =
         std::fs::read_dir(folder.path().join("data/jobs")).expect("a folder").collect();
-    // The references alone.
+    // Only the reference jobs are left.
     assert_eq!(left.len(), scenarios.len(), "{left:?}");
 }
 
-/// Jobs of steps that take long, jobs that look for a method, studies: whoever kills the service, they did not.
+/// Jobs of steps that take long, jobs that look for a method, and studies are not blamed for a kill
+/// from outside.
 #[test]
 fn kills_from_outside_convict_nobody() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -119,7 +120,8 @@ fn kills_from_outside_convict_nobody() {
             let answer = service.send("POST", "/studies", Some(&study.to_string()));
             studies.push(answer.json()["id"].as_str().expect("an id").to_owned());
         }
-        // Mostly too short for anything to come further; scaled up as in the field: 0.3 to 8 s.
+        // Most runs are too short for any job to come further; scaled up as in the field: 0.3 to 8
+        // s.
         let longest = if scale() > 1 { 8_000 } else { 400 };
         std::thread::sleep(Duration::from_millis(50 + random.below(longest) as u64));
         service.kill();
@@ -202,8 +204,9 @@ fn any_number_of_workers_gives_the_same_bytes() {
     }
 }
 
-/// A job that ends its process within its first chunk, next to others, until it is abandoned; how many processes it
-/// ended. Giving its log an end does so too, unless that `can_end`.
+/// Submits a job that ends its process within its first chunk, next to others, until it is
+/// abandoned; returns how many processes it ended. Ending its log ends a process, too, unless
+/// `can_end`.
 fn poison(can_end: bool) -> Option<i64> {
     let folder = tempfile::tempdir().expect("a folder");
     let mut faults = Faults::new(folder.path())?;
@@ -220,8 +223,8 @@ fn poison(can_end: bool) -> Option<i64> {
             .expect("written");
     }
     let part = folder.path().join("data/jobs").join(&poison).join("log.mcap.part");
-    // First the service itself: the birth of the log, its head, its first chunk. Then processes of its own until it is
-    // convicted, and two that try to give its log an end.
+    // First the service itself: at the creation of the log, its head, its first chunk. Then
+    // processes of its own until it is abandoned, and two that try to end its log.
     let more = 3 + if can_end { 0 } else { 2 };
     faults.arm(3, -1, more);
     let status = faults.start_on(folder.path(), &part).dies();
@@ -246,7 +249,7 @@ fn poison(can_end: bool) -> Option<i64> {
     Some(faults.given())
 }
 
-/// The samples of the log of a job that was abandoned, and the step of its last checkpoint.
+/// Returns the samples of the log of a job that was abandoned, and the step of its last checkpoint.
 fn abandoned(path: &Path, log: &[u8]) -> (Vec<(u64, Message)>, Option<u64>) {
     std::fs::write(path, log).expect("written");
     let mut samples = Vec::new();

@@ -9,17 +9,17 @@ use serde_json::{Value, json};
 use super::dipole;
 use super::process::{PATIENCE, Service};
 
-/// Resident memory of a process in KiB.
+/// Returns the resident memory of a process in KiB.
 fn memory(pid: u32) -> u64 {
     let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
     line.and_then(|text| text.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }
 
-/// Between two questions of one who polls: four a second, as a script or a page would.
+/// Pause between two requests of a polling client: four a second, as a script or a page would make.
 const POLL: Duration = Duration::from_millis(250);
 
-/// One client with a connection of its own.
+/// Returns a client with a connection of its own.
 fn client() -> ureq::Agent {
     // No time limit for the whole: it would start a thread for each request, to look the name up.
     ureq::Agent::config_builder()
@@ -86,7 +86,7 @@ fn queued(jobs: usize, submitters: usize, downloads: usize, pollers: usize) {
             .collect();
         let pollers: Vec<_> =
             (0..pollers).map(|_| scope.spawn(|| poll(&format!("/jobs/{running}")))).collect();
-        // What an answer takes that holds nothing: the machine's share, and the client's.
+        // Time of an answer without content: the machine's share, and the client's.
         let bare: Vec<_> = (0..8).map(|_| scope.spawn(|| poll("/healthz"))).collect();
         let downloads: Vec<_> = (0..downloads)
             .map(|_| {

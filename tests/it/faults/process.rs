@@ -50,16 +50,17 @@ impl Service {
         Self::start_as(command, folder, arguments)
     }
 
-    /// Starts by a command that takes the arguments of the program; what it says goes to `folder`/stderr.
+    /// Starts by a command that takes the arguments of the program; its output goes to
+    /// `folder`/stderr.
     pub(super) fn start_as(mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = File::options().create(true).append(true).open(folder.join("stderr"));
         command.stderr(log.expect("a file"));
         Self::start_unheard(command, folder, arguments)
     }
 
-    /// The same, but what it says goes where the command says.
+    /// Does the same, but its output goes where the command says.
     pub(super) fn start_unheard(mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
-        // The system's choice of a free port; nobody else takes it in the moment between.
+        // The system chooses a free port; no other process takes it in the moment between.
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = listener.local_addr().expect("an address");
         drop(listener);
@@ -92,13 +93,13 @@ impl Service {
         self.child.wait().expect("a child")
     }
 
-    /// `kill -9`.
+    /// Sends `kill -9`.
     pub(super) fn kill(mut self) {
         self.child.kill().expect("killed");
         self.child.wait().expect("a child");
     }
 
-    /// `kill -TERM`; how it ended and how long that took.
+    /// Sends `kill -TERM`; returns how it ended and how long that took.
     pub(super) fn terminate(mut self) -> (ExitStatus, Duration) {
         let begun = Instant::now();
         let sent = Command::new("kill").args(["-TERM", &self.pid().to_string()]).status();
@@ -106,7 +107,7 @@ impl Service {
         (self.child.wait().expect("a child"), begun.elapsed())
     }
 
-    /// An answer, or none if the service is gone.
+    /// Returns an answer, or none if the service is gone.
     pub(super) fn try_send(
         &self,
         method: &str,
@@ -155,7 +156,7 @@ impl Service {
         answer.json()
     }
 
-    /// The job once it has ended.
+    /// Returns the job once it has ended.
     pub(super) fn ended(&self, id: &str) -> Value {
         let begun = Instant::now();
         loop {
@@ -168,7 +169,7 @@ impl Service {
         }
     }
 
-    /// The study once it has ended.
+    /// Returns the study once it has ended.
     pub(super) fn study(&self, id: &str) -> Value {
         let begun = Instant::now();
         loop {
@@ -181,14 +182,14 @@ impl Service {
         }
     }
 
-    /// SHA-256 of a job's log.
+    /// Returns the SHA-256 of a job's log.
     pub(super) fn digest(&self, id: &str) -> String {
         let answer = self.get(&format!("/jobs/{id}/log.mcap"));
         assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
         digest(&answer.body)
     }
 
-    /// SHA-256 of the log of a scenario that nothing disturbs.
+    /// Returns the SHA-256 of the log of a scenario that nothing disturbs.
     pub(super) fn reference(&self, scenario: &Value) -> String {
         let id = self.submit(scenario);
         assert_eq!(self.ended(&id)["state"], "succeeded");

@@ -7,10 +7,10 @@ use std::time::Duration;
 use super::process::Service;
 use super::{Random, scale};
 
-/// What may be answered to what is no good request; 0 is the end of the connection.
+/// Allowed answers to bad requests; 0 is the end of the connection.
 const EXPECTED: [u16; 12] = [0, 400, 404, 405, 408, 411, 413, 414, 415, 421, 431, 505];
 
-/// The statuses that come back.
+/// Returns the statuses that come back.
 fn exchange(service: &Service, bytes: &[u8]) -> Vec<u16> {
     let mut stream = TcpStream::connect(service.address).expect("a connection");
     stream.set_read_timeout(Some(Duration::from_secs(30))).expect("a socket");

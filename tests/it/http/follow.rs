@@ -1,4 +1,4 @@
-//! Following the service: events, the growing log, figures, and what it says of itself.
+//! Following the service: events, the growing log, figures, and the description of its API.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::{PATIENCE, Server, assert_whole_log, directory, long, service, short};
 
-/// The body of an answer as it comes, without its chunk sizes.
+/// Returns the body of an answer as it comes, without its chunk sizes.
 fn follow(server: &Server, path: &str) -> BufReader<Box<dyn Read + Send>> {
     let agent: ureq::Agent =
         ureq::Agent::config_builder().timeout_global(Some(2 * PATIENCE)).build().into();
@@ -16,7 +16,7 @@ fn follow(server: &Server, path: &str) -> BufReader<Box<dyn Read + Send>> {
     BufReader::new(Box::new(answer.into_body().into_reader()))
 }
 
-/// Name and data of each event, until the stream ends.
+/// Returns name and data of each event, until the stream ends.
 fn events(stream: impl BufRead) -> impl Iterator<Item = (String, Value)> {
     let mut name = String::new();
     stream.lines().filter_map(move |line| {
@@ -202,7 +202,7 @@ fn the_description_names_every_route_and_nothing_elsewhere() {
     assert!(docs.contains("openapi.json") && !docs.contains("://"), "a page of our own alone");
 }
 
-/// No schema within is `true` or `false`.
+/// Asserts that no schema within is `true` or `false`.
 fn without_booleans(value: &Value, at: &str) {
     match value {
         Value::Array(values) => values.iter().for_each(|value| without_booleans(value, at)),

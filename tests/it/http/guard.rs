@@ -1,5 +1,5 @@
-//! What the service keeps out: other names, strangers, the impatient, the too large; and what it does twice
-//! only once.
+//! Requests that the service keeps out: other names, strangers, too many, too large; and requests
+//! that are sent twice and done only once.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -223,7 +223,7 @@ fn jobs_beyond_the_limits_are_refused_with_the_figures() {
     let advised: u64 = advised.and_then(|text| text.parse().ok()).expect("a number of steps");
     scenario["log"]["every"] = json!(advised);
     server.submit(&scenario);
-    // Of samples that are asked for in seconds the answer is in seconds, too.
+    // If samples are given in seconds, the answer is in seconds, too.
     scenario["log"].as_object_mut().expect("an object").remove("every");
     scenario["log"]["every_s"] = scenario["step_s"].clone();
     let problem =
@@ -344,7 +344,7 @@ fn waves_beyond_the_limit_are_all_answered() {
     assert_eq!(taken + refused, WAVES * WAVE);
     // Fewer places than a wave are there, and some of each wave have one.
     assert!(refused >= WAVES && taken >= WAVES, "{taken} taken, {refused} refused");
-    // Those of the last wave close when they please.
+    // The clients of the last wave close at any time.
     let jobs = super::until("a free place", || {
         let answer = server.get("/jobs?limit=500");
         (answer.status == 200).then(|| answer.json())

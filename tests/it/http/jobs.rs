@@ -1,4 +1,4 @@
-//! Jobs: taken, shown, listed, cancelled, forgotten; and what is refused.
+//! Jobs: taken, shown, listed, cancelled, forgotten; and refusals.
 
 use std::time::Instant;
 
@@ -52,7 +52,7 @@ fn a_scenario_is_given_back_as_it_was_sent() {
     let id = job["id"].as_str().expect("an id").to_owned();
     let path = job["links"]["sent"].as_str().expect("a link").to_owned();
     assert_eq!(server.get(&path).text(), sent);
-    // What runs is without it, and with every default.
+    // The scenario that runs is without it, and with every default.
     let accepted = server.get(&format!("/jobs/{id}/scenario.json"));
     assert!(accepted.json()["$schema"].is_null() && accepted.json()["log"]["epoch"].is_string());
     server.wait(&id, "succeeded");
@@ -99,7 +99,7 @@ fn an_ensemble_is_a_job_like_any_other() {
     assert_eq!(job["summary"]["ensemble"]["members"], 20);
     assert_eq!(job["summary"]["ensemble"]["succeeded"], 20);
     assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
-    // What looks at one body looks at member 0.
+    // For an ensemble, views of a single body show member 0.
     let attitudes = server.get(&format!("/jobs/{id}/attitudes.json"));
     assert_eq!(attitudes.status, 200);
     assert_eq!(server.get(&format!("/jobs/{id}/charts/energy.svg")).status, 200);

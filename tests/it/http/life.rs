@@ -1,4 +1,4 @@
-//! Stops, restarts and crashes: what was accepted is done, and done once.
+//! Stops, restarts and crashes: every accepted job is done, and done once.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -13,7 +13,7 @@ use vpd::serve::ServeError;
 
 use super::{assert_whole_log, directory, long, names, record, sealed, service, short};
 
-/// Writes the record that a process left which died in its `attempts`-th run of a job.
+/// Writes the record of a process that died in its `attempts`-th run of a job.
 fn crashed(data: &TempDir, attempts: u32) -> (String, PathBuf) {
     let id = Uuid::now_v7().to_string();
     let directory = record(data, &id);
@@ -47,7 +47,7 @@ fn jobs_survive_a_stop() {
     for job in [&before, &after] {
         assert_eq!(job["state"], "succeeded");
     }
-    // The links name the port, which is another one now.
+    // The links name the port, which has changed.
     after["links"] = before["links"].clone();
     assert_eq!(after, before);
     assert_eq!(server.get(&format!("/jobs/{ended}/log.mcap")).body, log);
@@ -64,7 +64,7 @@ fn a_stop_under_load_takes_less_than_ten_seconds() {
     let server = service(&data).workers(2).start();
     let running = [server.running(), server.running()];
     let waiting: Vec<_> = (0..20).map(|_| server.submit(&long())).collect();
-    // A client in the middle of its body, who does not go on.
+    // A client stops in the middle of its body.
     let mut idle = TcpStream::connect(server.address).expect("a connection");
     let head = "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n";
     write!(idle, "{head}Content-Length: 9\r\nExpect: 100-continue\r\n\r\n").expect("sent");
@@ -123,7 +123,7 @@ fn a_job_whose_process_died_runs_again() {
 #[test]
 fn a_job_is_not_blamed_for_the_end_of_its_process() {
     let data = directory();
-    // What ended the process was not seen, so the job is not blamed.
+    // The end of the process was not seen, so the job is not blamed.
     let (id, _) = crashed(&data, 30);
     let server = service(&data).start();
     assert_eq!(server.wait(&id, "succeeded")["attempts"], 31);
@@ -136,7 +136,7 @@ fn a_cancellation_survives_a_crash() {
     fs::write(directory.join("cancel"), "").expect("written");
     let server = service(&data).start();
     server.wait(&id, "cancelled");
-    // What had run before is given an end that can be read.
+    // The samples of before are kept, in a log that can be read.
     assert_whole_log(&server.get(&format!("/jobs/{id}/log.mcap")).body);
 }
 
@@ -160,7 +160,7 @@ fn damage_in_the_record_harms_no_other_job() {
     assert_eq!((&damaged["state"], &damaged["finished"]), (&"failed".into(), &Value::Null));
     assert_eq!(damaged["diagnosis"]["code"], "record_damaged");
     server.get(&format!("/jobs/{half_forgotten}")).problem(404, "unknown_job");
-    // Nobody knows what it is: it is reported, and left alone.
+    // An entry that is not understood is reported, and left alone.
     assert_eq!(names(&directory), ["attempt-1", "log.mcap.part"]);
     assert!(server.get("/metrics").text().contains("vpd_set_aside_total 3"));
     assert!(record(&data, "not-a-job").join("kept").exists());
@@ -172,7 +172,7 @@ fn a_start_needs_no_look_at_the_results() {
     let server = service(&data).start();
     let ids: Vec<_> = (0..3).map(|_| server.finished()).collect();
     server.stop().0.expect("stops in order");
-    // Were they read, the jobs would have lost their names.
+    // If they were read, the jobs would have lost their names.
     for id in &ids {
         fs::write(record(&data, id).join("result.json"), "torn").expect("written");
     }

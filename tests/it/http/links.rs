@@ -17,7 +17,7 @@ fn guarded(data: &TempDir) -> Server {
     service(data).tokens(&format!("read {READ}\nadmin {ADMIN}")).live().start()
 }
 
-/// With the token of the administrator.
+/// Sends a request with the token of the administrator.
 fn ask(server: &Server, method: &str, path: &str, body: Option<&Value>) -> Answer {
     let bearer = format!("Bearer {ADMIN}");
     let headers = [("authorization", bearer.as_str()), ("content-type", "application/json")];
@@ -25,7 +25,7 @@ fn ask(server: &Server, method: &str, path: &str, body: Option<&Value>) -> Answe
     server.send(method, path, &headers, body.as_deref())
 }
 
-/// A job in a state.
+/// Returns a job in a state.
 fn job(server: &Server, scenario: &Value, state: &str) -> Value {
     let id = ask(server, "POST", "/jobs", Some(scenario)).json()["id"].clone();
     let path = format!("/jobs/{}", id.as_str().expect("an id"));
@@ -38,12 +38,12 @@ fn link<'a>(job: &'a Value, name: &str) -> &'a str {
     job["links"][name].as_str().expect("a link")
 }
 
-/// A link's path and query.
+/// Returns a link's path and query.
 fn parts(link: &str) -> (&str, &str) {
     link.split_once('?').expect("a signed link")
 }
 
-/// The query of a link as the service would sign it, by the key on the disk.
+/// Returns the query of a link as the service would sign it, by the key on the disk.
 fn signed(data: &TempDir, what: &str, expires: u64) -> String {
     let key = std::fs::read(data.path().join("data/link-key")).expect("a key");
     assert_eq!(key.len(), 32);
@@ -149,7 +149,7 @@ fn a_link_opens_its_log_and_nothing_else() {
     ] {
         server.get(&format!("{log}?{query}")).problem(401, "unauthorized");
     }
-    // What was tried above is signed as the service signs.
+    // The same signing is accepted for the right log and time.
     let good = signed(&data, &format!("the log of {own}"), now_s() + 60);
     assert_eq!(server.get(&format!("{log}?{good}")).status, 200);
     // A token goes before the link, and one that is wrong does not spoil it.

@@ -76,7 +76,7 @@ fn single_ranges_hold_the_right_bytes() {
         refused.problem(416, "bad_range");
         assert_eq!(refused.header("content-range"), format!("bytes */{size}"), "{range}");
     }
-    // What is no range of bytes is not there (RFC 9110, 14.2).
+    // A header that is no range of bytes is ignored (RFC 9110, 14.2).
     for range in [
         "items=0-1",
         "bytes=5-2",
@@ -118,7 +118,7 @@ fn dates_of_any_time_are_answered() {
             assert!(answer.status < 500, "{header}: {date}: {}", answer.status);
         }
     }
-    // A machine whose clock stood wrong leaves files of before 1970.
+    // A machine whose clock was wrong leaves files from before 1970.
     let log = super::record(&data, &id).join("log.mcap");
     let file = std::fs::File::options().write(true).open(&log).expect("a log");
     let before = std::time::UNIX_EPOCH - std::time::Duration::from_secs(86_400);
@@ -206,7 +206,7 @@ fn pages_of_other_origins_may_read_logs_and_nothing_else() {
         ["authorization", "content-type", "if-match", "if-none-match", "if-range", "range"];
     assert_eq!(words(allowed.header("access-control-allow-headers")), wanted);
     assert_eq!(allowed.header("access-control-max-age"), "600");
-    // A viewer that came too early reads why.
+    // The answer to a viewer that came too early says why.
     let missing = server.get_with("/jobs/01999999-9999-7999-8999-999999999999/log.mcap", &origin);
     missing.problem(404, "unknown_job");
     assert_eq!(missing.header("access-control-allow-origin"), "*");
@@ -258,7 +258,8 @@ fn a_link_planted_as_a_log_leads_nowhere() {
     server.get(&path(&id)).problem(500, "log_damaged");
 }
 
-/// Damage that came after the end of the job: it is reported, whoever asks and however often, and no byte of it is served.
+/// A log that was damaged after the end of the job is reported, on every request, and no byte of it
+/// is served.
 #[test]
 fn a_log_that_is_not_what_the_job_wrote_is_not_served() {
     let data = directory();

@@ -1,4 +1,4 @@
-//! What people look at: the page, the layouts, the charts and the attitudes of a job.
+//! Pages for people: the page, the layouts, the charts and the attitudes of a job.
 
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -31,7 +31,7 @@ fn may_load_nothing_else(page: &Answer) {
     assert!(!text.contains("src=\"http") && !text.contains("href=\"http"));
 }
 
-/// RFC 4648, written once more.
+/// RFC 4648, written independently.
 fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let group = |three: &[u8]| {
@@ -91,7 +91,7 @@ fn a_running_job_leads_to_the_live_view() {
         let link = viewers[viewer].as_str().expect("a link");
         assert!(link.contains(&encoded), "{link}");
     }
-    // Who calls from elsewhere does not reach the loopback of this machine.
+    // A client that calls from elsewhere does not reach the loopback of this machine.
     let far = server.get_with(&format!("/jobs/{id}"), &[("host", "192.0.2.1")]).json();
     assert_eq!((far["id"].as_str(), far["links"].get("live_viewers")), (Some(id.as_str()), None));
     server.post(&format!("/jobs/{id}/cancel"), b"");
@@ -99,7 +99,7 @@ fn a_running_job_leads_to_the_live_view() {
     assert!(done["links"].get("live_viewers").is_none());
 }
 
-/// A job of 20,000 steps that has ended, with a sample every k of them.
+/// Returns a job of 20,000 steps that has ended, with a sample every k of them.
 fn finished(server: &Server, every: u64) -> String {
     let mut scenario = short();
     scenario["steps"] = json!(20_000);
@@ -148,7 +148,7 @@ fn attitudes_are_those_of_the_log_from_any_time_on() {
 
     let first = ask("?samples=3");
     assert_eq!(times(&first), [0.0, 0.1, 0.2]);
-    // The log keeps what the scheme carries: the start, projected to the group, rounding and all.
+    // The log keeps the state of the scheme: the start, projected to the group, rounding and all.
     let start = first["attitude"][0].as_array().expect("an attitude").iter();
     let given = [1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0];
     assert!(start.zip(given).all(|(x, y)| (x.as_f64().expect("a number") - y).abs() < 1e-15));
@@ -158,7 +158,7 @@ fn attitudes_are_those_of_the_log_from_any_time_on() {
     assert_eq!(times(&late), [150.0, 150.1]);
     assert_eq!(times(&ask("?from_s=199.95&samples=9")), [200.0]);
     assert_eq!(times(&ask("?from_s=1e300")), Vec::<f64>::new());
-    // Not all of them, and what turns the body.
+    // Fewer samples, with the angular velocity of the body.
     let sparse = ask("?from_s=10&every_s=0.25&samples=4");
     assert_eq!(times(&sparse), [10.0, 10.3, 10.6, 10.9]);
     for k in 0..4 {
@@ -216,7 +216,7 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     let part = numbers(&ask("?from_s=50&to_s=50.25&points=10")["time_s"]);
     assert_eq!(part, [50.0, 50.1, 50.2]);
 
-    // A log so long that several threads read it.
+    // This log is so long that several threads read it.
     let id = finished(&server, 1);
     let dense = server.get(&format!("/jobs/{id}/samples?points=100")).json();
     let (low, high) = (numbers(&dense["low"][0]), numbers(&dense["high"][0]));
@@ -232,7 +232,7 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
     let all = server.get(&format!("/jobs/{id}/samples?points=5000&from_s=100&to_s=130")).json();
     assert_eq!((numbers(&all["time_s"]).len(), &all["each"]), (3001, &json!(1)));
 
-    // What the momentum at the start is in each quantity: J w = m, and g m = (0, 0, -0.01) turned by g.
+    // The momentum at the start gives each quantity: J w = m, and g m = (0, 0, -0.01) turned by g.
     let first = |channel: &str| -> Vec<f64> {
         let answer = ask(&format!("?to_s=0&channel={channel}"));
         assert_eq!(answer["channel"], *channel);
@@ -332,7 +332,7 @@ fn the_members_of_an_ensemble_are_compared_and_each_is_a_run_of_its_own() {
     assert!(numbers(&rows(&ask("?order=member"))[0]["values"]).iter().all(|x| *x == 0.0));
     assert_ne!(ask("?channel=axis_angle&axis=3"), ask("?channel=axis_angle&axis=2"));
 
-    // A member alone goes where it went among the others.
+    // A member run alone moves as it did among the others.
     let worst = rows(&ask("?channel=axis_angle&axis=3&limit=1"))[0].clone();
     let alone = server.get(&format!("{path}/{}.json", worst["member"]));
     assert_eq!(alone.status, 200);

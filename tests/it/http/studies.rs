@@ -88,7 +88,7 @@ fn studies_are_listed_and_outlive_the_service() {
     let ids: Vec<_> = list.iter().map(|study| study["id"].clone()).collect();
     assert_eq!(ids, [id(&cut), id(&stopped), id(&done)]);
     assert!(list.iter().all(|study| study.get("rows").is_none() && study["created"].is_string()));
-    // Made again, and to its end.
+    // It is made again, and to its end.
     assert_eq!(ended(&server, &cut)["state"], "succeeded");
     assert_eq!(server.send("DELETE", &done, &[], None).status, 204);
     server.get(&done).problem(404, "unknown_study");
@@ -138,7 +138,7 @@ fn a_cancelled_study_has_no_result() {
     server.get(&format!("{location}/table.csv")).problem(404, "no_file");
 }
 
-/// A sweep over the step of the dipole, of `members` members and `steps` steps.
+/// Returns a sweep over the step of the dipole, of `members` members and `steps` steps.
 fn sweep(members: u64, steps: u64) -> Value {
     let mut scenario = short();
     scenario["steps"] = json!(steps);
@@ -169,7 +169,7 @@ fn a_sweep_has_the_table_of_the_command_line() {
     assert_eq!(links.len(), 2, "{links:?}");
     let picture = server.get(links[0].as_str().expect("an address"));
     assert_eq!(picture.header("content-type"), "image/svg+xml");
-    // A member is a scenario: a job for whoever wants its log.
+    // A member is a scenario: submitted as a job, it has a log.
     let member = server.get(&format!("{location}/members/4.json"));
     assert_eq!(member.json()["scene"]["initial"]["momentum"]["body"][2], 0.01);
     assert_eq!(server.post("/jobs", &member.body).status, 202);
@@ -217,7 +217,7 @@ fn a_sweep_shows_its_lines_gives_way_and_goes_on_after_a_restart() {
     let first = until("lines", || Some(lines(&server)).filter(|&lines| lines > 10));
     let picture = server.get(&format!("{location}/charts/sweep.svg"));
     assert!(picture.status == 200 && picture.text().contains("<circle"), "{}", picture.status);
-    // It would take minutes; what is asked later is answered before it ends.
+    // It would take minutes; a study that is sent later is answered before it ends.
     let later = ask(
         &server,
         &json!({
@@ -239,7 +239,7 @@ fn a_sweep_shows_its_lines_gives_way_and_goes_on_after_a_restart() {
     });
     assert_eq!(server.post(&format!("{location}/cancel"), b"").status, 202);
     assert_eq!(ended(&server, &location)["state"], "cancelled");
-    // What it found stays.
+    // Its results stay.
     assert!(lines(&server) >= second);
     assert_eq!(server.send("DELETE", &location, &[], None).status, 204);
     server.get(&format!("{location}/table.csv")).problem(404, "unknown_study");

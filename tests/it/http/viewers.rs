@@ -1,4 +1,4 @@
-//! The live view: who may follow, what they see, and that a run does not notice.
+//! The live view: which clients may follow, what they see, and that a run is not affected.
 
 use std::io::Read;
 use std::net::{SocketAddr, TcpStream};
@@ -13,7 +13,7 @@ use super::{PATIENCE, Server, directory, long, service, until};
 
 const READ: &str = "read-token-0123456789";
 
-/// What a viewer came to: a socket, or the status with which it was turned away.
+/// Connects a viewer; returns a socket, or the status with which it was refused.
 fn connect(address: &str, headers: &[(&'static str, &str)]) -> Result<WebSocket<TcpStream>, u16> {
     let mut request = address.into_client_request().expect("an address");
     let place: SocketAddr =
@@ -54,7 +54,7 @@ fn watch(socket: &mut WebSocket<TcpStream>, topic: &str) -> (u64, Vec<u8>) {
     let channels = channels.as_array().expect("channels");
     let channel = channels.iter().find(|channel| channel["topic"] == topic).expect("the topic");
     let wanted = json!([{ "id": 7, "channelId": channel["id"] }]);
-    // What is nonsense to us is passed over.
+    // A message that is not understood is ignored.
     socket.send(Message::text("nonsense")).expect("sent");
     socket.send(Message::binary(vec![1, 2, 3])).expect("sent");
     say(socket, &json!({ "op": "subscribe", "subscriptions": [{ "id": 9, "channelId": 10_000 }] }));
@@ -69,21 +69,21 @@ fn watch(socket: &mut WebSocket<TcpStream>, topic: &str) -> (u64, Vec<u8>) {
     })
 }
 
-/// A job for hours, with samples often enough to be shown.
+/// Returns a job for hours, with samples often enough to be shown.
 fn shown() -> Value {
     let mut scenario = long();
     scenario["log"]["every"] = json!(1000);
     scenario
 }
 
-/// Such a job, once it runs.
+/// Returns such a job, once it runs.
 fn running(server: &Server) -> String {
     let id = server.submit(&shown());
     server.wait(&id, "running");
     id
 }
 
-/// The address of the live view, as a job that runs has it.
+/// Returns the address of the live view, as a job that runs has it.
 fn address(server: &Server, id: &str, headers: &[(&str, &str)]) -> String {
     let job = server.get_with(&format!("/jobs/{id}"), headers).json();
     job["links"]["live_viewers"]["address"].as_str().expect("an address").to_owned()
@@ -112,7 +112,7 @@ fn a_viewer_sees_the_samples_of_a_running_job() {
         })
         .collect();
     assert!(times.iter().all(|time_ns| *time_ns > first_ns) && times.is_sorted(), "{times:?}");
-    // Who wants nothing more is sent nothing more, and stays.
+    // A viewer that unsubscribes is sent nothing more, and stays connected.
     say(&mut socket, &json!({ "op": "unsubscribe", "subscriptionIds": [7] }));
     socket.send(Message::Ping(vec![1].into())).expect("sent");
     read(&mut socket, |message| matches!(message, Message::Pong(_)).then_some(()));
@@ -141,7 +141,7 @@ fn a_viewer_comes_in_through_the_gate() {
 
     let come =
         |address: &str, headers: &[(&'static str, &str)]| connect(address, headers).map(drop);
-    // The link, the token, the desktop (no page), pages that were named.
+    // Admitted: the link, the token, the desktop (no page), pages that were named.
     assert_eq!(come(&signed, &[]), Ok(()));
     assert_eq!(come(plain, &[("authorization", &bearer)]), Ok(()));
     assert_eq!(come(&signed, &[("origin", "https://app.foxglove.dev")]), Ok(()));
@@ -219,7 +219,7 @@ fn viewers_beyond_the_seats_wait_outside_and_no_run_notices() {
     );
     assert_eq!((seated.len(), turned_away), (64, ATTEMPTS - 64));
     assert!(followed > 0);
-    // Who leaves makes room.
+    // A viewer that leaves makes room.
     seated.pop();
     until("a free seat", || connect(&address, &[]).ok());
 }

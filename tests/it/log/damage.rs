@@ -1,4 +1,4 @@
-//! Nothing unfinished or damaged passes for a whole log.
+//! No unfinished or damaged log counts as whole.
 
 use std::fs;
 
@@ -39,7 +39,7 @@ fn a_running_log_reads_up_to_its_last_chunk() {
 
 #[test]
 fn a_whole_file_without_outcome_is_not_finished() {
-    // What the MCAP layer leaves when it is dropped in a panic.
+    // The file that the MCAP layer leaves when it is dropped in a panic.
     let (_folder, path) = place();
     mcap::Writer::new(fs::File::create(&path).expect("create"))
         .expect("start")
@@ -89,7 +89,7 @@ fn a_flipped_bit_is_always_reported() {
         let ends = record_ends(&bytes);
         for k in 0..400 {
             let draw = next(&mut random);
-            // Every other flip in the opcode or length of a record, where it hurts most.
+            // Every other flip is in the opcode or length of a record, where it does most damage.
             let byte = if k % 2 == 0 {
                 (ends[draw as usize % ends.len()] + (draw >> 32) as usize % 9).min(bytes.len() - 1)
             } else {
@@ -182,7 +182,7 @@ fn a_damaged_end_leads_to_samples_or_to_an_error() {
     let turned = attitudes().expect("whole");
     assert_eq!((all.len(), some.len(), turned.len()), (26, 16, 16));
     let (mut errors, mut others) = (0, 0);
-    // Every byte takes seconds a kilobyte.
+    // Testing every byte takes seconds per kilobyte.
     for at in (end..bytes.len()).step_by(11) {
         let flip = [1, 0x80, 0xff][at % 3];
         let mut bytes = bytes.clone();

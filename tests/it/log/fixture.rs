@@ -1,4 +1,4 @@
-//! A small job to log: the dipole on a stick, and ways to look at what came out.
+//! A small job to log: the dipole on a stick, and functions to inspect the result.
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -24,7 +24,7 @@ pub(super) const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
 pub(super) const EVERYTHING: Observables =
     Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true, pace: false };
 
-/// A sink that keeps what the log should hold.
+/// Sink that keeps a copy of the samples that the log should hold.
 pub(super) struct Copying {
     pub(super) log: LogWriter,
     pub(super) sent: Vec<(u64, Message)>,
@@ -159,7 +159,7 @@ pub(super) fn all_messages(path: &Path) -> Vec<(String, u64, Vec<u8>)> {
     messages
 }
 
-/// Where the top-level records of a whole file end.
+/// Returns the ends of the top-level records of a whole file.
 pub(super) fn record_ends(bytes: &[u8]) -> Vec<usize> {
     let mut ends = vec![mcap::MAGIC.len()];
     let mut at = mcap::MAGIC.len();
@@ -174,7 +174,7 @@ pub(super) fn record_ends(bytes: &[u8]) -> Vec<usize> {
     }
 }
 
-/// Vigna's xorshift64* generator: the same numbers on every machine.
+/// Returns the next number of Vigna's xorshift64* generator: the same numbers on every machine.
 pub(crate) fn next(state: &mut u64) -> u64 {
     *state ^= *state >> 12;
     *state ^= *state << 25;

@@ -79,7 +79,7 @@ fn a_chart_of_a_long_log_is_drawn_from_its_overview_and_loses_no_extreme() {
         check(&log, from_s, to_s, points);
     }
 
-    // Where the samples are gone the chart of the whole stands: it reads none of them.
+    // If the samples are damaged the chart of the whole is unchanged: it reads none of them.
     let mut bytes = fs::read(&log).expect("a log");
     let summary = mcap::Summary::read(&bytes).expect("whole").expect("has a summary");
     assert!(summary.attachment_indexes.iter().any(|at| at.name.starts_with(OVERVIEW_ATTACHMENTS)));

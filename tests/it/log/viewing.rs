@@ -1,4 +1,4 @@
-//! What is made for the eye: frames, drawings, logarithms.
+//! Contents of a log for viewers: frames, drawings, logarithms.
 
 use foxglove::messages::{FrameTransforms, SceneUpdate};
 use nalgebra::{Matrix3, Vector3};
@@ -43,7 +43,7 @@ fn a_quaternion_turns_like_its_matrix() {
         assert!((back - g).amax() < 2e-15, "{turn}");
     }
     assert_eq!(quaternion(&Mat::<4>::identity()), None);
-    // What a baseline without projection may arrive at.
+    // A baseline without projection may end there.
     for g in [Mat::<3>::repeat(1e200), Mat::<3>::zeros(), -Mat::<3>::identity()] {
         let q = quaternion(&g).expect("n = 3");
         assert!((q.iter().map(|x| x * x).sum::<f64>() - 1.0).abs() < 1e-15, "{q:?}");
@@ -67,7 +67,7 @@ fn arrows_point_along_their_directions() {
     assert_eq!(SceneGeometry::default().sources(EPOCH_NS), None);
 }
 
-/// The frames of what moves carry the drawings along.
+/// The frames of moving sources carry the drawings along.
 #[test]
 fn moving_sources_are_drawn_where_they_are() {
     let scenario = serde_json::json!({
@@ -109,7 +109,7 @@ fn moving_sources_are_drawn_where_they_are() {
     assert_eq!(names, ["space", "source/0", "source/1"]);
     assert_eq!((drawn.entities[1].arrows.len(), drawn.entities[2].spheres.len()), (1, 1));
     assert_eq!(frames.len(), 11);
-    // A unit is what the farthest thing of the body is drawn at.
+    // One unit is the distance at which the farthest part of the body is drawn.
     let unit = 2.0 / frames[0].transforms[2].translation.expect("a place").y;
     for (k, frame) in frames.iter().enumerate() {
         let t = 0.1 * k as f64;

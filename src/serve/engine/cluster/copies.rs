@@ -1,4 +1,4 @@
-//! Copies of logs on the disk of a service, for what draws from them and follows them.
+//! Copies of logs on the disk of a service, for its charts and for readers that follow.
 //!
 //! Invariant: a copy with the name of a log is whole and has its checksum. Copies take a limited amount of room; the
 //! oldest go first, and a start begins without any.
@@ -19,10 +19,10 @@ use crate::serve::ServeError;
 use crate::serve::store::bucket::{Bucket, copy_of};
 use crate::serve::store::{LogSum, StoreError};
 
-/// How long a copy of an unfinished log serves repeated requests.
+/// Time for which a copy of an unfinished log serves repeated requests.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// A copy, held by one who changes it; when it was looked at last.
+/// Lock of a copy while it is changed; holds the time of the last look at it.
 type Held = Arc<tokio::sync::Mutex<Option<Instant>>>;
 
 #[derive(Debug)]
@@ -48,7 +48,7 @@ impl Copies {
         lock(&self.held).entry(id).or_default().clone()
     }
 
-    /// The unfinished log as far as it is durable, in a file with this name and `.part`.
+    /// Returns the unfinished log as far as it is durable, in a file with this name and `.part`.
     pub(super) async fn grown(&self, bucket: &Bucket, id: Uuid) -> Result<PathBuf, Refusal> {
         let (held, path) = (self.hold(id), copy_of(&self.folder, id));
         let mut looked = held.lock().await;
@@ -59,7 +59,7 @@ impl Copies {
         Ok(path)
     }
 
-    /// The finished log.
+    /// Returns the finished log.
     pub(super) async fn whole(
         &self,
         bucket: &Bucket,
@@ -72,7 +72,7 @@ impl Copies {
             return Ok(path);
         }
         let part = part_path(&path);
-        // What follows goes on in the same file; where that held something else, it is begun anew.
+        // The rest is added to the same file; where that held something else, it is begun anew.
         for _ in 0..2 {
             fetch(bucket, id, sum, &part).await?;
             let of_part = part.clone();
@@ -119,7 +119,7 @@ impl Copies {
         }
     }
 
-    /// Free bytes on their disk; 0 where that is unknown.
+    /// Returns the free bytes on their disk; 0 where that is unknown.
     pub(super) fn free_bytes(&self) -> u64 {
         #[cfg(unix)]
         {
@@ -133,7 +133,7 @@ impl Copies {
     }
 }
 
-/// Brings the missing part of a finished log.
+/// Fetches the missing part of a finished log.
 async fn fetch(bucket: &Bucket, id: Uuid, sum: &LogSum, part: &Path) -> Result<(), Refusal> {
     let failed = StoreError::reading_a_log;
     let file = tokio::fs::File::options().create(true).append(true).open(part).await;

@@ -1,4 +1,5 @@
-//! A finished log that is read from the bucket while it is sent: what is asked for travels, and not the whole.
+//! A finished log that is read from the bucket while it is sent: only the requested part is
+//! transferred.
 
 use std::future::{Ready, ready};
 use std::io::{self, SeekFrom};
@@ -19,10 +20,10 @@ use uuid::Uuid;
 use crate::serve::store::LogSum;
 use crate::serve::store::bucket::Bucket;
 
-/// Bytes that are asked for at once where much is read.
+/// Number of bytes that are requested at once where much is read.
 const WINDOW: u64 = 4 << 20;
 
-/// A reader that takes fewer bytes at once wants no more than these.
+/// A reader that takes fewer bytes than this at once gets no more than these.
 const LITTLE: usize = 64 << 10;
 
 /// A finished log in the bucket.
@@ -69,7 +70,7 @@ impl Backend for Served {
     }
 }
 
-/// What HTTP says of the log: the same whichever service is asked.
+/// HTTP headers of the log: the same from every service.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::serve) struct About {
     bytes: u64,
@@ -95,7 +96,7 @@ pub(in crate::serve) struct Reading {
     log: Served,
     position: u64,
     fetched: Bytes,
-    /// Behind a lock, for a future may not be shared between threads.
+    /// Behind a lock, because a future may not be shared between threads.
     fetching: Mutex<Option<BoxFuture<'static, io::Result<Bytes>>>>,
 }
 

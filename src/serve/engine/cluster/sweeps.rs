@@ -1,8 +1,8 @@
-//! Sweeps on many machines: a sweep is cut into parts of some seconds each, as `vpd sweep --shard` cuts it; workers make
-//! them, and who asked puts them together.
+//! Sweeps on many machines: a sweep is cut into parts of some seconds each, as `vpd sweep --shard`
+//! cuts it; workers make them, and the caller puts them together.
 //!
-//! Invariant: the parts in the bucket are the checkpoint. Whoever asks for the same sweep again, by the same build, goes on
-//! with those that stand; the table is that of one machine, byte for byte.
+//! Invariant: the parts in the bucket are the checkpoint. Another call for the same sweep, by the
+//! same build, resumes with the parts that exist; the table is that of one machine, byte for byte.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,42 +24,42 @@ use crate::serve::store::bucket::Bucket;
 use crate::study::Watch;
 use crate::sweep::{self, Options, Shard, Sweep, SweepError};
 
-/// Computing in a part, about.
+/// Approximate computing time of a part.
 const PART_S: f64 = 5.0;
 
-/// The most parts of a sweep: each is an object, and a workflow.
+/// Largest number of parts of a sweep: each is an object, and a workflow.
 const MOST_PARTS: u64 = 20_000;
 
-/// Parts that are handed over at once; more of them wait here and not in the queue.
+/// Number of parts that are handed over at once; more of them wait here and not in the queue.
 const UNDER_WAY: usize = 500;
 
-/// The pause before Temporal is asked again.
+/// Pause before Temporal is asked again.
 const PAUSE: Duration = Duration::from_secs(2);
 
-/// Why a sweep has no table.
+/// Reason why a sweep has no table.
 #[derive(Debug, thiserror::Error)]
 pub enum SweepOnError {
     /// The sweep or its table is at fault.
     #[error(transparent)]
     Sweep(#[from] SweepError),
-    /// There is no way to the other machines.
+    /// The other machines cannot be reached.
     #[error(transparent)]
     Cluster(#[from] ClusterError),
-    /// The bucket does not do what it is asked.
+    /// The bucket refuses a request.
     #[error("the bucket failed: {0}")]
     Record(String),
     /// No worker could make a part.
     #[error("part {part} was not made: {message}")]
     Part {
-        /// Which, as `3/40`.
+        /// The part, as `3/40`.
         part: String,
-        /// Why.
+        /// Reason for that.
         message: String,
     },
 }
 
 impl SweepOnError {
-    /// Whether it is what was given that is wrong, and not what came of it.
+    /// Returns whether the input is wrong, and not the execution.
     pub(crate) fn is_bad_input(&self) -> bool {
         match self {
             Self::Sweep(error) => error.is_bad_input(),
@@ -73,29 +73,29 @@ impl SweepOnError {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[allow(unreachable_pub, reason = "as open as what the macros make of its workflow")]
 pub struct PartTask {
-    /// The sweep.
+    /// Digest of the sweep.
     pub(super) digest: String,
-    /// The build that is to make it: numbers of others may differ.
+    /// Build that is to make it: numbers of others may differ.
     pub(super) build: String,
-    /// Which part, as `3/40`.
+    /// The part, as `3/40`.
     pub(super) part: String,
     pub(super) lease_s: f64,
 }
 
 impl PartTask {
-    /// The name of its object.
+    /// Returns the name of its object.
     pub(super) fn object(&self) -> String {
         let Self { digest, build, part, .. } = self;
         format!("sweeps/{digest}/{build}/{}.csv", part.replace('/', "-of-"))
     }
 }
 
-/// The name of the object that holds a sweep.
+/// Returns the name of the object that holds a sweep.
 pub(super) fn sweep_object(digest: &str) -> String {
     format!("sweeps/{digest}/sweep.json")
 }
 
-/// Has workers make the table of a sweep, or what is missing of its parts. `watch` counts members.
+/// Has workers make the table of a sweep, or its missing parts. `watch` counts members.
 ///
 /// # Errors
 /// If the sweep asks for an accuracy; if bucket or Temporal do not answer at the start, a part is abandoned, or the table
@@ -118,7 +118,7 @@ pub async fn sweep_on(
     let failed = |error: &dyn std::error::Error| SweepOnError::Record(chain(error));
     bucket.keep(&sweep_object(&digest), sweep.to_json()).await.map_err(|error| failed(&error))?;
     watch.total.store(sweep.members(), Ordering::Relaxed);
-    // Next to the table: they are as large as it.
+    // They go next to the table, because they are as large as it.
     let folder = table.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
     let folder = tempfile::tempdir_in(folder)
         .map_err(|source| SweepOnError::Sweep(SweepError::io(table, "write", source)))?;
@@ -142,14 +142,14 @@ pub async fn sweep_on(
     });
     let paths: Vec<_> = made.buffered(UNDER_WAY).try_collect().await?;
     let members = sweep::merge(&paths, table, replaces)?;
-    // It stands in the table now.
+    // The sweep is in the table now.
     if let Err(error) = bucket.drop_sweep(&digest).await {
         tracing::warn!(error = chain(&error), "parts of the sweep stay in the bucket");
     }
     Ok(members)
 }
 
-/// The text of a part, made by a worker unless it stands.
+/// Returns the text of a part, made by a worker unless it exists.
 async fn part(
     bucket: &Bucket,
     client: &Client,
@@ -176,7 +176,7 @@ async fn part(
                     tracing::warn!(part = task.part, error = chain(&error), "asked again")
                 }
             },
-            // It stands by now, or will.
+            // The part exists by now, or will.
             Err(WorkflowStartError::AlreadyStarted { .. }) => {}
             Err(error) => tracing::warn!(part = task.part, error = chain(&error), "asked again"),
         }
@@ -184,7 +184,7 @@ async fn part(
     }
 }
 
-/// Makes a part on this machine: its text. Blocking.
+/// Makes a part on this machine and returns its text. Blocking.
 pub(super) fn make(
     text: &[u8],
     part: &str,

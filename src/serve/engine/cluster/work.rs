@@ -1,14 +1,15 @@
-//! A worker: Temporal gives it jobs, it runs them in a directory of its own, and the bucket gets what comes of it.
+//! A worker: Temporal gives it jobs, it runs them in a directory of its own, and the bucket gets
+//! the results.
 //!
 //! ```text
 //! look → fetch what is durable of the log → note the attempt → run, and meanwhile keep the log → upload → publish
 //! ```
 //!
-//! Invariants: a worker keeps nothing that another one needs. What it says is durable is in the bucket. It stops when it is
-//! cancelled, and ends a job as cancelled only if the bucket says that a client asked for that; its result counts only if it is the
-//! first.
+//! Invariants: a worker keeps nothing that another one needs. Everything that it reports as durable
+//! is in the bucket. It stops when it is cancelled, and ends a job as cancelled only if the bucket
+//! says that a client asked for that; its result counts only if it is the first.
 
-// What the macros make of a workflow and its activity has to be as open as these.
+// The items that the macros generate for a workflow and its activity have to be as open as these.
 #![allow(unreachable_pub)]
 
 use std::collections::HashMap;
@@ -45,7 +46,7 @@ use crate::serve::store::{DataLock, KeptPlan, LogSum, Record, StoreError};
 use crate::serve::{Limits, ServeError, chain, give_way};
 use crate::study::Watch;
 
-/// Signs of life in the time of a lease.
+/// Number of signs of life in the time of a lease.
 const BEATS_IN_A_LEASE: u32 = 4;
 
 /// The longest time between two pieces of an unfinished log that go to the bucket.
@@ -57,38 +58,38 @@ const THROTTLE: Duration = Duration::from_secs(2);
 /// The longest pause before a job is given to a worker again; half a lease, if that is less.
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 
-/// Longer than any job may take.
+/// Limit that no job reaches.
 const EVER: Duration = Duration::from_secs(90 * 86_400);
 
-/// How long a worker that stops waits for its jobs.
+/// Time that a worker that stops waits for its jobs.
 const DRAIN: Duration = Duration::from_secs(9);
 
-/// Processes of their own that may end while the log of an abandoned job is ended.
+/// Largest number of own processes that may end while the log of an abandoned job is ended.
 const MAX_GIVING_UP: u32 = 3;
 
-/// What a worker needs to know.
+/// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct WorkConfig {
-    /// Where record and queue are.
+    /// Addresses of record and queue.
     pub cluster: ClusterConfig,
     /// A directory for the logs that are being written; of this worker alone, and emptied at its start.
     pub scratch: PathBuf,
-    /// How many jobs run at once, at least 1.
+    /// Number of jobs that run at once, at least 1.
     pub workers: usize,
-    /// What a job may take whose method and step this worker settles.
+    /// Limits of a job whose method and step this worker settles.
     pub limits: Limits,
-    /// The `vpd` program, which runs in a process of its own what may have ended a worker.
+    /// The `vpd` program, which runs jobs that may have ended a worker in a process of their own.
     pub program: Option<PathBuf>,
 }
 
-/// What a workflow is given.
+/// Input of a workflow.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Task {
     pub(super) id: Uuid,
     pub(super) lease_s: f64,
 }
 
-/// What a sign of life says.
+/// Contents of a sign of life.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(in crate::serve) struct Beat {
     pub(super) steps_done: u64,
@@ -97,7 +98,8 @@ pub(in crate::serve) struct Beat {
     pub(super) eta_s: Option<f64>,
 }
 
-/// When what did not come to its end is tried again; at most `attempts` times, or without a limit if that is 0.
+/// Returns the pauses before failed work is tried again; at most `attempts` times, or without a
+/// limit if that is 0.
 fn pauses(lease_s: f64, attempts: u32) -> RetryPolicy {
     let longest = Duration::from_secs_f64(lease_s / 2.0).min(LONGEST_PAUSE);
     RetryPolicy::builder()
@@ -126,7 +128,7 @@ impl Flow {
         };
         let turn = ctx.execute_activity(Hands::turn, task.clone(), asked().build()).await;
         if turn.is_err() {
-            // Cancelled before its worker could end it: another one does.
+            // The job was cancelled before its worker could end it: another one does.
             let apart = asked().cancellation_token(WorkflowCancellationToken::new()).build();
             ctx.execute_activity(Hands::turn, task, apart).await?;
         }
@@ -134,7 +136,7 @@ impl Flow {
     }
 }
 
-/// The name of the workflow of a part of a sweep.
+/// Returns the name of the workflow of a part of a sweep.
 pub(super) fn part_flow_id(task: &PartTask) -> String {
     format!("sweep-{}-{}-{}", task.digest, task.build, task.part)
 }
@@ -146,7 +148,7 @@ pub struct Part;
 
 #[workflow_methods]
 impl Part {
-    /// Gives the part to workers until one has made it, or as many have failed as may.
+    /// Gives the part to workers until one has made it, or the allowed number has failed.
     #[run]
     pub async fn run(ctx: &mut WorkflowContext<Self>, task: PartTask) -> WorkflowResult<()> {
         let tries = pauses(task.lease_s, MAX_FRUITLESS);
@@ -159,7 +161,7 @@ impl Part {
     }
 }
 
-/// Why a turn is to be tried again.
+/// Reason why a turn is to be tried again.
 #[derive(Debug, thiserror::Error)]
 enum Later {
     #[error("the worker stops")]
@@ -172,7 +174,7 @@ enum Later {
     Trouble(String),
 }
 
-/// What a worker works with; copies are the same worker.
+/// State of a worker; copies are the same worker.
 #[derive(Clone)]
 pub struct Hands(Arc<Inner>);
 
@@ -182,7 +184,7 @@ struct Inner {
     limits: Limits,
     program: Option<PathBuf>,
     stopping: AtomicBool,
-    /// Those who work on jobs at this moment.
+    /// Jobs that run at this moment.
     running: Mutex<HashMap<Uuid, Arc<Control>>>,
 }
 
@@ -192,7 +194,7 @@ struct Turn {
     control: Arc<Control>,
     /// The step up to which the log is in the bucket.
     kept_step: AtomicU64,
-    /// How often pieces of the log go there.
+    /// Interval at which pieces of the log go there.
     pace: Duration,
     begun: Instant,
 }
@@ -285,7 +287,7 @@ impl Hands {
 }
 
 impl Hands {
-    /// Interrupts what runs.
+    /// Interrupts everything that runs.
     fn stop(&self) {
         self.0.stopping.store(true, Ordering::Relaxed);
         lock(&self.0.running).values().for_each(|control| control.interrupt());
@@ -356,7 +358,7 @@ impl Inner {
         done
     }
 
-    /// One run of a job, from what is durable of its log.
+    /// Makes one run of a job, from the durable part of its log.
     async fn attempt(
         self: &Arc<Self>,
         turn: &Turn,
@@ -430,10 +432,11 @@ impl Inner {
         }
     }
 
-    /// Sends what is new of an unfinished log to the bucket; what cannot be sent now goes with the next piece.
+    /// Sends the new part of an unfinished log to the bucket; anything that cannot be sent now goes
+    /// with the next piece.
     async fn keep(&self, turn: &Turn, log: &Path, from_step: u64, kept_bytes: &mut u64) {
         let control = &turn.control;
-        // Before its bytes, of which there are then enough.
+        // Loaded before its bytes, of which there are then enough.
         let step = control.durable_step.load(Ordering::Acquire);
         let bytes = control.durable_bytes.load(Ordering::Acquire);
         if step <= turn.kept_step.load(Ordering::Relaxed) {
@@ -442,7 +445,7 @@ impl Inner {
         let resumed = control.resumed_step.load(Ordering::Relaxed);
         let kept = async {
             if resumed < from_step && *kept_bytes > 0 {
-                // What stood there was not resumed: this is another log.
+                // The earlier parts were not resumed: this is another log.
                 self.bucket.drop_parts(turn.id).await?;
                 *kept_bytes = 0;
             }
@@ -457,13 +460,13 @@ impl Inner {
             Err(error) if part_path(log).exists() => {
                 tracing::warn!(job = %turn.id, error = chain(&error), "log not kept; trying again");
             }
-            // Finished by now.
+            // The log is finished by now.
             Err(_) => {}
         }
     }
 
-    /// Does what is to be done for a job on a thread of its own, in a process of its own if the last run did not
-    /// come back.
+    /// Carries out an errand for a job on a thread of its own, in a process of its own if the last
+    /// run did not return.
     async fn errand(
         self: &Arc<Self>,
         turn: &Turn,
@@ -490,7 +493,7 @@ impl Inner {
         answered.await.unwrap_or_else(|_| Err(Fault::panicked().into()))
     }
 
-    /// Gives the log of a job that ends its processes an end.
+    /// Ends the log of a job that ends its processes.
     async fn give_up(
         self: &Arc<Self>,
         turn: &Turn,
@@ -518,7 +521,7 @@ impl Inner {
         self.publish(turn, job.record(State::Failed, Some(fault)), None).await
     }
 
-    /// What becomes of a job whose run has no result.
+    /// Handles a job whose run has no result.
     async fn broken(&self, turn: &Turn, job: &Job, broken: Broken) -> Result<(), Later> {
         match broken {
             Broken::Fault(fault) => self.fail(turn, job, &fault).await,
@@ -566,8 +569,8 @@ impl Inner {
     }
 }
 
-/// Works on the jobs of a queue until `shutdown` completes; then what runs is interrupted, kept and left to others. Returns
-/// within ten seconds of that.
+/// Works on the jobs of a queue until `shutdown` completes; then running jobs are interrupted, kept
+/// and left to others. Returns within ten seconds of that.
 ///
 /// # Errors
 /// If the scratch directory is in use, or bucket or Temporal do not answer at the start.

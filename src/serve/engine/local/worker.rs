@@ -1,4 +1,5 @@
-//! The worker: takes a job from the queue, settles what is not settled, runs it, publishes how it ended.
+//! The worker: takes a job from the queue, settles its method and step, runs it, publishes how it
+//! ended.
 //!
 //! Invariant: whatever happens in a run (a failure, a full disk, a panic), the thread goes on and the job gets
 //! exactly one result, or none: if the service stops, so that it goes on at the next start; if the store refuses
@@ -39,7 +40,7 @@ struct Turn {
     control: Arc<Control>,
 }
 
-/// What came of a turn.
+/// Result of a turn.
 enum Carried {
     /// Method and step are settled: it is a job of this plan.
     Settled(Box<Plan>),
@@ -51,7 +52,7 @@ enum Carried {
 }
 
 impl Shared {
-    /// The life of a worker thread.
+    /// Runs a worker thread.
     pub(super) fn work(&self) {
         while let Some(turn) = self.next() {
             let caught = catch_unwind(AssertUnwindSafe(|| self.carry_out(&turn)));
@@ -62,7 +63,7 @@ impl Shared {
         }
     }
 
-    /// The oldest waiting job, marked as running; none once the service stops.
+    /// Returns the oldest waiting job, marked as running; none once the service stops.
     fn next(&self) -> Option<Turn> {
         let mut index = self.index();
         loop {
@@ -139,7 +140,7 @@ impl Shared {
         }
     }
 
-    /// Does what is to be done for a job, here or in a process of its own.
+    /// Carries out an errand for a job, here or in a process of its own.
     fn errand(&self, turn: &Turn, errand: &Errand) -> Result<Done, Broken> {
         match self.program.as_ref().filter(|_| turn.suspect) {
             Some(program) => apart::carry_out(program, errand, &turn.control, None),
@@ -147,7 +148,7 @@ impl Shared {
         }
     }
 
-    /// Gives the log of a job that ends its process an end.
+    /// Ends the log of a job that ends its process.
     fn give_up(&self, turn: &Turn, settled: Box<Settled>, fault: Fault) -> Result<Carried, Broken> {
         let Turn { id, control, .. } = turn;
         tracing::warn!(job = %id, "job abandoned: its runs end the process");
@@ -170,7 +171,7 @@ impl Shared {
         }
     }
 
-    /// Whether the service takes on what a job turned out to be.
+    /// Returns the plan of a job, if the service takes on a job of this size.
     fn admitted(&self, turn: &Turn, plan: Plan) -> Result<Plan, Broken> {
         self.limits.admit(&plan).map_err(|refusal| Fault::beyond(&refusal))?;
         let free_bytes = self.store.free_bytes()?;
@@ -200,7 +201,7 @@ impl Shared {
                 self.record(turn, Err((State::Failed, Some(&fault))))
             }
             Err(Broken::Stopped) if self.index().alive.is_none() => return self.hand_back(turn),
-            // Its search was stopped, and it has no log.
+            // The search for its accuracy was stopped, and it has no log.
             Err(Broken::Stopped) => self.record(turn, Err((State::Cancelled, None))),
             Err(Broken::Trouble(trouble)) => return self.rest(turn, trouble),
             Err(Broken::Aside(fault)) => return self.set_aside(turn, fault),
@@ -224,7 +225,7 @@ impl Shared {
         self.index().end(Ending::of(*id, &record));
     }
 
-    /// What to publish; none if the service stops while the log is read through.
+    /// Returns the record to publish; none if the service stops while the log is read through.
     fn record(
         &self,
         turn: &Turn,
@@ -269,7 +270,7 @@ impl Shared {
         Ok(self.runtime.block_on(self.store.publish(id, &record))?)
     }
 
-    /// The attempt came back: it does not count as a death of the process.
+    /// Takes back an attempt that returned: it does not count as a death of the process.
     fn take_back(&self, turn: &Turn) {
         let taken_back = self.runtime.block_on(self.store.take_back_attempt(turn.id, turn.attempt));
         if let Err(error) = taken_back {
@@ -309,7 +310,7 @@ impl Shared {
         tracing::info!(job = %turn.id, "job interrupted; it goes on at the next start");
     }
 
-    /// Lets a job wait for the store. What it has logged stays.
+    /// Lets a job wait for the store. Its log so far stays.
     fn rest(&self, turn: &Turn, trouble: Trouble) {
         self.take_back(turn);
         let id = turn.id;
@@ -340,7 +341,8 @@ impl Shared {
 }
 
 impl Index {
-    /// Whether there is memory for the next job next to those that run. One alone always fits: it was admitted.
+    /// Returns whether there is memory for the next job in addition to those that run. One alone
+    /// always fits: it was admitted.
     fn fits(&self, memory_bytes: u64) -> bool {
         let Some(next) = self.queue.front().and_then(|id| self.jobs.get(id)) else { return false };
         let taken: u64 = self.running().map(super::Job::memory_bytes).sum();
