@@ -17,6 +17,15 @@
 //! g1 = exp(Y) g0,                      m1 = Ad_{exp(Y)} n
 //! ```
 //!
+//! A turn of space turns all of these along but for the potential: where the equations are solved,
+//!
+//! ```text
+//! m1 = m0 + h sum_i b_i (f_i + [xi_i, M_i])
+//! ```
+//!
+//! of which each term is what a force does (Noether's theorem). m1 is computed so: the other way rounds the whole
+//! momentum at every step, and the energy of a body with a thin axis grew in a line by that.
+//!
 //! The unknowns are k_i and P_i. dexp and exp are exact: cut short, either would cost the symplecticity.
 //! T may be truncated, since W is the derivative of what is left; q = p - 2 keeps the order p.
 //!
@@ -29,7 +38,7 @@ use crate::failure::Failure;
 use crate::hamiltonian::{Input, Moment, RigidBody};
 use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
-use crate::stepper::{Clock, Stepper, check_root};
+use crate::stepper::{Clock, Stepper, Sum, check_root};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -47,7 +56,7 @@ pub struct Vrkmk<const N: usize> {
     projected: bool,
     attitude: Mat<N>,
     /// In space, skew.
-    momentum: Mat<N>,
+    momentum: Sum<N>,
     space: Vec<Vector<N>>,
     clock: Clock<N>,
     unknowns: Unknowns<N>,
@@ -82,6 +91,8 @@ struct Stage<const N: usize, A> {
     p: A,
     /// h b_i Q_i.
     load: A,
+    /// h b_i (f_i + [xi_i, M_i]).
+    kick: A,
     /// Attitude G_i.
     g: Mat<N>,
     /// Of a driven body, what goes into it there.
@@ -102,7 +113,7 @@ impl<const N: usize> Vrkmk<N> {
             },
             projected: false,
             attitude: Mat::identity(),
-            momentum: Mat::zeros(),
+            momentum: Sum::new(Mat::zeros()),
             space: Vec::new(),
             clock: Clock::default(),
             tableau,
@@ -140,7 +151,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.attitude = state.attitude;
-        self.momentum = Skew::<N>::turned(&state.momentum, &state.attitude);
+        self.momentum = Sum::new(Skew::<N>::turned(&state.momentum, &state.attitude));
         self.clock = Clock::default();
     }
 
@@ -163,9 +174,9 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         let nodes = (0..tableau.stages()).map(|k| tableau.c(k));
         let moments = if body.is_driven() { body.over(clock.time, h, nodes) } else { Vec::new() };
         let step = Step { tableau, beta, body, moments: &moments, space, h, g0: attitude };
-        let (convergence, (g1, m1)) = match unknowns {
-            Unknowns::Vector(stages) => step.solve(solver, momentum, stages)?,
-            Unknowns::Bracket(stages) => step.solve(solver, momentum, stages)?,
+        let (convergence, (g1, impulse)) = match unknowns {
+            Unknowns::Vector(stages) => step.solve(solver, &momentum.value, stages)?,
+            Unknowns::Bracket(stages) => step.solve(solver, &momentum.value, stages)?,
         };
         let attitude = if self.projected { so::orthonormalised(&g1) } else { g1 };
         if convergence.rung == Rung::Newton {
@@ -174,7 +185,8 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
             check_root(convergence, Stepper::<N>::order(self), &attitude, half)?;
         }
         self.attitude = attitude;
-        self.momentum = m1;
+        // Skew to the last bit.
+        self.momentum.add(&(so::asym(&impulse) * 0.5));
         let put_in = match &self.unknowns {
             Unknowns::Vector(stages) => stages.put_in(&self.tableau, h),
             Unknowns::Bracket(stages) => stages.put_in(&self.tableau, h),
@@ -188,7 +200,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
     }
 
     fn momentum(&self) -> Mat<N> {
-        Skew::<N>::turned_back(&self.momentum, &self.attitude)
+        Skew::<N>::turned_back(&self.momentum.value, &self.attitude)
     }
 }
 
@@ -205,7 +217,7 @@ impl<const N: usize, A: Skew<N>> Stages<N, A> {
     fn new(stages: usize, q: usize) -> Self {
         let zero = A::zero();
         let (g, input) = (Mat::identity(), Input::default());
-        let stage = Stage { k: zero, p: zero, load: zero, g, input };
+        let stage = Stage { k: zero, p: zero, load: zero, kick: zero, g, input };
         let chains = Chains::new(q);
         Self { stages: vec![stage; stages], chains, y: zero, n: zero }
     }
@@ -224,7 +236,7 @@ struct Step<'a, const N: usize> {
 }
 
 impl<const N: usize> Step<'_, N> {
-    /// Solves the step from the spatial momentum `m0`; returns g1 and m1.
+    /// Solves the step from the spatial momentum `m0`; returns g1 and `m1 - m0`.
     fn solve<A: Skew<N>>(
         &self,
         solver: &mut Solver,
@@ -249,7 +261,11 @@ impl<const N: usize> Step<'_, N> {
             Err(failure) => return Err(failure.explained_by(check)),
         };
         let turn = so::exp(&unknowns.y.matrix());
-        Ok((convergence, (so::product(&turn, self.g0), unknowns.n.turned(&turn).matrix())))
+        let mut impulse = A::zero();
+        for stage in &unknowns.stages {
+            impulse += stage.kick;
+        }
+        Ok((convergence, (so::product(&turn, self.g0), impulse.matrix())))
     }
 
     /// One sweep over all unknowns, each slope from the newest of the others; returns the largest change
@@ -275,7 +291,7 @@ impl<const N: usize> Step<'_, N> {
             let turn = so::exp(&x.matrix());
             stage.g = so::product(&turn, g0);
             let m = chains.dual_image(beta, &x, &stage.p);
-            let (xi, f) = match moments.get(i) {
+            let (xi, push) = match moments.get(i) {
                 None => slopes(body, &stage.g, &m),
                 Some(moment) => {
                     body.count(1);
@@ -288,6 +304,8 @@ impl<const N: usize> Step<'_, N> {
             displacement = greater(displacement, h.abs() * (k - stage.k).size());
             stage.k = k;
             let weight = h * tableau.b(i);
+            let f = push - xi.bracket(&m);
+            stage.kick = push * weight;
             stage.load = ((-x).dexp(&f) - chains.adjoint_of_derivative(beta)) * weight;
             *y += k * weight;
             *n += f.turned_back(&turn) * weight;
@@ -321,8 +339,9 @@ struct Sweeps<'a, 'b, const N: usize, A> {
 impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
     fn guess(&mut self) -> Result<(), Failure> {
         for stage in &mut self.unknowns.stages {
-            let (load, input) = (A::zero(), Input::default());
-            *stage = Stage { k: *self.xi, p: *self.m0, load, g: *self.step.g0, input };
+            let (zero, input) = (A::zero(), Input::default());
+            let (k, p, g) = (*self.xi, *self.m0, *self.step.g0);
+            *stage = Stage { k, p, load: zero, kick: zero, g, input };
         }
         Ok(())
     }
@@ -360,15 +379,15 @@ impl<const N: usize, A: Skew<N>> Sweeps<'_, '_, N, A> {
     }
 }
 
-/// `xi = dH/dm` and `f = -dH/dg`, right-trivialised, at an attitude and a spatial momentum:
-/// `<f, eta> = -d/de H(exp(e eta) g, m)`.
+/// `xi = dH/dm` and, of `f = -dH/dg`, what a force does, `f + [xi, m]`, right-trivialised, at an attitude and a spatial
+/// momentum: `<f, eta> = -d/de H(exp(e eta) g, m)`.
 ///
 /// With the body momentum `mu = g^T m g` and `Omega = dH/dmu` of the left-trivialised H, `xi = Ad_g Omega`
 /// and `f = -[xi, m] - dU/dg`: turning g at a fixed spatial momentum turns mu.
 fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) -> (A, A) {
     let omega = A::from_matrix(&body.velocity(&m.turned_back(g).matrix()));
     let xi = omega.turned(g);
-    (xi, -(xi.bracket(m) + A::from_matrix(&body.spatial_gradient(g))))
+    (xi, -A::from_matrix(&body.spatial_gradient(g)))
 }
 
 /// The same for a driven body at a moment, and what goes in.
@@ -380,8 +399,8 @@ fn driven_slopes<const N: usize, A: Skew<N>>(
     let mu = m.turned_back(g).matrix();
     let body_omega = moment.body.velocity(&mu);
     let xi = A::from_matrix(&body_omega).turned(g);
-    let f = A::from_matrix(&moment.spatial_gradient(g, &mu, &body_omega));
-    ((xi, -(xi.bracket(m) + f)), moment.input(g, &mu, &body_omega))
+    let push = -A::from_matrix(&moment.spatial_gradient(g, &mu, &body_omega));
+    ((xi, push), moment.input(g, &mu, &body_omega))
 }
 
 #[cfg(test)]
@@ -414,7 +433,9 @@ mod tests {
     #[test]
     fn slopes_of_the_dipole() {
         let (body, g) = (dipole(), start().attitude);
-        let (xi, f) = slopes(&body, &g, &Vector3::new(0.4, -0.2, 0.1));
+        let m = Vector3::new(0.4, -0.2, 0.1);
+        let (xi, push) = slopes(&body, &g, &m);
+        let f = push - xi.cross(&m);
         // Values of an independent program.
         let expected = [
             [-0.749_360_295_121_939_4, -1.649_027_840_870_673, 2.976_318_224_715_369_4],
@@ -439,7 +460,8 @@ mod tests {
             ];
             let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
             let (g, m) = (so::exp(&skew(0.317)), skew(0.605));
-            let (xi, f) = slopes(&body, &g, &m);
+            let (xi, push) = slopes(&body, &g, &m);
+            let f = push - so::asym(&so::product(&xi, &m));
             let energy = |g: &Mat<N>, m: &Mat<N>| body.energy(g, &m.turned_back(g)).total();
             let e = 1e-3;
             let derivative = |at: &dyn Fn(f64) -> f64| {
@@ -472,7 +494,7 @@ mod tests {
                 stepper.step(&body, 0.05).expect("a small step");
             }
             let attitude = (closed.attitude - general.attitude).amax();
-            let momentum = (closed.momentum - general.momentum).amax();
+            let momentum = (closed.momentum.value - general.momentum.value).amax();
             assert!(attitude.max(momentum) < 1e-14, "{attitude:e}, {momentum:e}");
         }
     }
