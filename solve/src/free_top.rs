@@ -13,9 +13,9 @@
 //! z(t) = (z0 d   + gamma S c x0 y0) / D
 //! ```
 //!
-//! This is Jacobi's solution with `S = sn(u, k) / l`, `l^2 = a`, `(k l)^2 = b`, `u = l t`, put into a form
-//! by the addition theorems of sn, cn, dn in which no case needs to be distinguished: spins about an axis,
-//! separatrices, bodies with equal moments.
+//! This is Jacobi's solution with `S = sn(u, k) / l`, `l^2 = a`, `(k l)^2 = b`, `u = l t`, brought
+//! by the addition theorems of sn, cn, dn into a form in which no cases need to be distinguished:
+//! spins about an axis, separatrices, bodies with equal moments.
 //!
 //! Attitude, after Celledoni, Fasso, Saefstroem, Zanna (2008), section 2: with `G = |mu|`, e a body axis
 //! with `e . mu > 0` and `p(mu)` the shortest rotation from e to mu, `q = const Y(psi) p(mu)*`,
@@ -24,13 +24,13 @@
 //! psi' = (2 T + G e . Omega) / (G + e . mu) = G w_e + (2 T - G^2 w_e) / (G + e . mu)
 //! ```
 //!
-//! The integral of the last term (an elliptic one of the third kind) is taken by Gauss quadrature on pieces
-//! so short that it is exact to round-off.
+//! The integral of the last term (an elliptic one of the third kind) is computed by Gauss
+//! quadrature on pieces so short that it is exact to round-off.
 //!
 //! The momentum has the period `4 K / l = 2 pi / agm(sqrt(max(a, b)), sqrt(|a - b|))` (Gauss 1799;
-//! Abramowitz, Stegun, 17.6), and `e . mu`, a dn, half of it: in a longer motion the whole periods
-//! leave the momentum where it is, and each adds the same to psi. So a motion costs at most a
-//! period and a half, however long it is.
+//! Abramowitz, Stegun, 17.6), and `e . mu`, a dn, half of it. In a longer motion whole periods
+//! leave the momentum unchanged, and each adds the same to psi. So a motion costs at most a period
+//! and a half, however long it is.
 //!
 //! Invariant: the spatial momentum and the kinetic energy are kept to round-off.
 
@@ -43,7 +43,7 @@ use super::composition::Drift;
 const LONGEST_PIECE: f64 = 0.125;
 /// Terms of the series of S^2.
 const TERMS: usize = 8;
-/// More pieces than this in a step are refused: over 10^4 radians.
+/// Largest number of pieces in a step, over 10^4 radians; more are refused.
 const MAX_PIECES: f64 = 1e5;
 /// Length up to which three nodes leave 1e-17.
 const SHORT: f64 = 0.02;
@@ -142,7 +142,7 @@ fn count(length: f64) -> f64 {
     (length / LONGEST_PIECE).ceil().clamp(1.0, MAX_PIECES)
 }
 
-/// A motion: whole periods of the momentum, and a rest with its sign.
+/// A motion: whole periods of the momentum, and a remainder with its sign.
 struct Course {
     periods: f64,
     period: f64,
@@ -152,8 +152,8 @@ struct Course {
 /// Puts `mu + gain` back to where the size of the momentum and the energy are those of `mu`.
 ///
 /// The constants of the exact solution are the same numbers at every step of a body whose motion is
-/// regular, and so is the error of their rounding in the conserved quantities: it would add up to a
-/// line (Vilmart 2008, Journal of Computational Physics 227). To first order, for
+/// regular, and so is the effect of their rounding on the conserved quantities: it would accumulate
+/// linearly (Vilmart 2008, Journal of Computational Physics 227). To first order, for
 /// `d_G = gain . (2 mu + gain)` and, `w` being the mean of J^-1 along mu,
 /// `d_T = gain . (J^-1 - w) (2 mu + gain)`,
 ///
@@ -166,7 +166,7 @@ pub fn on_orbit(inverse: &Matrix3<f64>, mu: &Vector3<f64>, gain: Vector3<f64>) -
         return gain;
     }
     let both = mu * 2.0 + gain;
-    // The gradients where the step ends.
+    // The gradients at the end of the step.
     let end = mu + gain;
     let rate = inverse * end;
     let mean = rate.dot(&end) / square;
@@ -223,14 +223,14 @@ impl Constants {
         std::f64::consts::TAU / agm(a.max(b).sqrt(), self.difference.abs().sqrt())
     }
 
-    /// Splits `h` into whole periods of the momentum and a rest.
+    /// Splits `h` into whole periods of the momentum and a remainder.
     fn course(&self, h: f64) -> Course {
         // K is at least pi / 2.
         if self.length(h) < 6.0 {
             return Course { periods: 0.0, period: 0.0, rest: h };
         }
         let period = self.period();
-        // Exact, and h where there is no period.
+        // The remainder is exact, and is h if there is no period.
         let rest = if period.is_finite() { h % period } else { h };
         Course { periods: ((h - rest) / period).abs().round(), period: period.copysign(h), rest }
     }
@@ -266,7 +266,8 @@ impl Constants {
         ]
     }
 
-    /// Numerator and divisor of x or z at the time of S, c and d, from the momentum at time 0.
+    /// Returns numerator and divisor of x or z at the time of S, c and d, from the momentum at
+    /// time 0.
     fn place(&self, i: usize, [x, y, z]: [f64; 3], [s, c, d]: [f64; 3]) -> [f64; 2] {
         let [alpha, _, gamma] = self.rates;
         let numerator =
@@ -275,9 +276,9 @@ impl Constants {
     }
 }
 
-/// The arithmetic-geometric mean of two numbers that are not negative.
+/// Returns the arithmetic-geometric mean of two numbers that are not negative.
 fn agm(mut arithmetic: f64, mut geometric: f64) -> f64 {
-    // Its digits double in each round, once the two are of one size.
+    // The number of correct digits doubles in each round, once the two are of one size.
     while geometric > 0.0 && (arithmetic - geometric).abs() > 4.0 * f64::EPSILON * arithmetic {
         let product = arithmetic.sqrt() * geometric.sqrt();
         (arithmetic, geometric) = (0.5 * (arithmetic + geometric), product);
@@ -294,7 +295,7 @@ struct Series {
 }
 
 impl Series {
-    /// S, c, d at the part `s` of the piece.
+    /// Returns S, c, d at the fraction `s` of the piece.
     fn at(&self, s: f64) -> [f64; 3] {
         let square = s * s;
         let ratio = self.w.iter().rev().fold(0.0, |sum, w| sum * square + w);
@@ -305,7 +306,7 @@ impl Series {
 }
 
 impl Series {
-    /// c - 1 and d - 1 at the end of the piece.
+    /// Returns c - 1 and d - 1 at the end of the piece.
     fn remainder(&self) -> [f64; 2] {
         let full: f64 = self.w.iter().rev().sum();
         self.squares.map(|square| -square * full / (1.0 + (1.0 - square * full).sqrt()))
@@ -319,7 +320,8 @@ struct Pole {
 }
 
 impl Pole {
-    /// The shortest rotation from e to `m`, of size `size`, at some length: `(G + e . m, e cross m)`.
+    /// Returns the shortest rotation from e to `m`, whose size is `size`, not normalised:
+    /// `(G + e . m, e cross m)`.
     fn to(&self, m: &Vector3<f64>, size: f64) -> Quaternion<f64> {
         let mut e = Vector3::zeros();
         e[self.axis] = self.sign;
@@ -397,7 +399,7 @@ mod tests {
                     axes.0.map(|axis| momentum[axis]),
                 );
                 let period = constants.period();
-                // The parts of a period, one after the other, in which none is whole.
+                // Parts of a period, one after the other, none of which is a whole one.
                 let around = |top: &Top| {
                     (0..8).fold(*top, |top, _| after(&inverse, &top, period / 8.0).expect("finite"))
                 };
@@ -423,7 +425,7 @@ mod tests {
                 ];
                 assert!(apart.iter().all(|x| *x < least), "{apart:?}, {least:e}");
                 assert!(least < 1e-9, "{least:e}");
-                // However long: no more than a period and a half.
+                // At most a period and a half, however long the motion.
                 let most = 1.5 * constants.length(period) / LONGEST_PIECE + 2.0;
                 for k in 0..40 {
                     let h = period * 1.37 * f64::from(k);

@@ -1,17 +1,18 @@
 //! VPD in Lagrangian form: Shen, Tran, Leok (2022), equations (22, vil).
 //!
-//! (22a, vil1) gives the momentum that each stage must have, `dL/dOmega(U_k, Omega_k) = mu_k`, and is implicit for
-//! Omega_k. Each sweep makes one Newton correction of it,
+//! (22a, vil1) gives the momentum that each stage must have, `dL/dOmega(U_k, Omega_k) = mu_k`, and
+//! is implicit in Omega_k. Each sweep makes one Newton correction of it,
 //!
 //! ```text
 //! Omega_k <- Omega_k - (d^2L/dOmega^2)^-1 (dL/dOmega(U_k, Omega_k) - mu_k)
 //! ```
 //!
-//! with the second derivative of the beginning of the step, so that the sweeps converge to the
-//! solution of (22a, vil1) whatever the Lagrangian. For a hyperregular one this is the map of the Hamiltonian form.
+//! with the second derivative at the beginning of the step, so that the sweeps converge to the
+//! solution of (22a, vil1) whatever the Lagrangian. For a hyperregular one this is the map of the
+//! Hamiltonian form.
 //!
-//! Invariant: nothing is asked of the system but the derivatives of its Lagrangian, and of a rigid body that nothing drives the
-//! terms of its potential, whose forces are then those of [`super::vpd`].
+//! Invariant: the system provides only the derivatives of its Lagrangian; a rigid body that is not
+//! driven also provides the terms of its potential, whose forces are then those of [`super::vpd`].
 
 use std::marker::PhantomData;
 
@@ -27,7 +28,7 @@ use crate::so::{self, Mat, Vector};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper. It takes any [`Lagrangian`] `S`, a rigid body if none is named.
+/// The stepper, for any [`Lagrangian`] `S`; a rigid body if none is named.
 #[derive(Clone, Debug)]
 pub struct VpdLagrangian<const N: usize, S: ?Sized = RigidBody<N>> {
     carried: Carried<N>,
@@ -35,7 +36,7 @@ pub struct VpdLagrangian<const N: usize, S: ?Sized = RigidBody<N>> {
 }
 
 impl<const N: usize, S: ?Sized> VpdLagrangian<N, S> {
-    /// A stepper for `tableau` that solves each step until `stop`.
+    /// Creates a stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         Self { carried: Carried::new(tableau, stop.to_the_floor()), system: PhantomData }
     }
@@ -64,11 +65,11 @@ fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
     step.solve(&Euler { lagrangian, body, g0, seen, inverse, moments }, h, &p0, &omega)
 }
 
-/// (22a, vil1) and the force, in the frame of g0; of a rigid body from the space vectors as seen from there, so that no
-/// rounding of an attitude pushes along them.
+/// (22a, vil1) and the force, in the frame of g0; for a rigid body with the space vectors as seen
+/// from g0, so that rounding of an attitude exerts no force along them.
 struct Euler<'a, const N: usize, S: ?Sized> {
     lagrangian: &'a S,
-    /// The Lagrangian, where it is a body that nothing drives.
+    /// The Lagrangian, if it is a body that is not driven.
     body: Option<&'a RigidBody<N>>,
     g0: Mat<N>,
     seen: &'a [Vector<N>],
@@ -140,8 +141,8 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<
     }
 
     /// # Errors
-    /// Any failure; [`FailureCode::Diverged`] also where the momentum has no velocity: the Lagrangian is not hyperregular
-    /// there.
+    /// Any failure; [`FailureCode::Diverged`] also where no velocity belongs to the momentum: the
+    /// Lagrangian is not hyperregular there.
     fn step(&mut self, lagrangian: &S, h: f64) -> Result<Convergence, Failure> {
         self.carried.step(h, |carried, h| solve(carried, lagrangian, h))
     }

@@ -1,11 +1,11 @@
 //! VPD for a free body, reduced to the Lie-Poisson equations on so(n)*: Shen, Tran, Leok (2022), (25, lp) with
 //! the reduced adjoint maps (26, nf), (27, nnf).
 //!
-//! The shared step in the frame of g0 is that integrator: with f_0 = f and Theta_i = U_i^T f nothing of g0
-//! remains. (The paper's (27b, nnf2) slips an index: the reduced phi~ map has weight 1, as in (19b, fff2).) The body
-//! momentum is all the state there is; the attitude is put together from the rotations of the steps,
-//! g_{k+1} = g_k f_k, only if it is asked for. Nothing pushes, so sweeps begin where the steps before lead
-//! ([`crate::nonlinear::Past`]).
+//! The shared step in the frame of g0 is that integrator: with f_0 = f and Theta_i = U_i^T f, g0
+//! drops out of it. (The paper's (27b, nnf2) has a wrong index: the reduced phi~ map has weight 1,
+//! as in (19b, fff2).) The body momentum is the whole state; the attitude is composed of the
+//! rotations of the steps, g_{k+1} = g_k f_k, only on request. There are no forces, so sweeps start
+//! from a guess by the preceding steps ([`crate::nonlinear::Past`]).
 //!
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
 
@@ -18,7 +18,7 @@ use crate::so::{self, Mat};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
-/// The stepper: the shared step, the momentum, and the attitude if it is wanted.
+/// The stepper: the shared step, the momentum, and the attitude if requested.
 #[derive(Clone, Debug)]
 pub struct VpdReduced<const N: usize> {
     step: GalerkinStep<N>,
@@ -27,8 +27,8 @@ pub struct VpdReduced<const N: usize> {
 }
 
 impl<const N: usize> VpdReduced<N> {
-    /// A stepper for `tableau` that solves each step until `stop`, and reconstructs the attitude if
-    /// `with_attitude`.
+    /// Creates a stepper for `tableau` that solves each step until `stop`, and reconstructs the
+    /// attitude if `with_attitude`.
     pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Self {
         Self {
             step: GalerkinStep::new(tableau, stop).continued(),
@@ -65,10 +65,11 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
     }
 }
 
-/// `f^T p f - p` for skew p and `f = I + turn`, by which (25, lp) moves the momentum: `asym(p turn) + turn^T p turn`.
+/// Returns `f^T p f - p` for skew p and `f = I + turn`, the change of the momentum by (25, lp):
+/// `asym(p turn) + turn^T p turn`.
 ///
-/// The deficit of f from a rotation is a drift of the Casimirs, so it is taken off first: all that is rounded then is small
-/// relative to p.
+/// The deviation of f from a rotation would make the Casimirs drift, so it is removed first:
+/// everything that is rounded after that is small relative to p.
 fn coadjoint_change<const N: usize>(turn: &Mat<N>, p: &Mat<N>) -> Mat<N> {
     // f^T f - I
     let defect = turn + turn.transpose() + so::transposed_product(turn, turn);
@@ -89,7 +90,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
     }
 
     /// # Assumes
-    /// A free body: a potential is not seen.
+    /// A free body: a potential is ignored.
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         debug_assert!(body.is_free(), "the reduced integrator is for free bodies");
         let p0 = self.momentum.value;

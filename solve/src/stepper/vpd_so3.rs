@@ -1,12 +1,14 @@
 //! VPD in Hamiltonian form for n = 3 with up to eight stages: the map of [`super::vpd`] and
 //! [`super::vpd_reduced`], computed in vectors and quaternions with the stages side by side in SIMD lanes.
 //!
-//! The state is the attitude as a unit quaternion and the momentum, spatial and in the body. A step adds to each what is
-//! small relative to it: `q1 = q0 + q0 (f - 1)`, the impulse of the torques, and the gain of the body momentum. What rounding
-//! takes off a sum is carried to the next step, so that rounding makes a random walk and no drift (Brouwer's law; Hairer,
-//! McLachlan, Razakarivony 2008, BIT 48). The spatial momentum is what torques make of it and nothing else. In the body
-//! it is `g^T pi`; but many stages are there for the last digits, and with torques the small momentum about a thin axis, of
-//! which that product knows too little, has a sum of its own there.
+//! The state is the attitude as a unit quaternion and the momentum, spatial and in the body. A step
+//! adds to each an increment that is small relative to it: `q1 = q0 + q0 (f - 1)`, the impulse of
+//! the torques, and the gain of the body momentum. What rounding removes from a sum is carried to
+//! the next step, so that rounding causes a random walk and no drift (Brouwer's law; Hairer,
+//! McLachlan, Razakarivony 2008, BIT 48). Only torques change the spatial momentum. The body
+//! momentum is `g^T pi`; but many stages are used for the last digits, and with torques that
+//! product is too inaccurate for the small momentum about a thin axis, so the body momentum then
+//! has a sum of its own.
 //!
 //! Invariant: the same bits on every instruction set; no sine, cosine or exponential; |q| = 1 to round-off.
 
@@ -31,7 +33,7 @@ pub(super) mod unknowns;
 
 use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
 
-/// A free body that turns by less in a step takes half the passes of others.
+/// Turn of a step below which a free body takes half as many passes.
 const CALM_RAD: f64 = 0.05;
 
 /// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
@@ -51,7 +53,7 @@ macro_rules! in_lanes {
             }
             _ => None,
         };
-        // Each written once: it takes the compiler long.
+        // Each call is written once: compiling it takes long.
         match (in_lanes, *stages) {
             (Some(done), _) => done,
             (None, 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
@@ -68,7 +70,7 @@ pub struct VpdSo3 {
     tableau: Tableau,
     lanes: LaneTableau,
     solver: Solver,
-    /// The steps before, if they show where the next one leads.
+    /// The preceding steps, if the next one is guessed from them.
     past: Option<Past>,
     /// The instruction set; without one, one number at a time.
     level: Option<Level>,
@@ -77,21 +79,21 @@ pub struct VpdSo3 {
     seen: Vec<Vec3<f64>>,
 }
 
-/// What is carried from step to step.
+/// State carried from step to step.
 #[derive(Clone, Copy, Debug)]
 enum Carried {
     /// Attitude and momentum.
     Full(Motion<f64>),
-    /// The body momentum of a free body alone (Lie-Poisson): nothing depends on the attitude.
-    /// Its square labels the coadjoint orbit.
+    /// Only the body momentum of a free body (Lie-Poisson): nothing depends on the attitude. Its
+    /// square labels the coadjoint orbit.
     Reduced { momentum: Sum<f64, 3>, square: f64 },
 }
 
 impl VpdSo3 {
-    /// A stepper for `tableau` that solves each step until `stop`. `None` if the tableau has more stages than there are
-    /// lanes.
+    /// Creates a stepper for `tableau` that solves each step until `stop`. `None` if the tableau
+    /// has more stages than there are lanes.
     pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
-        // Many stages are there for the last digits.
+        // Many stages are used for the last digits.
         let stop = StopRule { foresee: tableau.stages() <= FEW_STAGES, ..stop };
         (tableau.stages() <= WIDTH).then(|| Self {
             lanes: LaneTableau::new(&tableau),
@@ -105,25 +107,26 @@ impl VpdSo3 {
         })
     }
 
-    /// The same for free bodies, whose momentum evolves on its own: it carries an attitude only if `with_attitude`, and a
-    /// step begins where those before lead.
+    /// Restricts the stepper to free bodies, whose momentum evolves on its own: it carries an
+    /// attitude only if `with_attitude`, and guesses a step from the preceding ones.
     pub fn reduced(self, with_attitude: bool) -> Self {
         let state = if with_attitude {
             self.state
         } else {
             Carried::Reduced { momentum: Sum::new([0.0; 3], 0.0), square: 0.0 }
         };
-        // Many stages are better guessed without the steps before.
+        // With many stages the guess is better without the preceding steps.
         let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
         Self { past, state, ..self }
     }
 
-    /// The same stepper on an older instruction set, or without lanes: a test compares the bits, a bench the time.
+    /// Returns the stepper on an older instruction set, or without lanes: a test compares the bits,
+    /// a benchmark the time.
     pub fn on_level(self, level: Option<Level>) -> Self {
         Self { level, ..self }
     }
 
-    /// E of stage `k`, or of the end point after the last.
+    /// Returns E of stage `k`, or of the end point after the last stage.
     fn stretch(&self, k: usize) -> Sym3<f64> {
         let stretch = if k < self.tableau.stages() {
             self.unknowns.stretch.each_ref().map(|row| row[k])
@@ -133,7 +136,7 @@ impl VpdSo3 {
         unsigned_zeros(stretch)
     }
 
-    /// U_k, or f after the last.
+    /// Returns U_k, or f after the last stage.
     fn turn(&self, k: usize) -> Quaternion<f64> {
         if k < self.tableau.stages() {
             let Quaternion { w, v } = &self.unknowns.attitude;
@@ -143,7 +146,7 @@ impl VpdSo3 {
         }
     }
 
-    /// Refuses a solution on which the polar factors or the potential are not to be trusted.
+    /// Refuses a solution for which the polar factors or the potential cannot be trusted.
     fn check(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let stages = self.tableau.stages();
         let stage = |k: usize| (k < stages).then_some(k);
@@ -159,13 +162,13 @@ impl VpdSo3 {
         let mut before = Quaternion { w: 1.0, v: [0.0; 3] };
         for k in self.tableau.ascending().iter().copied().chain([stages]) {
             let turn = self.turn(k);
-            // tr(U^T V) = 4 (p . q)^2 - 1; a quarter turn has 1.
+            // tr(U^T V) = 4 (p . q)^2 - 1, which is 1 for a quarter turn.
             let cosine = before.w * turn.w + dot(&before.v, &turn.v);
             let trace = 4.0 * cosine * cosine - 1.0;
             check_branch(trace, 1.0, stage(k))?;
             before = turn;
         }
-        // What is not a number is refused, too.
+        // NaN is not accepted here, either.
         if self.unknowns.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
             Ok(())
         } else {
@@ -176,7 +179,7 @@ impl VpdSo3 {
     /// Refuses stages too close to a point of the potential.
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
-        // An iterate that is no rotation, or no number, meets no charge.
+        // An iterate that is not a rotation, or not finite, meets no charge.
         let turns = (0..self.tableau.stages()).map(|k| (k, self.turn(k)));
         let is_rotation =
             |turn: &Quaternion<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
@@ -197,7 +200,7 @@ impl VpdSo3 {
     ) -> Result<Convergence, Failure> {
         let inertia = Inertia::of(body);
         let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
-        // Where a step follows the steps before and turns little, half the passes bring it home.
+        // If a step is guessed from the preceding ones and turns little, half the passes suffice.
         let calm = past.is_some() && {
             let turn = scaled(&inertia.divides(&momentum), h);
             dot(&turn, &turn) <= CALM_RAD * CALM_RAD
@@ -229,7 +232,7 @@ impl VpdSo3 {
         }
         body.count(equations.torques);
         solved.map_err(|mut failure| {
-            // The state is finite: an iterate that is not has grown out of all bounds.
+            // The state is finite: an iterate that is not has grown without bound.
             if failure.code == FailureCode::NonFinite && failure.iterations > 1 {
                 failure.code = FailureCode::Diverged;
             }
@@ -249,7 +252,7 @@ struct InLanes<'a> {
     unknowns: &'a mut Unknowns<Row, f64>,
     /// The unit of momenta.
     momentum_scale: f64,
-    /// Torques computed.
+    /// Number of torques computed.
     torques: u64,
 }
 
@@ -262,7 +265,7 @@ impl InLanes<'_> {
 impl Equations for InLanes<'_> {
     fn guess(&mut self) -> Result<(), Failure> {
         in_lanes!(guess, self);
-        // One at each stage is counted with every piece of work.
+        // Each piece of work already counts one torque at each stage.
         let more = self.start.tableau.torques_of_guess() - 1;
         self.torques += u64::from(more) * self.stages as u64;
         self.at_first = true;
@@ -273,7 +276,7 @@ impl Equations for InLanes<'_> {
         Ok(())
     }
 
-    /// The guess leaves x and K^-1 far from where a sweep puts them.
+    /// Makes one sweep: the guess leaves x and K^-1 far from where a sweep puts them.
     fn settle(&mut self) -> Result<(), Failure> {
         if !self.sweep()?.is_finite() {
             self.guess()?;
@@ -363,7 +366,7 @@ impl Stepper<3> for VpdSo3 {
 }
 
 impl VpdSo3 {
-    /// The space vectors of the potential from where the step begins.
+    /// Updates the space vectors of the potential, as seen from the beginning of the step.
     fn look(&mut self, body: &RigidBody<3>) {
         match &self.state {
             Carried::Full(motion) => motion.look(0.0, body, &mut self.seen),
@@ -371,7 +374,7 @@ impl VpdSo3 {
         }
     }
 
-    /// Checks the solved step and takes it over into the state.
+    /// Checks the solved step and applies it to the state.
     fn accepted(
         &mut self,
         body: &RigidBody<3>,
@@ -401,19 +404,20 @@ impl VpdSo3 {
         Ok(solved)
     }
 
-    /// A failure with the angle by which the body would turn.
+    /// Returns the failure with the angle by which the body would turn.
     fn turned(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
         let velocity = body.inverse_inertia() * Vector::<3>::from(self.body_momentum());
         Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
     }
 
-    /// Takes the solved step over into the state.
+    /// Applies the solved step to the state.
     fn advance(&mut self) {
         let Unknowns { end, kick, gain, .. } = &self.unknowns;
         match &mut self.state {
             Carried::Full(motion) => {
                 motion.advance(0.0, end, kick);
-                // A free body keeps the spatial one to the bit, and the sum would drift by 1e-18 a step.
+                // A free body keeps the spatial momentum to the bit, and the sum would drift by
+                // 1e-18 a step.
                 if self.lanes.is_finished && !self.seen.is_empty() {
                     motion.gain(0.0, gain);
                 } else {
@@ -425,7 +429,7 @@ impl VpdSo3 {
                 let small = end.change();
                 let change = transposed_product(&small, value);
                 let carried = transposed_product(&small, carry);
-                // Back onto the orbit, off which only rounding takes it.
+                // Moves the momentum back onto the orbit, which it leaves only by rounding.
                 let deficit = 0.5 * (*square - dot(value, value));
                 let deficit = if *square > 0.0 { deficit / *square } else { 0.0 };
                 let change =
@@ -435,7 +439,7 @@ impl VpdSo3 {
         }
     }
 
-    /// Of a stepper that carries an attitude.
+    /// Returns the motion, if the stepper carries an attitude.
     fn motion(&self) -> Option<&Motion<f64>> {
         match &self.state {
             Carried::Full(motion) => Some(motion),
@@ -451,7 +455,7 @@ impl VpdSo3 {
     }
 }
 
-/// The smallest eigenvalue of `P = I + E`.
+/// Returns the smallest eigenvalue of `P = I + E`.
 fn smallest_singular_value([xx, yy, zz, yz, xz, xy]: &Sym3<f64>) -> f64 {
     1.0 + so::smallest_eigenvalue(&Mat::<3>::new(*xx, *xy, *xz, *xy, *yy, *yz, *xz, *yz, *zz))
 }

@@ -1,10 +1,12 @@
-//! VRKMK: variational Runge-Kutta-Munthe-Kaas methods of Bogfjellmo and Marthinsen, High-order symplectic
-//! partitioned Lie group methods, Found. Comput. Math. 16 (2016), the paper's comparator.
+//! VRKMK: the variational Runge-Kutta-Munthe-Kaas methods of Bogfjellmo and Marthinsen, High-order
+//! symplectic partitioned Lie group methods, Found. Comput. Math. 16 (2016), with which the paper
+//! compares its own.
 //!
-//! The discrete action `h sum b_i L(G_i, xi_i)` is made stationary with the positions held together by the
-//! exponential: `G_i = exp(X_i) g0`, `g1 = exp(Y) g0`. Right-trivialised: `g' = xi g`, and the momentum m
-//! is the spatial one. With `T(X) = sum_{k<=q} B_k / k! ad_X^k` for the inverse of dexp and
-//! `W(X, xi, P)` the adjoint of its derivative, `<W, D> = <P, (dT(X) D) xi>`:
+//! The discrete action `h sum b_i L(G_i, xi_i)` is made stationary, with the positions linked by
+//! the exponential: `G_i = exp(X_i) g0`, `g1 = exp(Y) g0`. Everything is right-trivialised:
+//! `g' = xi g`, and the momentum m is the spatial one. With `T(X) = sum_{k<=q} B_k / k! ad_X^k` for
+//! the inverse of dexp and `W(X, xi, P)` the adjoint of its derivative,
+//! `<W, D> = <P, (dT(X) D) xi>`:
 //!
 //! ```text
 //! X_i = h sum_j a_ij k_j,              G_i = exp(X_i) g0
@@ -17,20 +19,24 @@
 //! g1 = exp(Y) g0,                      m1 = Ad_{exp(Y)} n
 //! ```
 //!
-//! A turn of space turns all of these along but for the potential: where the equations are solved,
+//! A rotation of space rotates all of these, except for the potential; so, where the equations are
+//! solved,
 //!
 //! ```text
 //! m1 = m0 + h sum_i b_i (f_i + [xi_i, M_i])
 //! ```
 //!
-//! of which each term is what a force does (Noether's theorem). m1 is computed so: the other way rounds the whole
-//! momentum at every step, and the energy of a body with a thin axis grew in a line by that.
+//! in which each term is the effect of a force (Noether's theorem). m1 is computed this way: the
+//! other formula rounds the whole momentum at every step, which made the energy of a body with a
+//! thin axis grow linearly.
 //!
-//! The unknowns are k_i and P_i. dexp and exp are exact: cut short, either would cost the symplecticity.
-//! T may be truncated, since W is the derivative of what is left; q = p - 2 keeps the order p.
+//! The unknowns are k_i and P_i. dexp and exp are exact: truncating either would cost the
+//! symplecticity. T may be truncated, since W is the derivative of the truncated series; q = p - 2
+//! keeps the order p.
 //!
-//! Invariant: on success the state has moved by one symplectic step; on failure it has not moved. Unless
-//! projected, the attitude is a product of exponentials and leaves the group as round-off piles up.
+//! Invariant: on success the state has moved by one symplectic step; on failure it has not moved.
+//! Unless projected, the attitude is a product of exponentials and leaves the group as round-off
+//! accumulates.
 
 use nalgebra::Vector3;
 
@@ -46,7 +52,8 @@ use maps::{Chains, MAX_TRUNCATION, Skew, greater, inverse_dexp_coefficients};
 
 mod maps;
 
-/// The stepper: a tableau, a stop rule, the attitude g and the spatial momentum m, and its scratch.
+/// The stepper: a tableau, a stop rule, the attitude g and the spatial momentum m, and scratch
+/// space.
 #[derive(Clone, Debug)]
 pub struct Vrkmk<const N: usize> {
     tableau: Tableau,
@@ -55,14 +62,14 @@ pub struct Vrkmk<const N: usize> {
     beta: Vec<f64>,
     projected: bool,
     attitude: Mat<N>,
-    /// In space, skew.
+    /// Spatial momentum, skew.
     momentum: Sum<N>,
     space: Vec<Vector<N>>,
     clock: Clock<N>,
     unknowns: Unknowns<N>,
 }
 
-/// The unknowns of a step, in one of the two readings of so(n).
+/// The unknowns of a step, in one of the two representations of so(n).
 #[derive(Clone, Debug)]
 enum Unknowns<const N: usize> {
     /// n = 3.
@@ -71,14 +78,14 @@ enum Unknowns<const N: usize> {
     Bracket(Stages<N, Mat<N>>),
 }
 
-/// The stages, and what they share.
+/// The stages, and the quantities that they share.
 #[derive(Clone, Debug)]
 struct Stages<const N: usize, A> {
     stages: Vec<Stage<N, A>>,
     chains: Chains<N, A>,
     /// Y: the step from g0 to g1 in the algebra.
     y: A,
-    /// The momentum at the end of the step, seen from its beginning.
+    /// The momentum at the end of the step, as seen from its beginning.
     n: A,
 }
 
@@ -87,7 +94,7 @@ struct Stages<const N: usize, A> {
 struct Stage<const N: usize, A> {
     /// The slope k_i of X.
     k: A,
-    /// The multiplier P_i of its definition.
+    /// The multiplier P_i of the definition of k_i.
     p: A,
     /// h b_i Q_i.
     load: A,
@@ -95,13 +102,13 @@ struct Stage<const N: usize, A> {
     kick: A,
     /// Attitude G_i.
     g: Mat<N>,
-    /// Of a driven body, what goes into it there.
+    /// Input to a driven body at the stage.
     input: Input<N>,
 }
 
 impl<const N: usize> Vrkmk<N> {
-    /// A stepper for `tableau` that solves each step until `stop`, with the truncation q = p - 2 that
-    /// keeps the order p of the tableau (at most 20).
+    /// Creates a stepper for `tableau` that solves each step until `stop`, with the truncation
+    /// q = p - 2 that keeps the order p of the tableau (at most 20).
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
         let q = (tableau.order() as usize).saturating_sub(2).min(MAX_TRUNCATION);
         Self {
@@ -121,15 +128,15 @@ impl<const N: usize> Vrkmk<N> {
         }
     }
 
-    /// The stepper that puts its attitude back on the group after each step (`vrkmk_projected`), by
-    /// the polar factor. The spatial momentum is left as it is.
+    /// Puts the attitude back on the group after each step (`vrkmk_projected`), by the polar
+    /// factor. The spatial momentum is left as it is.
     pub fn projected(mut self) -> Self {
         self.projected = true;
         self
     }
 
-    /// The stepper with the inverse of dexp truncated after the power `q`, at most 20: the step stays
-    /// symplectic, the order falls where q < p - 2.
+    /// Truncates the inverse of dexp after the power `q`, at most 20: the step stays symplectic,
+    /// the order falls where q < p - 2.
     pub fn truncated(mut self, q: usize) -> Self {
         let q = q.min(MAX_TRUNCATION);
         self.beta = inverse_dexp_coefficients(q);
@@ -143,7 +150,8 @@ impl<const N: usize> Vrkmk<N> {
 
 impl<const N: usize> Stepper<N> for Vrkmk<N> {
     fn order(&self) -> u32 {
-        // The odd Bernoulli numbers from B_3 on vanish: an even truncation serves the next power too.
+        // The odd Bernoulli numbers from B_3 on vanish: an even truncation covers the next power,
+        // too.
         let q = self.beta.len() as u32 - 1;
         let reached = if q >= 2 && q.is_multiple_of(2) { q + 3 } else { q + 2 };
         self.tableau.order().min(reached)
@@ -168,7 +176,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
-        // Attitudes of the stages are absolute: the potential is seen from space.
+        // The attitudes of the stages are absolute: the potential is as seen from space.
         body.seen_from(&Mat::identity(), &mut self.space);
         let Self { tableau, solver, beta, attitude, momentum, space, unknowns, clock, .. } = self;
         let nodes = (0..tableau.stages()).map(|k| tableau.c(k));
@@ -185,7 +193,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
             check_root(convergence, Stepper::<N>::order(self), &attitude, half)?;
         }
         self.attitude = attitude;
-        // Skew to the last bit.
+        // The increment is skew to the last bit.
         self.momentum.add(&(so::asym(&impulse) * 0.5));
         let put_in = match &self.unknowns {
             Unknowns::Vector(stages) => stages.put_in(&self.tableau, h),
@@ -205,7 +213,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
 }
 
 impl<const N: usize, A: Skew<N>> Stages<N, A> {
-    /// What went into a driven body in the step.
+    /// Returns the input to a driven body in the step.
     fn put_in(&self, tableau: &Tableau, h: f64) -> Input<N> {
         let mut put_in = Input::default();
         for (k, stage) in self.stages.iter().enumerate() {
@@ -223,12 +231,12 @@ impl<const N: usize, A: Skew<N>> Stages<N, A> {
     }
 }
 
-/// What stays fixed while a step is solved.
+/// Quantities that stay fixed while a step is solved.
 struct Step<'a, const N: usize> {
     tableau: &'a Tableau,
     beta: &'a [f64],
     body: &'a RigidBody<N>,
-    /// Of a driven body, at the stages.
+    /// A driven body at the moments of the stages.
     moments: &'a [Moment<N>],
     space: &'a [Vector<N>],
     h: f64,
@@ -246,7 +254,7 @@ impl<const N: usize> Step<'_, N> {
         let m0 = A::from_matrix(m0);
         let (xi, _) = slopes(self.body, self.g0, &m0);
         let solved = solver.solve(&mut Sweeps { step: self, m0: &m0, xi: &xi, unknowns });
-        // An iterate that is no number meets no charge.
+        // An iterate that is not finite meets no charge.
         let finite = |stage: &Stage<N, A>| stage.g.iter().all(|x| x.is_finite());
         let mut stages = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
         let check = stages.try_for_each(|(i, stage)| {
@@ -268,11 +276,12 @@ impl<const N: usize> Step<'_, N> {
         Ok((convergence, (so::product(&turn, self.g0), impulse.matrix())))
     }
 
-    /// One sweep over all unknowns, each slope from the newest of the others; returns the largest change
-    /// of a stage's displacement h k_i, in radians, or of a multiplier, relative to the largest.
+    /// Makes one sweep over all unknowns, with each slope computed from the newest of the others;
+    /// returns the largest change of a stage's displacement h k_i, in radians, or of a multiplier,
+    /// relative to the largest.
     ///
-    /// The slopes themselves would not do: they carry the round-off of the momentum times the inverse of
-    /// the smallest moment of inertia.
+    /// Changes of the slopes themselves would be no measure: they contain the round-off of the
+    /// momentum times the inverse of the smallest moment of inertia.
     fn sweep<A: Skew<N>>(&self, m0: &A, unknowns: &mut Stages<N, A>) -> Result<f64, Failure> {
         let Self { tableau, beta, body, moments, h, g0, .. } = *self;
         let Stages { stages, chains, y, n } = unknowns;
@@ -372,25 +381,25 @@ impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
 }
 
 impl<const N: usize, A: Skew<N>> Sweeps<'_, '_, N, A> {
-    /// The units of slopes and of momenta.
+    /// Returns the units of slopes and of momenta.
     fn units(&self) -> (f64, f64) {
         let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
         (unit(self.xi.size()), unit(self.m0.size()))
     }
 }
 
-/// `xi = dH/dm` and, of `f = -dH/dg`, what a force does, `f + [xi, m]`, right-trivialised, at an attitude and a spatial
-/// momentum: `<f, eta> = -d/de H(exp(e eta) g, m)`.
+/// Returns `xi = dH/dm` and the part of `f = -dH/dg` that is the effect of a force, `f + [xi, m]`,
+/// right-trivialised, at an attitude and a spatial momentum: `<f, eta> = -d/de H(exp(e eta) g, m)`.
 ///
-/// With the body momentum `mu = g^T m g` and `Omega = dH/dmu` of the left-trivialised H, `xi = Ad_g Omega`
-/// and `f = -[xi, m] - dU/dg`: turning g at a fixed spatial momentum turns mu.
+/// With the body momentum `mu = g^T m g` and `Omega = dH/dmu` of the left-trivialised H,
+/// `xi = Ad_g Omega` and `f = -[xi, m] - dU/dg`: turning g at a fixed spatial momentum turns mu.
 fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) -> (A, A) {
     let omega = A::from_matrix(&body.velocity(&m.turned_back(g).matrix()));
     let xi = omega.turned(g);
     (xi, -A::from_matrix(&body.spatial_gradient(g)))
 }
 
-/// The same for a driven body at a moment, and what goes in.
+/// Does the same for a driven body at a moment; also returns the input to the body.
 fn driven_slopes<const N: usize, A: Skew<N>>(
     moment: &Moment<N>,
     g: &Mat<N>,
@@ -436,7 +445,7 @@ mod tests {
         let m = Vector3::new(0.4, -0.2, 0.1);
         let (xi, push) = slopes(&body, &g, &m);
         let f = push - xi.cross(&m);
-        // Values of an independent program.
+        // Values from an independent program.
         let expected = [
             [-0.749_360_295_121_939_4, -1.649_027_840_870_673, 2.976_318_224_715_369_4],
             [0.221_236_330_894_681, -1.183_460_599_028_618_9, -0.809_483_195_372_657_1],

@@ -1,7 +1,8 @@
-//! The step of [`super`] for a tableau that is its own partner (Gauss), solved as Gauss collocation with a deferred defect:
-//! the same equations in another order. The tags are those of docs/derivation.md, where they are derived.
+//! The step of [`super`] for a tableau that is its own partner (Gauss), solved as Gauss collocation
+//! with a deferred defect: the same equations in another order. The tags are those of
+//! docs/derivation.md, where they are derived.
 //!
-//! With `e_kj = a_kj / b_j`, `W_k = V_k / (h b_k)` and matrices near zero in the place of those near one,
+//! With `e_kj = a_kj / b_j`, `W_k = V_k / (h b_k)` and matrices near zero in place of those near I,
 //!
 //! ```text
 //! [C] C_k = U_k - I    c = f - I        [w] w_j = h b_j U_j Omega_j      [D] D_k = sum_j e_kj w_j    d = sum_j w_j
@@ -17,9 +18,10 @@
 //! [defect]     delta_k = asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T)
 //! ```
 //!
-//! Without the defect this is Gauss collocation, a matter of few products; and the defect is small: like K and F it is of
-//! order h^(s+1), to which its last two terms, of order h^2 each, cancel. So collocation is solved first, and the defect is
-//! evaluated one to three times up to a turn of 0.15 rad, four to eight times in larger steps.
+//! Without the defect this is Gauss collocation, which takes few products. The defect is small:
+//! like K and F it is of order h^(s+1), to which its last two terms, of order h^2 each, cancel. So
+//! collocation is solved first, and the defect is evaluated one to three times up to a turn of
+//! 0.15 rad, four to eight times in larger steps.
 //!
 //! Everything is computed for all stages at once, in lanes. An operation carries the tag of its
 //! result.
@@ -62,17 +64,17 @@ pub(super) enum Source<'a> {
 pub(super) enum Velocity<'a> {
     /// `Omega_ij = w_ij mu_ij`; perhaps in a time of its own.
     Weights(&'a [f64], Option<Scale<'a>>),
-    /// Asked of the system, stage by stage.
+    /// Computed by the system, stage by stage.
     Stages(&'a dyn AtStage),
 }
 
-/// A system at one stage, whose matrices stand among those of the others.
+/// A system at one stage, whose matrices are stored among those of the others.
 pub(super) trait AtStage {
-    /// Takes note of a round that begins, or refuses it.
+    /// Records that a round begins, or refuses it.
     fn begin_sweep(&self) -> Result<(), Failure>;
-    /// dH/dg, c being U - I.
+    /// Computes dH/dg; c is U - I.
     fn gradient(&self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
-    /// `U X U^T`
+    /// Computes `U X U^T`.
     fn to_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]);
     /// Improves Omega. Returns its largest change and its size.
     fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
@@ -152,9 +154,9 @@ impl Coefficients {
     }
 }
 
-/// The unknowns of the stages, and room to work: n x n matrices in lanes, row by row. Skew and symmetric ones are whole,
-/// but for `kappa`, `delta_rest` and some in `room`, of which only what is above the diagonal counts (of symmetric ones
-/// with the diagonal).
+/// The unknowns of the stages, and scratch space: n x n matrices in lanes, row by row. Skew and
+/// symmetric ones are stored in full, except `kappa`, `delta_rest` and some in `room`, of which
+/// only the entries above the diagonal count (for symmetric ones also those on it).
 #[derive(Clone, Debug)]
 struct Unknowns {
     /// p0, and the weights of a body, in every lane.
@@ -449,7 +451,8 @@ struct Step<'a, R: Stages<Whole = f64>, D: Dimension> {
     weights: R,
     /// The largest entry of a momentum.
     size: f64,
-    /// The largest angle h |Omega_k| through which the velocity of a stage would turn the body in the step.
+    /// The largest angle h |Omega_k| through which the velocity of a stage would turn the body in
+    /// the step.
     turn: f64,
     u: &'a mut Unknowns,
     end: &'a mut End,
@@ -531,7 +534,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
-    /// About the size of the defect, for the stop of collocation alone: `turn^(s+1) / (s+1)!`.
+    /// Estimates the size of the defect, for stopping collocation alone: `turn^(s+1) / (s+1)!`.
     fn order(&self, stages: usize) -> f64 {
         (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
     }
@@ -672,8 +675,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Ok(())
     }
 
-    /// [time]: the forces and the time of the stages, and the length of a step that is to last a given time,
-    /// `h = t / sum_k b_k sigma_k`.
+    /// Evaluates [time]: the forces and the time of the stages, and the length of a step that is to
+    /// last a given time, `h = t / sum_k b_k sigma_k`.
     fn look_at_time(&mut self) {
         if let Forces::Rescaled { work, .. } = &self.forces {
             work.add_gradients(self.coefficients.stages as u64);
@@ -738,10 +741,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         end.impulse.fill(0.0);
     }
 
-    /// `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. It is Gauss collocation of
-    /// `mu' = [mu, Omega] - dH/dg` in the body, which differs from [transport] by the order h^(s+1), that of delta; it needs
-    /// one product where [transport] needs two, to turn pi into the body, and a polar factor. Returns the largest change of a
-    /// momentum.
+    /// Computes `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. This is
+    /// Gauss collocation of `mu' = [mu, Omega] - dH/dg` in the body, which differs from [transport]
+    /// by the order h^(s+1), that of delta. It needs one product, where [transport] needs two to
+    /// turn pi into the body, and a polar factor. Returns the largest change of a momentum.
     fn momenta_in_body(&mut self) -> f64 {
         self.rates();
         let Self { stack, coefficients, u, .. } = self;
@@ -835,7 +838,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// `mu = U^T pi U`, as `p0 + (pi - p0) + asym(pi C) + C^T pi C`, and Omega. Returns the largest change of a momentum.
+    /// Computes `mu = U^T pi U`, as `p0 + (pi - p0) + asym(pi C) + C^T pi C`, and Omega. Returns
+    /// the largest change of a momentum.
     fn momenta_from_space(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
@@ -882,9 +886,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in `passes` passes, pi1, and the multiplier by (6),
-    /// `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is
-    /// (24e, vih5); and [E] of the stages.
+    /// Computes [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in `passes`
+    /// passes, pi1, and the multiplier by (6), `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with
+    /// `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is (24e, vih5); also [E] of the
+    /// stages.
     fn end_point(&mut self, passes: usize) {
         let Self { stack, start, u, end, .. } = self;
         let (n, one) = (stack.n(), stack.whole());
@@ -934,8 +939,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// [X], by (5): `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is (17a, f1) and
-    /// (19a, fff1).
+    /// Computes [X], by (5):
+    /// `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is
+    /// (17a, f1) and (19a, fff1).
     fn multipliers(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
@@ -1060,7 +1066,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.newest_defects()
     }
 
-    /// Writes `h b ([mu, Omega] - dH/dg)` to the first room.
+    /// Writes `h b ([mu, Omega] - dH/dg)` to the first matrix of `room`.
     #[inline(always)]
     fn rates(&mut self) {
         let Self { stack, weights, u, .. } = self;

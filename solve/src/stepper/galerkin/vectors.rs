@@ -1,7 +1,8 @@
-//! The step of [`super`] for a rigid body with n = 3 in a time of its own, in quaternions and vectors: [`super::deferred`] with
-//! attitudes collocated, too.
+//! The step of [`super`] for a rigid body with n = 3 in a time of its own, in quaternions and
+//! vectors: [`super::deferred`] with the attitudes collocated, too.
 //!
-//! With the tags of docs/derivation.md, `r_j = h b_j u_j Omega_j / 2` and vectors in the place of skew matrices,
+//! With the tags of docs/derivation.md, `r_j = h b_j u_j Omega_j / 2` and vectors in place of skew
+//! matrices,
 //!
 //! ```text
 //! [turn]       u_k = 1 + sum_j e_kj r_j + theta_k
@@ -9,12 +10,13 @@
 //! [defect]     delta_k = vee(asym(f Lambda K_k^T) - asym(Y_k C_k^T) - sum_j e_kj asym(T_j D_j^T - Y_j w_j^T))
 //! ```
 //!
-//! theta is what makes the quaternion u_k the polar factor of `I + D_k`. With theta and delta zero this is collocation of
-//! quaternion and momentum; both are of order h^(s+1). So a round takes four sums over the stages, and matrices are formed
-//! where the two are evaluated.
+//! theta makes the quaternion u_k the polar factor of `I + D_k`. With theta and delta zero this is
+//! collocation of quaternion and momentum; both are of order h^(s+1). So a round takes four sums
+//! over the stages, and matrices are formed where theta and delta are evaluated.
 //!
-//! In a time of its own `Omega = sigma J^-1 mu`, and dH~/dg is the gradient of `H~ = sigma (H - H0)`. Both follow the
-//! momenta, and to first order the attitudes, between two torques: with `eta = 2 vec(u*' u)`, u' where the torque was taken,
+//! In a time of its own `Omega = sigma J^-1 mu`, and dH~/dg is the gradient of
+//! `H~ = sigma (H - H0)`. Between two torques both follow the momenta and, to first order, the
+//! attitudes: with `eta = 2 vec(u*' u)`, u' being the attitude at which the torque was taken,
 //!
 //! ```text
 //! potential = potential' + vee(dH/dg) . eta,      sigma^-2 = sigma'^-2 + vee(dsigma^-2/dg) . eta
@@ -108,7 +110,8 @@ impl InVectors {
         Some(Self { tableau, level: Some(Level::new()), seen, found })
     }
 
-    /// Solves a step of `body`, whose space vectors are `seen` from where it begins, in the time of `scale`.
+    /// Solves a step of `body` in the time of `scale`; `seen` are its space vectors as seen from
+    /// the beginning of the step.
     ///
     /// # Errors
     /// [`Stuck`].

@@ -11,7 +11,7 @@
 //! d is the effect of torques, zero for a free body. Small numbers are computed as such: u as
 //! `x = u - 1`, mu as p0 and what is added to it.
 //!
-//! Invariant: lanes beyond the stages stand at the beginning, and weigh nothing.
+//! Invariant: lanes beyond the stages stay at the beginning of the step, and have zero weight.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{self, Real, Row, WIDTH};
@@ -21,7 +21,8 @@ use crate::space::{
 };
 use crate::tableau::Tableau;
 
-/// Up to here stages are few: their steps are small, and need fewer rounds and passes.
+/// Largest number of stages that counts as few: their steps are small, and need fewer rounds and
+/// passes.
 pub(super) const FEW_STAGES: usize = 4;
 /// Number of rounds of the guess that take the same torque.
 const TORQUE_EVERY: u32 = 3;
@@ -77,7 +78,7 @@ pub(super) struct Start<'a> {
     inverse: Sym3<f64>,
     /// Is it diagonal?
     principal: bool,
-    /// The space vectors of the potential, from q0.
+    /// The space vectors of the potential, as seen from q0.
     seen: &'a [Vec3<f64>],
     step: f64,
     momentum: Vec3<f64>,
@@ -233,7 +234,7 @@ impl<'a, R: Lanes> Given<'a, R> {
         (self.collocated(&self.turning(x, &half)), self.collocated(&z))
     }
 
-    /// tau, the nearness and 1 / |u|^2 - 1.
+    /// Returns tau, the nearness and 1 / |u|^2 - 1.
     #[inline(always)]
     fn torque(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
         let (u, excess) = self.rotation(x);
@@ -242,8 +243,8 @@ impl<'a, R: Lanes> Given<'a, R> {
     }
 
     /// Returns the rotation u / |u|, and 1 / |u|^2 - 1: a quotient within 1e-8 above one would be
-    /// rounded up as often as not, and never down, and the torque of the stages be too large by
-    /// that.
+    /// rounded up as often as not, and never down, and the torque of the stages would be too large
+    /// by that.
     #[inline(always)]
     fn rotation(&self, x: &Quaternion<R>) -> (Mat3<R>, R) {
         let u = Quaternion { w: x.w + 1.0, v: x.v };
@@ -255,16 +256,16 @@ impl<'a, R: Lanes> Given<'a, R> {
     }
 }
 
-/// The first guess: Gauss collocation in the body,
+/// Makes the first guess: Gauss collocation in the body,
 ///
 /// ```text
 /// mu_i = p0 + h sum_j a_ij (mu_j x Omega_j - tau_j),      u_i = 1 + h sum_j a_ij u_j Omega_j / 2
 /// ```
 ///
 /// in which the momenta depend on the attitudes through the torques alone: however thin the body,
-/// its rounds contract by the angle that it turns. Its stages are those of the step but for terms
-/// of the order of the quadrature. The torque couples weakly: every third round takes it. It is a
-/// function of the state alone: a resumed run repeats it to the bit.
+/// its rounds contract by the angle through which it turns. Its stages are those of the step except
+/// for terms of the order of the quadrature. The torque couples weakly: every third round takes it.
+/// The guess is a function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
     let given = Given::new(lanes, start);
@@ -304,8 +305,8 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     stages.keep(&given, &x, &d, &torque, excess);
 }
 
-/// Passes over u and d with the torques kept, then takes the torques: passes cost a third of them,
-/// for they couple the stages by J^-1. Returns the largest change of u, or of d relative to the
+/// Makes passes over u and d with the torques kept, then takes the torques: passes cost a third of
+/// these, and couple the stages by J^-1. Returns the largest change of u, or of d relative to the
 /// momentum; not finite if an unknown is not.
 #[inline(always)]
 pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> f64 {
@@ -330,8 +331,8 @@ pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     change.largest() + total.sum() * 0.0
 }
 
-/// The end of the step, from the newest stages: a last pass brings u and d up to the newest torques. Their lag
-/// would be a bias.
+/// Computes the end of the step from the newest stages: a last pass brings u and d up to the newest
+/// torques, whose lag would be a bias.
 #[inline(always)]
 pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> End {
     let given = Given::new(lanes, start);
@@ -361,7 +362,7 @@ fn less<R: Real>(a: &Quaternion<R>, b: &Quaternion<R>) -> Quaternion<R> {
     Quaternion { w: a.w - b.w, v: minus(&a.v, &b.v) }
 }
 
-/// The largest component.
+/// Returns the largest component.
 #[inline(always)]
 fn largest<R: Real>(a: &Quaternion<R>) -> R {
     let [x, y, z] = a.v;

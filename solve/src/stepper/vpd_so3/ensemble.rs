@@ -1,10 +1,11 @@
 //! Up to eight members of an ensemble side by side, one in each lane.
 //!
-//! A lane goes through the sweeps of [`VpdSo3`] with the same bits; its solution is taken when its own iteration has
-//! converged, whatever the others still do, and it holds the state of the member until that is asked for. A member
-//! whose sweeps do not converge makes that step individually, with Newton's method where that helps. Without AVX2, and with
-//! more than four stages, which fill the lanes of one member, this would gain nothing: then every member is stepped
-//! individually. (Nor is anything gained by working stage by stage, so that what is at work fits the registers: the
+//! A lane makes the sweeps of [`VpdSo3`] with the same bits. Its solution is taken when its own
+//! iteration has converged, whatever the others still do, and it holds the state of the member
+//! until that is requested. A member whose sweeps do not converge makes that step individually,
+//! with Newton's method where that helps. Without AVX2, and with more than four stages, which fill
+//! the lanes of one member, this would gain nothing: then every member is stepped individually.
+//! (Working stage by stage, so that the data in use fit the registers, gains nothing either: the
 //! arithmetic itself is the limit.)
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
@@ -54,7 +55,7 @@ macro_rules! in_member_lanes {
 #[derive(Clone, Debug)]
 pub struct VpdEnsemble {
     members: Vec<VpdSo3>,
-    /// What each member starts from.
+    /// Stepper from which each member starts.
     blank: VpdSo3,
     lanes: Lanes,
     /// Whether the lane is ahead of its member, which is written only on request.
@@ -75,7 +76,7 @@ enum Lanes {
     None,
 }
 
-/// What sweeps work on, and the solutions that have been taken from it.
+/// The unknowns that sweeps work on, and the solutions that have been taken from them.
 #[derive(Clone, Debug)]
 struct Side<const K: usize> {
     unknowns: Unknowns<[Row; K], Row>,
@@ -90,19 +91,20 @@ impl<const K: usize> Side<K> {
     }
 }
 
-/// What came of a member's sweeps.
+/// Result of a member's sweeps.
 #[derive(Clone, Copy, Debug)]
 enum Swept {
     /// The step is made.
     Made(Convergence),
-    /// The step is solved, and to be looked at more closely.
+    /// The step is solved, but has to be checked more closely.
     Doubtful(Convergence),
     /// The sweeps do not converge.
     Stuck,
 }
 
 impl VpdEnsemble {
-    /// Members for `tableau` that solve each step until `stop`. `None` if it has more than eight stages.
+    /// Creates members for `tableau` that solve each step until `stop`. `None` if it has more than
+    /// eight stages.
     pub fn new(tableau: &Tableau, stop: StopRule) -> Option<Self> {
         let blank = VpdSo3::new(tableau.clone(), stop)?;
         let lanes = match tableau.stages() {
@@ -124,7 +126,7 @@ impl VpdEnsemble {
         })
     }
 
-    /// Makes the step of those whose sweeps converge, together.
+    /// Makes the step of the members whose sweeps converge, together.
     fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
         let mut swept = [Swept::Stuck; WIDTH];
         let Self { blank, lanes, ahead, motion, seen, iterations, .. } = self;
@@ -207,7 +209,7 @@ impl VpdEnsemble {
         swept
     }
 
-    /// Member `m`, level with its lane.
+    /// Returns member `m`, brought up to date with its lane.
     fn written(&mut self, m: usize) -> &mut VpdSo3 {
         let Self { members, lanes, ahead, motion, .. } = self;
         let stepper = &mut members[m];
@@ -225,8 +227,9 @@ impl VpdEnsemble {
     }
 }
 
-/// Below zero where [`VpdSo3::check`] finds nothing at first sight: by Gershgorin's discs, the turns from stage to
-/// stage in the order of their times, and the distances. Not a number where the solution is not finite.
+/// Returns a number below zero where the quick tests of [`VpdSo3::check`] find nothing:
+/// Gershgorin's discs, the turns from stage to stage in the order of their times, and the
+/// distances. NaN where the solution is not finite.
 #[inline(always)]
 fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
     lanes: R,
@@ -335,7 +338,7 @@ fn has_lanes(level: Option<Level>) -> bool {
 }
 
 impl<const K: usize> Unknowns<[Row; K], Row> {
-    /// Takes from `solved` what the step of a member is judged by and made with.
+    /// Takes from `solved` the values by which the step of a member is judged and made.
     fn take(&mut self, lane: usize, solved: &Self) {
         let stages = |rows: &mut [Row; K], from: &[Row; K]| {
             for k in 0..K {
@@ -362,7 +365,7 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
         nearness[lane] = solved.nearness[lane];
     }
 
-    /// Hands the same over to the member.
+    /// Hands the values of a lane over to its member.
     fn hand_over(&self, lane: usize, own: &mut Unknowns<Row, f64>) {
         let stages = |rows: &[Row; K], row: &mut Row| {
             for k in 0..K {

@@ -12,23 +12,26 @@
 //! pi_k = -vee asym(W_k U_k^T)                       Omega_k = J^-1 U_k^T pi_k
 //! ```
 //!
-//! The second line is (24d, vih4) and (24e, vih5) solved exactly: summing the equations of the stages, everything but the
-//! torques cancels. So the spatial momentum changes by the torques alone, and a free body keeps it to the bit.
+//! The second line is (24d, vih4) and (24e, vih5) solved exactly: when the equations of the stages
+//! are summed, everything but the torques cancels. So the spatial momentum changes by the torques
+//! alone, and a free body keeps it to the bit.
 //!
-//! The stiff coupling, J^-1 times the momentum, sits in the kinematics (first line and last): they are repeated
-//! within a sweep. So is the linear system of x, which must be consistent with them. The torque is computed once.
+//! The stiff coupling, J^-1 times the momentum, is in the kinematics (first and last line), which
+//! are therefore repeated within a sweep. So is the linear system of x, which must be consistent
+//! with them. The torque is computed once.
 //!
-//! What is small is computed as such, or a thin body, which turns fast about its axis by little momentum, would gain
-//! rounding errors of the large components: momenta are kept less p0, rotations used less one. With `C_k = U_k - I`,
-//! `C_f = f - I` and `Y_k = W_k - f hat(lambda)`, one or two stages have
-//!
+//! Small quantities are computed as such; otherwise a thin body, which turns fast about its axis
+//! with little momentum, would pick up rounding errors of the large components. Momenta are kept
+//! minus p0, and rotations are used minus I. With `C_k = U_k - I`, `C_f = f - I` and
+//! `Y_k = W_k - f hat(lambda)`, one or two stages have
 //! ```text
 //! pi_k - p0 = (pi1 - p0) + C_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(C_f hat(lambda) + W_k C_k^T + Y_k)
 //! ```
 //!
-//! There terms as large as the momentum times the turn cancel. Rounding made of them 1e-17 of the torque, the same at each stage,
-//! and many stages are there for the last digits: the energy of a heavy top rose in a line. Three stages and more take
-//! [transport] and [defect] of docs/derivation.md, of which each term is small; with `T_k = U_k hat(x_k)`,
+//! There terms as large as the momentum times the turn cancel. Their rounding left 1e-17 of the
+//! torque, the same at each stage, and many stages are used for the last digits: the energy of a
+//! heavy top rose linearly. Three or more stages use [transport] and [defect] of
+//! docs/derivation.md, in which each term is small; with `T_k = U_k hat(x_k)`,
 //! `K_k = U_k E_k + sum_j (1 - e_jk - e_kj) w_j` and `D_k = C_k + U_k E_k`
 //!
 //! ```text
@@ -36,15 +39,16 @@
 //! delta_k = vee asym(f hat(lambda) K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))
 //! ```
 //!
-//! It is the same momentum where the equations are solved. On the way there one or two stages need a tenth more sweeps of it, many need
-//! fewer, and converge at steps a tenth longer.
+//! This is the same momentum where the equations are solved. Before that, one or two stages need a
+//! tenth more sweeps with it; many stages need fewer, and converge at steps a tenth longer.
 //!
-//! For the same reason K(P)^-1 is kept less I / 2 (docs/derivation.md, section 4).
+//! For the same reason K(P)^-1 is kept minus I / 2 (docs/derivation.md, section 4).
 //!
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
-//! `U <- U (1 + theta / 2)` normalised, with the K of the sweep before. At the end U^T A is symmetric, and P its polar
-//! factor. What a correction brings about itself at the other stages is added to first order, with all turns and stretches
-//! taken as one, in vectors where a pass works in matrices:
+//! `U <- U (1 + theta / 2)` normalised, with the K of the previous sweep. At the end U^T A is
+//! symmetric, and P its polar factor. What a correction itself causes at the other stages is added
+//! to first order, with all turns and stretches taken as the identity, in vectors where a pass
+//! works with matrices:
 //!
 //! ```text
 //! theta_k <- theta_k + h sum_j a_kj (J^-1 (mu_j x theta_j) + theta_j x Omega_j / 2)
@@ -59,10 +63,11 @@ use crate::space::{
     transposed_product, vec3, vee_asym, with_one,
 };
 
-/// What the square of a quaternion may differ from one in the last round of the first guess.
+/// Largest deviation of the square of a quaternion from one allowed in the last round of the first
+/// guess.
 const MOST_DEFICIT: f64 = 0.1;
 
-/// [`sweep`] for members, with the increment of each in memory.
+/// Runs [`sweep`] for members, and returns the increment of each in memory.
 #[inline(always)]
 pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
     lanes: R,
@@ -74,17 +79,18 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
     increments
 }
 
-/// The first guess: from the velocity at the beginning, kept constant, and the torque along it, a few rounds of plain
-/// collocation,
+/// Makes the first guess: from the velocity at the beginning, kept constant, and the torque along
+/// it, a few rounds of plain collocation,
 ///
 /// ```text
 /// q_k = 1 + h sum_j a_kj q_j Omega_j / 2,    pi_k = p0 - h sum_j a_kj U_j tau_j
 /// ```
 ///
-/// each a small part of the time of a sweep. A round gains an order of h, until it is as near as the stages of the step
-/// are to those of the collocation: some rounds more than stages if they are many, one less if they are few. The torque
-/// couples weakly: every third round takes it, and once more the end. A function of the state alone: a resumed run
-/// repeats it to the bit.
+/// each of which takes a small part of the time of a sweep. A round gains an order of h, until the
+/// guess is as close as the stages of the step are to those of the collocation: some rounds more
+/// than there are stages if these are many, one less if they are few. The torque couples weakly: it
+/// is taken in every third round, and once more at the end. The guess is a function of the state
+/// alone: a resumed run repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Stages>(
     lanes: R,
@@ -144,7 +150,7 @@ pub(super) fn guess<R: Stages>(
     store_turn(&attitude, &mut unknowns.attitude);
     store(&momentum, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
-    // That of K(I).
+    // The inverse of K(I), kept minus I / 2.
     for entry in &mut unknowns.inverse {
         lanes.constant(0.0).store(entry);
     }
@@ -154,8 +160,8 @@ pub(super) fn guess<R: Stages>(
     }
 }
 
-/// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the largest, or
-/// of an attitude in the last pass. NaN or infinite if an unknown is.
+/// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the
+/// largest, or of an attitude in the last pass. The result is NaN or infinite if an unknown is.
 #[inline(always)]
 pub(super) fn sweep<R: Stages>(
     lanes: R,
@@ -189,7 +195,7 @@ pub(super) fn sweep<R: Stages>(
         let turned = transposed_product(&m, &turned_out);
         let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + push[i]));
         let next = over_k(inverse_k, &load);
-        // What it brings about itself.
+        // What the change itself causes.
         let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
         let follows = cross(omega, &change);
         x = vec3!(i => next[i] + follows[i] * half_weight);
@@ -201,7 +207,7 @@ pub(super) fn sweep<R: Stages>(
     } else {
         transported_momenta(start.tableau, &stages, &u, &forces.kicks, &f_lambda, [&t, &y])
     };
-    // A lane of no stage must not be what the sweeps seem to change.
+    // A lane without a stage must not show as a change made by the sweeps.
     let present = lanes.row(present);
     let next: Vec3<R> = vec3!(i => present * next[i]);
     let change = minus(&next, &momentum);
@@ -219,20 +225,22 @@ pub(super) fn sweep<R: Stages>(
     relative.max_or_nan(turned.largest()) + poison
 }
 
-/// Brings what the state is made of, the end point, the impulse and the body momentum, up to the newest stage momenta:
-/// after a sweep they are one behind, and the deficit is biased. Of many stages the momenta are brought up to the attitudes
-/// first.
+/// Brings the end point, the impulse and the body momentum, of which the state is made, up to the
+/// newest stage momenta: after a sweep they are one behind, and the deficit is biased. With many
+/// stages the momenta are brought up to the attitudes first.
 ///
-/// `p1 - p0 = (pi1 - p0) + C_f^T pi1` leaves of the momentum about a thin axis the small difference of large numbers.
-/// The equations of x, summed over the stages with the x of (24d, vih4), say the same in what is small by itself:
+/// In `p1 - p0 = (pi1 - p0) + C_f^T pi1` the momentum about a thin axis is the small difference of
+/// large numbers. The equations of x, summed over the stages with the x of (24d, vih4), give the
+/// same in terms that are small by themselves:
 ///
 /// ```text
 /// p1 - p0 = sum_k h b_k (mu_k x Omega_k - tau_k)                             mu_k = J Omega_k
 /// ```
 ///
-/// About the axis of a symmetric top each term is zero, and so its momentum there stays (Noether's theorem, for turns
-/// of the body about it). `h b Omega` is rounded as in the equations of x: what rounding makes of the constant Omega
-/// about that axis is then that of another body, and symplectic.
+/// About the axis of a symmetric top each term is zero, so the momentum about it is conserved
+/// (Noether's theorem, for turns of the body about it). `h b Omega` is rounded as in the equations
+/// of x: the rounding error of the constant Omega about that axis is then that of another body, and
+/// symplectic.
 #[inline(always)]
 pub(super) fn finish<R: Stages>(
     lanes: R,
@@ -284,7 +292,7 @@ struct Kinematics<R> {
     w: Mat3<R>,
 }
 
-/// U_k and Omega_k for the momenta p0 + `momentum`.
+/// Computes U_k and Omega_k for the momenta p0 + `momentum`.
 #[inline(always)]
 fn kinematics<R: Stages>(
     lanes: R,
@@ -316,12 +324,13 @@ fn kinematics<R: Stages>(
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
         let half = over_k(&inverse_k, &residual(&attitude, &u, &d));
         let half = scaled(&half, lanes.constant(0.5));
-        // What it brings about itself, through the velocities.
+        // What the correction itself causes, through the velocities.
         let faster = inertia.divides(&cross(&plus(&momentum, &turned_by), &half));
         let bent = cross(&half, &scaled(&omega, lanes.constant(0.5)));
         let follows: Vec3<R> = vec3!(i => (weight * (faster[i] + bent[i])).apply_tableau(columns));
         let half = plus(&half, &follows);
-        // The last pass looks at the stretch for what is to come; the others take it from the sweep before.
+        // The last pass computes the stretch for what follows; the others use that of the previous
+        // sweep.
         if pass == passes {
             stretch = stretch_of(&attitude, &u, &d);
             inverse_k = inverse_of_k(&stretch);
@@ -342,7 +351,7 @@ fn kinematics<R: Stages>(
     Kinematics { c, omega, weight, stretch, inverse_k, turned, w }
 }
 
-/// Where the stages lead to.
+/// The end point, to which the stages lead.
 struct EndPoint<R: Stages> {
     /// f - I
     change: Mat3<R::Whole>,
@@ -352,7 +361,7 @@ struct EndPoint<R: Stages> {
     inverse: Sym3<R::Whole>,
 }
 
-/// The end point for the w of the stages.
+/// Computes the end point for the w of the stages.
 #[inline(always)]
 fn end_point<R: Stages>(
     lanes: R,
@@ -381,7 +390,7 @@ fn end_point<R: Stages>(
     EndPoint { change: end.change(), stretch, inverse }
 }
 
-/// What acts on the body.
+/// Torques on the body, and their effects.
 struct Forces<R: Stages> {
     /// tau
     torque: Vec3<R>,
@@ -392,7 +401,7 @@ struct Forces<R: Stages> {
     pi1: Vec3<R::Whole>,
 }
 
-/// The torques at the stages, and what they bring about.
+/// Computes the torques at the stages, and their effects.
 #[inline(always)]
 fn forces<R: Stages>(
     lanes: R,
@@ -412,7 +421,7 @@ fn forces<R: Stages>(
     Forces { torque, kicks, kick, pi1 }
 }
 
-/// The momentum where the stages lead to.
+/// The momentum at the end point.
 struct EndMomentum<R: Stages> {
     /// p1 - p0
     gain: Vec3<R::Whole>,
@@ -422,7 +431,7 @@ struct EndMomentum<R: Stages> {
     f_lambda: Mat3<R::Whole>,
 }
 
-/// `p1 = f^T pi1`, and [Lambda]: `K(P_e) lambda = -p1`.
+/// Computes `p1 = f^T pi1` and [Lambda]: `K(P_e) lambda = -p1`.
 #[inline(always)]
 fn end_momentum<R: Stages>(
     lanes: R,
@@ -437,7 +446,7 @@ fn end_momentum<R: Stages>(
     EndMomentum { gain, p1, lambda, f_lambda }
 }
 
-/// `pi - p0` of the stages as (24a, vih1) has it, `pi = -vee asym(W U^T)`.
+/// Computes `pi - p0` of the stages by (24a, vih1), `pi = -vee asym(W U^T)`.
 #[inline(always)]
 fn embedded_momenta<R: Stages>(
     lanes: R,
@@ -460,7 +469,7 @@ fn embedded_momenta<R: Stages>(
     vec3!(i => common[i] + (turned_off[i] - own[i]))
 }
 
-/// The same by [transport].
+/// Computes the same by [transport].
 #[inline(always)]
 fn transported_momenta<R: Stages>(
     LaneTableau { partner, apart, .. }: &LaneTableau,
@@ -480,7 +489,8 @@ fn transported_momenta<R: Stages>(
     vec3!(i => delta[i] + kicks[i].apply_tableau(partner))
 }
 
-/// [T] and [Y]: `T_k = U_k hat(x_k)` and `Y_k = sum_i e_ik T_i`, of W_k what is its own.
+/// Computes [T] and [Y]: `T_k = U_k hat(x_k)` and `Y_k = sum_i e_ik T_i`, the part of W_k that
+/// differs from stage to stage.
 #[inline(always)]
 pub(in crate::stepper) fn embedded<R: Stages>(
     u: &Mat3<R>,
@@ -555,7 +565,7 @@ pub(in crate::stepper) fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<
     inverse_less_half(&[*yy + *zz, *xx + *zz, *xx + *yy, -*yz, -*xz, -*xy])
 }
 
-/// `K(P)^-1 v` by that.
+/// Returns `K(P)^-1 v`, given `K(P)^-1 - I / 2`.
 #[inline(always)]
 pub(in crate::stepper) fn over_k<T: Real>(inverse: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
     let rest = symmetric_product(inverse, v);

@@ -1,38 +1,40 @@
-//! What a step of VPD for n = 3 is made from, and what it is solved for, as they lie in memory.
+//! Inputs and unknowns of a step of VPD for n = 3, as they lie in memory.
 //!
-//! Invariant: lanes beyond the stages hold numbers, and weigh nothing.
+//! Invariant: lanes beyond the stages hold numbers, and have zero weight.
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Real, Row, WIDTH};
 use crate::space::{Quaternion, Sym3, Vec3, dot, symmetric_product, vec3};
 use crate::tableau::Tableau;
 
-/// Up to here stages are few.
+/// Largest number of stages that counts as few.
 pub(super) const FEW_STAGES: usize = 4;
 
-/// From here on a step is short of nothing but its last digits, and the deficit is biased: its end is
-/// brought up to the newest sweep.
+/// Least number of stages with which a step lacks only its last digits, and the deficit is biased:
+/// its end is brought up to the newest sweep.
 const FINISHED_STAGES: usize = 3;
 
-/// From here on the last increment, which the stop leaves, is seen in the energy: finishing begins with the momenta.
+/// Least number of stages with which the last increment, which the stop rule leaves, shows in the
+/// energy: finishing begins with the momenta.
 pub(super) const RENEWED_STAGES: usize = 4;
 
 /// Number of rounds of the first guess that take the same torque.
 pub(super) const TORQUE_EVERY: u32 = 3;
 
-/// Passes within a sweep.
+/// Numbers of passes within a sweep.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Passes {
     /// Over the kinematics.
     pub(super) kinematic: u32,
     /// Over the linear system of x.
     pub(super) linear: u32,
-    /// The same in the first sweep, which has but a guess of x.
+    /// The same in the first sweep, which has only a guess of x.
     pub(super) linear_at_first: u32,
 }
 
 impl Passes {
-    /// Fewer passes take more sweeps; many stages are for large steps, and those need more.
+    /// Returns the passes for a number of stages. Fewer passes take more sweeps; many stages are
+    /// used for large steps, which need more passes.
     fn of_stages(stages: usize) -> Self {
         match stages {
             0..3 => Self { kinematic: 2, linear: 2, linear_at_first: 2 },
@@ -41,7 +43,7 @@ impl Passes {
         }
     }
 
-    /// Half of them, and at least one.
+    /// Returns half of them, and at least one.
     pub(super) fn halved(self) -> Self {
         let Self { kinematic, linear, linear_at_first } = self;
         let [kinematic, linear, linear_at_first] =
@@ -49,26 +51,27 @@ impl Passes {
         Self { kinematic, linear, linear_at_first }
     }
 
-    /// Those over the kinematics and over the linear system in the first sweep, or in a later one.
+    /// Returns the passes over the kinematics and over the linear system in the first sweep, or in
+    /// a later one.
     pub(super) fn of_sweep(&self, at_first: bool) -> [u32; 2] {
         [self.kinematic, if at_first { self.linear_at_first } else { self.linear }]
     }
 }
 
-/// A tableau of up to [`WIDTH`] stages, in lanes; what is beyond its stages is zero.
+/// A tableau of up to [`WIDTH`] stages, in lanes; lanes beyond its stages are zero.
 #[derive(Clone, Debug)]
 pub(in crate::stepper) struct LaneTableau {
     /// `e_ij`, column by column.
     pub(in crate::stepper) columns: [Row; WIDTH],
     /// `e_ij`, row by row: the columns of its transpose.
     pub(in crate::stepper) rows: [Row; WIDTH],
-    /// `1 - e_ji`, column by column: of a tableau that is its own partner the same as `columns`.
+    /// `1 - e_ji`, column by column; the same as `columns` if the tableau is its own partner.
     pub(in crate::stepper) partner: [Row; WIDTH],
-    /// `1 - e_ji - e_ij`, column by column; of a tableau that is its own partner nothing.
+    /// `1 - e_ji - e_ij`, column by column; `None` if the tableau is its own partner.
     pub(super) apart: Option<[Row; WIDTH]>,
     pub(in crate::stepper) weights: Row,
     pub(in crate::stepper) nodes: Row,
-    /// One for each stage.
+    /// The number one in the lane of each stage.
     pub(super) present: Row,
     pub(super) passes: Passes,
     /// Is a solved step finished? See [`super::sweep::finish`].
@@ -103,7 +106,8 @@ impl LaneTableau {
             lanes.nodes.0[i] = tableau.c(i);
             lanes.present.0[i] = 1.0;
             for j in 0..stages {
-                // Of two that make one to the last bit the smaller is what the larger leaves.
+                // Of two entries that sum to one, the smaller is one minus the larger, to the last
+                // bit.
                 let from_other = own_partner && part(i, j) < part(j, i);
                 let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
                 // The same bits enter both halves: the pair is symplectic whatever their rounding.
@@ -125,19 +129,20 @@ impl LaneTableau {
         lanes
     }
 
-    /// About the size of the defects of a step that turns by `turn`: `turn^(s+1) / (s+1)!`.
+    /// Estimates the size of the defects of a step that turns by `turn`: `turn^(s+1) / (s+1)!`.
     #[inline(always)]
     pub(in crate::stepper) fn order_of_defect(&self, turn: f64) -> f64 {
         (1..=self.stages + 1).fold(1.0, |product, m| product * turn / m as f64)
     }
 
-    /// How often the first guess takes the torque at the stages: before its rounds, in them, and after.
+    /// Returns how often the first guess takes the torque at the stages: before its rounds, in
+    /// them, and after.
     pub(super) fn torques_of_guess(&self) -> u32 {
         2 + self.rounds / TORQUE_EVERY
     }
 }
 
-/// What a step is made from. `P` holds a number in memory, or one for each member.
+/// Inputs of a step. `P` holds a number in memory, or one for each member.
 pub(super) struct Start<'a, P> {
     pub(super) tableau: &'a LaneTableau,
     pub(super) body: &'a RigidBody<3>,
@@ -145,14 +150,14 @@ pub(super) struct Start<'a, P> {
     /// The space vectors of the potential, as seen from g0.
     pub(super) seen: &'a [Vec3<P>],
     pub(super) step: f64,
-    /// Over the kinematics and over the linear system: numbers that the compiler does not know, or it would unroll
-    /// their loops into more code than a cache holds.
+    /// Passes over the kinematics and over the linear system: numbers that the compiler does not
+    /// know, or it would unroll their loops into more code than a cache holds.
     pub(super) passes: [u32; 2],
     /// p0.
     pub(super) momentum: Vec3<P>,
 }
 
-/// The inertia J of the body, as what divides a momentum.
+/// The inertia J of the body, in the form in which it divides a momentum.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::stepper) struct Inertia<T> {
     /// J^-1.
@@ -162,14 +167,14 @@ pub(in crate::stepper) struct Inertia<T> {
 }
 
 impl Inertia<f64> {
-    /// That of a body.
+    /// Returns the inertia of a body.
     pub(in crate::stepper) fn of(body: &RigidBody<3>) -> Self {
         let m = body.inverse_inertia();
         let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
         Self { inverse, principal: inverse[3..] == [0.0; 3] }
     }
 
-    /// The same for all lanes.
+    /// Returns the same for all lanes.
     #[inline(always)]
     pub(in crate::stepper) fn in_lanes<R: Real>(&self, lanes: R) -> Inertia<R> {
         let mut inverse = [lanes; 6];
@@ -211,14 +216,14 @@ pub(super) struct Unknowns<S, P> {
     pub(super) end_stretch: Sym3<P>,
     /// pi1 - p0.
     pub(super) kick: Vec3<P>,
-    /// p1 - p0, where it is needed to the last digit.
+    /// p1 - p0, if it is needed to the last digit.
     pub(super) gain: Vec3<P>,
-    /// The largest over the stages, as [`RigidBody::torque`] gives it.
+    /// Largest nearness over the stages, as returned by [`RigidBody::torque`].
     pub(super) nearness: P,
 }
 
 impl<S: Copy, P: Copy> Unknowns<S, P> {
-    /// Nothing yet, in the size of `stages` and `whole`.
+    /// Creates blank unknowns, of the sizes of `stages` and `whole`.
     pub(super) fn blank(stages: S, whole: P) -> Self {
         Self {
             attitude: Quaternion { w: stages, v: [stages; 3] },
@@ -236,7 +241,8 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
 }
 
 impl Unknowns<Row, f64> {
-    /// Appends what changes smoothly from step to step in the first `L` lanes: of turns the vector parts.
+    /// Appends the numbers that change smoothly from step to step in the first `L` lanes; for
+    /// turns, these are the vector parts.
     pub(super) fn keep<const L: usize>(&self, numbers: &mut Vec<f64>) {
         let Self { attitude, momentum, x, end, .. } = self;
         for row in attitude.v.iter().chain(momentum).chain(x) {
@@ -247,7 +253,7 @@ impl Unknowns<Row, f64> {
         numbers.extend_from_slice(&end.v);
     }
 
-    /// Takes what [`Unknowns::keep`] gave, or what it will give.
+    /// Takes numbers that [`Unknowns::keep`] has appended, or a prediction of them.
     pub(super) fn continue_from<const L: usize>(&mut self, numbers: &[f64]) {
         let Self { attitude, momentum, x, end, .. } = self;
         let Some((numbers, v)) = numbers.split_last_chunk::<3>() else { return };
@@ -265,8 +271,8 @@ impl Unknowns<Row, f64> {
         }
     }
 
-    /// Calls `visit` with each number that a sweep begins from, and its unit. Lanes beyond the stages are
-    /// numbers, too: zero times a NaN is a NaN.
+    /// Calls `visit` with each number from which a sweep begins, and its unit. Lanes beyond the
+    /// stages must be numbers, too: zero times a NaN is a NaN.
     pub(super) fn visit_mut(
         &mut self,
         lanes: usize,
@@ -284,7 +290,7 @@ impl Unknowns<Row, f64> {
         [&mut end.w].into_iter().chain(&mut end.v).for_each(|number| visit(number, 1.0));
     }
 
-    /// The same without a change.
+    /// Does the same without changing the numbers.
     pub(super) fn visit(&self, lanes: usize, momentum: f64, mut visit: impl FnMut(f64, f64)) {
         let mut copy = *self;
         copy.visit_mut(lanes, momentum, |number, unit| visit(*number, unit));

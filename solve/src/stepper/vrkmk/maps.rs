@@ -1,7 +1,9 @@
-//! The maps of VRKMK on so(n), in two readings: vectors of R^3 with closed forms, matrices with brackets.
+//! The maps of VRKMK on so(n), in two representations: vectors of R^3 with closed forms, and
+//! matrices with brackets.
 //!
-//! Invariant: [`Chains::adjoint_of_derivative`] is the exact adjoint of the derivative of the truncated
-//! series in [`Chains::image`], whatever the coefficients. That, not their values, makes the step symplectic.
+//! Invariant: [`Chains::adjoint_of_derivative`] is the exact adjoint of the derivative of the
+//! truncated series in [`Chains::image`], whatever the coefficients. This, not their values, makes
+//! the step symplectic.
 
 use std::fmt::Debug;
 use std::ops::{Add, AddAssign, Mul, Neg, Sub};
@@ -10,7 +12,8 @@ use nalgebra::Vector3;
 
 use crate::so::{self, Mat};
 
-/// An element of so(n) or of its dual; the pairing makes them one: `ad_X^* = -ad_X`, `Ad_g^* = Ad_{g^T}`.
+/// An element of so(n) or of its dual; the pairing identifies the two: `ad_X^* = -ad_X`,
+/// `Ad_g^* = Ad_{g^T}`.
 pub(super) trait Skew<const N: usize>:
     Copy
     + Debug
@@ -20,13 +23,13 @@ pub(super) trait Skew<const N: usize>:
     + Mul<f64, Output = Self>
     + AddAssign
 {
-    /// From a skew matrix.
+    /// Converts from a skew matrix.
     fn from_matrix(x: &Mat<N>) -> Self;
 
-    /// The skew matrix.
+    /// Returns the skew matrix.
     fn matrix(&self) -> Mat<N>;
 
-    /// Zero.
+    /// Returns zero.
     fn zero() -> Self;
 
     /// `ad_X Y = X Y - Y X`.
@@ -41,7 +44,7 @@ pub(super) trait Skew<const N: usize>:
     /// `dexp_X V = sum_k ad_X^k V / (k + 1)!`, right-trivialised, `d exp(X) V = (dexp_X V) exp(X)`; exact.
     fn dexp(&self, v: &Self) -> Self;
 
-    /// Largest entry by size; unlike a plain maximum it keeps a NaN.
+    /// Returns the largest absolute value of an entry; unlike a plain maximum it keeps a NaN.
     fn size(&self) -> f64;
 }
 
@@ -124,7 +127,7 @@ impl<const N: usize> Skew<N> for Mat<N> {
 
     #[inline]
     fn turned(&self, g: &Mat<N>) -> Self {
-        // Skew to the last bit: the brackets count on it.
+        // The result is skew to the last bit: the brackets rely on it.
         so::asym(&so::conjugate(g, self)) * 0.5
     }
 
@@ -134,7 +137,7 @@ impl<const N: usize> Skew<N> for Mat<N> {
     }
 
     fn dexp(&self, v: &Self) -> Self {
-        // ad_X is at most twice as large as X: the series then ends after some 25 terms.
+        // ad_X is at most twice as large as X: the series then ends after about 25 terms.
         const LARGEST: f64 = 1.0;
         if !(so::inner(self, self) <= so::LARGEST_ANGLE * so::LARGEST_ANGLE) {
             return Mat::repeat(f64::NAN);
@@ -159,9 +162,9 @@ impl<const N: usize> Skew<N> for Mat<N> {
     }
 }
 
-/// dexp of a small matrix, by its series.
+/// Computes dexp of a small matrix by its series.
 fn series_of_dexp<const N: usize>(x: &Mat<N>, v: &Mat<N>) -> Mat<N> {
-    // Far below round-off: a series cut short here would cost the step its symplecticity.
+    // Far below round-off: truncating the series earlier would cost the step its symplecticity.
     let negligible = 1e-18 * v.size();
     let (mut sum, mut term, mut k) = (*v, *v, 1.0);
     while term.size() > negligible {
@@ -172,15 +175,16 @@ fn series_of_dexp<const N: usize>(x: &Mat<N>, v: &Mat<N>) -> Mat<N> {
     sum
 }
 
-/// The greater of two sizes; a NaN wins, and stays.
+/// Returns the greater of two sizes, or NaN if one of them is NaN.
 pub(super) fn greater(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }
 }
 
-/// Highest power of the truncated inverse of dexp that has a coefficient here.
+/// Highest power of the truncated inverse of dexp for which there is a coefficient here.
 pub(super) const MAX_TRUNCATION: usize = 20;
 
-/// `B_k / k!` for k = 0 to `q`, B_k the Bernoulli numbers with `B_1 = -1/2`: the series of `dexp^-1`.
+/// Returns `B_k / k!` for k = 0 to `q`, B_k being the Bernoulli numbers with `B_1 = -1/2`: the
+/// series of `dexp^-1`.
 pub(super) fn inverse_dexp_coefficients(q: usize) -> Vec<f64> {
     // B_2, B_4, ..., B_20
     const EVEN: [(f64, f64); MAX_TRUNCATION / 2] = [
@@ -209,7 +213,8 @@ pub(super) fn inverse_dexp_coefficients(q: usize) -> Vec<f64> {
         .collect()
 }
 
-/// `u_k = ad_X^k xi` and `v_k = (-ad_X)^k P`, k = 0 to q: what the three truncated maps share.
+/// `u_k = ad_X^k xi` and `v_k = (-ad_X)^k P`, k = 0 to q: the chains that the three truncated maps
+/// share.
 #[derive(Clone, Debug)]
 pub(super) struct Chains<const N: usize, A> {
     u: Vec<A>,
@@ -217,7 +222,7 @@ pub(super) struct Chains<const N: usize, A> {
 }
 
 impl<const N: usize, A: Skew<N>> Chains<N, A> {
-    /// Room for chains up to `q`.
+    /// Creates room for chains up to `q`.
     pub(super) fn new(q: usize) -> Self {
         Self { u: vec![A::zero(); q + 1], v: vec![A::zero(); q + 1] }
     }
@@ -232,7 +237,7 @@ impl<const N: usize, A: Skew<N>> Chains<N, A> {
         fill(&mut self.u, beta, x, xi)
     }
 
-    /// W with `<W, D> = <P, d/de T(X + e D) xi>`, from the chains of both:
+    /// Returns W with `<W, D> = <P, d/de T(X + e D) xi>`, computed from both chains:
     ///
     /// ```text
     /// W = sum_{k=1}^q beta_k sum_{m<k} [u_{k-1-m}, v_m]
@@ -256,7 +261,7 @@ impl<const N: usize, A: Skew<N>> Chains<N, A> {
     }
 }
 
-/// `chain_k = ad_X^k start`; returns `sum_k beta_k chain_k`.
+/// Fills `chain_k = ad_X^k start`; returns `sum_k beta_k chain_k`.
 fn fill<const N: usize, A: Skew<N>>(chain: &mut [A], beta: &[f64], x: &A, start: &A) -> A {
     chain[0] = *start;
     let mut sum = *start * beta[0];
@@ -283,7 +288,8 @@ mod tests {
         assert!(error < 5e-15, "{error:e}");
     }
 
-    /// Values of an independent program, with differences of the truncated series for W.
+    /// Checks values from an independent program, whose W is from differences of the truncated
+    /// series.
     fn known_values<A: Skew<3>>() {
         let [x, xi, p] = [X, XI, P].map(|v| A::from_matrix(&so::hat(&v)));
         let beta = inverse_dexp_coefficients(4);
@@ -304,7 +310,7 @@ mod tests {
             &x.dexp(&p).matrix(),
             [0.401_731_625_509_484_4, -0.175_897_963_059_85, 0.130_981_632_247_210_4],
         );
-        // Twenty terms are all of them here.
+        // Here twenty terms are as good as all of them.
         let beta = inverse_dexp_coefficients(MAX_TRUNCATION);
         let mut chains = Chains::<3, A>::new(MAX_TRUNCATION);
         let image = chains.image(&beta, &x, &xi);
@@ -347,7 +353,8 @@ mod tests {
             for q in [0, 1, 2, 4, 6] {
                 let beta = inverse_dexp_coefficients(q);
                 let mut chains = Chains::<N, Mat<N>>::new(q);
-                // The truncated series is a polynomial: differences of sixth order miss next to nothing.
+                // The truncated series is a polynomial: differences of sixth order are nearly
+                // exact.
                 let e = 0.05;
                 let mut at = |k: f64| so::inner(&p, &chains.image(&beta, &(x + d * (k * e)), &xi));
                 let difference = (45.0 * (at(1.0) - at(-1.0)) - 9.0 * (at(2.0) - at(-2.0))
