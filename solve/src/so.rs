@@ -528,5 +528,19 @@ fn singular_values<const N: usize>(x: &Mat<N>) -> Option<DVector<f64>> {
 /// The nearest rotation to a matrix that is already orthogonal to about 1e-8: one step of
 /// Newton and Schulz, `g (3 I - g^T g) / 2`, which squares the defect.
 pub fn orthonormalised<const N: usize>(g: &Mat<N>) -> Mat<N> {
-    g + product(g, &(Mat::<N>::identity() - transposed_product(g, g))) * 0.5
+    g + product(g, &deficit(g)) * 0.5
+}
+
+/// `I - g^T g`, each product taken off the identity: a sum next to one is rounded twice as far from
+/// above as from below, and what is mended by it would keep a bias.
+pub fn deficit<const N: usize>(g: &Mat<N>) -> Mat<N> {
+    let mut deficit = Mat::identity();
+    for i in 0..N {
+        for j in 0..N {
+            for k in 0..N {
+                deficit[(i, j)] -= g[(k, i)] * g[(k, j)];
+            }
+        }
+    }
+    deficit
 }

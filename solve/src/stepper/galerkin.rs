@@ -377,7 +377,8 @@ impl<const N: usize> GalerkinStep<N> {
         let (momentum, velocity) = (p0.transpose(), omega.transpose());
         let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
         let Length { h, lasting } = length;
-        let start = Start { n: N, h, lasting, momentum, velocity };
+        let foresee = self.solver.rule().foresee;
+        let start = Start { n: N, h, lasting, foresee, momentum, velocity };
         let one_stage = OneStage(dynamics);
         let source = match dynamics.body() {
             Some(Seen { body, vectors, scale, weights })

@@ -92,16 +92,19 @@ impl<P: Copy> Motion<P> {
         let start = load_turn(lanes, &self.attitude.value);
         self.momentum.add(&product(&start.matrix(), &vec3!(i => lanes.load(&kick[i]))));
         // The quaternion of the rotation that is close to one: f - 1, with 1 - w = |v|^2 / (1 + w)
-        let w = lanes.load(&end.w);
+        let end_w = lanes.load(&end.w);
         let one = lanes.constant(1.0);
-        let sign = one.select(-w, 0.0, -one);
+        let sign = one.select(-end_w, 0.0, -one);
         let v: Vec3<W> = vec3!(i => lanes.load(&end.v[i]) * sign);
-        let change = Quaternion { w: -dot(&v, &v) / (sign * w + 1.0), v };
+        let change = Quaternion { w: -dot(&v, &v) / (sign * end_w + 1.0), v };
         // The carried part turns along.
         let carried = load_turn(lanes, &self.attitude.carry).times(&change);
         let change = start.times(&change);
-        // The deficit of the length from one.
-        let deficit = (-start.square() + 1.0) * 0.5;
+        // The deficit of the length from one, each square taken off one: a sum next to one is
+        // rounded twice as far from above as from below. The length would keep a bias, and the
+        // momentum in the body with it.
+        let Quaternion { w, v: [x, y, z] } = start;
+        let deficit = ((((one - w * w) - x * x) - y * y) - z * z) * 0.5;
         self.attitude.add(&[
             change.w + (carried.w + deficit * start.w),
             change.v[0] + (carried.v[0] + deficit * start.v[0]),

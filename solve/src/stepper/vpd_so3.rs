@@ -168,7 +168,7 @@ impl VpdSo3 {
             check_branch(trace, 1.0, stage(k))?;
             before = turn;
         }
-        // NaN is not accepted here, either.
+        // A NaN does not pass, either.
         if self.unknowns.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
             Ok(())
         } else {

@@ -95,6 +95,9 @@ pub(super) struct Start<'a> {
     /// Time that the step is to last, if it is known, for a system in a time of its own; h is then
     /// a guess.
     pub(super) lasting: Option<f64>,
+    /// As of [`crate::nonlinear::StopRule`]: whether an evaluation of the defect that would change
+    /// next to nothing is spared.
+    pub(super) foresee: bool,
     /// p0 and its velocity, row by row.
     pub(super) momentum: &'a [f64],
     pub(super) velocity: &'a [f64],
@@ -523,7 +526,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             shortfall = passed.left;
             self.gradients()?;
             // With few stages the first evaluation does not yet know its order.
-            if left <= 10.0 * goal && (stages >= 4 || evaluation > 1) {
+            let allowed = if self.start.foresee { 10.0 * goal } else { goal };
+            if left <= allowed && (stages >= 4 || evaluation > 1) {
                 let increment = self.finish(passed.last, goal)?;
                 return Ok(self.judged(rounds, increment / self.size));
             }

@@ -73,7 +73,7 @@ impl<const N: usize> Motion<N> {
         }
         // The deficit of g^T g from one is taken off before the turn, and turns along with what is carried: taken off after it,
         // `f^T e f - sym(f^T e)` would be left of an error e, which grows where f turns by more than a sixth of a circle.
-        let deficit = (Mat::<N>::identity() - so::transposed_product(&g, &g)) * 0.5;
+        let deficit = so::deficit(&g) * 0.5;
         let mended = so::product(&g, &deficit);
         let carried = so::product(&(self.attitude.carry + mended), turn);
         self.attitude.add(&(so::product(&g, turn) + (carried + mended)));
