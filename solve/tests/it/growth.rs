@@ -343,7 +343,8 @@ fn rounding_makes_a_random_walk_and_no_line() {
 fn momentum_about_the_axis_of_a_top_is_kept() {
     let Scene { body, start, .. } = &scenes()[1];
     for stages in [5, 6, 7, 8] {
-        for (make, most) in [(quaternion_gauss as Make, 1e-15), (vpd, 2e-15)] {
+        // One unit in the last place of 1.2: the gain about the axis is zero but for rounding.
+        for (make, most) in [(quaternion_gauss as Make, 2.3e-16), (vpd, 2e-15)] {
             let mut stepper = make(stages);
             stepper.start(start);
             for _ in 0..2_000 {
