@@ -21,6 +21,11 @@ pub fn asym<const N: usize>(a: &Mat<N>) -> Mat<N> {
     a - a.transpose()
 }
 
+/// The skew part `asym(A) / 2`.
+pub fn skew<const N: usize>(a: &Mat<N>) -> Mat<N> {
+    asym(a) * 0.5
+}
+
 /// `A B`. Loops of constant length, which the compiler unrolls.
 #[inline]
 pub fn product<const N: usize>(a: &Mat<N>, b: &Mat<N>) -> Mat<N> {

@@ -78,7 +78,7 @@ pub fn gradient_error<const N: usize>(potential: &dyn Potential<N>, g: &Mat<N>) 
     /// Half the interval of a difference, in radians: the errors by curvature and by rounding are
     /// then about equal.
     const TURN_RAD: f64 = 1e-5;
-    let gradient = so::vee(&(so::asym(&potential.gradient(g)) * 0.5));
+    let gradient = so::vee(&so::skew(&potential.gradient(g)));
     let slope = |k: usize| {
         let energy = |turn: f64| {
             let mut eta = vec![0.0; so::dimension(N)];
@@ -134,7 +134,7 @@ impl<const N: usize> Own<N> {
     pub(super) fn gradient(&self, g: &Mat<N>) -> Mat<N> {
         let sum = self.laws.iter().fold(Mat::zeros(), |sum, law| sum + law.gradient(g));
         // A sum that is skew to the bit stays as it is.
-        so::asym(&sum) * 0.5
+        so::skew(&sum)
     }
 
     pub(super) fn check(&self, g: &Mat<N>) -> Result<(), Failure> {

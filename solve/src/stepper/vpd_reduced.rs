@@ -75,7 +75,7 @@ fn coadjoint_change<const N: usize>(turn: &Mat<N>, p: &Mat<N>) -> Mat<N> {
     let defect = turn + turn.transpose() + so::transposed_product(turn, turn);
     let turn = turn - (defect + so::product(turn, &defect)) * 0.5;
     let turned = so::product(p, &turn);
-    so::asym(&turned) + so::asym(&so::transposed_product(&turn, &turned)) * 0.5
+    so::asym(&turned) + so::skew(&so::transposed_product(&turn, &turned))
 }
 
 impl<const N: usize> Stepper<N> for VpdReduced<N> {

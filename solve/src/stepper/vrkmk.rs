@@ -194,7 +194,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         }
         self.attitude = attitude;
         // The increment is skew to the last bit.
-        self.momentum.add(&(so::asym(&impulse) * 0.5));
+        self.momentum.add(&so::skew(&impulse));
         let put_in = match &self.unknowns {
             Unknowns::Vector(stages) => stages.put_in(&self.tableau, h),
             Unknowns::Bracket(stages) => stages.put_in(&self.tableau, h),

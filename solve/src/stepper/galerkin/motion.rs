@@ -48,7 +48,7 @@ impl<const N: usize> Motion<N> {
     pub(in crate::stepper) fn new(state: &State<N>) -> Self {
         Self {
             attitude: Sum::new(state.attitude),
-            momentum: Sum::new(skew(&so::conjugate(&state.attitude, &state.momentum))),
+            momentum: Sum::new(so::skew(&so::conjugate(&state.attitude, &state.momentum))),
             body_momentum: Sum::new(state.momentum),
         }
     }
@@ -69,7 +69,7 @@ impl<const N: usize> Motion<N> {
         let g = self.attitude.value;
         let is_pushed = impulse.iter().any(|x| *x != 0.0);
         if is_pushed {
-            self.momentum.add(&skew(&so::conjugate(&g, impulse)));
+            self.momentum.add(&so::skew(&so::conjugate(&g, impulse)));
         }
         // The deficit of g^T g from one is taken off before the turn, and turns along with what is carried: taken off after it,
         // `f^T e f - sym(f^T e)` would be left of an error e, which grows where f turns by more than a sixth of a circle.
@@ -78,7 +78,7 @@ impl<const N: usize> Motion<N> {
         let carried = so::product(&(self.attitude.carry + mended), turn);
         self.attitude.add(&(so::product(&g, turn) + (carried + mended)));
         let inverse = self.attitude.value.transpose();
-        let seen = skew(&so::conjugate(&inverse, &self.momentum.value));
+        let seen = so::skew(&so::conjugate(&inverse, &self.momentum.value));
         match gain {
             Some(gain) if is_pushed => self.gain(gain, &seen),
             _ => self.body_momentum = Sum::new(seen),
@@ -95,13 +95,8 @@ impl<const N: usize> Motion<N> {
         let apart = self.body_momentum.value - seen;
         let square = so::inner(seen, seen) + so::inner(gain, gain);
         let scale = 0.5 / square.max(f64::MIN_POSITIVE);
-        let theta = skew(&(so::product(&apart, seen) - so::product(seen, &apart))) * scale;
+        let theta = so::skew(&(so::product(&apart, seen) - so::product(seen, &apart))) * scale;
         // The turn is tiny: it is added at the next step.
         self.attitude.carry += so::product(&self.attitude.value, &theta);
     }
-}
-
-/// Returns the skew part of a matrix that is skew but for rounding.
-fn skew<const N: usize>(x: &Mat<N>) -> Mat<N> {
-    so::asym(x) * 0.5
 }

@@ -128,12 +128,12 @@ impl<const N: usize> Skew<N> for Mat<N> {
     #[inline]
     fn turned(&self, g: &Mat<N>) -> Self {
         // The result is skew to the last bit: the brackets rely on it.
-        so::asym(&so::conjugate(g, self)) * 0.5
+        so::skew(&so::conjugate(g, self))
     }
 
     #[inline]
     fn turned_back(&self, g: &Mat<N>) -> Self {
-        so::asym(&so::product(&so::transposed_product(g, self), g)) * 0.5
+        so::skew(&so::product(&so::transposed_product(g, self), g))
     }
 
     fn dexp(&self, v: &Self) -> Self {
