@@ -66,19 +66,19 @@ impl FailureCode {
                 "the implicit equations of the step diverge: the step is too large for how fast the body turns"
             }
             Self::Stalled => {
-                "the implicit equations of the step stopped converging above round-off: values of very different size meet in the scene"
+                "the implicit equations of the step stopped converging above round-off: the scene combines values of very different sizes"
             }
             Self::SecondRoot => {
-                "the implicit equations of the step have several solutions, and the one found is not that to which smaller steps lead: the step is too large"
+                "the implicit equations of the step have several solutions, and the one found is not the one that smaller steps lead to: the step is too large"
             }
             Self::LeftGlPlus => {
-                "the body turns so far within the step that the interpolated matrix is singular or reversed"
+                "the body turns so far within the step that the interpolated matrix is singular or reverses orientation"
             }
             Self::IllConditioned => {
                 "the body turns so far within the step that the interpolated matrix is nearly singular"
             }
             Self::BranchJump => {
-                "the body turns by a quarter or more between neighbouring nodes of the step: the attitude may have flipped to another branch"
+                "the body turns by a quarter turn or more between neighbouring nodes of the step: the attitude may have flipped to another branch"
             }
             Self::LyapunovSingular => {
                 "a Lyapunov equation of the step is singular: the body turns by half a turn or more within it"
@@ -88,7 +88,7 @@ impl FailureCode {
             }
             Self::OutsideTable => "a table over time does not cover the time of the step",
             Self::OpenOrbit => {
-                "a term follows an orbit whose eccentricity is one or more: Kepler's equation has no answer"
+                "a term follows an orbit whose eccentricity is one or more: Kepler's equation for closed orbits does not apply"
             }
             Self::NonFinite => "a value of the step is infinite or not a number",
             Self::Stopped => "the step was stopped before its end",
