@@ -160,7 +160,7 @@ pub(super) fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>
     let largest = largest(numbers);
     ensure(largest == 0.0 || largest >= SMALLEST_SIZE, pointer, || {
         format!(
-            "has {largest:e} as its largest number; all are 0, or one is at least {SMALLEST_SIZE:e}"
+            "has {largest:e} as its largest number; all must be 0, or one must be at least {SMALLEST_SIZE:e}"
         )
     })
 }
@@ -207,7 +207,7 @@ fn inertia(given: &Inertia) -> Check {
         Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
             ensure(x >= RANGE.0 && x <= RANGE.1, format!("/scene/inertia/principal/{i}"), || {
                 format!(
-                    "{x:?} given, a moment of inertia lies from {:e} to {:e} kg m^2",
+                    "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2",
                     RANGE.0, RANGE.1
                 )
             })
@@ -221,7 +221,7 @@ fn inertia(given: &Inertia) -> Check {
             let n = moments.len();
             ensure((2..=MAX_DIMENSION).contains(&n) || n == LARGE_DIMENSION, pointer, || {
                 format!(
-                    "{n} moments given, n lies from 2 to {MAX_DIMENSION}, or is {LARGE_DIMENSION}"
+                    "{n} moments given, n must be from 2 to {MAX_DIMENSION}, or {LARGE_DIMENSION}"
                 )
             })?;
             vector(pointer, moments, n)?;
@@ -230,7 +230,7 @@ fn inertia(given: &Inertia) -> Check {
                     let sum = moments[i] + moments[j];
                     ensure(sum >= RANGE.0 && sum <= RANGE.1, format!("{pointer}/{j}"), || {
                         format!(
-                            "d_{i} + d_{j} = {sum:e}; the sum of any two lies from {:e} to {:e}",
+                            "d_{i} + d_{j} = {sum:e}; the sum of any two must be from {:e} to {:e}",
                             RANGE.0, RANGE.1
                         )
                     })?;
@@ -346,26 +346,26 @@ fn method(scenario: &Scenario, n: usize) -> Check {
     let solver = &method.solver;
     let has_newton = asked.is_none_or(|method| method.facts().newton);
     ensure(solver.kind != SolverKind::Newton || has_newton, "/method/solver/kind", || {
-        format!("\"newton\" given, {name} is solved by fixed_point or auto")
+        format!("\"newton\" given, {name} takes fixed_point or auto")
     })?;
     let (low, high) = TOLERANCE_RANGE;
     ensure(
         solver.tolerance >= low && solver.tolerance <= high,
         "/method/solver/tolerance",
-        || format!("{:?} given, it lies from {low:e} to {high:e}", solver.tolerance),
+        || format!("{:?} given, a tolerance must be from {low:e} to {high:e}", solver.tolerance),
     )?;
     ensure(
         (1..=MAX_ITERATIONS).contains(&solver.max_iterations),
         "/method/solver/max_iterations",
-        || format!("{} given, it lies from 1 to {MAX_ITERATIONS}", solver.max_iterations),
+        || format!("{} given, 1 to {MAX_ITERATIONS} are allowed", solver.max_iterations),
     )?;
     if let Some(TableauChoice::Custom(tableau)) = &method.tableau {
         for (i, row) in tableau.a.iter().enumerate() {
             ensure(row.len() == tableau.a.len(), format!("/method/tableau/a/{i}"), || {
                 format!(
-                    "{} numbers given in a row of a tableau of {} rows",
+                    "{} numbers given, {n} are needed: the tableau has {n} rows",
                     row.len(),
-                    tableau.a.len()
+                    n = tableau.a.len()
                 )
             })?;
         }
@@ -377,7 +377,7 @@ fn method(scenario: &Scenario, n: usize) -> Check {
 fn accuracy(scenario: &Scenario, error: f64) -> Check {
     let (low, high) = ACCURACY_RANGE;
     ensure(error >= low && error <= high, "/accuracy/error", || {
-        format!("{error:?} given, it lies from {low:e} to {high:e}")
+        format!("{error:?} given, an error must be from {low:e} to {high:e}")
     })?;
     let together = |given: bool, pointer: &str| {
         ensure(!given, pointer, || "is given together with `accuracy`, which chooses it".into())
@@ -394,7 +394,7 @@ fn accuracy(scenario: &Scenario, error: f64) -> Check {
 
 fn whole_duration(duration_s: f64) -> Check {
     ensure(duration_s > 0.0 && duration_s <= MAX_DURATION_S, "/duration_s", || {
-        format!("{duration_s:?} given, a duration lies above 0 and up to {MAX_DURATION_S:e} s")
+        format!("{duration_s:?} given, a duration must be above 0 and at most {MAX_DURATION_S:e} s")
     })
 }
 
@@ -436,7 +436,7 @@ fn duration(scenario: &Scenario) -> Check {
     };
     let (low, high) = (SMALLEST_STEP_S, LARGEST_STEP_S);
     ensure(h >= low && h <= high, "/step_s", || {
-        format!("{h:?} given, a step lies from {low:e} to {high:e} s")
+        format!("{h:?} given, a step must be from {low:e} to {high:e} s")
     })?;
     let (pointer, duration_s) = match (scenario.steps, scenario.duration_s) {
         (Some(_), Some(_)) => {
@@ -458,7 +458,7 @@ fn duration(scenario: &Scenario) -> Check {
                 let step = dividing(duration_s, h);
                 let given = short(duration_s);
                 format!(
-                    "{given} s is not a whole number of steps of {h} s, but of {step} s; of {h} s the nearest are {below} s and {above} s"
+                    "{given} s is not a whole number of steps of {h} s: the nearest are {below} s and {above} s; or use steps of {step} s"
                 )
             })?;
             ("/duration_s", duration_s)
@@ -466,7 +466,7 @@ fn duration(scenario: &Scenario) -> Check {
     };
     let steps = scenario.step_count();
     ensure((1..=MAX_STEPS).contains(&steps), pointer, || {
-        format!("{steps} steps, their number lies from 1 to {MAX_STEPS}")
+        format!("{steps} steps, 1 to {MAX_STEPS} are allowed")
     })?;
     ensure(duration_s <= MAX_DURATION_S, pointer, || {
         format!(
@@ -482,7 +482,7 @@ fn every_s(scenario: &Scenario, every_s: f64) -> Check {
         "is given together with `every`; give one of the two".into()
     })?;
     ensure(every_s > 0.0 && every_s <= MAX_DURATION_S, pointer, || {
-        format!("{every_s:?} given, it lies above 0 and up to {MAX_DURATION_S:e} s")
+        format!("{every_s:?} given, a time must be above 0 and at most {MAX_DURATION_S:e} s")
     })?;
     match (scenario.step_s, scenario.duration_s) {
         (Some(step_s), _) => ensure(is_whole(every_s, step_s), pointer, || {
@@ -497,14 +497,14 @@ fn every_s(scenario: &Scenario, every_s: f64) -> Check {
             ensure(is_whole(duration_s, every_s), pointer, || {
                 let less = dividing(duration_s, every_s);
                 format!(
-                    "{} s given, the duration of {duration_s} s is not a whole number of these, but of {less} s",
+                    "{} s given, but the duration of {duration_s} s is not a whole number of these; use {less} s",
                     short(every_s)
                 )
             })?;
             let least_s = duration_s / MAX_SAMPLES as f64;
             ensure(every_s >= least_s, pointer, || {
                 format!(
-                    "{every_s:?} given, more than {MAX_SAMPLES} samples; the smallest allowed is {least_s:e} s"
+                    "{every_s:?} given, which makes more than {MAX_SAMPLES} samples; the smallest allowed is {least_s:e} s"
                 )
             })
         }
@@ -526,12 +526,12 @@ fn log(scenario: &Scenario, n: usize) -> Check {
             _ => least.to_string(),
         };
         format!(
-            "every {every} steps of {steps} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}"
+            "{steps} steps with a sample every {every} make more than {MAX_SAMPLES} samples; the smallest allowed is {least}"
         )
     })?;
     if let Some(channels) = &log.channels {
         ensure(!channels.is_empty(), "/log/channels", || {
-            "is empty; name at least one, or leave it out for all".into()
+            "is empty; name at least one channel, or omit the field for all of them".into()
         })?;
         let mut seen = HashSet::new();
         for (i, &channel) in channels.iter().enumerate() {
@@ -548,7 +548,7 @@ fn log(scenario: &Scenario, n: usize) -> Check {
                 || "is for ensembles, this scenario has none".into(),
             )?;
             ensure(!channel.needs_own_steps() || scenario.adaptive().is_some(), pointer, || {
-                "is for steps that adapt, and these do not".into()
+                "is for steps that adapt, this scenario has none".into()
             })?;
         }
     }
@@ -593,7 +593,7 @@ fn expect(scenario: &Scenario, n: usize) -> Check {
     ensure(
         expect.final_attitude.is_some() == expect.final_attitude_error_max.is_some(),
         "/expect",
-        || "`final_attitude` and `final_attitude_error_max` go together".into(),
+        || "`final_attitude` and `final_attitude_error_max` must be given together".into(),
     )?;
     match &expect.final_attitude {
         Some(rows) => matrix("/expect/final_attitude", rows, n),

@@ -192,7 +192,7 @@ impl DrivenTerm {
                 let at = format!("{at}/path/turning");
                 direction(&format!("{at}/from"), &turning.from, n)?;
                 direction(&format!("{at}/towards"), &turning.towards, n)?;
-                apart(&format!("{at}/towards"), &turning.from, &turning.towards, "from")?;
+                apart(&format!("{at}/towards"), &turning.from, &turning.towards, "`from`")?;
                 strength(&format!("{at}/rate_rad_s"), turning.rate_rad_s)?;
             }
             Some(Path::Orbit(orbit)) => {
@@ -204,7 +204,7 @@ impl DrivenTerm {
                 number(&format!("{at}/mean_anomaly_rad"), orbit.mean_anomaly_rad)?;
                 let e = orbit.eccentricity;
                 ensure((0.0..=0.99).contains(&e), format!("{at}/eccentricity"), || {
-                    format!("{e} given, an eccentricity lies from 0 to 0.99")
+                    format!("{e} given, an eccentricity must be from 0 to 0.99")
                 })?;
             }
         }
@@ -238,7 +238,7 @@ impl Table {
             strength(&format!("{at}/values/{i}"), value)?;
             let before = times[i.saturating_sub(1)];
             ensure(i == 0 || time - before >= 1e-12, format!("{at}/times_s/{i}"), || {
-                format!("{time} given after {before}; times ascend")
+                format!("{time} given after {before}; times must ascend")
             })?;
         }
         let (first, last) = (times[0], times[times.len() - 1]);
@@ -279,7 +279,7 @@ impl Viscous {
                     let allowed = if n == 3 { "3 numbers or " } else { "" };
                     super::ScenarioError::invalid(
                         &pointer,
-                        format!("is none of: {allowed}{n} rows of {n} numbers"),
+                        format!("{allowed}{n} rows of {n} numbers are needed"),
                     )
                 })?;
                 matrix(&pointer, &rows, n)?;
@@ -329,5 +329,7 @@ fn apart(pointer: &str, a: &[f64], b: &[f64], name: &str) -> Check {
     let (a, b) = (unit(a, a_size), unit(b, b_size));
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
     let sine_square = 1.0 - dot(&a, &b) * dot(&a, &b) / (dot(&a, &a) * dot(&b, &b));
-    ensure(sine_square > 1e-12, pointer, || format!("is along {name}; the two must span a plane"))
+    ensure(sine_square > 1e-12, pointer, || {
+        format!("is parallel to {name}; the two must span a plane")
+    })
 }

@@ -97,7 +97,7 @@ impl Ensemble {
     pub(super) fn check(&self, steps: u64) -> Check {
         let Self { members, seed, attitude_spread_rad, momentum_spread, in_full } = self;
         ensure((2..=Self::MOST).contains(members), "/ensemble/members", || {
-            format!("{members} given, their number lies from 2 to {}", Self::MOST)
+            format!("{members} given, 2 to {} are allowed", Self::MOST)
         })?;
         ensure(steps.saturating_mul(*members) <= MAX_STEPS, "/ensemble/members", || {
             format!("{members} members of {steps} steps make more than {MAX_STEPS} steps")
@@ -108,10 +108,10 @@ impl Ensemble {
         ensure(
             (0.0..=std::f64::consts::PI).contains(attitude_spread_rad),
             "/ensemble/attitude_spread_rad",
-            || format!("{attitude_spread_rad:?} given, a spread of turns lies from 0 to pi"),
+            || format!("{attitude_spread_rad:?} given, a spread of turns must be from 0 to pi"),
         )?;
         ensure((0.0..=MAX_SIZE).contains(momentum_spread), "/ensemble/momentum_spread", || {
-            format!("{momentum_spread:?} given, a spread lies from 0 to {MAX_SIZE:e}")
+            format!("{momentum_spread:?} given, a spread must be from 0 to {MAX_SIZE:e}")
         })?;
         for (name, spread) in
             [("attitude_spread_rad", attitude_spread_rad), ("momentum_spread", momentum_spread)]

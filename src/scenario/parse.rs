@@ -59,7 +59,7 @@ const A_LIST: &str = "is a list where an object belongs";
 fn several_keys(message: &str, given: Option<&Value>) -> Option<String> {
     let keys: Vec<_> = given?.as_object()?.keys().map(|key| format!("`{key}`")).collect();
     (message.ends_with("map with a single key") && keys.len() != 1).then(|| match keys.len() {
-        0 => "is empty: one of its forms is needed".to_owned(),
+        0 => "is empty: exactly one key is needed".to_owned(),
         count => format!("has {count} keys, {}: exactly one is allowed", keys.join(", ")),
     })
 }

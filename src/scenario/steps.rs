@@ -58,7 +58,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
         "/step/adaptive/largest_step_s",
         || {
             let given = largest_step_s.unwrap_or_default();
-            format!("{given:?} given, a step lies from {low:e} to {high:e} s")
+            format!("{given:?} given, a step must be from {low:e} to {high:e} s")
         },
     )?;
     let count = near_m.len();
@@ -69,7 +69,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
         ensure(
             (SMALLEST_SIZE..=MAX_SIZE).contains(&near),
             format!("/step/adaptive/near_m/{i}"),
-            || format!("{near:?} given, a distance lies from {SMALLEST_SIZE:e} to {MAX_SIZE:e}"),
+            || format!("{near:?} given, a distance must be from {SMALLEST_SIZE:e} to {MAX_SIZE:e}"),
         )
     })
 }

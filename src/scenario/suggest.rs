@@ -26,7 +26,7 @@ pub(super) fn with_suggestion(error: ScenarioError, tree: &Value) -> ScenarioErr
         };
     }
     match (written, with_unit(tree, &pointer)) {
-        (_, Some(key)) => message += &format!("; a number is given as `{key}`"),
+        (_, Some(key)) => message += &format!("; give a number as `{key}`"),
         (Some(written), None) => message += &format!("; write {written}"),
         (None, None) => {}
     }

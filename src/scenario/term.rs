@@ -141,7 +141,8 @@ pub(crate) struct Drawn<'a> {
 }
 
 const NO_STRENGTH: &str = "has no strength";
-const FIXED: &str = "is the same at every attitude: its body point or its place is the fixed point";
+const FIXED: &str =
+    "is the same at every attitude: its body point or its position is the fixed point";
 
 fn is_zero(v: &[f64]) -> bool {
     v.iter().all(|&x| x == 0.0)
