@@ -213,7 +213,9 @@ impl Motion {
     pub fn words(self) -> Option<&'static str> {
         match self {
             Self::General => None,
-            Self::AtRest => Some("at rest: nothing moves and nothing pushes, so the state is kept"),
+            Self::AtRest => {
+                Some("at rest: nothing moves and no torque acts, so the state does not change")
+            }
             Self::InPlane => Some("stays in a plane: computed for n = 2, logged for n = 3"),
         }
     }
@@ -397,8 +399,8 @@ impl Plan {
         let distance = libm::cbrt(sigma * sigma);
         match (&self.own_steps, sigma <= NEAR_SIGMA) {
             (None, true) => self.warnings.push(format!(
-                "a body point comes within {distance:.1e} of its arm from a point source: steps that adapt pass it with far \
-                 fewer torques (\"step\": {{ \"adaptive\": {{}} }})"
+                "a body point comes within {distance:.1e} of its arm of a point source: steps that adapt pass it with far \
+                 fewer torque evaluations (\"step\": {{ \"adaptive\": {{}} }})"
             )),
             (Some(_), false) => self.warnings.push(format!(
                 "steps of one length do as well here: no body point comes nearer to a point source than {distance:.1e} of its arm"
@@ -447,7 +449,7 @@ impl Plan {
         }
         for index in 0..self.model.torques.len() {
             let pointer = format!("/scene/torques/{index}");
-            let why = "a torque that is no potential's".to_owned();
+            let why = "a torque that does not come from a potential".to_owned();
             self.potential.push(TermPlan { pointer, kept: true, why });
         }
     }
@@ -476,11 +478,11 @@ impl Plan {
             // A named tableau asks for its scheme.
             None if free && !spins && self.dimension == 3 && scenario.method.tableau.is_none() => (
                 Integrator::Splitting,
-                "no term depends on the attitude, and between pushes it solves the free body exactly, at any step",
+                "no term depends on the attitude, and this method solves a free body exactly, at any step",
             ),
             None if free => (
                 Integrator::VpdReduced,
-                "no term depends on the attitude, so the momentum moves by itself",
+                "no term depends on the attitude, so the momentum is computed without it",
             ),
             None => (
                 Integrator::Vpd,

@@ -187,7 +187,7 @@ impl Channel {
                 needs: Observables { pace: true, ..nothing },
                 scope: Scope::OwnSteps,
                 sample: sample(0, 4 * DOUBLE + 6),
-                ..plain("vpd.Pace", "how long the own steps are")
+                ..plain("vpd.Pace", "the length and number of the adaptive steps")
             },
             Self::Tf => Row {
                 descriptors: well_known::<FrameTransforms>,

@@ -89,7 +89,7 @@ impl Model {
     pub(super) fn balance(&self) -> Option<String> {
         let mut parts = Vec::new();
         if !self.driven.is_empty() {
-            parts.push("what the changing terms put in (H + p_t)");
+            parts.push("the energy put in by the terms that change with time (H + p_t)");
         }
         if !self.torques.is_empty() {
             parts.push("the work of the torques");
@@ -100,9 +100,9 @@ impl Model {
             return self.wheels.as_ref().map(|_| format!("the energy of the body{spins}"));
         }
         let structure = if self.torques.is_empty() {
-            "; a symplectic method keeps it to a level that the step fixes"
+            "; a symplectic method keeps its error at a level set by the step"
         } else {
-            "; under torques that are no potential's no method is symplectic"
+            "; with torques that do not come from a potential, no method is symplectic"
         };
         Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
     }
@@ -133,7 +133,7 @@ impl Model {
     /// Describes the Jacobi integral, where there is one.
     pub(super) fn jacobi_integral(&self) -> Option<String> {
         self.turns_alike().then(|| {
-            "H - w.m, for all that changes turns at one constant rate w; m is the spatial momentum".to_owned()
+            "H - w.m, because everything that changes turns at one constant rate w; m is the spatial momentum".to_owned()
         })
     }
 
@@ -147,7 +147,7 @@ impl Model {
         };
         if self.is_driven() && !facts.driven {
             return refused(
-                "scenes that change with time or have torques that are no potential's",
+                "scenes that change with time or have torques that do not come from a potential",
                 Integrator::names(|method| method.facts().driven),
             );
         }

@@ -32,9 +32,9 @@ const UNSEEN: f64 = 1e-16;
 const DEPENDS: &str = "depends on the attitude";
 const STANDS: &str = "depends on the attitude; others are merged into it";
 const UNIFORM: &str = "uniform fields add up";
-const SPRING: &str = "a spring of no length at rest is a uniform field, and those add up";
+const SPRING: &str = "a spring with rest length 0 is a uniform field, and those add up";
 const EQUAL: &str = "they act between the same points";
-const ALONG: &str = "they are along one direction";
+const ALONG: &str = "their directions are parallel";
 
 /// The terms of a scene on the way to those that are modelled.
 pub(super) struct Terms {
@@ -249,7 +249,7 @@ impl Terms {
             let together = pointers.join(", ");
             for &k in &group {
                 let why = format!(
-                    "is the same at every attitude: {together} pull alike in all directions"
+                    "is the same at every attitude: {together} pull equally in all directions"
                 );
                 self.leave_out(k, why);
             }

@@ -170,10 +170,7 @@ fn rows() -> Vec<Row> {
             )
         },
         Row {
-            says: &[
-                ("0", "merged into"),
-                ("1", "a spring of no length at rest is a uniform field"),
-            ],
+            says: &[("0", "merged into"), ("1", "a spring with rest length 0 is a uniform field")],
             ..row(
                 "springs of no length at rest",
                 vec![
@@ -185,7 +182,7 @@ fn rows() -> Vec<Row> {
             )
         },
         Row {
-            says: &[("2", "pull alike in all directions")],
+            says: &[("2", "pull equally in all directions")],
             ..row(
                 "gradients from all sides",
                 vec![
@@ -198,7 +195,7 @@ fn rows() -> Vec<Row> {
             )
         },
         Row {
-            says: &[("1", "merged into /scene/potential/0: they are along one direction")],
+            says: &[("1", "merged into /scene/potential/0: their directions are parallel")],
             ..row(
                 "gradients along one direction",
                 vec![
