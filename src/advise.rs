@@ -77,7 +77,7 @@ pub enum Obstacle {
     Reference(ReferenceError),
     /// The reference itself is not known to that accuracy.
     #[error(
-        "{growth}, doubles reach it until t = {until_s:.3} s, and {least:.1e} at t = {time_s:.3e} s; ask for less time, or for more error"
+        "{growth}; double precision reaches it until t = {until_s:.3} s, and only {least:.1e} at t = {time_s:.3e} s; ask for a shorter run or a larger error"
     )]
     Untold {
         /// The least error that can be measured.
@@ -99,7 +99,7 @@ pub enum Obstacle {
     },
     /// There are more members than can be checked.
     #[error(
-        "{members} members are too many to make sure of each, at most about {most} on this scene; give `method` and `step_s`, or ask for fewer"
+        "{members} members are too many to check each of them: at most about {most} can be checked on this scene; give `method` and `step_s`, or ask for fewer members"
     )]
     TooManyMembers {
         /// The members asked for.
@@ -109,7 +109,7 @@ pub enum Obstacle {
     },
     /// The search used up the allowed work.
     #[error(
-        "the search for a method was abandoned as too expensive, after {allowed_s:.1} s of computing as counted; give `method` and `step_s`"
+        "the search for a method was abandoned as too expensive, after an estimated {allowed_s:.1} s of computing; give `method` and `step_s`"
     )]
     TooExpensive {
         /// Allowed computing time, by the plan's figures.
@@ -229,7 +229,7 @@ impl Settled {
         let mut plan = Plan::new(settled)?;
         plan.estimate(self.first);
         plan.offer_own_steps(self.nearest_sigma);
-        plan.formulation.why = "the cheapest that reached the accuracy in pilot runs";
+        plan.formulation.why = "the cheapest that reached the accuracy in trial runs";
         plan.advice = Some(advice.clone());
         plan.asked = self.asked.clone();
         Ok(plan)

@@ -40,13 +40,13 @@ pub enum StudyError {
     #[error(transparent)]
     Reference(#[from] ReferenceError),
     /// The run whose error was asked for fails.
-    #[error("the run fails, so its end has no error")]
+    #[error("the run fails, so there is no error at its end")]
     Failed,
     /// It was cancelled.
     #[error("the study was cancelled")]
     Cancelled,
     /// It used up the allowed work.
-    #[error("it has cost all that it may")]
+    #[error("the allowed computing time is used up")]
     TooExpensive,
 }
 

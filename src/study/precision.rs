@@ -27,7 +27,7 @@ const REPEATS: u32 = 5;
 /// Describes how the times of a study are measured, for its reader.
 pub fn timing() -> String {
     format!(
-        "the least of {REPEATS} turns, in each of which all runs are made, one at a time on one thread"
+        "the shortest of {REPEATS} rounds; each round makes all runs, one at a time on one thread"
     )
 }
 

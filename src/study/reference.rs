@@ -42,7 +42,7 @@ pub enum ReferenceError {
     },
     /// Round-off grows too much.
     #[error(
-        "{growth}, two solutions to round-off differ by {difference:.1e} at t = {time_s:.4} s, doubles reach {asked:.1e} until t = {until_s:.3} s; ask for that time, or for less"
+        "{growth}; two solutions computed to round-off differ by {difference:.1e} at t = {time_s:.4} s, double precision reaches {asked:.1e} until t = {until_s:.3} s; ask for that time or a shorter one"
     )]
     Chaotic {
         /// The time.
@@ -58,7 +58,7 @@ pub enum ReferenceError {
     },
     /// The two families do not agree.
     #[error(
-        "the reference is in doubt: two families of methods differ by {difference:.1e} at t = {time_s} s, {allowed:.1e} is allowed"
+        "the reference is in doubt: two families of methods differ by {difference:.1e} at t = {time_s} s, at most {allowed:.1e} is allowed"
     )]
     Disagree {
         /// The time.
