@@ -124,13 +124,13 @@ impl Recording {
         let defect = initial.defect();
         if !(defect <= MOST_DEFECT) {
             return Err(RunError::Invalid(format!(
-                "the start is no state: g^T g - I or the symmetric part of the momentum is {defect:.1e}, at most {MOST_DEFECT:e} is allowed"
+                "the start is not a valid state: g^T g - I or the symmetric part of the momentum is {defect:.1e}, at most {MOST_DEFECT:e} is allowed"
             )));
         }
         if !(schedule.step_s > 0.0 && schedule.step_s.is_finite()) {
             let step_s = schedule.step_s;
             return Err(RunError::Invalid(format!(
-                "{step_s:?} s given, a step is longer than zero"
+                "{step_s:?} s given, a step must be longer than zero"
             )));
         }
         let header = self.header::<N>(schedule, stepper.order());

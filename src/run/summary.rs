@@ -195,7 +195,7 @@ impl Diagnosis {
     /// Adds the result for adaptive steps, which were tried.
     pub(super) fn with_own_steps(self, largest_step_s: f64, tried: Tried) -> Self {
         let advice = format!(
-            "steps that adapt to the point source carry the run: try \"method\": {{ \"name\": \"vpd_adaptive\" }}, \
+            "steps that adapt to the point source work here: try \"method\": {{ \"name\": \"vpd_adaptive\" }}, \
              \"step\": {{ \"adaptive\": {{ \"largest_step_s\": {} }} }}",
             serde_json::json!(largest_step_s)
         );
@@ -266,8 +266,8 @@ pub(super) fn warning(seen: EnergySeen) -> Option<String> {
     let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * initial.abs();
     lost.then(|| {
         format!(
-            "the energy was off by {error:.1e} J, where at most {kinetic:.1e} J moved: the run means little; take a \
-             smaller step"
+            "the energy was off by {error:.1e} J, but at most {kinetic:.1e} J was in motion: the result is not \
+             meaningful; take a smaller step"
         )
     })
 }
@@ -346,8 +346,8 @@ fn cause(failure: &Failure, frequency: Option<f64>, step_s: f64) -> String {
     let of_size = matches!(failure.code, Code::MaxIterations | Code::Diverged | Code::Stalled);
     match frequency.filter(|_| of_size) {
         Some(frequency) => format!(
-            "the implicit equations of the step are not solved: the potential is stiff, its fastest oscillation of {frequency:.1e} rad/s \
-             goes through {:.1e} rad in a step, and not how fast the body turns limits it",
+            "the implicit equations of the step are not solved: the potential is stiff; its fastest oscillation of {frequency:.1e} rad/s \
+             goes through {:.1e} rad in a step, and that limits the step, not how fast the body turns",
             frequency * step_s.abs()
         ),
         None => failure.code.cause().to_owned(),
@@ -376,7 +376,7 @@ pub(super) fn diagnosis(
         }
         Advised::NotFound { tried_s } => (
             format!(
-                "try a much smaller step than {}, or look at the scene there: none was found in the time that there is to try",
+                "try a much smaller step than {} s, or check the scene at this time: the search ended before it found a step that works",
                 written(tried_s)
             ),
             None,
@@ -389,7 +389,7 @@ pub(super) fn diagnosis(
             None,
         ),
         Advised::NoneWorks => {
-            ("no smaller step got past this place; look at the scene there".to_owned(), None)
+            ("no smaller step got past this time; check the scene there".to_owned(), None)
         }
     };
     Diagnosis {
