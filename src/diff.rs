@@ -88,11 +88,11 @@ impl FromStr for Tolerance {
             Some((name, number)) => {
                 let found = Quantity::ALL.into_iter().find(|quantity| quantity.name() == name);
                 let names = Quantity::ALL.map(Quantity::name).join(", ");
-                let unknown = || format!("{name:?} is not compared; {names} are");
+                let unknown = || format!("{name:?} is not compared; use one of {names}");
                 (Some(found.ok_or_else(unknown)?), number)
             }
         };
-        let wanted = || format!("{number:?} is no tolerance: a number, 0 or more, is needed");
+        let wanted = || format!("{number:?} is not a tolerance: a number, 0 or more, is needed");
         let largest = number.parse().map_err(|_| wanted())?;
         // Also refuses NaN.
         if !(0.0..f64::INFINITY).contains(&largest) {

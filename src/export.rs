@@ -31,7 +31,7 @@ pub enum ExportError {
     #[error(transparent)]
     Log(#[from] LogError),
     /// The log holds none of the requested data.
-    #[error("{log} holds nothing of {asked}")]
+    #[error("{log} holds no {asked}")]
     Empty {
         /// The log.
         log: String,
@@ -40,7 +40,7 @@ pub enum ExportError {
     },
     /// A channel that cannot be exported, or not together with the others.
     #[error(
-        "{channel} is not exported{with}; a table is of any of /state, /energy, /orthogonality, /momentum, /solver, /pace, or of /ensemble/members or /ensemble/statistics alone"
+        "{channel} cannot be exported{with}; a table can hold any of /state, /energy, /orthogonality, /momentum, /solver, /pace, or /ensemble/members or /ensemble/statistics alone"
     )]
     Channel {
         /// The channel.
@@ -79,9 +79,9 @@ impl FromStr for Format {
             "arrow" => Ok(Self::Arrow),
             #[cfg(not(feature = "parquet"))]
             "parquet" | "arrow" => Err(format!(
-                ".{ending} needs a build with the feature parquet (cargo build --release --features parquet), which the image has; this one writes .csv"
+                ".{ending} needs a build with the feature parquet (cargo build --release --features parquet), like the one in the container image; this build writes .csv"
             )),
-            _ => Err(format!("{ending:?} is no format of tables: .csv, .parquet and .arrow are")),
+            _ => Err(format!("{ending:?} is not a format of tables: use .csv, .parquet or .arrow")),
         }
     }
 }

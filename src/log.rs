@@ -95,7 +95,7 @@ pub enum LogError {
         step: u64,
     },
     /// The file at its place is to be kept: a finished log, or an unfinished one of another job.
-    #[error("{} is there already{}; --force replaces it, -o writes another", path.display(), if *finished { "" } else { ", of another scenario or another build, unfinished" })]
+    #[error("{} already exists{}; --force replaces it, -o names another file", path.display(), if *finished { "" } else { ", unfinished and of another scenario or build" })]
     Exists {
         /// The file.
         path: PathBuf,
@@ -103,7 +103,7 @@ pub enum LogError {
         finished: bool,
     },
     /// The file does not begin as a log does.
-    #[error("{} is no log: it does not begin as an MCAP file does", path.display())]
+    #[error("{} is not a log: it does not begin like an MCAP file", path.display())]
     NotALog {
         /// The file.
         path: PathBuf,

@@ -67,7 +67,7 @@ pub enum VerifyError {
         what: &'static str,
     },
     /// This build does not take the scenario.
-    #[error("this build does not take the scenario of the log: {0}")]
+    #[error("this build does not accept the scenario of the log: {0}")]
     Scenario(#[from] ScenarioError),
     /// It is of an ensemble that was stopped: how far each of its threads came is not known.
     #[error("an ensemble that was cancelled cannot be repeated up to the same place")]
@@ -76,7 +76,7 @@ pub enum VerifyError {
     #[error(transparent)]
     Run(#[from] RunError),
     /// The second log cannot be placed.
-    #[error("no temporary directory: {0}")]
+    #[error("cannot create a temporary directory: {0}")]
     Place(#[from] std::io::Error),
 }
 

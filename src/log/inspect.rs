@@ -219,7 +219,7 @@ impl fmt::Display for Inspection {
             ("orthogonality, largest |g g^T - I|", extremes.orthogonality_max, ""),
             ("momentum, largest drift", extremes.momentum_drift_max, " kg m^2/s"),
             ("smallest singular value", extremes.sigma_min_min, ""),
-            ("shortest step, in parts of the longest", extremes.sigma_least, ""),
+            ("shortest step, relative to the longest", extremes.sigma_least, ""),
         ] {
             if let Some(value) = value {
                 writeln!(f, "{name}: {value:.3e}{unit}")?;

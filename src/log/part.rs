@@ -181,7 +181,7 @@ pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     );
     let file = options.open(path)?;
     if !file.metadata()?.is_file() {
-        return Err(io::Error::other("this is no file"));
+        return Err(io::Error::other("this is not a regular file"));
     }
     lock(&file, path)?;
     Ok(file)
@@ -189,7 +189,7 @@ pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
 
 /// Another process writes the file.
 #[derive(Debug, thiserror::Error)]
-#[error("another process{} writes it", holder.map_or_else(String::new, |pid| format!(" ({pid})")))]
+#[error("another process{} is writing it", holder.map_or_else(String::new, |pid| format!(" ({pid})")))]
 pub(super) struct Busy {
     holder: Option<u32>,
 }
