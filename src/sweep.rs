@@ -111,7 +111,7 @@ impl Sweep {
         };
         let base = Scenario::from_json(&text).map_err(within)?;
         ensure(base.ensemble.is_none(), "/scenario/ensemble", || {
-            "is no part of a sweep: a member is one run".into()
+            "is not allowed in a sweep: each member is one run".into()
         })?;
         let tree = serde_json::to_value(&base).expect("a scenario is JSON by construction");
         // The scenario is kept as it is now, whatever becomes of the file that it came from.
@@ -202,7 +202,7 @@ impl Sweep {
         for member in looked_at {
             let Ok(scenario) = self.scenario(member) else { continue };
             ensure(scenario.accuracy.is_none(), "/scenario/accuracy", || {
-                "is no part of a sweep of the service; give method and step".into()
+                "is not allowed in a sweep of the service; give `method` and `step_s`".into()
             })?;
             seconds.extend(Plan::new(&scenario).map(|plan| plan.work_s));
         }
@@ -257,7 +257,10 @@ impl Sweep {
     /// the empty pointer.
     pub fn scenario(&self, member: u64) -> Result<Scenario, ScenarioError> {
         ensure(member < self.members, "", || {
-            format!("member {member} asked for, they are numbered from 0 to {}", self.members - 1)
+            format!(
+                "there is no member {member}: the members are numbered from 0 to {}",
+                self.members - 1
+            )
         })?;
         self.with(&self.values(member))
     }
@@ -270,11 +273,11 @@ impl Sweep {
         let scenario: Scenario = from_tree(document)?;
         scenario.check()?;
         ensure(scenario.ensemble.is_none(), "/ensemble", || {
-            "is no part of a sweep: a member is one run".into()
+            "is not allowed in a sweep: each member is one run".into()
         })?;
         let (n, given) = (self.base.dimension(), scenario.dimension());
         ensure(given == n, "/scene/inertia", || {
-            format!("n = {given} given; all members have n = {n}, as the table has")
+            format!("n = {given} given; all members must have n = {n}, as in the table")
         })?;
         Ok(scenario)
     }
@@ -541,7 +544,7 @@ pub enum SweepError {
         source: io::Error,
     },
     /// The file in the place of the table is to be kept.
-    #[error("{} is there already{}; --force replaces it, -o writes another", path.display(), unfinished(*finished))]
+    #[error("{} already exists{}; --force replaces it, -o names another file", path.display(), unfinished(*finished))]
     Exists {
         /// The file.
         path: PathBuf,
@@ -549,9 +552,7 @@ pub enum SweepError {
         finished: bool,
     },
     /// It was cancelled.
-    #[error(
-        "the sweep was interrupted with {left} members left; the same command goes on with them"
-    )]
+    #[error("the sweep was interrupted with {left} members left; the same command resumes it")]
     Interrupted {
         /// Members without a line.
         left: u64,
@@ -560,7 +561,7 @@ pub enum SweepError {
     #[error("no parts are given")]
     NoParts,
     /// A file that is no part, or has more lines than its first one says.
-    #[error("{} is no part of a sweep: `vpd sweep --shard i/N` writes them", path.display())]
+    #[error("{} is not a part of a sweep: `vpd sweep --shard i/N` writes parts", path.display())]
     NoPart {
         /// The file.
         path: PathBuf,
@@ -593,7 +594,7 @@ pub enum SweepError {
         of: u64,
     },
     /// A table that is not of this sweep.
-    #[error("{} is no table of this sweep", path.display())]
+    #[error("{} is not a table of this sweep", path.display())]
     NoTable {
         /// The file.
         path: PathBuf,
@@ -616,7 +617,7 @@ impl SweepError {
 }
 
 fn unfinished(finished: bool) -> &'static str {
-    if finished { "" } else { ", of another sweep, another part or another build, unfinished" }
+    if finished { "" } else { ", unfinished and of another sweep, part or build" }
 }
 
 /// Returns `shard 2/4 is`, for a list of shards.

@@ -153,7 +153,7 @@ impl Values {
         };
         let at = format!("{at}/values/{word}");
         ensure((1..=MOST_MEMBERS).contains(&count), format!("{at}{counted}"), || {
-            format!("{count} values given, their number lies from 1 to {MOST_MEMBERS}")
+            format!("{count} values given, 1 to {MOST_MEMBERS} are allowed")
         })?;
         let number = |field: &str, x: f64| {
             ensure(x.abs() <= MAX_SIZE, format!("{at}/{field}"), || {
@@ -292,7 +292,9 @@ impl Quantity {
             })?;
             let largest = axis.iter().fold(0.0, |largest: f64, x| largest.max(x.abs()));
             ensure((1e-15..=MAX_SIZE).contains(&largest), pointer, || {
-                format!("has {largest:e} as its largest number; it lies from 1e-15 to {MAX_SIZE:e}")
+                format!(
+                    "has {largest:e} as its largest number; it must be from 1e-15 to {MAX_SIZE:e}"
+                )
             })?;
         }
         Ok(())
@@ -314,7 +316,7 @@ impl Measure {
             Self::LyapunovExponent(Lyapunov { distance, skip_s }) => {
                 let at = format!("{at}/lyapunov_exponent");
                 ensure((1e-12..=1e-4).contains(distance), format!("{at}/distance"), || {
-                    format!("{distance:e} given, it lies from 1e-12 to 1e-4")
+                    format!("{distance:e} given, a distance must be from 1e-12 to 1e-4")
                 })?;
                 ensure((0.0..=MAX_SIZE).contains(skip_s), format!("{at}/skip_s"), || {
                     format!("{skip_s:e} given, a time is 0 or more")
@@ -329,7 +331,7 @@ impl SweepFile {
     pub(super) fn check(&self, n: usize, columns: &[String]) -> Result<(), ScenarioError> {
         let Self { vary, seed, scores, picture, keep_logs, .. } = self;
         ensure((1..=MOST_COLUMNS).contains(&vary.len()), "/vary", || {
-            format!("{} fields given, 1 to {MOST_COLUMNS} are varied", vary.len())
+            format!("{} fields given, 1 to {MOST_COLUMNS} are allowed", vary.len())
         })?;
         ensure(scores.len() <= MOST_COLUMNS, "/scores", || {
             format!("{} given, at most {MOST_COLUMNS} are allowed", scores.len())
@@ -357,7 +359,7 @@ impl SweepFile {
                 self::name(&place, name)?;
             }
             ensure(heads.insert(field.column()), place, || {
-                format!("there is a column {} already", field.column())
+                format!("there is already a column {}", field.column())
             })?;
             values.check(&at)?;
         }
@@ -366,7 +368,7 @@ impl SweepFile {
             let Score { name, measure } = score;
             self::name(&format!("{at}/name"), name)?;
             ensure(heads.insert(name), format!("{at}/name"), || {
-                format!("there is a column {name} already")
+                format!("there is already a column {name}")
             })?;
             measure.check(&format!("{at}/measure"), n)?;
         }
@@ -374,7 +376,7 @@ impl SweepFile {
         let exponents =
             exponents.enumerate().filter(|(_, m)| matches!(m, Measure::LyapunovExponent(_)));
         if let Some((at, _)) = exponents.skip(1).last() {
-            let message = "is a second Lyapunov exponent; a sweep has one";
+            let message = "is a second Lyapunov exponent; a sweep can have only one";
             return Err(ScenarioError::invalid(format!("/scores/{at}"), message));
         }
         if let Some(column) = picture {
@@ -402,7 +404,9 @@ impl SweepFile {
             };
             let at = format!("/scores/{at}/measure/lyapunov_exponent/skip_s");
             ensure(*skip_s < duration_s, at, || {
-                format!("{skip_s:e} given, the runs last {duration_s} s; it lies below")
+                format!(
+                    "{skip_s:e} given, a time below the {duration_s} s that the runs last is needed"
+                )
             })?;
         }
         Ok(())
@@ -436,7 +440,7 @@ impl SweepFile {
                 let other = counts.iter().position(|&other| other != count);
                 other.map_or(Ok(count), |at| {
                     let message = format!(
-                        "has {} values, the first field has {count}; side by side all have as many",
+                        "has {} values, but the first field has {count}; with `side_by_side` all must have the same number",
                         counts[at]
                     );
                     Err(ScenarioError::invalid(format!("/vary/{at}/values"), message))
