@@ -171,7 +171,7 @@ fn log_path(path: PathBuf) -> Result<PathBuf, String> {
         Some("json") => "`vpd inspect LOG.mcap --json` sums it up as JSON".to_owned(),
         _ => return Ok(path),
     };
-    Err(format!("this is the log, name it .mcap; {other}"))
+    Err(format!("the output is an MCAP log, name it .mcap; {other}"))
 }
 
 /// Checks the path of a picture: it may replace another, but not a log or a table.
@@ -181,7 +181,7 @@ fn picture_path(path: &str) -> Result<PathBuf, String> {
     if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
         Ok(path)
     } else {
-        Err("this is a picture, name it .svg".to_owned())
+        Err("the picture is an SVG file, name it .svg".to_owned())
     }
 }
 
@@ -236,7 +236,7 @@ enum CliError {
     Run(#[from] RunError),
     #[error("{0}")]
     Log(#[from] LogError),
-    #[error("{} is there already; --force replaces it, -o writes another", .0.display())]
+    #[error("{} already exists; --force replaces it, -o names another file", .0.display())]
     Exists(PathBuf),
     #[error("{0}")]
     Format(String),
@@ -252,7 +252,7 @@ enum CliError {
     #[error(transparent)]
     Study(#[from] StudyError),
     #[cfg(feature = "chart")]
-    #[error("scenarios and logs are mixed: give either")]
+    #[error("scenarios and logs cannot be mixed: give only scenarios, or only logs")]
     Mixed,
     #[cfg(feature = "serve")]
     #[error(transparent)]
@@ -275,7 +275,7 @@ enum CliError {
     #[error("{wanted} is needed to work with other machines")]
     Needed { wanted: &'static str },
     #[cfg(feature = "cluster")]
-    #[error("--bucket (or VPD_BUCKET) is of use with --engine cluster alone")]
+    #[error("--bucket (or VPD_BUCKET) can be used only with --engine cluster")]
     BucketAlone,
     #[cfg(feature = "cluster")]
     #[error(

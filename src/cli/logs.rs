@@ -89,7 +89,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
         // Reported on stderr: the table may be on stdout.
         let _ = writeln!(
             io::stderr(),
-            "vpd: {}: {damage}; what stands before it is exported",
+            "vpd: {}: {damage}; everything before that is exported",
             log.display()
         );
     }
@@ -155,8 +155,7 @@ fn text(found: &Comparison) -> String {
     let Comparison { samples, only_first, only_second, .. } = found;
     text += &format!("samples           {samples} at the same times");
     if only_first + only_second > 0 {
-        text +=
-            &format!(", {only_first} of the first log alone, {only_second} of the second alone");
+        text += &format!(", {only_first} only in the first log, {only_second} only in the second");
     }
     text += "\n";
     for diff::Largest { quantity, unit, largest, time_s, last } in &found.largest {

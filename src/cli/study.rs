@@ -129,7 +129,11 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
         list(&drawn)?;
         for chart in [LogChart::Energy, LogChart::Orthogonality, LogChart::Momentum] {
             if !drawn.iter().any(|path| path.ends_with(chart.file())) {
-                let _ = writeln!(io::stderr(), "{} is not drawn: no log holds it", chart.file());
+                let _ = writeln!(
+                    io::stderr(),
+                    "{} is not drawn: no log holds its channel",
+                    chart.file()
+                );
             }
         }
         return Ok(ExitCode::SUCCESS);

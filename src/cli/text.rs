@@ -34,7 +34,10 @@ pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
         /// Factor with which a bound stays one when it is rounded to three digits.
         const UPWARDS: f64 = 1.005;
         let bound = UPWARDS * bound;
-        line("error", format!("below {bound:.2e} at the end: the reference is known no better"));
+        line(
+            "error",
+            format!("below {bound:.2e} at the end: the reference itself is no more accurate"),
+        );
     }
     if let Some(energy) = summary.energy {
         let max = energy.max_abs_error;
@@ -82,7 +85,7 @@ pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
             line("spread", format!("{spread:.3e} rad of attitude at the end"));
         }
         if let Some(error) = ensemble.energy_max_abs_error {
-            line("worst energy", format!("error at most {error:.2e} J in any of them"));
+            line("worst energy", format!("error at most {error:.2e} J in any member"));
         }
     }
     line("log", format!("{}, {} samples", summary.log, summary.samples));
@@ -118,7 +121,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         line(
             "accuracy",
             format!(
-                "{:.1e} asked for, {:.1e} expected at the end: {:.1} times to spare; trial runs went to t = {:.6} s",
+                "{:.1e} asked for, {:.1e} expected at the end, a margin of {:.1}; trial runs went to t = {:.6} s",
                 advice.error, advice.expected_error, advice.margin, advice.pilot_time_s
             ),
         );
@@ -126,7 +129,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             let found = match (candidate.step_s, candidate.cost_us, candidate.expected_error) {
                 (Some(step_s), Some(cost_us), Some(error)) => {
                     format!(
-                        "step {step_s:.3e} s, error {error:.1e}, {cost_us:.2e} us of computing a second of motion"
+                        "step {step_s:.3e} s, error {error:.1e}, {cost_us:.2e} us of computing per second of motion"
                     )
                 }
                 (_, _, Some(error)) => {
@@ -154,13 +157,13 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
             .collect();
         let (longest, near) = (own.largest_step_s, near.join(", "));
         line(
-            "own steps",
-            format!("adapt: at most {longest:.4} s, shorter within {near} m of a point source"),
+            "adaptive",
+            format!("steps of at most {longest:.4} s, shorter within {near} m of a point source"),
         );
     }
     if let Some(EnsemblePlan { members, in_full, .. }) = &plan.ensemble {
         let in_full: Vec<String> = in_full.iter().map(u64::to_string).collect();
-        let text = format!("{members}, the whole motion of member {}", in_full.join(", "));
+        let text = format!("{members}; logged in full: member {}", in_full.join(", "));
         line("members", text);
     }
     for warning in &plan.warnings {

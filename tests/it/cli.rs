@@ -183,7 +183,7 @@ fn verify_says_yes_or_no_and_layouts_lie_beside_the_log() {
         for no_log in ["vpd-foxglove.json", "empty"] {
             let refused = vpd(at, &[command, no_log]);
             assert_eq!(refused.status.code(), Some(2), "{command} {no_log}");
-            assert!(text(&refused.stderr).contains("is no log"), "{}", text(&refused.stderr));
+            assert!(text(&refused.stderr).contains("is not a log"), "{}", text(&refused.stderr));
         }
     }
 }
@@ -366,7 +366,7 @@ fn first_mistakes_are_answered_by_what_to_write() {
         ("/method/name=3", "expected one of `auto`, `vpd`"),
         ("/scene/potential/0/kind=3", "expected one of `uniform`"),
         ("/log/compression=false", "expected one of `"),
-        ("/step=0.5", "a number is given as `step_s`"),
+        ("/step=0.5", "give a number as `step_s`"),
         ("/stride=0.5", "expected one of `$schema`, `name`"),
         ("/step_s/deeper=1", "/step_s is a number"),
         ("/scene/potential/7/weight=1", "/scene/potential is a list with the items 0 to 0"),
@@ -494,7 +494,7 @@ fn a_log_that_is_being_written_is_locked() {
     let again: Vec<&str> = again.iter().map(String::as_str).collect();
     let second = vpd(at, &again);
     assert_eq!(second.status.code(), Some(2), "{}", text(&second.stderr));
-    let holder = format!("another process ({}) writes it", first.id());
+    let holder = format!("another process ({}) is writing it", first.id());
     assert!(text(&second.stderr).contains(&holder), "{}", text(&second.stderr));
     let ended = first.wait_with_output().expect("a child");
     assert_eq!(ended.status.code(), Some(0), "{}", text(&ended.stderr));

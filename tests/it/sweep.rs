@@ -569,7 +569,7 @@ fn stopped_and_resumed(at: &Path, arguments: &[&str]) {
     let first = begun(at, arguments);
     // More lines than before: it has begun.
     has_lines(at, "it.csv", text.lines().count() + 1);
-    let holder = format!("another process ({}) writes it", first.id());
+    let holder = format!("another process ({}) is writing it", first.id());
     let second = vpd(at, arguments);
     if !table.exists() {
         assert_eq!(second.status.code(), Some(2), "{}", self::text(&second.stderr));
@@ -582,7 +582,7 @@ fn stopped_and_resumed(at: &Path, arguments: &[&str]) {
         return;
     }
     assert_eq!(stopped.status.code(), Some(130), "{}", self::text(&stopped.stderr));
-    assert!(self::text(&stopped.stderr).contains("the same command goes on"));
+    assert!(self::text(&stopped.stderr).contains("the same command resumes it"));
     // Another sweep does not replace it.
     let mut other = busy();
     other["seed"] = json!(3);
@@ -663,7 +663,7 @@ fn parts_of_many_processes_make_the_whole() {
     let _ = vpd(at, &["sweep", "seed.json", "--shard", "5/11"]);
     let strange = [&parts[..4], &["seed.5-of-11.csv".to_owned()], &parts[5..]].concat();
     not_merged(&strange, "parts of different sweeps");
-    not_merged(&["mixed.csv".to_owned()], "is no part of a sweep");
+    not_merged(&["mixed.csv".to_owned()], "is not a part of a sweep");
     for shard in ["0/4", "5/4", "1/0", "2", "1/2000000"] {
         assert_eq!(vpd(at, &["sweep", "mixed.json", "--shard", shard]).status.code(), Some(2));
     }
