@@ -136,14 +136,14 @@ await checks({
     assert.ok(Math.abs(real - 1) < 0.15, `${real} s in a second`);
     // 40 rad/s: more than six turns in a second.
     await shows("heavy-top");
-    assert.match(await body.textContent(".pace"), /^Slowed 10 times: it turns up to 6\.4 times a second/);
+    assert.match(await body.textContent(".pace"), /^10 times slower than real time: it turns up to 6\.4 times a second/);
     const slow = await measured();
     assert.ok(Math.abs(slow - 0.1) < 0.03, `${slow} s in a second`);
     await body.selectOption(".rate", "1");
     assert.match(await body.textContent(".pace"), /^Real time/);
     // Hours, in minutes.
     await shows("satellite");
-    assert.match(await body.textContent(".pace"), /^200 times faster than real: one turn takes 56 min or more/);
+    assert.match(await body.textContent(".pace"), /^200 times faster than real time: one turn takes 56 min or more/);
     // A top whose inertia is that of a disc has no corners.
     await shows("free-body", scenario => ({ ...scenario, name: "disc", scene: { ...scenario.scene, inertia: { principal: [1, 1, 2] } } }));
     const corners = await body.evaluate(() => [...new Set(stage.parts.flatMap(part => part.points.length > 2 ? part.points : []).map(String))].length);
@@ -320,7 +320,7 @@ await checks({
     // Another order, another page, another axis.
     const least = await choose("Order of the members", "smallest", "order=smallest");
     assert.ok(least.rows[0].largest < least.rows[9].largest);
-    const next = await answer(() => press(crowd, ".members button:text('After')"), "offset=10");
+    const next = await answer(() => press(crowd, ".members button:text('Next')"), "offset=10");
     assert.ok(next.rows[0].largest >= least.rows[9].largest && !next.rows.some(row => row.member === least.rows[0].member));
     const first = await choose("Axis", "1", "axis=1");
     assert.notDeepEqual(first.quantiles, least.quantiles);
@@ -510,11 +510,11 @@ await checks({
       await write(editor, text);
       await editor.waitForFunction(([mark, words]) => document.querySelector(".cm-lintRange-error")?.textContent === mark && document.querySelector("#check").textContent.includes(words), [mark, words]);
     };
-    await marked(good.replace('"step_s"', '"stride"'), '"stride"', '"stride" is not known here; known are $schema, name,');
+    await marked(good.replace('"step_s"', '"stride"'), '"stride"', '"stride" is not known here; expected one of $schema, name,');
     await marked(good.replace('"weight": 4.905, ', ""), "{", 'needs "weight"');
-    await marked(good.replace('"members": 20', '"members": "many"'), '"many"', '"members" is a string, wanted is an integer');
-    await marked(good.replace('"vpd"', '"vpq"'), '"vpq"', '"vpq" is none of auto');
-    await marked(good.replace('"step_s": ', '"step_s" '), "0.002", "This is no JSON yet");
+    await marked(good.replace('"members": 20', '"members": "many"'), '"many"', '"members" is a string, expected an integer');
+    await marked(good.replace('"vpd"', '"vpq"'), '"vpq"', '"vpq" is not one of auto');
+    await marked(good.replace('"step_s": ', '"step_s" '), "0.002", "This is not valid JSON yet");
     // The keys go there.
     await editor.keyboard.press("Control+Home");
     await editor.keyboard.press("F8");

@@ -92,7 +92,7 @@ class Stage {
     const turns = this.fastest / (2 * Math.PI);
     const often = turns >= 1 ? `it turns up to ${figure(Number(turns.toPrecision(2)))} times a second` : `one turn takes ${span(1 / turns)} or more`;
     const why = this.fastest > 0 ? `: ${often}` : "";
-    put(this.root.querySelector(".pace"), speed === 1 ? `Real time${why}.` : speed < 1 ? `Slowed ${figure(1 / speed)} times${why}.` : `${figure(speed)} times faster than real${why}.`);
+    put(this.root.querySelector(".pace"), speed === 1 ? `Real time${why}.` : speed < 1 ? `${figure(1 / speed)} times slower than real time${why}.` : `${figure(speed)} times faster than real time${why}.`);
   }
 
   // Attitudes as dense as the screen shows them.

@@ -146,10 +146,10 @@ const route = (path, method, operation, types) => {
     make("code", {}, path), said(operation.summary));
   const answers = Object.entries(operation.responses).map(([status, { description, content }]) => {
     const [kind, media] = Object.entries(content ?? {})[0] ?? [];
-    return [status === "default" ? "else" : status, said(description),
+    return [status === "default" ? "other" : status, said(description),
       kind ? make("span", {}, `${kind}: `, words(media.schema)) : "nothing"];
   });
-  const who = operation.security ? `${operation.description} Without tokens, anybody.` : "Anybody may ask.";
+  const who = operation.security ? `${operation.description} No token is needed if the service has no tokens.` : "No token is needed.";
   return make("details", { id: operation.operationId }, head, make("p", {}, who),
     form(method, path, operation, types), make("h4", {}, "Answers"), table(["status", "meaning", "content"], answers));
 };

@@ -22,8 +22,8 @@ class Members {
     this.body = h("tbody");
     this.largest = h("th", { className: "figure", scope: "col" });
     const turn = by => () => { this.page += by; this.shown = 0; this.load(); };
-    this.before = h("button", { type: "button", className: "small", onclick: turn(-1) }, "Before");
-    this.after = h("button", { type: "button", className: "small", onclick: turn(1) }, "After");
+    this.before = h("button", { type: "button", className: "small", onclick: turn(-1) }, "Previous");
+    this.after = h("button", { type: "button", className: "small", onclick: turn(1) }, "Next");
     this.pages = h("span", { className: "soft" });
     const head = name => h("th", { scope: "col" }, name);
     this.root = h("section", { className: "chart members", ariaLabel: "All members" }, h("h3", {}, "All members"),
@@ -55,7 +55,7 @@ class Members {
     this.u = null;
     this.plot.replaceChildren();
     if (!found?.time_s.length) {
-      this.plot.append(h("p", { className: "soft none" }, found ? "No member has ended yet." : "The log does not hold this of its members."));
+      this.plot.append(h("p", { className: "soft none" }, found ? "No member has ended yet." : "The log does not hold this quantity for its members."));
       put(this.words, "");
       return;
     }
@@ -100,12 +100,12 @@ class Members {
     const row = found.rows[this.shown];
     if (t === null) {
       const failed = Object.values(found.failed).reduce((sum, count) => sum + count, 0);
-      put(this.words, `${SPREADS[found.channel]}${found.unit ? ` in ${found.unit}` : ""} of ${count(found.members)} members${failed ? `, ${count(failed)} of them failed` : ""}: the bands hold all, nine tenths and half of them, the line in the middle is the median${row ? `, the other one member ${row.member}` : ""}.`);
+      put(this.words, `${SPREADS[found.channel]}${found.unit ? ` in ${found.unit}` : ""} of ${count(found.members)} members${failed ? `, ${count(failed)} of them failed` : ""}: the bands hold all, nine tenths and half of them; the line in the middle is the median${row ? `, the other line is member ${row.member}` : ""}.`);
       return;
     }
     const k = latest(found.time_s, t);
     const [least, , quarter, median, most, , largest] = found.quantiles.map(({ values }) => figure(values[k]));
-    put(this.words, `t = ${figure(found.time_s[k])} s: median ${median}, half of them ${quarter} … ${most}, all ${least} … ${largest}${unit}${row?.values[k] === undefined ? "" : `; member ${row.member} ${figure(row.values[k])}`}${found.count[k] < found.members ? `; ${count(found.count[k])} members got here` : ""}`);
+    put(this.words, `t = ${figure(found.time_s[k])} s: median ${median}, half of them ${quarter} … ${most}, all ${least} … ${largest}${unit}${row?.values[k] === undefined ? "" : `; member ${row.member} ${figure(row.values[k])}`}${found.count[k] < found.members ? `; ${count(found.count[k])} members reached this time` : ""}`);
   }
 
   key(event) {

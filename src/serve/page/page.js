@@ -294,7 +294,7 @@ async function openDraft(letters) {
   const found = await shared(letters);
   location.replace("#/");
   if (found === null) say("The address holds no scenario");
-  else replaceText(found, "", "the one of the address");
+  else replaceText(found, "", "the scenario in the address");
 }
 
 // First content of the editor: the text written last, or an example.

@@ -70,20 +70,20 @@ function mistakes(source) {
     const here = fitting(all, node, source);
     if (!here.length) {
       const wanted = [...new Set(all.flatMap(types).filter(type => type !== "null"))];
-      if (wanted.length) add(node.begin, node.end, `${name} is ${article(typeOf(node, text))}, wanted is ${wanted.map(article).join(" or ")}`);
+      if (wanted.length) add(node.begin, node.end, `${name} is ${article(typeOf(node, text))}, expected ${wanted.map(article).join(" or ")}`);
       return;
     }
     const words = here.flatMap(form => form.enum ?? (form.const !== undefined ? [form.const] : [null]));
-    if (!words.includes(null) && !words.some(word => JSON.stringify(word) === text)) add(node.begin, node.end, `${text} is none of ${listed(words, 30)}`);
+    if (!words.includes(null) && !words.some(word => JSON.stringify(word) === text)) add(node.begin, node.end, `${text} is not one of ${listed(words, 30)}`);
     const form = here[0];
-    if (form.minimum !== undefined && Number(text) < form.minimum) add(node.begin, node.end, `${name} is ${form.minimum} or more`);
-    if (form.maximum !== undefined && Number(text) > form.maximum) add(node.begin, node.end, `${name} is ${form.maximum} or less`);
+    if (form.minimum !== undefined && Number(text) < form.minimum) add(node.begin, node.end, `${name} must be ${form.minimum} or more`);
+    if (form.maximum !== undefined && Number(text) > form.maximum) add(node.begin, node.end, `${name} must be ${form.maximum} or less`);
     if (node.kind === "[") {
       const count = node.entries.length;
-      if (form.minItems > count || form.maxItems < count) add(node.begin, node.end, `${name} has ${count} entries, wanted are ${form.minItems ?? form.maxItems}`);
+      if (form.minItems > count || form.maxItems < count) add(node.begin, node.end, `${name} has ${count} entries, expected ${form.minItems ?? form.maxItems}`);
     }
     if (node.kind === "{" && form.additionalProperties === false)
-      for (const { key, begin, named } of node.entries) if (!form.properties?.[key]) add(begin, named, `${JSON.stringify(key)} is not known here; known are ${listed(Object.keys(form.properties))}`);
+      for (const { key, begin, named } of node.entries) if (!form.properties?.[key]) add(begin, named, `${JSON.stringify(key)} is not known here; expected one of ${listed(Object.keys(form.properties))}`);
     const absent = node.kind === "{" ? (form.required ?? []).filter(key => !child(node, key)) : [];
     if (absent.length) add(node.begin, node.begin + 1, `${name} needs ${listed(absent.map(key => JSON.stringify(key)))}`);
     for (const { key, value } of node.entries) {
@@ -101,7 +101,7 @@ function unfinished(source, { message }) {
   codemirror.jsonLanguage.parser.parse(source).iterate({ enter: node => { if (node.type.isError) at = Math.min(at, node.from); } });
   const from = Math.max(0, Math.min(at, source.trimEnd().length - 1));
   const [word] = /^("(\\.|[^"\\\n])*"?|[\w.+-]+|[^])?/.exec(source.slice(from));
-  return { from, to: from + word.length, message: `This is no JSON yet: ${message.replace(/^JSON.parse: | (in JSON )?at (position|line) .*/gs, "")}` };
+  return { from, to: from + word.length, message: `This is not valid JSON yet: ${message.replace(/^JSON.parse: | (in JSON )?at (position|line) .*/gs, "")}` };
 }
 
 // ---- what a field means
