@@ -254,7 +254,7 @@ async fn viewers_door(address: SocketAddr) -> Result<TcpListener, ServeError> {
 fn give_way() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(None, NICENESS) {
-        tracing::warn!(%error, "computing has the priority of answering");
+        tracing::warn!(%error, "the priority of computing threads cannot be lowered");
     }
 }
 

@@ -126,14 +126,14 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/jobs",
             Submit,
-            op("submitJob", "Take a job; it is on the disk before the answer")
+            op("submitJob", "Submit a job; it is on the disk before the answer is sent")
                 .header::<jobs::Key>(
                     "Idempotency-Key",
                     "The same key with the same scenario gives the same job, also after a restart",
                 )
                 .body::<Scenario>(example)
-                .json::<JobView>(202, "Taken")
-                .json::<JobView>(200, "Taken before under this key, and ended"),
+                .json::<JobView>(202, "Accepted")
+                .json::<JobView>(200, "Accepted before under this key, and ended"),
             post(jobs::submit_job),
         )
         .method(Method::POST),
@@ -142,9 +142,9 @@ fn routes() -> Vec<Route> {
             Read,
             op("listJobs", "Jobs, newest first")
                 .query::<State>("state", "Only those in this state")
-                .query::<jobs::Name>("name", "Only those with this in their names, in any case")
+                .query::<jobs::Name>("name", "Only those with this text in their names; case is ignored")
                 .query::<jobs::Limit>("limit", "How many at most; 50 if absent")
-                .query::<Uuid>("cursor", "`next_cursor` of the page before")
+                .query::<Uuid>("cursor", "`next_cursor` of the previous page")
                 .json::<JobList>(200, "A page"),
             get(jobs::list_jobs),
         ),
@@ -208,7 +208,7 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/jobs/{id}/live.mcap",
             Read,
-            op("followLog", "The log as its chunks are closed, to its end").raw(
+            op("followLog", "The log while it is written, chunk by chunk, to its end").raw(
                 200,
                 "application/octet-stream",
                 "The bytes of the finished log",
@@ -219,9 +219,9 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/studies",
             Submit,
-            op("submitStudy", "Take a study: many runs of one scene, one table")
+            op("submitStudy", "Submit a study: many runs of one scene, one table")
                 .body::<StudyRequest>(|| json!({ "kind": "precision", "scenario": example(), "until_s": 0.5 }))
-                .json::<StudyView>(202, "Taken; it is on the disk"),
+                .json::<StudyView>(202, "Accepted; it is on the disk"),
             post(studies::submit_study),
         )
         .method(Method::POST),
@@ -258,7 +258,7 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/studies/{id}/table.csv",
             Read,
-            op("getStudyTable", "The table of a study; of a sweep that runs, the rows so far").raw(
+            op("getStudyTable", "The table of a study; for a sweep that is running, the rows so far").raw(
                 200,
                 "text/csv",
                 "One row a run",
@@ -269,7 +269,7 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/studies/{id}/members/{member}",
             Read,
-            op("getMember", "The scenario of a member of a sweep, `0.json` of the first")
+            op("getMember", "The scenario of a member of a sweep; `0.json` is that of the first")
                 .json::<Scenario>(200, "The scenario"),
             get(studies::get_member),
         )
@@ -287,9 +287,9 @@ fn routes() -> Vec<Route> {
             op("getAttitudes", "Attitudes one after another, and the shapes of the scene")
                 .query::<jobs::Time>(
                     "from_s",
-                    "Time of the first one in seconds; 0 while the job runs",
+                    "Time of the first one in seconds; 0 if absent; while the job runs always 0",
                 )
-                .query::<jobs::Time>("every_s", "The least time between two in seconds; 0 if absent")
+                .query::<jobs::Time>("every_s", "The shortest time between two in seconds; 0 if absent")
                 .query::<jobs::Samples>("samples", "How many at most; 300 if absent")
                 .json::<Stretch>(200, "Attitudes"),
             get(jobs::get_attitudes),
@@ -310,9 +310,9 @@ fn routes() -> Vec<Route> {
             Read,
             op("getMembers", "A quantity of all members of an ensemble over time, and those that stand out; also while it runs")
                 .query::<MemberQuantity>("channel", "The quantity; distance if absent")
-                .query::<jobs::Axis>("axis", "Of axis_angle the axis; 1 if absent")
+                .query::<jobs::Axis>("axis", "The axis for axis_angle; 1 if absent")
                 .query::<MemberOrder>("order", "The order of the rows; largest if absent")
-                .query::<jobs::Offset>("offset", "Rows that are left out; 0 if absent")
+                .query::<jobs::Offset>("offset", "Rows that are skipped; 0 if absent")
                 .query::<jobs::Rows>("limit", "Rows at most; 20 if absent")
                 .json::<Members>(200, "Quantiles over time, and rows of members"),
             get(jobs::get_members),
@@ -320,7 +320,7 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/jobs/{id}/members/{member}",
             Read,
-            op("getJobMember", "The scenario of one member of an ensemble, `0.json` of the first, as a run of its own")
+            op("getJobMember", "The scenario of one member of an ensemble as a separate run; `0.json` is that of the first")
                 .json::<Scenario>(200, "The scenario"),
             get(jobs::get_job_member),
         ),
@@ -371,7 +371,7 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/metrics",
             Read,
-            op("getMetrics", "Figures for Prometheus").raw(
+            op("getMetrics", "Metrics for Prometheus").raw(
                 200,
                 metrics::MEDIA_TYPE,
                 "OpenMetrics text",
@@ -388,14 +388,14 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/readyz",
             Read,
-            op("isReady", "Readiness").json::<Status>(200, "Takes jobs"),
+            op("isReady", "Readiness").json::<Status>(200, "Ready for jobs"),
             get(readyz),
         )
         .open(),
         Route::new(
             "/",
             Read,
-            op("readPage", "The page for people").raw(200, "text/html; charset=utf-8", "A page"),
+            op("readPage", "The web page").raw(200, "text/html; charset=utf-8", "A page"),
             get(page::page),
         )
         .open(),
@@ -485,7 +485,9 @@ async fn list_scenarios() -> Json<ScenarioList> {
 async fn get_scenario(Path(name): Path<String>) -> Result<Response, Problem> {
     let name = name.strip_suffix(".json").unwrap_or(&name);
     let shipped = SHIPPED.iter().find(|(shipped, _)| *shipped == name);
-    shipped.map(|(_, text)| json_text(*text)).ok_or_else(|| Problem::not_found("scenario"))
+    shipped
+        .map(|(_, text)| json_text(*text))
+        .ok_or_else(|| Problem::not_found("scenario of this name"))
 }
 
 async fn healthz() -> Json<Status> {

@@ -220,10 +220,12 @@ impl FromStr for Tokens {
             let scope = [Scope::Read, Scope::Submit, Scope::Admin]
                 .into_iter()
                 .find(|known| known.to_string() == scope)
-                .ok_or_else(|| wrong("the scope is read, submit or admin"))?;
+                .ok_or_else(|| wrong("the scope must be read, submit or admin"))?;
             let token = token.trim();
             if token.len() < SHORTEST_TOKEN || !token.bytes().all(|b| b.is_ascii_graphic()) {
-                return Err(wrong("a token has at least 16 characters without spaces"));
+                return Err(wrong(
+                    "a token needs at least 16 printable ASCII characters, without spaces",
+                ));
             }
             tokens.push((scope, token.to_owned()));
         }
@@ -281,7 +283,7 @@ fn checked_origin(text: &str) -> Result<String, String> {
             Ok(text.to_owned())
         }
         _ => Err(format!(
-            "not an origin: {text:?}; write `*`, `none` or scheme://host[:port] with commas between"
+            "{text:?} is not an origin: write `*`, `none`, or http[s]://host[:port], several separated by commas"
         )),
     }
 }

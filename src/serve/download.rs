@@ -42,7 +42,7 @@ pub(super) async fn log(id: Uuid, path: PathBuf, request: Request) -> Result<Res
     match metadata.map_err(std::io::Error::other).flatten() {
         // A link planted in the data directory must not lead out of it.
         Ok(metadata) if metadata.is_file() => {}
-        Ok(_) => return Err(Problem::not_found("log")),
+        Ok(_) => return Err(Problem::not_found("log at this address")),
         Err(error) => return Err(Problem::unreadable(&error)),
     }
     ranged(id, Source::File(ServeFile::new(path)), request).await

@@ -22,7 +22,7 @@ use crate::scenario::Scenario;
 /// Reason why the engine refuses a request.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum Refusal {
-    #[error("{limit} jobs wait already: try again later")]
+    #[error("{limit} jobs are already waiting: try again later")]
     QueueFull { limit: usize },
     #[error("the service is stopping: try again once it is back")]
     Stopping,
@@ -35,14 +35,16 @@ pub(super) enum Refusal {
     )]
     LogTooLarge { estimate: u64, limit: u64, advice: String, pointer: &'static str },
     #[error(
-        "the run is expected to take {estimate} bytes of memory, more than the {limit} allowed here: fewer members, or a smaller n"
+        "the run is expected to take {estimate} bytes of memory, more than the {limit} allowed here: ask for fewer members, or a smaller n"
     )]
     TooMuchMemory { estimate: u64, limit: u64 },
-    #[error("the disk has no room for the log of this job next to those that were accepted before")]
+    #[error(
+        "the disk has no room for the log of this job in addition to those of the jobs accepted before"
+    )]
     DiskFull,
-    #[error("this Idempotency-Key came with another scenario before")]
+    #[error("this Idempotency-Key was used before with another scenario")]
     KeyReused,
-    #[error("the request with this Idempotency-Key is still being answered")]
+    #[error("another request with this Idempotency-Key is still being answered")]
     KeyBusy,
     #[error("the service failed to check the request; its log says why")]
     Broken,
@@ -58,7 +60,9 @@ pub(super) enum Refusal {
     NoLog,
     #[error("the log is missing, or is not what the job wrote: its checksum differs")]
     LogDamaged,
-    #[error("this service hands jobs to many machines and makes no studies: `vpd sweep` does")]
+    #[error(
+        "this service distributes jobs to other machines and makes no studies: use `vpd sweep` for sweeps"
+    )]
     NoStudies,
     #[error(transparent)]
     Store(#[from] StoreError),

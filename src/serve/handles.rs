@@ -26,7 +26,12 @@ pub(super) fn within(limits: Limits, workers: usize, with_viewers: bool) -> Limi
     let connections = connections(granted, workers as u64, viewers).min(limits.connections);
     if connections < limits.connections {
         let asked = limits.connections;
-        tracing::warn!(granted, asked, connections, "fewer connections: file handles are few");
+        tracing::warn!(
+            granted,
+            asked,
+            connections,
+            "fewer connections: the limit of file handles is low"
+        );
     }
     Limits { connections, ..limits }
 }
@@ -53,7 +58,7 @@ fn raised() -> Option<u64> {
     match setrlimit(Resource::Nofile, Rlimit { current: maximum, maximum }) {
         Ok(()) => maximum,
         Err(error) => {
-            tracing::warn!(%error, "the limit of file handles stays");
+            tracing::warn!(%error, "the limit of file handles cannot be raised");
             current
         }
     }

@@ -321,17 +321,19 @@ impl Fault {
     fn new(code: &'static str, message: impl Into<String>) -> Self {
         let advice = match code {
             "record_damaged" => {
-                "look for disk errors and for rights in the data directory; what it holds is left as it is, and looked at again at the next start"
+                "check the disk for errors and the permissions in the data directory; its content is left as it is, and read again at the next start"
             }
             "worker_crashed" => {
-                "the job ends its process: submit it with fewer samples or a smaller n, or report it"
+                "the job crashes its process: submit it with fewer samples or a smaller n, or report it"
             }
-            "scenario_rejected" => "submit the scenario again and mend what the answer names",
+            "scenario_rejected" => {
+                "submit the scenario again and correct the field that the answer names"
+            }
             "accuracy_out_of_reach" => {
                 "ask for a larger error or a shorter run, or give a method and a step"
             }
             "too_expensive" | "log_too_large" | "too_much_memory" => {
-                "submit it shorter, with fewer samples or members, or raise the limit of the service"
+                "submit a shorter run, or one with fewer samples or members, or raise the limit of the service"
             }
             _ => "this is a fault of the program: report it with the scenario",
         };
@@ -341,7 +343,7 @@ impl Fault {
     pub(super) fn rejected(error: &ScenarioError) -> Self {
         Self::new(
             "scenario_rejected",
-            format!("this build does not take the kept scenario: {error}"),
+            format!("this build does not accept the stored scenario: {error}"),
         )
     }
 

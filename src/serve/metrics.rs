@@ -80,7 +80,7 @@ impl Metrics {
         registry.register("job_failures", "Failed jobs, by code", metrics.failures.clone());
         registry.register(
             "set_aside",
-            "Jobs and things in the data directory that cannot be used, since the start",
+            "Jobs and entries of the data directory that cannot be used, since the start",
             metrics.aside.clone(),
         );
         metrics.aside.inc_by(aside as u64);
@@ -93,11 +93,11 @@ impl Metrics {
         );
         registry.register(
             "step_iterations",
-            "Sweeps of the solver a step, mean of each job",
+            "Sweeps of the solver per step, mean of each job",
             metrics.iterations.clone(),
         );
         registry.register("jobs", "Jobs on record, by state", metrics.jobs.clone());
-        registry.register("queue_length", "Jobs that wait", metrics.queue.clone());
+        registry.register("queue_length", "Jobs that are waiting", metrics.queue.clone());
         registry.register(
             "disk_free_bytes",
             "Free bytes on the disk of the data directory",

@@ -137,7 +137,7 @@ impl Operation {
                     "type": "urn:vpd:problem:invalid_input",
                     "title": "Invalid input",
                     "status": 422,
-                    "detail": "must be positive, is -0.01",
+                    "detail": "-0.01 given, a step must be from 1e-12 to 1e6 s",
                     "code": "invalid_input",
                     "pointer": "/step_s",
                 } } },
@@ -205,9 +205,9 @@ pub(super) fn document<'a>(
 
 /// The groups of routes.
 const TAGS: [(&str, &str); 4] = [
-    ("jobs", "Runs of scenarios: take them, follow them, read their logs"),
+    ("jobs", "Runs of scenarios: submit them, follow them, read their logs"),
     ("studies", "Many runs of one scene, one table"),
-    ("scenarios", "What a job is: the shipped examples, the JSON Schema"),
+    ("scenarios", "Input of a job: the shipped examples, the JSON Schema"),
     ("service", "The service itself, its pages, the layouts of viewers"),
 ];
 

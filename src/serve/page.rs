@@ -138,10 +138,10 @@ impl Pictures {
     /// Returns the chart with the file name `name` of a finished log.
     pub(super) async fn chart(&self, name: &str, log: PathBuf) -> Result<Response, Problem> {
         let which = LogChart::ALL.into_iter().find(|which| which.file() == name);
-        let which = which.ok_or_else(|| Problem::not_found("chart"))?;
+        let which = which.ok_or_else(|| Problem::not_found("chart of this name"))?;
         match &*self.drawn(which, log).await? {
             Ok(svg) => Ok(([(CONTENT_TYPE, "image/svg+xml")], svg.clone()).into_response()),
-            Err(ChartError::Empty) => Err(Problem::not_found("sample in the log for a chart")),
+            Err(ChartError::Empty) => Err(Problem::not_found("sample for a chart in the log")),
             Err(error) => Err(Problem::unreadable(error)),
         }
     }
@@ -163,7 +163,7 @@ impl Pictures {
         let drawn = seen.wait_for(Option::is_some).await;
         // This fails only if the task panicked, or the service is shutting down.
         let drawn = drawn.map_err(|error| Problem::unreadable(&error))?.clone();
-        drawn.ok_or_else(|| Problem::not_found("chart"))
+        drawn.ok_or_else(|| Problem::not_found("chart of this name"))
     }
 
     /// Draws a chart when its turn comes, unless no request waits for it any more.

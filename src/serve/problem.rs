@@ -58,7 +58,7 @@ impl Problem {
 
     /// Reports that there is no resource of this name.
     pub(super) fn not_found(what: &str) -> Self {
-        Self::new(StatusCode::NOT_FOUND, "not_found", format!("there is no {what} of this name"))
+        Self::new(StatusCode::NOT_FOUND, "not_found", format!("there is no {what}"))
     }
 
     /// Reports a query parameter that cannot be used.
@@ -92,19 +92,20 @@ impl Problem {
 
     /// Reports that there is no token, or none of ours.
     pub(super) fn unauthorised() -> Self {
-        let detail = "send a token: Authorization: Bearer TOKEN; or, for a log, use a link that has not ended";
+        let detail = "send a token: Authorization: Bearer TOKEN; or, for a log, use a link that has not expired";
         Self::new(StatusCode::UNAUTHORIZED, "unauthorized", detail)
     }
 
     /// Reports a token without the required scope.
     pub(super) fn forbidden(scope: Scope) -> Self {
-        let detail = format!("this needs a token of the scope {scope}");
+        let detail = format!("this needs a token with the scope {scope}");
         Self::new(StatusCode::FORBIDDEN, "forbidden", detail)
     }
 
     /// Reports a page of another origin that requests something not shared with other origins.
     pub(super) fn foreign_page() -> Self {
-        let detail = "a page of another origin asks: name its origin with --cors";
+        let detail =
+            "the request comes from a page of another origin: name that origin with --cors";
         Self::new(StatusCode::FORBIDDEN, "foreign_page", detail)
     }
 
@@ -116,13 +117,13 @@ impl Problem {
 
     /// Reports one viewer too many.
     pub(super) fn no_seat() -> Self {
-        let detail = "as many viewers follow as can: try again later";
+        let detail = "the maximum number of viewers is connected: try again later";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_viewers", detail).retry(RETRY_S)
     }
 
     /// Reports one connection too many.
     pub(super) fn too_many_connections() -> Self {
-        let detail = "as many connections as may be are open, in all or from this address: try again later, or keep fewer";
+        let detail = "the maximum number of connections is open, in total or from this address: try again later, or keep fewer open";
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "too_many_connections", detail).retry(1)
     }
 
@@ -133,7 +134,7 @@ impl Problem {
 
     /// Reports a body that did not come in time.
     pub(super) fn too_slow() -> Self {
-        let detail = "the body did not come within 30 s";
+        let detail = "the body did not arrive within 30 s";
         Self::new(StatusCode::REQUEST_TIMEOUT, "too_slow", detail)
     }
 
@@ -171,11 +172,12 @@ impl Problem {
         let (code, detail) = match status {
             StatusCode::BAD_REQUEST => ("bad_request", "the request cannot be understood"),
             StatusCode::NOT_FOUND => ("not_found", "there is nothing at this address"),
-            StatusCode::METHOD_NOT_ALLOWED => {
-                ("method_not_allowed", "this address has other methods: see Allow")
-            }
+            StatusCode::METHOD_NOT_ALLOWED => (
+                "method_not_allowed",
+                "this address does not allow the method: see the header Allow",
+            ),
             StatusCode::PRECONDITION_FAILED => {
-                ("precondition_failed", "the file is not the one that was asked for")
+                ("precondition_failed", "the file is not the version that was asked for")
             }
             StatusCode::PAYLOAD_TOO_LARGE => ("too_large", "a scenario has at most 1 MiB"),
             StatusCode::RANGE_NOT_SATISFIABLE => {

@@ -483,7 +483,7 @@ impl Store {
                 if prefix.is_unanswered() {
                     let thrown = throw_away(&self.directory(id), &self.trash.join(id.to_string()));
                     if let Err(error) = thrown {
-                        tracing::warn!(job = %id, %error, "rubbish stays in the data directory");
+                        tracing::warn!(job = %id, %error, "an unfinished submission stays in the data directory");
                     }
                 } else {
                     aside += 1;

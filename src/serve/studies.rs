@@ -146,11 +146,11 @@ pub(super) struct StudyList {
 /// Reason why a study is not taken, found or shown.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum StudyRefusal {
-    #[error("{QUEUE} studies wait already: try again later")]
+    #[error("{QUEUE} studies are already waiting: try again later")]
     QueueFull,
     #[error("there is no study with this id")]
     Unknown,
-    #[error("the study has no such file, or not yet")]
+    #[error("the study has no such file, or does not have it yet")]
     NoFile,
     #[error("the study is running: cancel it first")]
     Running,
@@ -159,10 +159,10 @@ pub(super) enum StudyRefusal {
     #[error("{0}")]
     Member(ScenarioError),
     #[error(
-        "the sweep is estimated to compute for {estimate_s:.0} s on one core, at most {limit_s:.0} s are taken on"
+        "the sweep is expected to take {estimate_s:.0} s of computing on one core, more than the {limit_s:.0} s allowed here"
     )]
     TooExpensive { estimate_s: f64, limit_s: f64 },
-    #[error("the table is estimated to have {estimate} bytes, at most {limit} are taken on")]
+    #[error("the table is expected to take {estimate} bytes, more than the {limit} allowed here")]
     TableTooLarge { estimate: u64, limit: u64 },
     #[error(transparent)]
     Store(#[from] StoreError),

@@ -169,7 +169,7 @@ pub(super) async fn list_jobs(
     if name.as_ref().is_some_and(|name| name.chars().count() > MAX_NAME) {
         return Err(Problem::bad_query(format!("name has at most {MAX_NAME} characters")));
     }
-    let unusable = |text| format!("{text:?} given, a `next_cursor` of this list is allowed");
+    let unusable = |text| format!("{text:?} given, a `next_cursor` of this list is needed");
     let cursor = cursor.map(|text| store::parse_id(&text).ok_or_else(|| unusable(text)));
     let cursor = cursor.transpose().map_err(bad("cursor"))?;
     let (page, next) = app.engine.list(state, name.as_deref(), limit, cursor).await?;
@@ -313,7 +313,7 @@ pub(super) async fn get_samples(
     let window = Window { from_s, to_s, points };
     match app.pictures.samples(log, curve, window, inertia).await? {
         Some(samples) if eta_s.is_none() && samples.time_s.is_empty() && from_s == 0.0 => {
-            Err(Problem::not_found("channel in the log"))
+            Err(Problem::not_found("sample of this channel in the log"))
         }
         Some(samples) => Ok(Json(samples)),
         // The job waits, or has ended at this moment.
@@ -366,7 +366,7 @@ pub(super) async fn get_job_member(
 ) -> Result<Response, Problem> {
     let id = store::parse_id(&id).ok_or(Refusal::UnknownJob)?;
     let number = member.strip_suffix(".json").and_then(|number| number.parse().ok());
-    let unknown = || Problem::not_found("member that has ended");
+    let unknown = || Problem::not_found("ended member with this number");
     let number: u64 = number.ok_or_else(unknown)?;
     let (path, _) = readable(&app, id).await?;
     let start = app.pictures.start(path, number).await?.ok_or_else(unknown)?;

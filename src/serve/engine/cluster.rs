@@ -85,7 +85,7 @@ pub struct ClusterConfig {
 #[derive(Debug, thiserror::Error)]
 pub enum ClusterError {
     /// The address of Temporal is not valid, or its variables cannot be used.
-    #[error("Temporal at {given:?} cannot be asked: {message}; write HOST:PORT")]
+    #[error("the address of Temporal {given:?} cannot be used: {message}; write HOST:PORT")]
     Address {
         /// The address.
         given: String,
@@ -131,7 +131,7 @@ async fn connect(config: &ClusterConfig) -> Result<Client, ClusterError> {
         false if encrypted => format!("https://{}", config.temporal),
         false => format!("http://{}", config.temporal),
     };
-    connection.target = address.parse().map_err(|_| wrong("this is no address".to_owned()))?;
+    connection.target = address.parse().map_err(|_| wrong("this is not an address".to_owned()))?;
     connection.connect_timeout = Some(Duration::from_secs(10));
     let connected = Connection::connect(connection).await;
     let connection = connected.map_err(|error| silent(chain(&error)))?;

@@ -112,7 +112,7 @@ impl Bucket {
                 Arc::new(objects.map_err(|error| wrong(error.to_string()))?.with_fsync(true))
             }
             Some(("s3", place)) => s3(address, place).map_err(wrong)?,
-            _ => return Err(wrong("this is no such address".to_owned())),
+            _ => return Err(wrong("this is not such an address".to_owned())),
         };
         let bucket = Self(objects);
         match bucket.0.get(&Key::from(LINK_KEY)).await {

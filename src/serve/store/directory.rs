@@ -75,7 +75,7 @@ pub(in crate::serve) fn put_aside(path: &Path) -> io::Result<()> {
     }
     let mut aside = path.as_os_str().to_owned();
     aside.push(format!(".set-aside-{}", Uuid::now_v7()));
-    tracing::warn!(from = %path.display(), to = %Path::new(&aside).display(), "set aside: not ours");
+    tracing::warn!(from = %path.display(), to = %Path::new(&aside).display(), "set aside: not made by this service");
     fs::rename(path, aside)
 }
 
@@ -165,7 +165,7 @@ pub(in crate::serve) fn throw_away(from: &Path, to: &Path) -> io::Result<()> {
     }
     from.parent().map_or(Ok(()), sync_directory)?;
     if let Err(error) = fs::remove_dir_all(to) {
-        tracing::warn!(path = %to.display(), %error, "rubbish stays until the next start");
+        tracing::warn!(path = %to.display(), %error, "removed files stay until the next start");
     }
     Ok(())
 }
@@ -177,7 +177,7 @@ pub(in crate::serve) fn empty(trash: &Path) {
         let path = entry.path();
         let removed = if is_directory { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
         if let Err(error) = removed {
-            tracing::warn!(path = %path.display(), %error, "rubbish stays in the data directory");
+            tracing::warn!(path = %path.display(), %error, "removed files stay in the data directory");
         }
     }
 }

@@ -112,7 +112,7 @@ impl StudyStore {
             if !prefix.files.contains(REQUEST) && !prefix.stands(RESULT) {
                 if prefix.is_unanswered() {
                     if let Err(error) = self.forget(id) {
-                        tracing::warn!(study = %id, error = chain(&error), "rubbish stays");
+                        tracing::warn!(study = %id, error = chain(&error), "an unfinished submission stays in the data directory");
                     }
                 } else {
                     aside += 1;

@@ -115,7 +115,8 @@ impl Question {
         if sweep.kept_logs().is_empty() {
             return Ok(Self::Sweep(Box::new(sweep)));
         }
-        let message = "is for `vpd sweep`; here a member that is run as a job has a log";
+        let message =
+            "is only for `vpd sweep`; on the service, run a member as a job to get its log";
         Err(ScenarioError::invalid("/keep_logs", message))
     }
 
@@ -181,12 +182,12 @@ impl Methods {
         refuse(
             kind == Kind::LongTerm && !(1..=MAX_STEPS).contains(&steps),
             "/scenario/steps",
-            format!("{steps} steps, a long-term study makes 1 to {MAX_STEPS} with each method"),
+            format!("{steps} steps, 1 to {MAX_STEPS} are allowed in a long-term study"),
         )?;
         refuse(
             scene.accuracy.is_some(),
             "/scenario/accuracy",
-            "a study is made to choose; give method and step".to_owned(),
+            "is not allowed in a study, which serves to choose a method and a step; give `method` and `step_s`".to_owned(),
         )?;
         refuse(
             methods.len() > MAX_METHODS,
@@ -196,7 +197,10 @@ impl Methods {
         refuse(
             until_s.is_some_and(|until_s| !(until_s > 0.0 && until_s <= 1e9)),
             "/until_s",
-            "is not a time above 0 and up to 1e9 s".to_owned(),
+            format!(
+                "{:?} given, a time above 0 and up to 1e9 s is needed",
+                until_s.unwrap_or_default()
+            ),
         )?;
         let entries = match (methods.is_empty(), kind) {
             (true, Kind::Stability) => all_methods(&scene),

@@ -61,7 +61,8 @@ impl Shared {
                         self.give_way(&turn);
                         continue;
                     }
-                    let error = late.then(|| format!("took longer than {} s", LONGEST.as_secs()));
+                    let error =
+                        late.then(|| format!("the study took longer than {} s", LONGEST.as_secs()));
                     let state = if late { State::Failed } else { State::Cancelled };
                     (state, error, Answer::default())
                 }
@@ -236,7 +237,7 @@ impl Shared {
     fn take_back_attempt(&self, turn: &Turn) {
         let Turn { id, attempt, .. } = *turn;
         if let Err(error) = self.runtime.block_on(self.store.take_back_attempt(id, attempt)) {
-            tracing::warn!(study = %id, error = chain(&error), "attempt counted");
+            tracing::warn!(study = %id, error = chain(&error), "attempt cannot be taken back");
         }
     }
 
@@ -252,7 +253,7 @@ fn reported(broken: &Broken) -> String {
     match broken {
         Broken::Unanswered(message) => message.clone(),
         Broken::Fault(fault) | Broken::Aside(fault) => fault.to_string(),
-        Broken::Trouble(_) => "the store refused it".to_owned(),
+        Broken::Trouble(_) => "the store refused the study".to_owned(),
         Broken::Stopped => "stopped".to_owned(),
     }
 }

@@ -29,7 +29,10 @@ fn half_sent_heads_do_not_fail_accepted_jobs() {
         assert_eq!(service.ended(id)["state"], "succeeded");
     }
     let said = std::fs::read_to_string(folder.path().join("stderr")).expect("readable");
-    assert!(said.contains("file handles are few") && said.contains("granted=256"), "{said}");
+    assert!(
+        said.contains("the limit of file handles is low") && said.contains("granted=256"),
+        "{said}"
+    );
     println!("{} half-sent heads, {} jobs done", heads.len(), JOBS + 1);
     assert!(heads.len() > 256);
 }

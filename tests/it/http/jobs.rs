@@ -220,7 +220,7 @@ fn the_list_is_newest_first_in_pages_and_by_state() {
         ("limit=0", "limit: \"0\" given, 1 to 500 are allowed"),
         ("limit=501", "limit: \"501\" given, 1 to 500 are allowed"),
         ("limit=abc", "limit: \"abc\" given, 1 to 500 are allowed"),
-        ("cursor=1", "cursor: \"1\" given, a `next_cursor` of this list is allowed"),
+        ("cursor=1", "cursor: \"1\" given, a `next_cursor` of this list is needed"),
         ("limit=1&limit=2", "duplicate field `limit`"),
     ] {
         let problem = server.get(&format!("/jobs?{query}")).problem(400, "bad_query");

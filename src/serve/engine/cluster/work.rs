@@ -352,7 +352,7 @@ impl Inner {
         if done.is_err() {
             let taken_back = self.bucket.take_back_attempt(id, attempt).await;
             if let Err(error) = taken_back {
-                tracing::warn!(job = %id, error = chain(&error), "attempt counted");
+                tracing::warn!(job = %id, error = chain(&error), "attempt cannot be taken back");
             }
         }
         done
@@ -502,7 +502,7 @@ impl Inner {
         log: PathBuf,
         fault: Fault,
     ) -> Result<(), Later> {
-        tracing::warn!(job = %turn.id, "job abandoned: its runs end the process");
+        tracing::warn!(job = %turn.id, "job abandoned: its runs crash the process");
         let errand = Errand::GiveUp { settled, log: log.clone(), fault: fault.clone() };
         match self.errand(turn, errand, true).await {
             Ok(Done::Ran(summary)) => {
@@ -510,7 +510,7 @@ impl Inner {
                 self.publish(turn, job.record_of(&summary), Some((&log, true))).await
             }
             Ok(_) | Err(Broken::Fault(_) | Broken::Unanswered(_)) => {
-                tracing::error!(job = %turn.id, "its log has no end");
+                tracing::error!(job = %turn.id, "the log of the job cannot be finished");
                 self.fail(turn, job, &fault).await
             }
             Err(broken) => self.broken(turn, job, broken).await,

@@ -151,7 +151,7 @@ impl Shared {
     /// Ends the log of a job that ends its process.
     fn give_up(&self, turn: &Turn, settled: Box<Settled>, fault: Fault) -> Result<Carried, Broken> {
         let Turn { id, control, .. } = turn;
-        tracing::warn!(job = %id, "job abandoned: its runs end the process");
+        tracing::warn!(job = %id, "job abandoned: its runs crash the process");
         let errand =
             Errand::GiveUp { settled, log: self.store.log_path(*id), fault: fault.clone() };
         let ended = match &self.program {
@@ -164,7 +164,7 @@ impl Shared {
                 Ok(Carried::Ended(summary))
             }
             Ok(_) | Err(Broken::Fault(_) | Broken::Unanswered(_)) => {
-                tracing::error!(job = %id, "its log has no end");
+                tracing::error!(job = %id, "the log of the job cannot be finished");
                 Ok(Carried::GivenUp(fault))
             }
             Err(broken) => Err(broken),
@@ -274,7 +274,7 @@ impl Shared {
     fn take_back(&self, turn: &Turn) {
         let taken_back = self.runtime.block_on(self.store.take_back_attempt(turn.id, turn.attempt));
         if let Err(error) = taken_back {
-            tracing::warn!(job = %turn.id, error = chain(&error), "attempt counted");
+            tracing::warn!(job = %turn.id, error = chain(&error), "attempt cannot be taken back");
         }
         if let Some(job) = self.index().jobs.get_mut(&turn.id) {
             job.attempts -= 1;
@@ -307,7 +307,7 @@ impl Shared {
             job.phase = Phase::Queued;
         }
         drop(index);
-        tracing::info!(job = %turn.id, "job interrupted; it goes on at the next start");
+        tracing::info!(job = %turn.id, "job interrupted; it is resumed at the next start");
     }
 
     /// Lets a job wait for the store. Its log so far stays.
@@ -319,7 +319,7 @@ impl Shared {
         let Some(job) = index.jobs.get_mut(&id) else { return };
         let trouble = trouble.again(job.trouble.as_ref());
         let pause = trouble.pause();
-        tracing::warn!(job = %id, ?trouble, ?pause, "job rests");
+        tracing::warn!(job = %id, ?trouble, ?pause, "job waits for the store");
         job.phase = Phase::Queued;
         job.cancelled |= turn.control.cancelled.load(Ordering::Relaxed);
         job.trouble = Some(trouble);
