@@ -114,7 +114,10 @@ impl FromStr for MethodWord {
             method.solver.kind = word::<SolverKind>(part)?;
         }
         match parts.next() {
-            Some(_) => Err("NAME, NAME:TABLEAU or NAME:TABLEAU:SOLVER is needed".to_owned()),
+            Some(_) => {
+                Err("NAME, NAME:TABLEAU or NAME:ORDER is needed, perhaps with :SOLVER behind it"
+                    .to_owned())
+            }
             None => Ok(Self(method)),
         }
     }

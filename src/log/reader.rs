@@ -218,7 +218,7 @@ impl Walk {
             // Outside a chunk no checksum vouches for them; one flipped bit makes an index a
             // message.
             Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
-                return Err(damaged("a message outside a chunk"));
+                return Err(damaged("a schema, a channel or a message outside a chunk"));
             }
             _ => {}
         }

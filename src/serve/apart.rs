@@ -90,7 +90,7 @@ pub(super) fn carry_out(
                 }
                 let step = traced(errand);
                 deaths.add(step);
-                tracing::error!(%status, step, deaths = deaths.fruitless, "the separate process of a job ended");
+                tracing::error!(%status, step, deaths = deaths.fruitless, "the separate process of a job or a study ended");
                 let worn_out = max_deaths.is_some_and(|most| deaths.fruitless >= most);
                 if worn_out || deaths.convict() {
                     return Err(Broken::Fault(Fault::worker_crashed()));
@@ -101,7 +101,7 @@ pub(super) fn carry_out(
                 return Err(Broken::Trouble(Trouble::new("storage_error", message)));
             }
             Err(error) => {
-                tracing::error!(%error, "no separate process can be started; the job runs in this one");
+                tracing::error!(%error, "no separate process can be started; it is computed in this one");
                 return errand.carry_out(control);
             }
         }

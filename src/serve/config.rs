@@ -110,7 +110,9 @@ impl Limits {
     /// Refuses a job that is too large by itself.
     pub(super) fn admit(&self, plan: &Plan) -> Result<(), Refusal> {
         if !(plan.run_s <= self.run_s) {
-            return Err(Refusal::TooExpensive { estimate_s: plan.run_s, limit_s: self.run_s });
+            let (estimate_s, limit_s) = (plan.run_s, self.run_s);
+            let pointer = if plan.asked.steps.is_some() { "/steps" } else { "/duration_s" };
+            return Err(Refusal::TooExpensive { estimate_s, limit_s, pointer });
         }
         if plan.log_bytes > self.log_bytes {
             // In proportion, and a little more to be on the safe side.

@@ -29,7 +29,7 @@ pub(super) enum Refusal {
     #[error(
         "the run is expected to take {estimate_s:.0} s of computing, more than the {limit_s:.0} s allowed here"
     )]
-    TooExpensive { estimate_s: f64, limit_s: f64 },
+    TooExpensive { estimate_s: f64, limit_s: f64, pointer: &'static str },
     #[error(
         "the log is expected to take {estimate} bytes, more than the {limit} allowed here: {advice}"
     )]

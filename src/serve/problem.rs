@@ -179,7 +179,7 @@ impl Problem {
             StatusCode::PRECONDITION_FAILED => {
                 ("precondition_failed", "the file is not the version that was asked for")
             }
-            StatusCode::PAYLOAD_TOO_LARGE => ("too_large", "a scenario has at most 1 MiB"),
+            StatusCode::PAYLOAD_TOO_LARGE => ("too_large", "a body may have at most 1 MiB"),
             StatusCode::RANGE_NOT_SATISFIABLE => {
                 ("bad_range", "ask for one range that lies within the file")
             }
@@ -319,10 +319,7 @@ impl From<Refusal> for Problem {
         let with = |status| Self::new(status, code, detail);
         match refusal {
             Refusal::QueueFull { .. } => with(StatusCode::TOO_MANY_REQUESTS).retry(RETRY_S),
-            Refusal::TooExpensive { .. } => {
-                Self { pointer: Some("/steps".to_owned()), ..with(UNPROCESSABLE) }
-            }
-            Refusal::LogTooLarge { pointer, .. } => {
+            Refusal::TooExpensive { pointer, .. } | Refusal::LogTooLarge { pointer, .. } => {
                 Self { pointer: Some(pointer.to_owned()), ..with(UNPROCESSABLE) }
             }
             Refusal::TooMuchMemory { .. } => with(UNPROCESSABLE),

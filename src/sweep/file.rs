@@ -11,6 +11,8 @@ use crate::scenario::{LARGEST_SEED, MAX_SIZE, Scenario, ScenarioError, SchemaAdd
 
 /// Largest number of fields that are varied, and of scores.
 const MOST_COLUMNS: usize = 32;
+/// Longest pointer of a field in bytes.
+const LONGEST_POINTER: usize = 200;
 /// Largest number of members whose whole motion is logged.
 const MOST_LOGS: usize = 1000;
 /// Smallest end of a logarithmic range.
@@ -346,10 +348,14 @@ impl SweepFile {
             let Vary { pointer, name, values } = field;
             ensure(
                 pointer.starts_with('/')
-                    && pointer.len() <= 200
+                    && pointer.len() <= LONGEST_POINTER
                     && !pointer.contains(char::is_control),
                 format!("{at}/pointer"),
-                || format!("{pointer:?} given; a pointer has the form /name/of/field"),
+                || {
+                    format!(
+                        "{pointer:?} given; a pointer has the form /name/of/field and at most {LONGEST_POINTER} bytes"
+                    )
+                },
             )?;
             ensure(pointers.insert(pointer), format!("{at}/pointer"), || {
                 format!("{pointer} is varied twice")

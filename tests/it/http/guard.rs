@@ -209,6 +209,13 @@ fn jobs_beyond_the_limits_are_refused_with_the_figures() {
     let problem = refused.problem(422, "too_expensive");
     assert_eq!(problem["pointer"], "/steps");
     assert!(problem["detail"].as_str().is_some_and(|text| text.contains("100 s")), "{problem}");
+    // The field that the scenario has is named.
+    let mut by_time = long();
+    let steps = by_time.as_object_mut().and_then(|fields| fields.remove("steps"));
+    let steps = steps.and_then(|steps| steps.as_f64()).expect("a number of steps");
+    by_time["duration_s"] = json!(steps * by_time["step_s"].as_f64().expect("a step"));
+    let refused = server.post("/jobs", by_time.to_string().as_bytes());
+    assert_eq!(refused.problem(422, "too_expensive")["pointer"], "/duration_s");
     drop(server);
 
     let server = service(&data).limits(|limits| limits.log_bytes = 1_000_000).start();
