@@ -1,11 +1,13 @@
 //! Steps in a time of their own: the structure they keep, their orders, their samples, and what they spare near charges.
 
+use std::ops::RangeInclusive;
+
 use vpd_solve::failure::Failure;
 use vpd_solve::hamiltonian::{
     Energy, Hamiltonian, Kinetic, Law, Rescaled, RigidBody, Term, TimeScale,
 };
 use vpd_solve::nonlinear::StopRule;
-use vpd_solve::so::{self, Mat};
+use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
@@ -132,14 +134,36 @@ fn its_derivatives_are_those_of_its_energy() {
     law::<5>();
 }
 
+/// A body that turns fast, far from the one charge that time looks at.
+fn spinning() -> (RigidBody<3>, TimeScale, State<3>) {
+    let terms = vec![
+        Term {
+            law: Law::Uniform { weight: 0.3, body_point: Vector::<3>::new(0.0, 0.0, 1.0) },
+            space: Vector::<3>::new(0.0, 0.0, 1.0),
+        },
+        Term {
+            law: Law::PointSource { strength: 0.1, body_point: Vector::<3>::new(1.0, 0.0, 0.0) },
+            space: Vector::<3>::new(0.0, 6.0, 3.0),
+        },
+    ];
+    let moments = [1.0, 0.8, 0.5];
+    let spin = [0.7, -0.6, 0.9];
+    let momentum = so::hat(&[0, 1, 2].map(|i| moments[i] * spin[i]));
+    let body = RigidBody::new(Kinetic::of_moments(moments), terms, 0.0);
+    (body, TimeScale::new(vec![0.0, 0.8]), State { attitude: Mat::identity(), momentum })
+}
+
 /// The stages side by side make the step that knows nothing of the system but its derivatives.
 #[test]
 fn in_lanes_it_is_the_same_map() {
-    fn law<const N: usize>() {
-        let (body, scale, start) = crowded::<N>();
+    fn law<const N: usize>(
+        (body, scale, start): (RigidBody<N>, TimeScale, State<N>),
+        stages: RangeInclusive<usize>,
+        steps: &[f64],
+    ) {
         let of = Rescaled::new(&body, &scale, total(&body, &start));
-        for stages in 1..=8 {
-            for h in [0.05, 0.2, 0.4] {
+        for stages in stages {
+            for &h in steps {
                 let mut quick = Vpd::new(gauss(stages), StopRule::default());
                 let mut plain = Vpd::new(gauss(stages), StopRule::default());
                 quick.start(&start);
@@ -154,11 +178,14 @@ fn in_lanes_it_is_the_same_map() {
             }
         }
     }
-    law::<2>();
-    law::<3>();
-    law::<4>();
-    law::<5>();
-    law::<8>();
+    const SHORT: [f64; 3] = [0.05, 0.2, 0.4];
+    law(crowded::<2>(), 1..=8, &SHORT);
+    law(crowded::<3>(), 1..=8, &SHORT);
+    law(crowded::<4>(), 1..=8, &SHORT);
+    law(crowded::<5>(), 1..=8, &SHORT);
+    law(crowded::<8>(), 1..=8, &SHORT);
+    // Up to 1.3 rad.
+    law(spinning(), 3..=8, &[0.4, 0.6, 0.8, 1.0]);
 }
 
 #[test]

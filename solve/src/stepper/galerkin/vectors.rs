@@ -53,8 +53,9 @@ const ENOUGH: f64 = 1e-15;
 const LEAST: f64 = 0.25;
 /// Number of torques, or evaluations, after which a step that does not converge is abandoned.
 const PATIENCE: u32 = 6;
-/// From this number of stages on, the stretch of the end is neglected.
-const MANY: usize = 5;
+/// Largest stretch `|P - I|` of a stage whose square is round-off: what f and its multiplier lack by
+/// collocation and by P = I is as small as that, and enters delta times K, which is, too.
+const SMALL_STRETCH: f64 = 1e-8;
 
 /// Start of a step.
 pub(super) struct Start {
@@ -258,10 +259,10 @@ struct Step<'a, R> {
 
 /// Functions whose bodies are compiled for the instruction set of the lanes, each once.
 macro_rules! in_lanes {
-    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident) $(-> $result:ty)? $body:block)*) => {
+    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
         $($(#[$attribute])*
         #[inline(never)]
-        fn $name(&mut $this) $(-> $result)? {
+        fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
             $this.lanes.vectorized(
                 #[inline(always)]
                 || $body,
@@ -506,8 +507,9 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let turned = self.polar_factors();
         self.look()?;
         self.transported();
-        if self.evaluations == 1 || self.given.tableau.stages < MANY {
-            self.end();
+        let is_stretched = self.largest_stretch() > SMALL_STRETCH;
+        if self.evaluations == 1 || is_stretched {
+            self.end(is_stretched);
         }
         Ok(Real::max_or_nan(turned, self.defects()))
     }
@@ -528,6 +530,11 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let turned = minus(&theta.v, &self.theta.v);
         (self.attitude, self.theta, self.w, self.d) = (polar, theta, w, d);
         largest(&turned)
+    }
+
+    /// Returns the largest entry of any P - I.
+    fn largest_stretch(&mut self) -> f64 {
+        largest_entry(&self.stretch)
     }
 
     /// X, [Y] and [defect], whose change is added to pi. Returns the largest change of delta,
@@ -584,16 +591,18 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         largest(&change) / largest(&self.mu).max(f64::MIN_POSITIVE)
     }
 
-    /// [end]: f and the multiplier, `K(P_e) lambda = -f^T pi1`.
-    fn end(&mut self) {
+    /// [end]: f and the multiplier, `K(P_e) lambda = -f^T pi1`, with P_e = I unless `is_stretched`.
+    fn end(&mut self, is_stretched: bool) {
         if self.evaluations <= 1 {
             let Quaternion { w, v } =
                 self.attitude.rate(&scaled(&self.omega, self.weight * 0.5));
             self.f = Quaternion { w: w.sum() + 1.0, v: vec3!(i => v[i].sum()) }.normalised();
         }
         let mut inverse = [0.0; 6];
-        if self.given.tableau.stages < MANY {
-            inverse = self.turn_end();
+        if is_stretched {
+            // It starts as close as the stages are to collocation of quaternions: the first time
+            // that needs a second pass.
+            inverse = self.turn_end(if self.evaluations == 1 { 2 } else { 1 });
         }
         let f = self.f.matrix();
         let pi1: Vec3<f64> = vec3!(i => self.given.start.momentum[i] - self.kappa[i].sum());
@@ -601,13 +610,10 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         self.f_lambda = times_hat(&f, &lambda);
     }
 
-    /// Computes the polar factor of the end; returns K(P_e)^-1 - I / 2.
-    fn turn_end(&mut self) -> Sym3<f64> {
+    /// Computes the polar factor of the end in `passes` passes; returns K(P_e)^-1 - I / 2.
+    fn turn_end(&mut self, passes: u32) -> Sym3<f64> {
         let d: Mat3<f64> = mat3!(i, j => self.w[i][j].sum());
         let mut inverse = [0.0; 6];
-        // It starts as close as the stages are to collocation of quaternions: with few stages that
-        // needs a second pass.
-        let passes = if self.given.tableau.stages < MANY && self.evaluations == 1 { 2 } else { 1 };
         for _ in 0..passes {
             let f = self.f.matrix();
             self.end_stretch = stretch_of(&self.f, &f, &d);
@@ -642,7 +648,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             }
             if forces.left(change) <= ROUND_OFF || is_rounding(change, last) {
                 self.last();
-                self.turn_end();
+                self.turn_end(1);
                 return Ok(change);
             }
             last = change;
@@ -665,12 +671,9 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         found.end = *f;
         found.end_stretch = unsigned_zeros(*end_stretch);
         found.impulse = unsigned_zeros(vec3!(i => -self.kappa[i].sum()));
-        let mut most = stretch[0].abs();
-        for entry in &stretch[1..] {
-            most = most.max_or_nan(entry.abs());
-        }
-        let most =
-            end_stretch.iter().fold(most.largest(), |most, x| Real::max_or_nan(most, x.abs()));
+        let most = end_stretch
+            .iter()
+            .fold(largest_entry(stretch), |most, x| Real::max_or_nan(most, x.abs()));
         // |U - I|_F^2 = 8 |v|^2
         let turn = dot(&attitude.v, &attitude.v).largest();
         Solved {
@@ -694,6 +697,12 @@ fn is_rounding(change: f64, last: f64) -> bool {
     /// A few units in the last place.
     const FLOOR: f64 = 4e-15;
     change <= FLOOR && change >= 0.5 * last
+}
+
+/// The largest entry of a symmetric matrix.
+#[inline(always)]
+fn largest_entry<R: Stages<Whole = f64>>(s: &Sym3<R>) -> f64 {
+    s[1..].iter().fold(s[0].abs(), |most, entry| most.max_or_nan(entry.abs())).largest()
 }
 
 /// The largest component of a vector.
