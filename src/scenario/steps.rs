@@ -22,8 +22,8 @@ pub struct Adaptive {
     /// The longest step, dtau, in seconds: that far from all point sources. `step_s` if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub largest_step_s: Option<f64>,
-    /// The distance in metres below which steps shorten: one number for all point sources, or one for each in their
-    /// order. If absent, for each the distance of its body point from the fixed point.
+    /// The distance in metres below which steps shorten: a list of one number for all point sources, or of one for each in
+    /// their order. If absent, for each the distance of its body point from the fixed point.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub near_m: Vec<f64>,
 }

@@ -20,7 +20,7 @@
 //! so the pair is symplectic whatever their rounding. The forms differ in how Omega_k follows from mu_k
 //! and in the gradient: that is [`Dynamics`].
 //!
-//! Nothing of g0 remains but through the gradient. For a free body the step is therefore the reduced
+//! g0 remains only in dH/dg and, where it depends on the attitude, in dH/dmu. For a free body the step is therefore the reduced
 //! Lie-Poisson integrator (25, lp) as it stands, with f_0 = f and Theta_i = U_i^T f.
 //!
 //! Invariant: a solution is refused where its polar factors are not to be trusted.
@@ -322,7 +322,7 @@ impl<const N: usize> GalerkinStep<N> {
             return Ok(None);
         }
         // Where no attitude is far from where the step began, none is far from the next.
-        if !(solved.turn <= MODEST_TURN) && self.check_continuity().is_err() {
+        if !(solved.change_square <= MODEST_TURN) && self.check_continuity().is_err() {
             return Ok(None);
         }
         if dynamics.body().is_none_or(|seen| seen.body.has_own()) {

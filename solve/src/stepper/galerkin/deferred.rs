@@ -257,7 +257,7 @@ pub(super) struct Solved {
     /// The largest entry of any F, in vectors of any E.
     pub(super) stretch: f64,
     /// The largest `|C|_F^2`.
-    pub(super) turn: f64,
+    pub(super) change_square: f64,
     /// Nearness as returned by [`crate::hamiltonian::RigidBody::torque`].
     pub(super) nearness: f64,
 }
@@ -899,7 +899,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     /// Computes [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in `passes`
-    /// passes, pi1, and the multiplier by (6), `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with
+    /// passes, pi1, and the multiplier by (6) of the derivation, `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with
     /// `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is (24e, vih5); also [E] of the
     /// stages.
     fn end_point(&mut self, passes: usize) {
@@ -951,7 +951,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
     }
 
-    /// Computes [X], by (5):
+    /// Computes [X], by (5) of the derivation:
     /// `X = -(h b / 2) (asym(S Omega) - [mu, Omega] / 2 + dH/dg) - asym(E X) / 2`, which is
     /// (17a, f1) and (19a, fff1).
     fn multipliers(&mut self) {
@@ -1045,17 +1045,17 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn judged(&mut self, rounds: u32, increment: f64) -> Solved {
         let Self { stack, u, end, forces, h, .. } = self;
         let lanes = stack.lanes;
-        let (mut stretch, mut turn) = (lanes.constant(0.0), lanes.constant(0.0));
-        let (mut end_stretch, mut end_turn) = (0.0_f64, 0.0_f64);
+        let (mut stretch, mut square) = (lanes.constant(0.0), lanes.constant(0.0));
+        let (mut end_stretch, mut end_square) = (0.0_f64, 0.0_f64);
         for i in 0..stack.n() {
             for j in 0..stack.n() {
                 let c = stack.get(&u.c, i, j);
-                turn = turn + c * c;
+                square = square + c * c;
                 stretch = stretch.max_or_nan(stack.get(&u.f, i, j).abs());
             }
         }
         for (c, f) in end.c.iter().zip(end.f.iter()) {
-            end_turn += c * c;
+            end_square += c * c;
             end_stretch = Real::max_or_nan(end_stretch, f.abs());
         }
         Solved {
@@ -1063,7 +1063,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             h: *h,
             increment,
             stretch: Real::max_or_nan(end_stretch, stretch.largest()),
-            turn: Real::max_or_nan(end_turn, turn.largest()),
+            change_square: Real::max_or_nan(end_square, square.largest()),
             nearness: match forces {
                 Forces::Body { torques, .. } | Forces::Rescaled { torques, .. } => torques.nearness,
                 Forces::None { .. } | Forces::Stages(_) => -1.0,

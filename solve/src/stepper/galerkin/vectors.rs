@@ -11,12 +11,12 @@
 //! ```
 //!
 //! theta makes the quaternion u_k the polar factor of `I + D_k`. With theta and delta zero this is
-//! collocation of quaternion and momentum; both are of order h^(s+1). So a round takes four sums
-//! over the stages, and matrices are formed where theta and delta are evaluated.
+//! collocation of quaternion and momentum; both are of order h^(s+1). So a round takes seven
+//! sums over the stages, and products of matrices are formed where theta and delta are evaluated.
 //!
-//! In a time of its own `Omega = sigma J^-1 mu`, and dH~/dg is the gradient of
+//! In a time of its own `Omega = sigma J^-1 mu` (with wheels, mu less their momentum), and dH~/dg is the gradient of
 //! `H~ = sigma (H - H0)`. Between two torques both follow the momenta and, to first order, the
-//! attitudes: with `eta = 2 vec(u*' u)`, u' being the attitude at which the torque was taken,
+//! attitudes: with `eta = 2 vec(conj(u') u)`, u' being the attitude at which the torque was taken,
 //!
 //! ```text
 //! potential = potential' + vee(dH/dg) . eta,      sigma^-2 = sigma'^-2 + vee(dsigma^-2/dg) . eta
@@ -681,7 +681,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             h: self.h,
             increment,
             stretch: most,
-            turn: 8.0 * Real::max_or_nan(turn, dot(&f.v, &f.v)),
+            change_square: 8.0 * Real::max_or_nan(turn, dot(&f.v, &f.v)),
             nearness: self.looked.nearness.largest(),
         }
     }

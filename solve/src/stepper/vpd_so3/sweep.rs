@@ -32,11 +32,11 @@
 //! torque, the same at each stage, and many stages are used for the last digits: the energy of a
 //! heavy top rose linearly. Three or more stages use [transport] and [defect] of
 //! docs/derivation.md, in which each term is small; with `T_k = U_k hat(x_k)`,
-//! `K_k = U_k E_k + sum_j (1 - e_jk - e_kj) w_j` and `D_k = C_k + U_k E_k`
+//! `K'_k = U_k E_k + sum_j (1 - e_jk - e_kj) w_j` and `D_k = C_k + U_k E_k`
 //!
 //! ```text
 //! pi_k - p0 = delta_k - h sum_j (1 - e_jk) b_j U_j tau_j
-//! delta_k = vee asym(f hat(lambda) K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))
+//! delta_k = vee asym(f hat(lambda) K'_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))
 //! ```
 //!
 //! This is the same momentum where the equations are solved. Before that, one or two stages need a
