@@ -331,7 +331,7 @@ fn a_member_that_fails_or_is_refused_has_a_line() {
     assert_eq!(drawn.matches("<circle").count(), 5);
     // The table of another sweep is not drawn as that of this one.
     fs::copy(at.join("points.csv"), at.join("mixed.csv")).expect("copied");
-    refused(at, &["sweep", "mixed.json", "--svg", "x.svg"], "no table of this sweep");
+    refused(at, &["sweep", "mixed.json", "--svg", "x.svg"], "not a table of this sweep");
     // No member succeeds: as for an ensemble, that is a failure.
     let mut bad = mixed(200);
     bad["vary"] = json!([{ "pointer": "/scene/inertia/principal/0", "values": { "list": [-1] } }]);
@@ -650,7 +650,7 @@ fn parts_of_many_processes_make_the_whole() {
         &with("cut.csv", &format!("{cut}\n")),
         "cut.csv is unfinished or damaged: members 3 to 3",
     );
-    not_merged(&with("more.csv", &format!("{part}4,\n")), "more.csv is no part");
+    not_merged(&with("more.csv", &format!("{part}4,\n")), "more.csv is not a part");
     let other = part.replacen("succeeded", "succeedeD", 1);
     let two = [parts.as_slice(), &["other.csv".to_owned()]].concat();
     fs::write(at.join("other.csv"), other).expect("written");

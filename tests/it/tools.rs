@@ -150,7 +150,7 @@ fn a_table_replaces_nothing_and_its_format_is_known() {
     assert!(text(&refused.stderr).contains("--force"), "{}", text(&refused.stderr));
     assert_eq!(std::fs::read(at.join("x.csv")).expect("kept"), b"mine");
     assert_eq!(vpd(at, &["export", "top.mcap", "-o", "x.csv", "--force"]).status.code(), Some(0));
-    for (name, said) in [("x.xlsx", ".csv, .parquet and .arrow"), ("x", "no format")] {
+    for (name, said) in [("x.xlsx", ".csv, .parquet or .arrow"), ("x", "not a format")] {
         let refused = vpd(at, &["export", "top.mcap", "-o", name]);
         assert_eq!(refused.status.code(), Some(2));
         assert!(text(&refused.stderr).contains(said), "{}", text(&refused.stderr));
