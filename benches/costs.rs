@@ -237,7 +237,10 @@ fn scenario(
         "spring" => {
             json!({"kind": "spring", "stiffness": strength, "rest_length": 0.5, "body_point": vector(k, 1.0), "position": far(k)})
         }
-        _ => json!({"kind": "gravity_gradient", "strength": strength, "direction": vector(k, 1.0)}),
+        "gravity_gradient" => {
+            json!({"kind": "gravity_gradient", "strength": strength, "direction": vector(k, 1.0)})
+        }
+        kind => panic!("no term of the kind {kind}"),
     };
     let moments: Vec<f64> = (0..n).map(|i| 0.5 + 0.1 * i as f64).collect();
     let rate = |i: usize, j: usize| ((n * i + j + 1) as f64 * 0.317).fract() / n as f64;

@@ -66,7 +66,7 @@ const PALETTE: [RGBColor; 7] = [
 ];
 
 const TIME: Axis<'static> = Axis { label: "time in s", scale: Scale::Linear };
-const ENERGY: Axis<'static> = Axis { label: "|H - H(0)| in J", scale: Scale::Log };
+const ENERGY: Axis<'static> = Axis { label: "energy error in J", scale: Scale::Log };
 const ORTHOGONALITY: Axis<'static> =
     Axis { label: "spectral norm of g g^T - I", scale: Scale::Log };
 const PACE: Axis<'static> = Axis { label: "1 / sigma = dtau / dt", scale: Scale::Log };

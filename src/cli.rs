@@ -442,7 +442,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     if args.json {
         print_json(&summary)?;
     } else {
-        show(text::summary(&summary, &plan.warnings))?;
+        show(text::summary(&summary, &plan))?;
     }
     // The run, its log and its summary stand even if its error cannot be computed.
     found?;
@@ -452,7 +452,7 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
 /// Runs a plan to a log and reports how it ended.
 fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
     let summary = watched(plan, log, force)?;
-    show(text::summary(&summary, &plan.warnings))?;
+    show(text::summary(&summary, plan))?;
     Ok(exit_code(summary.outcome))
 }
 

@@ -390,7 +390,10 @@ pub fn export<'a>(
     if names.iter().all(|name| TIMES.contains(&name.as_str())) {
         let topics: Vec<&str> = choice.channels.iter().map(|channel| channel.topic()).collect();
         let topics = if topics.is_empty() { "samples".to_owned() } else { topics.join(", ") };
-        let asked = format!("{topics} of member {}", choice.member);
+        let asked = match choice.member {
+            0 => topics,
+            member => format!("{topics} of member {member}"),
+        };
         return Err(ExportError::Empty { log: log.display().to_string(), asked });
     }
     let mut table: Box<dyn Table + 'a> = match format {

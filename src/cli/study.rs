@@ -134,7 +134,7 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
             if !drawn.iter().any(|path| path.ends_with(chart.file())) {
                 let _ = writeln!(
                     io::stderr(),
-                    "{} is not drawn: no log holds its channel",
+                    "{} is not drawn: no log holds this error",
                     chart.file()
                 );
             }

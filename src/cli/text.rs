@@ -5,8 +5,8 @@ use std::fmt::Write;
 use crate::plan::{EnsemblePlan, Plan};
 use crate::run::Summary;
 
-/// Formats a run in a few lines, with the warnings of its plan.
-pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
+/// Formats a run in a few lines, with what its plan chose and warns of.
+pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
     let mut text = String::new();
     let mut line = |name: &str, value: String| {
         // Writing to a string cannot fail.
@@ -24,7 +24,19 @@ pub(super) fn summary(summary: &Summary, warnings: &[String]) -> String {
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }
-    for warning in warnings.iter().chain(&summary.warning) {
+    if let Some(advice) = &plan.advice {
+        let method = plan.formulation.method.as_str();
+        let tableau = plan.formulation.tableau.as_deref().unwrap_or("composed");
+        let expected = advice.expected_error;
+        line(
+            "method",
+            format!(
+                "{method}, {tableau}, steps of {} s: error {expected:.1e} expected",
+                plan.step_s
+            ),
+        );
+    }
+    for warning in plan.warnings.iter().chain(&summary.warning) {
         line("warning", warning.clone());
     }
     if let Some(error) = summary.error {
@@ -133,7 +145,9 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
                     )
                 }
                 (_, _, Some(error)) => {
-                    format!("not reached, or too expensive; best error {error:.1e}")
+                    format!(
+                        "given up as too expensive or out of reach; smallest error tried {error:.1e}"
+                    )
                 }
                 _ => "no step works".to_owned(),
             };
@@ -144,8 +158,14 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
     line(
         "steps",
         format!(
-            "{} of {} s, a sample every {}: {} samples",
-            plan.steps, plan.step_s, plan.every, plan.samples
+            "{} of {} s, every {}: {} samples",
+            plan.steps,
+            plan.step_s,
+            match plan.every {
+                1 => "step a sample".to_owned(),
+                every => format!("{every} steps a sample"),
+            },
+            plan.samples
         ),
     );
     if let Some(own) = &plan.own_steps {
@@ -203,7 +223,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
     line(
         "estimate",
         format!(
-            "{:.1} us a step and {:.1} s in all on one core, {:.1} MB of log",
+            "{:.1} us a step and {:.2} s in all on one core, {:.1} MB of log",
             plan.step_ns * 1e-3,
             plan.run_s,
             plan.log_bytes as f64 / 1e6

@@ -215,7 +215,7 @@ impl fmt::Display for Inspection {
         }
         let extremes = &self.extremes;
         for (name, value, unit) in [
-            ("energy, largest |H - H0|", extremes.energy_max_abs_error, " J"),
+            ("energy, largest error", extremes.energy_max_abs_error, " J"),
             ("orthogonality, largest |g g^T - I|", extremes.orthogonality_max, ""),
             ("momentum, largest drift", extremes.momentum_drift_max, " kg m^2/s"),
             ("smallest singular value", extremes.sigma_min_min, ""),

@@ -2,8 +2,8 @@
 //! drop, its law, its drawing, an example.
 //!
 //! The list is that of the laws, `solve/hamiltonian/term.rs`; everything that goes over the terms is made from it here. A new
-//! term is its file next to this one, and its file and its entry there: nothing compiles until all of it is there. Then `cargo
-//! bench --bench costs` measures what it costs; until then it counts as the most expensive.
+//! term is its file next to this one, and its file and its entry there: nothing compiles until all of it is there. It
+//! counts as the most expensive until `benches/costs.rs` has a scene of it and its costs are measured.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};

@@ -9,7 +9,7 @@ use crate::so::{self, Mat, Vector};
 
 /// A potential energy U(g) by its value and its derivative.
 ///
-/// `g` turns body coordinates into space coordinates, `x = g y`. It is on the group to rounding, but in the stages of
+/// `g` turns body coordinates into space coordinates, `x = g y`. It is on the group to rounding, except in the stages of
 /// [`crate::stepper::rk::Rk`], which leaves the group; while an iteration diverges it may hold NaN. A law that has no
 /// value answers NaN: the step then fails by name.
 ///
