@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::plan::{EnsemblePlan, Plan};
+use crate::plan::{EnsemblePlan, Formulation, Plan};
 use crate::run::Summary;
 
 /// Formats a run in a few lines, with what its plan chose and warns of.
@@ -25,15 +25,10 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
         line("diagnosis", diagnosis.to_string());
     }
     if let Some(advice) = &plan.advice {
-        let method = plan.formulation.method.as_str();
-        let tableau = plan.formulation.tableau.as_deref().unwrap_or("composed");
-        let expected = advice.expected_error;
+        let (scheme, expected) = (scheme(&plan.formulation), advice.expected_error);
         line(
             "method",
-            format!(
-                "{method}, {tableau}, steps of {} s: error {expected:.1e} expected",
-                plan.step_s
-            ),
+            format!("{scheme}, steps of {} s: error {expected:.1e} expected", plan.step_s),
         );
     }
     for warning in plan.warnings.iter().chain(&summary.warning) {
@@ -107,6 +102,13 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
     text
 }
 
+/// Names a method with its tableau, its stages and its order.
+fn scheme(formulation: &Formulation) -> String {
+    let Formulation { method, tableau, stages, order, .. } = formulation;
+    let tableau = tableau.as_deref().unwrap_or("composed");
+    format!("{}, {tableau} ({stages} stages, order {order})", method.as_str())
+}
+
 /// Formats a plan in a few lines.
 pub(super) fn plan(name: &str, plan: &Plan) -> String {
     let mut text = String::new();
@@ -115,17 +117,7 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         let _ = writeln!(text, "{name:<12} {value}");
     };
     line("scenario", format!("{name}, on SO({})", plan.dimension));
-    line(
-        "method",
-        format!(
-            "{}, {} ({} stages, order {}): {}",
-            formulation.method.as_str(),
-            formulation.tableau.as_deref().unwrap_or("composed"),
-            formulation.stages,
-            formulation.order,
-            formulation.why
-        ),
-    );
+    line("method", format!("{}: {}", scheme(formulation), formulation.why));
     if let Some(words) = formulation.motion.words() {
         line("motion", words.to_owned());
     }
