@@ -357,7 +357,7 @@ impl<const N: usize> GalerkinStep<N> {
             self.solution = Solution {
                 turn: Mat::from_fn(|i, j| change[(i, j)]),
                 impulse: so::hat(&in_vectors.impulse()),
-                gain: None,
+                gain: Some(so::hat(&in_vectors.gain())),
                 h: solved.h,
                 by: By::Vectors,
             };

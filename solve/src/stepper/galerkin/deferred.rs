@@ -49,7 +49,7 @@ pub(super) const ROUND_OFF: f64 = 1e-16;
 /// inertia an error of the momentum turns the body farther than the turn of the step says: with
 /// moments of 0.01 and 1 a tenth of it still shows as a drift of the energy over a million steps,
 /// this part does not.
-const LAST_DIGIT: f64 = 0.03;
+pub(super) const LAST_DIGIT: f64 = 0.03;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -633,7 +633,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let floor = rounds.at_floor(jump, self.size);
             let left = rounds.left(jump);
             if left <= goal || floor {
-                return Ok(Passed { first, last: jump, left });
+                return Ok(Passed { first, last: jump, left: if floor { 0.0 } else { left } });
             }
             if !jump.is_finite() {
                 break;
@@ -1145,7 +1145,7 @@ fn polar_factor<R: Stored, D: Dimension>(
 struct Passed {
     first: f64,
     last: f64,
-    /// Error left.
+    /// Error left that more passes would remove.
     left: f64,
 }
 
@@ -1166,7 +1166,7 @@ impl Rounds {
     }
 
     /// Returns whether `change` no longer falls because it is rounding of momenta of this size.
-    fn at_floor(&self, change: f64, size: f64) -> bool {
+    pub(super) fn at_floor(&self, change: f64, size: f64) -> bool {
         /// Below this part of the momentum a change that no longer falls is rounding.
         const FLOOR: f64 = 1e-14;
         !self.first && change >= self.last && change <= FLOOR * size

@@ -26,7 +26,7 @@
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
-use super::deferred::{MOST_ROUNDS, ROUND_OFF, Rounds, Solved, Stuck};
+use super::deferred::{LAST_DIGIT, MOST_ROUNDS, ROUND_OFF, Rounds, Solved, Stuck};
 use crate::hamiltonian::{Looked, RigidBody, Scale};
 use crate::lanes::{Real, Row, Rows, Stages, WIDTH, widest};
 use crate::so::Mat;
@@ -87,6 +87,7 @@ pub(super) struct Found {
     end: Quaternion<f64>,
     end_stretch: Sym3<f64>,
     impulse: Vec3<f64>,
+    gain: Vec3<f64>,
 }
 
 impl InVectors {
@@ -106,6 +107,7 @@ impl InVectors {
             end: Quaternion { w: 1.0, v: [0.0; 3] },
             end_stretch: [0.0; 6],
             impulse: [0.0; 3],
+            gain: [0.0; 3],
         };
         let (tableau, seen) = (LaneTableau::new(tableau), Vec::new());
         Some(Self { tableau, level: Some(Level::new()), seen, found })
@@ -172,6 +174,11 @@ impl InVectors {
     /// vee of `pi1 - p0`.
     pub(super) fn impulse(&self) -> Vec3<f64> {
         self.found.impulse
+    }
+
+    /// vee of `p1 - p0`.
+    pub(super) fn gain(&self) -> Vec3<f64> {
+        self.found.gain
     }
 
     /// vee(mu_k) and vee(Omega_k).
@@ -333,8 +340,9 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             if !(jump <= 1.0) || (evaluation > PATIENCE && jump > last.max(1e-12)) {
                 break;
             }
+            let floor = evaluations.at_floor(jump, 1.0);
             let left = evaluations.left(jump);
-            let enough = 0.1 * left.max(ROUND_OFF);
+            let enough = 0.1 * left.max(LAST_DIGIT * ROUND_OFF);
             let mut rounds = Rounds::new(of_round(turn), jump);
             for _ in 0..ROUNDS_AFTER {
                 if rounds.left(self.round()) <= enough {
@@ -343,7 +351,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             }
             // With few stages the first evaluation does not yet know its order.
             let is_sure = stages >= 4 || evaluation > 1;
-            if (is_sure && left <= ROUND_OFF) || is_rounding(jump, last) {
+            if (is_sure && left <= LAST_DIGIT * ROUND_OFF) || floor {
                 let increment = self.finish(turn, jump)?;
                 let lanes = self.lanes;
                 return Ok(lanes.vectorized(
@@ -636,7 +644,6 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     fn finish(&mut self, turn: f64, jump: f64) -> Result<f64, Stuck> {
         // The forces also depend on the momenta.
         let mut forces = Rounds::new(3.0 * TORQUE_CONTRACTION, jump);
-        let mut last = f64::INFINITY;
         for _ in 0..MOST_ROUNDS {
             self.look()?;
             let change = self.round();
@@ -646,12 +653,13 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             if !(change <= 1.0) {
                 break;
             }
-            if forces.left(change) <= ROUND_OFF || is_rounding(change, last) {
+            if forces.at_floor(change, 1.0) || forces.left(change) <= ROUND_OFF {
                 self.last();
-                self.turn_end(1);
+                // The first pass brings f to length one to the last digit: its turn is measured as
+                // if it already had that.
+                self.turn_end(2);
                 return Ok(change);
             }
-            last = change;
         }
         Err(Stuck::Lost)
     }
@@ -670,6 +678,10 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         }
         found.end = *f;
         found.end_stretch = unsigned_zeros(*end_stretch);
+        // [gain]
+        let turning = cross(mu, &scaled(omega, self.weight));
+        let gain = vec3!(i => (turning[i] - self.weight * self.gradient[i]).sum());
+        found.gain = unsigned_zeros(gain);
         found.impulse = unsigned_zeros(vec3!(i => -self.kappa[i].sum()));
         let most = end_stretch
             .iter()
@@ -690,13 +702,6 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
 /// Returns the contraction of an error by a round, assumed until it is measured.
 fn of_round(turn: f64) -> f64 {
     (0.15 * turn).clamp(0.01, 0.3)
-}
-
-/// Is a change, after the one before it, mere rounding?
-fn is_rounding(change: f64, last: f64) -> bool {
-    /// A few units in the last place.
-    const FLOOR: f64 = 4e-15;
-    change <= FLOOR && change >= 0.5 * last
 }
 
 /// The largest entry of a symmetric matrix.
