@@ -9,13 +9,12 @@ use std::path::Path;
 use std::str::FromStr;
 
 use prost::Message as _;
-use serde::Serialize;
 use thiserror::Error;
 
 use crate::log::LogError;
-use crate::log::messages::{EnsembleStatistics, Member, Quantiles, State};
+use crate::log::messages::{EnsembleStatistics, Member, Message, State};
 use crate::log::reader::{self, Ending, Item};
-use crate::log::rows::{Row, read_rows};
+use crate::log::rows::{Cell, Field, Kind, Row, read_rows};
 use crate::log::schema::Channel;
 
 #[cfg(feature = "parquet")]
@@ -40,7 +39,8 @@ pub enum ExportError {
     },
     /// A channel that cannot be exported, or not together with the others.
     #[error(
-        "{channel} cannot be exported{with}; a table can hold any of /state, /energy, /orthogonality, /momentum, /solver, /pace, or /ensemble/members or /ensemble/statistics alone"
+        "{channel} cannot be exported{with}; a table can hold any of {}, or /ensemble/members or /ensemble/statistics alone",
+        topics(Message::CHANNELS)
     )]
     Channel {
         /// The channel.
@@ -107,175 +107,69 @@ pub struct Exported {
     pub ending: Ending,
 }
 
-/// A value of a table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(untagged)]
-enum Cell {
-    Number(Option<f64>),
-    Count(Option<u64>),
-    Word(Option<String>),
+/// Returns the fields of a sample on the chosen channels.
+fn of_row(row: &Row, channels: &[Channel], start_ns: u64) -> Vec<Field> {
+    let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
+    let time_s = row.state.as_ref().map_or(since_s, |state| state.time_s);
+    let mut fields = vec![Field::count(TIMES[0], &row.time_ns), Field::number(TIMES[1], &time_s)];
+    fields.extend(channels.iter().flat_map(|&channel| row.fields(channel)));
+    fields
 }
 
-/// Type of the values of a column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    Number,
-    Count,
-    Word,
-}
-
-impl Kind {
-    fn nothing(self) -> Cell {
-        match self {
-            Self::Number => Cell::Number(None),
-            Self::Count => Cell::Count(None),
-            Self::Word => Cell::Word(None),
-        }
-    }
-}
-
-/// One column or several: a number, a vector, a matrix.
-struct Field {
-    name: String,
-    kind: Kind,
-    cells: Vec<Cell>,
-}
-
-/// Fields of a row; the same ones in every row of a table, though some may be without cells.
-struct Fields(Vec<Field>);
-
-impl Fields {
-    fn put(&mut self, name: impl Into<String>, kind: Kind, cells: Vec<Cell>) {
-        self.0.push(Field { name: name.into(), kind, cells });
-    }
-
-    fn number(&mut self, name: impl Into<String>, value: Option<f64>) {
-        let cells = value.into_iter().map(|value| Cell::Number(Some(value))).collect();
-        self.put(name, Kind::Number, cells);
-    }
-
-    fn numbers(&mut self, name: impl Into<String>, values: &[f64]) {
-        let cells = values.iter().map(|&value| Cell::Number(Some(value))).collect();
-        self.put(name, Kind::Number, cells);
-    }
-
-    fn count(&mut self, name: impl Into<String>, value: Option<u64>) {
-        let cells = value.into_iter().map(|value| Cell::Count(Some(value))).collect();
-        self.put(name, Kind::Count, cells);
-    }
-
-    fn word(&mut self, name: impl Into<String>, value: Option<String>) {
-        let cells = value.into_iter().map(|value| Cell::Word(Some(value))).collect();
-        self.put(name, Kind::Word, cells);
-    }
-
-    /// Adds a state without its time.
-    fn state(&mut self, before: &str, state: Option<&State>) {
-        let list = |list: fn(&State) -> &Vec<f64>| state.map_or(&[][..], |state| list(state));
-        self.numbers(format!("{before}attitude"), list(|state| &state.attitude));
-        self.numbers(format!("{before}quaternion"), list(|state| &state.quaternion));
-        self.numbers(format!("{before}body_momentum"), list(|state| &state.body_momentum));
-        self.numbers(format!("{before}angular_velocity"), list(|state| &state.angular_velocity));
-    }
-
-    fn quantiles(&mut self, name: &str, of: Option<&Quantiles>) {
-        let mut one = |end: &str, value: fn(&Quantiles) -> f64| {
-            self.number(format!("{name}_{end}"), of.map(value))
-        };
-        one("least", |of| of.least);
-        one("median", |of| of.median);
-        one("percentile_95", |of| of.percentile_95);
-        one("largest", |of| of.largest);
-    }
-
-    /// Returns the fields of a sample on the chosen channels.
-    fn of_row(row: &Row, channels: &[Channel], start_ns: u64) -> Self {
-        let mut fields = Self(Vec::new());
-        let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
-        let time_s = row.state.as_ref().map_or(since_s, |state| state.time_s);
-        fields.count(TIMES[0], Some(row.time_ns));
-        fields.number(TIMES[1], Some(time_s));
-        for channel in channels {
-            match channel {
-                Channel::State => fields.state("", row.state.as_ref()),
-                Channel::Energy => {
-                    let energy = row.energy.as_ref();
-                    fields.number("energy_kinetic", energy.map(|energy| energy.kinetic));
-                    fields.number("energy_potential", energy.map(|energy| energy.potential));
-                    fields.number("energy_total", energy.map(|energy| energy.total));
-                    fields.number("energy_error", energy.map(|energy| energy.error));
-                    fields.number("jacobi_error", energy.and_then(|energy| energy.jacobi_error));
-                    fields.number("energy_work", energy.and_then(|energy| energy.work));
-                }
-                Channel::Orthogonality => {
-                    let error = row.orthogonality.as_ref().map(|found| found.error);
-                    fields.number("orthogonality_error", error);
-                }
-                Channel::Momentum => {
-                    let momentum = row.momentum.as_ref();
-                    let vector = momentum.map_or(&[][..], |momentum| &momentum.spatial_momentum);
-                    fields.numbers("spatial_momentum", vector);
-                    fields.number("momentum_drift", momentum.and_then(|momentum| momentum.drift));
-                    let impulse = momentum.map_or(&[][..], |momentum| &momentum.impulse);
-                    fields.numbers("momentum_impulse", impulse);
-                }
-                Channel::Solver => {
-                    let solver = row.solver.as_ref();
-                    fields.count("solver_iterations", solver.map(|s| s.iterations.into()));
-                    fields.number("solver_increment", solver.map(|s| s.increment));
-                    fields.word("solver_rung", solver.map(|s| s.rung.clone()));
-                    fields.number("solver_sigma_min", solver.and_then(|s| s.sigma_min));
-                }
-                Channel::Pace => {
-                    let pace = row.pace.as_ref();
-                    fields.number("pace_sigma", pace.map(|pace| pace.sigma));
-                    fields.number("pace_step_s", pace.map(|pace| pace.step_s));
-                    fields.count("pace_own_steps", pace.map(|pace| pace.own_steps));
-                    fields.number("pace_least_sigma", pace.map(|pace| pace.least_sigma));
-                    fields.number("pace_time_error_s", pace.map(|pace| pace.time_error_s));
-                }
-                _ => {}
-            }
-        }
+/// Returns how a member began and ended.
+fn of_member(member: &Member) -> Vec<Field> {
+    let state = |before: &str, state: &Option<State>| {
+        let mut fields = Field::of(state.as_ref(), State::fields);
+        fields.iter_mut().for_each(|field| field.name.insert_str(0, before));
         fields
-    }
+    };
+    let mut fields = vec![
+        Field::count("member", &member.member),
+        Field::word("outcome", &member.outcome),
+        Field::count("steps", &member.steps),
+        Field::count("samples", &member.samples),
+        Field::count("iterations", &member.iterations),
+    ];
+    fields.extend(state("initial_", &member.initial));
+    fields.push(Field::number("time_s", &member.last.as_ref().map(|last| last.time_s)));
+    fields.extend(state("", &member.last));
+    let figures = member.figures.unwrap_or_default();
+    fields.extend([
+        Field::number("energy_initial", &figures.energy_initial),
+        Field::number("energy_error_max", &figures.energy_max_abs_error),
+        Field::number("energy_error", &figures.energy_final_error),
+        Field::number("orthogonality_error_max", &figures.orthogonality_max),
+        Field::number("momentum_drift_max", &figures.momentum_max_drift),
+        Field::number("kinetic_max", &figures.kinetic_max),
+    ]);
+    fields
+}
 
-    /// Returns how a member began and ended.
-    fn of_member(member: &Member) -> Self {
-        let mut fields = Self(Vec::new());
-        fields.count("member", Some(member.member));
-        fields.word("outcome", Some(member.outcome.clone()));
-        fields.count("steps", Some(member.steps));
-        fields.count("samples", Some(member.samples));
-        fields.count("iterations", Some(member.iterations));
-        fields.state("initial_", member.initial.as_ref());
-        fields.number("time_s", member.last.as_ref().map(|state| state.time_s));
-        fields.state("", member.last.as_ref());
-        let figures = member.figures.as_ref();
-        fields.number("energy_initial", figures.and_then(|f| f.energy_initial));
-        fields.number("energy_error_max", figures.and_then(|f| f.energy_max_abs_error));
-        fields.number("energy_error", figures.and_then(|f| f.energy_final_error));
-        fields.number("orthogonality_error_max", figures.and_then(|f| f.orthogonality_max));
-        fields.number("momentum_drift_max", figures.and_then(|f| f.momentum_max_drift));
-        fields.number("kinetic_max", figures.and_then(|f| f.kinetic_max));
-        fields
+/// Returns mean and spread at one time.
+fn of_statistics(found: &EnsembleStatistics) -> Vec<Field> {
+    let mut fields = vec![
+        Field::number("time_s", &found.time_s),
+        Field::count("members", &found.members),
+        Field::count("failed", &found.failed),
+        Field::numbers("mean_attitude", &found.mean_attitude),
+        Field::number("attitude_spread_rad", &found.attitude_spread_rad),
+        Field::numbers("mean_body_momentum", &found.mean_body_momentum),
+        Field::numbers("body_momentum_deviation", &found.body_momentum_deviation),
+    ];
+    for (name, of) in [
+        ("energy_error_max", found.energy_max_abs_error),
+        ("orthogonality_error_max", found.orthogonality_max),
+        ("momentum_drift_max", found.momentum_max_drift),
+    ] {
+        let ends = [
+            ("least", of.map(|of| of.least)),
+            ("median", of.map(|of| of.median)),
+            ("percentile_95", of.map(|of| of.percentile_95)),
+            ("largest", of.map(|of| of.largest)),
+        ];
+        fields.extend(ends.map(|(end, value)| Field::number(format!("{name}_{end}"), &value)));
     }
-
-    /// Returns mean and spread at one time.
-    fn of_statistics(found: &EnsembleStatistics) -> Self {
-        let mut fields = Self(Vec::new());
-        fields.number("time_s", Some(found.time_s));
-        fields.count("members", Some(found.members));
-        fields.count("failed", Some(found.failed));
-        fields.numbers("mean_attitude", &found.mean_attitude);
-        fields.number("attitude_spread_rad", found.attitude_spread_rad);
-        fields.numbers("mean_body_momentum", &found.mean_body_momentum);
-        fields.numbers("body_momentum_deviation", &found.body_momentum_deviation);
-        fields.quantiles("energy_error_max", found.energy_max_abs_error.as_ref());
-        fields.quantiles("orthogonality_error_max", found.orthogonality_max.as_ref());
-        fields.quantiles("momentum_drift_max", found.momentum_max_drift.as_ref());
-        fields
-    }
+    fields
 }
 
 /// The columns of a table: each field with as many as it has anywhere in the log.
@@ -283,7 +177,7 @@ impl Fields {
 struct Columns(Vec<(String, Kind, usize)>);
 
 impl Columns {
-    fn take_in(&mut self, Fields(fields): &Fields) {
+    fn take_in(&mut self, fields: &[Field]) {
         if self.0.is_empty() {
             self.0 = fields.iter().map(|field| (field.name.clone(), field.kind, 0)).collect();
         }
@@ -302,10 +196,10 @@ impl Columns {
     }
 
     /// Returns a row with a cell in each column.
-    fn row(&self, Fields(fields): Fields) -> Vec<Cell> {
-        let wide = self.0.iter().zip(fields).flat_map(|((_, kind, width), Field { cells, .. })| {
+    fn row(&self, fields: Vec<Field>) -> Vec<Option<Cell>> {
+        let wide = self.0.iter().zip(fields).flat_map(|((.., width), Field { cells, .. })| {
             let missing = width.saturating_sub(cells.len());
-            cells.into_iter().chain(std::iter::repeat_n(kind.nothing(), missing))
+            cells.into_iter().map(Some).chain(std::iter::repeat_n(None, missing))
         });
         wide.collect()
     }
@@ -344,14 +238,18 @@ fn names(field: &str, width: usize) -> Vec<String> {
     }
 }
 
+fn topics(channels: &[Channel]) -> String {
+    channels.iter().map(|channel| channel.topic()).collect::<Vec<_>>().join(", ")
+}
+
 /// Takes the rows of a table.
 trait Table {
-    fn put(&mut self, row: Vec<Cell>) -> io::Result<()>;
+    fn put(&mut self, row: Vec<Option<Cell>>) -> io::Result<()>;
     fn finish(self: Box<Self>) -> io::Result<()>;
 }
 
 impl<W: Write> Table for csv::Writer<W> {
-    fn put(&mut self, row: Vec<Cell>) -> io::Result<()> {
+    fn put(&mut self, row: Vec<Option<Cell>>) -> io::Result<()> {
         self.serialize(row).map_err(plain)
     }
 
@@ -388,8 +286,8 @@ pub fn export<'a>(
     })?;
     let names = columns.names();
     if names.iter().all(|name| TIMES.contains(&name.as_str())) {
-        let topics: Vec<&str> = choice.channels.iter().map(|channel| channel.topic()).collect();
-        let topics = if topics.is_empty() { "samples".to_owned() } else { topics.join(", ") };
+        let all = choice.channels.is_empty();
+        let topics = if all { "samples".to_owned() } else { topics(&choice.channels) };
         let asked = match choice.member {
             0 => topics,
             member => format!("{topics} of member {member}"),
@@ -425,33 +323,31 @@ pub fn export<'a>(
 fn each(
     log: &Path,
     choice: &Choice,
-    mut visit: impl FnMut(Fields) -> ControlFlow<()>,
+    mut visit: impl FnMut(Vec<Field>) -> ControlFlow<()>,
 ) -> Result<Ending, ExportError> {
-    use Channel::{Energy, EnsembleMembers, EnsembleStatistics as Statistics, Momentum};
-    use Channel::{Orthogonality, Pace, Solver, State};
-    const OF_SAMPLES: [Channel; 6] = [State, Energy, Orthogonality, Momentum, Solver, Pace];
-    let channels = if choice.channels.is_empty() { &OF_SAMPLES } else { &choice.channels[..] };
-    if let [channel @ (EnsembleMembers | Statistics)] = *channels {
+    let all = choice.channels.is_empty();
+    let channels = if all { Message::CHANNELS } else { &choice.channels[..] };
+    if let [channel @ (Channel::EnsembleMembers | Channel::EnsembleStatistics)] = *channels {
         return Ok(reader::read(log, |item| {
             let Item::Message { topic, data, .. } = item else { return ControlFlow::Continue(()) };
             if topic != channel.topic() {
                 return ControlFlow::Continue(());
             }
-            let fields = if channel == EnsembleMembers {
-                Member::decode(data).map(|found| Fields::of_member(&found))
+            let fields = if channel == Channel::EnsembleMembers {
+                Member::decode(data).map(|found| of_member(&found))
             } else {
-                EnsembleStatistics::decode(data).map(|found| Fields::of_statistics(&found))
+                EnsembleStatistics::decode(data).map(|found| of_statistics(&found))
             };
             fields.map_or(ControlFlow::Continue(()), &mut visit)
         })?);
     }
-    if let Some(channel) = channels.iter().find(|channel| !OF_SAMPLES.contains(channel)) {
+    if let Some(channel) = channels.iter().find(|channel| !Message::CHANNELS.contains(channel)) {
         let with = if channels.len() > 1 { " together with others" } else { "" };
         return Err(ExportError::Channel { channel: channel.topic(), with });
     }
     let mut start_ns = None;
     Ok(read_rows(log, choice.member, |row| {
         let start_ns = *start_ns.get_or_insert(row.time_ns);
-        visit(Fields::of_row(&row, channels, start_ns))
+        visit(of_row(&row, channels, start_ns))
     })?)
 }

@@ -46,7 +46,7 @@ impl<W: Write> Batches for FileWriter<W> {
 struct Waiting<'a> {
     schema: SchemaRef,
     kinds: Vec<Kind>,
-    rows: Vec<Vec<Cell>>,
+    rows: Vec<Vec<Option<Cell>>>,
     out: Box<dyn Batches + 'a>,
 }
 
@@ -98,19 +98,19 @@ impl Waiting<'_> {
             match kind {
                 Kind::Number => {
                     Arc::new(Float64Array::from_iter(rows.iter().map(|row| match row[at] {
-                        Cell::Number(value) => value,
+                        Some(Cell::Number(value)) => Some(value),
                         _ => None,
                     })))
                 }
                 Kind::Count => {
                     Arc::new(UInt64Array::from_iter(rows.iter().map(|row| match row[at] {
-                        Cell::Count(value) => value,
+                        Some(Cell::Count(value)) => Some(value),
                         _ => None,
                     })))
                 }
                 Kind::Word => {
                     Arc::new(StringArray::from_iter(rows.iter().map(|row| match &row[at] {
-                        Cell::Word(value) => value.as_deref(),
+                        Some(Cell::Word(value)) => Some(value.as_str()),
                         _ => None,
                     })))
                 }
@@ -123,7 +123,7 @@ impl Waiting<'_> {
 }
 
 impl Table for Waiting<'_> {
-    fn put(&mut self, row: Vec<Cell>) -> io::Result<()> {
+    fn put(&mut self, row: Vec<Option<Cell>>) -> io::Result<()> {
         self.rows.push(row);
         if self.rows.len() == BATCH { self.write() } else { Ok(()) }
     }

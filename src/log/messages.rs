@@ -7,6 +7,7 @@ use prost::Message as _;
 
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
 
+use super::rows::Field;
 use super::schema::Channel;
 use crate::solve::nonlinear::{Convergence, Rung};
 use crate::solve::so::{self, Mat};
@@ -26,7 +27,16 @@ pub fn log10_size(x: f64) -> f64 {
 }
 
 macro_rules! messages_of_samples {
-    ($($(#[doc = $doc:literal])* $field:ident: $message:ident,)*) => {
+    ($($(#[doc = $doc:literal])* $field:ident: $message:ident {
+        $($column:ident: $kind:ident($value:ident)),*
+    },)*) => {
+        $(impl $message {
+            /// Returns its fields in a table.
+            pub(crate) fn fields(&self) -> Vec<Field> {
+                vec![$(Field::$kind(stringify!($column), &self.$value)),*]
+            }
+        })*
+
         /// A message of our own that belongs to a sample, named by its channel.
         #[derive(Clone, Debug, PartialEq)]
         #[allow(missing_docs)]
@@ -35,6 +45,9 @@ macro_rules! messages_of_samples {
         }
 
         impl Message {
+            /// The channels of these messages.
+            pub(crate) const CHANNELS: &[Channel] = &[$(Channel::$message),*];
+
             /// Decodes the message behind `data`; `None` if the topic or the type is not ours or it
             /// cannot be decoded.
             pub fn decode(topic: &str, schema: &str, data: &[u8]) -> Option<Self> {
@@ -59,6 +72,14 @@ macro_rules! messages_of_samples {
         }
 
         impl Row {
+            /// Returns the fields of a channel in a table.
+            pub(crate) fn fields(&self, channel: Channel) -> Vec<Field> {
+                match channel {
+                    $(Channel::$message => Field::of(self.$field.as_ref(), $message::fields),)*
+                    _ => Vec::new(),
+                }
+            }
+
             pub(super) fn take_in(&mut self, message: Message) {
                 match message {
                     $(Message::$message(message) => self.$field = Some(message),)*
@@ -94,19 +115,36 @@ macro_rules! messages_of_samples {
     };
 }
 
+// A message, and its columns in a table: the logarithms follow from the errors and are left out.
 messages_of_samples! {
     /// Attitude, body momentum and velocity.
-    state: State,
+    state: State {
+        attitude: numbers(attitude), quaternion: numbers(quaternion),
+        body_momentum: numbers(body_momentum), angular_velocity: numbers(angular_velocity)
+    },
     /// Energy.
-    energy: Energy,
+    energy: Energy {
+        energy_kinetic: number(kinetic), energy_potential: number(potential),
+        energy_total: number(total), energy_error: number(error),
+        jacobi_error: number(jacobi_error), energy_work: number(work)
+    },
     /// Distance from the group.
-    orthogonality: Orthogonality,
+    orthogonality: Orthogonality { orthogonality_error: number(error) },
     /// Spatial momentum.
-    momentum: Momentum,
+    momentum: Momentum {
+        spatial_momentum: numbers(spatial_momentum), momentum_drift: number(drift),
+        momentum_impulse: numbers(impulse)
+    },
     /// How the step was solved.
-    solver: Solver,
+    solver: Solver {
+        solver_iterations: count(iterations), solver_increment: number(increment),
+        solver_rung: word(rung), solver_sigma_min: number(sigma_min)
+    },
     /// Rate of time for adaptive steps.
-    pace: Pace,
+    pace: Pace {
+        pace_sigma: number(sigma), pace_step_s: number(step_s), pace_own_steps: count(own_steps),
+        pace_least_sigma: number(least_sigma), pace_time_error_s: number(time_error_s)
+    },
 }
 
 impl State {
