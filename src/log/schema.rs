@@ -1,7 +1,7 @@
 //! The channels of a log, one row each: topic, message type, the scenes that have it, what it needs and what it takes.
 //!
-//! A new channel is its message in `vpd.proto`, its row here and how a sample fills it in
-//! [`super::messages`].
+//! A new channel is its message in `vpd.proto`, its row here, and in [`super::messages`] its columns
+//! and how a sample fills it.
 //!
 //! Invariant: one channel per topic and one schema per message type; topics and names are fixed.
 

@@ -5,6 +5,7 @@ mod fixture;
 mod overview;
 mod viewing;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::ops::ControlFlow;
 
@@ -26,8 +27,8 @@ use vpd::solve::hamiltonian::{Kinetic, RigidBody};
 use vpd::solve::so::{Mat, hat};
 use vpd::solve::trajectory::{self, Sample, Sink};
 
-pub(super) use fixture::next;
 use fixture::*;
+pub(super) use fixture::{NAMED, next};
 
 #[test]
 fn every_sample_is_read_back_to_the_bit() {
@@ -42,9 +43,13 @@ fn every_sample_is_read_back_to_the_bit() {
         let mut seen = Vec::new();
         let ending = reader::read_samples(&path, |time, message| seen.push((time, message)));
         assert!(ending.expect("read").finished);
-        // 101 samples on five topics; the start has no solver.
-        assert_eq!(seen.len(), 504);
         assert_eq!(seen, sink.sent);
+        let found = inspect(&path).expect("read").topics;
+        for topic in ["/state", "/energy", "/orthogonality", "/momentum", "/solver"] {
+            let entry = found.iter().find(|entry| entry.topic == topic).expect(topic);
+            // The start has no solver.
+            assert_eq!(entry.messages, if topic == "/solver" { 100 } else { 101 }, "{topic}");
+        }
         drop(folder);
     }
 }
@@ -198,8 +203,15 @@ fn the_job_comes_first_and_the_outcome_last() {
         }
     }
     assert_eq!(order[..4], ["header", "vpd.job", "scenario.json", "0x06"]);
-    let indexes: Vec<_> = order.iter().filter(|name| *name == "0x07").collect();
-    assert_eq!(indexes.len(), 9 + 7, "the first chunk has nine channels, the second seven");
+    let indexes = order.iter().filter(|name| *name == "0x07").count();
+    let messages = all_messages(&path);
+    let chunk = |is_first: bool| -> BTreeSet<String> {
+        let of = |time_ns| (time_ns < EPOCH_NS + 10 * 10_000_000) == is_first;
+        messages.iter().filter(|message| of(message.1)).map(|message| message.0.clone()).collect()
+    };
+    let (first, second) = (chunk(true), chunk(false));
+    assert_eq!(indexes, first.len() + second.len(), "one for each channel of a chunk");
+    assert_eq!((named(first).len(), named(second).len()), (9, 7), "the scene is drawn once");
     assert_eq!(order.last().map(String::as_str), Some("vpd.outcome"));
 }
 
@@ -208,8 +220,13 @@ fn schemas_are_complete_and_one_per_type() {
     let (_folder, path) = write_dipole(1);
     let bytes = fs::read(&path).expect("read");
     let summary = mcap::Summary::read(&bytes).expect("whole").expect("has a summary");
-    assert_eq!(summary.schemas.len(), 9, "two scene topics share one");
-    assert_eq!(summary.channels.len(), 10);
+    let asked = header().channels;
+    let types: BTreeSet<_> = asked.iter().map(|channel| channel.schema_name()).collect();
+    assert_eq!(summary.schemas.len(), types.len());
+    assert_eq!(types.len(), asked.len() - 1, "two scene topics share one");
+    assert_eq!(summary.channels.len(), asked.len());
+    let topics = summary.channels.values().map(|channel| channel.topic.clone());
+    assert_eq!(named(topics).len(), NAMED.len());
     for channel in summary.channels.values() {
         let known = Channel::from_topic(&channel.topic).expect("our topic");
         let schema = channel.schema.as_ref().expect("has a schema");
@@ -261,8 +278,11 @@ fn other_dimensions_have_no_frames() {
     let state = trajectory::State { attitude: Mat::<4>::identity(), momentum };
     run(&body, state, &mut log, 20);
     log.finish(succeeded()).expect("finish");
+    let found = topics(&path);
+    let frames = |topic: &String| Channel::from_topic(topic).is_none_or(Channel::needs_three);
+    assert!(!found.iter().any(frames), "{found:?}");
     assert_eq!(
-        topics(&path),
+        named(found),
         ["/log", "/state", "/energy", "/orthogonality", "/momentum", "/solver"]
     );
     let visit = |_, message| match message {

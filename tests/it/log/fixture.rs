@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use mcap::records::op;
 use tempfile::TempDir;
 use vpd::log::inspect::{Inspection, inspect};
-use vpd::log::messages::{Energy, Momentum, Orthogonality, Solver, State};
+use vpd::log::messages::quaternion;
 use vpd::log::reader::{self, Item, Message};
 use vpd::log::scene::{Marker, SceneGeometry, Sign};
 use vpd::log::schema::{Channel, Compression};
@@ -24,6 +24,20 @@ pub(super) const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
 pub(super) const EVERYTHING: Observables =
     Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true, pace: false };
 
+/// The channels that tests call by name: those of a single run. A log may have others in addition.
+pub(crate) const NAMED: [&str; 10] = [
+    "/state",
+    "/energy",
+    "/orthogonality",
+    "/momentum",
+    "/solver",
+    "/pace",
+    "/tf",
+    "/scene/body",
+    "/scene/sources",
+    "/log",
+];
+
 /// Sink that keeps a copy of the samples that the log should hold.
 pub(super) struct Copying {
     pub(super) log: LogWriter,
@@ -35,14 +49,9 @@ impl Sink<3> for Copying {
 
     fn record(&mut self, sample: &Sample<3>) -> Result<(), LogError> {
         let time_ns = EPOCH_NS + sample.step * 10_000_000;
-        self.sent.push((time_ns, Message::State(State::of(sample))));
-        let others = [
-            Energy::of(sample).map(Message::Energy),
-            Orthogonality::of(sample).map(Message::Orthogonality),
-            Momentum::of(sample).map(Message::Momentum),
-            Solver::of(sample).map(Message::Solver),
-        ];
-        self.sent.extend(others.into_iter().flatten().map(|message| (time_ns, message)));
+        let turn = sample.attitude.as_ref().and_then(quaternion);
+        let messages = Channel::all().map(|channel| Message::of_sample(channel, sample, turn));
+        self.sent.extend(messages.into_iter().flatten().map(|message| (time_ns, message)));
         self.log.record(sample)
     }
 }
@@ -145,6 +154,11 @@ pub(super) fn topics(path: &Path) -> Vec<String> {
     let found: Inspection = inspect(path).expect("read");
     assert!(found.finished, "{found}");
     found.topics.into_iter().map(|entry| entry.topic).collect()
+}
+
+/// Returns those of the topics that tests call by name.
+pub(super) fn named(topics: impl IntoIterator<Item = String>) -> Vec<String> {
+    topics.into_iter().filter(|topic| NAMED.contains(&topic.as_str())).collect()
 }
 
 pub(super) fn all_messages(path: &Path) -> Vec<(String, u64, Vec<u8>)> {
