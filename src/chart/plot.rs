@@ -16,7 +16,7 @@ use super::{Area, ChartError, Drawn, INK, PALE, PALETTE};
 pub enum Scale {
     /// Evenly.
     Linear,
-    /// By powers of ten; only the size of a value is drawn.
+    /// By powers of ten; only the size of a value is drawn, zero at the end of the axis.
     Log,
 }
 
@@ -72,8 +72,9 @@ pub struct Plot<'a> {
 
 const SIZE: (u32, u32) = (960, 480);
 const TITLE_HEIGHT: u32 = 44;
-/// Values on a logarithmic axis below this are drawn at it: a tenth of the spacing of the numbers below one.
-const FLOOR: f64 = 1e-17;
+/// Decades of a logarithmic axis, at most: a tenth of the spacing of numbers as large as the largest. Where all values are
+/// zero, they are drawn this far below one.
+const DECADES: f64 = 17.0;
 /// Largest number of points: the width of the plot in pixels.
 const MAX_POINTS: usize = 800;
 /// Lengths of dash and gap in pixels; a dash of 0 is a whole line.
@@ -89,24 +90,26 @@ struct Ruler {
 }
 
 impl Scale {
-    /// Returns the place where a value is drawn, in decades on a logarithmic axis.
+    /// Returns the place where a value is drawn, in decades on a logarithmic axis: minus infinity for zero.
     fn place(self, value: f64) -> f64 {
         match self {
             Self::Linear => value,
-            Self::Log => libm::log10(value.abs().max(FLOOR)),
+            Self::Log => libm::log10(value.abs()),
         }
     }
 
     /// Returns an axis on which all places can be drawn.
     fn ruler(self, places: impl Iterator<Item = f64>) -> Ruler {
         let (low, high) = places
+            .filter(|place| place.is_finite())
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
-        let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
+        let start = if self == Self::Log { -DECADES } else { 0.0 };
+        let (low, high) = if low <= high { (low, high) } else { (start, start + 1.0) };
         let (low, high, step) = match self {
             Self::Log => {
                 // Whole decades, two at least, so that the axis has a scale.
                 let high = (high + 1e-9).ceil();
-                let low = low.floor().min(high - 2.0);
+                let low = low.floor().clamp(high - DECADES, high - 2.0);
                 (low, high, ((high - low) / 10.0).ceil())
             }
             Self::Linear => {
@@ -131,6 +134,8 @@ impl Ranged for Ruler {
     type ValueType = f64;
 
     fn map(&self, place: &f64, (from, to): (i32, i32)) -> i32 {
+        // Places beyond the axis are drawn at its end.
+        let place = place.clamp(self.range.start, self.range.end);
         let part = (place - self.range.start) / (self.range.end - self.range.start);
         from + (f64::from(to - from) * part).round() as i32
     }
@@ -328,4 +333,28 @@ fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .chunks(width)
         .map(|chunk| (chunk[0].0, chunk.iter().map(|&(_, y)| y.abs()).fold(0.0, f64::max)))
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Ranged, Scale};
+
+    #[test]
+    fn a_logarithmic_axis_shows_the_smallest_size_and_zero_at_its_end() {
+        // Errors of a small body, of a large one, and none at all.
+        for (sizes, range, visible) in [
+            ([0.0, 3e-22, 2e-20], -22.0..-19.0, true),
+            ([0.0, 3e3, 2e5], 3.0..6.0, true),
+            ([0.0, 3e-30, 2e-5], -21.0..-4.0, false),
+            ([0.0; 3], -17.0..-15.0, false),
+        ] {
+            let places = sizes.map(|size| Scale::Log.place(size));
+            let ruler = Scale::Log.ruler(places.into_iter());
+            assert_eq!(ruler.range, range, "{sizes:?}");
+            let [zero, small, large] = places.map(|place| ruler.map(&place, (480, 0)));
+            assert_eq!(zero, 480);
+            assert_eq!(small < zero, visible, "{sizes:?}: {small}");
+            assert!(large <= small, "{sizes:?}: {large}");
+        }
+    }
 }
