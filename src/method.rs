@@ -330,6 +330,11 @@ impl Integrator {
         self.facts().takes == Takes::Explicit
     }
 
+    /// Returns whether it interpolates matrices, whose smallest singular value its steps then have.
+    pub fn interpolates(self) -> bool {
+        matches!(self, Self::Vpd | Self::VpdAdaptive | Self::VpdLagrangian | Self::VpdReduced)
+    }
+
     /// Returns the method whose measured costs apply to this one.
     pub fn costs_as(self) -> Self {
         match self {

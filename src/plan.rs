@@ -341,13 +341,20 @@ impl Plan {
             OwnSteps::new(&asked, step_s, &scenario.scene.potential, &plan.model.terms)
         });
         plan.formulation = plan.formulate(scenario)?;
-        if !plan.formulation.carries_attitude {
-            let momentum = plan.channels.iter_mut().find(|plan| plan.topic == Channel::Momentum);
-            if let Some(channel) = momentum {
-                channel.computes = "how far the body momentum leaves its coadjoint orbit";
-            }
-        }
         plan.free_directions = plan.model.free_directions(n);
+        for ChannelPlan { topic, computes } in &mut plan.channels {
+            *computes = match topic {
+                Channel::Momentum if !plan.formulation.carries_attitude => {
+                    "how far the body momentum leaves its coadjoint orbit"
+                }
+                // No plane is free, so nothing of it is conserved.
+                Channel::Momentum if plan.free_directions < 2 => "the spatial momentum",
+                Channel::Solver if !plan.formulation.method.interpolates() => {
+                    "how the steps were solved"
+                }
+                _ => continue,
+            };
+        }
         plan.balance = plan.model.balance();
         plan.momentum_balance =
             plan.model.momentum_balance(n, plan.free_directions, plan.formulation.method);

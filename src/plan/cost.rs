@@ -382,14 +382,7 @@ impl Plan {
             self.observables();
         let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
         let Formulation { method, stages, .. } = self.formulation;
-        let interpolates = matches!(
-            method,
-            Integrator::Vpd
-                | Integrator::VpdAdaptive
-                | Integrator::VpdLagrangian
-                | Integrator::VpdReduced
-        );
-        let singular = interpolates && self.formulation.motion != Motion::AtRest;
+        let singular = method.interpolates() && self.formulation.motion != Motion::AtRest;
         let matrices = of(orthogonality, 1.0) + of(sigma_min && singular, 1.0 + stages as f64);
         self.written_ns(raw) + matrices * matrix_ns + of(energy, 0.5) * self.terms_cost_ns()
     }

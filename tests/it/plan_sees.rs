@@ -3,7 +3,12 @@
 //!
 //! Each scene is run as it is planned and, by the solver itself, with every term as it is given.
 
+use std::collections::BTreeSet;
+
 use serde_json::{Value, json};
+use vpd::log::reader::{Message, read_samples};
+use vpd::log::schema::Channel;
+use vpd::method::Integrator;
 use vpd::plan::Plan;
 use vpd::run::Outcome;
 use vpd::scenario::{PotentialTerm, Scenario};
@@ -485,4 +490,52 @@ fn the_plan_says_what_is_kept() {
     assert_eq!(plan(elliptic, &[]).jacobi_integral, None);
     let pulled = plan(circular, &[("torques", json!([{ "of_momentum": { "rate_per_s": 1e-6 } }]))]);
     assert_eq!(pulled.jacobi_integral, None);
+}
+
+/// The plan names the figures that the log then holds, and no others.
+#[test]
+fn the_plan_says_what_the_channels_hold() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let log = directory.path().join("run.mcap");
+    let weight = uniform(0.7, [0.1, 0.2, -0.9], [0.0, 0.0, 1.0]);
+    let source = source(0.1, [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]);
+    let mut met = BTreeSet::new();
+    for potential in [json!([]), json!([weight]), json!([weight, source])] {
+        for method in Integrator::ALL {
+            let text = json!({
+                "name": "figures", "step_s": STEP_S, "steps": 3,
+                "scene": {
+                    "inertia": {"principal": [1.0, 2.0, 2.5]}, "potential": potential, "initial": tumbling()
+                },
+                "method": {"name": method.as_str()},
+                "log": {"channels": ["/energy", "/momentum", "/solver"]}
+            })
+            .to_string();
+            let plan = Scenario::from_json(text.as_bytes()).and_then(|given| Plan::new(&given));
+            // Some methods are for free bodies or for point sources.
+            let Ok(plan) = plan else { continue };
+            let says = |topic: Channel, word: &str| {
+                let channel = plan.channels.iter().find(|channel| channel.topic == topic);
+                channel.expect("a logged channel").computes.contains(word)
+            };
+            run(&text, &log);
+            let (mut has_sigma, mut has_drift) = (false, false);
+            read_samples(&log, |_, message| match message {
+                Message::Solver(solver) => has_sigma |= solver.sigma_min.is_some(),
+                Message::Momentum(momentum) => has_drift |= momentum.drift.is_some(),
+                _ => {}
+            })
+            .expect("a log");
+            let name = method.as_str();
+            assert_eq!(says(Channel::Solver, "singular value"), has_sigma, "{name}");
+            let drifts = says(Channel::Momentum, "the drift") || says(Channel::Momentum, "how far");
+            assert_eq!(drifts, has_drift, "{name} with {potential}");
+            met.insert((name, has_sigma, has_drift));
+        }
+    }
+    let names: BTreeSet<_> = met.iter().map(|row| row.0).collect();
+    assert_eq!(names.len(), Integrator::ALL.len(), "{met:?}");
+    for figures in [(true, true), (true, false), (false, true), (false, false)] {
+        assert!(met.iter().any(|row| (row.1, row.2) == figures), "{figures:?}");
+    }
 }
