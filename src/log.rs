@@ -69,6 +69,12 @@ pub enum LogError {
         /// Error of the system.
         source: io::Error,
     },
+    /// The folder in which it is to stand does not exist.
+    #[error("cannot create the log {}: there is no folder {}; create it, or name another file with -o", path.display(), part::folder(path).display())]
+    NoFolder {
+        /// The file.
+        path: PathBuf,
+    },
     /// The MCAP layer refused for a reason other than the file system.
     #[error("cannot {action} the log {}: {source}", path.display())]
     Format {
@@ -127,7 +133,7 @@ impl LogError {
     pub fn code(&self) -> &'static str {
         match self {
             Self::StorageFull { .. } => "storage_full",
-            Self::Storage { .. } => "storage_error",
+            Self::Storage { .. } | Self::NoFolder { .. } => "storage_error",
             Self::Format { .. } => "log_format",
             Self::Time { .. } => "log_time",
             Self::NotFinite { .. } => "log_not_finite",
@@ -156,6 +162,9 @@ impl LogError {
         match source.kind() {
             io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
                 Self::StorageFull { path, source }
+            }
+            io::ErrorKind::NotFound if action == "create" && !part::folder(&path).is_dir() => {
+                Self::NoFolder { path }
             }
             _ => Self::Storage { path, action, source },
         }
