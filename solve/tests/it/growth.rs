@@ -335,7 +335,8 @@ fn rounding_makes_a_random_walk_and_no_line() {
     let known = |method: &Method| {
         matches!(
             (method.name, method.size),
-            ("vpd gauss", 4 | 8) | ("quaternion_gauss", 4 | 8) | ("splitting" | "lgvi", 8)
+            ("vpd gauss" | "vpd_adaptive gauss" | "quaternion_gauss", 4 | 8)
+                | ("splitting" | "lgvi", 8)
         )
     };
     let methods: Vec<Method> = methods().into_iter().filter(known).collect();
