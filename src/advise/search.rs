@@ -121,6 +121,16 @@ fn of_member(member: u64, why: Obstacle) -> Unmet {
     Unmet::Obstacle(Obstacle::Member { member, why: Box::new(why) })
 }
 
+/// A member of an ensemble as it was seen.
+struct Seen {
+    /// The solution from its start, if there is one.
+    reference: Option<Reference>,
+    /// Whether two families of methods agree on it.
+    is_sure: bool,
+    /// The step with which the member kept the accuracy.
+    step_s: f64,
+}
+
 /// Outcome of following a choice past the reference.
 enum Followed {
     /// This choice reaches the accuracy.
@@ -281,7 +291,7 @@ impl Trial<'_> {
                     *follow_s.get_or_insert_with(|| self.affordable_s(at, FOLLOWED_PART, watch));
                 let order = f64::from(entry.order);
                 let mut harsher = 1.0;
-                *choice = match self.follow(entry, at, until_s, 0, watch)? {
+                *choice = match self.follow(entry, at, until_s, None, watch)? {
                     Followed::Reached(choice) => {
                         if choice.seen_s >= self.duration_s {
                             harsher = libm::pow(at.step_s / choice.step_s, order).max(1.0);
@@ -348,7 +358,8 @@ impl Trial<'_> {
     }
 
     /// Follows a choice past the reference, as it will be made, against the same with halved steps,
-    /// and corrects its step until the two are near each other.
+    /// and corrects its step until the two are near each other. A run chooses the step; that of a
+    /// `member` of an ensemble may only make it smaller.
     ///
     /// ```text
     /// |z_h(t) - z_{h/2}(t)| = (1 - 2^-p) |z_h(t) - z(t)|,      p the order; and round-off of both
@@ -358,9 +369,10 @@ impl Trial<'_> {
         entry: &Entry,
         mut choice: Choice,
         mut until_s: f64,
-        member: u64,
+        member: Option<u64>,
         watch: &Watch,
     ) -> Result<Followed, Unmet> {
+        let number = member.unwrap_or(0);
         choice.sure = true;
         if until_s < self.duration_s {
             self.carried(1.0).map_err(Unmet::Obstacle)?;
@@ -372,7 +384,7 @@ impl Trial<'_> {
         let (mut before, mut last) = (None::<(u64, Measured)>, None::<f64>);
         for attempt in 1..=FOLLOWING_TRIES {
             // Work taken by others, and by a smaller step, is no longer available.
-            if member == 0 {
+            if member.is_none() {
                 let part = if attempt == 1 { FOLLOWED_PART } else { MENDED_PART };
                 let affordable_s = self.affordable_s(choice, part, watch);
                 // A larger step than one that reached the accuracy is not worth a shorter look.
@@ -390,9 +402,9 @@ impl Trial<'_> {
             let is_half = halved.is_some();
             let run = match halved {
                 Some((_, run)) => run,
-                None => self.run(entry, time_s, steps, member, watch)?,
+                None => self.run(entry, time_s, steps, number, watch)?,
             };
-            let finer = self.run(entry, time_s, 2 * steps, member, watch)?;
+            let finer = self.run(entry, time_s, 2 * steps, number, watch)?;
             let (mut expected, mut is_mended) = (None, true);
             if run.completed() && finer.completed() {
                 let reference = Reference::of_runs(time_s, &entry.method, &finer, &run.points);
@@ -423,7 +435,7 @@ impl Trial<'_> {
                     reached = Some(seen);
                 }
                 // A larger step is for all members, and not where errors were extrapolated.
-                if member > 0 || time_s < self.duration_s || factor > WORTH_A_TRY {
+                if member.is_some() || time_s < self.duration_s || factor > WORTH_A_TRY {
                     break;
                 }
             } else if reached.is_some() {
@@ -462,8 +474,8 @@ impl Trial<'_> {
 
     /// Returns the choice with a smaller step where its run is not seen to the end: a motion may
     /// become harsher there.
-    fn with_care(&self, entry: &Entry, choice: Choice, member: u64) -> Choice {
-        if member > 0 || choice.seen_s >= self.duration_s {
+    fn with_care(&self, entry: &Entry, choice: Choice, member: Option<u64>) -> Choice {
+        if member.is_some() || choice.seen_s >= self.duration_s {
             return choice;
         }
         let smaller = libm::pow(UNSEEN, 1.0 / f64::from(entry.order));
@@ -497,9 +509,27 @@ impl Trial<'_> {
         let members = self.scenario.ensemble.as_ref().map_or(1, |ensemble| ensemble.members);
         let left_ns = watch.left_ns();
         let until_s = choice.seen_s;
-        for member in 1..members {
-            choice = self.of_member(entry, choice, member, watch)?;
-            choice = match self.follow(entry, choice, until_s, member, watch) {
+        let far = Some(self.far.clone());
+        let mut all = vec![Seen { reference: far, is_sure: true, step_s: choice.step_s }];
+        loop {
+            let is_new = (all.len() as u64) < members;
+            let member = if is_new {
+                let member = all.len() as u64;
+                let needed = needed(self.asked);
+                let reference = self.far.of_member(self.scenario, member, needed, watch)?;
+                all.push(Seen { reference, is_sure: false, step_s: 0.0 });
+                member
+            } else {
+                // A smaller step usually has the smaller error, but one before may have been small
+                // by luck.
+                match all.iter().position(|seen| seen.step_s != choice.step_s) {
+                    Some(member) => member as u64,
+                    None => return Ok(choice),
+                }
+            };
+            let seen = &mut all[member as usize];
+            choice = self.of_member(entry, choice, member, seen, watch)?;
+            choice = match self.follow(entry, choice, until_s, Some(member), watch) {
                 Ok(Followed::Reached(of_this)) => Choice {
                     expected: choice.expected.max(of_this.expected),
                     cost_ns: choice.cost_ns.max(of_this.cost_ns),
@@ -511,7 +541,8 @@ impl Trial<'_> {
                 Err(Unmet::Obstacle(why)) => return Err(of_member(member, why)),
                 Err(unmet) => return Err(unmet),
             };
-            if member == 1 {
+            seen.step_s = choice.step_s;
+            if is_new && member == 1 {
                 let cost_ns = (left_ns - watch.left_ns()).max(1);
                 let most = 2 + watch.left_ns() / cost_ns;
                 if members > most {
@@ -519,7 +550,6 @@ impl Trial<'_> {
                 }
             }
         }
-        Ok(choice)
     }
 
     /// Returns the choice with a step that is small enough for a member, too.
@@ -528,6 +558,7 @@ impl Trial<'_> {
         entry: &Entry,
         mut choice: Choice,
         member: u64,
+        Seen { reference, is_sure, .. }: &mut Seen,
         watch: &Watch,
     ) -> Result<Choice, Unmet> {
         let obstacle = |why| of_member(member, why);
@@ -536,8 +567,6 @@ impl Trial<'_> {
             error => error.into(),
         };
         let time_s = self.far.time_s;
-        let mut reference = self.far.of_member(self.scenario, member, needed(self.asked), watch)?;
-        let mut is_sure = false;
         for _ in 0..MEMBER_TRIES {
             let steps = self.steps(choice.step_s, time_s);
             let run = self.run(entry, time_s, steps, member, watch)?;
@@ -547,13 +576,13 @@ impl Trial<'_> {
                 let cost_ns = choice.cost_ns.max(run.cost_ns / time_s);
                 return Ok(Choice { expected: choice.expected.max(expected), cost_ns, ..choice });
             }
-            if !is_sure {
+            if !*is_sure {
                 // Is it the step that is too large, or the reference that is not known?
                 let needed = needed(self.asked);
                 let known =
                     Reference::of(self.scenario, member, time_s, needed, &self.scales, watch);
-                reference = Some(known.map_err(out_of_sight)?);
-                is_sure = true;
+                *reference = Some(known.map_err(out_of_sight)?);
+                *is_sure = true;
                 continue;
             }
             let order = f64::from(entry.order);

@@ -568,18 +568,58 @@ fn every_member_of_an_ensemble_keeps_the_accuracy() {
         "inertia": {"principal": [1.0, 1.4, 2.0]}, "potential": [spring],
         "initial": {"angular_velocity": {"body": [0.2, 0.9, 0.4]}}
     });
-    let error = 1e-6;
-    let asked = json!({
-        "name": "members", "scene": scene, "accuracy": {"error": error}, "duration_s": 12.0,
+    let mut asked = json!({
+        "name": "members", "scene": scene, "accuracy": {"error": 1e-6}, "duration_s": 12.0,
         "ensemble": {"members": 24, "seed": 5, "attitude_spread_rad": 0.6, "momentum_spread": 0.6},
     });
-    let Plan { settled, advice, .. } = advise::plan(&scenario(&asked)).expect("within reach");
-    let advice = advice.expect("the choice is reported");
+    let settled = every_member_keeps_it(&asked);
     // The nominal run alone is content with less.
-    let mut alone = asked.clone();
-    alone.as_object_mut().expect("an object").remove("ensemble");
-    let nominal = advise::plan(&scenario(&alone)).expect("within reach").settled;
+    asked.as_object_mut().expect("an object").remove("ensemble");
+    let nominal = advise::plan(&scenario(&asked)).expect("within reach").settled;
     assert!(settled.steps > nominal.steps, "{:?} {:?}", settled.steps, nominal.steps);
+}
+
+/// With 300 steps the error of member 1 is 1.2e-7 by luck; with the 320 that member 3 needs, 1.4e-6.
+#[test]
+fn a_member_keeps_the_accuracy_with_the_step_of_another() {
+    let gradient = json!({"kind": "gravity_gradient", "strength": 0.001384, "direction": [0.6504, 0.7489, 0.127]});
+    let spring = json!({"kind": "spring", "stiffness": 0.000864, "rest_length": 0.2171, "body_point": [-0.4344, 0.4856, 0.6741], "position": [0.7287, -0.4278, 0.1243]});
+    let turned = [-0.3314890693805942, 0.7596160969991281, 0.516008866835336, 0.21640986901782297];
+    let scene = json!({
+        "inertia": {"principal": [0.233, 0.2954, 0.2732]}, "potential": [gradient, spring],
+        "initial": {"attitude": {"quaternion": turned}, "angular_velocity": {"space": [0.06278, -0.2933, 0.205]}}
+    });
+    every_member_keeps_it(&json!({
+        "name": "luck", "scene": scene, "accuracy": {"error": 1e-6}, "duration_s": 247.3,
+        "ensemble": {"members": 11, "seed": 13, "attitude_spread_rad": 0.01329, "momentum_spread": 0.002565},
+    }));
+}
+
+/// Errors of member 1 grow two million times: a second family of solutions scatters by 4e-10, while two of the first agree to
+/// 1e-12. Both are far below the error asked for.
+#[test]
+fn a_reference_that_scatters_is_good_enough_for_a_larger_error() {
+    let matrix =
+        json!([[-0.2203, 0.3555, -0.05998], [0.3555, 0.0491, 0.5803], [-0.05998, 0.5803, -1.951]]);
+    let gradient = json!({"kind": "gravity_gradient", "strength": 1.516, "direction": [-0.8642, 0.2452, -0.4393], "matrix": matrix});
+    let turned =
+        [0.8251120958845196, -0.09385895226616972, -0.5532152401266619, 0.06582875052856427];
+    let scene = json!({
+        "inertia": {"principal": [1.149, 0.6654, 1.3308]}, "potential": [gradient],
+        "initial": {"attitude": {"quaternion": turned}, "angular_velocity": {"body": [0.5694, -0.6422, -0.1339]}}
+    });
+    every_member_keeps_it(&json!({
+        "name": "scattered", "scene": scene, "accuracy": {"error": 1e-4}, "duration_s": 89.36,
+        "ensemble": {"members": 11, "seed": 12, "attitude_spread_rad": 0.06482, "momentum_spread": 0.3155},
+    }));
+}
+
+/// Returns the scenario with the chosen method and step, with which every member keeps the accuracy.
+fn every_member_keeps_it(asked: &Value) -> Scenario {
+    let error = asked["accuracy"]["error"].as_f64().expect("a number");
+    let members = asked["ensemble"]["members"].as_u64().expect("a number") as usize;
+    let Plan { settled, advice, .. } = advise::plan(&scenario(asked)).expect("within reach");
+    let advice = advice.expect("the choice is reported");
     assert!(advice.expected_error <= error, "{:e}", advice.expected_error);
     // Half the step moves no member by more than the requested error.
     let mut finer = settled.clone();
@@ -592,11 +632,12 @@ fn every_member_of_an_ensemble_keeps_the_accuracy() {
         ends(&path)
     };
     let (coarse, fine) = (ended(&settled), ended(&finer));
-    assert_eq!((coarse.len(), fine.len()), (24, 24));
+    assert_eq!((coarse.len(), fine.len()), (members, members));
     for (member, (a, b)) in coarse.iter().zip(&fine).enumerate() {
         let apart = (0.5 * a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sqrt();
         assert!(apart <= error, "member {member}: {apart:e}");
     }
+    settled
 }
 
 #[test]
