@@ -106,7 +106,7 @@ pub struct Reference {
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
     pub momentum_scale: f64,
     /// Distance of the last two solutions of the first family, or a hundredth of that of the second
-    /// if that is more; no error below it can be measured.
+    /// if that is more, or all of it where the second scatters; no error below it can be measured.
     pub error: f64,
     /// Distance of the second family from the first.
     pub cross_check: f64,
