@@ -67,7 +67,6 @@ impl Dimension for Any {
 pub struct Numbers {
     all: Vec<f64>,
     first: usize,
-    count: usize,
 }
 
 impl Numbers {
@@ -75,15 +74,17 @@ impl Numbers {
     pub fn zeros(count: usize) -> Self {
         /// Bytes of a line.
         const LINE: usize = 64;
-        let all = vec![0.0; count + LINE / size_of::<f64>()];
+        let mut all = vec![0.0; count + LINE / size_of::<f64>()];
         let first = all.as_ptr().align_offset(LINE).min(LINE / size_of::<f64>());
-        Self { all, first, count }
+        // Shorter where it lies: nothing moves.
+        all.truncate(first + count);
+        Self { all, first }
     }
 }
 
 impl Clone for Numbers {
     fn clone(&self) -> Self {
-        let mut copy = Self::zeros(self.count);
+        let mut copy = Self::zeros(self.len());
         copy.copy_from_slice(self);
         copy
     }
@@ -94,14 +95,14 @@ impl Deref for Numbers {
 
     #[inline(always)]
     fn deref(&self) -> &[f64] {
-        &self.all[self.first..self.first + self.count]
+        &self.all[self.first..]
     }
 }
 
 impl DerefMut for Numbers {
     #[inline(always)]
     fn deref_mut(&mut self) -> &mut [f64] {
-        &mut self.all[self.first..self.first + self.count]
+        &mut self.all[self.first..]
     }
 }
 

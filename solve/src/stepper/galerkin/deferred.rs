@@ -28,6 +28,8 @@
 //!
 //! Invariant: a step that is not solved here to round-off is left to [`super`].
 
+use std::mem::swap;
+
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use crate::failure::Failure;
@@ -720,7 +722,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Guesses the unknowns from the initial velocity, kept constant.
     fn guess(&mut self) {
         let Self { stack, start, coefficients, u, end, forces, .. } = self;
-        let (n, lanes) = (stack.n(), stack.lanes);
+        let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let angle = lanes.row(&coefficients.nodes) * start.h;
         if let Forces::None { velocity: Velocity::Weights(weights, _), .. }
         | Forces::Body { velocity: Velocity::Weights(weights, _), .. }
@@ -728,23 +730,25 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         {
             stack.spread(weights, &mut u.inertia);
         }
+        let Unknowns { p0, omega, mu, c, k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
+        let (velocity, momentum) = (&start.velocity[..n * n], &start.momentum[..n * n]);
+        let (omega, c, multiplier) = (&mut omega[..len], &mut c[..len], &mut end.multiplier[..n * n]);
         for i in 0..n {
             for j in 0..n {
-                let e = i * n + j;
-                let omega = lanes.spread(start.velocity[e]);
-                stack.put(&mut u.omega, i, j, omega);
-                stack.put(&mut u.p0, i, j, lanes.spread(start.momentum[e]));
+                let at = i * n + j;
+                let turning = lanes.spread(velocity[at]);
+                stack.put(omega, i, j, turning);
                 let mut square = 0.0;
                 for k in 0..n {
-                    square += start.velocity[i * n + k] * start.velocity[k * n + j];
+                    square += velocity[i * n + k] * velocity[k * n + j];
                 }
                 // exp(c h Omega) - I up to the square
-                stack.put(&mut u.c, i, j, angle * (omega + angle * (0.5 * square)));
-                end.multiplier[e] = -0.5 * start.momentum[e];
+                stack.put(c, i, j, angle * (turning + angle * (0.5 * square)));
+                multiplier[at] = -0.5 * momentum[at];
             }
         }
-        u.mu.copy_from_slice(&u.p0);
-        let Unknowns { k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
+        stack.spread(momentum, p0);
+        mu.copy_from_slice(p0);
         for matrices in [k, f, e, x, delta, gain, gradient, kappa] {
             matrices.fill(0.0);
         }
@@ -797,13 +801,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Measures the largest momentum, and the largest turn of a step by a stage's velocity.
     fn measure(&mut self) {
         let Self { stack, h, u, size, turn, .. } = self;
-        let lanes = stack.lanes;
+        let (len, lanes) = (stack.numbers(), stack.lanes);
+        let (omega, mu) = (&u.omega[..len], &u.mu[..len]);
         let (mut square, mut largest) = (lanes.constant(0.0), lanes.constant(0.0));
         for i in 0..stack.n() {
             for j in i + 1..stack.n() {
-                let omega = stack.get(&u.omega, i, j);
+                let omega = stack.get(omega, i, j);
                 square = square + omega * omega;
-                largest = largest.max_or_nan(stack.get(&u.mu, i, j).abs());
+                largest = largest.max_or_nan(stack.get(mu, i, j).abs());
             }
         }
         *size = largest.largest();
@@ -856,11 +861,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let Unknowns { p0, mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
+        let (p0, mu, c, gain) = (&p0[..len], &mut mu[..len], &c[..len], &gain[..len]);
+        let (pi, turned, twice) = (&mut pi[..len], &mut turned[..len], &mut twice[..len]);
         stack.sum(p0, gain, pi);
         stack.product(pi, c, turned);
         stack.transposed_product(c, turned, twice);
-        let (p0, mu, gain) = (&p0[..len], &mut mu[..len], &gain[..len]);
-        let (turned, twice) = (&turned[..len], &twice[..len]);
         let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
@@ -904,9 +909,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// stages.
     fn end_point(&mut self, passes: usize) {
         let Self { stack, start, u, end, .. } = self;
-        let (n, one) = (stack.n(), stack.whole());
+        let (n, len, one) = (stack.n(), stack.numbers(), stack.whole());
         let Unknowns { w, kappa, f, e, f_lambda, room: [next, ..], .. } = &mut **u;
+        let (kappa, whole) = (&kappa[..len], one.numbers());
         let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b], .. } = &mut **end;
+        let (c, d, k) = (&mut c[..whole], &mut d[..whole], &mut k[..whole]);
+        let (multiplier, impulse) = (&mut multiplier[..whole], &mut impulse[..whole]);
+        let (pi, a, b) = (&mut pi[..whole], &mut a[..whole], &mut b[..whole]);
         stack.sum_of_stages(w, d);
         one.difference(d, k, c);
         for _ in 0..passes {
@@ -935,7 +944,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         one.plus_product(multiplier, multiplier, c, a);
         stack.spread(a, f_lambda);
         stack.plus_product(f, f, e, next);
-        e.copy_from_slice(next);
+        swap(e, next);
     }
 
     /// [gain]: `p1 - p0 = sum_k h b_k ([mu_k, Omega_k] - dH/dg(U_k))`, the equations of X summed
@@ -943,10 +952,10 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn gain(&mut self) {
         self.rates();
         let Self { stack, u, end, .. } = self;
-        let rate = &u.room[0];
+        let (rate, gain) = (&u.room[0][..stack.numbers()], &mut *end.gain);
         for i in 0..stack.n() {
             for j in i + 1..stack.n() {
-                stack.whole().put_skew(&mut end.gain, i, j, stack.get(rate, i, j).sum());
+                stack.whole().put_skew(gain, i, j, stack.get(rate, i, j).sum());
             }
         }
     }
@@ -959,19 +968,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let (n, len) = (stack.n(), stack.numbers());
         let Unknowns { mu, omega, s, e, x, gradient, room: [next, ..], .. } = &mut **u;
         let (mu, omega, s, e) = (&mu[..len], &omega[..len], &s[..len], &e[..len]);
-        let (x, gradient, next) = (&mut x[..len], &gradient[..len], &mut next[..len]);
+        let (before, gradient, better) = (&x[..len], &gradient[..len], &mut next[..len]);
         for i in 0..n {
             for j in i + 1..n {
                 // for skew B, asym(A B) = -asym(A B^T)
                 let commutator = stack.asym_of_product(mu, omega, i, j);
                 let load = stack.asym_of_product(s, omega, i, j);
                 let load = (commutator * 0.5 - load) + stack.get(gradient, i, j);
-                let stretched = stack.asym_of_product(e, x, i, j);
-                stack.put_skew(next, i, j, (stretched - *weights * load) * 0.5);
+                let stretched = stack.asym_of_product(e, before, i, j);
+                stack.put_skew(better, i, j, (stretched - *weights * load) * 0.5);
             }
-            stack.put(next, i, i, stack.lanes.constant(0.0));
+            stack.put(better, i, i, stack.lanes.constant(0.0));
         }
-        x.copy_from_slice(next);
+        swap(x, next);
     }
 
     /// [T], [Y] and [S]
@@ -1044,14 +1053,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Computes the measures by which a solution is judged.
     fn judged(&mut self, rounds: u32, increment: f64) -> Solved {
         let Self { stack, u, end, forces, h, .. } = self;
-        let lanes = stack.lanes;
+        let (len, lanes) = (stack.numbers(), stack.lanes);
+        let (c, f) = (&u.c[..len], &u.f[..len]);
         let (mut stretch, mut square) = (lanes.constant(0.0), lanes.constant(0.0));
         let (mut end_stretch, mut end_square) = (0.0_f64, 0.0_f64);
         for i in 0..stack.n() {
             for j in 0..stack.n() {
-                let c = stack.get(&u.c, i, j);
+                let c = stack.get(c, i, j);
                 square = square + c * c;
-                stretch = stretch.max_or_nan(stack.get(&u.f, i, j).abs());
+                stretch = stretch.max_or_nan(stack.get(f, i, j).abs());
             }
         }
         for (c, f) in end.c.iter().zip(end.f.iter()) {
