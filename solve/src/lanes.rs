@@ -55,10 +55,12 @@ impl IndexMut<usize> for Row {
 // lanes of matrices gain nothing.
 macro_rules! widest {
     (@on $token:ident, $vector:ident, $lanes:ident => $work:expr) => {{
-        let $lanes = $vector::splat($token, 0.0);
         $token.vectorize(
             #[inline(always)]
-            || $work,
+            || {
+                let $lanes = $vector::splat($token, 0.0);
+                $work
+            },
         )
     }};
     ($level:expr, $vector:ident, $lanes:ident => $work:expr, else $other:expr) => {
@@ -83,7 +85,40 @@ macro_rules! widest {
     }};
 }
 
-pub(crate) use widest;
+/// Does the work on the stages of a step in as many lanes as they need, compiled for the widest instruction set; or
+/// one number at a time. The last type parameter of the work says whether it calls user-defined potentials. That call
+/// keeps no register, which would cost bodies without such potentials a tenth of their time: they have work without
+/// it. With it, lanes are compiled for many stages only, where they save a third.
+macro_rules! in_stage_lanes {
+    ($level:expr, $stages:expr, $body:expr, $module:ident::$work:ident, $($argument:expr),*) => {{
+        let in_lanes = match ($level, $stages, $body.has_own()) {
+            (Some(level), 2, false) => widest!(
+                level, f64x2, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
+            ),
+            (Some(level), 3 | 4, false) => widest!(
+                level, f64x4, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
+            ),
+            (Some(level), 5.., false) => widest!(
+                level, f64x8, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
+            ),
+            (Some(level), 5.., true) => widest!(
+                level below Avx512, f64x8,
+                lanes => Some($module::$work::<_, true>(lanes, $($argument),*)), else None
+            ),
+            _ => None,
+        };
+        // Each call is written once: compiling it takes long.
+        match (in_lanes, $stages) {
+            (Some(done), _) => done,
+            (None, 1) => $module::$work::<_, true>(Rows([0.0; 1]), $($argument),*),
+            (None, 2) => $module::$work::<_, true>(Rows([0.0; 2]), $($argument),*),
+            (None, 3 | 4) => $module::$work::<_, true>(Rows([0.0; 4]), $($argument),*),
+            (None, _) => $module::$work::<_, true>(Rows([0.0; 8]), $($argument),*),
+        }
+    }};
+}
+
+pub(crate) use {in_stage_lanes, widest};
 
 /// A number, or one in each lane.
 pub trait Real:

@@ -13,11 +13,12 @@ impl RigidBody<3> {
     /// [`RigidBody::gradient_seen`] in lanes. With it comes the nearness, minus the square of the
     /// smallest relative distance to a point of the potential; -1 if there is none;
     /// [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller counts
-    /// the evaluations: not every lane is a stage.
+    /// the evaluations: not every lane is a stage. Without `OWN`, user-defined potentials are left
+    /// out ([`in_stage_lanes`](crate::lanes::in_stage_lanes)).
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
     #[inline(always)]
-    pub fn torque<R: Stages>(
+    pub fn torque<R: Stages, const OWN: bool>(
         &self,
         u: &Mat3<R>,
         seen: &[Vec3<<R::Whole as Whole>::Plain>],
@@ -32,7 +33,7 @@ impl RigidBody<3> {
             let slope = term.law.numbers().slope(&q, *reach, &mut nearness);
             torque = plus(&torque, &cross(&slope.numbers, &q.numbers));
         }
-        if self.has_own() {
+        if OWN && self.has_own() {
             let (own, refused) = self.own_torque(u, seen);
             (torque, nearness) = (plus(&torque, &own), nearness.max_or_nan(refused));
         }

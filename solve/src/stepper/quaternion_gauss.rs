@@ -41,7 +41,7 @@ use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Rows, WIDTH, widest};
+use crate::lanes::{Rows, WIDTH, in_stage_lanes, widest};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
 use crate::so3;
@@ -54,32 +54,6 @@ use crate::trajectory::State;
 mod stages;
 
 use stages::{End, LaneTableau, Stages, Start};
-
-/// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
-macro_rules! in_lanes {
-    ($work:ident, $level:expr, $count:expr, $start:expr, $stages:expr) => {{
-        let in_lanes = match ($level, $count) {
-            (Some(level), 2) => {
-                widest!(level, f64x2, lanes => Some(stages::$work(lanes, $start, $stages)), else None)
-            }
-            (Some(level), 3 | 4) => {
-                widest!(level, f64x4, lanes => Some(stages::$work(lanes, $start, $stages)), else None)
-            }
-            (Some(level), 5..) => {
-                widest!(level, f64x8, lanes => Some(stages::$work(lanes, $start, $stages)), else None)
-            }
-            _ => None,
-        };
-        // Each written once: it takes the compiler long.
-        match (in_lanes, $count) {
-            (Some(done), _) => done,
-            (None, 1) => stages::$work(Rows([0.0; 1]), $start, $stages),
-            (None, 2) => stages::$work(Rows([0.0; 2]), $start, $stages),
-            (None, 3 | 4) => stages::$work(Rows([0.0; 4]), $start, $stages),
-            (None, _) => stages::$work(Rows([0.0; 8]), $start, $stages),
-        }
-    }};
-}
 
 /// The stepper: a Gauss tableau in lanes, a stop rule, the state and the stages of the last step.
 #[derive(Clone, Debug)]
@@ -143,14 +117,15 @@ impl Stepper<3> for QuaternionGauss {
         motion.look(0.0, body, seen);
         let (level, count) = (*level, tableau.stages());
         let start = &Start::new(lanes, body, seen, h, motion.body_momentum.value);
-        in_lanes!(guess, level, count, start, stages);
+        in_stage_lanes!(level, count, body, stages::guess, start, stages);
         let mut torques = lanes.torques_of_guess();
         let solved = fixed_point(*stop, || {
             body.work().begin_sweep()?;
             torques += 1;
-            Ok(in_lanes!(sweep, level, count, start, stages))
+            Ok(in_stage_lanes!(level, count, body, stages::sweep, start, stages))
         });
-        let End { turn, kick, gain } = in_lanes!(end, level, count, start, stages);
+        let End { turn, kick, gain } =
+            in_stage_lanes!(level, count, body, stages::end, start, stages);
         body.count(torques * count as u64);
         // A charge met explains non-finite values and divergence better than they do. A NaN is
         // looked at, too.

@@ -19,7 +19,7 @@ use super::motion::{Motion, Sum, unsigned_zeros};
 use super::{Stepper, check_root};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Row, Rows, WIDTH, widest};
+use crate::lanes::{Row, Rows, WIDTH, in_stage_lanes, widest};
 use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::so3;
@@ -36,31 +36,12 @@ use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
 /// Turn of a step below which a free body takes half as many passes.
 const CALM_RAD: f64 = 0.05;
 
-/// Does the work in as many lanes as the stages need, compiled for the widest instruction set; or without lanes.
+/// Does the work in lanes, and counts its torques.
 macro_rules! in_lanes {
     ($work:ident, $equations:expr) => {{
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
-        let in_lanes = match (level, *stages) {
-            (Some(level), 2) => {
-                widest!(*level, f64x2, lanes => Some(sweep::$work(lanes, start, unknowns)), else None)
-            }
-            (Some(level), 3 | 4) => {
-                widest!(*level, f64x4, lanes => Some(sweep::$work(lanes, start, unknowns)), else None)
-            }
-            (Some(level), 5..) => {
-                widest!(*level, f64x8, lanes => Some(sweep::$work(lanes, start, unknowns)), else None)
-            }
-            _ => None,
-        };
-        // Each call is written once: compiling it takes long.
-        match (in_lanes, *stages) {
-            (Some(done), _) => done,
-            (None, 1) => sweep::$work(Rows([0.0; 1]), start, unknowns),
-            (None, 2) => sweep::$work(Rows([0.0; 2]), start, unknowns),
-            (None, 3 | 4) => sweep::$work(Rows([0.0; 4]), start, unknowns),
-            (None, _) => sweep::$work(Rows([0.0; 8]), start, unknowns),
-        }
+        in_stage_lanes!(*level, *stages, start.body, sweep::$work, start, unknowns)
     }};
 }
 

@@ -236,9 +236,9 @@ impl<'a, R: Lanes> Given<'a, R> {
 
     /// Returns tau, the nearness and 1 / |u|^2 - 1.
     #[inline(always)]
-    fn torque(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
+    fn torque<const OWN: bool>(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
         let (u, excess) = self.rotation(x);
-        let (torque, nearness) = self.start.body.torque(&u, self.start.seen);
+        let (torque, nearness) = self.start.body.torque::<R, OWN>(&u, self.start.seen);
         (torque, nearness, excess)
     }
 
@@ -267,7 +267,7 @@ impl<'a, R: Lanes> Given<'a, R> {
 /// for terms of the order of the quadrature. The torque couples weakly: every third round takes it.
 /// The guess is a function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
+pub(super) fn guess<R: Lanes, const OWN: bool>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
     let given = Given::new(lanes, start);
     let LaneTableau { columns, nodes, rounds, .. } = start.tableau;
     let p = given.momentum;
@@ -276,7 +276,7 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     let zero = lanes.constant(0.0);
     let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * given.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
-    let (mut torque, _, mut excess) = given.torque(&x);
+    let (mut torque, _, mut excess) = given.torque::<OWN>(&x);
     for round in 1..=*rounds {
         let omega = given.velocity(&mu);
         let turned = cross(&mu, &omega);
@@ -284,7 +284,7 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
         let half = scaled(&given.velocity(&mu), half_weight);
         x = given.collocated(&given.turning(&x, &half));
         if round % TORQUE_EVERY == 0 {
-            (torque, _, excess) = given.torque(&x);
+            (torque, _, excess) = given.torque::<OWN>(&x);
         }
     }
     // d = u mu / |u|^2 - p0 u
@@ -301,7 +301,7 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
         MOST_DEFICIT,
         &Quaternion { w: zero, v: [zero; 3] },
     );
-    let (torque, _, excess) = given.torque(&x);
+    let (torque, _, excess) = given.torque::<OWN>(&x);
     stages.keep(&given, &x, &d, &torque, excess);
 }
 
@@ -309,7 +309,11 @@ pub(super) fn guess<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
 /// these, and couple the stages by J^-1. Returns the largest change of u, or of d relative to the
 /// momentum; not finite if an unknown is not.
 #[inline(always)]
-pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> f64 {
+pub(super) fn sweep<R: Lanes, const OWN: bool>(
+    lanes: R,
+    start: &Start<'_>,
+    stages: &mut Stages,
+) -> f64 {
     let given = Given::new(lanes, start);
     let (old_x, old_d) = (load(lanes, &stages.x), load(lanes, &stages.d));
     let push: Vec3<R> = vec3!(i => lanes.load(&stages.push[i]));
@@ -317,7 +321,7 @@ pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
     for _ in 0..start.tableau.passes {
         (x, d) = given.pass(&x, &d, &push);
     }
-    let (torque, nearness, excess) = given.torque(&x);
+    let (torque, nearness, excess) = given.torque::<OWN>(&x);
     stages.keep(&given, &x, &d, &torque, excess);
     let p = start.momentum[0]
         .abs()
@@ -334,7 +338,11 @@ pub(super) fn sweep<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) 
 /// Computes the end of the step from the newest stages: a last pass brings u and d up to the newest
 /// torques, whose lag would be a bias.
 #[inline(always)]
-pub(super) fn end<R: Lanes>(lanes: R, start: &Start<'_>, stages: &mut Stages) -> End {
+pub(super) fn end<R: Lanes, const OWN: bool>(
+    lanes: R,
+    start: &Start<'_>,
+    stages: &mut Stages,
+) -> End {
     let given = Given::new(lanes, start);
     let push: Vec3<R> = vec3!(i => lanes.load(&stages.push[i]));
     let old_x = load(lanes, &stages.x);

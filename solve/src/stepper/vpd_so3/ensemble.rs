@@ -133,6 +133,10 @@ impl VpdEnsemble {
         let VpdSo3 { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
             return swept;
         };
+        // User-defined potentials know no lanes.
+        if body.has_own() {
+            return swept;
+        }
         let inertia = Inertia::of(body);
         let passes = tableau.passes.of_sweep(true);
         let (mut sweeps, mut guesses) = (0, 0);
@@ -143,7 +147,7 @@ impl VpdEnsemble {
                 let momentum = motion.body_momentum.value;
                 let mut start =
                     Start { tableau, body, inertia, seen, step: h, passes, momentum };
-                in_member_lanes!(level, $stages, lanes => sweep::guess(lanes, &start, unknowns));
+                in_member_lanes!(level, $stages, lanes => sweep::guess::<_, false>(lanes, &start, unknowns));
                 let mut goes_on = [false; WIDTH];
                 for &m in going {
                     iterations[m].restart();
@@ -151,7 +155,7 @@ impl VpdEnsemble {
                 }
                 while goes_on.contains(&true) {
                     let increments = in_member_lanes!(level, $stages, lanes => {
-                        sweep::sweep_to_row(lanes, &start, unknowns)
+                        sweep::sweep_to_row::<_, false>(lanes, &start, unknowns)
                     });
                     start.passes = tableau.passes.of_sweep(false);
                     for &m in going {
@@ -173,7 +177,7 @@ impl VpdEnsemble {
                     }
                 }
                 if tableau.is_finished {
-                    in_member_lanes!(level, $stages, lanes => sweep::finish(lanes, &start, taken));
+                    in_member_lanes!(level, $stages, lanes => sweep::finish::<_, false>(lanes, &start, taken));
                 }
                 let before = *motion;
                 let order = stages.ascending();

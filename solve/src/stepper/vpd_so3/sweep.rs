@@ -69,13 +69,13 @@ const MOST_DEFICIT: f64 = 0.1;
 
 /// Runs [`sweep`] for members, and returns the increment of each in memory.
 #[inline(always)]
-pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
+pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>, const OWN: bool>(
     lanes: R,
     start: &Start<'_, Row>,
     unknowns: &mut Unknowns<R::Plain, Row>,
 ) -> Row {
     let mut increments = Row::splat(0.0);
-    sweep(lanes, start, unknowns).store(&mut increments);
+    sweep::<R, OWN>(lanes, start, unknowns).store(&mut increments);
     increments
 }
 
@@ -92,7 +92,7 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
 /// is taken in every third round, and once more at the end. The guess is a function of the state
 /// alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: Stages>(
+pub(super) fn guess<R: Stages, const OWN: bool>(
     lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
@@ -108,14 +108,14 @@ pub(super) fn guess<R: Stages>(
     let half = elapsed * 0.5;
     let turned = Quaternion::cayley(&vec3!(i => half * lanes.spread(velocity[i])));
     let u = turned.matrix();
-    let (torque, _) = start.body.torque(&u, start.seen);
+    let (torque, _) = start.body.torque::<R, OWN>(&u, start.seen);
     let pushed = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, pushed);
     let mut deficit = lanes.constant(0.0);
     for round in 0..*rounds {
         let u = attitude.matrix();
         if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
-            let (torque, _) = start.body.torque(&u, start.seen);
+            let (torque, _) = start.body.torque::<R, OWN>(&u, start.seen);
             let kick = scaled(&product(&u, &torque), weight);
             momentum = vec3!(i => -kick[i].apply_tableau(columns));
         }
@@ -133,7 +133,7 @@ pub(super) fn guess<R: Stages>(
     let deficit = lanes.spread(last_deficit);
     let attitude = attitude.select(deficit, MOST_DEFICIT, &turned);
     let u = attitude.matrix();
-    let (torque, _) = start.body.torque(&u, start.seen);
+    let (torque, _) = start.body.torque::<R, OWN>(&u, start.seen);
     let kick = scaled(&product(&u, &torque), weight);
     let momentum =
         vec3!(i => (-kick[i].apply_tableau(columns)).select(deficit, MOST_DEFICIT, pushed[i]));
@@ -163,7 +163,7 @@ pub(super) fn guess<R: Stages>(
 /// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the
 /// largest, or of an attitude in the last pass. The result is NaN or infinite if an unknown is.
 #[inline(always)]
-pub(super) fn sweep<R: Stages>(
+pub(super) fn sweep<R: Stages, const OWN: bool>(
     lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
@@ -175,7 +175,7 @@ pub(super) fn sweep<R: Stages>(
     let stages = kinematics(lanes, start, &momentum, unknowns, *kinematic);
     let u = with_one(&stages.c);
     let end = end_point(lanes, &stages.w, unknowns);
-    let forces = forces(lanes, start, &u, stages.weight, unknowns);
+    let forces = forces::<R, OWN>(lanes, start, &u, stages.weight, unknowns);
     let last = end_momentum(lanes, start, &end, &forces);
     let Kinematics { omega, weight, inverse_k, turned, .. } = &stages;
     let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
@@ -242,7 +242,7 @@ pub(super) fn sweep<R: Stages>(
 /// of x: the rounding error of the constant Omega about that axis is then that of another body, and
 /// symplectic.
 #[inline(always)]
-pub(super) fn finish<R: Stages>(
+pub(super) fn finish<R: Stages, const OWN: bool>(
     lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
@@ -251,7 +251,7 @@ pub(super) fn finish<R: Stages>(
     let mut stages = kinematics(lanes, start, &momentum, unknowns, 1);
     let u = with_one(&stages.c);
     let end = end_point(lanes, &stages.w, unknowns);
-    let forces = forces(lanes, start, &u, stages.weight, unknowns);
+    let forces = forces::<R, OWN>(lanes, start, &u, stages.weight, unknowns);
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     if R::STAGES > 2 && start.tableau.stages >= RENEWED_STAGES {
         let last = end_momentum(lanes, start, &end, &forces);
@@ -403,14 +403,14 @@ struct Forces<R: Stages> {
 
 /// Computes the torques at the stages, and their effects.
 #[inline(always)]
-fn forces<R: Stages>(
+fn forces<R: Stages, const OWN: bool>(
     lanes: R,
     start: &Start<'_, <R::Whole as Whole>::Plain>,
     u: &Mat3<R>,
     weight: R,
     unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
 ) -> Forces<R> {
-    let (torque, nearness) = start.body.torque(u, start.seen);
+    let (torque, nearness) = start.body.torque::<R, OWN>(u, start.seen);
     let kicks = scaled(&product(u, &torque), -weight);
     let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
     for i in 0..3 {
