@@ -14,7 +14,7 @@ impl RigidBody<3> {
     /// smallest relative distance to a point of the potential; -1 if there is none;
     /// [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller counts
     /// the evaluations: not every lane is a stage. Without `OWN`, user-defined potentials are left
-    /// out ([`in_stage_lanes`](crate::lanes::in_stage_lanes)).
+    /// out (`in_stage_lanes`).
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
     #[inline(always)]
