@@ -4,9 +4,10 @@
 //! iteration has converged, whatever the others still do, and it holds the state of the member
 //! until that is requested. A member whose sweeps do not converge makes that step individually,
 //! with Newton's method where that helps. Without AVX2, and with more than four stages, which fill
-//! the lanes of one member, this would gain nothing: then every member is stepped individually.
-//! (Working stage by stage, so that the data in use fit the registers, gains nothing either: the
-//! arithmetic itself is the limit.)
+//! the lanes of one member, this would gain nothing: then every member is stepped individually. So
+//! are those of a body with user-defined potentials, which know no lanes. (Working stage by stage,
+//! so that the data in use fit the registers, gains nothing either: the arithmetic itself is the
+//! limit.)
 //!
 //! Invariant: each member ends with the bits, and with the failure, of its own run.
 
