@@ -95,7 +95,8 @@ impl<const N: usize> Motion<N> {
         let apart = self.body_momentum.value - seen;
         let square = so::inner(seen, seen) + so::inner(gain, gain);
         let scale = 0.5 / square.max(f64::MIN_POSITIVE);
-        let theta = so::skew(&(so::product(&apart, seen) - so::product(seen, &apart))) * scale;
+        // of skew matrices: seen apart = (apart seen)^T
+        let theta = so::asym(&so::product(&apart, seen)) * scale;
         // The turn is tiny: it is added at the next step.
         self.attitude.carry += so::product(&self.attitude.value, &theta);
     }
