@@ -156,7 +156,7 @@ impl VpdEnsemble {
                 }
                 while goes_on.contains(&true) {
                     let increments = in_member_lanes!(level, $stages, lanes => {
-                        sweep::sweep_to_row::<_, false>(lanes, &start, unknowns)
+                        sweep::sweep_to_row(lanes, &start, unknowns)
                     });
                     start.passes = tableau.passes.of_sweep(false);
                     for &m in going {

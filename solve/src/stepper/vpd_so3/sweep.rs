@@ -69,13 +69,13 @@ const MOST_DEFICIT: f64 = 0.1;
 
 /// Runs [`sweep`] for members, and returns the increment of each in memory.
 #[inline(always)]
-pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>, const OWN: bool>(
+pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
     lanes: R,
     start: &Start<'_, Row>,
     unknowns: &mut Unknowns<R::Plain, Row>,
 ) -> Row {
     let mut increments = Row::splat(0.0);
-    sweep::<R, OWN>(lanes, start, unknowns).store(&mut increments);
+    sweep::<R, false>(lanes, start, unknowns).store(&mut increments);
     increments
 }
 
