@@ -711,6 +711,29 @@ await checks({
     await live.context().close();
     return address;
   },
+  "a job that ends while its body is read keeps its links": async () => {
+    const slow = await open();
+    // The answer to the first question for attitudes comes when all else has been drawn.
+    let release;
+    const drawn = new Promise(resolve => { release = resolve; });
+    await slow.route("**/attitudes.json*", async route => {
+      await drawn;
+      await route.continue();
+    });
+    const { id } = await submit(url, { ...await long(), log: { every: 5, channels: ["/state", "/energy"] } });
+    const asked = slow.waitForRequest("**/attitudes.json*");
+    await slow.goto(`${url}/#/jobs/${id}`);
+    await asked;
+    await slow.click("#view button:text('Cancel')");
+    await state(slow, "cancelled");
+    await slow.waitForSelector(".charts img", { state: "attached" });
+    release();
+    await slow.waitForFunction(() => stage?.g);
+    await slow.waitForTimeout(500);
+    assert.equal(await slow.locator("#open-foxglove").count(), 1);
+    assert.equal(await slow.locator(".charts img").count(), 1);
+    await slow.context().close();
+  },
   "where the events are cut, the page asks": async () => {
     const cut = await open();
     await cut.route("**/events", route => route.abort());

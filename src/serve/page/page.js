@@ -161,38 +161,40 @@ async function viewJob(id) {
 
   const update = async job => {
     if (!current() || ended) return;
-    ended = ENDED.includes(job.state);
+    // While this one waits, the one of the end may come: each goes on with its own job.
+    const last = ended = ENDED.includes(job.state);
     const key = job.state;
     if (key !== before) {
       before = key;
       head.replaceChildren(
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
         h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
-        ended ? "" : h("div", { className: "row" }, h("progress", { max: 100, ariaLabel: "Progress" }), h("span", { className: "soft", id: "standing" }),
+        last ? "" : h("div", { className: "row" }, h("progress", { max: 100, ariaLabel: "Progress" }), h("span", { className: "soft", id: "standing" }),
           h("button", { type: "button", className: "small", onclick: () => cancel(job) }, "Cancel")));
       rest.replaceChildren(...(job.state === "running" ? liveLinks(job).filter(Boolean) : []));
-      if (ended) say(`Job ${job.name} ${job.state}`);
+      if (last) say(`Job ${job.name} ${job.state}`);
     }
-    title(job.name, ended || job.state === "queued" ? job.state : `${Math.floor(job.progress.percent)} %`);
-    if (!ended) {
+    title(job.name, last || job.state === "queued" ? job.state : `${Math.floor(job.progress.percent)} %`);
+    if (!last) {
       head.querySelector("progress").value = job.progress.percent;
       $("standing").textContent = standing(job);
     }
-    if (ended ? job.links.log : job.progress.durable_step > 0) {
+    if (last ? job.links.log : job.progress.durable_step > 0) {
       await show(job);
       if (!current()) return;
-      if (ended) asked = 0;
+      if (last) asked = 0;
       const made = showChart(job);
-      if (ended) await made;
+      if (last) await made;
     }
-    if (ended) {
+    if (last) {
       if (!current()) return;
       rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
         job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, h("button", { type: "button", className: "small", onclick: () => forgetJob(job) }, "Delete")));
     }
   };
-  await update(job);
+  const first = update(job);
   if (!ended) follow(id, async seen => update(ENDED.includes(seen.state) ? await json(`jobs/${id}`) : seen), stop.signal);
+  await first;
 }
 
 async function showBody(job, looks, current) {
