@@ -32,7 +32,7 @@ mod newton;
 mod past;
 
 use newton::Newton;
-pub use past::{Continued, Past};
+pub use past::{Continued, Past, Trail};
 
 /// Conditions under which an iteration has converged or failed.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,12 +1,13 @@
 //! A first guess from the steps before: the polynomial in time through their solutions, continued by a step.
 //!
 //! On the smooth orbit of a free body such a guess is as near as a sweep or two would come, and how well sweeps contract
-//! is known from the steps before, too: one sweep solves the step. (Why not where torques push: docs/decisions/0008.)
+//! is known from the steps before, too: one sweep solves the step. (Where it does not pay: docs/decisions/0008.)
 //!
-//! Invariant: a guess is a function of the steps since [`Past::forget`]; one that leads astray costs time and no more.
+//! Invariant: a guess is a function of the steps since [`Trail::forget`]; one that leads astray costs time and no more.
 
 use super::{Convergence, Equations, Progress, Rungs, Solver, swept};
 use crate::failure::Failure;
+use crate::lanes::{Stored, WIDTH};
 
 /// Number of steps that are remembered.
 const DEPTH: usize = 8;
@@ -17,17 +18,67 @@ const COEFFICIENTS: [f64; DEPTH] = [8.0, -28.0, 56.0, -70.0, 56.0, -28.0, 8.0, -
 /// Increment above which the next one is not yet rounding.
 const CLEAR: f64 = 1e-12;
 
-/// The solutions of the last steps.
+/// The solutions of the last steps, and the polynomial through them.
 #[derive(Clone, Debug, Default)]
-pub struct Past {
-    /// A ring of them.
+pub struct Trail {
+    /// A ring of solutions.
     solutions: [Vec<f64>; DEPTH],
     /// Index of the newest.
     newest: usize,
     /// Number of them.
     known: usize,
+    /// Numbers of a solution.
+    count: usize,
     /// First guess of the next solution.
     next: Vec<f64>,
+}
+
+impl Trail {
+    /// Forgets all solutions.
+    pub fn forget(&mut self) {
+        self.known = 0;
+    }
+
+    /// Adds a solution, whose numbers `keep` appends; always as many.
+    pub fn add(&mut self, keep: impl FnOnce(&mut Vec<f64>)) {
+        self.newest = (self.newest + 1) % DEPTH;
+        self.known = DEPTH.min(self.known + 1);
+        let newest = &mut self.solutions[self.newest];
+        newest.clear();
+        keep(newest);
+        self.count = newest.len();
+        // Whole registers.
+        newest.resize(self.count.next_multiple_of(WIDTH), 0.0);
+    }
+
+    /// Returns the polynomial a step ahead, computed in such lanes; `None` while too few solutions are known.
+    #[inline(always)]
+    pub fn continued<R: Stored>(&mut self, lanes: R) -> Option<&[f64]> {
+        if self.known < DEPTH {
+            return None;
+        }
+        let Self { solutions, newest, next, count, .. } = self;
+        let len = count.next_multiple_of(WIDTH);
+        next.resize(len, 0.0);
+        let backward: [&[f64]; DEPTH] =
+            std::array::from_fn(|back| &solutions[(*newest + DEPTH - back) % DEPTH][..len]);
+        for (k, next) in next.chunks_exact_mut(R::LANES * R::GROUP).enumerate() {
+            let at = k * R::LANES * R::GROUP;
+            // Register by register: there are too few numbers for a loop over each solution.
+            let mut sum = lanes.get_wide(&backward[0][at..]) * COEFFICIENTS[0];
+            for back in 1..DEPTH {
+                sum = sum + lanes.get_wide(&backward[back][at..]) * COEFFICIENTS[back];
+            }
+            R::put_wide(sum, next);
+        }
+        Some(&next[..*count])
+    }
+}
+
+/// The last steps of sweeps.
+#[derive(Clone, Debug, Default)]
+pub struct Past {
+    trail: Trail,
     /// The largest first increment from the guess of the equations themselves.
     first: f64,
     /// Worst contraction seen.
@@ -49,7 +100,8 @@ pub trait Continued: Equations {
 impl Past {
     /// Forgets all steps.
     pub fn forget(&mut self) {
-        (self.known, self.first, self.contraction) = (0, 0.0, None);
+        self.trail.forget();
+        (self.first, self.contraction) = (0.0, None);
     }
 
     /// Solves `equations` by sweeps from where the steps before lead, or as `solver` does if that is no better.
@@ -58,7 +110,7 @@ impl Past {
         solver: &mut Solver,
         equations: &mut impl Continued,
     ) -> Result<Convergence, Failure> {
-        if self.known == DEPTH && solver.rule.rungs != Rungs::Newton {
+        if self.trail.known == DEPTH && solver.rule.rungs != Rungs::Newton {
             if let Some(solved) = self.continued(solver, equations) {
                 return Ok(solved);
             }
@@ -76,8 +128,7 @@ impl Past {
         solver: &Solver,
         equations: &mut impl Continued,
     ) -> Option<Convergence> {
-        self.extrapolate();
-        let sweeps = equations.continue_from(&self.next).ok()?;
+        let sweeps = equations.continue_from(self.trail.continued(0.0)?).ok()?;
         let expected = self.contraction.unwrap_or(f64::INFINITY);
         let progress = Progress { expected, ..Progress::new(solver.rule, true) };
         let mut seen = Seen::NOTHING;
@@ -98,35 +149,7 @@ impl Past {
             let worst = self.contraction.map_or(contraction, |worst| worst.max(contraction));
             self.contraction = Some(worst);
         }
-        self.newest = (self.newest + 1) % DEPTH;
-        let newest = &mut self.solutions[self.newest];
-        newest.clear();
-        equations.keep(newest);
-        self.known = DEPTH.min(self.known + 1);
-    }
-
-    fn extrapolate(&mut self) {
-        let Self { solutions, newest, next, .. } = self;
-        let backward: [&[f64]; DEPTH] =
-            std::array::from_fn(|back| solutions[(*newest + DEPTH - back) % DEPTH].as_slice());
-        next.clear();
-        next.resize(backward[0].len(), 0.0);
-        // Number by number, four at a time: there are too few for a loop over each solution.
-        let (fours, rest) = next.as_chunks_mut::<4>();
-        let first_of_rest = 4 * fours.len();
-        for (k, four) in fours.iter_mut().enumerate() {
-            for (solution, coefficient) in backward.iter().zip(COEFFICIENTS) {
-                let numbers = &solution[4 * k..4 * k + 4];
-                for i in 0..4 {
-                    four[i] += coefficient * numbers[i];
-                }
-            }
-        }
-        for (k, number) in rest.iter_mut().enumerate() {
-            for (solution, coefficient) in backward.iter().zip(COEFFICIENTS) {
-                *number += coefficient * solution[first_of_rest + k];
-            }
-        }
+        self.trail.add(|numbers| equations.keep(numbers));
     }
 }
 

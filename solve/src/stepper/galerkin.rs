@@ -219,10 +219,13 @@ impl<const N: usize> GalerkinStep<N> {
         Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
     }
 
-    /// Forgets the previous steps.
+    /// Forgets the previous steps: where a stepper starts, so that a resumed run repeats every bit.
     pub(super) fn forget(&mut self) {
         if let Some(past) = &mut self.past {
             past.forget();
+        }
+        if let Some(collocation) = &mut self.collocation {
+            collocation.forget();
         }
     }
 
@@ -243,8 +246,7 @@ impl<const N: usize> GalerkinStep<N> {
     }
 
     /// Solves the step of such a length from the body momentum `p0`, starting from the velocity `omega` at its
-    /// beginning, kept constant. That guess is a function of the state alone: a resumed run repeats it to
-    /// the bit.
+    /// beginning, kept constant, or from where the previous steps lead ([`GalerkinStep::forget`]).
     ///
     /// # Errors
     /// Any [`FailureCode`].
@@ -270,6 +272,9 @@ impl<const N: usize> GalerkinStep<N> {
     ) -> Result<Convergence, Failure> {
         if let Some(solved) = self.collocated(dynamics, length, p0, omega)? {
             return Ok(solved);
+        }
+        if let Some(collocation) = &mut self.collocation {
+            collocation.forget();
         }
         let h = length.h;
         (self.solution.by, self.solution.h, self.solution.gain) = (By::Sweeps, h, None);

@@ -161,6 +161,46 @@ fn the_reduced_form_begins_where_the_steps_before_lead() {
     law::<4>(&mut full, &mut VpdReduced::new(Tableau::rk3(), stop(), true), 0.4);
 }
 
+/// A step of collocation that begins where the steps before lead ends where one from a guess does, in fewer rounds; also
+/// where another body takes over.
+#[test]
+fn steps_of_collocation_begin_where_the_steps_before_lead() {
+    fn law<const N: usize>(stages: usize, h: f64, most: f64) {
+        let tableau = || Tableau::gauss(stages).expect("1 to 8 stages");
+        let mut numbers = Numbers(36);
+        let bodies = [(); 2].map(|()| body::<N>(&mut numbers));
+        let mut follows = Vpd::<N>::new(tableau(), StopRule::default());
+        follows.start(&start(&mut numbers));
+        let (mut few, mut many, mut worst) = (0, 0, 0.0_f64);
+        for step in 0..80 {
+            let body = &bodies[step / 40];
+            let before = State {
+                attitude: follows.attitude().expect("carried"),
+                momentum: follows.momentum(),
+            };
+            let mut alone = Vpd::<N>::new(tableau(), StopRule::default());
+            alone.start(&before);
+            few += follows.step(body, h).expect("a small step").iterations;
+            many += alone.step(body, h).expect("a small step").iterations;
+            let attitude = |stepper: &Vpd<N>| stepper.attitude().expect("carried");
+            worst = worst
+                .max((attitude(&follows) - attitude(&alone)).amax())
+                .max((follows.momentum() - alone.momentum()).amax() / follows.momentum().amax());
+        }
+        println!("n = {N}, {stages} stages: {few} rounds instead of {many}, {worst:e} apart");
+        assert!(f64::from(few) <= most * f64::from(many), "{few} rounds instead of {many}");
+        assert!(worst <= 3e-15, "n = {N}, {stages} stages: {worst:e}");
+    }
+    for stages in 1..=3 {
+        law::<4>(stages, 0.01, 0.75);
+    }
+    law::<5>(2, 0.01, 0.6);
+    law::<8>(3, 0.01, 0.6);
+    // Too far to lead anywhere, and nothing to gain.
+    law::<4>(2, 0.4, 1.0);
+    law::<4>(4, 0.01, 1.0);
+}
+
 /// Counts the samples that carry an attitude.
 #[derive(Default)]
 struct Attitudes(usize);

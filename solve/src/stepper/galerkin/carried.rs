@@ -39,6 +39,7 @@ impl<const N: usize> Carried<N> {
 
     /// See [`crate::stepper::Stepper::start`].
     pub(in crate::stepper) fn start(&mut self, state: &State<N>) {
+        self.step.forget();
         self.motion = Motion::new(state);
         self.clock = Clock::default();
     }

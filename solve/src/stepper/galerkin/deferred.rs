@@ -23,6 +23,9 @@
 //! collocation is solved first, and the defect is evaluated one to three times up to a turn of
 //! 0.15 rad, four to eight times in larger steps.
 //!
+//! Short steps with few stages start from the polynomial through the last ones (`follow`), which
+//! saves the rounds of collocation and an evaluation.
+//!
 //! Everything is computed for all stages at once, in lanes. An operation carries the tag of its
 //! result.
 //!
@@ -35,6 +38,7 @@ use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 use crate::failure::Failure;
 use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
 use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
+use crate::nonlinear::Trail;
 use crate::stack::{Any, Dimension, Known, Numbers, Stack};
 use crate::tableau::Tableau;
 use crate::work;
@@ -52,6 +56,10 @@ pub(super) const ROUND_OFF: f64 = 1e-16;
 /// moments of 0.01 and 1 a tenth of it still shows as a drift of the energy over a million steps,
 /// this part does not.
 pub(super) const LAST_DIGIT: f64 = 0.03;
+/// Part of it that is allowed where a step starts from others: what is left of the error of a
+/// polynomial has the same sign step after step, and over a million steps it has to stay below a
+/// random walk of roundings.
+const SAME_SIGN: f64 = 1e-3;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -197,9 +205,25 @@ struct Unknowns {
     slopes: Vec<f64>,
     /// Values at the stages, for a system in a time of its own.
     rescaled: AtStages,
+    past: Past,
+}
+
+/// The last steps, all of one length.
+#[derive(Clone, Debug, Default)]
+struct Past {
+    /// The matrices of [`Unknowns::smooth`].
+    trail: Trail,
+    h: f64,
 }
 
 impl Unknowns {
+    /// The matrices that change smoothly from step to step, and lead to all others.
+    fn smooth<'b>(&'b mut self, end: &'b mut End) -> (&'b mut Trail, [&'b mut Numbers; 10]) {
+        let Self { omega, mu, c, f, s, x, delta, past, .. } = self;
+        let End { f: end_f, k: end_k, multiplier, .. } = end;
+        (&mut past.trail, [omega, mu, c, f, s, x, delta, end_f, end_k, multiplier])
+    }
+
     fn new(n: usize, lanes: usize) -> Self {
         let zeros = || Numbers::zeros(n * n * lanes);
         Self {
@@ -226,6 +250,7 @@ impl Unknowns {
             room: [zeros(), zeros(), zeros()],
             slopes: Vec::new(),
             rescaled: AtStages::default(),
+            past: Past::default(),
         }
     }
 }
@@ -326,6 +351,11 @@ impl Collocation {
             }
             (_, None) => solve_any(Rows([0.0; 8]), coefficients, start, source, u, end),
         }
+    }
+
+    /// Forgets the last steps.
+    pub(super) fn forget(&mut self) {
+        self.unknowns.past = Past::default();
     }
 
     /// `f - I`, row by row.
@@ -501,24 +531,84 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     fn solve(mut self) -> Result<Solved, Stuck> {
+        self.load();
+        let is_short = self.is_short();
+        if !is_short || self.u.past.h != self.h {
+            self.u.past.trail.forget();
+            self.u.past.h = self.h;
+        }
+        let solved = if is_short && self.follow() {
+            match self.solve_from(true) {
+                Err(Stuck::Lost) => {
+                    self.u.past.trail.forget();
+                    self.guess();
+                    self.solve_from(false)?
+                }
+                solved => solved?,
+            }
+        } else {
+            self.guess();
+            self.solve_from(false)?
+        };
+        if is_short {
+            self.keep();
+        }
+        Ok(solved)
+    }
+
+    /// Is the step so short that the last steps lead nearer to its solution than the guess, and
+    /// have the stages so low an order that this saves an evaluation of the defect?
+    fn is_short(&self) -> bool {
+        /// Angle in rad up to which one evaluation is enough.
+        const SHORT: f64 = 0.025;
+        /// With more stages the first evaluation is often the last in any case.
+        const FEW_STAGES: usize = 3;
+        let Start { h, velocity, .. } = self.start;
+        let square = 0.5 * velocity.iter().map(|x| x * x).sum::<f64>();
+        // In a time of its own the last step of a run has another length.
+        let is_even = !matches!(self.forces, Forces::Rescaled { .. });
+        is_even && self.coefficients.stages <= FEW_STAGES && h.abs() * square.sqrt() <= SHORT
+    }
+
+    /// Adds the solution to the last steps.
+    fn keep(&mut self) {
+        let (trail, smooth) = self.u.smooth(self.end);
+        trail.add(|numbers| smooth.iter().for_each(|matrix| numbers.extend_from_slice(matrix)));
+    }
+
+    /// Solves the step from the guess, or from where the last steps lead.
+    fn solve_from(&mut self, follows: bool) -> Result<Solved, Stuck> {
         let stages = self.coefficients.stages;
-        self.guess();
-        let mut rounds = self.collocate()?;
+        let collocated = if follows {
+            self.measure();
+            0
+        } else {
+            self.collocate()?
+        };
         let turn = self.turn.min(1.0);
         self.polar_factors();
-        self.transport();
-        self.gradients()?;
-        self.first_symmetric_parts();
+        if follows {
+            self.gradients()?;
+            self.transport();
+        } else {
+            self.transport();
+            self.gradients()?;
+            self.first_symmetric_parts();
+        }
         let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
-        let mut evaluations = Rounds::new(expected, self.order(stages) * self.size);
+        // A small change is luck where the unknowns were guessed. X and S of a polynomial miss as much as each
+        // other, and the first evaluation leaves the error of S, times half the turn, in X.
+        let mut evaluations = match follows {
+            true => Rounds::new(0.1 * turn, 0.0),
+            false => Rounds::new(expected, self.order(stages) * self.size),
+        };
         let mut shortfall = 0.0;
         for evaluation in 1..=MOST_ROUNDS {
-            rounds += 1;
             self.end_point(1);
             self.multipliers();
             // X and S depend on each other; other errors are larger the first time, except with
             // many stages.
-            if evaluation > 1 || stages >= 4 || turn > 0.3 {
+            if evaluation > 1 || !follows && (stages >= 4 || turn > 0.3) {
                 self.embed();
                 self.multipliers();
             }
@@ -529,18 +619,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let left = evaluations.left(jump).max(turn * shortfall);
             // An error of a momentum turns the end by its product with the turn of the step.
             let rounding = ROUND_OFF * self.size / turn;
-            let [goal, allowed] = match self.start.foresee {
-                true => [rounding, 10.0 * rounding],
-                false => [LAST_DIGIT * rounding; 2],
+            let [goal, allowed] = match (follows, self.start.foresee) {
+                (true, _) => [SAME_SIGN * rounding; 2],
+                (false, true) => [rounding, 10.0 * rounding],
+                (false, false) => [LAST_DIGIT * rounding; 2],
             };
             let passed =
                 self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
             shortfall = passed.left;
             self.gradients()?;
             // With few stages the first evaluation does not yet know its order.
-            if (left <= allowed || floor) && (stages >= 4 || evaluation > 1) {
+            if (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || follows) {
                 let increment = self.finish(passed.last, goal)?;
-                return Ok(self.judged(rounds, increment / self.size));
+                return Ok(self.judged(collocated + evaluation, increment / self.size));
             }
             if !jump.is_finite() {
                 break;
@@ -719,17 +810,40 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.velocities();
     }
 
-    /// Guesses the unknowns from the initial velocity, kept constant.
-    fn guess(&mut self) {
-        let Self { stack, start, coefficients, u, end, forces, .. } = self;
-        let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
-        let angle = lanes.row(&coefficients.nodes) * start.h;
+    /// Takes p0, and the weights of a body, into all lanes.
+    fn load(&mut self) {
+        let Self { stack, start, u, forces, .. } = self;
         if let Forces::None { velocity: Velocity::Weights(weights, _), .. }
         | Forces::Body { velocity: Velocity::Weights(weights, _), .. }
         | Forces::Rescaled { weights, .. } = forces
         {
             stack.spread(weights, &mut u.inertia);
         }
+        stack.spread(start.momentum, &mut u.p0);
+    }
+
+    /// Takes the unknowns from where the last steps lead, if enough of them are known.
+    fn follow(&mut self) -> bool {
+        let Self { stack, coefficients, weights, u, end, .. } = self;
+        let (trail, smooth) = u.smooth(end);
+        let Some(mut next) = trail.continued(stack.lanes) else { return false };
+        for matrix in smooth {
+            let (own, others) = next.split_at(matrix.len());
+            matrix.copy_from_slice(own);
+            next = others;
+        }
+        let Unknowns { w, c, d, omega, .. } = &mut **u;
+        stack.plus_product(omega, c, omega, w);
+        stack.scale(*weights, w);
+        stack.combination(w, &coefficients.columns, d);
+        true
+    }
+
+    /// Guesses the unknowns from the initial velocity, kept constant.
+    fn guess(&mut self) {
+        let Self { stack, start, coefficients, u, end, .. } = self;
+        let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
+        let angle = lanes.row(&coefficients.nodes) * start.h;
         let Unknowns { p0, omega, mu, c, k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
         let (velocity, momentum) = (&start.velocity[..n * n], &start.momentum[..n * n]);
         let (omega, c, multiplier) = (&mut omega[..len], &mut c[..len], &mut end.multiplier[..n * n]);
@@ -747,7 +861,6 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 multiplier[at] = -0.5 * momentum[at];
             }
         }
-        stack.spread(momentum, p0);
         mu.copy_from_slice(p0);
         for matrices in [k, f, e, x, delta, gain, gradient, kappa] {
             matrices.fill(0.0);
