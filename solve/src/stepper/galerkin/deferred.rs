@@ -624,12 +624,18 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 (false, true) => [rounding, 10.0 * rounding],
                 (false, false) => [LAST_DIGIT * rounding; 2],
             };
-            let passed =
-                self.pass_until(momenta, (0.3 * left * expected / turn).max(0.3 * goal))?;
+            // With few stages the first evaluation does not yet know its order.
+            let is_last = (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || follows);
+            // The passes of `finish` come after the last evaluation: here the attitudes have to be
+            // as near as the forces show.
+            let enough = match is_last && follows {
+                true => goal / FORCES_CONTRACTION,
+                false => 0.3 * left * expected / turn,
+            };
+            let passed = self.pass_until(momenta, enough.max(0.3 * goal))?;
             shortfall = passed.left;
             self.gradients()?;
-            // With few stages the first evaluation does not yet know its order.
-            if (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || follows) {
+            if is_last {
                 let increment = self.finish(passed.last, goal)?;
                 return Ok(self.judged(collocated + evaluation, increment / self.size));
             }
