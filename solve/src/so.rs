@@ -29,6 +29,12 @@ pub fn skew<const N: usize>(a: &Mat<N>) -> Mat<N> {
 /// `A B`. Loops of constant length, which the compiler unrolls.
 #[inline]
 pub fn product<const N: usize>(a: &Mat<N>, b: &Mat<N>) -> Mat<N> {
+    product_here(a, b)
+}
+
+/// `A B`, compiled for the instruction set of the caller.
+#[inline(always)]
+pub(crate) fn product_here<const N: usize>(a: &Mat<N>, b: &Mat<N>) -> Mat<N> {
     let mut c = Mat::zeros();
     for j in 0..N {
         for k in 0..N {
@@ -538,12 +544,14 @@ pub fn orthonormalised<const N: usize>(g: &Mat<N>) -> Mat<N> {
 
 /// `I - g^T g`, each product taken off the identity: a sum next to one is rounded twice as far from
 /// above as from below, and what is mended by it would keep a bias.
+#[inline(always)]
 pub fn deficit<const N: usize>(g: &Mat<N>) -> Mat<N> {
-    let mut deficit = Mat::identity();
-    for i in 0..N {
-        for j in 0..N {
-            for k in 0..N {
-                deficit[(i, j)] -= g[(k, i)] * g[(k, j)];
+    let (transposed, mut deficit) = (g.transpose(), Mat::identity());
+    for j in 0..N {
+        for k in 0..N {
+            let x = g[(k, j)];
+            for i in 0..N {
+                deficit[(i, j)] -= transposed[(i, k)] * x;
             }
         }
     }

@@ -378,6 +378,24 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         }
     }
 
+    /// The sum of the squares of all entries.
+    #[inline(always)]
+    pub fn square(self, a: &[f64]) -> R {
+        let groups = a[..self.numbers()].chunks_exact(R::GROUP * R::LANES);
+        let rest = groups.remainder();
+        let mut sums = self.lanes.repeated(&[0.0; WIDTH]);
+        for group in groups {
+            let x = self.lanes.get_wide(group);
+            sums = sums + x * x;
+        }
+        let mut sum = R::folded(sums);
+        for entry in rest.chunks_exact(R::LANES) {
+            let x = self.lanes.get(entry);
+            sum = sum + x * x;
+        }
+        sum
+    }
+
     /// `C = A - B`
     #[inline(always)]
     pub fn difference(self, a: &[f64], b: &[f64], c: &mut [f64]) {

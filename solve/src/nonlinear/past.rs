@@ -7,78 +7,115 @@
 
 use super::{Convergence, Equations, Progress, Rungs, Solver, swept};
 use crate::failure::Failure;
-use crate::lanes::{Stored, WIDTH};
-
-/// Number of steps that are remembered.
-const DEPTH: usize = 8;
-
-/// `z_{n+1} = sum_i (-1)^i C(DEPTH, i + 1) z_{n-i}`
-const COEFFICIENTS: [f64; DEPTH] = [8.0, -28.0, 56.0, -70.0, 56.0, -28.0, 8.0, -1.0];
+use crate::lanes::{Row, Stored, WIDTH};
 
 /// Increment above which the next one is not yet rounding.
 const CLEAR: f64 = 1e-12;
 
-/// The solutions of the last steps, and the polynomial through them.
+/// The solutions of the last `DEPTH` steps, and the polynomial through them. A solution consists of parts, always as many
+/// and as long.
 #[derive(Clone, Debug, Default)]
-pub struct Trail {
-    /// A ring of solutions.
-    solutions: [Vec<f64>; DEPTH],
-    /// Index of the newest.
+pub struct Trail<const DEPTH: usize> {
+    /// Eight numbers of each solution after the other, and again; a part begins with a row of its own.
+    rows: Vec<[Row; DEPTH]>,
+    /// Index of the newest solution: they lie in a ring.
     newest: usize,
-    /// Number of them.
+    /// Number of solutions.
     known: usize,
-    /// Numbers of a solution.
-    count: usize,
-    /// First guess of the next solution.
-    next: Vec<f64>,
 }
 
-impl Trail {
+impl<const DEPTH: usize> Trail<DEPTH> {
+    /// `z_{n+1} = sum_i (-1)^i C(DEPTH, i + 1) z_{n-i}`
+    const COEFFICIENTS: [f64; DEPTH] = {
+        let mut coefficients = [DEPTH as f64; DEPTH];
+        let mut i = 1;
+        while i < DEPTH {
+            coefficients[i] = -coefficients[i - 1] * (DEPTH - i) as f64 / (i + 1) as f64;
+            i += 1;
+        }
+        coefficients
+    };
+
     /// Forgets all solutions.
     pub fn forget(&mut self) {
-        self.known = 0;
+        (self.newest, self.known) = (0, 0);
     }
 
-    /// Adds a solution, whose numbers `keep` appends; always as many.
-    pub fn add(&mut self, keep: impl FnOnce(&mut Vec<f64>)) {
+    /// Does the polynomial have its full degree?
+    pub fn is_known(&self) -> bool {
+        self.known == DEPTH
+    }
+
+    /// Adds a solution.
+    #[inline(always)]
+    pub fn add<'a>(&mut self, parts: impl IntoIterator<Item = &'a [f64]>) {
         self.newest = (self.newest + 1) % DEPTH;
         self.known = DEPTH.min(self.known + 1);
-        let newest = &mut self.solutions[self.newest];
-        newest.clear();
-        keep(newest);
-        self.count = newest.len();
-        // Whole registers.
-        newest.resize(self.count.next_multiple_of(WIDTH), 0.0);
+        let mut count = 0;
+        for part in parts {
+            let (whole, rest) = part.as_chunks::<WIDTH>();
+            let first = count;
+            count += part.len().div_ceil(WIDTH);
+            if self.rows.len() < count {
+                self.rows.resize(count, [Row::splat(0.0); DEPTH]);
+            }
+            for (numbers, rows) in whole.iter().zip(&mut self.rows[first..]) {
+                rows[self.newest].0 = *numbers;
+            }
+            if !rest.is_empty() {
+                self.rows[count - 1][self.newest].0[..rest.len()].copy_from_slice(rest);
+            }
+        }
     }
 
-    /// Returns the polynomial a step ahead, computed in such lanes; `None` while too few solutions are known.
+    /// Computes the polynomial a step ahead, part by part, in such lanes.
     #[inline(always)]
-    pub fn continued<R: Stored>(&mut self, lanes: R) -> Option<&[f64]> {
-        if self.known < DEPTH {
-            return None;
+    pub fn ahead<'a, R: Stored>(&self, lanes: R, parts: impl IntoIterator<Item = &'a mut [f64]>) {
+        let mut coefficients = [0.0; DEPTH];
+        for (back, coefficient) in Self::COEFFICIENTS.into_iter().enumerate() {
+            coefficients[(self.newest + DEPTH - back) % DEPTH] = coefficient;
         }
-        let Self { solutions, newest, next, count, .. } = self;
-        let len = count.next_multiple_of(WIDTH);
-        next.resize(len, 0.0);
-        let backward: [&[f64]; DEPTH] =
-            std::array::from_fn(|back| &solutions[(*newest + DEPTH - back) % DEPTH][..len]);
-        for (k, next) in next.chunks_exact_mut(R::LANES * R::GROUP).enumerate() {
-            let at = k * R::LANES * R::GROUP;
-            // Register by register: there are too few numbers for a loop over each solution.
-            let mut sum = lanes.get_wide(&backward[0][at..]) * COEFFICIENTS[0];
-            for back in 1..DEPTH {
-                sum = sum + lanes.get_wide(&backward[back][at..]) * COEFFICIENTS[back];
+        let mut rows = self.rows.iter();
+        for part in parts {
+            let (whole, rest) = part.as_chunks_mut::<WIDTH>();
+            for (next, rows) in whole.iter_mut().zip(&mut rows) {
+                row_ahead(lanes, &coefficients, rows, next);
             }
-            R::put_wide(sum, next);
+            if !rest.is_empty()
+                && let Some(rows) = rows.next()
+            {
+                let mut next = [0.0; WIDTH];
+                row_ahead(lanes, &coefficients, rows, &mut next);
+                rest.copy_from_slice(&next[..rest.len()]);
+            }
         }
-        Some(&next[..*count])
+    }
+}
+
+/// Computes eight numbers of the polynomial from those of each solution.
+#[inline(always)]
+fn row_ahead<R: Stored, const DEPTH: usize>(
+    lanes: R,
+    coefficients: &[f64; DEPTH],
+    rows: &[Row; DEPTH],
+    next: &mut [f64; WIDTH],
+) {
+    for at in (0..WIDTH).step_by(R::LANES * R::GROUP) {
+        let mut sum = lanes.get_wide(&rows[0].0[at..]) * coefficients[0];
+        for k in 1..DEPTH {
+            sum = sum + lanes.get_wide(&rows[k].0[at..]) * coefficients[k];
+        }
+        R::put_wide(sum, &mut next[at..]);
     }
 }
 
 /// The last steps of sweeps.
 #[derive(Clone, Debug, Default)]
 pub struct Past {
-    trail: Trail,
+    /// Eight: the polynomial through more multiplies their rounding errors too much.
+    trail: Trail<8>,
+    /// The newest solution, then the first guess of the next.
+    numbers: Vec<f64>,
     /// The largest first increment from the guess of the equations themselves.
     first: f64,
     /// Worst contraction seen.
@@ -110,7 +147,7 @@ impl Past {
         solver: &mut Solver,
         equations: &mut impl Continued,
     ) -> Result<Convergence, Failure> {
-        if self.trail.known == DEPTH && solver.rule.rungs != Rungs::Newton {
+        if self.trail.is_known() && solver.rule.rungs != Rungs::Newton {
             if let Some(solved) = self.continued(solver, equations) {
                 return Ok(solved);
             }
@@ -128,7 +165,8 @@ impl Past {
         solver: &Solver,
         equations: &mut impl Continued,
     ) -> Option<Convergence> {
-        let sweeps = equations.continue_from(self.trail.continued(0.0)?).ok()?;
+        self.trail.ahead(0.0, [&mut self.numbers[..]]);
+        let sweeps = equations.continue_from(&self.numbers).ok()?;
         let expected = self.contraction.unwrap_or(f64::INFINITY);
         let progress = Progress { expected, ..Progress::new(solver.rule, true) };
         let mut seen = Seen::NOTHING;
@@ -149,7 +187,9 @@ impl Past {
             let worst = self.contraction.map_or(contraction, |worst| worst.max(contraction));
             self.contraction = Some(worst);
         }
-        self.trail.add(|numbers| equations.keep(numbers));
+        self.numbers.clear();
+        equations.keep(&mut self.numbers);
+        self.trail.add([&self.numbers[..]]);
     }
 }
 
@@ -254,8 +294,8 @@ mod tests {
             assert!((equations.z - equations.target).abs() < 1e-15 * equations.target);
             made.push(solved.iterations);
         }
-        assert!(made[..DEPTH].iter().all(|&sweeps| sweeps >= 4), "{made:?}");
-        assert!(made[DEPTH..30].iter().all(|&sweeps| sweeps == 1), "{made:?}");
+        assert!(made[..8].iter().all(|&sweeps| sweeps >= 4), "{made:?}");
+        assert!(made[8..30].iter().all(|&sweeps| sweeps == 1), "{made:?}");
         assert!(made[30] > 1, "{made:?}");
         assert!(made[50..].iter().all(|&sweeps| sweeps == 1), "{made:?}");
     }

@@ -258,8 +258,7 @@ impl<const N: usize> GalerkinStep<N> {
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
         let length = length.into();
-        // |Omega| is the length of the vector for n = 3, and at least the largest frequency for any n.
-        let turn_rad = Some(length.h.abs() * so::inner(omega, omega).sqrt());
+        let turn_rad = Some(turn(length.h, omega));
         self.solved(dynamics, length, p0, omega).map_err(|failure| Failure { turn_rad, ..failure })
     }
 
@@ -383,7 +382,8 @@ impl<const N: usize> GalerkinStep<N> {
         let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
         let Length { h, lasting } = length;
         let foresee = self.solver.rule().foresee;
-        let start = Start { n: N, h, lasting, foresee, momentum, velocity };
+        let turn = turn(h, omega);
+        let start = Start { n: N, h, turn, lasting, foresee, momentum, velocity };
         let one_stage = OneStage(dynamics);
         let source = match dynamics.body() {
             Some(Seen { body, vectors, scale, weights })
@@ -409,6 +409,12 @@ impl<const N: usize> GalerkinStep<N> {
             by: By::Matrices,
         };
         Ok(solved)
+    }
+
+    /// Carries a motion from the beginning of the step to its end.
+    pub(super) fn carry(&self, motion: &mut Motion<N>) {
+        let level = self.collocation.as_ref().and_then(|collocation| collocation.level);
+        motion.advance(level, &self.solution);
     }
 
     /// Returns the changes made by the step.
@@ -576,6 +582,12 @@ impl<const N: usize> GalerkinStep<N> {
 
 /// A system at one stage, for [`Collocation`].
 struct OneStage<'a, const N: usize>(&'a dyn Dynamics<N>);
+
+/// The angle in rad through which a velocity turns a body in a time: |Omega| is the length of the vector for n = 3, and at
+/// least the largest frequency for any n.
+fn turn<const N: usize>(h: f64, omega: &Mat<N>) -> f64 {
+    h.abs() * so::inner(omega, omega).sqrt()
+}
 
 /// The matrix of a stage.
 fn of_stage<const N: usize>(matrices: &[f64], Place { stage, lanes }: Place) -> Mat<N> {

@@ -163,10 +163,10 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
                 }
                 // Newton's method: dt/dh is about sigma at the end.
                 let mut end = last.motion.clone();
-                end.advance(aside.step.solution());
+                aside.step.carry(&mut end);
                 length.h = aside.step.length() + missing / system.sigma(end.attitude());
             }
-            aside.motion.advance(aside.step.solution());
+            aside.step.carry(&mut aside.motion);
         }
         let sigma = system.sigma(aside.motion.attitude());
         // A step is part of all intervals that it crosses.

@@ -79,7 +79,7 @@ impl<const N: usize> Carried<N> {
         let convergence = solve(self, h)?;
         if convergence.rung == Rung::Newton {
             let mut end = self.motion.clone();
-            end.advance(self.step.solution());
+            self.step.carry(&mut end);
             let mut halves = Self { step: self.step.by_sweeps(), ..self.clone() };
             let half = || {
                 solve(&mut halves, 0.5 * h)?;
@@ -98,6 +98,6 @@ impl<const N: usize> Carried<N> {
             let put_in = self.step.put_in(h, &self.moments, self.motion.attitude());
             self.clock.advance(h, &put_in);
         }
-        self.motion.advance(self.step.solution());
+        self.step.carry(&mut self.motion);
     }
 }

@@ -61,6 +61,10 @@ pub(super) const LAST_DIGIT: f64 = 0.03;
 /// random walk of roundings.
 const SAME_SIGN: f64 = 1e-3;
 
+/// Number of steps that are remembered: with fewer the polynomial through them misses more, with
+/// more it multiplies their rounding errors.
+const REMEMBERED: usize = 9;
+
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
     /// A rigid body in principal axes and a potential of built-in terms.
@@ -107,6 +111,8 @@ pub(super) struct Start<'a> {
     /// n.
     pub(super) n: usize,
     pub(super) h: f64,
+    /// The angle h |Omega| in rad at its beginning.
+    pub(super) turn: f64,
     /// Time that the step is to last, if it is known, for a system in a time of its own; h is then
     /// a guess.
     pub(super) lasting: Option<f64>,
@@ -212,16 +218,17 @@ struct Unknowns {
 #[derive(Clone, Debug, Default)]
 struct Past {
     /// The matrices of [`Unknowns::smooth`].
-    trail: Trail,
+    trail: Trail<REMEMBERED>,
     h: f64,
 }
 
 impl Unknowns {
-    /// The matrices that change smoothly from step to step, and lead to all others.
-    fn smooth<'b>(&'b mut self, end: &'b mut End) -> (&'b mut Trail, [&'b mut Numbers; 10]) {
-        let Self { omega, mu, c, f, s, x, delta, past, .. } = self;
-        let End { f: end_f, k: end_k, multiplier, .. } = end;
-        (&mut past.trail, [omega, mu, c, f, s, x, delta, end_f, end_k, multiplier])
+    /// The matrices that change smoothly from step to step, and lead to all others; last Omega,
+    /// which the weights of a body lead to.
+    fn smooth<'b>(&'b mut self, end: &'b mut End) -> (&'b mut Trail<REMEMBERED>, [&'b mut Numbers; 9]) {
+        let Self { gain, c, f, s, x, delta, omega, past, .. } = self;
+        let End { f: end_f, multiplier, .. } = end;
+        (&mut past.trail, [gain, c, f, s, x, delta, end_f, multiplier, omega])
     }
 
     fn new(n: usize, lanes: usize) -> Self {
@@ -563,38 +570,39 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         const SHORT: f64 = 0.025;
         /// With more stages the first evaluation is often the last in any case.
         const FEW_STAGES: usize = 3;
-        let Start { h, velocity, .. } = self.start;
-        let square = 0.5 * velocity.iter().map(|x| x * x).sum::<f64>();
         // In a time of its own the last step of a run has another length.
         let is_even = !matches!(self.forces, Forces::Rescaled { .. });
-        is_even && self.coefficients.stages <= FEW_STAGES && h.abs() * square.sqrt() <= SHORT
+        is_even && self.coefficients.stages <= FEW_STAGES && self.start.turn <= SHORT
     }
 
-    /// Adds the solution to the last steps.
-    fn keep(&mut self) {
-        let (trail, smooth) = self.u.smooth(self.end);
-        trail.add(|numbers| smooth.iter().for_each(|matrix| numbers.extend_from_slice(matrix)));
+    /// Is Omega the momentum times weights?
+    fn has_weights(&self) -> bool {
+        matches!(
+            self.forces,
+            Forces::None { velocity: Velocity::Weights(..), .. }
+                | Forces::Body { velocity: Velocity::Weights(..), .. }
+        )
     }
 
     /// Solves the step from the guess, or from where the last steps lead.
     fn solve_from(&mut self, follows: bool) -> Result<Solved, Stuck> {
         let stages = self.coefficients.stages;
-        let collocated = if follows {
-            self.measure();
-            0
-        } else {
-            self.collocate()?
-        };
-        let turn = self.turn.min(1.0);
-        self.polar_factors();
+        let mut rounds = 0;
         if follows {
+            self.momenta_from_space();
+            self.measure();
+            self.attitudes_of_factors();
+            self.polar_factors();
             self.gradients()?;
             self.transport();
         } else {
+            rounds = self.collocate()?;
+            self.polar_factors();
             self.transport();
             self.gradients()?;
             self.first_symmetric_parts();
         }
+        let turn = self.turn.min(1.0);
         let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
         // A small change is luck where the unknowns were guessed. X and S of a polynomial miss as much as each
         // other, and the first evaluation leaves the error of S, times half the turn, in X.
@@ -604,7 +612,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         };
         let mut shortfall = 0.0;
         for evaluation in 1..=MOST_ROUNDS {
-            self.end_point(1);
+            rounds += 1;
+            if evaluation > 1 || !follows {
+                self.end_point(1);
+            }
+            self.end_at_stages();
             self.multipliers();
             // X and S depend on each other; other errors are larger the first time, except with
             // many stages.
@@ -626,18 +638,21 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             };
             // With few stages the first evaluation does not yet know its order.
             let is_last = (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || follows);
-            // The passes of `finish` come after the last evaluation: here the attitudes have to be
-            // as near as the forces show.
-            let enough = match is_last && follows {
-                true => goal / FORCES_CONTRACTION,
-                false => 0.3 * left * expected / turn,
-            };
-            let passed = self.pass_until(momenta, enough.max(0.3 * goal))?;
+            if is_last && follows {
+                let mut increment = momenta;
+                if !(increment * self.contraction_of_a_pass() <= goal) {
+                    increment = self.pass_until(momenta, goal, true)?.last;
+                }
+                self.end_step(1);
+                return Ok(self.judged(rounds, increment / self.size));
+            }
+            let enough = (0.3 * left * expected / turn).max(0.3 * goal);
+            let passed = self.pass_until(momenta, enough, false)?;
             shortfall = passed.left;
             self.gradients()?;
             if is_last {
                 let increment = self.finish(passed.last, goal)?;
-                return Ok(self.judged(collocated + evaluation, increment / self.size));
+                return Ok(self.judged(rounds, increment / self.size));
             }
             if !jump.is_finite() {
                 break;
@@ -651,29 +666,33 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
     }
 
-    /// Repeats the passes with new forces until these change no more than `goal`, then computes the
-    /// end point.
+    /// Repeats the passes with new forces until these change no more than `goal`, and ends the step.
     fn finish(&mut self, mut before: f64, goal: f64) -> Result<f64, Stuck> {
         // For a system in a time of its own the forces also depend on the momenta.
         let rescaled = matches!(self.forces, Forces::Rescaled { .. });
         let contraction = if rescaled { 3.0 * FORCES_CONTRACTION } else { FORCES_CONTRACTION };
         let mut rounds = Rounds::new(contraction, before);
         for _ in 0..MOST_ROUNDS {
-            let Passed { first, last: increment, .. } = self.pass_until(before, goal)?;
+            let Passed { first, last: increment, .. } = self.pass_until(before, goal, false)?;
             let solved = rounds.at_floor(first, self.size) || rounds.left(first) <= goal;
             if solved || matches!(self.forces, Forces::None { .. }) {
-                self.spatial_velocities();
-                self.transport();
-                self.end_point(2);
-                if !matches!(self.forces, Forces::Stages(_)) {
-                    self.gain();
-                }
+                self.end_step(2);
                 return Ok(increment);
             }
             before = increment;
             self.gradients()?;
         }
         Err(Stuck::Lost)
+    }
+
+    /// Computes what the step changes, the turn in such a number of passes.
+    fn end_step(&mut self, passes: usize) {
+        self.spatial_velocities();
+        self.transport();
+        self.end_point(passes);
+        if !matches!(self.forces, Forces::Stages(_)) {
+            self.gain();
+        }
     }
 
     /// Solves Gauss collocation, without the defect, until the error left is smaller than the
@@ -710,10 +729,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
+    /// Contraction of an error by a pass, assumed until it is measured.
+    fn contraction_of_a_pass(&self) -> f64 {
+        (0.15 * self.turn).clamp(0.01, 0.3)
+    }
+
     /// Repeats passes over attitudes and momenta, with the slow part of the defect kept, until the
-    /// error left in the momenta is `goal`.
-    fn pass_until(&mut self, before: f64, goal: f64) -> Result<Passed, Stuck> {
-        let mut rounds = Rounds::new((0.15 * self.turn).clamp(0.01, 0.3), before);
+    /// error left in the momenta is `goal`; with new forces in each pass, or with the last ones.
+    fn pass_until(&mut self, before: f64, goal: f64, forced: bool) -> Result<Passed, Stuck> {
+        let mut rounds = Rounds::new(self.contraction_of_a_pass(), before);
         let mut first = None;
         for pass in 0..MOST_ROUNDS {
             self.begin_pass(pass)?;
@@ -725,6 +749,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.attitudes();
             self.polar_factors();
             self.newest_defects();
+            if forced {
+                self.gradients()?;
+            }
             self.transport();
             let momenta = self.momenta_from_space();
             let jump = if sees { momenta } else { momenta.max(self.turned()) };
@@ -828,21 +855,40 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         stack.spread(start.momentum, &mut u.p0);
     }
 
+    /// Adds the solution to the last steps.
+    fn keep(&mut self) {
+        let without = usize::from(self.has_weights());
+        let (trail, smooth) = self.u.smooth(self.end);
+        let count = smooth.len() - without;
+        trail.add(smooth.into_iter().take(count).map(|matrix| &matrix[..]));
+    }
+
     /// Takes the unknowns from where the last steps lead, if enough of them are known.
     fn follow(&mut self) -> bool {
-        let Self { stack, coefficients, weights, u, end, .. } = self;
-        let (trail, smooth) = u.smooth(end);
-        let Some(mut next) = trail.continued(stack.lanes) else { return false };
-        for matrix in smooth {
-            let (own, others) = next.split_at(matrix.len());
-            matrix.copy_from_slice(own);
-            next = others;
+        let without = usize::from(self.has_weights());
+        let (trail, smooth) = self.u.smooth(self.end);
+        let count = smooth.len() - without;
+        let is_known = trail.is_known();
+        if is_known {
+            let matrices = smooth.into_iter().take(count).map(|matrix| &mut matrix[..]);
+            trail.ahead(self.stack.lanes, matrices);
         }
-        let Unknowns { w, c, d, omega, .. } = &mut **u;
+        is_known
+    }
+
+    /// [w], [D], [K] and [C] with the current F, also of the end point.
+    fn attitudes_of_factors(&mut self) {
+        let Self { stack, coefficients, weights, u, end, .. } = self;
+        let Unknowns { w, c, d, f, k, omega, .. } = &mut **u;
         stack.plus_product(omega, c, omega, w);
         stack.scale(*weights, w);
         stack.combination(w, &coefficients.columns, d);
-        true
+        stack.plus_product(f, d, f, k);
+        stack.difference(d, k, c);
+        let (one, End { c, d, f, k, .. }) = (stack.whole(), &mut **end);
+        stack.sum_of_stages(w, d);
+        one.plus_product(f, d, f, k);
+        one.difference(d, k, c);
     }
 
     /// Guesses the unknowns from the initial velocity, kept constant.
@@ -1024,12 +1070,11 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Computes [end] and [Lambda]: the polar factor of the end point, (24b, vih2), in `passes`
     /// passes, pi1, and the multiplier by (6) of the derivation, `Lambda_s = -(pi1 + asym(E_s Lambda_s)) / 2` with
-    /// `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is (24e, vih5); also [E] of the
-    /// stages.
+    /// `Lambda_s = f Lambda f^T` and `E_s = f E f^T = k f^T`, which is (24e, vih5).
     fn end_point(&mut self, passes: usize) {
         let Self { stack, start, u, end, .. } = self;
         let (n, len, one) = (stack.n(), stack.numbers(), stack.whole());
-        let Unknowns { w, kappa, f, e, f_lambda, room: [next, ..], .. } = &mut **u;
+        let Unknowns { w, kappa, .. } = &mut **u;
         let (kappa, whole) = (&kappa[..len], one.numbers());
         let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b], .. } = &mut **end;
         let (c, d, k) = (&mut c[..whole], &mut d[..whole], &mut k[..whole]);
@@ -1060,8 +1105,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 one.put_skew(multiplier, i, j, (pi[i * n + j] + stretched) * -0.5);
             }
         }
-        one.plus_product(multiplier, multiplier, c, a);
-        stack.spread(a, f_lambda);
+    }
+
+    /// Takes `f Lambda = Lambda_s f` to all stages, and computes [E] there.
+    fn end_at_stages(&mut self) {
+        let Self { stack, u, end, .. } = self;
+        let Unknowns { f, e, f_lambda, room: [next, ..], .. } = &mut **u;
+        let End { c, multiplier, room: [f_lambda_once, _], .. } = &mut **end;
+        stack.whole().plus_product(multiplier, multiplier, c, f_lambda_once);
+        stack.spread(f_lambda_once, f_lambda);
         stack.plus_product(f, f, e, next);
         swap(e, next);
     }
@@ -1174,19 +1226,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, u, end, forces, h, .. } = self;
         let (len, lanes) = (stack.numbers(), stack.lanes);
         let (c, f) = (&u.c[..len], &u.f[..len]);
-        let (mut stretch, mut square) = (lanes.constant(0.0), lanes.constant(0.0));
-        let (mut end_stretch, mut end_square) = (0.0_f64, 0.0_f64);
+        let (mut stretch, mut end_stretch) = (lanes.constant(0.0), 0.0);
         for i in 0..stack.n() {
-            for j in 0..stack.n() {
-                let c = stack.get(c, i, j);
-                square = square + c * c;
+            for j in i..stack.n() {
                 stretch = stretch.max_or_nan(stack.get(f, i, j).abs());
+                end_stretch = Real::max_or_nan(end_stretch, end.f[i * stack.n() + j].abs());
             }
         }
-        for (c, f) in end.c.iter().zip(end.f.iter()) {
-            end_square += c * c;
-            end_stretch = Real::max_or_nan(end_stretch, f.abs());
-        }
+        let (square, end_square) = (stack.square(c), stack.whole().square(&end.c));
         Solved {
             rounds,
             h: *h,

@@ -6,7 +6,10 @@
 //!
 //! Invariant: only forces change the spatial momentum; the attitude is a rotation to round-off.
 
+use fearless_simd::{Level, f64x4, prelude::*};
+
 use super::Solution;
+use crate::lanes::{Rows, Stages, widest};
 use crate::so::{self, Mat};
 use crate::space;
 use crate::trajectory::State;
@@ -25,6 +28,7 @@ impl<const N: usize> Sum<N> {
     }
 
     /// Adds `change` and the carried part.
+    #[inline(always)]
     pub(in crate::stepper) fn add(&mut self, change: &Mat<N>) {
         for i in 0..N * N {
             let (sum, left) = space::sum(self.value[i], change[i] + self.carry[i]);
@@ -63,24 +67,35 @@ impl<const N: usize> Motion<N> {
         &self.body_momentum.value
     }
 
-    /// Advances by a step.
-    pub(in crate::stepper) fn advance(&mut self, solution: &Solution<N>) {
+    /// Advances by a step, compiled for a wide instruction set if there is one: the bits are the same.
+    pub(super) fn advance(&mut self, level: Option<Level>, solution: &Solution<N>) {
+        match level {
+            Some(level) => {
+                widest!(level below Avx512, f64x4, lanes => self.advance_in(lanes, solution),
+                else self.advance_in(Rows([0.0; 4]), solution))
+            }
+            None => self.advance_in(Rows([0.0; 4]), solution),
+        }
+    }
+
+    #[inline(always)]
+    fn advance_in<R: Stages>(&mut self, lanes: R, solution: &Solution<N>) {
         let Solution { turn, impulse, gain, .. } = solution;
         let g = self.attitude.value;
         let is_pushed = impulse.iter().any(|x| *x != 0.0);
         if is_pushed {
-            self.momentum.add(&so::skew(&so::conjugate(&g, impulse)));
+            self.momentum.add(&so::skew(&conjugate(lanes, &g, impulse)));
         }
         // The deficit of g^T g from one is taken off before the turn, and turns along with what is carried: taken off after it,
         // `f^T e f - sym(f^T e)` would be left of an error e, which grows where f turns by more than a sixth of a circle.
         let deficit = so::deficit(&g) * 0.5;
-        let mended = so::product(&g, &deficit);
-        let carried = so::product(&(self.attitude.carry + mended), turn);
-        self.attitude.add(&(so::product(&g, turn) + (carried + mended)));
+        let mended = product(lanes, &g, &deficit);
+        let carried = product(lanes, &(self.attitude.carry + mended), turn);
+        self.attitude.add(&(product(lanes, &g, turn) + (carried + mended)));
         let inverse = self.attitude.value.transpose();
-        let seen = so::skew(&so::conjugate(&inverse, &self.momentum.value));
+        let seen = so::skew(&conjugate(lanes, &inverse, &self.momentum.value));
         match gain {
-            Some(gain) if is_pushed => self.gain(gain, &seen),
+            Some(gain) if is_pushed => self.gain(lanes, gain, &seen),
             _ => self.body_momentum = Sum::new(seen),
         }
     }
@@ -90,14 +105,29 @@ impl<const N: usize> Motion<N> {
     /// `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill of
     /// `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is. See
     /// [`crate::stepper::motion::Motion::gain`].
-    fn gain(&mut self, gain: &Mat<N>, seen: &Mat<N>) {
+    #[inline(always)]
+    fn gain<R: Stages>(&mut self, lanes: R, gain: &Mat<N>, seen: &Mat<N>) {
         self.body_momentum.add(gain);
         let apart = self.body_momentum.value - seen;
         let square = so::inner(seen, seen) + so::inner(gain, gain);
         let scale = 0.5 / square.max(f64::MIN_POSITIVE);
         // of skew matrices: seen apart = (apart seen)^T
-        let theta = so::asym(&so::product(&apart, seen)) * scale;
+        let theta = so::asym(&product(lanes, &apart, seen)) * scale;
         // The turn is tiny: it is added at the next step.
-        self.attitude.carry += so::product(&self.attitude.value, &theta);
+        self.attitude.carry += product(lanes, &self.attitude.value, &theta);
     }
+}
+
+/// `A B`
+#[inline(never)]
+fn product<R: Stages, const N: usize>(lanes: R, a: &Mat<N>, b: &Mat<N>) -> Mat<N> {
+    lanes.vectorized(
+        #[inline(always)]
+        || so::product_here(a, b),
+    )
+}
+
+/// `g X g^T`
+fn conjugate<R: Stages, const N: usize>(lanes: R, g: &Mat<N>, x: &Mat<N>) -> Mat<N> {
+    product(lanes, &product(lanes, g, x), &g.transpose())
 }
