@@ -23,8 +23,9 @@
 //! collocation is solved first, and the defect is evaluated one to three times up to a turn of
 //! 0.15 rad, four to eight times in larger steps.
 //!
-//! Short steps with few stages start from the polynomial through the last ones (`follow`), which
-//! saves the rounds of collocation and an evaluation.
+//! A step goes on from the polynomials through the stages of the last one (`go_on`), which saves
+//! rounds of collocation. Short steps with few stages start from the polynomial through the last
+//! nine solutions (`follow`), which saves all rounds and an evaluation.
 //!
 //! Everything is computed for all stages at once, in lanes. An operation carries the tag of its
 //! result.
@@ -64,6 +65,9 @@ const SAME_SIGN: f64 = 1e-3;
 /// Number of steps that are remembered: with fewer the polynomial through them misses more, with
 /// more it multiplies their rounding errors.
 const REMEMBERED: usize = 9;
+
+/// Angle in rad of a step up to which it may be guessed from the one before.
+const MODEST: f64 = 0.5;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -149,6 +153,11 @@ struct Coefficients {
     transposed: [Row; WIDTH],
     weights: Row,
     nodes: Row,
+    /// `l_j(1 + c_k)`, column by column: the polynomials that are one at the stage j of a step, and
+    /// zero at the others and at its end, at the stages of the next step.
+    ahead: [Row; WIDTH],
+    /// The same for the end: one there, and zero at the stages.
+    ahead_of_end: Row,
 }
 
 impl Coefficients {
@@ -159,11 +168,20 @@ impl Coefficients {
             return None;
         }
         let zero = Row::splat(0.0);
-        let (columns, transposed) = ([zero; WIDTH], [zero; WIDTH]);
-        let mut lanes = Self { stages, columns, transposed, weights: zero, nodes: zero };
+        let none = [zero; WIDTH];
+        let (columns, transposed, ahead) = (none, none, none);
+        let (weights, nodes, ahead_of_end) = (zero, zero, zero);
+        let mut lanes = Self { stages, columns, transposed, weights, nodes, ahead, ahead_of_end };
+        let places: Vec<f64> = (0..stages).map(|i| tableau.c(i)).chain([1.0]).collect();
+        // The polynomial that is one at places[j], at t.
+        let polynomial = |j: usize, t: f64| -> f64 {
+            let others = places.iter().enumerate().filter(|(m, _)| *m != j);
+            others.map(|(_, place)| (t - place) / (places[j] - place)).product()
+        };
         for i in 0..stages {
             lanes.weights[i] = tableau.b(i);
             lanes.nodes[i] = tableau.c(i);
+            lanes.ahead_of_end[i] = polynomial(stages, 1.0 + tableau.c(i));
             for j in 0..stages {
                 // Of two entries that sum to one, the smaller is one minus the larger, to the last
                 // bit: off the diagonal the pair is symplectic whatever their rounding; e_kk is 1/2
@@ -172,6 +190,7 @@ impl Coefficients {
                 let e = if smaller { 1.0 - part(j, i) } else { part(i, j) };
                 lanes.columns[j][i] = e;
                 lanes.transposed[i][j] = e;
+                lanes.ahead[j][i] = polynomial(j, 1.0 + tableau.c(i));
             }
         }
         Some(lanes)
@@ -217,15 +236,19 @@ struct Unknowns {
 /// The last steps, all of one length.
 #[derive(Clone, Debug, Default)]
 struct Past {
-    /// The matrices of [`Unknowns::smooth`].
+    /// The matrices of [`Unknowns::smooth`], of short steps.
     trail: Trail<REMEMBERED>,
-    h: f64,
+    /// Length of the last step, whose unknowns are still there.
+    h: Option<f64>,
 }
 
 impl Unknowns {
     /// The matrices that change smoothly from step to step, and lead to all others; last Omega,
     /// which the weights of a body lead to.
-    fn smooth<'b>(&'b mut self, end: &'b mut End) -> (&'b mut Trail<REMEMBERED>, [&'b mut Numbers; 9]) {
+    fn smooth<'b>(
+        &'b mut self,
+        end: &'b mut End,
+    ) -> (&'b mut Trail<REMEMBERED>, [&'b mut Numbers; 9]) {
         let Self { gain, c, f, s, x, delta, omega, past, .. } = self;
         let End { f: end_f, multiplier, .. } = end;
         (&mut past.trail, [gain, c, f, s, x, delta, end_f, multiplier, omega])
@@ -539,27 +562,32 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     fn solve(mut self) -> Result<Solved, Stuck> {
         self.load();
-        let is_short = self.is_short();
-        if !is_short || self.u.past.h != self.h {
+        // In a time of its own the last step of a run has another length.
+        let is_even = !matches!(self.forces, Forces::Rescaled { .. });
+        let goes_on = is_even && self.u.past.h.take() == Some(self.h);
+        let is_short = is_even && self.is_short();
+        if !(is_short && goes_on) {
             self.u.past.trail.forget();
-            self.u.past.h = self.h;
         }
-        let solved = if is_short && self.follow() {
-            match self.solve_from(true) {
-                Err(Stuck::Lost) => {
-                    self.u.past.trail.forget();
-                    self.guess();
-                    self.solve_from(false)?
-                }
-                solved => solved?,
-            }
+        let mut solved = if is_short && self.follow() {
+            self.solve_from(true)
+        } else if goes_on && self.start.turn <= MODEST {
+            self.go_on();
+            self.solve_from(false)
         } else {
             self.guess();
-            self.solve_from(false)?
+            self.solve_from(false)
         };
+        if goes_on && matches!(solved, Err(Stuck::Lost)) {
+            self.u.past.trail.forget();
+            self.guess();
+            solved = self.solve_from(false);
+        }
+        let solved = solved?;
         if is_short {
             self.keep();
         }
+        self.u.past.h = is_even.then_some(self.h);
         Ok(solved)
     }
 
@@ -570,9 +598,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         const SHORT: f64 = 0.025;
         /// With more stages the first evaluation is often the last in any case.
         const FEW_STAGES: usize = 3;
-        // In a time of its own the last step of a run has another length.
-        let is_even = !matches!(self.forces, Forces::Rescaled { .. });
-        is_even && self.coefficients.stages <= FEW_STAGES && self.start.turn <= SHORT
+        self.coefficients.stages <= FEW_STAGES && self.start.turn <= SHORT
     }
 
     /// Is Omega the momentum times weights?
@@ -893,16 +919,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Guesses the unknowns from the initial velocity, kept constant.
     fn guess(&mut self) {
-        let Self { stack, start, coefficients, u, end, .. } = self;
+        let Self { stack, start, coefficients, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let angle = lanes.row(&coefficients.nodes) * start.h;
-        let Unknowns { p0, omega, mu, c, k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
-        let (velocity, momentum) = (&start.velocity[..n * n], &start.momentum[..n * n]);
-        let (omega, c, multiplier) = (&mut omega[..len], &mut c[..len], &mut end.multiplier[..n * n]);
+        let Unknowns { p0, omega, mu, c, .. } = &mut **u;
+        let velocity = &start.velocity[..n * n];
+        let (omega, c) = (&mut omega[..len], &mut c[..len]);
         for i in 0..n {
             for j in 0..n {
-                let at = i * n + j;
-                let turning = lanes.spread(velocity[at]);
+                let turning = lanes.spread(velocity[i * n + j]);
                 stack.put(omega, i, j, turning);
                 let mut square = 0.0;
                 for k in 0..n {
@@ -910,16 +935,42 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 }
                 // exp(c h Omega) - I up to the square
                 stack.put(c, i, j, angle * (turning + angle * (0.5 * square)));
-                multiplier[at] = -0.5 * momentum[at];
             }
         }
         mu.copy_from_slice(p0);
-        for matrices in [k, f, e, x, delta, gain, gradient, kappa] {
-            matrices.fill(0.0);
+        self.guess_no_defect();
+    }
+
+    /// Guesses momenta and attitudes from the last step, continued as a polynomial in time: `mu_j`
+    /// and, as seen from where the step begins, `f^T U_j`.
+    fn go_on(&mut self) {
+        let Self { stack, coefficients, u, end, .. } = self;
+        let (n, len) = (stack.n(), stack.numbers());
+        let Unknowns { p0, mu, c, room: [turn, seen, _], .. } = &mut **u;
+        stack.spread(&end.c, turn);
+        stack.plus_transposed_product(c, turn, c, seen);
+        let columns = stack.lanes.rows(&coefficients.ahead);
+        let at_end = stack.lanes.row(&coefficients.ahead_of_end);
+        {
+            let (c, turn, seen) = (&mut c[..len], &turn[..len], &mut seen[..len]);
+            for i in 0..n {
+                for j in 0..n {
+                    stack.put(seen, i, j, stack.get(seen, i, j) + stack.get(turn, j, i));
+                    // zero at the end
+                    let ahead = R::combination(&seen[(i * n + j) * R::LANES..], &columns);
+                    stack.put(c, i, j, ahead);
+                }
+            }
+            let (p0, mu) = (&p0[..len], &mut mu[..len]);
+            for i in 0..n {
+                for j in i + 1..n {
+                    let ahead = R::combination(&mu[(i * n + j) * R::LANES..], &columns);
+                    stack.put_skew(mu, i, j, at_end * stack.get(p0, i, j) + ahead);
+                }
+            }
         }
-        end.k.fill(0.0);
-        end.f.fill(0.0);
-        end.impulse.fill(0.0);
+        self.velocities();
+        self.guess_no_defect();
     }
 
     /// Computes `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. This is
@@ -1246,6 +1297,22 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             },
         }
     }
+    }
+
+    /// Guesses that the step is one of collocation.
+    #[inline(always)]
+    fn guess_no_defect(&mut self) {
+        let Self { start, u, end, .. } = self;
+        for (multiplier, momentum) in end.multiplier.iter_mut().zip(start.momentum) {
+            *multiplier = -0.5 * momentum;
+        }
+        let Unknowns { k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
+        for matrices in [k, f, e, x, delta, gain, gradient, kappa] {
+            matrices.fill(0.0);
+        }
+        end.k.fill(0.0);
+        end.f.fill(0.0);
+        end.impulse.fill(0.0);
     }
 
     fn defects(&mut self) -> f64 {
