@@ -196,6 +196,8 @@ fn steps_of_collocation_begin_where_the_steps_before_lead() {
     }
     law::<5>(2, 0.01, 0.6);
     law::<8>(3, 0.01, 0.6);
+    law::<4>(8, 0.1, 0.75);
+    law::<5>(6, 0.1, 0.75);
     // Too far to lead anywhere, and nothing to gain.
     law::<4>(2, 0.4, 1.0);
     law::<4>(4, 0.01, 1.0);

@@ -569,16 +569,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         if !(is_short && goes_on) {
             self.u.past.trail.forget();
         }
-        let mut solved = if is_short && self.follow() {
-            self.solve_from(true)
-        } else if goes_on && self.start.turn <= MODEST {
+        let follows = is_short && self.follow();
+        let goes_on = goes_on && !follows && self.start.turn <= MODEST;
+        if goes_on {
             self.go_on();
-            self.solve_from(false)
-        } else {
+        } else if !follows {
             self.guess();
-            self.solve_from(false)
-        };
-        if goes_on && matches!(solved, Err(Stuck::Lost)) {
+        }
+        let mut solved = self.solve_from(follows);
+        if (follows || goes_on) && matches!(solved, Err(Stuck::Lost)) {
             self.u.past.trail.forget();
             self.guess();
             solved = self.solve_from(false);
