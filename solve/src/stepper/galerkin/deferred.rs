@@ -591,13 +591,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     /// Is the step so short that the last steps lead nearer to its solution than the guess, and
-    /// have the stages so low an order that this saves an evaluation of the defect?
+    /// have the stages so low an order that this saves evaluations of the defect?
     fn is_short(&self) -> bool {
-        /// Angle in rad up to which one evaluation is enough.
-        const SHORT: f64 = 0.025;
-        /// With more stages the first evaluation is often the last in any case.
-        const FEW_STAGES: usize = 3;
-        self.coefficients.stages <= FEW_STAGES && self.start.turn <= SHORT
+        // rad; with more stages collocation needs few rounds, and the first evaluation is often the last.
+        let short = match self.coefficients.stages {
+            1..=3 => 0.08,
+            4 => 0.03,
+            _ => 0.0,
+        };
+        self.start.turn <= short
     }
 
     /// Is Omega the momentum times weights?
