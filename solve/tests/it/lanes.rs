@@ -154,7 +154,9 @@ fn matrices_in_lanes_have_the_same_bits_on_every_instruction_set() {
             let end = |level: Option<Level>| {
                 let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
                 let stepper = Vpd::new(tableau, StopRule::default());
-                let end = advance(&mut stepper.on_level(level), &body, &start, &[0.03; 20]);
+                // Steps that go on from the last one, and short ones, which start from the last nine.
+                let steps = [[0.03; 20], [0.003; 20]].concat();
+                let end = advance(&mut stepper.on_level(level), &body, &start, &steps);
                 (bits(&end.attitude), bits(&end.momentum))
             };
             let without_lanes = end(None);
