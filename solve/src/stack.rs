@@ -119,7 +119,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// Groups of columns of a matrix, if the compiler knows n.
     const GROUPS: usize = match D::KNOWN {
         Some(n) => n / R::GROUP,
-        None => 0,
+        None => usize::MAX,
     };
 
     /// n.
@@ -158,30 +158,37 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// `C = A B`
     #[inline(always)]
     pub fn product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
-        self.multiplied::<false>(None, a, b, c);
+        self.multiplied::<false, false>(None, a, b, c);
     }
 
-    /// `C = A^T B`
+    /// `C = A^T B`, of which only the entries on and above the diagonal are meant.
     #[inline(always)]
-    pub fn transposed_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
-        self.multiplied::<true>(None, a, b, c);
+    pub fn upper_of_transposed_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        self.multiplied::<true, true>(None, a, b, c);
     }
 
     /// `C = S + A B`
     #[inline(always)]
     pub fn plus_product(self, s: &[f64], a: &[f64], b: &[f64], c: &mut [f64]) {
-        self.multiplied::<false>(Some(s), a, b, c);
+        self.multiplied::<false, false>(Some(s), a, b, c);
     }
 
     /// `C = S + A^T B`
     #[inline(always)]
     pub fn plus_transposed_product(self, s: &[f64], a: &[f64], b: &[f64], c: &mut [f64]) {
-        self.multiplied::<true>(Some(s), a, b, c);
+        self.multiplied::<true, false>(Some(s), a, b, c);
     }
 
-    /// `C = S + A B`, or `S + A^T B`.
+    /// `C = S + A B`, or with `T` `S + A^T B`; with `UPPER` of each row the groups of columns from
+    /// that of the diagonal on.
     #[inline(always)]
-    fn multiplied<const T: bool>(self, s: Option<&[f64]>, a: &[f64], b: &[f64], c: &mut [f64]) {
+    fn multiplied<const T: bool, const UPPER: bool>(
+        self,
+        s: Option<&[f64]>,
+        a: &[f64],
+        b: &[f64],
+        c: &mut [f64],
+    ) {
         let n = self.n();
         let (a, b, c) = (&a[..self.numbers()], &b[..self.numbers()], &mut c[..self.numbers()]);
         let count = self.numbers();
@@ -191,42 +198,38 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         );
         let groups = n / R::GROUP;
         for i in 0..n {
-            let mut group = 0;
-            if const { D::KNOWN.is_some() } {
-                // All columns at once; a constant, so that the other arms are not compiled.
-                match Self::GROUPS {
-                    0 => {}
-                    1 => self.groups::<1, T>(s, a, b, c, i, 0),
-                    2 => self.groups::<2, T>(s, a, b, c, i, 0),
-                    3 => self.groups::<3, T>(s, a, b, c, i, 0),
-                    4 => self.groups::<4, T>(s, a, b, c, i, 0),
-                    5 => self.groups::<5, T>(s, a, b, c, i, 0),
-                    6 => self.groups::<6, T>(s, a, b, c, i, 0),
-                    7 => self.groups::<7, T>(s, a, b, c, i, 0),
-                    8 => self.groups::<8, T>(s, a, b, c, i, 0),
-                    _ => self.groups::<16, T>(s, a, b, c, i, 0),
-                }
-                group = groups;
-            } else {
-                // As many columns at once as there are registers for.
-                while group + 8 <= groups {
-                    self.groups::<8, T>(s, a, b, c, i, group);
-                    group += 8;
-                }
-                if group + 4 <= groups {
+            let mut group = if UPPER { i / R::GROUP } else { 0 };
+            // As many at once as registers hold their sums. Arms that are never taken are not compiled.
+            if const { !UPPER && Self::GROUPS == 5 } {
+                self.groups::<5, T>(s, a, b, c, i, 0);
+                group = 5;
+            }
+            if const { Self::GROUPS >= 4 } {
+                while group + 4 <= groups {
                     self.groups::<4, T>(s, a, b, c, i, group);
                     group += 4;
                 }
-                if group + 2 <= groups {
-                    self.groups::<2, T>(s, a, b, c, i, group);
-                    group += 2;
+            }
+            if const { !UPPER && Self::GROUPS != usize::MAX } {
+                match const { Self::GROUPS % 4 } {
+                    1 if const { Self::GROUPS != 5 } => self.groups::<1, T>(s, a, b, c, i, group),
+                    2 => self.groups::<2, T>(s, a, b, c, i, group),
+                    3 => self.groups::<3, T>(s, a, b, c, i, group),
+                    _ => {}
                 }
-                if group < groups {
-                    self.groups::<1, T>(s, a, b, c, i, group);
-                    group += 1;
+            } else {
+                match groups - group {
+                    1 => self.groups::<1, T>(s, a, b, c, i, group),
+                    2 if const { Self::GROUPS >= 2 } => {
+                        self.groups::<2, T>(s, a, b, c, i, group);
+                    }
+                    3 if const { Self::GROUPS >= 3 } => {
+                        self.groups::<3, T>(s, a, b, c, i, group);
+                    }
+                    _ => {}
                 }
             }
-            for j in group * R::GROUP..n {
+            for j in groups * R::GROUP..n {
                 let mut sum = self.lanes.constant(0.0);
                 for k in 0..n {
                     let x = if T { self.get(a, k, i) } else { self.get(a, i, k) };
@@ -275,32 +278,63 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
         }
     }
 
-    /// Entry i, j of `asym(A B^T)`: `sum_k A_ik B_jk - A_jk B_ik`.
+    /// `C = asym(A B^T)`, of which only the entries above the diagonal are written:
+    /// `C_ij = sum_k A_ik B_jk - A_jk B_ik`.
     #[inline(always)]
-    pub fn asym_of_product(self, a: &[f64], b: &[f64], i: usize, j: usize) -> R {
+    pub fn asym_of_product(self, a: &[f64], b: &[f64], c: &mut [f64]) {
+        let n = self.n();
+        let (a, b, c) = (&a[..self.numbers()], &b[..self.numbers()], &mut c[..self.numbers()]);
+        for i in 0..n {
+            let mut j = i + 1;
+            // Three at once read row i once.
+            while j + 3 <= n {
+                self.asym_of_rows::<3>(a, b, c, i, j);
+                j += 3;
+            }
+            match n - j {
+                1 => self.asym_of_rows::<1>(a, b, c, i, j),
+                2 => self.asym_of_rows::<2>(a, b, c, i, j),
+                _ => {}
+            }
+        }
+    }
+
+    /// `W` entries of row i, from column j on.
+    #[inline(always)]
+    fn asym_of_rows<const W: usize>(self, a: &[f64], b: &[f64], c: &mut [f64], i: usize, j: usize) {
         let (n, lanes, width) = (self.n(), self.lanes, R::LANES);
         let wide = R::GROUP * width;
         let row = |i: usize| i * n * width..(i + 1) * n * width;
-        let (a_i, a_j, b_i, b_j) = (&a[row(i)], &a[row(j)], &b[row(i)], &b[row(j)]);
-        let mut sum = lanes.constant(0.0);
+        let (a_i, b_i) = (&a[row(i)], &b[row(i)]);
+        let (a_j, b_j) =
+            (&a[j * n * width..(j + W) * n * width], &b[j * n * width..(j + W) * n * width]);
         let groups = n / R::GROUP;
+        let mut sum = [lanes.constant(0.0); W];
         if groups > 0 {
-            let mut sums = lanes.get_wide(&a_i[..wide]).constant(0.0);
+            let mut sums = [lanes.get_wide(&a_i[..wide]).constant(0.0); W];
             for k in 0..groups {
                 let at = k * wide..(k + 1) * wide;
-                sums = sums
-                    + (lanes.get_wide(&a_i[at.clone()]) * lanes.get_wide(&b_j[at.clone()])
-                        - lanes.get_wide(&a_j[at.clone()]) * lanes.get_wide(&b_i[at]));
+                let (x, y) = (lanes.get_wide(&a_i[at.clone()]), lanes.get_wide(&b_i[at]));
+                for m in 0..W {
+                    let at = m * n * width + k * wide..m * n * width + (k + 1) * wide;
+                    sums[m] = sums[m]
+                        + (x * lanes.get_wide(&b_j[at.clone()]) - lanes.get_wide(&a_j[at]) * y);
+                }
             }
-            sum = R::folded(sums);
+            for m in 0..W {
+                sum[m] = R::folded(sums[m]);
+            }
         }
         for k in groups * R::GROUP..n {
-            let at = k * width..(k + 1) * width;
-            sum = sum
-                + (lanes.get(&a_i[at.clone()]) * lanes.get(&b_j[at.clone()])
-                    - lanes.get(&a_j[at.clone()]) * lanes.get(&b_i[at]));
+            let (x, y) = (lanes.get(&a_i[k * width..]), lanes.get(&b_i[k * width..]));
+            for m in 0..W {
+                let at = (m * n + k) * width..(m * n + k + 1) * width;
+                sum[m] = sum[m] + (x * lanes.get(&b_j[at.clone()]) - lanes.get(&a_j[at]) * y);
+            }
         }
-        sum
+        for m in 0..W {
+            self.put(c, i, j + m, sum[m]);
+        }
     }
 
     /// `C = sym(A)`, the symmetric part.
@@ -319,7 +353,7 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     /// Adds to `F` half the defect of I + C from a rotation, `(I + C)^T (I + C) - I = C + C^T + C^T C`, in `room`.
     #[inline(always)]
     pub fn add_half_defect(self, c: &[f64], f: &mut [f64], room: &mut [f64]) {
-        self.transposed_product(c, c, room);
+        self.upper_of_transposed_product(c, c, room);
         let (c, f, room) =
             (&c[..self.numbers()], &mut f[..self.numbers()], &room[..self.numbers()]);
         for i in 0..self.n() {

@@ -220,40 +220,15 @@ fn long_runs_keep_the_invariants() {
     ];
     let (body, start) = dipole();
     for (name, tableau, step_s, bound) in runs {
-        let schedule = Schedule { step_s, steps: 100_000, every: 1 };
-        let observables = Observables {
-            energy: true,
-            orthogonality: true,
-            momentum: true,
-            sigma_min: false,
-            pace: false,
-        };
-        let mut seen = Invariants::default();
-        let mut stepper = Vpd::new(tableau, StopRule::default());
-        let run = trajectory::integrate(
-            &body,
-            &mut stepper,
-            &start,
-            schedule,
-            observables,
-            &mut seen,
-            |_| true,
-        )
-        .expect("the sink cannot fail");
-        assert_eq!(run.ending, Ending::Completed, "{name}");
-        let energy = seen.energy.iter().fold(0.0_f64, |max, e| max.max(e.abs()));
-        let mean = seen.orthogonality_sum / seen.energy.len() as f64;
-        println!(
-            "{name} h {step_s:.4}: energy {energy:.2e}, orthogonality {:.2e} (mean {mean:.2e}), momentum {:.2e}, sweeps {:.2}",
-            seen.orthogonality_max,
-            seen.momentum_max,
-            run.reached.iterations as f64 / run.reached.step as f64,
-        );
-        assert!(energy <= bound, "{name}: {energy:e}");
-        assert!(seen.orthogonality_max <= 2e-15, "{name}: {:e}", seen.orthogonality_max);
-        assert!(mean <= 5e-16, "{name}: {mean:e}");
-        assert!(seen.momentum_max <= 1e-12, "{name}: {:e}", seen.momentum_max);
-        let (slope, deviation) = trend(&seen.energy);
+        // Of five step lengths, as the motion is chaotic: of one, the trend exceeds three deviations in a tenth of all cases.
+        let mut trends: Vec<(f64, f64)> = (0..5)
+            .map(|k| {
+                let step_s = step_s * (1.0 + 0.001 * f64::from(k));
+                invariants_are_kept(&body, &start, name, &tableau, step_s, bound)
+            })
+            .collect();
+        trends.sort_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
+        let (slope, deviation) = trends[2];
         // Where the method's own error is below 1e-12, the rounding error shows as a line: 4e-15 in
         // each of the 50 intervals. Everywhere else there is none.
         let rounding = if name == "GL6" && step_s == 0.01 { 1e-14 } else { 0.0 };
@@ -262,6 +237,46 @@ fn long_runs_keep_the_invariants() {
             "{name}: trend {slope:e}, {deviation:e}"
         );
     }
+}
+
+/// Checks the invariants over 1e5 steps; returns the trend of the energy.
+fn invariants_are_kept(
+    body: &RigidBody<3>,
+    start: &State<3>,
+    name: &str,
+    tableau: &Tableau,
+    step_s: f64,
+    bound: f64,
+) -> (f64, f64) {
+    let schedule = Schedule { step_s, steps: 100_000, every: 1 };
+    let observables = Observables {
+        energy: true,
+        orthogonality: true,
+        momentum: true,
+        sigma_min: false,
+        pace: false,
+    };
+    let mut seen = Invariants::default();
+    let mut stepper = Vpd::new(tableau.clone(), StopRule::default());
+    let run =
+        trajectory::integrate(body, &mut stepper, start, schedule, observables, &mut seen, |_| {
+            true
+        })
+        .expect("the sink cannot fail");
+    assert_eq!(run.ending, Ending::Completed, "{name}");
+    let energy = seen.energy.iter().fold(0.0_f64, |max, e| max.max(e.abs()));
+    let mean = seen.orthogonality_sum / seen.energy.len() as f64;
+    println!(
+        "{name} h {step_s:.4}: energy {energy:.2e}, orthogonality {:.2e} (mean {mean:.2e}), momentum {:.2e}, sweeps {:.2}",
+        seen.orthogonality_max,
+        seen.momentum_max,
+        run.reached.iterations as f64 / run.reached.step as f64,
+    );
+    assert!(energy <= bound, "{name}: {energy:e}");
+    assert!(seen.orthogonality_max <= 2e-15, "{name}: {:e}", seen.orthogonality_max);
+    assert!(mean <= 5e-16, "{name}: {mean:e}");
+    assert!(seen.momentum_max <= 1e-12, "{name}: {:e}", seen.momentum_max);
+    trend(&seen.energy)
 }
 
 /// Slope and its standard deviation of the means of 50 intervals of a series.

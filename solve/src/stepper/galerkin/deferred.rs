@@ -48,8 +48,6 @@ use crate::work;
 pub(super) const MOST_ROUNDS: u32 = 40;
 /// Passes over attitudes and momenta for each torque, for a system in a time of its own.
 const PASSES: usize = 2;
-/// Contraction of an error by new forces, assumed until it is measured.
-const FORCES_CONTRACTION: f64 = 0.01;
 /// Shortfall allowed at the end of a step, relative to the momentum.
 pub(super) const ROUND_OFF: f64 = 1e-16;
 /// Part of it that is allowed where nothing may be spared. About an axis with a small moment of
@@ -57,10 +55,12 @@ pub(super) const ROUND_OFF: f64 = 1e-16;
 /// moments of 0.01 and 1 a tenth of it still shows as a drift of the energy over a million steps,
 /// this part does not.
 pub(super) const LAST_DIGIT: f64 = 0.03;
-/// Part of it that is allowed where a step starts from others: what is left of the error of a
-/// polynomial has the same sign step after step, and over a million steps it has to stay below a
-/// random walk of roundings.
-const SAME_SIGN: f64 = 1e-3;
+/// Part of it that the last passes may leave, and all of a step that starts from the last nine: what
+/// is left has the same sign step after step, and over a million steps it has to stay below a random
+/// walk of roundings. With a hundredth a drift of the energy shows.
+const SAME_SIGN: f64 = 3e-3;
+/// Change by a pass, in units of [`ROUND_OFF`] of the momentum, that is rounding.
+const ROUNDING: f64 = 3.0;
 
 /// Number of steps that are remembered: with fewer the polynomial through them misses more, with
 /// more it multiplies their rounding errors.
@@ -68,6 +68,8 @@ const REMEMBERED: usize = 9;
 
 /// Angle in rad of a step up to which it may be guessed from the one before.
 const MODEST: f64 = 0.5;
+/// Angle in rad of a step above which nothing is spared.
+const LARGE: f64 = 0.25;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -240,6 +242,8 @@ struct Past {
     trail: Trail<REMEMBERED>,
     /// Length of the last step, whose unknowns are still there.
     h: Option<f64>,
+    /// The largest entry of its delta.
+    defect: f64,
 }
 
 impl Unknowns {
@@ -317,6 +321,16 @@ pub(super) struct Solved {
     pub(super) change_square: f64,
     /// Nearness as returned by [`crate::hamiltonian::RigidBody::torque`].
     pub(super) nearness: f64,
+}
+
+/// Where a step was begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Begun {
+    FromGuess,
+    /// From the last step ([`Step::go_on`]).
+    FromLast,
+    /// From the last nine ([`Step::follow`]).
+    FromLastNine,
 }
 
 /// Solver of the collocation, kept from step to step.
@@ -564,23 +578,25 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.load();
         // In a time of its own the last step of a run has another length.
         let is_even = !matches!(self.forces, Forces::Rescaled { .. });
-        let goes_on = is_even && self.u.past.h.take() == Some(self.h);
+        let continues = is_even && self.u.past.h.take() == Some(self.h);
         let is_short = is_even && self.is_short();
-        if !(is_short && goes_on) {
+        if !(is_short && continues) {
             self.u.past.trail.forget();
         }
-        let follows = is_short && self.follow();
-        let goes_on = goes_on && !follows && self.start.turn <= MODEST;
-        if goes_on {
+        let begun = if is_short && self.follow() {
+            Begun::FromLastNine
+        } else if continues && self.start.turn <= MODEST {
             self.go_on();
-        } else if !follows {
+            Begun::FromLast
+        } else {
             self.guess();
-        }
-        let mut solved = self.solve_from(follows);
-        if (follows || goes_on) && matches!(solved, Err(Stuck::Lost)) {
+            Begun::FromGuess
+        };
+        let mut solved = self.solve_from(begun);
+        if begun != Begun::FromGuess && matches!(solved, Err(Stuck::Lost)) {
             self.u.past.trail.forget();
             self.guess();
-            solved = self.solve_from(false);
+            solved = self.solve_from(Begun::FromGuess);
         }
         let solved = solved?;
         if is_short {
@@ -611,31 +627,51 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         )
     }
 
-    /// Solves the step from the guess, or from where the last steps lead.
-    fn solve_from(&mut self, follows: bool) -> Result<Solved, Stuck> {
+    /// Solves the step from where it was begun.
+    fn solve_from(&mut self, begun: Begun) -> Result<Solved, Stuck> {
         let stages = self.coefficients.stages;
+        let follows = begun == Begun::FromLastNine;
         let mut rounds = 0;
         if follows {
             self.momenta_from_space();
             self.measure();
             self.attitudes_of_factors();
-            self.polar_factors();
-            self.gradients()?;
-            self.transport();
         } else {
             rounds = self.collocate()?;
-            self.polar_factors();
-            self.transport();
-            self.gradients()?;
+        }
+        self.polar_factors();
+        self.gradients()?;
+        self.transport();
+        if !follows {
             self.first_symmetric_parts();
         }
         let turn = self.turn.min(1.0);
         let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
+        // An error of a momentum turns the end by its product with the turn of the step.
+        let rounding = ROUND_OFF * self.size / turn;
+        // What the momenta may lack at the end, and what the estimate of the defect may.
+        let goal = SAME_SIGN * rounding;
+        let allowed = match (follows, self.start.foresee) {
+            (true, _) => goal,
+            // In smaller steps what is left is far below its estimate.
+            (false, true) => {
+                if turn > LARGE {
+                    rounding
+                } else {
+                    10.0 * rounding
+                }
+            }
+            (false, false) => LAST_DIGIT * rounding,
+        };
+        // X and S depend on each other: with one look at both, the defect lacks half the turn times itself.
+        let is_small = begun == Begun::FromLast && 0.5 * turn * self.u.past.defect <= 0.1 * allowed;
+        let looks_twice = !follows && !is_small && (stages >= 4 || turn > 0.3);
         // A small change is luck where the unknowns were guessed. X and S of a polynomial miss as much as each
         // other, and the first evaluation leaves the error of S, times half the turn, in X.
-        let mut evaluations = match follows {
-            true => Rounds::new(0.1 * turn, 0.0),
-            false => Rounds::new(expected, self.order(stages) * self.size),
+        let mut evaluations = match (follows, is_small) {
+            (true, _) => Rounds::new(0.1 * turn, 0.0),
+            (false, true) => Rounds::new(0.5 * turn, self.u.past.defect),
+            (false, false) => Rounds::new(expected, self.order(stages) * self.size),
         };
         let mut shortfall = 0.0;
         for evaluation in 1..=MOST_ROUNDS {
@@ -645,42 +681,32 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             self.end_at_stages();
             self.multipliers();
-            // X and S depend on each other; other errors are larger the first time, except with
-            // many stages.
-            if evaluation > 1 || !follows && (stages >= 4 || turn > 0.3) {
+            if evaluation > 1 || looks_twice {
                 self.embed();
                 self.multipliers();
             }
             let jump = self.defects();
             let momenta = self.momenta_from_space();
+            if evaluation == 1 {
+                self.u.past.defect = if follows { f64::INFINITY } else { jump };
+            }
             let floor = evaluations.at_floor(jump, self.size);
             // The defect contains the shortfall of the attitudes at its evaluation, times the turn.
             let left = evaluations.left(jump).max(turn * shortfall);
-            // An error of a momentum turns the end by its product with the turn of the step.
-            let rounding = ROUND_OFF * self.size / turn;
-            let [goal, allowed] = match (follows, self.start.foresee) {
-                (true, _) => [SAME_SIGN * rounding; 2],
-                (false, true) => [rounding, 10.0 * rounding],
-                (false, false) => [LAST_DIGIT * rounding; 2],
-            };
             // With few stages the first evaluation does not yet know its order.
             let is_last = (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || follows);
-            if is_last && follows {
-                let mut increment = momenta;
-                if !(increment * self.contraction_of_a_pass() <= goal) {
-                    increment = self.pass_until(momenta, goal, true)?.last;
-                }
-                self.end_step(1);
+            if is_last {
+                // At first, where it follows, the forces are those of these attitudes.
+                let is_solved =
+                    follows && evaluation == 1 && momenta * self.contraction_of_a_pass() <= goal;
+                let increment =
+                    if is_solved { momenta } else { self.pass_until(momenta, goal, true)?.last };
+                self.end_step(if follows { 1 } else { 2 });
                 return Ok(self.judged(rounds, increment / self.size));
             }
             let enough = (0.3 * left * expected / turn).max(0.3 * goal);
-            let passed = self.pass_until(momenta, enough, false)?;
-            shortfall = passed.left;
+            shortfall = self.pass_until(momenta, enough, false)?.left;
             self.gradients()?;
-            if is_last {
-                let increment = self.finish(passed.last, goal)?;
-                return Ok(self.judged(rounds, increment / self.size));
-            }
             if !jump.is_finite() {
                 break;
             }
@@ -691,25 +717,6 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Estimates the size of the defect, for stopping collocation alone: `turn^(s+1) / (s+1)!`.
     fn order(&self, stages: usize) -> f64 {
         (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
-    }
-
-    /// Repeats the passes with new forces until these change no more than `goal`, and ends the step.
-    fn finish(&mut self, mut before: f64, goal: f64) -> Result<f64, Stuck> {
-        // For a system in a time of its own the forces also depend on the momenta.
-        let rescaled = matches!(self.forces, Forces::Rescaled { .. });
-        let contraction = if rescaled { 3.0 * FORCES_CONTRACTION } else { FORCES_CONTRACTION };
-        let mut rounds = Rounds::new(contraction, before);
-        for _ in 0..MOST_ROUNDS {
-            let Passed { first, last: increment, .. } = self.pass_until(before, goal, false)?;
-            let solved = rounds.at_floor(first, self.size) || rounds.left(first) <= goal;
-            if solved || matches!(self.forces, Forces::None { .. }) {
-                self.end_step(2);
-                return Ok(increment);
-            }
-            before = increment;
-            self.gradients()?;
-        }
-        Err(Stuck::Lost)
     }
 
     /// Computes what the step changes, the turn in such a number of passes.
@@ -726,11 +733,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// defect.
     fn collocate(&mut self) -> Result<u32, Stuck> {
         let stages = self.coefficients.stages;
+        let is_rescaled = matches!(self.forces, Forces::Rescaled { .. });
         let mut last = f64::INFINITY;
         for round in 1..=MOST_ROUNDS {
             self.gradients()?;
             let jump = self.momenta_in_body();
-            if matches!(self.forces, Forces::Rescaled { .. }) {
+            if is_rescaled {
                 // Momenta and attitudes depend on each other through sigma and H - H0.
                 for _ in 0..PASSES {
                     self.attitudes();
@@ -741,14 +749,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 // A second evaluation costs little compared with a torque.
                 self.momenta_in_body();
                 self.attitudes();
-                self.attitudes();
             }
             self.measure();
             if !(jump <= 1e3 * self.size) {
                 break;
             }
             let ratio = if round == 1 { 0.05 * self.turn * self.turn } else { jump / last };
-            if jump * ratio.min(1.0) <= (0.1 * self.order(stages)).max(ROUND_OFF) * self.size {
+            let goal = (0.1 * self.order(stages)).max(ROUND_OFF) * self.size;
+            let is_last = jump * ratio.min(1.0) <= goal;
+            // The next torque needs no better attitudes, except in large steps.
+            if (is_last || self.turn > LARGE) && !is_rescaled {
+                self.attitudes();
+            }
+            if is_last {
                 return Ok(round);
             }
             last = jump;
@@ -765,7 +778,6 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// error left in the momenta is `goal`; with new forces in each pass, or with the last ones.
     fn pass_until(&mut self, before: f64, goal: f64, forced: bool) -> Result<Passed, Stuck> {
         let mut rounds = Rounds::new(self.contraction_of_a_pass(), before);
-        let mut first = None;
         for pass in 0..MOST_ROUNDS {
             self.begin_pass(pass)?;
             // In a plane a momentum does not depend on the attitude.
@@ -782,11 +794,15 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.transport();
             let momenta = self.momenta_from_space();
             let jump = if sees { momenta } else { momenta.max(self.turned()) };
-            let first = *first.get_or_insert(jump);
-            let floor = rounds.at_floor(jump, self.size);
-            let left = rounds.left(jump);
+            let floor = rounds.at_floor(jump, self.size)
+                || forced && jump <= ROUNDING * ROUND_OFF * self.size;
+            let mut left = rounds.left(jump);
+            if forced && pass == 0 {
+                // What forces leave depends on how stiff they are.
+                left = left.max(jump * (jump / before).min(1.0));
+            }
             if left <= goal || floor {
-                return Ok(Passed { first, last: jump, left: if floor { 0.0 } else { left } });
+                return Ok(Passed { last: jump, left: if floor { 0.0 } else { left } });
             }
             if !jump.is_finite() {
                 break;
@@ -907,8 +923,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn attitudes_of_factors(&mut self) {
         let Self { stack, coefficients, weights, u, end, .. } = self;
         let Unknowns { w, c, d, f, k, omega, .. } = &mut **u;
-        stack.plus_product(omega, c, omega, w);
-        stack.scale(*weights, w);
+        spatial_velocities(*stack, *weights, c, omega, w);
         stack.combination(w, &coefficients.columns, d);
         stack.plus_product(f, d, f, k);
         stack.difference(d, k, c);
@@ -971,7 +986,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
         }
         self.velocities();
-        self.guess_no_defect();
+        self.u.delta.fill(0.0);
+        // The attitudes that these momenta lead to: the first torque depends on them.
+        self.attitudes();
     }
 
     /// Computes `mu_k = p0 + sum_j e_kj h b_j ([mu_j, Omega_j] - dH/dg_j)`, and Omega. This is
@@ -1001,16 +1018,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn spatial_velocities(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let Unknowns { w, c, omega, .. } = &mut **u;
-        stack.plus_product(omega, c, omega, w);
-        stack.scale(*weights, w);
+        spatial_velocities(*stack, *weights, c, omega, w);
     }
 
     /// [w], [D] and [C], with the current K: (24c, vih3).
     fn attitudes(&mut self) {
         let Self { stack, coefficients, weights, u, .. } = self;
         let Unknowns { w, c, d, k, omega, .. } = &mut **u;
-        stack.plus_product(omega, c, omega, w);
-        stack.scale(*weights, w);
+        spatial_velocities(*stack, *weights, c, omega, w);
         stack.combination(w, &coefficients.columns, d);
         stack.difference(d, k, c);
     }
@@ -1082,7 +1097,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let (pi, turned, twice) = (&mut pi[..len], &mut turned[..len], &mut twice[..len]);
         stack.sum(p0, gain, pi);
         stack.product(pi, c, turned);
-        stack.transposed_product(c, turned, twice);
+        stack.upper_of_transposed_product(c, turned, twice);
         let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
@@ -1189,21 +1204,23 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn multipliers(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { mu, omega, s, e, x, gradient, room: [next, ..], .. } = &mut **u;
-        let (mu, omega, s, e) = (&mu[..len], &omega[..len], &s[..len], &e[..len]);
-        let (before, gradient, better) = (&x[..len], &gradient[..len], &mut next[..len]);
+        let Unknowns { mu, omega, s, e, x, gradient, room: [half, load, stretched], .. } = &mut **u;
+        // [mu, Omega] = asym(mu Omega); for skew B, asym(A B) = -asym(A B^T)
+        let (mu, s, half) = (&mu[..len], &s[..len], &mut half[..len]);
+        for entry in 0..len {
+            half[entry] = 0.5 * mu[entry] - s[entry];
+        }
+        stack.asym_of_product(half, omega, load);
+        stack.asym_of_product(e, x, stretched);
+        let (load, stretched, gradient) = (&load[..len], &stretched[..len], &gradient[..len]);
+        let x = &mut x[..len];
         for i in 0..n {
             for j in i + 1..n {
-                // for skew B, asym(A B) = -asym(A B^T)
-                let commutator = stack.asym_of_product(mu, omega, i, j);
-                let load = stack.asym_of_product(s, omega, i, j);
-                let load = (commutator * 0.5 - load) + stack.get(gradient, i, j);
-                let stretched = stack.asym_of_product(e, before, i, j);
-                stack.put_skew(better, i, j, (stretched - *weights * load) * 0.5);
+                let load = stack.get(load, i, j) + stack.get(gradient, i, j);
+                let part = stack.get(stretched, i, j) - *weights * load;
+                stack.put_skew(x, i, j, part * 0.5);
             }
-            stack.put(better, i, i, stack.lanes.constant(0.0));
         }
-        swap(x, next);
     }
 
     /// [T], [Y] and [S]
@@ -1222,21 +1239,22 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn slow_defects(&mut self) {
         let Self { stack, coefficients, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { c, d, w, t, y, delta_rest, room: [part, ..], .. } = &mut **u;
-        let (c, d, w, t, y) = (&c[..len], &d[..len], &w[..len], &t[..len], &y[..len]);
-        let (delta_rest, part) = (&mut delta_rest[..len], &mut part[..len]);
+        let Unknowns { c, d, w, t, y, delta_rest, room: [part, of_y, of_stage], .. } = &mut **u;
+        stack.asym_of_product(t, d, part);
+        stack.asym_of_product(y, w, of_y);
+        stack.asym_of_product(y, c, of_stage);
+        let (part, of_y, of_stage) = (&mut part[..len], &of_y[..len], &of_stage[..len]);
+        let delta_rest = &mut delta_rest[..len];
         for i in 0..n {
             for j in i + 1..n {
-                let difference =
-                    stack.asym_of_product(t, d, i, j) - stack.asym_of_product(y, w, i, j);
-                stack.put(part, i, j, difference);
+                stack.put(part, i, j, stack.get(part, i, j) - stack.get(of_y, i, j));
             }
         }
         let columns = stack.lanes.rows(&coefficients.columns);
         for i in 0..n {
             for j in i + 1..n {
                 let sum = R::combination(&part[(i * n + j) * R::LANES..], &columns);
-                stack.put(delta_rest, i, j, -(stack.asym_of_product(y, c, i, j) + sum));
+                stack.put(delta_rest, i, j, -(stack.get(of_stage, i, j) + sum));
             }
         }
     }
@@ -1245,14 +1263,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn newest_defects(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { k, gain, delta, delta_rest, f_lambda, .. } = &mut **u;
-        let (k, gain, delta) = (&k[..len], &mut gain[..len], &mut delta[..len]);
-        let (delta_rest, f_lambda) = (&delta_rest[..len], &f_lambda[..len]);
+        let Unknowns { k, gain, delta, delta_rest, f_lambda, room: [newest, ..], .. } = &mut **u;
+        stack.asym_of_product(f_lambda, k, newest);
+        let (gain, delta) = (&mut gain[..len], &mut delta[..len]);
+        let (delta_rest, newest) = (&delta_rest[..len], &newest[..len]);
         let mut jump = stack.lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
-                let newest = stack.asym_of_product(f_lambda, k, i, j);
-                let now = newest + stack.get(delta_rest, i, j);
+                let now = stack.get(newest, i, j) + stack.get(delta_rest, i, j);
                 let change = now - stack.get(delta, i, j);
                 jump = jump.max_or_nan(change.abs());
                 stack.put_skew(delta, i, j, now);
@@ -1328,12 +1346,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
         let Unknowns { mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
-        let (mu, omega, gradient) = (&mu[..len], &omega[..len], &gradient[..len]);
-        let rate = &mut rate[..len];
+        // asym(mu Omega) = -asym(mu Omega^T)
+        stack.asym_of_product(mu, omega, rate);
+        let (rate, gradient) = (&mut rate[..len], &gradient[..len]);
         for i in 0..n {
             for j in i + 1..n {
-                // asym(mu Omega) = -asym(mu Omega^T)
-                let turning = stack.asym_of_product(mu, omega, i, j) + stack.get(gradient, i, j);
+                let turning = stack.get(rate, i, j) + stack.get(gradient, i, j);
                 stack.put(rate, i, j, -(*weights * turning));
             }
         }
@@ -1369,6 +1387,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 }
 
+/// [w]
+#[inline(always)]
+fn spatial_velocities<R: Stages<Whole = f64>, D: Dimension>(
+    stack: Stack<R, D>,
+    weights: R,
+    c: &[f64],
+    omega: &[f64],
+    w: &mut [f64],
+) {
+    stack.plus_product(omega, c, omega, w);
+    stack.scale(weights, w);
+}
+
 /// [F], [K] and [C]: one step of Newton's method for the polar factor of `I + D`, with the
 /// derivative at P = I, from the current F.
 #[inline(always)]
@@ -1387,7 +1418,6 @@ fn polar_factor<R: Stored, D: Dimension>(
 
 /// Changes made by passes over attitudes and momenta, in units of momenta.
 struct Passed {
-    first: f64,
     last: f64,
     /// Error left that more passes would remove.
     left: f64,
