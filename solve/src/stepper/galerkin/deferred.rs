@@ -68,8 +68,6 @@ const REMEMBERED: usize = 9;
 
 /// Angle in rad of a step up to which it may be guessed from the one before.
 const MODEST: f64 = 0.5;
-/// Angle in rad of a step above which nothing is spared.
-const LARGE: f64 = 0.25;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -242,7 +240,7 @@ struct Past {
     trail: Trail<REMEMBERED>,
     /// Length of the last step, whose unknowns are still there.
     h: Option<f64>,
-    /// The largest entry of its delta.
+    /// The largest entry of its delta; infinite where that is not known.
     defect: f64,
 }
 
@@ -646,25 +644,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.first_symmetric_parts();
         }
         let turn = self.turn.min(1.0);
-        let expected = (0.2 * if stages == 1 { turn } else { turn * turn }).min(0.1);
-        // An error of a momentum turns the end by its product with the turn of the step.
-        let rounding = ROUND_OFF * self.size / turn;
+        let expected = self.contraction_of_an_evaluation();
         // What the momenta may lack at the end, and what the estimate of the defect may.
-        let goal = SAME_SIGN * rounding;
-        let allowed = match (follows, self.start.foresee) {
-            (true, _) => goal,
-            // In smaller steps what is left is far below its estimate.
-            (false, true) => {
-                if turn > LARGE {
-                    rounding
-                } else {
-                    10.0 * rounding
-                }
-            }
-            (false, false) => LAST_DIGIT * rounding,
-        };
+        let goal = SAME_SIGN * self.rounding();
+        let allowed = if follows { goal } else { self.allowed() };
         // X and S depend on each other: with one look at both, the defect lacks half the turn times itself.
-        let is_small = begun == Begun::FromLast && 0.5 * turn * self.u.past.defect <= 0.1 * allowed;
+        let is_small = !follows && 0.5 * turn * self.u.past.defect <= allowed.min(self.rounding());
         let looks_twice = !follows && !is_small && (stages >= 4 || turn > 0.3);
         // A small change is luck where the unknowns were guessed. X and S of a polynomial miss as much as each
         // other, and the first evaluation leaves the error of S, times half the turn, in X.
@@ -714,6 +699,27 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         Err(Stuck::Lost)
     }
 
+    /// Contraction of the error of the defect by an evaluation, assumed until it is measured.
+    fn contraction_of_an_evaluation(&self) -> f64 {
+        let turn = self.turn.min(1.0);
+        (0.2 * if self.coefficients.stages == 1 { turn } else { turn * turn }).min(0.1)
+    }
+
+    /// The error of a momentum that turns the end of the step by a rounding error: it does by its product with the turn.
+    fn rounding(&self) -> f64 {
+        ROUND_OFF * self.size / self.turn.min(1.0)
+    }
+
+    /// What the defect may lack, by the estimate; with up to four stages what it lacks is far below that.
+    fn allowed(&self) -> f64 {
+        self.rounding()
+            * match (self.start.foresee, self.coefficients.stages) {
+                (false, _) => LAST_DIGIT,
+                (true, ..=4) => 10.0,
+                (true, _) => 1.0,
+            }
+    }
+
     /// Estimates the size of the defect, for stopping collocation alone: `turn^(s+1) / (s+1)!`.
     fn order(&self, stages: usize) -> f64 {
         (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
@@ -755,10 +761,17 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 break;
             }
             let ratio = if round == 1 { 0.05 * self.turn * self.turn } else { jump / last };
-            let goal = (0.1 * self.order(stages)).max(ROUND_OFF) * self.size;
+            // What is left here enters the defect times the turn, and stays in it if the first evaluation will do.
+            let is_evaluated_once =
+                self.contraction_of_an_evaluation() * self.u.past.defect <= self.allowed();
+            let goal = if is_evaluated_once {
+                0.1 * self.rounding() / self.turn
+            } else {
+                (0.1 * self.order(stages)).max(ROUND_OFF) * self.size
+            };
             let is_last = jump * ratio.min(1.0) <= goal;
-            // The next torque needs no better attitudes, except in large steps.
-            if (is_last || self.turn > LARGE) && !is_rescaled {
+            // The next torque needs no better attitudes in a step of less than 0.25 rad.
+            if (is_last || self.turn > 0.25) && !is_rescaled {
                 self.attitudes();
             }
             if is_last {
@@ -936,6 +949,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Guesses the unknowns from the initial velocity, kept constant.
     fn guess(&mut self) {
         let Self { stack, start, coefficients, u, .. } = self;
+        u.past.defect = f64::INFINITY;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let angle = lanes.row(&coefficients.nodes) * start.h;
         let Unknowns { p0, omega, mu, c, .. } = &mut **u;
