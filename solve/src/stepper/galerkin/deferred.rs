@@ -321,14 +321,14 @@ pub(super) struct Solved {
     pub(super) nearness: f64,
 }
 
-/// Where a step was begun.
+/// Whence a step was begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Begun {
-    FromGuess,
+    Guess,
     /// From the last step ([`Step::go_on`]).
-    FromLast,
+    Last,
     /// From the last nine ([`Step::follow`]).
-    FromLastNine,
+    LastNine,
 }
 
 /// Solver of the collocation, kept from step to step.
@@ -582,19 +582,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.u.past.trail.forget();
         }
         let begun = if is_short && self.follow() {
-            Begun::FromLastNine
+            Begun::LastNine
         } else if continues && self.start.turn <= MODEST {
             self.go_on();
-            Begun::FromLast
+            Begun::Last
         } else {
             self.guess();
-            Begun::FromGuess
+            Begun::Guess
         };
         let mut solved = self.solve_from(begun);
-        if begun != Begun::FromGuess && matches!(solved, Err(Stuck::Lost)) {
+        if begun != Begun::Guess && matches!(solved, Err(Stuck::Lost)) {
             self.u.past.trail.forget();
             self.guess();
-            solved = self.solve_from(Begun::FromGuess);
+            solved = self.solve_from(Begun::Guess);
         }
         let solved = solved?;
         if is_short {
@@ -628,7 +628,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Solves the step from where it was begun.
     fn solve_from(&mut self, begun: Begun) -> Result<Solved, Stuck> {
         let stages = self.coefficients.stages;
-        let follows = begun == Begun::FromLastNine;
+        let follows = begun == Begun::LastNine;
         let mut rounds = 0;
         if follows {
             self.momenta_from_space();
