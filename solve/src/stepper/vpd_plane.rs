@@ -460,11 +460,13 @@ impl Equations for Sweeps<'_> {
     }
 
     fn set(&mut self, values: &[f64]) {
-        let [turn, momentum] = self.units();
+        let ([turn, momentum], weight) = (self.units(), self.weight());
         for (stage, values) in self.step.stages.iter_mut().zip(values.as_chunks::<4>().0) {
             let [re, im, omega, x] = *values;
             stage.rate = Complex::new(re, im) * turn;
             (stage.omega, stage.x) = (omega * turn, x * momentum);
+            // Against it the next sweep is measured.
+            stage.mu = stage.omega / weight;
         }
     }
 }

@@ -93,21 +93,23 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
         swept
     }
 
+    /// The numbers from which a sweep begins, and the momenta against which it is measured.
     fn unknowns(&self, values: &mut Vec<f64>) {
-        let (turn, momentum) = self.units();
+        let Units { turn, embedded, momentum } = self.units();
         for stage in self.stages.iter() {
             values.extend(stage.u_omega.iter().chain(&stage.omega).map(|x| x / turn));
-            values.extend(stage.v.iter().map(|x| x / momentum));
+            values.extend(stage.v.iter().map(|x| x / embedded));
+            values.extend(stage.mu.iter().map(|x| x / momentum));
         }
     }
 
     fn set(&mut self, values: &[f64]) {
-        let (turn, momentum) = self.units();
-        let matrix = |values: &[f64], unit: f64| Mat::from_column_slice(values) * unit;
-        for (stage, values) in self.stages.iter_mut().zip(values.chunks_exact(3 * N * N)) {
-            stage.u_omega = matrix(&values[..N * N], turn);
-            stage.omega = matrix(&values[N * N..2 * N * N], turn);
-            stage.v = matrix(&values[2 * N * N..], momentum);
+        let Units { turn, embedded, momentum } = self.units();
+        for (stage, values) in self.stages.iter_mut().zip(values.chunks_exact(4 * N * N)) {
+            let matrix =
+                |k: usize, unit: f64| Mat::from_column_slice(&values[k * N * N..][..N * N]) * unit;
+            (stage.u_omega, stage.omega) = (matrix(0, turn), matrix(1, turn));
+            (stage.v, stage.mu) = (matrix(2, embedded), matrix(3, momentum));
         }
     }
 }
@@ -197,11 +199,21 @@ impl<const N: usize> Sweeps<'_, N> {
         Ok(if change == 0.0 { 0.0 } else { change / size })
     }
 
-    /// The units of velocities and of the embedded momenta.
-    fn units(&self) -> (f64, f64) {
+    fn units(&self) -> Units {
         let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
-        (unit(self.omega.amax()), unit(self.h.abs() * self.p0.amax()))
+        Units {
+            turn: unit(self.omega.amax()),
+            embedded: unit(self.h.abs() * self.p0.amax()),
+            momentum: unit(self.p0.amax()),
+        }
     }
+}
+
+/// The units of velocities, of the embedded momenta and of the momenta.
+struct Units {
+    turn: f64,
+    embedded: f64,
+    momentum: f64,
 }
 
 /// `U` and `P - I` of `I + d = U P`.
