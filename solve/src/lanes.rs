@@ -331,7 +331,7 @@ macro_rules! by_halves {
 }
 
 macro_rules! stage_lanes {
-    ($vector:ident, $lanes:tt, $group:literal, $repeated:expr, $folded:expr) => {
+    ($vector:ident, $lanes:tt, $group:literal, $repeated:expr, $folded:expr, $each:expr) => {
         impl<S: Simd> Stored for $vector<S> {
             const LANES: usize = $lanes;
             type Wide = f64x8<S>;
@@ -437,15 +437,10 @@ macro_rules! stage_lanes {
 
             #[inline(always)]
             fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self {
-                // Through memory, from where spreading a number costs nothing. The compiler would
-                // take each out of its register, through the port that half the arithmetic needs.
-                // (A row: see `aligned_zero`.)
-                let mut values = Row::splat(0.0);
-                self.store_slice(&mut values.0[..$lanes]);
-                let values = std::hint::black_box(&values);
+                let each: [Self; $lanes] = $each(self);
                 macro_rules! term {
                     ($j:literal) => {
-                        self.row(&columns[$j]) * Self::splat(self.simd, values[$j])
+                        self.row(&columns[$j]) * each[$j]
                     };
                 }
                 by_halves!($lanes, term)
@@ -515,13 +510,49 @@ stage_lanes!(
         let (low, high) = x.split();
         let (low, high) = (low + high).split();
         low + high
+    },
+    // Few lanes wait for their results, and a way through memory takes longer.
+    |x: Self| [x.zip_low(x), x.zip_high(x)]
+);
+stage_lanes!(
+    f64x4,
+    4,
+    2,
+    |x: Self| x.combine(x),
+    |x: f64x8<S>| {
+        let (low, high) = x.split();
+        low + high
+    },
+    |x: Self| {
+        let (low, high) = x.split();
+        let both = |half: f64x2<S>| half.combine(half);
+        [
+            both(low.zip_low(low)),
+            both(low.zip_high(low)),
+            both(high.zip_low(high)),
+            both(high.zip_high(high)),
+        ]
     }
 );
-stage_lanes!(f64x4, 4, 2, |x: Self| x.combine(x), |x: f64x8<S>| {
-    let (low, high) = x.split();
-    low + high
-});
-stage_lanes!(f64x8, 8, 1, |x: Self| x, |x: Self| x);
+stage_lanes!(
+    f64x8,
+    8,
+    1,
+    |x: Self| x,
+    |x: Self| x,
+    // Eight would each be taken out of two registers or more, through the port that half the arithmetic needs; from
+    // memory spreading a number costs nothing. (A row: see `aligned_zero`.)
+    |x: Self| {
+        let mut values = Row::splat(0.0);
+        x.store_slice(&mut values.0[..8]);
+        let values = std::hint::black_box(&values);
+        let mut each = [x; 8];
+        for k in 0..8 {
+            each[k] = Self::splat(x.simd, values[k]);
+        }
+        each
+    }
+);
 
 /// The stages of a step one after the other, each of which is a number, or members of an ensemble side by side.
 #[derive(Clone, Copy, Debug)]
