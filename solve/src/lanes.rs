@@ -544,6 +544,7 @@ stage_lanes!(
     // memory spreading a number costs nothing. (A row: see `aligned_zero`.)
     |x: Self| {
         let mut values = Row::splat(0.0);
+        // To a slice: stored to the array itself it is compiled to a step longer by 6 %.
         x.store_slice(&mut values.0[..8]);
         let values = std::hint::black_box(&values);
         let mut each = [x; 8];

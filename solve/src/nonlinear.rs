@@ -164,7 +164,8 @@ pub trait Equations {
     /// Fails where they make no sense.
     fn sweep(&mut self) -> Result<f64, Failure>;
 
-    /// Appends the unknowns, in units that make them about one in size.
+    /// Appends the unknowns, in units that make them about one in size: all from which a sweep begins, and all
+    /// against which its change is measured.
     fn unknowns(&self, values: &mut Vec<f64>);
 
     /// Sets the unknowns, in the order and the units of [`Equations::unknowns`].

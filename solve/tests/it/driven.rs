@@ -248,9 +248,8 @@ fn a_damped_free_body_follows_its_exact_motion() {
     law::<5>();
 }
 
-/// `H - w . m` is kept if all space vectors turn about one axis at a constant rate w: Jacobi.
 /// A damper that takes the velocity away in half a millisecond: sweeps contract up to twice the least moment of inertia over
-/// its coefficient, 0.8 ms with one stage. Newton's method solves every step, however long, while nearly nothing moves any more.
+/// its coefficient, 0.8 ms with one stage. Newton's method solves longer ones, too, also while nearly nothing moves any more.
 #[test]
 fn newtons_method_solves_steps_far_longer_than_a_damper_takes() {
     let vertical = axis(2);
@@ -278,6 +277,7 @@ fn newtons_method_solves_steps_far_longer_than_a_damper_takes() {
     }
 }
 
+/// `H - w . m` is kept if all space vectors turn about one axis at a constant rate w: Jacobi.
 #[test]
 fn the_integral_of_jacobi_is_kept() {
     const RATE: f64 = 0.7;

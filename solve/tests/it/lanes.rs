@@ -10,8 +10,10 @@ use vpd_solve::nonlinear::{Rung, Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
+use vpd_solve::stepper::rk::Rk;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
+use vpd_solve::stepper::vpd_plane::{Plane, VpdPlane};
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
@@ -227,6 +229,34 @@ fn newton_and_sweeps_agree_where_both_get_there() {
             assert!(difference < 2e-15, "{k}: {difference:e}");
             assert!((newton.momentum - sweeps.momentum).amax() < 2e-15, "{k}");
         }
+    }
+}
+
+/// In a plane Newton's method solves the steps of a pendulum itself; steps that it left would be explicit.
+#[test]
+fn newtons_method_solves_planar_steps() {
+    let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
+    let law = Law::Uniform { weight: 1.0, body_point: vertical };
+    let weight = Term { law, space: vertical };
+    let body = RigidBody::new(Kinetic::of_moments([1.0, 1.2, 0.8]), vec![weight], 0.0);
+    let attitude = so::exp(&so::hat(&[1.0, 0.0, 0.0]));
+    let start = State { attitude, momentum: so::hat(&[0.5, 0.0, 0.0]) };
+    let plane = Plane::of(&body, &start).expect("it swings about one axis");
+    for (stages, h) in [(1, 0.05), (2, 0.05), (1, 0.4), (2, 0.4)] {
+        let tableau = Tableau::gauss(stages).expect("a few stages");
+        let stop = StopRule { rungs: Rungs::Newton, ..StopRule::default() };
+        let left = Box::new(Rk::new(Tableau::rk4(), false).expect("explicit"));
+        let mut stepper = VpdPlane::new(plane.clone(), tableau, stop, left);
+        stepper.start(&start);
+        let mut corrections = 0;
+        for step in 0..1000 {
+            let solved = stepper.step(&body, h).expect("a step of moderate size");
+            assert_eq!(solved.rung, Rung::Newton, "{stages} stages, {h}, step {step}");
+            corrections += solved.iterations;
+        }
+        let mean = f64::from(corrections) / 1000.0;
+        println!("{stages} stages, h = {h}: {mean} corrections a step");
+        assert!(mean <= 5.0, "{stages} stages, {h}: {mean}");
     }
 }
 

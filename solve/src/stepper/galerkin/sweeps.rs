@@ -93,7 +93,6 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
         swept
     }
 
-    /// The numbers from which a sweep begins, and the momenta against which it is measured.
     fn unknowns(&self, values: &mut Vec<f64>) {
         let Units { turn, embedded, momentum } = self.units();
         for stage in self.stages.iter() {
