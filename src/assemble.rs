@@ -65,7 +65,7 @@ fn assembly<const N: usize>(
         }
     };
     let members = plan.ensemble.is_some().then(|| {
-        together(plan).unwrap_or_else(|| Box::new(Apart(std::array::from_fn(|_| stepper()))))
+        together(plan).unwrap_or_else(|| Box::new(Apart::new(std::array::from_fn(|_| stepper()))))
     });
     let (body, initial) = plan.model.problem::<N>();
     let shadow = shadow.then(stepper);

@@ -534,7 +534,7 @@ fn ensemble_on_all_cores() {
             let everybody: Vec<usize> = (0..states.len()).collect();
             for _ in 0..GROUPS {
                 ensemble.start(&states);
-                ensemble.step(&body, h, &everybody, &mut |_, result| assert!(result.is_ok()));
+                ensemble.step(&body, 0.0, h, &everybody, &mut |_, result| assert!(result.is_ok()));
             }
         };
         let times = [1, cores].map(|threads| {
@@ -578,7 +578,7 @@ fn ensembles() {
             let begun = Instant::now();
             for _ in 0..steps {
                 // Steps that fail do so together as well as alone.
-                ensemble.step(body, h, &everybody, &mut |_, _| {});
+                ensemble.step(body, 0.0, h, &everybody, &mut |_, _| {});
             }
             least[0] = least[0].min(begun.elapsed().as_secs_f64());
             for (stepper, least) in steppers.iter_mut().zip(&mut least[1..]) {

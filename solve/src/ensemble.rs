@@ -7,7 +7,7 @@ use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::lanes::WIDTH;
 use super::nonlinear::Convergence;
-use super::stepper::Stepper;
+use super::stepper::{Knots, Stepper};
 use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, State, Trajectory};
 
 /// A few members of an ensemble that take each step together.
@@ -15,17 +15,16 @@ pub trait Members<const N: usize> {
     /// Begins at the states, at most [`WIDTH`] of them.
     fn start(&mut self, states: &[State<N>]);
 
-    /// Carries the members of `going` forward by `h`; gives the result of each to `stepped`.
+    /// Carries the members of `going` forward by `h` seconds from the time `begun_s`, in parts that end at knots between;
+    /// gives the result of each to `stepped`.
     fn step(
         &mut self,
         body: &RigidBody<N>,
+        begun_s: f64,
         h: f64,
         going: &[usize],
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     );
-
-    /// Sets the time at which the next step begins, in seconds: see [`Stepper::set_time`].
-    fn set_time(&mut self, _time_s: f64) {}
 
     /// Brings member `m` to the end of its last step: see [`Stepper::settle`].
     ///
@@ -40,33 +39,45 @@ pub trait Members<const N: usize> {
 }
 
 /// Members one after the other, with any scheme.
-pub struct Apart<const N: usize>(pub [Box<dyn Stepper<N>>; WIDTH]);
+pub struct Apart<const N: usize> {
+    steppers: [Box<dyn Stepper<N>>; WIDTH],
+    knots: Knots,
+}
+
+impl<const N: usize> Apart<N> {
+    /// Creates the members of an ensemble by their steppers.
+    pub fn new(steppers: [Box<dyn Stepper<N>>; WIDTH]) -> Self {
+        Self { steppers, knots: Knots::default() }
+    }
+}
 
 impl<const N: usize> Members<N> for Apart<N> {
     fn start(&mut self, states: &[State<N>]) {
-        self.0.iter_mut().zip(states).for_each(|(stepper, state)| stepper.start(state));
+        self.knots = Knots::default();
+        self.steppers.iter_mut().zip(states).for_each(|(stepper, state)| stepper.start(state));
     }
 
     fn step(
         &mut self,
         body: &RigidBody<N>,
+        begun_s: f64,
         h: f64,
         going: &[usize],
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     ) {
-        going.iter().for_each(|&m| stepped(m, self.0[m].step(body, h)));
-    }
-
-    fn set_time(&mut self, time_s: f64) {
-        self.0.iter_mut().for_each(|stepper| stepper.set_time(time_s));
+        let before = self.knots;
+        for &m in going {
+            self.knots = before;
+            stepped(m, self.knots.step(body, self.steppers[m].as_mut(), begun_s, h));
+        }
     }
 
     fn settle(&mut self, body: &RigidBody<N>, h: f64, m: usize) -> Result<u32, Failure> {
-        self.0[m].settle(body, h)
+        self.steppers[m].settle(body, h)
     }
 
     fn member(&mut self, m: usize) -> &dyn Stepper<N> {
-        self.0[m].as_ref()
+        self.steppers[m].as_ref()
     }
 }
 
@@ -117,10 +128,7 @@ pub fn integrate<const N: usize, E>(
             }
             break;
         }
-        if body.is_driven() {
-            members.set_time(step as f64 * step_s);
-        }
-        members.step(body, step_s, &going, &mut |m, result| bookkeeping[m].stepped(result));
+        members.step(body, step as f64 * step_s, step_s, &going, &mut |m, result| bookkeeping[m].stepped(result));
         step += 1;
         for &m in &going {
             if !bookkeeping[m].goes_on() {

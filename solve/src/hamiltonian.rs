@@ -22,8 +22,8 @@ mod term;
 mod torque;
 
 use driven::Driven;
-pub use driven::{DrivenTerm, Factor, Path, Table, Torque};
-pub(crate) use driven::{Input, Moment, Time};
+pub use driven::{DrivenTerm, Factor, Interpolation, Path, Table, Torque};
+pub(crate) use driven::{Input, Moment, Time, rounding_s};
 use potential::Own;
 pub use potential::{Potential, gradient_error};
 pub(crate) use rescaled::{AtStages, Looked, Scale};
@@ -385,6 +385,18 @@ impl<const N: usize> System<N> for RigidBody<N> {
 
     fn is_pushed(&self) -> bool {
         self.driven.has_torques()
+    }
+
+    fn next_knot(&self, after_s: f64) -> f64 {
+        self.driven.next_knot(after_s)
+    }
+
+    fn jump(&self, knot_s: f64, g: &Mat<N>) -> f64 {
+        self.jump(knot_s, g)
+    }
+
+    fn table_impulse(&self, time_s: f64) -> Option<f64> {
+        self.driven.table_impulse(time_s)
     }
 
     fn check(&self, g: &Mat<N>) -> Result<(), Failure> {

@@ -117,7 +117,8 @@ pub fn velocity_of_momentum<const N: usize>(
         if !size.is_finite() {
             return None;
         }
-        if size <= 1e-15 * omega.amax() || (size >= previous && size <= 1e-12 * omega.amax()) {
+        let whole = omega.amax().max(f64::MIN_POSITIVE);
+        if size <= 1e-15 * whole || (size >= previous && size <= 1e-12 * whole) {
             return Some(omega);
         }
         previous = size;

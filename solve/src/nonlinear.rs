@@ -27,6 +27,7 @@
 //! runs out silently. Every decision depends on computed floats alone, so it repeats to the bit.
 
 use super::failure::{Failure, FailureCode};
+use super::lanes::Real;
 
 mod newton;
 mod past;
@@ -98,6 +99,12 @@ const SLOW: f64 = 0.1;
 const CYCLE: u32 = 6;
 /// This many sweeps in a row without progress are divergence, not a transient.
 const PATIENCE: u32 = 3;
+
+/// Returns a change in parts of a size. Where there is no size, at rest, or one that numbers do not hold to their full
+/// precision, the smallest that they do is the unit: zero of zero is no change.
+pub(crate) fn relative(change: f64, size: f64) -> f64 {
+    change / size.max_or_nan(f64::MIN_POSITIVE)
+}
 
 /// Rung of the solver that made the step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,13 +4,16 @@
 //! body momentum out on demand; a step that fails leaves that state as it was.
 
 use super::failure::{Failure, FailureCode};
-use super::hamiltonian::{Input, RigidBody, Time};
+use super::hamiltonian::RigidBody;
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
 use super::trajectory::{Checkpoint, OwnTime, Pace, State};
-use galerkin::Sum;
+pub use clock::Clock;
+pub use knots::Knots;
 
+mod clock;
 mod galerkin;
+mod knots;
 mod motion;
 pub mod vpd;
 pub mod vpd_adaptive;
@@ -72,22 +75,41 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
         None
     }
 
+    /// Returns the clock of a scheme for driven systems; `None` for one that takes none.
+    fn clock(&self) -> Option<&Clock<N>> {
+        None
+    }
+
+    /// Returns the same clock, to set it.
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        None
+    }
+
     /// Sets the time at which the next step begins, in seconds; a scheme for systems that do not
     /// change with time ignores it.
-    fn set_time(&mut self, _time_s: f64) {}
+    fn set_time(&mut self, time_s: f64) {
+        if let Some(clock) = self.clock_mut() {
+            clock.time = time_s;
+        }
+    }
 
     /// Returns the energy put in by time and torques that are no potential's since
     /// [`Stepper::start`], in J, by the weights of the scheme; zero for a system that is not
     /// driven.
     fn work(&self) -> f64 {
-        0.0
+        self.clock().map_or(0.0, |clock| clock.work.value)
     }
 
     /// Returns the spatial momentum put in by torques that are no potential's since
     /// [`Stepper::start`], skew, in N m s, by the weights of the scheme; `None` for a scheme that
     /// takes no such torques.
     fn impulse(&self) -> Option<Mat<N>> {
-        None
+        self.clock().map(|clock| clock.impulse.value)
+    }
+
+    /// Returns the part of [`System::table_impulse`] put in since [`Stepper::start`], by the weights of the scheme.
+    fn table_impulse(&self) -> f64 {
+        self.clock().map_or(0.0, |clock| clock.table_impulse.value)
     }
 
     /// The attitude g; `None` from a scheme that carries none.
@@ -100,39 +122,6 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// that interpolates none.
     fn sigma_min(&self) -> Option<f64> {
         None
-    }
-}
-
-/// The time of a driven system, and the input to its energy and its momentum.
-#[derive(Clone, Debug)]
-struct Clock<const N: usize> {
-    time: f64,
-    work: f64,
-    /// Part of the work lost to rounding.
-    carry: f64,
-    impulse: Sum<N>,
-}
-
-impl<const N: usize> Default for Clock<N> {
-    fn default() -> Self {
-        Self { time: 0.0, work: 0.0, carry: 0.0, impulse: Sum::new(Mat::zeros()) }
-    }
-}
-
-impl<const N: usize> Clock<N> {
-    /// The time `after` seconds from the beginning of the step.
-    fn at(&self, after: f64) -> Time {
-        Time { begun: self.time, after }
-    }
-
-    /// Advances by a step, with the input during it.
-    fn advance(&mut self, h: f64, put_in: &Input<N>) {
-        self.time += h;
-        (self.work, self.carry) = super::space::sum(self.work, put_in.power + self.carry);
-        // Without torques it stays zero.
-        if let Some(torque) = &put_in.torque {
-            self.impulse.add(torque);
-        }
     }
 }
 

@@ -37,6 +37,23 @@ pub trait System<const N: usize> {
         false
     }
 
+    /// The first time later than `after_s`, in seconds, at which the law is not smooth: a knot of a table. The time loop
+    /// ends a step there, so that methods keep their order. Infinite if there is none.
+    fn next_knot(&self, _after_s: f64) -> f64 {
+        f64::INFINITY
+    }
+
+    /// The energy in J by which the potential jumps at a knot, at the attitude `g`.
+    fn jump(&self, _knot_s: f64, _g: &Mat<N>) -> f64 {
+        0.0
+    }
+
+    /// The impulse of torques that are given over time, from t = 0 to `time_s`, in N m s: the exact integral of their
+    /// strengths, each times the size of its torque, added up. `None` if there are none. Steps must have put in the same.
+    fn table_impulse(&self, _time_s: f64) -> Option<f64> {
+        None
+    }
+
     /// The projection `Q` (symmetric, n x n, space coordinates) onto directions whose rotations leave the energy as it is, two or
     /// more: then `Q m Q` is conserved, `m = g mu g^T`, but for the impulse of torques that are no potential's. `None` if
     /// there are none, or none are known. See [`free_directions`].

@@ -11,7 +11,7 @@ use super::failure::{Failure, FailureCode};
 use super::hamiltonian::Energy;
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
-use super::stepper::Stepper;
+use super::stepper::{Knots, Stepper};
 use super::system::System;
 
 /// A point of T*SO(n), left-trivialised: `g' = g Omega`. It is not checked: [`State::defect`] says how far it is from one.
@@ -154,6 +154,9 @@ pub struct Sample<const N: usize> {
     /// Spatial momentum put in by torques that are no potential's since the start, in N m s; `None`
     /// also for a system that is not pushed.
     pub impulse: Option<Mat<N>>,
+    /// Impulse of the torques by tables since the start, by the weights of the steps, less the exact one, in N m s; `None`
+    /// also for a system without any: see [`System::table_impulse`].
+    pub table_impulse_error: Option<f64>,
     /// How the nonlinear solver ended the step; `None` at the start.
     pub convergence: Option<Convergence>,
     /// Smallest singular value of the interpolated matrices of the step; `None` at the start.
@@ -179,6 +182,7 @@ impl<const N: usize> Sample<N> {
             ref spatial_momentum,
             momentum_drift,
             ref impulse,
+            table_impulse_error,
             convergence,
             sigma_min,
             pace,
@@ -193,6 +197,7 @@ impl<const N: usize> Sample<N> {
             jacobi_error,
             orthogonality_error,
             momentum_drift,
+            table_impulse_error,
             convergence.map(|convergence| convergence.increment),
             sigma_min,
         ];
@@ -264,6 +269,8 @@ pub struct Checkpoint<const N: usize> {
     /// Spatial momentum put in by torques that are no potential's since the start, in N m s: see
     /// [`Stepper::impulse`].
     pub impulse: Mat<N>,
+    /// Impulse put in by torques by tables since the start, in N m s: see [`Stepper::table_impulse`].
+    pub table_impulse: f64,
     /// Own time of a scheme that has one.
     pub own_time: Option<OwnTime<N>>,
 }
@@ -286,6 +293,7 @@ impl<const N: usize> Checkpoint<N> {
             convergence: None,
             work: 0.0,
             impulse: Mat::zeros(),
+            table_impulse: 0.0,
             own_time: None,
         }
     }
@@ -346,7 +354,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
     let every = every.max(1);
     let Origin { initial, checkpoint } = origin.into();
     let mut bookkeeping = Bookkeeping::new(system, initial, step_s, observables);
-    let driven = system.is_driven();
+    let mut knots = Knots::default();
     stepper.start(initial);
     if let Some(found) = checkpoint {
         stepper.resume(found);
@@ -364,6 +372,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             if !over && bookkeeping.goes_on() && sink.wants_checkpoint() {
                 bookkeeping.reached.work += stepper.work();
                 bookkeeping.reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
+                bookkeeping.reached.table_impulse += stepper.table_impulse();
                 bookkeeping.reached.own_time = stepper.own_time();
                 sink.checkpoint(&bookkeeping.reached)?;
                 stepper.resume(&bookkeeping.reached);
@@ -373,10 +382,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
             break;
         }
         if go_on(step) {
-            if driven {
-                stepper.set_time(step as f64 * step_s);
-            }
-            bookkeeping.stepped(stepper.step(system, step_s));
+            bookkeeping.stepped(knots.step(system, stepper, step as f64 * step_s, step_s));
         } else {
             bookkeeping.cancelled();
         }
@@ -454,6 +460,7 @@ impl<const N: usize> Bookkeeping<N> {
         let put_in = PutIn {
             work: reached.work + stepper.work(),
             impulse: stepper.impulse().map(|since| reached.impulse + since),
+            table_impulse: reached.table_impulse + stepper.table_impulse(),
         };
         let sample = settled.and_then(|sweeps| {
             reached.iterations += u64::from(sweeps);
@@ -497,6 +504,7 @@ struct PutIn<const N: usize> {
     work: f64,
     /// `None` from a stepper that does not know.
     impulse: Option<Mat<N>>,
+    table_impulse: f64,
 }
 
 /// Computes the values that a sample holds in addition to the state, measured against the start.
@@ -542,7 +550,7 @@ impl<const N: usize> Observer<N> {
         put_in: &PutIn<N>,
     ) -> Result<Sample<N>, Failure> {
         let asked = self.observables;
-        let &PutIn { work, impulse } = put_in;
+        let &PutIn { work, impulse, table_impulse } = put_in;
         let impulse = impulse.filter(|_| self.pushed);
         let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
         // A scheme without an attitude serves free bodies, whose energy needs none.
@@ -574,6 +582,10 @@ impl<const N: usize> Observer<N> {
                 None
             },
             impulse: impulse.filter(|_| asked.momentum),
+            table_impulse_error: (asked.momentum && stepper.clock().is_some())
+                .then(|| system.table_impulse(time_s))
+                .flatten()
+                .map(|exact| table_impulse - exact),
             convergence,
             sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
             pace: if asked.pace { stepper.pace() } else { None },

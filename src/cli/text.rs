@@ -71,6 +71,9 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
             format!("drift of the conserved part at most {:.2e} kg m^2/s", momentum.max_drift),
         );
     }
+    if let Some(error) = summary.table_impulse_max_error {
+        line("impulse", format!("that of the tables to {error:.2e} N m s"));
+    }
     line(
         "solver",
         format!(

@@ -133,7 +133,7 @@ messages_of_samples! {
     /// Spatial momentum.
     momentum: Momentum {
         spatial_momentum: numbers(spatial_momentum), momentum_drift: number(drift),
-        momentum_impulse: numbers(impulse)
+        momentum_impulse: numbers(impulse), momentum_table_impulse_error: number(table_impulse_error)
     },
     /// How the step was solved.
     solver: Solver {
@@ -218,6 +218,7 @@ impl Momentum {
             drift: sample.momentum_drift,
             log10_drift: sample.momentum_drift.map(log10_size),
             impulse: sample.impulse.as_ref().map_or_else(Vec::new, so::vee),
+            table_impulse_error: sample.table_impulse_error,
         })
     }
 }
@@ -266,6 +267,7 @@ impl Checkpoint {
             figures: Some(figures),
             work: checkpoint.work,
             impulse: if none { Vec::new() } else { rows(&checkpoint.impulse) },
+            table_impulse: checkpoint.table_impulse,
             own_time: checkpoint.own_time.as_ref().map(|own| OwnTime {
                 attitude: rows(&own.attitude),
                 body_momentum: rows(&own.momentum),
@@ -302,6 +304,7 @@ impl Checkpoint {
             convergence: self.solver.as_ref().and_then(Solver::convergence),
             work: self.work,
             impulse: present(&self.impulse).unwrap_or_else(Mat::zeros),
+            table_impulse: self.table_impulse,
             own_time: self.own_time.as_ref().map(|own| trajectory::OwnTime {
                 attitude: Mat::from_row_slice(&own.attitude),
                 momentum: Mat::from_row_slice(&own.body_momentum),
@@ -331,6 +334,10 @@ impl Figures {
         if let Some(drift) = sample.momentum_drift {
             let before = self.momentum_max_drift.unwrap_or_default();
             self.momentum_max_drift = Some(drift.max(before));
+        }
+        if let Some(error) = sample.table_impulse_error {
+            let before = self.table_impulse_max_error.unwrap_or_default();
+            self.table_impulse_max_error = Some(error.abs().max(before));
         }
     }
 }

@@ -5,7 +5,8 @@ use nalgebra::DVector;
 use super::model::skew;
 use super::{Model, ModelKinetic};
 use crate::scenario::{
-    DrivenTerm, Entry, Factor, Framed, Path, PotentialTerm, Table, Torque, TorqueTable, vector,
+    DrivenTerm, Entry, Factor, Framed, Interpolation, Path, PotentialTerm, Table, Torque, TorqueTable,
+    vector,
 };
 use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
 use crate::solve::so::{self, Mat};
@@ -116,11 +117,13 @@ fn potential<'a>(terms: impl IntoIterator<Item = &'a PotentialTerm>) -> RigidBod
 }
 
 fn over_time(given: &Table) -> body::Table<1> {
-    body::Table {
-        times: given.times_s.clone(),
-        values: given.values.iter().map(|&value| [value]).collect(),
-        smooth: given.smooth,
-    }
+    let values = given.values.iter().map(|&value| [value]).collect();
+    let interpolation = match given.between() {
+        Interpolation::Monotone => body::Interpolation::Monotone,
+        Interpolation::Linear => body::Interpolation::Linear,
+        Interpolation::Hold => body::Interpolation::Hold,
+    };
+    body::Table::new(given.times_s.clone(), values, interpolation)
 }
 
 fn unit_vector(v: &[f64]) -> DVector<f64> {

@@ -18,7 +18,7 @@ use crate::solve::failure::{Failure, FailureCode, two_digits};
 use crate::solve::hamiltonian::{RigidBody, TimeScale};
 use crate::solve::nonlinear::StopRule;
 use crate::solve::so;
-use crate::solve::stepper::Stepper;
+use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::stepper::vpd_adaptive::VpdAdaptive;
 use crate::solve::system::System;
 use crate::solve::tableau::Tableau;
@@ -276,6 +276,7 @@ impl<const N: usize> Search<'_, N> {
         let every = steps.div_ceil(LOOKS);
         let (mut kinetic, mut off) = (0.0_f64, 0.0_f64);
         stepper.start(from);
+        let mut knots = Knots::default();
         if let Some(own_s) = stepper.own_step_s().filter(|_| *adapts) {
             *own_s = step_s;
         }
@@ -287,9 +288,8 @@ impl<const N: usize> Search<'_, N> {
         };
         for step in 1..=steps {
             let time_s = |steps: u64| from_s + steps as f64 * step_s;
-            stepper.set_time(time_s(step - 1));
             let looked_at = step % every == 0 || step == steps;
-            let mut made = stepper.step(body, step_s).map(drop);
+            let mut made = knots.step(*body, *stepper, time_s(step - 1), step_s).map(drop);
             if looked_at {
                 made = made.and_then(|()| stepper.settle(body, step_s).map(drop));
             }

@@ -121,6 +121,7 @@ pub(super) fn finish(
         energy: summary::energy(figures),
         orthogonality: summary::orthogonality(figures, reached.samples),
         momentum: figures.momentum_max_drift.map(|max_drift| MomentumSummary { max_drift }),
+        table_impulse_max_error: figures.table_impulse_max_error,
         solver: SolverSummary {
             iterations_per_step: reached.iterations as f64 / reached.step.max(1) as f64,
             kind: reached.convergence.map(|solved| solved.rung.as_str().to_owned()),
@@ -158,6 +159,7 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     figure("energy_max_abs_error", summary.energy.map(|energy| energy.max_abs_error));
     figure("orthogonality_max", summary.orthogonality.map(|orthogonality| orthogonality.max));
     figure("momentum_max_drift", summary.momentum.map(|momentum| momentum.max_drift));
+    figure("table_impulse_max_error", summary.table_impulse_max_error);
     if let Some(ensemble) = &summary.ensemble {
         entries.insert("ensemble".to_owned(), json(ensemble));
     }

@@ -369,6 +369,7 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         convergence: nominal.and_then(|end| end.solver.as_ref()?.convergence()),
         work: 0.0,
         impulse: Mat::zeros(),
+        table_impulse: 0.0,
         own_time: None,
     }
 }

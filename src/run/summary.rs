@@ -65,6 +65,10 @@ pub struct Summary {
     pub orthogonality: Option<OrthogonalitySummary>,
     /// Drift of the conserved momentum; absent if `/momentum` was not logged or nothing is conserved.
     pub momentum: Option<MomentumSummary>,
+    /// Largest error of the impulse that the steps have put in for torques by tables, against the exact integral of the
+    /// tables, in N m s; absent without such torques, or if `/momentum` was not logged.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub table_impulse_max_error: Option<f64>,
     /// The nonlinear solver.
     pub solver: SolverSummary,
     /// Wall time of the whole run in seconds.

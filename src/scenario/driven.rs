@@ -114,28 +114,48 @@ impl Harmonic {
     }
 }
 
-/// Values at times that cover the whole run.
+/// Values at times that cover the whole run. Steps end at its times, so that methods keep their order wherever these lie.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Table {
-    /// Times, ascending, in s.
+    /// Times, ascending, in s. Two equal times are a jump, from the first value to the second.
     pub times_s: Vec<f64>,
     /// Values, one for each time.
     pub values: Vec<f64>,
-    /// Cubic between the times, with slopes by the neighbours (the default): methods keep their order up to the fourth.
-    /// Else straight lines; put the times on steps then.
-    #[serde(default = "Table::smooth")]
-    pub smooth: bool,
+    /// What is between the times; `monotone` if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub interpolation: Option<Interpolation>,
+    /// The older form of `interpolation`: `true` for `monotone`, `false` for `linear`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub smooth: Option<bool>,
+}
+
+/// What is between the times of a table.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Interpolation {
+    /// Cubic, smooth, and between two times never above or below both of their values.
+    #[default]
+    Monotone,
+    /// Straight lines.
+    Linear,
+    /// Each value holds from its time to the next.
+    Hold,
 }
 
 impl Table {
     /// Returns a table that is cubic between the times.
     pub fn of(times_s: Vec<f64>, values: Vec<f64>) -> Self {
-        Self { times_s, values, smooth: Self::smooth() }
+        Self { times_s, values, interpolation: None, smooth: None }
     }
 
-    fn smooth() -> bool {
-        true
+    /// Returns what is between the times, in whichever form it was given.
+    pub fn between(&self) -> Interpolation {
+        match (self.interpolation, self.smooth) {
+            (Some(interpolation), _) => interpolation,
+            (None, Some(false)) => Interpolation::Linear,
+            (None, Some(true) | None) => Interpolation::default(),
+        }
     }
 }
 
@@ -233,15 +253,27 @@ impl Table {
         ensure(values.len() == times.len(), format!("{at}/values"), || {
             format!("{} values given for {} times", values.len(), times.len())
         })?;
+        let both = self.interpolation.is_some() && self.smooth.is_some();
+        ensure(!both, format!("{at}/smooth"), || {
+            "given next to `interpolation`, of which it is the older form; give one of the two".to_owned()
+        })?;
         for (i, (&time, &value)) in times.iter().zip(values).enumerate() {
             number(&format!("{at}/times_s/{i}"), time)?;
             strength(&format!("{at}/values/{i}"), value)?;
-            let before = times[i.saturating_sub(1)];
-            ensure(i == 0 || time - before >= 1e-12, format!("{at}/times_s/{i}"), || {
-                format!("{time} given after {before}; times must ascend")
+            let Some(&before) = i.checked_sub(1).and_then(|i| times.get(i)) else { continue };
+            let pointer = format!("{at}/times_s/{i}");
+            ensure(time == before || time - before >= 1e-12, &pointer, || {
+                format!("{time} given after {before}; times must ascend, by 1e-12 s at least, or be equal for a jump")
+            })?;
+            let third = i > 1 && times[i - 2] == time;
+            ensure(!third, pointer, || {
+                format!("{time} given a third time; a jump takes two equal times")
             })?;
         }
         let (first, last) = (times[0], times[times.len() - 1]);
+        ensure(first < last, format!("{at}/times_s"), || {
+            format!("{first} and {last} given as first and last time; a table covers a span of time")
+        })?;
         ensure(first <= 0.0, format!("{at}/times_s/0"), || {
             format!("{first} given; the table must cover the run, which begins at 0")
         })?;

@@ -21,7 +21,7 @@ use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat};
-use crate::solve::stepper::Stepper;
+use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::system::System;
 use crate::solve::trajectory::{
     self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State, Trajectory,
@@ -531,8 +531,10 @@ impl Task for Timing<'_> {
         let mut made = 0;
         while made == 0 || begun.elapsed().as_nanos() < LEAST_NS {
             stepper.start(&initial);
-            for _ in 0..self.steps {
-                if stepper.step(&body, self.step_s).is_err() {
+            let mut knots = Knots::default();
+            for step in 0..self.steps {
+                let begun_s = step as f64 * self.step_s;
+                if knots.step(&body, stepper.as_mut(), begun_s, self.step_s).is_err() {
                     return f64::INFINITY;
                 }
             }

@@ -15,7 +15,7 @@ use super::table::{Row, Table};
 use super::{Scales, StudyError, Watch};
 use crate::solve::nonlinear::Rung;
 use crate::solve::so;
-use crate::solve::stepper::Stepper;
+use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::system::System;
 use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
 
@@ -320,9 +320,12 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
     let mut ns_per_step = f64::INFINITY;
     for _ in 0..if outcome == "succeeded" { repeats } else { 0 } {
         stepper.start(initial);
-        let begun = Instant::now();
-        let made = (0..steps)
-            .take_while(|_| !watch.is_cancelled() && stepper.step(system, step_s).is_ok());
+        let (begun, mut knots) = (Instant::now(), Knots::default());
+        let made = (0..steps).take_while(|&step| {
+            let begun_s = step as f64 * step_s;
+            !watch.is_cancelled()
+                && knots.step(system, stepper.as_mut(), begun_s, step_s).is_ok()
+        });
         if made.count() as u64 == steps {
             ns_per_step = ns_per_step.min(begun.elapsed().as_nanos() as f64 / steps as f64);
         }

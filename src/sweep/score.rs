@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::file::{Condition, Lyapunov, Measure, Quantity, Score, Tilt};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
-use crate::solve::stepper::Stepper;
+use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::trajectory::{Sample, State};
 
 /// A score during a run.
@@ -119,6 +119,7 @@ impl<const N: usize> Gauge<N> {
 /// exponent of a run of time T by O(1 / T).
 pub(super) struct Shadow<'a, const N: usize> {
     stepper: Box<dyn Stepper<N>>,
+    knots: Knots,
     asked: &'a Lyapunov,
     step_s: f64,
     rate_rad_s: f64,
@@ -146,7 +147,8 @@ impl<'a, const N: usize> Shadow<'a, N> {
         // A body at rest without torques has no scale of its own.
         let rate_rad_s = if rate_rad_s > 0.0 { rate_rad_s } else { 1.0 };
         let (made, time_s, sum, over_s, lost) = (0, 0.0, 0.0, 0.0, false);
-        Self { stepper, asked, step_s, rate_rad_s, made, time_s, sum, over_s, lost }
+        let knots = Knots::default();
+        Self { stepper, knots, asked, step_s, rate_rad_s, made, time_s, sum, over_s, lost }
     }
 
     /// Returns the mean so far, in 1/s.
@@ -176,7 +178,9 @@ impl<'a, const N: usize> Shadow<'a, N> {
             return;
         }
         while self.made < sample.step && !self.lost {
-            self.lost = self.stepper.step(body, self.step_s).is_err()
+            let begun_s = self.made as f64 * self.step_s;
+            let stepper = self.stepper.as_mut();
+            self.lost = self.knots.step(body, stepper, begun_s, self.step_s).is_err()
                 || self.stepper.settle(body, self.step_s).is_err();
             self.made += 1;
         }

@@ -66,19 +66,56 @@ pub enum Factor {
     Table(Table<1>),
 }
 
-/// Values at given times, and between them.
+/// How a table goes from one of its values to the next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// Cubic and monotone between two values, with a continuous rate: it never leaves the range of the two
+    /// (Fritsch and Butland 1984, SIAM J. Sci. Stat. Comput. 5, with the weights of Brodlie; ends by three points).
+    Monotone,
+    /// Straight, with corners at the times.
+    Linear,
+    /// Each value holds from its time to the next.
+    Hold,
+}
+
+/// Values at given times, and between them. Two equal times are a jump, from the first value to the second.
+///
+/// A table is one polynomial from each of its times to the next. At a time where these differ, a knot, the time loop ends a
+/// step ([`crate::system::System::next_knot`]); so within a step only one piece counts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table<const M: usize> {
-    /// Times, ascending.
-    pub times: Vec<f64>,
-    /// Values, one row for each time.
-    pub values: Vec<[f64; M]>,
-    /// Cubic between two times, with slopes by the neighbours (Catmull and Rom 1974), so that steps keep their order up to
-    /// the fourth; else straight, with corners at the times.
-    pub smooth: bool,
+    times: Vec<f64>,
+    values: Vec<[f64; M]>,
+    interpolation: Interpolation,
+    /// Times at which it is not one polynomial, its first and last among them.
+    knots: Vec<f64>,
+    /// Integrals of the values from the first time to each.
+    integrals: Vec<[f64; M]>,
+}
+
+/// A piece of a table as a cubic of `x = t - begins`: `c_0 + x (c_1 + x (c_2 + x c_3))`.
+struct Piece<const M: usize> {
+    begins: f64,
+    coefficients: [[f64; 4]; M],
 }
 
 impl<const M: usize> Table<M> {
+    /// Creates a table of values (one row for each time) at times in seconds: two or more, ascending, at most two of them equal.
+    pub fn new(times: Vec<f64>, values: Vec<[f64; M]>, interpolation: Interpolation) -> Self {
+        let (knots, integrals) = (Vec::new(), vec![[0.0; M]]);
+        let mut table = Self { times, values, interpolation, knots, integrals };
+        let places = 0..table.times.len();
+        table.knots =
+            places.filter(|&i| table.is_knot(i)).map(|i| table.times[i]).collect();
+        for k in 1..table.times.len() {
+            let width = table.times[k] - table.times[k - 1];
+            let part = if width > 0.0 { table.piece(k).integral(width) } else { [0.0; M] };
+            let sum = std::array::from_fn(|m| table.integrals[k - 1][m] + part[m]);
+            table.integrals.push(sum);
+        }
+        table
+    }
+
     /// Refuses a time that is not covered, but for a rounding: the last step of a run ends one away from its end.
     fn check(&self, t: f64) -> Result<(), Failure> {
         const ROUNDING: f64 = 1e-9;
@@ -91,36 +128,133 @@ impl<const M: usize> Table<M> {
         Err(Failure::new(FailureCode::OutsideTable, None, t, limit))
     }
 
-    /// The values at a time, and their rates. Before its first time and after its last a table stays as it is there: see
-    /// [`Table::check`].
-    fn at(&self, t: f64) -> ([f64; M], [f64; M]) {
-        let last = self.times.len() - 1;
-        let after = self.times.partition_point(|&time| time <= t);
-        if after == 0 || after > last {
-            return (self.values[if after == 0 { 0 } else { last }], [0.0; M]);
-        }
-        let k = after - 1;
-        let width = self.times[k + 1] - self.times[k];
-        let x = (t - self.times[k]) / width;
-        let (mut value, mut rate) = ([0.0; M], [0.0; M]);
-        for m in 0..M {
-            let (a, b) = (self.values[k][m], self.values[k + 1][m]);
-            let chord = (b - a) / width;
-            if !self.smooth {
-                (value[m], rate[m]) = (a + x * (b - a), chord);
-                continue;
-            }
-            let slope = |i: usize| {
-                let (low, high) = (i.saturating_sub(1), (i + 1).min(last));
-                (self.values[high][m] - self.values[low][m]) / (self.times[high] - self.times[low])
-            };
-            let (p, q) = (slope(k) * width, slope(k + 1) * width);
-            // Hermite's cubic.
-            let (c, d) = (3.0 * (b - a) - 2.0 * p - q, 2.0 * (a - b) + p + q);
-            value[m] = a + x * (p + x * (c + x * d));
-            rate[m] = (p + x * (2.0 * c + 3.0 * x * d)) / width;
-        }
+    /// The values at a time, and their rates, by the piece that counts ([`Time`]). Before its first time and after its last a
+    /// table stays as it is there: see [`Table::check`].
+    fn at(&self, t: Time) -> ([f64; M], [f64; M]) {
+        let Piece { begins, coefficients } = self.piece(self.reached(t.piece_at));
+        let x = (t.begun - begins) + t.after;
+        let value = coefficients.map(|[c, p, q, r]| c + x * (p + x * (q + x * r)));
+        let rate = coefficients.map(|[_, p, q, r]| p + x * (2.0 * q + x * (3.0 * r)));
         (value, rate)
+    }
+
+    /// The number of its times that are not later than `t`.
+    fn reached(&self, t: f64) -> usize {
+        self.times.partition_point(|&time| time <= t)
+    }
+
+    /// The piece that begins at the last of the first `reached` times.
+    fn piece(&self, reached: usize) -> Piece<M> {
+        let last = self.times.len() - 1;
+        let stays = |i: usize| Piece {
+            begins: self.times[i],
+            coefficients: self.values[i].map(|value| [value, 0.0, 0.0, 0.0]),
+        };
+        if reached == 0 || reached > last || self.interpolation == Interpolation::Hold {
+            return stays(reached.saturating_sub(1));
+        }
+        let k = reached - 1;
+        let width = self.times[k + 1] - self.times[k];
+        let coefficients = std::array::from_fn(|m| {
+            let value = self.values[k][m];
+            let chord = self.chord(k, m);
+            if self.interpolation == Interpolation::Linear {
+                return [value, chord, 0.0, 0.0];
+            }
+            // Hermite's cubic.
+            let (p, q) = (self.slope(k, true, m), self.slope(k + 1, false, m));
+            let bend = (p + q - 2.0 * chord) / width;
+            [value, p, (chord - p) / width - bend, bend / width]
+        });
+        Piece { begins: self.times[k], coefficients }
+    }
+
+    /// The slope of the straight line of piece `k`.
+    fn chord(&self, k: usize, m: usize) -> f64 {
+        (self.values[k + 1][m] - self.values[k][m]) / (self.times[k + 1] - self.times[k])
+    }
+
+    /// The slope of the monotone cubic at time `i`, of the piece after it or before it; the two are the same but at a jump.
+    fn slope(&self, i: usize, after: bool, m: usize) -> f64 {
+        // Is there a piece from time k on, other than a jump?
+        let width = |k: Option<usize>| {
+            let k = k?;
+            let width = self.times.get(k + 1)? - self.times[k];
+            (width > 0.0).then_some((k, width))
+        };
+        let (before, next) = (width(i.checked_sub(1)), width(Some(i)));
+        match (before, next) {
+            (Some((j, low)), Some((k, high))) => {
+                let (d, e) = (self.chord(j, m), self.chord(k, m));
+                // An extremum is flat; else the weighted harmonic mean of the two chords.
+                if !(d * e > 0.0) {
+                    return 0.0;
+                }
+                let (u, v) = (2.0 * high + low, high + 2.0 * low);
+                (u + v) / (u / d + v / e)
+            }
+            // At an end, or a jump: the parabola through three points, as far as it stays monotone.
+            _ => {
+                let (own, other) = if after {
+                    (next, width(Some(i + 1)))
+                } else {
+                    (before, width(i.checked_sub(2)))
+                };
+                let Some((k, near)) = own else { return 0.0 };
+                let d = self.chord(k, m);
+                let Some((j, far)) = other else { return d };
+                let e = self.chord(j, m);
+                let slope = ((2.0 * near + far) * d - near * e) / (near + far);
+                if slope * d <= 0.0 {
+                    0.0
+                } else if d * e < 0.0 && slope.abs() > 3.0 * d.abs() {
+                    3.0 * d
+                } else {
+                    slope
+                }
+            }
+        }
+    }
+
+    /// Is the polynomial after time `i` another one than that before?
+    fn is_knot(&self, i: usize) -> bool {
+        let last = self.times.len() - 1;
+        if i == 0 || i == last || self.is_jump(i) {
+            return true;
+        }
+        let straight = |k: usize| {
+            let flat = self.values[k] == self.values[k + 1];
+            match self.interpolation {
+                Interpolation::Linear => Some(std::array::from_fn(|m| self.chord(k, m))),
+                Interpolation::Monotone | Interpolation::Hold => flat.then_some([0.0; M]),
+            }
+        };
+        let (before, after) = (straight(i - 1), straight(i));
+        match self.interpolation {
+            Interpolation::Hold => self.values[i - 1] != self.values[i],
+            _ => before.is_none() || before != after,
+        }
+    }
+
+    /// Is time `i` one of two that are equal?
+    fn is_jump(&self, i: usize) -> bool {
+        let same = |k: usize| self.times.get(k) == Some(&self.times[i]);
+        same(i + 1) || i > 0 && same(i - 1)
+    }
+
+    /// The exact integral of the values from its first time to `t`.
+    fn integral(&self, t: f64) -> [f64; M] {
+        let reached = self.reached(t);
+        let k = reached.saturating_sub(1);
+        let part = self.piece(reached).integral(t - self.times[k]);
+        std::array::from_fn(|m| self.integrals[k][m] + part[m])
+    }
+}
+
+impl<const M: usize> Piece<M> {
+    /// The integral of the first `x` seconds.
+    fn integral(&self, x: f64) -> [f64; M] {
+        self.coefficients.map(|[c, p, q, r]| x * (c + x * (p / 2.0 + x * (q / 3.0 + x * r / 4.0))))
     }
 }
 
@@ -187,6 +321,40 @@ impl<const N: usize> Driven<N> {
         })
     }
 
+    /// The torques by tables: how large a torque of strength one is, and the table.
+    fn torque_tables(&self) -> impl Iterator<Item = (f64, &Table<1>)> {
+        self.torques.iter().filter_map(|torque| match torque {
+            Torque::Table { along, table, .. } => Some((so::inner(along, along).sqrt(), table)),
+            _ => None,
+        })
+    }
+
+    /// The tables of factors.
+    fn factor_tables(&self) -> impl Iterator<Item = &Table<1>> {
+        self.terms.iter().filter_map(|term| match &term.factor {
+            Factor::Table(table) => Some(table),
+            Factor::Constant | Factor::Harmonic { .. } => None,
+        })
+    }
+
+    /// The first time later than `t` at which a table changes its polynomial; infinite if there is none.
+    pub(super) fn next_knot(&self, t: f64) -> f64 {
+        let next = |table: &Table<1>| {
+            let knots = &table.knots;
+            knots.get(knots.partition_point(|&knot| knot <= t)).copied().unwrap_or(f64::INFINITY)
+        };
+        let tables = self.factor_tables().chain(self.torque_tables().map(|(_, table)| table));
+        tables.map(next).fold(f64::INFINITY, f64::min)
+    }
+
+    /// The exact impulse of the torques by tables from t = 0 to `t`, by [`Driven::torque_tables`]; `None` without any.
+    pub(super) fn table_impulse(&self, t: f64) -> Option<f64> {
+        let of = |(size, table): (f64, &Table<1>)| {
+            size * (table.integral(t)[0] - table.integral(0.0)[0])
+        };
+        self.torque_tables().map(of).reduce(|sum, impulse| sum + impulse)
+    }
+
     /// Do torques act?
     pub(super) fn has_torques(&self) -> bool {
         !self.torques.is_empty()
@@ -233,6 +401,8 @@ pub(crate) struct Moment<const N: usize> {
     /// The body with its potential at that moment.
     pub(crate) body: RigidBody<N>,
     torques: Vec<Torque<N>>,
+    /// Strengths of the torques by tables, added up.
+    tables: f64,
     changing: Vec<Changing<N>>,
     /// Failure, if there is no such moment.
     refused: Option<Failure>,
@@ -246,12 +416,15 @@ pub(crate) struct Input<const N: usize> {
     pub(crate) power: f64,
     /// Input of torques that are no potential's to the spatial momentum; `None` if none act.
     pub(crate) torque: Option<Mat<N>>,
+    /// Strengths of the torques by tables, added up: see [`crate::system::System::table_impulse`].
+    pub(crate) tables: f64,
 }
 
 impl<const N: usize> Input<N> {
     /// Adds the input at a stage of the given weight.
     pub(crate) fn add(&mut self, weight: f64, at_stage: &Self) {
         self.power += weight * at_stage.power;
+        self.tables += weight * at_stage.tables;
         if let Some(torque) = &at_stage.torque {
             *self.torque.get_or_insert_with(Mat::zeros) += torque * weight;
         }
@@ -273,14 +446,32 @@ struct Changing<const N: usize> {
 /// resolution of a clock late in a run, which is a noise in every phase.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Time {
-    pub(crate) begun: f64,
-    pub(crate) after: f64,
+    begun: f64,
+    after: f64,
+    /// Time whose piece of a table counts. In a step it is the middle: at its two ends the polynomial of the step counts, and
+    /// not the one before or after it.
+    piece_at: f64,
+}
+
+/// Times that differ by no more than this are the same: `k h` is a rounding away from what was meant.
+pub(crate) fn rounding_s(t: f64) -> f64 {
+    8.0 * f64::EPSILON * t.abs()
 }
 
 impl Time {
-    /// The beginning of a step.
-    pub(crate) fn of(begun: f64) -> Self {
-        Self { begun, after: 0.0 }
+    /// A time as an observer sees it: at a knot, what comes after it.
+    pub(crate) fn of(t: f64) -> Self {
+        Self { begun: t, after: 0.0, piece_at: t + rounding_s(t) }
+    }
+
+    /// The time just before a knot, as it is seen from there.
+    fn before(knot: f64) -> Self {
+        Self { piece_at: knot - rounding_s(knot), ..Self::of(knot) }
+    }
+
+    /// The time `after` seconds from the beginning of a step of length `h`.
+    pub(crate) fn in_step(begun: f64, h: f64, after: f64) -> Self {
+        Self { begun, after, piece_at: begun + 0.5 * h }
     }
 
     fn seconds(self) -> f64 {
@@ -333,7 +524,7 @@ impl<const N: usize> DrivenTerm<N> {
                 (mean + amplitude * libm::cos(angle), -amplitude * rate * libm::sin(angle))
             }
             Factor::Table(table) => {
-                let ([value], [rate]) = table.at(t.seconds());
+                let ([value], [rate]) = table.at(t);
                 (value, rate)
             }
         };
@@ -435,7 +626,7 @@ impl<const N: usize> Moment<N> {
             let q = so::to_body(g, space);
             power += strengthening.value(&q) + law.change(&q, &so::to_body(g, moving));
         }
-        Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)) }
+        Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)), tables: self.tables }
     }
 
     /// Refuses a time that the drive does not know, and an attitude at which the potential has lost its meaning.
@@ -496,13 +687,24 @@ impl<const N: usize> RigidBody<N> {
         }
         let now = |torque: &Torque<N>| match torque {
             Torque::Table { along, spatial, table } => {
-                let torque = along * table.at(t.seconds()).0[0];
+                let torque = along * table.at(t).0[0];
                 if *spatial { Torque::Space(torque) } else { Torque::Body(torque) }
             }
             other => other.clone(),
         };
         let refused = self.driven.check(t).err();
-        Moment { body, torques: self.driven.torques.iter().map(now).collect(), changing, refused }
+        let torques = self.driven.torques.iter().map(now).collect();
+        let tables = self.driven.torque_tables().map(|(size, table)| size * table.at(t).0[0]).sum();
+        Moment { body, torques, tables, changing, refused }
+    }
+
+    /// The energy by which the potential jumps at a knot.
+    pub(super) fn jump(&self, knot: f64, g: &Mat<N>) -> f64 {
+        if self.driven.factor_tables().next().is_none() {
+            return 0.0;
+        }
+        let potential = |t: Time| self.at(t).energy(g, &Mat::zeros()).potential;
+        potential(Time::of(knot)) - potential(Time::before(knot))
     }
 
     /// The body at the nodes of a step from `t`, and at its end.
@@ -512,6 +714,6 @@ impl<const N: usize> RigidBody<N> {
         h: f64,
         nodes: impl Iterator<Item = f64>,
     ) -> Vec<Moment<N>> {
-        nodes.chain([1.0]).map(|c| self.at(Time { begun, after: c * h })).collect()
+        nodes.chain([1.0]).map(|c| self.at(Time::in_step(begun, h, c * h))).collect()
     }
 }

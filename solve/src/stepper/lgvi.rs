@@ -25,7 +25,7 @@ use nalgebra::{Matrix3, Quaternion, Vector3};
 use crate::composition::{Composition, Drift, Sum};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
-use crate::nonlinear::{Convergence, Rung, StopRule, fixed_point};
+use crate::nonlinear::{Convergence, Rung, StopRule, fixed_point, relative};
 use crate::so::{Mat, Vector};
 use crate::so3::{self, Top};
 use crate::stepper::Stepper;
@@ -100,7 +100,7 @@ fn solve(
         let slope = inertia * s - jv * v.transpose() / s + so3::hat(&v) * inertia - so3::hat(&jv);
         let change = slope.try_inverse().ok_or(too_large(0.0, 0.0))? * residual;
         v -= change;
-        Ok(if change.amax() == 0.0 { 0.0 } else { change.norm() / v.norm() })
+        Ok(relative(change.amax(), v.amax()))
     })?;
     let turn = Quaternion::from_parts(scalar(&v)?, v);
     Ok((turn, Convergence { rung: Rung::Newton, ..convergence }))

@@ -117,16 +117,12 @@ impl<const N: usize> Stepper<N> for Rk<N> {
         self.clock = Clock::default();
     }
 
-    fn set_time(&mut self, time_s: f64) {
-        self.clock.time = time_s;
+    fn clock(&self) -> Option<&Clock<N>> {
+        Some(&self.clock)
     }
 
-    fn work(&self) -> f64 {
-        self.clock.work
-    }
-
-    fn impulse(&self) -> Option<Mat<N>> {
-        Some(self.clock.impulse.value)
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        Some(&mut self.clock)
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
@@ -136,7 +132,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
         for i in 0..self.tableau.stages() {
             let State { attitude: g, momentum: mu } =
                 self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
+            let moment = body.is_driven().then(|| body.at(self.clock.at(h, h * self.tableau.c(i))));
             moment
                 .as_ref()
                 .map_or_else(

@@ -97,16 +97,12 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         self.clock = Clock::default();
     }
 
-    fn set_time(&mut self, time_s: f64) {
-        self.clock.time = time_s;
+    fn clock(&self) -> Option<&Clock<N>> {
+        Some(&self.clock)
     }
 
-    fn work(&self) -> f64 {
-        self.clock.work
-    }
-
-    fn impulse(&self) -> Option<Mat<N>> {
-        Some(self.clock.impulse.value)
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        Some(&mut self.clock)
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
@@ -115,7 +111,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         let mut put_in = Input::default();
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            let moment = body.is_driven().then(|| body.at(self.clock.at(h * self.tableau.c(i))));
+            let moment = body.is_driven().then(|| body.at(self.clock.at(h, h * self.tableau.c(i))));
             let g = || so::product(&self.state.attitude, &u);
             moment
                 .as_ref()

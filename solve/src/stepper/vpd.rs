@@ -8,7 +8,7 @@ use std::marker::PhantomData;
 
 use fearless_simd::Level;
 
-use super::Stepper;
+use super::{Clock, Stepper};
 use super::galerkin::{Carried, Dynamics, Length, Seen};
 use crate::failure::Failure;
 use crate::hamiltonian::{Hamiltonian, Moment, Rescaled, RigidBody};
@@ -138,16 +138,12 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
         self.carried.start(state);
     }
 
-    fn set_time(&mut self, time_s: f64) {
-        self.carried.set_time(time_s);
+    fn clock(&self) -> Option<&Clock<N>> {
+        Some(&self.carried.clock)
     }
 
-    fn work(&self) -> f64 {
-        self.carried.work()
-    }
-
-    fn impulse(&self) -> Option<Mat<N>> {
-        Some(self.carried.impulse())
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        Some(&mut self.carried.clock)
     }
 
     fn step(&mut self, system: &S, h: f64) -> Result<Convergence, Failure> {

@@ -18,7 +18,7 @@ use std::marker::PhantomData;
 
 use nalgebra::DMatrix;
 
-use super::Stepper;
+use super::{Clock, Stepper};
 use super::galerkin::{Carried, Dynamics, Seen};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Moment, RigidBody};
@@ -128,16 +128,12 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Stepper<N, S> for VpdLagrangian<
         self.carried.start(state);
     }
 
-    fn set_time(&mut self, time_s: f64) {
-        self.carried.set_time(time_s);
+    fn clock(&self) -> Option<&Clock<N>> {
+        Some(&self.carried.clock)
     }
 
-    fn work(&self) -> f64 {
-        self.carried.work()
-    }
-
-    fn impulse(&self) -> Option<Mat<N>> {
-        Some(self.carried.impulse())
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        Some(&mut self.carried.clock)
     }
 
     /// # Errors

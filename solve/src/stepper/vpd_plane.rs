@@ -24,7 +24,7 @@ use super::Stepper;
 use super::galerkin::{SMALLEST_SINGULAR_VALUE, check_branch};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
-use crate::nonlinear::{Convergence, Equations, Solver, StopRule};
+use crate::nonlinear::{Convergence, Equations, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
 use crate::space;
 use crate::tableau::Tableau;
@@ -357,7 +357,7 @@ impl Equations for Sweeps<'_> {
         let s = self.step.stages.len();
         let tau = self.torque(Complex::new(1.0, 0.0));
         let size = p0.abs().max((h * tau).abs());
-        self.step.unit = if size > 0.0 { size } else { 1.0 };
+        self.step.unit = if size >= f64::MIN_POSITIVE { size } else { 1.0 };
         for k in 0..s {
             let elapsed = h * self.tableau.c(k);
             let turn = turn(elapsed * weight * (p0 - 0.5 * elapsed * tau));
@@ -447,7 +447,7 @@ impl Equations for Sweeps<'_> {
             stage.rate = Complex::new(0.0, stage.omega) * stage.point.turn;
         }
         // The change of the momenta, or of a turn in the last pass.
-        let change = if change == 0.0 { 0.0 } else { change / size };
+        let change = relative(change, size);
         Ok(change.max(turned))
     }
 

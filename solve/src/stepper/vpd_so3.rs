@@ -253,7 +253,7 @@ impl Equations for InLanes<'_> {
         let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
         let size = self.start.momentum.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
         let size = self.unknowns.momentum.iter().fold(size, largest);
-        self.momentum_scale = if size > 0.0 { size } else { 1.0 };
+        self.momentum_scale = if size >= f64::MIN_POSITIVE { size } else { 1.0 };
         Ok(())
     }
 

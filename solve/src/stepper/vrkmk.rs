@@ -42,9 +42,10 @@ use nalgebra::Vector3;
 
 use crate::failure::Failure;
 use crate::hamiltonian::{Input, Moment, RigidBody};
-use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule};
+use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
-use crate::stepper::{Clock, Stepper, Sum, check_root};
+use crate::stepper::galerkin::Sum;
+use crate::stepper::{Clock, Stepper, check_root};
 use crate::tableau::Tableau;
 use crate::trajectory::State;
 
@@ -163,16 +164,12 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         self.clock = Clock::default();
     }
 
-    fn set_time(&mut self, time_s: f64) {
-        self.clock.time = time_s;
+    fn clock(&self) -> Option<&Clock<N>> {
+        Some(&self.clock)
     }
 
-    fn work(&self) -> f64 {
-        self.clock.work
-    }
-
-    fn impulse(&self) -> Option<Mat<N>> {
-        Some(self.clock.impulse.value)
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        Some(&mut self.clock)
     }
 
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
@@ -333,7 +330,7 @@ impl<const N: usize> Step<'_, N> {
             size = greater(size, p.size());
             stages[j].p = p;
         }
-        Ok(greater(displacement, if change == 0.0 { 0.0 } else { change / size }))
+        Ok(greater(displacement, relative(change, size)))
     }
 }
 
@@ -383,7 +380,7 @@ impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
 impl<const N: usize, A: Skew<N>> Sweeps<'_, '_, N, A> {
     /// Returns the units of slopes and of momenta.
     fn units(&self) -> (f64, f64) {
-        let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
+        let unit = |size: f64| if size >= f64::MIN_POSITIVE { size } else { 1.0 };
         (unit(self.xi.size()), unit(self.m0.size()))
     }
 }

@@ -1,7 +1,7 @@
 //! Scenes that change with time, are pushed, or have wheels: orders, balances, exact motions.
 
 use vpd_solve::hamiltonian::{
-    DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Table, Term, Torque,
+    DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, Torque,
 };
 use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
@@ -44,7 +44,7 @@ fn changing<const N: usize>() -> RigidBody<N> {
     };
     // One cubic over the run: where two meet the order is at most four.
     let times = vec![-0.5, 0.0, 1.0, 1.5];
-    let table = Table { times, values: vec![[1.0], [0.4], [1.2], [0.9]], smooth: true };
+    let table = Table::new(times, vec![[1.0], [0.4], [1.2], [0.9]], Interpolation::Monotone);
     let harmonic = Factor::Harmonic { mean: 1.0, amplitude: 0.3, rate: 2.1, phase: 0.5 };
     let driven = |law, space, path, factor| DrivenTerm { term: Term { law, space }, path, factor };
     let terms = [
@@ -87,7 +87,7 @@ fn pushed<const N: usize>() -> RigidBody<N> {
     let mut numbers = Numbers(32);
     let weight = Law::Uniform { weight: 0.7, body_point: numbers.vector() };
     // Straight: a corner within the run would cost the order.
-    let table = Table { times: vec![-0.1, 2.0], values: vec![[0.1], [0.5]], smooth: false };
+    let table = Table::new(vec![-0.1, 2.0], vec![[0.1], [0.5]], Interpolation::Linear);
     let coefficients = Mat::from_fn(|i, j| if i == j { 0.0 } else { 0.1 + 0.02 * (i + j) as f64 });
     let torques = [
         Torque::Body(numbers.skew() * 0.4),

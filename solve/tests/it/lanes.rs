@@ -381,8 +381,8 @@ fn together_and_alone(
     let mut unseen = ensemble.clone();
     let mut failures = BTreeSet::new();
     for step in 0..100 {
-        unseen.step(body, h, &going, &mut |_, _| {});
-        ensemble.step(body, h, &going, &mut |m, result| together.push((m, result)));
+        unseen.step(body, 0.0, h, &going, &mut |_, _| {});
+        ensemble.step(body, 0.0, h, &going, &mut |m, result| together.push((m, result)));
         assert_eq!(together.len(), going.len());
         for (m, result) in together.drain(..) {
             let own = alone[m].step(body, h).map_err(|failure| failure.code);

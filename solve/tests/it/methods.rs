@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use vpd_solve::failure::FailureCode;
 use vpd_solve::hamiltonian::{
-    DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Table, Term, TimeScale, Torque,
+    DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, TimeScale, Torque,
 };
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
@@ -346,7 +346,7 @@ fn failed_steps_leave_the_state_alone() {
         factor: Factor::Constant,
     });
     // Known until the middle of the step.
-    let table = Table { times: vec![-1.0, 0.02], values: vec![[1.0], [2.0]], smooth: true };
+    let table = Table::new(vec![-1.0, 0.02], vec![[1.0], [2.0]], Interpolation::Linear);
     let late = free.clone().with_torque(Torque::Table {
         along: so::hat(&[0.0, 0.0, 1.0]),
         spatial: true,

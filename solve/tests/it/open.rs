@@ -242,7 +242,7 @@ fn members_of_an_ensemble_see_a_potential_of_ones_own() {
         let mut members = VpdEnsemble::new(&gauss(stages), stop()).expect("few stages");
         members.start(&states);
         for _ in 0..20 {
-            members.step(&body, 0.05, &[0, 1, 2, 3, 4], &mut |_, result| {
+            members.step(&body, 0.0, 0.05, &[0, 1, 2, 3, 4], &mut |_, result| {
                 result.expect("a small step");
             });
         }

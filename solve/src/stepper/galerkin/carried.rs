@@ -17,7 +17,7 @@ use crate::trajectory::State;
 pub(in crate::stepper) struct Carried<const N: usize> {
     pub(in crate::stepper) step: GalerkinStep<N>,
     pub(in crate::stepper) motion: Motion<N>,
-    clock: Clock<N>,
+    pub(in crate::stepper) clock: Clock<N>,
     /// Moments of a driven body at the stages and the end of the step (empty otherwise).
     pub(in crate::stepper) moments: Vec<Moment<N>>,
     /// The space vectors of the potential, from where the step begins.
@@ -42,21 +42,6 @@ impl<const N: usize> Carried<N> {
         self.step.forget();
         self.motion = Motion::new(state);
         self.clock = Clock::default();
-    }
-
-    /// See [`crate::stepper::Stepper::set_time`].
-    pub(in crate::stepper) fn set_time(&mut self, time_s: f64) {
-        self.clock.time = time_s;
-    }
-
-    /// See [`crate::stepper::Stepper::work`].
-    pub(in crate::stepper) fn work(&self) -> f64 {
-        self.clock.work
-    }
-
-    /// See [`crate::stepper::Stepper::impulse`].
-    pub(in crate::stepper) fn impulse(&self) -> Mat<N> {
-        self.clock.impulse.value
     }
 
     /// Looks at `body` over a step of length `h`: moment by moment if it is driven.

@@ -39,7 +39,7 @@ use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 use crate::failure::Failure;
 use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
 use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
-use crate::nonlinear::Trail;
+use crate::nonlinear::{Trail, relative};
 use crate::stack::{Any, Dimension, Known, Numbers, Stack};
 use crate::tableau::Tableau;
 use crate::work;
@@ -1061,8 +1061,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 largest = largest.max_or_nan(stack.get(mu, i, j).abs());
             }
         }
-        *size = largest.largest();
-        *turn = h.abs() * square.largest().sqrt();
+        // At rest there is nothing by which to measure, and nothing to solve.
+        *size = largest.largest().max_or_nan(f64::MIN_POSITIVE);
+        *turn = (h.abs() * square.largest().sqrt()).max_or_nan(f64::MIN_POSITIVE);
     }
 
     /// [F], [K] and [C]: (24c, vih3).
@@ -1401,7 +1402,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let [changed, now] = system.velocity(at, c, mu, omega);
             (change, size) = (Real::max_or_nan(change, changed), size.max(now));
         }
-        if change == 0.0 { 0.0 } else { change / size * self.size }
+        relative(change, size) * self.size
     }
 }
 

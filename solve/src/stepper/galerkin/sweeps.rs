@@ -6,7 +6,7 @@
 
 use super::{Dynamics, SMALLEST_SINGULAR_VALUE};
 use crate::failure::{Failure, FailureCode};
-use crate::nonlinear::{Continued, Equations};
+use crate::nonlinear::{Continued, Equations, relative};
 use crate::so::{self, Mat};
 use crate::tableau::Tableau;
 
@@ -195,11 +195,11 @@ impl<const N: usize> Sweeps<'_, N> {
             stage.u_omega = so::product(&stage.u, &stage.omega);
             (stage.v, stage.mu) = (v, mu);
         }
-        Ok(if change == 0.0 { 0.0 } else { change / size })
+        Ok(relative(change, size))
     }
 
     fn units(&self) -> Units {
-        let unit = |size: f64| if size > 0.0 { size } else { 1.0 };
+        let unit = |size: f64| if size >= f64::MIN_POSITIVE { size } else { 1.0 };
         Units {
             turn: unit(self.omega.amax()),
             embedded: unit(self.h.abs() * self.p0.amax()),

@@ -301,6 +301,7 @@ impl Members<3> for VpdEnsemble {
     fn step(
         &mut self,
         body: &RigidBody<3>,
+        _begun_s: f64,
         h: f64,
         going: &[usize],
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
