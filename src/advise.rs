@@ -224,6 +224,7 @@ impl Settled {
             let mut plan = Plan::new(&self.asked)?;
             plan.estimate(self.first);
             plan.offer_own_steps(self.nearest_sigma);
+            plan.warn_of_fast_changes();
             return Ok(plan);
         };
         let mut plan = Plan::new(settled)?;

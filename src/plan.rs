@@ -15,6 +15,7 @@ use crate::scenario::{
     Adaptive, Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
 };
 use crate::solve::composition::Composition;
+use crate::solve::failure::two_digits;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::trajectory::Observables;
@@ -413,6 +414,23 @@ impl Plan {
                 "steps of one length do as well here: no body point comes nearer to a point source than {distance:.1e} of its arm"
             )),
             _ => {}
+        }
+    }
+
+    /// Warns of what changes faster than the steps: they pass over it, and their balances do not show that.
+    pub(crate) fn warn_of_fast_changes(&mut self) {
+        /// Phase in rad that passes in a step, for each stage: more is not resolved, and half of it well.
+        const MOST_RAD: f64 = 1.0;
+        let Some((index, rate_rad_s)) = self.model.fastest_change() else { return };
+        let stages = self.formulation.stages as f64;
+        let passed_rad = rate_rad_s * self.step_s;
+        if passed_rad > MOST_RAD * stages {
+            let resolved_s = two_digits(0.5 * MOST_RAD * stages / rate_rad_s);
+            self.warnings.push(format!(
+                "/scene/driven/{index} changes by {passed_rad:.1} rad of its period in a step of {} s, which {stages} stages \
+                 do not resolve; steps of {resolved_s:e} s do",
+                self.step_s
+            ));
         }
     }
 

@@ -197,6 +197,14 @@ impl<const N: usize> RigidBody<N> {
         }
     }
 
+    /// The largest velocity that belongs to a momentum of size one, in 1/(kg m^2).
+    pub(crate) fn mobility(&self) -> f64 {
+        match &self.kinetic {
+            Kinetic::Principal { weights } => weights.amax(),
+            Kinetic::Tensor { inverse, .. } => inverse.amax(),
+        }
+    }
+
     /// The body momentum of a body angular velocity: the inverse of [`RigidBody::velocity`].
     pub fn momentum(&self, omega: &Mat<N>) -> Mat<N> {
         let own = match &self.kinetic {

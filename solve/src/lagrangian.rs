@@ -6,6 +6,7 @@
 use nalgebra::DMatrix;
 
 use super::hamiltonian::{Energy, RigidBody};
+use super::nonlinear::SMALLEST_SIZE;
 use super::so::{self, Mat};
 use super::system::System;
 
@@ -117,7 +118,7 @@ pub fn velocity_of_momentum<const N: usize>(
         if !size.is_finite() {
             return None;
         }
-        let whole = omega.amax().max(f64::MIN_POSITIVE);
+        let whole = omega.amax().max(SMALLEST_SIZE);
         if size <= 1e-15 * whole || (size >= previous && size <= 1e-12 * whole) {
             return Some(omega);
         }

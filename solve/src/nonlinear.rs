@@ -83,7 +83,7 @@ impl Default for StopRule {
 /// A few units in the last place of the largest unknown.
 const ROUND_OFF: f64 = 4e-15;
 /// Below this an increment that no longer falls is round-off.
-const ROUND_OFF_FLOOR: f64 = 1e-12;
+pub(crate) const ROUND_OFF_FLOOR: f64 = 1e-12;
 /// A contraction that can be relied upon to go on.
 const FAST: f64 = 0.1;
 /// A sweep is spared if it would change less than this part of the tolerance: the part left out is
@@ -100,10 +100,12 @@ const CYCLE: u32 = 6;
 /// This many sweeps in a row without progress are divergence, not a transient.
 const PATIENCE: u32 = 3;
 
-/// Returns a change in parts of a size. Where there is no size, at rest, or one that numbers do not hold to their full
-/// precision, the smallest that they do is the unit: zero of zero is no change.
+/// Smallest size whose last digit is a normal number: what is smaller, numbers do not hold to their full precision.
+pub(crate) const SMALLEST_SIZE: f64 = f64::MIN_POSITIVE / f64::EPSILON;
+
+/// Returns a change in parts of a size, at least of the smallest: at rest zero of zero is no change.
 pub(crate) fn relative(change: f64, size: f64) -> f64 {
-    change / size.max_or_nan(f64::MIN_POSITIVE)
+    change / size.max_or_nan(SMALLEST_SIZE)
 }
 
 /// Rung of the solver that made the step.
@@ -177,6 +179,11 @@ pub trait Equations {
 
     /// Sets the unknowns, in the order and the units of [`Equations::unknowns`].
     fn set(&mut self, values: &[f64]);
+
+    /// The size of an increment that rounding alone may make.
+    fn floor(&self) -> f64 {
+        ROUND_OFF_FLOOR
+    }
 }
 
 /// A solver and its workspace.

@@ -24,8 +24,12 @@ const DOUBT: f64 = 0.5;
 pub(super) const ROUND_OFF: f64 = 1e-16;
 /// Number of steps tried for a method.
 const TRIES: u32 = 7;
-/// Number of steps tried for a method over the whole run.
+/// Number of steps tried for a method over the whole run, next to those that are far too large: where a body is pushed
+/// after the first part of its run, the step that this asked for is.
 const WHOLE_TRIES: u32 = 4;
+const FAR_TRIES: u32 = 12;
+/// Factor by which a step is too large that is far too large.
+const FAR_TOO_LARGE: f64 = 2.0;
 /// Number of steps tried for a member of an ensemble.
 const MEMBER_TRIES: u32 = 8;
 /// A step that is larger by less than this is not tried over the whole run.
@@ -85,6 +89,7 @@ pub(super) struct Contender {
     /// The least error that was met.
     pub(super) least: Option<f64>,
     tries: u32,
+    far_tries: u32,
 }
 
 impl Contender {
@@ -210,7 +215,8 @@ impl Trial<'_> {
         for entry in methods(self.scenario, self.asked, &self.scales) {
             let (choice, least) = self.search(&entry, cheapest, watch)?;
             cheapest = cheapest.min(choice.map_or(f64::INFINITY, |choice| choice.cost_ns));
-            contenders.push(Contender { entry, choice, sure: None, least, tries: 0 });
+            let (tries, far_tries) = (0, 0);
+            contenders.push(Contender { entry, choice, sure: None, least, tries, far_tries });
         }
         Ok(contenders)
     }
@@ -282,7 +288,7 @@ impl Trial<'_> {
                 .iter_mut()
                 .filter(|tried| tried.choice.is_some())
                 .min_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
-            let Some(Contender { entry, choice, sure, least, tries }) = cheapest else {
+            let Some(Contender { entry, choice, sure, least, tries, far_tries }) = cheapest else {
                 return Ok(());
             };
             let Some(at) = choice.filter(|choice| !choice.sure) else { return Ok(()) };
@@ -313,7 +319,6 @@ impl Trial<'_> {
                 }
                 continue;
             }
-            *tries += 1;
             let steps = self.steps(at.step_s, time_s);
             let run = self.run(entry, time_s, steps, 0, watch)?;
             let (step_s, cost_ns) = (time_s / steps as f64, run.cost_ns / time_s);
@@ -333,6 +338,11 @@ impl Trial<'_> {
                 libm::pow(expected.max(ROUND_OFF) / self.goal(), 1.0 / order)
             });
             let factor = (1.03 * ratio).clamp(0.4, 4.0);
+            if sure.is_none() && factor > FAR_TOO_LARGE && *far_tries < FAR_TRIES {
+                *far_tries += 1;
+            } else {
+                *tries += 1;
+            }
             // Larger if that is worth another try, or smaller until it reaches the accuracy.
             let goes_on = sure.is_none() || (expected.is_some() && factor < WORTH_A_TRY);
             *choice = if *tries < WHOLE_TRIES && goes_on {

@@ -168,7 +168,8 @@ impl Plan {
         (self.work_step_ns, self.step_ns) = (step_ns, timed_ns.unwrap_or(step_ns));
         let (sample_ns, written_ns) = (self.sample_cost_ns(raw), self.written_ns(raw));
         let samples_ns = self.samples as f64 * sample_ns;
-        let steps = self.steps as f64;
+        // A knot of a table ends a step, and makes two of it.
+        let steps = self.steps as f64 + self.model.knots_within(self.steps as f64 * self.step_s);
         let run_ns = |step_ns: f64| START_NS + steps * step_ns + samples_ns;
         self.work_s = 1e-9 * run_ns(step_ns);
         self.run_s = 1e-9 * (part * failing_ns + (1.0 - part) * run_ns(self.step_ns));

@@ -179,7 +179,7 @@ impl Model {
 
 impl ModelKinetic {
     /// Returns a bound on the velocity for a momentum of one.
-    pub(super) fn mobility(&self) -> f64 {
+    pub(crate) fn mobility(&self) -> f64 {
         match self {
             Self::Principal { weights } => weights.amax(),
             Self::Tensor { inertia } => {

@@ -99,6 +99,55 @@ impl Model {
 const LARGEST: usize = 16;
 
 impl Model {
+    /// Returns the tables over time.
+    fn tables(&self) -> impl Iterator<Item = &Table> {
+        let factors = self.driven.iter().filter_map(|driven| match &driven.factor {
+            Some(Factor::Table(table)) => Some(table),
+            None | Some(Factor::Harmonic(_)) => None,
+        });
+        factors.chain(self.torques.iter().filter_map(|torque| match torque {
+            Torque::Table(TorqueTable { table, .. }) => Some(table),
+            Torque::Constant(_) | Torque::Viscous(_) | Torque::OfMomentum(_) => None,
+        }))
+    }
+
+    /// Returns how many times of tables there are within a run: a step ends at each.
+    pub(super) fn knots_within(&self, duration_s: f64) -> f64 {
+        let inside = |&time: &f64| time > 0.0 && time < duration_s;
+        let of = |table: &Table| {
+            // Where a table stays level there is none.
+            let level = |k: usize| table.values.get(k) == table.values.get(k + 1);
+            let times = table.times_s.iter().enumerate();
+            times.filter(|&(k, time)| inside(time) && !(level(k) && level(k - 1))).count()
+        };
+        self.tables().map(of).sum::<usize>() as f64
+    }
+
+    /// Returns the fastest rate in rad/s at which a driven term changes, with its index: that of its factor, or of its path
+    /// where it is fastest.
+    pub(super) fn fastest_change(&self) -> Option<(usize, f64)> {
+        let rate = |driven: &DrivenTerm| {
+            let factor = match &driven.factor {
+                Some(Factor::Harmonic(harmonic)) if harmonic.amplitude != 0.0 => {
+                    harmonic.rate_rad_s.abs()
+                }
+                None | Some(Factor::Harmonic(_) | Factor::Table(_)) => 0.0,
+            };
+            let path = match &driven.path {
+                None => 0.0,
+                Some(Path::Turning(turning)) => turning.rate_rad_s.abs(),
+                // At the pericentre: n (1 + e)^(1/2) / (1 - e)^(3/2).
+                Some(Path::Orbit(orbit)) => {
+                    let e = orbit.eccentricity;
+                    orbit.mean_motion_rad_s.abs() * (1.0 + e).sqrt() / ((1.0 - e) * (1.0 - e).sqrt())
+                }
+            };
+            factor.max(path)
+        };
+        let rates = self.driven.iter().map(rate).enumerate();
+        rates.max_by(|a, b| a.1.total_cmp(&b.1)).filter(|&(_, rate)| rate > 0.0)
+    }
+
     /// Returns whether everything that changes turns at one constant rate, and no torque acts.
     pub(super) fn turns_alike(&self) -> bool {
         if !self.torques.is_empty() {

@@ -165,6 +165,7 @@ pub(crate) struct Measured {
     /// The number of that sample.
     pub(crate) fastest_sample: usize,
     pub(crate) largest_kinetic: f64,
+    /// Largest size of the body momentum at a sample, at least that by which the body turns a millionth of a radian.
     pub(crate) largest_momentum: f64,
     /// The shortest step in parts of the longest, where they adapt.
     pub(crate) least_sigma: Option<f64>,
@@ -245,6 +246,13 @@ pub(crate) fn measure(
     let ensemble = scene.ensemble.as_ref();
     let mut run = assembled(&plan, Measurement { probe, ensemble, watch, most_sweeps });
     run.cost_ns = plan.work_ns(run.counts());
+    // Of a body that hardly moves the roundings of its torques would be all that is compared.
+    const HARDLY_RAD: f64 = 1e-6;
+    let time_s = probe.step_s * probe.steps as f64;
+    let hardly = HARDLY_RAD / (plan.model.kinetic.mobility() * time_s);
+    if hardly.is_finite() {
+        run.largest_momentum = run.largest_momentum.max(hardly);
+    }
     // A sample is about as much work as a sweep.
     watch.pay((run.cost_ns + run.series.len() as f64 * sweep_ns).ceil() as u64);
     Ok(run)

@@ -103,10 +103,11 @@ pub struct Reference {
     pub time_s: f64,
     /// The state at each quarter of the time, for a long one at each sixty-fourth, the start first.
     pub points: Vec<Point>,
-    /// Largest size of the body momentum on the way, in which errors of the momentum are measured.
+    /// Largest size of the body momentum on the way, in which errors of the momentum are measured; for a body that hardly
+    /// moves, that of one that turns by a millionth of a radian meanwhile.
     pub momentum_scale: f64,
     /// Distance of the last two solutions of the first family, or a hundredth of that of the second
-    /// if that is more, or all of it where the second scatters; no error below it can be measured.
+    /// if that is more, or all of it where the second scatters or nothing explains it; no error below it can be measured.
     pub error: f64,
     /// Distance of the second family from the first.
     pub cross_check: f64,
@@ -513,8 +514,11 @@ impl Reference {
             }
             before = run.map(|run| Self::from_run(self.time_s, &self.method, &run));
         }
-        if difference <= near.max(own.min(asked)) {
-            self.error = self.error.max(difference / OTHER_ROUND_OFF);
+        if difference <= near.max(asked) {
+            // What its own solutions do not explain may be an error of the first family.
+            let is_explained = difference <= near.max(own);
+            let part = if is_explained { OTHER_ROUND_OFF } else { 1.0 };
+            self.error = self.error.max(difference / part);
             self.cross_check = difference;
             return Ok(());
         }

@@ -60,7 +60,7 @@ impl Newton {
                 return Err(history.failure(FailureCode::NonFinite, f64::MAX));
             }
             if increment <= tolerance
-                || (increment >= previous && increment <= super::ROUND_OFF_FLOOR)
+                || (increment >= previous && increment <= equations.floor())
             {
                 let iterations = corrections.max(1);
                 return Ok(Convergence { iterations, increment, rung: Rung::Newton });
@@ -99,7 +99,7 @@ impl Newton {
             equations.set(&self.image);
             match equations.sweep() {
                 // Near round-off an increment may rise a little.
-                Ok(increment) if increment <= before.max(super::ROUND_OFF_FLOOR) => {
+                Ok(increment) if increment <= before.max(equations.floor()) => {
                     std::mem::swap(&mut self.at, &mut self.image);
                     return Ok(increment);
                 }

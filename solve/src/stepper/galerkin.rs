@@ -89,6 +89,11 @@ pub(super) trait Dynamics<const N: usize> {
         None
     }
 
+    /// The largest velocity that belongs to a momentum of size one, in 1/(kg m^2); zero where that is not known.
+    fn mobility(&self) -> f64 {
+        0.0
+    }
+
     /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
     fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
@@ -153,7 +158,7 @@ pub(super) struct Solution<const N: usize> {
     /// `pi1 - p0`, added to the momentum by the forces.
     pub(super) impulse: Mat<N>,
     /// `p1 - p0` of an undriven rigid body, where it is known independently of the others.
-    gain: Option<Mat<N>>,
+    pub(super) gain: Option<Mat<N>>,
     /// The length of the step.
     h: f64,
     by: By,

@@ -110,6 +110,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         self.system.begin_sweep()
     }
 
+    fn mobility(&self) -> f64 {
+        self.system.as_body().map_or(0.0, RigidBody::mobility)
+    }
+
     fn body(&self) -> Option<Seen<'_, N>> {
         let vectors = self.seen;
         if let Some(rescaled) = self.system.as_rescaled() {

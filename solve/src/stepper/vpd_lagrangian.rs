@@ -105,6 +105,10 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         self.lagrangian.begin_sweep()
     }
 
+    fn mobility(&self) -> f64 {
+        self.lagrangian.as_body().map_or(0.0, RigidBody::mobility)
+    }
+
     fn body(&self) -> Option<Seen<'_, N>> {
         let (body, vectors) = (self.body?, self.seen);
         Some(Seen { body, vectors, scale: None, weights: None })

@@ -24,7 +24,7 @@ use super::Stepper;
 use super::galerkin::{SMALLEST_SINGULAR_VALUE, check_branch};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
-use crate::nonlinear::{Convergence, Equations, Solver, StopRule, relative};
+use crate::nonlinear::{Convergence, Equations, SMALLEST_SIZE, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
 use crate::space;
 use crate::tableau::Tableau;
@@ -357,7 +357,7 @@ impl Equations for Sweeps<'_> {
         let s = self.step.stages.len();
         let tau = self.torque(Complex::new(1.0, 0.0));
         let size = p0.abs().max((h * tau).abs());
-        self.step.unit = if size >= f64::MIN_POSITIVE { size } else { 1.0 };
+        self.step.unit = if size >= SMALLEST_SIZE { size } else { 1.0 };
         for k in 0..s {
             let elapsed = h * self.tableau.c(k);
             let turn = turn(elapsed * weight * (p0 - 0.5 * elapsed * tau));

@@ -14,13 +14,15 @@
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
-use super::galerkin::{check_branch, check_singular_value};
+use super::galerkin::{self, check_branch, check_singular_value};
 use super::motion::{Motion, Sum, unsigned_zeros};
 use super::{Stepper, check_root};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Row, Rows, WIDTH, in_stage_lanes, widest};
-use crate::nonlinear::{Continued, Convergence, Equations, Past, Rung, Solver, StopRule};
+use crate::nonlinear::{
+    Continued, Convergence, Equations, Past, Rung, Rungs, SMALLEST_SIZE, Solver, StopRule,
+};
 use crate::so::{self, Mat, Vector};
 use crate::so3;
 use crate::space::{Quaternion, Sym3, Vec3, dot, scaled, transposed_product, vec3};
@@ -58,6 +60,10 @@ pub struct VpdSo3 {
     state: Carried,
     unknowns: Unknowns<Row, f64>,
     seen: Vec<Vec3<f64>>,
+    /// The same step in matrices, made where it was needed.
+    matrices: Option<Box<galerkin::Carried<3>>>,
+    /// Was the last step solved there?
+    by_matrices: bool,
 }
 
 /// State carried from step to step.
@@ -85,6 +91,8 @@ impl VpdSo3 {
             state: Carried::Full(Motion::blank(0.0, 1.0)),
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
             seen: Vec::new(),
+            matrices: None,
+            by_matrices: false,
         })
     }
 
@@ -253,7 +261,7 @@ impl Equations for InLanes<'_> {
         let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
         let size = self.start.momentum.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
         let size = self.unknowns.momentum.iter().fold(size, largest);
-        self.momentum_scale = if size >= f64::MIN_POSITIVE { size } else { 1.0 };
+        self.momentum_scale = if size >= SMALLEST_SIZE { size } else { 1.0 };
         Ok(())
     }
 
@@ -327,8 +335,9 @@ impl Stepper<3> for VpdSo3 {
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let p0 = self.body_momentum();
         self.look(body);
-        let solved = self.solve(body, h, p0).map_err(|failure| self.turned(body, h, failure))?;
-        self.accepted(body, h, solved)
+        let solved = self.solve(body, h, p0).map_err(|failure| self.turned(body, h, failure));
+        let made = solved.and_then(|solved| self.accepted(body, h, solved));
+        self.or_in_matrices(body, h, made)
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
@@ -341,6 +350,9 @@ impl Stepper<3> for VpdSo3 {
     }
 
     fn sigma_min(&self) -> Option<f64> {
+        if let Some(matrices) = self.matrices.as_ref().filter(|_| self.by_matrices) {
+            return Some(matrices.step.sigma_min());
+        }
         let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.stretch(k)));
         Some(sigmas.fold(f64::INFINITY, f64::min))
     }
@@ -370,7 +382,7 @@ impl VpdSo3 {
             return Err(self.turned(body, h, failure));
         }
         let before = self.state;
-        self.advance();
+        self.advance(self.lanes.is_finished.then_some(self.unknowns.gain));
         if solved.rung == Rung::Newton
             && let Some(end) = self.attitude()
         {
@@ -385,24 +397,69 @@ impl VpdSo3 {
         Ok(solved)
     }
 
+    /// Makes the step in matrices where it was not solved here: their Newton's method solves steps of a thin body that
+    /// turn it ten times as far. If they do not solve it either, the failure here shows the reason more plainly.
+    fn or_in_matrices(
+        &mut self,
+        body: &RigidBody<3>,
+        h: f64,
+        made: Result<Convergence, Failure>,
+    ) -> Result<Convergence, Failure> {
+        self.by_matrices = false;
+        let unsolved = |failure: &Failure| {
+            matches!(
+                failure.code,
+                FailureCode::NonFinite
+                    | FailureCode::Diverged
+                    | FailureCode::Stalled
+                    | FailureCode::MaxIterations
+            )
+        };
+        let failure = match made {
+            Err(failure) if unsolved(&failure) && self.solver.rule().rungs == Rungs::Both => failure,
+            made => return made,
+        };
+        let attitude = self.attitude().unwrap_or_else(Mat::identity);
+        let state = State { attitude, momentum: self.momentum() };
+        let new = || Box::new(galerkin::Carried::new(self.tableau.clone(), self.solver.rule()));
+        let mut matrices = self.matrices.take().unwrap_or_else(new);
+        matrices.start(&state);
+        let solved = matrices.step(h, |carried, h| super::vpd::solve(carried, body, h));
+        if solved.is_ok() {
+            let galerkin::Solution { turn, impulse, gain, .. } = matrices.step.solution();
+            // f = I + 2 w hat(v) + 2 hat(v)^2
+            let w = (1.0 + 0.25 * turn.trace()).sqrt();
+            let v = so3::vee(&(so::asym(turn) * (0.25 / w)));
+            self.unknowns.end = Quaternion { w, v: v.into() };
+            self.unknowns.kick = so3::vee(impulse).into();
+            let gain = gain.map(|gain| so3::vee(&gain).into());
+            self.advance(gain);
+            self.by_matrices = true;
+        }
+        self.matrices = Some(matrices);
+        match solved {
+            Err(stopped) if stopped.code == FailureCode::Stopped => Err(stopped),
+            solved => solved.map_err(|_| failure),
+        }
+    }
+
     /// Returns the failure with the angle by which the body would turn.
     fn turned(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
         let velocity = body.inverse_inertia() * Vector::<3>::from(self.body_momentum());
         Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
     }
 
-    /// Applies the solved step to the state.
-    fn advance(&mut self) {
-        let Unknowns { end, kick, gain, .. } = &self.unknowns;
+    /// Applies the solved step to the state: that of the body momentum by its gain, where it is known by itself.
+    fn advance(&mut self, gain: Option<Vec3<f64>>) {
+        let Unknowns { end, kick, .. } = &self.unknowns;
         match &mut self.state {
             Carried::Full(motion) => {
                 motion.advance(0.0, end, kick);
                 // A free body keeps the spatial momentum to the bit, and the sum would drift by
                 // 1e-18 a step.
-                if self.lanes.is_finished && !self.seen.is_empty() {
-                    motion.gain(0.0, gain);
-                } else {
-                    motion.turn_momentum(0.0);
+                match gain {
+                    Some(gain) if !self.seen.is_empty() => motion.gain(0.0, &gain),
+                    _ => motion.turn_momentum(0.0),
                 }
             }
             Carried::Reduced { momentum, square } => {

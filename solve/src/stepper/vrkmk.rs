@@ -42,7 +42,7 @@ use nalgebra::Vector3;
 
 use crate::failure::Failure;
 use crate::hamiltonian::{Input, Moment, RigidBody};
-use crate::nonlinear::{Convergence, Equations, Rung, Solver, StopRule, relative};
+use crate::nonlinear::{Convergence, Equations, Rung, SMALLEST_SIZE, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
 use crate::stepper::galerkin::Sum;
 use crate::stepper::{Clock, Stepper, check_root};
@@ -380,7 +380,7 @@ impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
 impl<const N: usize, A: Skew<N>> Sweeps<'_, '_, N, A> {
     /// Returns the units of slopes and of momenta.
     fn units(&self) -> (f64, f64) {
-        let unit = |size: f64| if size >= f64::MIN_POSITIVE { size } else { 1.0 };
+        let unit = |size: f64| if size >= SMALLEST_SIZE { size } else { 1.0 };
         (unit(self.xi.size()), unit(self.m0.size()))
     }
 }

@@ -39,7 +39,7 @@ use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 use crate::failure::Failure;
 use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
 use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
-use crate::nonlinear::{Trail, relative};
+use crate::nonlinear::{SMALLEST_SIZE, Trail, relative};
 use crate::stack::{Any, Dimension, Known, Numbers, Stack};
 use crate::tableau::Tableau;
 use crate::work;
@@ -689,7 +689,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 self.end_step(if follows { 1 } else { 2 });
                 return Ok(self.judged(rounds, increment / self.size));
             }
-            let enough = (0.3 * left * expected / turn).max(0.3 * goal);
+            let enough = (0.3 * left * expected / self.clear_turn()).max(0.3 * goal);
             shortfall = self.pass_until(momenta, enough, false)?.left;
             self.gradients()?;
             if !jump.is_finite() {
@@ -707,7 +707,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// The error of a momentum that turns the end of the step by a rounding error: it does by its product with the turn.
     fn rounding(&self) -> f64 {
-        ROUND_OFF * self.size / self.turn.min(1.0)
+        ROUND_OFF * self.size / self.clear_turn()
+    }
+
+    /// The turn, as far as errors are divided by it: a body that hardly turns keeps the digits of its momentum all the same.
+    fn clear_turn(&self) -> f64 {
+        const LEAST: f64 = 1e-3;
+        self.turn.clamp(LEAST, 1.0)
     }
 
     /// What the defect may lack, by the estimate; with up to four stages what it lacks is far below that.
@@ -765,7 +771,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let is_evaluated_once =
                 self.contraction_of_an_evaluation() * self.u.past.defect <= self.allowed();
             let goal = if is_evaluated_once {
-                0.1 * self.rounding() / self.turn
+                0.1 * self.rounding() / self.clear_turn()
             } else {
                 (0.1 * self.order(stages)).max(ROUND_OFF) * self.size
             };
@@ -1062,8 +1068,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
         }
         // At rest there is nothing by which to measure, and nothing to solve.
-        *size = largest.largest().max_or_nan(f64::MIN_POSITIVE);
-        *turn = (h.abs() * square.largest().sqrt()).max_or_nan(f64::MIN_POSITIVE);
+        *size = largest.largest().max_or_nan(SMALLEST_SIZE);
+        *turn = h.abs() * square.largest().sqrt();
     }
 
     /// [F], [K] and [C]: (24c, vih3).

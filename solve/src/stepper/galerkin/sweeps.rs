@@ -6,7 +6,7 @@
 
 use super::{Dynamics, SMALLEST_SINGULAR_VALUE};
 use crate::failure::{Failure, FailureCode};
-use crate::nonlinear::{Continued, Equations, relative};
+use crate::nonlinear::{Continued, Equations, ROUND_OFF_FLOOR, SMALLEST_SIZE, relative};
 use crate::so::{self, Mat};
 use crate::tableau::Tableau;
 
@@ -111,6 +111,12 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
             (stage.v, stage.mu) = (matrix(2, embedded), matrix(3, momentum));
         }
     }
+
+    /// About a thin axis the rounding of a momentum turns the body by more than that, and the other momenta with it.
+    fn floor(&self) -> f64 {
+        let turned = self.h.abs() * self.dynamics.mobility() * self.p0.amax();
+        ROUND_OFF_FLOOR.max(8.0 * f64::EPSILON * turned)
+    }
 }
 
 impl<const N: usize> Continued for Sweeps<'_, N> {
@@ -199,7 +205,7 @@ impl<const N: usize> Sweeps<'_, N> {
     }
 
     fn units(&self) -> Units {
-        let unit = |size: f64| if size >= f64::MIN_POSITIVE { size } else { 1.0 };
+        let unit = |size: f64| if size >= SMALLEST_SIZE { size } else { 1.0 };
         Units {
             turn: unit(self.omega.amax()),
             embedded: unit(self.h.abs() * self.p0.amax()),

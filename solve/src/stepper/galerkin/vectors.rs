@@ -29,6 +29,7 @@ use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 use super::deferred::{LAST_DIGIT, MOST_ROUNDS, ROUND_OFF, Rounds, Solved, Stuck};
 use crate::hamiltonian::{Looked, RigidBody, Scale};
 use crate::lanes::{Real, Row, Rows, Stages, WIDTH, widest};
+use crate::nonlinear::SMALLEST_SIZE;
 use crate::so::Mat;
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
@@ -596,7 +597,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         self.gain = plus(&self.gain, &change);
         self.momenta();
         // At rest nothing moves, and nothing changes.
-        largest(&change) / largest(&self.mu).max(f64::MIN_POSITIVE)
+        largest(&change) / largest(&self.mu).max(SMALLEST_SIZE)
     }
 
     /// [end]: f and the multiplier, `K(P_e) lambda = -f^T pi1`, with P_e = I unless `is_stretched`.

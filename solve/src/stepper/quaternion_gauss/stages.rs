@@ -15,6 +15,7 @@
 
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{self, Real, Row, WIDTH};
+use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
     symmetric_product, vec3, with_one,
@@ -327,7 +328,7 @@ pub(super) fn sweep<R: Lanes, const OWN: bool>(
         .abs()
         .max_or_nan(start.momentum[1].abs())
         .max_or_nan(start.momentum[2].abs());
-    let size = largest(&d).max_or_nan(lanes.constant(p.max_or_nan(f64::MIN_POSITIVE)));
+    let size = largest(&d).max_or_nan(lanes.constant(p.max_or_nan(SMALLEST_SIZE)));
     let change = largest(&less(&x, &old_x)).max_or_nan(largest(&less(&d, &old_d)) / size);
     // Zero where all is finite.
     let total = (x.w + (x.v[0] + x.v[1]) + x.v[2]) + (d.w + (d.v[0] + d.v[1]) + d.v[2]);

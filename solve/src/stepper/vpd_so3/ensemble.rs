@@ -319,7 +319,8 @@ impl Members<3> for VpdEnsemble {
             let stepper = self.written(m);
             let result = if let Swept::Doubtful(convergence) = swept[m] {
                 stepper.look(body);
-                stepper.accepted(body, h, convergence)
+                let made = stepper.accepted(body, h, convergence);
+                stepper.or_in_matrices(body, h, made)
             } else {
                 stepper.step(body, h)
             };

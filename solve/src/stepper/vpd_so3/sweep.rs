@@ -57,6 +57,7 @@
 
 use super::unknowns::{LaneTableau, RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
 use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
+use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, asym_of_product, cross, dot, inverse_less_half, mat3, minus,
     plus, product, scaled, symmetric_product, times_hat, transposed, transposed_matrix_product,
@@ -221,7 +222,7 @@ pub(super) fn sweep<R: Stages, const OWN: bool>(
     store(&next, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
     // At rest nothing moves, and nothing changes.
-    let relative = change / size.max_or_nan(whole.constant(f64::MIN_POSITIVE));
+    let relative = change / size.max_or_nan(whole.constant(SMALLEST_SIZE));
     relative.max_or_nan(turned.largest()) + poison
 }
 
