@@ -24,9 +24,8 @@ pub(crate) use change::set;
 pub(crate) use check::twelve_digits;
 pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, dividing, ensure};
 pub use driven::{
-    DrivenTerm, Factor, Harmonic, Interpolation, OfMomentum, Orbit, Path, Table, Torque, TorqueTable,
-    Turning,
-    Viscous,
+    DrivenTerm, Factor, Harmonic, Interpolation, OfMomentum, Orbit, Path, Table, Torque,
+    TorqueTable, Turning, Viscous,
 };
 pub use ensemble::Ensemble;
 pub(crate) use parse::{from_tree, tree as read_tree};

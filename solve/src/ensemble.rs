@@ -128,7 +128,9 @@ pub fn integrate<const N: usize, E>(
             }
             break;
         }
-        members.step(body, step as f64 * step_s, step_s, &going, &mut |m, result| bookkeeping[m].stepped(result));
+        members.step(body, step as f64 * step_s, step_s, &going, &mut |m, result| {
+            bookkeeping[m].stepped(result)
+        });
         step += 1;
         for &m in &going {
             if !bookkeeping[m].goes_on() {

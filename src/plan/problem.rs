@@ -5,8 +5,8 @@ use nalgebra::DVector;
 use super::model::skew;
 use super::{Model, ModelKinetic};
 use crate::scenario::{
-    DrivenTerm, Entry, Factor, Framed, Interpolation, Path, PotentialTerm, Table, Torque, TorqueTable,
-    vector,
+    DrivenTerm, Entry, Factor, Framed, Interpolation, Path, PotentialTerm, Table, Torque,
+    TorqueTable, vector,
 };
 use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
 use crate::solve::so::{self, Mat};
@@ -139,7 +139,8 @@ impl Model {
                 // At the pericentre: n (1 + e)^(1/2) / (1 - e)^(3/2).
                 Some(Path::Orbit(orbit)) => {
                     let e = orbit.eccentricity;
-                    orbit.mean_motion_rad_s.abs() * (1.0 + e).sqrt() / ((1.0 - e) * (1.0 - e).sqrt())
+                    orbit.mean_motion_rad_s.abs() * (1.0 + e).sqrt()
+                        / ((1.0 - e) * (1.0 - e).sqrt())
                 }
             };
             factor.max(path)

@@ -255,7 +255,8 @@ impl Table {
         })?;
         let both = self.interpolation.is_some() && self.smooth.is_some();
         ensure(!both, format!("{at}/smooth"), || {
-            "given next to `interpolation`, of which it is the older form; give one of the two".to_owned()
+            "given next to `interpolation`, of which it is the older form; give one of the two"
+                .to_owned()
         })?;
         for (i, (&time, &value)) in times.iter().zip(values).enumerate() {
             number(&format!("{at}/times_s/{i}"), time)?;
@@ -263,7 +264,9 @@ impl Table {
             let Some(&before) = i.checked_sub(1).and_then(|i| times.get(i)) else { continue };
             let pointer = format!("{at}/times_s/{i}");
             ensure(time == before || time - before >= 1e-12, &pointer, || {
-                format!("{time} given after {before}; times must ascend, by 1e-12 s at least, or be equal for a jump")
+                format!(
+                    "{time} given after {before}; times must ascend, by 1e-12 s at least, or be equal for a jump"
+                )
             })?;
             let third = i > 1 && times[i - 2] == time;
             ensure(!third, pointer, || {
@@ -272,7 +275,9 @@ impl Table {
         }
         let (first, last) = (times[0], times[times.len() - 1]);
         ensure(first < last, format!("{at}/times_s"), || {
-            format!("{first} and {last} given as first and last time; a table covers a span of time")
+            format!(
+                "{first} and {last} given as first and last time; a table covers a span of time"
+            )
         })?;
         ensure(first <= 0.0, format!("{at}/times_s/0"), || {
             format!("{first} given; the table must cover the run, which begins at 0")

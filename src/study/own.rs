@@ -323,8 +323,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         let (begun, mut knots) = (Instant::now(), Knots::default());
         let made = (0..steps).take_while(|&step| {
             let begun_s = step as f64 * step_s;
-            !watch.is_cancelled()
-                && knots.step(system, stepper.as_mut(), begun_s, step_s).is_ok()
+            !watch.is_cancelled() && knots.step(system, stepper.as_mut(), begun_s, step_s).is_ok()
         });
         if made.count() as u64 == steps {
             ns_per_step = ns_per_step.min(begun.elapsed().as_nanos() as f64 / steps as f64);

@@ -105,8 +105,7 @@ impl<const M: usize> Table<M> {
         let (knots, integrals) = (Vec::new(), vec![[0.0; M]]);
         let mut table = Self { times, values, interpolation, knots, integrals };
         let places = 0..table.times.len();
-        table.knots =
-            places.filter(|&i| table.is_knot(i)).map(|i| table.times[i]).collect();
+        table.knots = places.filter(|&i| table.is_knot(i)).map(|i| table.times[i]).collect();
         for k in 1..table.times.len() {
             let width = table.times[k] - table.times[k - 1];
             let part = if width > 0.0 { table.piece(k).integral(width) } else { [0.0; M] };

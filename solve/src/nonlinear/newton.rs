@@ -59,9 +59,7 @@ impl Newton {
             if !increment.is_finite() {
                 return Err(history.failure(FailureCode::NonFinite, f64::MAX));
             }
-            if increment <= tolerance
-                || (increment >= previous && increment <= equations.floor())
-            {
+            if increment <= tolerance || (increment >= previous && increment <= equations.floor()) {
                 let iterations = corrections.max(1);
                 return Ok(Convergence { iterations, increment, rung: Rung::Newton });
             }

@@ -8,8 +8,8 @@ use std::marker::PhantomData;
 
 use fearless_simd::Level;
 
-use super::{Clock, Stepper};
 use super::galerkin::{Carried, Dynamics, Length, Seen};
+use super::{Clock, Stepper};
 use crate::failure::Failure;
 use crate::hamiltonian::{Hamiltonian, Moment, Rescaled, RigidBody};
 use crate::nonlinear::{Convergence, StopRule};

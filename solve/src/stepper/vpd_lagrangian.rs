@@ -18,8 +18,8 @@ use std::marker::PhantomData;
 
 use nalgebra::DMatrix;
 
-use super::{Clock, Stepper};
 use super::galerkin::{Carried, Dynamics, Seen};
+use super::{Clock, Stepper};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};

@@ -416,7 +416,9 @@ impl VpdSo3 {
             )
         };
         let failure = match made {
-            Err(failure) if unsolved(&failure) && self.solver.rule().rungs == Rungs::Both => failure,
+            Err(failure) if unsolved(&failure) && self.solver.rule().rungs == Rungs::Both => {
+                failure
+            }
             made => return made,
         };
         let attitude = self.attitude().unwrap_or_else(Mat::identity);

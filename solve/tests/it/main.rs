@@ -10,6 +10,7 @@ mod examples;
 mod forms;
 mod given;
 mod growth;
+mod knots;
 mod lanes;
 mod laws;
 mod literal;

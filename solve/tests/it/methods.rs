@@ -4,7 +4,8 @@ use std::time::Instant;
 
 use vpd_solve::failure::FailureCode;
 use vpd_solve::hamiltonian::{
-    DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, TimeScale, Torque,
+    DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, TimeScale,
+    Torque,
 };
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
