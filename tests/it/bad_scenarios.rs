@@ -685,6 +685,9 @@ pub(crate) fn table() -> Vec<Bad> {
         ("/scene/driven/1/path/orbit/mean_motion_rad_s", "1e-40"),
         ("/scene/driven/2/factor/table/times_s", "[0]"),
         ("/scene/driven/2/factor/table/values", "[1,2]"),
+        ("/scene/driven/2/factor/table/interpolation", "\"cubic\""),
+        ("/scene/driven/2/factor/table/interpolation", "true"),
+        ("/scene/driven/2/factor/table/smooth", "\"hold\""),
         ("/scene/torques/0/constant/body", "[1,2]"),
         ("/scene/torques/2/viscous/coefficients", "[1,2]"),
         ("/scene/wheels", "[1,2]"),
@@ -692,11 +695,22 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(driven(), pointer, raw), pointer);
     }
     // Times ascend and cover the run.
-    for (raw, at) in [("[0,2,1]", 2), ("[0,1,1]", 2), ("[0.5,1,1e4]", 0), ("[0,1,2]", 2)] {
+    for (raw, at) in [
+        ("[0,2,1]", 2),
+        ("[0,1,1]", 2),
+        ("[0.5,1,1e4]", 0),
+        ("[0,1,2]", 2),
+        ("[0,1e-13,1e4]", 1),
+        ("[0,0,0]", 2),
+    ] {
         let pointer = "/scene/driven/2/factor/table/times_s";
         add(with(driven(), pointer, raw), &format!("{pointer}/{at}"));
     }
     add(with(driven(), "/scene/torques/2/viscous/coefficient", "1"), "/scene/torques/2/viscous");
+    let mut both = driven();
+    both["scene"]["driven"][2]["factor"]["table"]["smooth"] = json!(true);
+    both["scene"]["driven"][2]["factor"]["table"]["interpolation"] = json!("linear");
+    add(both.to_string(), "/scene/driven/2/factor/table/smooth");
     for name in ["splitting", "lgvi", "quaternion_gauss", "vpd_reduced"] {
         let mut driven = driven();
         driven["method"] = json!({ "name": name });

@@ -7,6 +7,7 @@
 mod adaptive;
 mod advise;
 mod bad_scenarios;
+mod cases;
 mod cli;
 mod ensemble;
 mod extreme;

@@ -13,6 +13,9 @@ use crate::space::{
 };
 use crate::trajectory::State;
 
+/// Square of the largest angle by which a momentum may be seen apart from its sum in the body for that to be rounding.
+pub(super) const ROUNDING_SQUARE: f64 = 1e-28;
+
 /// A sum, and the part of it lost to rounding.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sum<P, const K: usize> {
@@ -126,7 +129,8 @@ impl<P: Copy> Motion<P> {
     /// Adds `gain` to the body momentum, and turns the attitude so that rounding does not separate
     /// the spatial momentum, which only torques change, from the body momentum, whose direction is
     /// the more precise: `g <- g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and
-    /// less where the step has added more than there is.
+    /// less where the step has added more than there is. Of a body that nearly stands still, the direction of its momentum is
+    /// made of rounding errors: it turns nothing.
     ///
     /// The lengths of the two are left as they are: giving the body momentum the length of the
     /// other would take from all its components what rounding has put into some, and the energy of
@@ -140,8 +144,12 @@ impl<P: Copy> Motion<P> {
             .map(|sum| -> Vec3<W> { vec3!(i => lanes.load(&sum.value[i])) });
         let seen = transposed_product(&now.matrix(), &pi);
         let square = dot(&seen, &seen) + dot(&gain, &gain);
-        let scale = lanes.constant(0.5) / square.max_or_nan(lanes.constant(f64::MIN_POSITIVE));
-        let half = scaled(&cross(&minus(&momentum, &seen), &seen), scale);
+        let square = square.max_or_nan(lanes.constant(f64::MIN_POSITIVE));
+        let apart = minus(&momentum, &seen);
+        let scale = lanes.constant(0.5) / square;
+        let scale =
+            scale.select(dot(&apart, &apart) / square, ROUNDING_SQUARE, lanes.constant(0.0));
+        let half = scaled(&cross(&apart, &seen), scale);
         // The turn is tiny: it is added at the next step.
         let Quaternion { w, v: [x, y, z] } = now.rate(&half);
         for (carry, change) in self.attitude.carry.iter_mut().zip([w, x, y, z]) {

@@ -141,13 +141,11 @@ fn no_step_goes_over_a_burn() {
     for (at, strength, velocity) in [(37.1, 2.0, 0.001 + 0.2 / 1.5), (50.0, 30.0, 2.001)] {
         let body = pushed(free(), about_z(), false, triangle(at, strength));
         for method in driven_methods() {
-            for steps in [200, 100, 50] {
+            // Of half a radian after the stronger burn.
+            let counts = if velocity > 2.0 { [1000, 500, 400] } else { [200, 100, 50] };
+            for steps in counts {
                 let (samples, end) = run(&body, (method.three)().as_mut(), &start, (100.0, steps));
                 let name = method.name;
-                // One step turns the body by more than it may after the second burn.
-                if velocity > 2.0 && steps < 200 {
-                    continue;
-                }
                 assert_eq!(end.ending, Ending::Completed, "{name}, {steps}");
                 let found = end.reached.momentum[(1, 0)] / 1.5;
                 assert!((found - velocity).abs() < 1e-12, "{name}, {steps}: {found}");
@@ -184,7 +182,7 @@ fn methods_keep_their_order_wherever_knots_lie() {
     let body = pushed(body, numbers.skew(), false, burn);
     let body = pushed(body, numbers.skew(), true, held);
     let body = pushed(body, numbers.skew(), false, smooth);
-    let start = State { attitude: numbers.rotation(), momentum: numbers.skew() * 2.0 };
+    let start = State { attitude: numbers.rotation(), momentum: numbers.skew() * 6.0 };
     let at_end = |stepper: &mut dyn Stepper<3>, steps: u64| {
         let (samples, end) = run(&body, stepper, &start, (1.0, steps));
         assert_eq!(end.ending, Ending::Completed);
@@ -193,18 +191,18 @@ fn methods_keep_their_order_wherever_knots_lie() {
         (State { attitude, momentum: last.momentum }, last)
     };
     let gauss8 = Tableau::gauss(8).expect("eight stages");
-    let (truth, last) = at_end(&mut Vpd::new(gauss8, StopRule::default()), 20);
-    assert!(last.energy_error.expect("energy").abs() < 3e-14, "{:?}", last.energy_error);
-    let explicit = at_end(&mut Rk::new(Tableau::rk8(), true).expect("explicit"), 300).0;
+    let (truth, last) = at_end(&mut Vpd::new(gauss8, StopRule::default()), 60);
+    assert!(last.energy_error.expect("energy").abs() < 3e-13, "{:?}", last.energy_error);
+    let explicit = at_end(&mut Rk::new(Tableau::rk8(), true).expect("explicit"), 1200).0;
     let apart = distance(&truth, &explicit);
     assert!(apart < 1e-12, "{apart:e} from an explicit method");
     for method in driven_methods() {
         let coarse = match method.order as u32 {
-            3 => 128,
-            4 => 24,
-            2 => 16,
-            6 => 6,
-            _ => 4,
+            3 => 256,
+            4 => 48,
+            2 => 96,
+            6 => 24,
+            _ => 14,
         };
         // Not multiples of each other: knots fall elsewhere in the steps.
         let counts = [coarse, coarse * 3 / 2, coarse * 2 + 1, coarse * 3 + 1];
@@ -218,7 +216,7 @@ fn methods_keep_their_order_wherever_knots_lie() {
                 assert!(impulse < exact, "{}, {steps}: {impulse:e}", method.name);
                 ((steps as f64).log2(), distance(&end, &truth))
             })
-            .filter(|(_, error)| *error > 1e-12)
+            .filter(|(_, error)| *error > 3e-12)
             .map(|(steps, error)| (steps, error.log2()))
             .collect();
         if errors.len() < 3 {
@@ -350,7 +348,7 @@ fn bodies_at_rest_stay_and_set_off() {
                 let allowed = match scene {
                     "tiny, damped" => 1e-18 * 0.016_f64.powf(method.order).max(1e-12),
                     "damped away" => continue,
-                    _ => 4e-16 * inertia,
+                    _ => 2e-15 * inertia,
                 };
                 assert!((found - momentum).abs() <= allowed, "{name}: {found:e} for {momentum:e}");
                 let rest = end.reached.momentum - about_z::<N>() * found;
@@ -404,7 +402,7 @@ fn thin_bodies_are_solved() {
             assert!(drift < 2e-15, "{name}: {drift:e}");
             let axial = end.reached.momentum[(1, 0)];
             // Rounding of the whole is what is known of it.
-            assert!((axial - 0.1 * thin).abs() < 1e-14, "{name}: {axial:e}");
+            assert!((axial - 0.1 * thin).abs() < 1e-13, "{name}: {axial:e}");
         }
     }
 }

@@ -143,6 +143,7 @@ pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<3> {
         jacobi_error: None,
         work: None,
         impulse: None,
+        table_impulse_error: None,
         momentum_drift: None,
         convergence: None,
         sigma_min: None,

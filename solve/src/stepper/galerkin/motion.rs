@@ -12,6 +12,7 @@ use super::Solution;
 use crate::lanes::{Rows, Stages, widest};
 use crate::so::{self, Mat};
 use crate::space;
+use crate::stepper::motion::ROUNDING_SQUARE;
 use crate::trajectory::State;
 
 /// A sum, and the part of it lost to rounding.
@@ -103,13 +104,16 @@ impl<const N: usize> Motion<N> {
     /// Adds `gain` to the body momentum, and turns the attitude so that rounding does not separate
     /// it from the spatial momentum as `seen` from the body: `g <- g (I + theta)` with
     /// `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill of
-    /// `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is. See
+    /// `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is, or not at all. See
     /// [`crate::stepper::motion::Motion::gain`].
     #[inline(always)]
     fn gain<R: Stages>(&mut self, lanes: R, gain: &Mat<N>, seen: &Mat<N>) {
         self.body_momentum.add(gain);
         let apart = self.body_momentum.value - seen;
         let square = so::inner(seen, seen) + so::inner(gain, gain);
+        if so::inner(&apart, &apart) > ROUNDING_SQUARE * square {
+            return;
+        }
         let scale = 0.5 / square.max(f64::MIN_POSITIVE);
         // of skew matrices: seen apart = (apart seen)^T
         let theta = so::asym(&product(lanes, &apart, seen)) * scale;
