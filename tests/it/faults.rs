@@ -11,6 +11,7 @@ mod handles;
 mod kill;
 mod load;
 mod process;
+mod viewers;
 mod wire;
 
 use serde_json::{Value, json};
