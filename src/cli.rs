@@ -311,6 +311,12 @@ impl CliError {
             Self::Mixed => ExitCode::from(2),
             #[cfg(feature = "serve")]
             Self::Tokens(_) | Self::Serve(ServeError::Unguarded { .. }) => ExitCode::from(2),
+            #[cfg(feature = "serve")]
+            Self::Serve(ServeError::Data { source, .. })
+                if source.kind() == ErrorKind::NotADirectory =>
+            {
+                ExitCode::from(2)
+            }
             #[cfg(all(feature = "serve", not(feature = "cluster")))]
             Self::Feature { .. } => ExitCode::from(2),
             #[cfg(feature = "cluster")]

@@ -18,8 +18,8 @@
 //! `view` (the form of answers) and `problem` (the only place that knows status codes),
 //! `submission` (slots in which submissions are checked), `download` and `follow` (the log over
 //! HTTP, finished and growing), `viewers` (the live view), `engine` (queue and workers), `errand`
-//! (the work of a worker) and `apart` (in a process of its own), `job` (its life), `store` (the
-//! record), `metrics`.
+//! (the work of a worker) and `apart` (in a process of its own), `job` (its life), `ids` (their
+//! order), `store` (the record), `metrics`.
 
 mod api;
 pub(crate) mod apart;
@@ -30,6 +30,7 @@ mod errand;
 mod follow;
 mod gate;
 mod handles;
+mod ids;
 mod job;
 mod link;
 mod listen;
@@ -74,7 +75,7 @@ use link::LinkKey;
 use listen::Open;
 #[cfg(feature = "cluster")]
 use store::bucket::Bucket;
-use store::{DataLock, Store, StudyStore};
+use store::{DataDirectory, DataLock, Store, StudyStore};
 use studies::Studies;
 use submission::SubmissionSlots;
 
@@ -102,7 +103,7 @@ pub enum ServeError {
         path: PathBuf,
     },
     /// The directory cannot be made, locked or opened.
-    #[error("cannot use the data directory {path}")]
+    #[error("cannot use the data directory {path}: {source}")]
     Data {
         /// The directory.
         path: PathBuf,
@@ -132,7 +133,7 @@ pub enum ServeError {
         source: std::io::Error,
     },
     /// A worker thread cannot be started, or the listener failed.
-    #[error("the system refuses a thread or a socket")]
+    #[error("the system refuses a thread or a socket: {0}")]
     System(#[from] std::io::Error),
     /// The other machines cannot be reached.
     #[cfg(feature = "cluster")]
@@ -163,7 +164,9 @@ pub async fn serve(
         None => None,
     };
     let live = door.as_ref().map(|_| Arc::new(Live::default()));
-    let Parts { engine, studies, links, drained } = parts(&config, limits, live.clone()).await?;
+    let data = lock.directory();
+    let Parts { engine, studies, links, drained } =
+        parts(&config, data, limits, live.clone()).await?;
     let gate = Gate::new(&config, links.clone());
     let (stop, stopped) = watch::channel(false);
     let app = App::new(engine.clone(), studies.clone(), SubmissionSlots::open()?, &config, links);
@@ -215,6 +218,7 @@ struct Parts {
 /// Returns the engine of the configuration, and the other parts that go with it.
 async fn parts(
     config: &ServeConfig,
+    data: &DataDirectory,
     limits: Limits,
     live: Option<Arc<Live>>,
 ) -> Result<Parts, ServeError> {
@@ -227,13 +231,13 @@ async fn parts(
         let (engine, drained) = (Engine::Cluster(engine), Box::pin(async {}));
         return Ok(Parts { engine, studies: None, links, drained });
     }
-    let store = Store::open(&config.data)?;
+    let store = Store::open(data.clone())?;
     let failed = |source| ServeError::Data { path: config.data.clone(), source };
-    let links = if guarded { Some(LinkKey::of(&config.data).map_err(failed)?) } else { None };
+    let links = if guarded { Some(LinkKey::of(data.path()).map_err(failed)?) } else { None };
     let (workers, program) = (config.workers, config.program.clone());
     let (local, ended) = Local::start(store, workers, limits, live, program.clone()).await?;
     let (studies, studying) =
-        Studies::start(StudyStore::open(&config.data)?, limits, program).await?;
+        Studies::start(StudyStore::open(data.clone())?, limits, program).await?;
     let studied = tokio::task::spawn_blocking(move || studying.join());
     let drained = Box::pin(async {
         let _ = tokio::join!(ended.wait(), studied);

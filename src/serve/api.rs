@@ -4,16 +4,18 @@
 //! not at all; and every route is in the list that also makes the API's description.
 
 use std::net::SocketAddr;
+use std::time::Duration;
 
 use axum::extract::{Path, Request, State as Shared};
 use axum::http::header::{CONTENT_TYPE, X_CONTENT_TYPE_OPTIONS};
-use axum::http::{HeaderName, HeaderValue, Method};
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode};
 use axum::middleware::{from_fn, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, delete, get, post};
 use axum::{Json, Router};
 use serde_json::{Value, json};
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::classify::ServerErrorsFailureClass;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
@@ -458,7 +460,7 @@ pub(super) fn guarded<S: Clone + Send + Sync + 'static>(
             HeaderValue::from_static("nosniff"),
         ))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
-        .layer(TraceLayer::new_for_http().make_span_with(span))
+        .layer(TraceLayer::new_for_http().make_span_with(span).on_failure(report))
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
 }
 
@@ -467,6 +469,19 @@ fn span(request: &Request) -> tracing::Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let (method, path) = (request.method(), request.uri().path());
     tracing::info_span!("request", id, %method, path)
+}
+
+/// Reports an answer of a status above 499, or one that broke off, in the service's own log. Only
+/// those that are a fault are errors there: a service that is full says so to every client that asks.
+fn report(failure: ServerErrorsFailureClass, latency: Duration, _: &tracing::Span) {
+    match failure {
+        ServerErrorsFailureClass::StatusCode(status)
+            if status != StatusCode::INTERNAL_SERVER_ERROR =>
+        {
+            tracing::debug!(%status, ?latency, "request refused");
+        }
+        failure => tracing::error!(%failure, ?latency, "response failed"),
+    }
 }
 
 async fn get_metrics(Shared(app): Shared<App>) -> Result<Response, Problem> {
@@ -495,9 +510,6 @@ async fn healthz() -> Json<Status> {
 }
 
 async fn readyz(Shared(app): Shared<App>) -> Result<Json<Status>, Problem> {
-    if app.engine.is_ready() {
-        Ok(Json(Status { status: "ready" }))
-    } else {
-        Err(Problem::not_ready())
-    }
+    app.engine.check()?;
+    Ok(Json(Status { status: "ready" }))
 }

@@ -1,5 +1,5 @@
-//! The finished log over HTTP, as viewers read it: whole, or by single ranges; with a strong ETag; readable by
-//! pages of other origins.
+//! The finished log over HTTP, as viewers read it: whole, or by single ranges (several are answered with the whole); with
+//! a strong ETag; readable by pages of other origins.
 //!
 //! Invariant: a range is answered only out of the file that the client began with. The bytes are
 //! never compressed: viewers rely on their length and positions.
@@ -16,7 +16,7 @@ use axum::http::header::{
     ACCEPT_RANGES, AUTHORIZATION, CONTENT_DISPOSITION, CONTENT_LENGTH, CONTENT_RANGE, CONTENT_TYPE,
     ETAG, HeaderName, IF_MATCH, IF_NONE_MATCH, IF_RANGE, LAST_MODIFIED, RANGE,
 };
-use axum::http::{HeaderValue, Method};
+use axum::http::{HeaderMap, HeaderValue, Method};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use tower_http::cors::{AllowOrigin, CorsLayer};
@@ -80,16 +80,20 @@ impl Source {
 }
 
 async fn ranged(id: Uuid, mut source: Source, mut request: Request) -> Result<Response, Problem> {
-    if request.headers().get(RANGE).is_some_and(|range| !is_range(range)) {
-        request.headers_mut().remove(RANGE);
-    }
-    if let Some(wanted) = request.headers_mut().remove(IF_RANGE) {
+    let wanted = Wanted::of(request.headers());
+    let condition = request.headers_mut().remove(IF_RANGE);
+    request.headers_mut().remove(RANGE);
+    if let Some(wanted) = wanted {
         let mut probe = Request::new(Body::empty());
         *probe.method_mut() = Method::HEAD;
         let head = source.answer(probe).await?;
+        let head = head.headers();
+        let bytes = head.get(CONTENT_LENGTH).and_then(|bytes| bytes.to_str().ok()?.parse().ok());
         // Only an equal strong ETag shows that it is the same file; a date is too coarse for that.
-        if head.headers().get(ETAG) != Some(&wanted) {
-            request.headers_mut().remove(RANGE);
+        if condition.is_none_or(|etag| head.get(ETAG) == Some(&etag))
+            && let Some(range) = wanted.header(bytes.unwrap_or(u64::MAX))
+        {
+            request.headers_mut().insert(RANGE, range);
         }
     }
     let response = source.answer(request).await?;
@@ -157,24 +161,55 @@ fn dated(path: &Path) -> io::Result<Metadata> {
     Ok(metadata)
 }
 
-/// Returns whether a header asks for bytes in the form of RFC 9110 (14.1); any other is to be
-/// ignored (14.2).
-fn is_range(value: &HeaderValue) -> bool {
-    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
-    // Compared as numbers of any length: a longer one is larger, once zeros are gone.
-    let at_most = |first: &str, last: &str| {
-        let [first, last] = [first, last].map(|number| number.trim_start_matches('0'));
-        (first.len(), first) <= (last.len(), last)
-    };
-    let ranges = value.to_str().ok().and_then(|text| text.strip_prefix("bytes="));
-    ranges.is_some_and(|ranges| {
-        ranges.split(',').all(|range| match range.trim_matches([' ', '\t']).split_once('-') {
-            Some(("", last)) => digits(last),
-            Some((first, "")) => digits(first),
-            Some((first, last)) => digits(first) && digits(last) && at_most(first, last),
-            None => false,
-        })
-    })
+/// The range of bytes that a client wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wanted {
+    /// From the first to the last one; to the end without a last one.
+    From(u64, Option<u64>),
+    /// The last ones, as many.
+    Last(u64),
+}
+
+impl Wanted {
+    /// Returns the range that a request asks for in the form of RFC 9110 (14.1). Anything else is to
+    /// be ignored (14.2), and so may be more than one range: then the whole file is the answer.
+    fn of(headers: &HeaderMap) -> Option<Self> {
+        let mut values = headers.get_all(RANGE).iter();
+        let range = values.next()?.to_str().ok()?.strip_prefix("bytes=")?;
+        let (first, last) = range.trim_matches([' ', '\t']).split_once('-')?;
+        match (first, last) {
+            _ if values.next().is_some() => None,
+            ("", count) => Some(Self::Last(position(count)?)),
+            (first, "") => Some(Self::From(position(first)?, None)),
+            (first, last) => {
+                let range = (position(first)?, position(last)?);
+                is_at_most(first, last).then_some(Self::From(range.0, Some(range.1)))
+            }
+        }
+    }
+
+    /// Returns the header by which the layer below answers for a file of `bytes`.
+    fn header(self, bytes: u64) -> Option<HeaderValue> {
+        let text = match self {
+            Self::From(first, None) => format!("bytes={first}-"),
+            Self::From(first, Some(last)) => format!("bytes={first}-{last}"),
+            Self::Last(count) => format!("bytes=-{}", count.min(bytes)),
+        };
+        text.try_into().ok()
+    }
+}
+
+/// Returns the number that digits stand for; the largest one for those beyond it, which no file
+/// reaches either.
+fn position(digits: &str) -> Option<u64> {
+    let is_number = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    is_number.then(|| digits.parse().unwrap_or(u64::MAX))
+}
+
+/// Returns whether a number of any length is at most another: a longer one is larger, once zeros are gone.
+fn is_at_most(first: &str, last: &str) -> bool {
+    let [first, last] = [first, last].map(|number| number.trim_start_matches('0'));
+    (first.len(), first) <= (last.len(), last)
 }
 
 /// Names an answer as the log of a job.

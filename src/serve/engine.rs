@@ -229,12 +229,12 @@ impl Engine {
         }
     }
 
-    /// Returns whether jobs are taken.
-    pub(super) fn is_ready(&self) -> bool {
+    /// Checks whether jobs are taken.
+    pub(super) fn check(&self) -> Result<(), Refusal> {
         match self {
-            Self::Local(local) => local.is_ready(),
+            Self::Local(local) => local.check(),
             #[cfg(feature = "cluster")]
-            Self::Cluster(cluster) => cluster.is_ready(),
+            Self::Cluster(cluster) => cluster.check(),
         }
     }
 }

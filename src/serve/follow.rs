@@ -46,7 +46,7 @@ pub(super) fn events(engine: Engine, id: Uuid, reach: Reach) -> Response {
                     tokio::time::sleep(LOOK).await;
                 }
                 // The job was forgotten, or the service stops: nothing more will come.
-                let view = engine.brief(id).await.ok().filter(|_| engine.is_ready())?;
+                let view = engine.brief(id).await.ok().filter(|_| engine.check().is_ok())?;
                 if sent.state != Some(view.state) {
                     let view = engine.get(id).await.ok()?;
                     sent.state = Some(view.state);
@@ -102,7 +102,7 @@ fn pieces(reading: Reading) -> impl Stream<Item = io::Result<Bytes>> {
             match piece? {
                 Piece::Some(bytes) => return Ok(Some((bytes, reading))),
                 Piece::Last => return Ok(None),
-                Piece::NotYet if reading.engine.is_ready() => tokio::time::sleep(LOOK).await,
+                Piece::NotYet if reading.engine.check().is_ok() => tokio::time::sleep(LOOK).await,
                 Piece::NotYet => return Err(io::Error::other("the service stops")),
             }
         }

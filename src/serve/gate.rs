@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream, Bytes};
 use axum::extract::{Request, State};
-use axum::http::header::{AUTHORIZATION, CONTENT_LENGTH, EXPECT, HOST, ORIGIN};
+use axum::http::header::{AUTHORIZATION, CONTENT_LENGTH, EXPECT, HOST, ORIGIN, TRANSFER_ENCODING};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, Method, Uri};
 use axum::middleware::Next;
@@ -203,12 +203,24 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
     kind.eq_ignore_ascii_case("bearer").then(|| token.trim())
 }
 
-/// Checks host, rate and page, for every request.
+/// Refuses a body in any coding but `chunked`, once: what reads it below us looks at the last
+/// coding alone, and would take the others for content (RFC 9112, 6.1).
+fn check_coding(headers: &HeaderMap) -> Result<(), Problem> {
+    let mut codings = headers.get_all(TRANSFER_ENCODING).iter();
+    match (codings.next(), codings.next()) {
+        (None, _) => Ok(()),
+        (Some(coding), None) if coding.as_bytes().eq_ignore_ascii_case(b"chunked") => Ok(()),
+        _ => Err(Problem::unknown_coding()),
+    }
+}
+
+/// Checks form, host, rate and page, for every request.
 pub(super) async fn admit(
     State(gate): State<Gate>,
     request: Request,
     next: Next,
 ) -> Result<Response, Problem> {
+    check_coding(request.headers())?;
     gate.check_host(&request)?;
     gate.check_rate(&request)?;
     gate.check_change(&request)?;

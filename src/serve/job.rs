@@ -11,13 +11,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use chrono::{DateTime, SubsecRound, Utc};
+use chrono::{DateTime, Utc};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use uuid::Uuid;
 
 use super::engine::Refusal;
+use super::ids::{created, now};
 use super::store::{Ending, LogSum, Record, Size, StoreError};
 use crate::advise::Unsettled;
 use crate::plan::Plan;
@@ -103,7 +104,7 @@ pub(super) enum Phase {
 /// later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub(super) struct Trouble {
-    /// `storage_full` or `storage_error`.
+    /// `storage_full`, `storage_moved` or `storage_error`.
     code: Cow<'static, str>,
     /// Operation that failed.
     message: String,
@@ -223,9 +224,11 @@ impl Job {
         match &self.phase {
             Phase::Running { control, since } => {
                 steps_done = control.steps_done.load(Ordering::Relaxed);
-                durable_step = control.durable_step.load(Ordering::Relaxed);
+                let resumed_step = control.resumed_step.load(Ordering::Relaxed);
+                // What an earlier run left is on the disk before this one adds to it.
+                durable_step = control.durable_step.load(Ordering::Relaxed).max(resumed_step);
                 let left = self.steps().saturating_sub(steps_done) as f64;
-                let made = steps_done.saturating_sub(control.resumed_step.load(Ordering::Relaxed));
+                let made = steps_done.saturating_sub(resumed_step);
                 eta_s = (made > 0).then(|| since.elapsed().as_secs_f64() * left / made as f64);
             }
             Phase::Ended { steps_done: done, has_log: logged, log, .. } => {
@@ -281,7 +284,7 @@ impl Job {
             name: self.name.clone(),
             state,
             attempts: self.attempts,
-            finished: Some(Utc::now().trunc_subsecs(3)),
+            finished: Some(now()),
             steps: self.steps(),
             steps_done: 0,
             has_log: false,
@@ -291,12 +294,6 @@ impl Job {
             diagnosis: fault.and_then(|fault| serde_json::to_value(fault).ok()),
         }
     }
-}
-
-/// Returns the time when a job or a study was taken, which its id holds.
-pub(super) fn created(id: Uuid) -> Option<DateTime<Utc>> {
-    let (seconds, nanos) = id.get_timestamp()?.to_unix();
-    DateTime::from_timestamp(i64::try_from(seconds).ok()?, nanos)
 }
 
 /// Reason why a job ended without a summary of its run.
@@ -396,5 +393,30 @@ impl Fault {
     /// service's own log, not into the record.
     pub(super) fn run(error: &RunError) -> Self {
         Self::new(error.code(), "the run broke off")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::Ordering;
+    use std::time::Instant;
+
+    use uuid::Uuid;
+
+    use super::{Job, Phase};
+    use crate::run::Control;
+
+    #[test]
+    fn what_an_earlier_run_left_is_on_the_disk() {
+        let control = Arc::new(Control::default());
+        let phase = Phase::Running { control: control.clone(), since: Instant::now() };
+        let job = Job { phase, ..Job::new("dipole", 2) };
+        let durable_step = || job.view(Uuid::nil()).durable_step;
+        assert_eq!(durable_step(), 0);
+        control.resumed_step.store(500, Ordering::Relaxed);
+        assert_eq!(durable_step(), 500);
+        control.durable_step.store(600, Ordering::Relaxed);
+        assert_eq!(durable_step(), 600);
     }
 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
-use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
+use axum::http::header::{CONNECTION, CONTENT_LENGTH, CONTENT_TYPE, RETRY_AFTER, WWW_AUTHENTICATE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 use schemars::JsonSchema;
@@ -45,11 +45,20 @@ pub(super) struct Problem {
     detail: String,
     pointer: Option<String>,
     retry_after_s: Option<u64>,
+    /// Whether the connection ends with it: where a request ends is in doubt.
+    closes: bool,
 }
 
 impl Problem {
     fn new(status: StatusCode, code: &'static str, detail: impl Into<String>) -> Self {
-        Self { status, code, detail: detail.into(), pointer: None, retry_after_s: None }
+        Self {
+            status,
+            code,
+            detail: detail.into(),
+            pointer: None,
+            retry_after_s: None,
+            closes: false,
+        }
     }
 
     fn retry(self, seconds: u64) -> Self {
@@ -143,14 +152,22 @@ impl Problem {
         Self::from_status(StatusCode::BAD_REQUEST)
     }
 
+    /// Reports a body in a coding that nobody here takes apart.
+    pub(super) fn unknown_coding() -> Self {
+        let detail =
+            "send the body as it is, or with Transfer-Encoding: chunked and no other coding";
+        Self { closes: true, ..Self::new(StatusCode::NOT_IMPLEMENTED, "unknown_coding", detail) }
+    }
+
+    /// Reports a clock that shows a date that HTTP cannot express.
+    pub(super) fn timeless() -> Self {
+        let detail = "the clock of this machine shows a date before 1970 or after 9999: set it";
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "clock_wrong", detail)
+    }
+
     /// Reports a header that cannot be used.
     pub(super) fn bad_header(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::BAD_REQUEST, "bad_header", detail)
-    }
-
-    /// Reports that the service stops or does not take jobs.
-    pub(super) fn not_ready() -> Self {
-        Refusal::Stopping.into()
     }
 
     /// Reports a file that should be there and cannot be read. One that is gone was forgotten
@@ -187,6 +204,11 @@ impl Problem {
             _ => ("internal", "the service failed to answer; its log says why"),
         };
         Self::new(status, code, detail)
+    }
+
+    /// Returns the text of the answer.
+    pub(super) fn text(self) -> String {
+        serde_json::to_string(&self.body()).unwrap_or_default()
     }
 
     fn body(self) -> Body {
@@ -262,11 +284,14 @@ fn title(code: &str) -> String {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let (status, retry_after_s) = (self.status, self.retry_after_s);
+        let Self { status, retry_after_s, closes, .. } = self;
         let mut response = (status, Json(self.body())).into_response();
         response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
         if let Some(seconds) = retry_after_s {
             response.headers_mut().insert(RETRY_AFTER, seconds.into());
+        }
+        if closes {
+            response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
         }
         if status == StatusCode::UNAUTHORIZED {
             response.headers_mut().insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
@@ -340,6 +365,10 @@ impl From<Refusal> for Problem {
             Refusal::Store(error) => {
                 tracing::error!(error = chain(&error), "store failed");
                 match code {
+                    "storage_moved" => {
+                        let detail = "the data directory was moved or replaced: the service takes no jobs until it is back";
+                        Self::new(StatusCode::SERVICE_UNAVAILABLE, code, detail).retry(RETRY_S)
+                    }
                     "storage_full" => {
                         with(StatusCode::INSUFFICIENT_STORAGE).retry(MAX_RETRY_S as u64)
                     }

@@ -1,6 +1,6 @@
 //! The record of the jobs, on disk.
 //!
-//! A job is a prefix: `jobs/<uuid v7>/{key-<uuid v5>, sent.json, scenario.json, plan.json, cancel, attempt-1, …, log.mcap,
+//! A job is a prefix: `jobs/<id>/{key-<uuid v5>, sent.json, scenario.json, plan.json, cancel, attempt-1, …, log.mcap,
 //! result.json}`.
 //!
 //! Invariants: a job exists while its `scenario.json` or its `result.json` does. `attempt-N` and
@@ -19,7 +19,7 @@ pub(super) mod bucket;
 mod directory;
 mod studies;
 
-pub(super) use directory::{DataLock, put_aside};
+pub(super) use directory::{DataDirectory, DataLock, put_aside};
 pub(super) use studies::{FoundStudy, StudyStore};
 
 use std::collections::HashMap;
@@ -42,7 +42,7 @@ use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use uuid::Uuid;
 
-use self::directory::{empty, own_directory, prefixes, throw_away};
+use self::directory::{Moved, empty, own_directory, prefixes, throw_away};
 use super::job::State;
 use super::{ServeError, chain};
 use crate::advise::Settled;
@@ -234,24 +234,37 @@ impl StoreError {
         Self::new("read the log")(source)
     }
 
-    /// Returns `storage_full` or `storage_error`.
+    /// Returns `storage_full`, `storage_moved` or `storage_error`.
     pub(super) fn code(&self) -> &'static str {
         let full = |error: &io::Error| {
             matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
         };
-        if self.system().is_some_and(full) { "storage_full" } else { "storage_error" }
+        match self.system() {
+            _ if self.is_of_the_directory() => "storage_moved",
+            Some(error) if full(error) => "storage_full",
+            _ => "storage_error",
+        }
     }
 
     /// Returns whether trying again later may succeed.
     pub(super) fn is_transient(&self) -> bool {
-        self.system().is_some_and(is_transient)
+        self.is_of_the_directory() || self.system().is_some_and(is_transient)
+    }
+
+    /// Returns whether the data directory is not where it was.
+    fn is_of_the_directory(&self) -> bool {
+        self.cause::<Moved>().is_some()
     }
 
     /// Returns the error of the system, if there is one.
     fn system(&self) -> Option<&io::Error> {
+        self.cause()
+    }
+
+    fn cause<E: std::error::Error + 'static>(&self) -> Option<&E> {
         let mut cause: Option<&(dyn std::error::Error + 'static)> = Some(&*self.source);
         while let Some(error) = cause {
-            if let Some(error) = error.downcast_ref::<io::Error>() {
+            if let Some(error) = error.downcast_ref() {
                 return Some(error);
             }
             cause = error.source();
@@ -264,7 +277,7 @@ impl StoreError {
 #[derive(Debug)]
 pub(super) struct Store {
     objects: LocalFileSystem,
-    data: PathBuf,
+    data: DataDirectory,
     jobs: PathBuf,
     trash: PathBuf,
     /// File open for appending, if it can be.
@@ -274,20 +287,24 @@ pub(super) struct Store {
 
 impl Store {
     /// Opens the record in a directory that exists and is locked, and removes what was forgotten.
-    pub(super) fn open(data: &Path) -> Result<Self, ServeError> {
-        let failed = |source: io::Error| ServeError::Data { path: data.into(), source };
-        let data = data.canonicalize().map_err(failed)?;
-        let (jobs, trash) = (own_directory(&data, JOBS)?, own_directory(&data, TRASH)?);
+    pub(super) fn open(data: DataDirectory) -> Result<Self, ServeError> {
+        let path = data.path();
+        let (jobs, trash) = (own_directory(path, JOBS)?, own_directory(path, TRASH)?);
         empty(&trash);
-        let index = Mutex::new(open_index(&data.join(INDEX)));
-        let writers = Semaphore::new(WRITERS);
-        Ok(Self { objects: objects(&data)?, data, jobs, trash, index, writers })
+        let index = Mutex::new(open_index(&path.join(INDEX)));
+        let (objects, writers) = (objects(path)?, Semaphore::new(WRITERS));
+        Ok(Self { objects, data, jobs, trash, index, writers })
+    }
+
+    /// Checks that the data directory is where it was.
+    pub(super) fn check(&self) -> Result<(), StoreError> {
+        self.data.check()
     }
 
     /// Returns the bytes that may still be written to the disk. Blocking.
     #[cfg(unix)]
     pub(super) fn free_bytes(&self) -> Result<u64, StoreError> {
-        let disk = rustix::fs::statvfs(&self.data).map_err(io::Error::from);
+        let disk = rustix::fs::statvfs(self.data.path()).map_err(io::Error::from);
         let disk = disk.map_err(StoreError::new("ask the disk for its free space"))?;
         Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
     }
@@ -366,6 +383,7 @@ impl Store {
         let text = serde_json::to_vec(plan).map_err(StoreError::new(failed))?;
         // The semaphore is never closed.
         let _turn = self.writers.acquire().await;
+        self.check()?;
         let kept = self.objects.put(&key(id, PLAN), sealed(text).into()).await;
         kept.map(drop).map_err(StoreError::new(failed))
     }
@@ -401,6 +419,7 @@ impl Store {
 
     /// Takes back the note of an attempt that came back: it must not count as a death of the process.
     pub(super) async fn take_back_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
+        self.check()?;
         match self.objects.delete(&key(id, &format!("{ATTEMPT}{n}"))).await {
             Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(StoreError::new("take back the note of the attempt")(error)),
@@ -455,6 +474,7 @@ impl Store {
     /// Makes a finished log that has no result an unfinished one again: the run goes on from its last
     /// checkpoint and ends once more. Blocking.
     pub(super) fn reopen_log(&self, id: Uuid) -> Result<(), StoreError> {
+        self.check()?;
         let directory = self.directory(id);
         if !directory.join(LOG).is_file() {
             return Ok(());
@@ -465,6 +485,7 @@ impl Store {
 
     /// Forgets a job and its log. A single rename does it; the rest is removed at the next start.
     pub(super) async fn forget(&self, id: Uuid) -> Result<(), StoreError> {
+        self.check()?;
         let (from, to) = (self.directory(id), self.trash.join(id.to_string()));
         let removed = tokio::task::spawn_blocking(move || throw_away(&from, &to));
         let removed = removed.await.map_err(io::Error::other).flatten();
@@ -530,7 +551,7 @@ impl Store {
         if index.is_none() {
             return (HashMap::new(), 0);
         }
-        let text = fs::read(self.data.join(INDEX)).unwrap_or_default();
+        let text = fs::read(self.data.path().join(INDEX)).unwrap_or_default();
         let lines = text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
         let sound = lines.clone().filter_map(index_entry);
         (sound.map(|line| (line.id(), line)).collect(), lines.count())
@@ -554,13 +575,13 @@ impl Store {
     }
 
     async fn read(&self, id: Uuid, name: &str) -> Result<Bytes, Error> {
-        self.objects.get(&key(id, name)).await?.bytes().await
+        read(&self.data, &self.objects, &key(id, name)).await
     }
 
     async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
         // The semaphore is never closed.
         let _turn = self.writers.acquire().await;
-        create(&self.objects, &key(id, name), content).await
+        create(&self.data, &self.objects, &key(id, name), content).await
     }
 }
 
@@ -570,10 +591,31 @@ fn objects(data: &Path) -> Result<LocalFileSystem, ServeError> {
     Ok(LocalFileSystem::new_with_prefix(data).map_err(failed)?.with_fsync(true))
 }
 
+/// Reads a file.
+async fn read(
+    data: &DataDirectory,
+    objects: &LocalFileSystem,
+    place: &Key,
+) -> Result<Bytes, Error> {
+    data.check().map_err(refused)?;
+    objects.get(place).await?.bytes().await
+}
+
 /// Writes a file that is not there yet.
-async fn create(objects: &LocalFileSystem, place: &Key, content: Vec<u8>) -> Result<(), Error> {
+async fn create(
+    data: &DataDirectory,
+    objects: &LocalFileSystem,
+    place: &Key,
+    content: Vec<u8>,
+) -> Result<(), Error> {
+    data.check().map_err(refused)?;
     let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
     objects.put_opts(place, content.into(), options).await.map(drop)
+}
+
+/// Returns an error of the record as one of the file system.
+fn refused(error: StoreError) -> Error {
+    Error::Generic { store: "data", source: Box::new(error) }
 }
 
 /// Opens the index for appending; `None` if that fails, and the start reads each job.

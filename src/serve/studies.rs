@@ -21,7 +21,8 @@ use serde_json::Value;
 use tokio::runtime::Handle;
 use uuid::Uuid;
 
-use super::job::{State, created};
+use super::ids::{Ids, created};
+use super::job::State;
 use super::store::{FoundStudy, StoreError, StudyStore};
 use super::{Limits, ServeError, chain};
 use crate::chart;
@@ -86,6 +87,7 @@ struct Shared {
     index: Mutex<Index>,
     work: Condvar,
     store: StudyStore,
+    ids: Ids,
     limits: Limits,
     /// Held by the request that draws an unfinished sweep.
     drawing: Mutex<()>,
@@ -197,12 +199,14 @@ impl Studies {
             }
             index.studies.insert(id, study);
         }
+        let ids = Ids::after(index.studies.keys().copied());
         let (index, work) = (Mutex::new(index), Condvar::new());
         let runtime = Handle::current();
         let shared = Arc::new(Shared {
             index,
             work,
             store,
+            ids,
             limits,
             drawing: Mutex::new(()),
             program,
@@ -243,7 +247,7 @@ impl Studies {
                 return Err(StudyRefusal::TableTooLarge { estimate, limit });
             }
         }
-        let id = Uuid::now_v7();
+        let id = self.0.ids.next();
         let mut index = self.0.index();
         if index.studies.values().filter(|study| study.waits()).count() >= QUEUE {
             return Err(StudyRefusal::QueueFull);

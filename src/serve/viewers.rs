@@ -2,7 +2,8 @@
 //!
 //! Invariants: a viewer comes in through the gate, as every request does. None of its messages
 //! reaches a run; frames that it does not take in time are lost to it, and one that takes nothing,
-//! or sends nothing, is disconnected.
+//! or sends nothing, is disconnected. A viewer that owes us the taking of an answer is not read from:
+//! nothing piles up for it, whatever it sends.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, LazyLock};
@@ -68,7 +69,9 @@ async fn come_in(
     Shared(house): Shared<House>,
     upgrade: WebSocketUpgrade,
 ) -> Result<Response, Problem> {
-    let upgrade = upgrade.protocols(PROTOCOLS).max_message_size(MAX_MESSAGE);
+    // A frame is not gathered first and measured then.
+    let upgrade =
+        upgrade.protocols(PROTOCOLS).max_message_size(MAX_MESSAGE).max_frame_size(MAX_MESSAGE);
     if upgrade.selected_protocol().is_none() {
         return Err(Problem::other_protocol());
     }
@@ -110,8 +113,13 @@ struct Subscription {
     channel_id: usize,
 }
 
-/// The viewer has left, or is to be disconnected.
-struct Gone;
+/// Reason why the view of a viewer ends.
+enum Gone {
+    /// It has left, or takes nothing: it is told nothing.
+    Left,
+    /// It is to be disconnected.
+    Dismissed,
+}
 
 struct Viewer {
     socket: WebSocket,
@@ -128,31 +136,50 @@ impl Viewer {
 
     /// Serves the viewer until it leaves, is disconnected, or the service stops.
     async fn look_on(mut self, mut stop: watch::Receiver<bool>, _seat: OwnedSemaphorePermit) {
-        let welcome = WELCOME.iter().map(|text| Message::text(text.as_str())).collect();
-        let mut shown = self.send(welcome).await;
+        let welcome = async {
+            for text in WELCOME.iter() {
+                self.socket.feed(Message::text(text.as_str())).await?;
+            }
+            self.socket.flush().await
+        };
+        let mut shown = in_time(welcome).await;
         let mut pulse = tokio::time::interval(PULSE);
         let mut heard = true;
         while shown.is_ok() {
             shown = tokio::select! {
                 said = self.socket.recv() => {
                     heard = true;
-                    said.and_then(Result::ok).ok_or(Gone).map(|said| self.hear(&said))
+                    match said {
+                        Some(Ok(said)) => self.hear(&said).await,
+                        _ => Err(Gone::Left),
+                    }
                 }
                 frame = next(&mut self.frames) => self.show(&frame).await,
                 _ = pulse.tick() => match std::mem::take(&mut heard) {
-                    true => self.send(vec![Message::Ping(Default::default())]).await,
-                    false => Err(Gone),
+                    true => self.send(Message::Ping(Default::default())).await,
+                    false => Err(Gone::Dismissed),
                 },
-                _ = stop.changed() => Err(Gone),
+                _ = stop.changed() => Err(Gone::Dismissed),
             };
         }
-        let _ = self.send(vec![Message::Close(None)]).await;
+        if let Err(Gone::Dismissed) = shown {
+            let _ = self.send(Message::Close(None)).await;
+        }
     }
 
     /// Follows a message of the viewer; one that is not allowed, or not understood, is ignored.
-    fn hear(&mut self, said: &Message) {
-        let Message::Text(text) = said else { return };
-        match serde_json::from_slice(text.as_bytes()) {
+    async fn hear(&mut self, said: &Message) -> Result<(), Gone> {
+        match said {
+            Message::Text(text) => self.follow(text.as_bytes()),
+            // The protocol layer has prepared its answer: it goes out before the next is read.
+            Message::Ping(_) | Message::Close(_) => return in_time(self.socket.flush()).await,
+            Message::Binary(_) | Message::Pong(_) => {}
+        }
+        Ok(())
+    }
+
+    fn follow(&mut self, text: &[u8]) {
+        match serde_json::from_slice(text) {
             Ok(Wish::Subscribe { subscriptions }) => {
                 for Subscription { id, channel_id } in subscriptions {
                     if let Some(channel) = Channel::all().get(channel_id)
@@ -177,27 +204,34 @@ impl Viewer {
 
     async fn show(&mut self, frame: &Frame) -> Result<(), Gone> {
         let time = [&[TIME][..], &frame.time_ns.to_le_bytes()].concat();
-        let mut out = vec![Message::binary(time)];
-        for (channel, bytes) in &frame.messages {
-            let wanted = self.subscriptions.iter().filter(|(_, wanted)| *wanted == channel);
-            out.extend(wanted.map(|(id, _)| {
-                let (id, time) = (id.to_le_bytes(), frame.time_ns.to_le_bytes());
-                Message::binary([&[MESSAGE_DATA][..], &id, &time, bytes].concat())
-            }));
-        }
-        self.send(out).await
+        let Self { socket, subscriptions, .. } = self;
+        // Each message is made once there is room for it.
+        in_time(async {
+            socket.feed(Message::binary(time)).await?;
+            for (channel, bytes) in &frame.messages {
+                for (id, wanted) in &*subscriptions {
+                    if wanted == channel {
+                        let (id, time) = (id.to_le_bytes(), frame.time_ns.to_le_bytes());
+                        let message = [&[MESSAGE_DATA][..], &id, &time, bytes].concat();
+                        socket.feed(Message::binary(message)).await?;
+                    }
+                }
+            }
+            socket.flush().await
+        })
+        .await
     }
 
-    async fn send(&mut self, messages: Vec<Message>) -> Result<(), Gone> {
-        let sent = async {
-            for message in messages {
-                self.socket.feed(message).await?;
-            }
-            self.socket.flush().await
-        };
-        let sent = tokio::time::timeout(WRITE_TIMEOUT, sent).await;
-        sent.ok().and_then(Result::ok).ok_or(Gone)
+    /// Sends a message.
+    async fn send(&mut self, message: Message) -> Result<(), Gone> {
+        in_time(self.socket.send(message)).await
     }
+}
+
+/// Waits until messages are sent; a viewer that does not take them in time has left.
+async fn in_time(sent: impl Future<Output = Result<(), axum::Error>>) -> Result<(), Gone> {
+    let sent = tokio::time::timeout(WRITE_TIMEOUT, sent).await;
+    sent.ok().and_then(Result::ok).ok_or(Gone::Left)
 }
 
 /// Returns the next frame; never, for a viewer that watches nothing.

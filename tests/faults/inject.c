@@ -2,6 +2,7 @@
  * binary; driven through a file that both sides map:
  *   [0] calls left before the fault (0: disarmed)  [1] errno, or -1: abort  [2] number of calls after it that fail as well
  *   [3] faults given                               [4] calls seen while armed
+ *   [5] seconds by which the clock of the day is ahead
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -15,7 +16,9 @@
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/types.h>
+#include <sys/syscall.h>
 #include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
 static int64_t *plan;
@@ -26,7 +29,7 @@ __attribute__((constructor)) static void begin(void) {
     directory = getenv("VPD_FAULTS_DIR");
     int fd = path ? open(path, O_RDWR) : -1;
     if (fd < 0) return;
-    void *map = mmap(NULL, 5 * sizeof(int64_t), PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    void *map = mmap(NULL, 6 * sizeof(int64_t), PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
     if (map != MAP_FAILED) plan = map;
 }
 
@@ -86,6 +89,12 @@ int linkat(int a, const char *from, int b, const char *to, int flags) {
     return fails_path(to) ? -1 : REAL(linkat)(a, from, b, to, flags);
 }
 int mkdir(const char *path, mode_t mode) { return fails_path(path) ? -1 : REAL(mkdir)(path, mode); }
+
+int clock_gettime(clockid_t clock, struct timespec *time) {
+    int failed = (int)syscall(SYS_clock_gettime, clock, time);
+    if (!failed && clock == CLOCK_REALTIME && plan) time->tv_sec += __atomic_load_n(&plan[5], __ATOMIC_SEQ_CST);
+    return failed;
+}
 
 int open64(const char *path, int flags, ...) {
     va_list rest;

@@ -4,13 +4,16 @@
 //! Each test prints its seed (`VPD_SEED` sets another one) and counts that its faults were given; `VPD_FAULTS=20`
 //! gives twenty times as many.
 
+mod clock;
 mod damage;
 pub(crate) mod disk;
 mod hostile;
 mod handles;
 mod kill;
 mod load;
+mod moved;
 mod process;
+mod viewers;
 mod wire;
 
 use serde_json::{Value, json};

@@ -34,6 +34,7 @@ use super::Refusal;
 use crate::advise::Settled;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
+use crate::serve::ids::{Ids, now};
 use crate::serve::job::{Job, State, View};
 use crate::serve::metrics::Metrics;
 use crate::serve::store::bucket::{Bucket, BucketError, Held};
@@ -151,6 +152,7 @@ struct Inner {
     copies: Copies,
     metrics: Metrics,
     begun: DateTime<Utc>,
+    ids: Ids,
     is_ready: AtomicBool,
     /// Ends of jobs, which do not change any more.
     ended: Mutex<HashMap<Uuid, Ending>>,
@@ -205,7 +207,8 @@ impl Cluster {
             limits,
             copies: Copies::open(data, limits.log_bytes)?,
             metrics: Metrics::new(0),
-            begun: Utc::now(),
+            begun: now(),
+            ids: Ids::after([]),
             is_ready: AtomicBool::new(true),
             ended: Mutex::default(),
             waiting: Mutex::default(),
@@ -229,7 +232,7 @@ impl Cluster {
     /// Starts workflows that could not be started, for as long as the service lives.
     async fn start_again(self) {
         let mut looked = Instant::now();
-        while self.is_ready() {
+        while self.check().is_ok() {
             if looked.elapsed() > LOOK_FOR_LOST {
                 looked = Instant::now();
                 if let Err(error) = self.find_lost().await {
@@ -297,15 +300,13 @@ impl Cluster {
         if let Some((_, plan)) = &planned {
             self.0.limits.admit(plan)?;
         }
-        if !self.is_ready() {
-            return Err(Refusal::Stopping);
-        }
+        self.check()?;
         let waiting =
             self.all().await?.values().filter(|held| !held.ended && held.attempts == 0).count();
         if waiting >= self.0.limits.queue {
             return Err(Refusal::QueueFull { limit: self.0.limits.queue });
         }
-        let (id, text) = (Uuid::now_v7(), scenario.to_json());
+        let (id, text) = (self.0.ids.next(), scenario.to_json());
         let id = match key {
             None => id,
             // A submission that died between the key and the scenario left an id that this job
@@ -471,8 +472,12 @@ impl Cluster {
         if !fresh(listing.at, LOOK_AT_ALL) {
             let whole = !fresh(listing.whole_at, LOOK_AT_OLD);
             let oldest = listing.jobs.iter().find(|(_, held)| !held.ended);
-            let oldest = oldest.map_or_else(Uuid::now_v7, |(id, _)| *id);
-            let from = if whole { Uuid::nil() } else { oldest.min(minute_ago()) };
+            let lately = minute_ago();
+            let from = match oldest {
+                _ if whole => Uuid::nil(),
+                Some((id, _)) => lately.min(*id),
+                None => lately,
+            };
             let found = self.0.bucket.list(from).await?;
             listing.jobs.split_off(&from);
             listing.jobs.extend(found);
@@ -647,15 +652,16 @@ impl Cluster {
         self.0.is_ready.store(false, Ordering::Relaxed);
     }
 
-    pub(in crate::serve) fn is_ready(&self) -> bool {
-        self.0.is_ready.load(Ordering::Relaxed)
+    /// Checks whether jobs are taken.
+    pub(in crate::serve) fn check(&self) -> Result<(), Refusal> {
+        if self.0.is_ready.load(Ordering::Relaxed) { Ok(()) } else { Err(Refusal::Stopping) }
     }
 }
 
 /// Returns the id of a job that would have been taken a minute ago: clocks of services differ by
 /// less.
 fn minute_ago() -> Uuid {
-    let since = Utc::now().timestamp().saturating_sub(60);
+    let since = now().timestamp().saturating_sub(60);
     let time = uuid::Timestamp::from_unix(uuid::NoContext, u64::try_from(since).unwrap_or(0), 0);
     Uuid::new_v7(time)
 }

@@ -26,6 +26,7 @@ use crate::advise::Settled;
 use crate::live::Live;
 use crate::plan::Plan;
 use crate::scenario::Scenario;
+use crate::serve::ids::Ids;
 use crate::serve::job::{Fault, Job, Phase, State, View};
 use crate::serve::metrics::Metrics;
 use crate::serve::store::{
@@ -157,6 +158,7 @@ impl Identity {
 #[derive(Debug)]
 struct Shared {
     store: Arc<Store>,
+    ids: Ids,
     metrics: Metrics,
     limits: Limits,
     live: Option<Arc<Live>>,
@@ -266,6 +268,7 @@ impl Local {
         let (alive, gone) = mpsc::channel(1);
         let shared = Arc::new(Shared {
             store,
+            ids: Ids::after(jobs.keys().copied()),
             metrics: Metrics::new(aside),
             limits,
             live,
@@ -333,7 +336,7 @@ impl Local {
         let free_bytes = tokio::task::spawn_blocking(move || shared.store.free_bytes()).await;
         // A runtime that is shutting down takes no jobs.
         let free_bytes = free_bytes.map_err(|_| Refusal::Stopping)??;
-        let id = Uuid::now_v7();
+        let id = self.0.ids.next();
         let text = scenario.to_json();
         let log_bytes = planned.as_ref().map_or(0, |(_, plan)| plan.log_bytes);
         let place = match self.reserve(id, key, log_bytes, free_bytes)? {
@@ -491,6 +494,7 @@ impl Local {
             (true, false) => return Err(Refusal::NoLog),
             (false, _) => return Err(Refusal::LogUnfinished { eta_s: view.eta_s }),
         }
+        self.0.store.check()?;
         let path = self.0.store.log_path(id);
         // An older build kept no checksum.
         let Some(known) = view.log else { return Ok(path) };
@@ -637,9 +641,10 @@ impl Local {
         self.0.halt.notify_all();
     }
 
-    /// Returns whether jobs are taken.
-    pub(in crate::serve) fn is_ready(&self) -> bool {
-        self.0.index().alive.is_some()
+    /// Checks whether jobs are taken.
+    pub(in crate::serve) fn check(&self) -> Result<(), Refusal> {
+        self.alive()?;
+        Ok(self.0.store.check()?)
     }
 
     fn alive(&self) -> Result<mpsc::Sender<()>, Refusal> {

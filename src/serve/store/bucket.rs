@@ -1,6 +1,6 @@
 //! The record in a bucket, or in a directory that several machines share.
 //!
-//! A job is a prefix as on a disk: `jobs/<uuid v7>/{sent.json, scenario.json, plan.json, cancel, attempt-1, …, result.json}`.
+//! A job is a prefix as on a disk: `jobs/<id>/{sent.json, scenario.json, plan.json, cancel, attempt-1, …, result.json}`.
 //! `parts/<uuid>/<build>/<from>-<to>` are the bytes of its unfinished log that are durable, `logs/<uuid>/<sha256>.mcap` is
 //! the finished one, and `keys/<uuid v5>` names the job that came under an idempotency key.
 //!

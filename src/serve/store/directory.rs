@@ -1,47 +1,93 @@
 //! The data directory in the file system: one service holds it, and its contents may be anything.
 //!
-//! Invariant: nothing is opened that is not what its name says, and nothing is removed but what was
-//! thrown away.
+//! Invariant: nothing is opened that is not what its name says, nothing is removed but what was
+//! thrown away, and nothing is read or written once the name leads to another directory than the one
+//! that is locked.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, DirBuilder, File, TryLockError};
+use std::fs::{self, DirBuilder, File, Metadata, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use uuid::Uuid;
 
-use super::{KEY, SENT, ServeError, parse_id};
+use super::{KEY, SENT, ServeError, StoreError, parse_id};
 
 /// Time for which a directory may be locked by another process before that is reported.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+
+/// The data directory of a service, by its name and by what that name led to when it was locked.
+#[derive(Clone, Debug)]
+pub(in crate::serve) struct DataDirectory {
+    path: PathBuf,
+    place: Option<(u64, u64)>,
+}
+
+/// The name of the data directory leads elsewhere by now, or nowhere.
+#[derive(Debug, thiserror::Error)]
+#[error("the data directory {} was moved or replaced", .0.display())]
+pub(in crate::serve) struct Moved(PathBuf);
+
+impl DataDirectory {
+    /// Returns its name, without links.
+    pub(in crate::serve) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Checks that the name still leads to the directory that is locked: whoever holds another one
+    /// of this name would find our files among theirs.
+    pub(in crate::serve) fn check(&self) -> Result<(), StoreError> {
+        let moved = || StoreError::new("reach its data directory")(Moved(self.path.clone()));
+        let found = fs::metadata(&self.path).map_err(|_| moved())?;
+        if self.place == place(&found) { Ok(()) } else { Err(moved()) }
+    }
+}
+
+/// Returns the numbers of a file by which it can be told from every other one, if there are any.
+fn place(found: &Metadata) -> Option<(u64, u64)> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        Some((found.dev(), found.ino()))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = found;
+        None
+    }
+}
 
 /// Lock on the data directory, ours while this lives: two services on one record would run each
 /// other's jobs.
 #[derive(Debug)]
 pub(in crate::serve) struct DataLock {
     _file: File,
+    directory: DataDirectory,
 }
 
 impl DataLock {
+    /// Returns the directory that is locked.
+    pub(in crate::serve) fn directory(&self) -> &DataDirectory {
+        &self.directory
+    }
+
     /// Makes the directory if need be, readable by its owner alone, and locks it.
     pub(in crate::serve) fn take(data: &Path) -> Result<Self, ServeError> {
         let failed = |source| ServeError::Data { path: data.into(), source };
         if !data.exists() {
             make_directory(data).map_err(failed)?;
         }
-        // The directory itself is locked where possible: a file in it could be removed, and a
-        // second one locked.
-        let file = if cfg!(unix) {
-            File::open(data)
-        } else {
-            File::options().create(true).truncate(false).write(true).open(data.join("lock"))
+        let file = open_directory(data).map_err(failed)?;
+        let path = data.canonicalize().map_err(failed)?;
+        let directory = match cfg!(unix) {
+            true => DataDirectory { path, place: place(&file.metadata().map_err(failed)?) },
+            false => DataDirectory { path, place: None },
         };
-        let file = file.map_err(failed)?;
         let begun = Instant::now();
         loop {
             match file.try_lock() {
-                Ok(()) => return Ok(Self { _file: file }),
+                Ok(()) => return Ok(Self { _file: file, directory }),
                 // A child that a killed service was just starting holds its locks until it runs its
                 // own program.
                 Err(TryLockError::WouldBlock) if begun.elapsed() < LOCK_PATIENCE => {
@@ -53,6 +99,23 @@ impl DataLock {
                 Err(TryLockError::Error(source)) => return Err(failed(source)),
             }
         }
+    }
+}
+
+/// Opens what is locked: the directory itself where possible, for a file in it could be removed, and
+/// a second one locked. What is no directory is not waited for.
+fn open_directory(data: &Path) -> io::Result<File> {
+    let mut options = File::options();
+    #[cfg(unix)]
+    {
+        use rustix::fs::OFlags;
+        let flags = (OFlags::DIRECTORY | OFlags::NONBLOCK).bits().cast_signed();
+        std::os::unix::fs::OpenOptionsExt::custom_flags(&mut options, flags);
+        options.read(true).open(data)
+    }
+    #[cfg(not(unix))]
+    {
+        options.create(true).truncate(false).write(true).open(data.join("lock"))
     }
 }
 
@@ -74,7 +137,7 @@ pub(in crate::serve) fn put_aside(path: &Path) -> io::Result<()> {
         return Ok(());
     }
     let mut aside = path.as_os_str().to_owned();
-    aside.push(format!(".set-aside-{}", Uuid::now_v7()));
+    aside.push(format!(".set-aside-{}", Uuid::new_v4()));
     tracing::warn!(from = %path.display(), to = %Path::new(&aside).display(), "set aside: not made by this service");
     fs::rename(path, aside)
 }

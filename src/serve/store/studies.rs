@@ -1,11 +1,11 @@
 //! The record of the studies, on disk, next to that of the jobs and under the same rules.
 //!
-//! A study is a prefix: `studies/<uuid v7>/{request.json, attempt-1, …, result.json}`.
+//! A study is a prefix: `studies/<id>/{request.json, attempt-1, …, result.json}`.
 //!
 //! Invariants: a study exists while its `request.json` does. `attempt-N` counts the runs that never came back,
 //! and `result.json` is written put-if-absent: a study ends once.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use axum::body::Bytes;
 use object_store::local::LocalFileSystem;
@@ -13,9 +13,9 @@ use object_store::path::Path as Key;
 use object_store::{Error, ObjectStoreExt};
 use uuid::Uuid;
 
-use super::directory::{own_directory, prefixes, throw_away};
+use super::directory::{DataDirectory, own_directory, prefixes, throw_away};
 use super::{
-    ATTEMPT, RESULT, ServeError, StoreError, TRASH, chain, create, objects, sealed, unsealed,
+    ATTEMPT, RESULT, ServeError, StoreError, TRASH, chain, create, objects, read, sealed, unsealed,
 };
 
 const STUDIES: &str = "studies";
@@ -35,23 +35,28 @@ pub(in crate::serve) struct FoundStudy {
 #[derive(Debug)]
 pub(in crate::serve) struct StudyStore {
     objects: LocalFileSystem,
+    data: DataDirectory,
     studies: PathBuf,
     trash: PathBuf,
 }
 
 impl StudyStore {
     /// Opens the record in a directory that exists and is locked.
-    pub(in crate::serve) fn open(data: &Path) -> Result<Self, ServeError> {
-        let failed = |source| ServeError::Data { path: data.into(), source };
-        let data = data.canonicalize().map_err(failed)?;
-        let (studies, trash) = (own_directory(&data, STUDIES)?, own_directory(&data, TRASH)?);
-        Ok(Self { objects: objects(&data)?, studies, trash })
+    pub(in crate::serve) fn open(data: DataDirectory) -> Result<Self, ServeError> {
+        let path = data.path();
+        let (studies, trash) = (own_directory(path, STUDIES)?, own_directory(path, TRASH)?);
+        Ok(Self { objects: objects(path)?, data, studies, trash })
+    }
+
+    /// Checks that the data directory is where it was.
+    pub(in crate::serve) fn check(&self) -> Result<(), StoreError> {
+        self.data.check()
     }
 
     /// Keeps the request of a study.
     pub(in crate::serve) async fn keep(&self, id: Uuid, request: &[u8]) -> Result<(), StoreError> {
         let failed = StoreError::new("keep the study");
-        create(&self.objects, &key(id, REQUEST), sealed(request.to_vec())).await.map_err(failed)
+        self.create(id, REQUEST, sealed(request.to_vec())).await.map_err(failed)
     }
 
     /// Returns the folder with the files of a study.
@@ -66,7 +71,7 @@ impl StudyStore {
 
     /// Notes that attempt `n` begins.
     pub(in crate::serve) async fn begin_attempt(&self, id: Uuid, n: u32) -> Result<(), StoreError> {
-        match create(&self.objects, &key(id, &format!("{ATTEMPT}{n}")), Vec::new()).await {
+        match self.create(id, &format!("{ATTEMPT}{n}"), Vec::new()).await {
             Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
             Err(error) => Err(StoreError::new("note the attempt")(error)),
         }
@@ -79,6 +84,7 @@ impl StudyStore {
         n: u32,
     ) -> Result<(), StoreError> {
         let failed = StoreError::new("take back the note of the attempt");
+        self.check()?;
         self.objects.delete(&key(id, &format!("{ATTEMPT}{n}"))).await.map_err(failed)
     }
 
@@ -90,7 +96,7 @@ impl StudyStore {
     ) -> Result<(), StoreError> {
         let failed = "write the result of the study";
         let result = serde_json::to_vec(record).map_err(StoreError::new(failed))?;
-        match create(&self.objects, &key(id, RESULT), sealed(result)).await {
+        match self.create(id, RESULT, sealed(result)).await {
             Ok(()) | Err(Error::AlreadyExists { .. }) => Ok(()),
             Err(error) => Err(StoreError::new(failed)(error)),
         }
@@ -98,6 +104,7 @@ impl StudyStore {
 
     /// Forgets a study. Blocking.
     pub(in crate::serve) fn forget(&self, id: Uuid) -> Result<(), StoreError> {
+        self.check()?;
         let name = id.to_string();
         throw_away(&self.studies.join(&name), &self.trash.join(&name))
             .map_err(StoreError::new("forget the study"))
@@ -139,9 +146,12 @@ impl StudyStore {
 
     async fn read(&self, id: Uuid, name: &str) -> Result<Bytes, StoreError> {
         let failed = "read the record of a study";
-        let object = self.objects.get(&key(id, name)).await.map_err(StoreError::new(failed))?;
-        let text = object.bytes().await.map_err(StoreError::new(failed))?;
-        unsealed(text).map_err(StoreError::new(failed))
+        let text = read(&self.data, &self.objects, &key(id, name)).await;
+        unsealed(text.map_err(StoreError::new(failed))?).map_err(StoreError::new(failed))
+    }
+
+    async fn create(&self, id: Uuid, name: &str, content: Vec<u8>) -> Result<(), Error> {
+        create(&self.data, &self.objects, &key(id, name), content).await
     }
 }
 

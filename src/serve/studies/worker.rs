@@ -51,6 +51,9 @@ impl Shared {
                 drop(ended);
                 (answer, late.join().unwrap_or_default())
             });
+            // Whatever a study met in a directory that is not there any more is not its own fault.
+            let moved = self.store.check().map_err(Broken::from);
+            let answer = answer.map(|answer| moved.and(answer));
             let (state, error, answer) = match answer {
                 Ok(Ok(answer)) => (State::Succeeded, None, answer),
                 Ok(Err(Broken::Stopped)) => {

@@ -34,12 +34,12 @@ impl Faults {
             return None;
         }
         let place = folder.join("plan");
-        fs::write(&place, [0; 40]).expect("written");
+        fs::write(&place, [0; 48]).expect("written");
         let plan = File::options().read(true).write(true).open(&place).expect("a file");
         Some(Self { library, plan, place })
     }
 
-    fn start(&self, folder: &Path) -> Service {
+    pub(super) fn start(&self, folder: &Path) -> Service {
         self.start_on(folder, &folder.join("data"))
     }
 
@@ -55,16 +55,25 @@ impl Faults {
 
     /// Lets the `nth` call from now fail, and `more` after it.
     pub(super) fn arm(&mut self, nth: i64, errno: i64, more: i64) {
-        let [.., fired, _] = self.read();
+        let [_, _, _, fired, ..] = self.read();
         // The countdown is written last: it arms the fault.
         for (slot, value) in [(1, errno), (2, more), (3, fired), (4, 0), (0, nth)] {
-            self.plan.seek(SeekFrom::Start(8 * slot)).expect("a file");
-            self.plan.write_all(&value.to_ne_bytes()).expect("written");
+            self.write(slot, value);
         }
     }
 
-    fn read(&mut self) -> [i64; 5] {
-        let mut bytes = [0; 40];
+    /// Puts the clock of the day of the processes ahead by so many seconds, or behind.
+    pub(super) fn set_clock(&mut self, ahead_s: i64) {
+        self.write(5, ahead_s);
+    }
+
+    fn write(&mut self, slot: u64, value: i64) {
+        self.plan.seek(SeekFrom::Start(8 * slot)).expect("a file");
+        self.plan.write_all(&value.to_ne_bytes()).expect("written");
+    }
+
+    fn read(&mut self) -> [i64; 6] {
+        let mut bytes = [0; 48];
         self.plan.seek(SeekFrom::Start(0)).expect("a file");
         self.plan.read_exact(&mut bytes).expect("read");
         std::array::from_fn(|slot| {

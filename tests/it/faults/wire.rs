@@ -2,10 +2,12 @@
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use super::process::Service;
-use super::{Random, scale};
+use serde_json::json;
+
+use super::process::{PATIENCE, Service};
+use super::{Random, dipole, scale};
 
 /// Allowed answers to bad requests; 0 is the end of the connection.
 const EXPECTED: [u16; 12] = [0, 400, 404, 405, 408, 411, 413, 414, 415, 421, 431, 505];
@@ -33,6 +35,10 @@ fn malformed_requests_are_refused_or_closed() {
             "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n{head}\r\n{body}"
         )
     };
+    let coded = |head: &str| {
+        let post = post(head);
+        format!("{}2\r\n{body}\r\n0\r\n\r\n", post.strip_suffix(body).expect("the body"))
+    };
     let get = |line: &str| format!("{line}\r\nHost: localhost\r\n\r\n");
     let long = "x".repeat(70_000);
     let many: String = (0..200).map(|n| format!("X-{n}: y\r\n")).collect();
@@ -54,6 +60,11 @@ fn malformed_requests_are_refused_or_closed() {
         (post("Transfer-Encoding: xchunked\r\n"), &[0, 400]),
         (post("Transfer-Encoding: chunked\r\n\r\nzz\r\n"), &[0, 400]),
         (post("Content-Length: 2\r\nTransfer-Encoding: chunked\r\n"), &[0, 400]),
+        (coded("Transfer-Encoding: gzip, chunked\r\n"), &[501]),
+        (coded("Transfer-Encoding: chunked, chunked\r\n"), &[501]),
+        (coded("Transfer-Encoding: gzip\r\nTransfer-Encoding: chunked\r\n"), &[501]),
+        // One coding is known: this is a scenario without a scene.
+        (coded("Transfer-Encoding: Chunked\r\n"), &[422]),
     ];
     for (request, expected) in &table {
         let statuses = exchange(&service, request.as_bytes());
@@ -114,4 +125,89 @@ fn malformed_requests_are_refused_or_closed() {
     );
     assert!(answered > 0 && closed > 0);
     assert_eq!(service.get("/healthz").status, 200);
+}
+
+/// Sends a request and closes the own side; returns the whole answer.
+fn half_closed(service: &Service, request: &str) -> String {
+    let mut stream = TcpStream::connect(service.address).expect("a connection");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+    stream.write_all(request.as_bytes()).expect("sent");
+    stream.shutdown(Shutdown::Write).expect("a socket");
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).expect("an answer");
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+/// Proxies and plain tools close their side once the request is sent, and read on.
+#[test]
+fn a_client_that_closes_its_side_after_the_request_is_answered() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let service = Service::start(folder.path(), &["--workers", "1"]);
+    let scenario = dipole(2_000);
+    let id = service.submit(&scenario);
+    service.ended(&id);
+    let body = scenario.to_string();
+    let post = format!(
+        "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    );
+    let get = |path: &str| format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let table = [
+        (get("/healthz"), "200", "\"ok\"}"),
+        (get("/jobs"), "200", "}"),
+        (get(&format!("/jobs/{id}")), "200", "}"),
+        (get(&format!("/jobs/{id}/log.mcap")), "200", "MCAP0\r\n"),
+        (get(&format!("/jobs/{id}/live.mcap")), "200", "\r\n0\r\n\r\n"),
+        (get(&format!("/jobs/{id}/charts/energy.svg")), "200", "</svg>"),
+        (get(&format!("/jobs/{id}/events")), "200", "\r\n0\r\n\r\n"),
+        (post, "202", "}"),
+    ];
+    for (request, status, end) in &table {
+        for _ in 0..10 {
+            let answer = half_closed(&service, request);
+            let given = answer.strip_prefix("HTTP/1.1 ").and_then(|rest| rest.get(..3));
+            assert_eq!(given, Some(*status), "{answer:?} to {request:?}");
+            assert!(
+                answer.trim_end_matches('\n').ends_with(end.trim_end_matches('\n')),
+                "{answer:?} to {request:?}"
+            );
+        }
+    }
+    // Half a body is still half a body.
+    let answer = half_closed(
+        &service,
+        "POST /jobs HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nContent-Length: 9\r\n\r\n{}",
+    );
+    assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 400"), "{answer:?}");
+}
+
+/// A client that has left is not taken for one that reads on for ever.
+#[test]
+fn clients_that_leave_make_room() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let service = Service::start(folder.path(), &["--workers", "1", "--connections", "16"]);
+    let mut long = dipole(10_000_000_000);
+    long["log"]["every"] = json!(10_000_000);
+    service.submit(&long);
+    let waiting = service.submit(&long);
+    // Nothing comes of a log whose job waits.
+    let request = format!("GET /jobs/{waiting}/live.mcap HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let clients: Vec<_> = (0..16)
+        .map(|_| {
+            let mut stream = TcpStream::connect(service.address).expect("a connection");
+            stream.write_all(request.as_bytes()).expect("sent");
+            stream.set_read_timeout(Some(PATIENCE)).expect("a socket");
+            let mut begin = [0; 12];
+            stream.read_exact(&mut begin).expect("an answer");
+            assert_eq!(&begin, b"HTTP/1.1 200");
+            stream
+        })
+        .collect();
+    assert_eq!(service.get("/healthz").status, 503);
+    drop(clients);
+    let begun = Instant::now();
+    while service.get("/healthz").status != 200 {
+        assert!(begun.elapsed() < PATIENCE, "no room after clients left");
+        std::thread::sleep(Duration::from_millis(100));
+    }
 }

@@ -56,6 +56,12 @@ fn single_ranges_hold_the_right_bytes() {
         ("bytes=-8".to_owned(), size - 8, last),
         (format!("bytes={}-", size - 3), size - 3, last),
         (format!("bytes=0-{}", 10 * size), 0, last),
+        ("bytes=0008-0009".to_owned(), 8, 9),
+        ("bytes=7-99999999999999999999999".to_owned(), 7, last),
+        // A file that is shorter than the end that is asked for is that end (RFC 9110, 14.1.2).
+        (format!("bytes=-{}", size + 1), 0, last),
+        ("bytes=-18446744073709551615".to_owned(), 0, last),
+        ("bytes=-99999999999999999999999".to_owned(), 0, last),
     ] {
         let part = server.get_with(&path(&id), &[("range", &range)]);
         assert_eq!(part.status, 206, "{range}");
@@ -69,15 +75,18 @@ fn single_ranges_hold_the_right_bytes() {
         format!("bytes={size}-"),
         format!("bytes={size}-{}", size + 1),
         "bytes=99999999999999999999999-".to_owned(),
-        "bytes=0-1,4-5".to_owned(),
-        format!("bytes={many}"),
+        "bytes=99999999999999999999998-99999999999999999999999".to_owned(),
+        "bytes=-0".to_owned(),
     ] {
         let refused = server.get_with(&path(&id), &[("range", &range)]);
         refused.problem(416, "bad_range");
         assert_eq!(refused.header("content-range"), format!("bytes */{size}"), "{range}");
     }
-    // A header that is no range of bytes is ignored (RFC 9110, 14.2).
+    // A header that is no range of bytes is ignored (RFC 9110, 14.2), and so are several ranges.
     for range in [
+        "bytes=0-1,4-5",
+        "bytes=0-1, -1",
+        &format!("bytes={many}"),
         "items=0-1",
         "bytes=5-2",
         "bytes=9-1",

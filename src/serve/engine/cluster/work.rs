@@ -203,7 +203,10 @@ impl Turn {
     fn beat(&self) -> Beat {
         let control = &self.control;
         let steps_done = control.steps_done.load(Ordering::Relaxed);
-        Beat { steps_done, durable_step: self.kept_step.load(Ordering::Relaxed), eta_s: None }
+        // What was resumed came from the bucket.
+        let resumed_step = control.resumed_step.load(Ordering::Relaxed);
+        let durable_step = self.kept_step.load(Ordering::Relaxed).max(resumed_step);
+        Beat { steps_done, durable_step, eta_s: None }
     }
 }
 

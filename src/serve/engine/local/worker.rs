@@ -57,6 +57,8 @@ impl Shared {
         while let Some(turn) = self.next() {
             let caught = catch_unwind(AssertUnwindSafe(|| self.carry_out(&turn)));
             let result = caught.unwrap_or_else(|_| Err(Broken::Fault(Fault::panicked())));
+            // Whatever a run met in a directory that is not there any more is not the job's fault.
+            let result = self.store.check().map_err(Broken::from).and(result);
             self.conclude(&turn, result);
             // Others may have waited for its memory.
             self.work.notify_all();
@@ -244,6 +246,7 @@ impl Shared {
     /// Writes the result, with the checksum of the log: a state that is shown must be on the disk.
     fn publish(&self, turn: &Turn, mut record: Record) -> Result<Record, Broken> {
         let id = turn.id;
+        self.store.check()?;
         if record.has_log {
             let log = self.store.log_path(id);
             let stopped = || self.index().alive.is_none();
