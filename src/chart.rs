@@ -15,6 +15,7 @@ use thiserror::Error;
 
 use crate::log::LogError;
 use crate::log::course::{Course, LogChart};
+use crate::log::part::irreplaceable;
 
 mod diff;
 mod map;
@@ -44,6 +45,14 @@ pub enum ChartError {
         path: PathBuf,
         /// Error of the system.
         source: io::Error,
+    },
+    /// What is at the place of a file is no regular file.
+    #[error("cannot write {}: it is {kind}, which nothing replaces", path.display())]
+    NoFile {
+        /// The place.
+        path: PathBuf,
+        /// What is there: "a device", "a pipe", ...
+        kind: &'static str,
     },
     /// The drawing itself failed.
     #[error("the chart could not be drawn: {0}")]
@@ -149,6 +158,9 @@ pub fn write<N: AsRef<Path>>(
         .iter()
         .map(|(name, text)| {
             let path = directory.join(name);
+            if let Some(kind) = irreplaceable(&path) {
+                return Err(ChartError::NoFile { path, kind });
+            }
             fs::write(&path, text).map_err(failed(&path)).map(|()| path)
         })
         .collect()

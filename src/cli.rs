@@ -4,7 +4,7 @@
 //! be replaced, 130 interrupted. A reader that closes the pipe has read enough: that is no error.
 
 use std::fs;
-use std::io::{self, ErrorKind, IsTerminal, Read, Write};
+use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
@@ -26,8 +26,9 @@ use crate::chart;
 use crate::diff::DiffError;
 use crate::export::ExportError;
 use crate::log::inspect::inspect;
+use crate::log::part::irreplaceable;
 use crate::log::reader::is_log;
-use crate::log::{LAYOUT, LogError};
+use crate::log::{self, LAYOUT, LogError};
 use crate::plan::Plan;
 use crate::run::{self, Control, JobContext, Outcome, RunError, Summary};
 use crate::scenario::{self, Scenario, ScenarioError};
@@ -146,6 +147,9 @@ struct RunArgs {
     /// The log; by default the scenario's file name with .mcap, in the current directory; of stdin the scenario's `name`.
     #[arg(short, long, value_name = "FILE.mcap", value_parser = PathBufValueParser::new().try_map(log_path))]
     output: Option<PathBuf>,
+    /// Keep no log: only the summary is wanted. A run that is stopped then begins anew.
+    #[arg(long, conflicts_with_all = ["output", "layouts"])]
+    no_log: bool,
     /// Print one JSON summary on stdout.
     #[arg(long)]
     json: bool,
@@ -164,6 +168,11 @@ struct RunArgs {
 /// Checks the path of a log to be written: other programs must not read its name as another format.
 fn log_path(path: PathBuf) -> Result<PathBuf, String> {
     let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    if path == Path::new("-") {
+        return Err(
+            "a log needs its place on the disk, so that it can be resumed: name a file".to_owned()
+        );
+    }
     let other = match ending.to_str() {
         Some("csv" | "parquet" | "arrow") => {
             format!("`vpd export LOG.mcap -o {}` makes a table of it", path.display())
@@ -238,6 +247,8 @@ enum CliError {
     Log(#[from] LogError),
     #[error("{} already exists; --force replaces it, -o names another file", .0.display())]
     Exists(PathBuf),
+    #[error("cannot write {}: it is {kind}, which nothing replaces; name a regular file", path.display())]
+    NoFile { path: PathBuf, kind: &'static str },
     #[error("{0}")]
     Format(String),
     #[error(transparent)]
@@ -294,6 +305,7 @@ impl CliError {
             | Self::Sweep { .. }
             | Self::Member { .. }
             | Self::Exists(_)
+            | Self::NoFile { .. }
             | Self::Format(_)
             | Self::Log(_)
             | Self::Export(ExportError::Log(_) | ExportError::Channel { .. } | ExportError::Empty { .. })
@@ -302,9 +314,13 @@ impl CliError {
             | Self::Study(StudyError::Scenario(_)) => ExitCode::from(2),
             Self::Table(error) if error.is_bad_input() => ExitCode::from(2),
             Self::Table(SweepError::Interrupted { .. }) => ExitCode::from(130),
-            Self::Run(RunError::Log(error)) if error.is_busy() || error.code() == "log_exists" => {
+            Self::Run(RunError::Log(error))
+                if error.is_busy() || matches!(error.code(), "log_exists" | "not_a_file") =>
+            {
                 ExitCode::from(2)
             }
+            #[cfg(feature = "chart")]
+            Self::Chart(chart::ChartError::NoFile { .. }) => ExitCode::from(2),
             // As a shell reports a program that SIGINT ended.
             Self::Run(RunError::Interrupted) => ExitCode::from(130),
             #[cfg(feature = "chart")]
@@ -367,8 +383,9 @@ pub fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|error| {
-        // A closed stderr must not turn an answer into a panic.
-        let _ = writeln!(io::stderr(), "vpd: {error}");
+        // What is said may quote a file, and a closed stderr must not turn an answer into a panic.
+        let said: Vec<String> = error.to_string().lines().map(log::shown).collect();
+        let _ = writeln!(io::stderr(), "vpd: {}", said.join("\n"));
         error.exit_code()
     })
 }
@@ -382,13 +399,12 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
         let hinted = |error| wrong(hinted(error, text, SchemaOf::Scenario));
         Scenario::from_json(text).map_err(hinted)
     };
-    let mut text = Vec::new();
     let read = if from_stdin {
-        io::stdin().read_to_end(&mut text).map(drop)
+        scenario::read_text(io::stdin())
     } else {
-        fs::read(path).map(|read| text = read)
+        fs::File::open(path).and_then(scenario::read_text)
     };
-    read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
+    let mut text = read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
     if !args.changes.is_empty() {
         text = changed(&text, &args.changes).map_err(wrong)?;
     }
@@ -397,6 +413,7 @@ fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
 
 /// Adds to the error of a file that is something else what it is, at the field that shows it.
 fn hinted(error: ScenarioError, text: &[u8], wanted: SchemaOf) -> ScenarioError {
+    let text = scenario::without_mark(text).unwrap_or_default();
     let tree: serde_json::Value = serde_json::from_slice(text).unwrap_or_default();
     let (message, pointer) = match (wanted, tree.get("scene"), tree.get("scenario")) {
         (SchemaOf::Scenario, None, Some(_)) => {
@@ -430,7 +447,13 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
         }
         PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
     });
+    // Without a log, it is written where nobody sees it: a run is its samples.
+    let unseen = args.no_log.then(tempfile::tempdir).transpose()?;
+    let log = unseen.as_ref().map_or(log, |folder| folder.path().join("unseen.mcap"));
     let mut summary = watched(&plan, &log, args.force)?;
+    if unseen.is_some() {
+        summary.log = String::new();
+    }
     if args.layouts {
         let place = log.parent().unwrap_or(Path::new(""));
         for viewer in ["foxglove", "lichtblick"] {
@@ -460,6 +483,14 @@ fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
     let summary = watched(plan, log, force)?;
     show(text::summary(&summary, plan))?;
     Ok(exit_code(summary.outcome))
+}
+
+/// Refuses to write where something is that no file may replace.
+fn may_write(path: &Path) -> Result<(), CliError> {
+    match irreplaceable(path) {
+        Some(kind) => Err(CliError::NoFile { path: path.to_owned(), kind }),
+        None => Ok(()),
+    }
 }
 
 fn exit_code(outcome: Outcome) -> ExitCode {

@@ -157,6 +157,8 @@ pub struct Comparison {
     pub largest: Vec<Largest>,
     /// The first difference beyond what is tolerated.
     pub first_beyond: Option<Beyond>,
+    /// Why each of the two logs is unfinished; absent for a finished one.
+    pub unfinished: [Option<String>; 2],
     /// Differences over time, in few rows that keep every extreme.
     pub over_time: Vec<Difference>,
     /// Largest number of samples behind a row.
@@ -211,7 +213,7 @@ pub fn diff(
                 });
                 // The receiver is gone if the other log is not readable.
                 let _ = send.send(batch);
-                read.map(drop)
+                read.map(|ending| ending.damage)
             })
         });
         let (mut x, mut y) = (left.next(), right.next());
@@ -243,10 +245,12 @@ pub fn diff(
             }
         }
         drop((left, right));
-        readers.into_iter().try_for_each(|reader| match reader.join() {
+        let [first, second] = readers.map(|reader| match reader.join() {
             Ok(read) => read,
             Err(panic) => std::panic::resume_unwind(panic),
-        })
+        });
+        found.unfinished = [first?, second?];
+        Ok::<(), DiffError>(())
     })?;
     if !same_size {
         return Err(DiffError::Dimensions(a.to_owned(), b.to_owned()));
@@ -338,7 +342,13 @@ fn angle(a: &[f64], b: &[f64]) -> Option<f64> {
             singular.iter().copied().fold(0.0, f64::max)
         }
     };
-    Some(2.0 * libm::asin((0.5 * norm).min(1.0)))
+    if norm < std::f64::consts::SQRT_2 {
+        return Some(2.0 * libm::asin(0.5 * norm));
+    }
+    // Near half a turn the sine is flat: the smallest singular value of a + b is 2 cos(theta / 2).
+    let sum = a.iter().zip(b).map(|(a, b)| a + b);
+    let least = DMatrix::from_iterator(n, n, sum).singular_values().min();
+    Some(2.0 * libm::atan2(norm, least))
 }
 
 impl Comparison {
@@ -381,6 +391,13 @@ impl Comparison {
         self.over_time.push(found);
     }
 
+    /// Returns whether no difference is beyond what is tolerated, and no log breaks off before the other.
+    pub fn agrees(&self) -> bool {
+        let [first, second] = [&self.unfinished[0], &self.unfinished[1]].map(Option::is_some);
+        let is_cut = (first && self.only_second > 0) || (second && self.only_first > 0);
+        self.first_beyond.is_none() && !is_cut
+    }
+
     /// Returns the differences over time in at most `most` rows, each with the largest since the
     /// row before.
     pub fn rows(&self, most: usize) -> Vec<Difference> {
@@ -414,17 +431,25 @@ mod tests {
             let (s, c) = (libm::sin(angle), libm::cos(angle));
             [c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0]
         };
-        for theta in [0.0, 1e-12, 1e-3, 1.0, 3.0] {
+        for theta in [0.0, 1e-12, 1e-3, 1.0, 1.57, 1.5708, 3.0] {
             let found = angle(&turn(0.4), &turn(0.4 + theta)).expect("an angle");
             assert!((found - theta).abs() <= 1e-15 + 1e-4 * theta.min(1e-3), "{theta}: {found}");
+        }
+        // At half a turn and near it, where a sine or a cosine alone keeps eight digits.
+        for less in [0.0, 1e-12, 1e-9, 1e-6, 1e-3] {
+            let theta = std::f64::consts::PI - less;
+            let found = angle(&turn(0.4), &turn(0.4 + theta)).expect("an angle");
+            assert!((found - theta).abs() <= 2e-15, "{less:e}: {:e}", found - theta);
         }
         // In four dimensions the larger of two planes.
         let double = |a: f64, b: f64| {
             let (s, c, t, d) = (libm::sin(a), libm::cos(a), libm::sin(b), libm::cos(b));
             [c, -s, 0.0, 0.0, s, c, 0.0, 0.0, 0.0, 0.0, d, -t, 0.0, 0.0, t, d]
         };
-        let found = angle(&double(0.1, 0.2), &double(0.4, 0.25)).expect("an angle");
-        assert!((found - 0.3).abs() < 1e-14, "{found}");
+        for (apart, other) in [(0.3, 0.05), (std::f64::consts::PI - 1e-9, 0.05), (2.0, 1.9)] {
+            let found = angle(&double(0.1, 0.2), &double(0.1 + apart, 0.2 + other));
+            assert!((found.expect("an angle") - apart).abs() < 1e-14, "{found:?}");
+        }
         assert_eq!(angle(&[1.0], &[1.0, 0.0]), None);
     }
 

@@ -35,6 +35,8 @@ pub const CHECKPOINT_OPCODE: u8 = 0x80;
 pub const JOB_RECORD: &str = "vpd.job";
 /// Name of the metadata record that comes last and makes a log finished: how the job ended.
 pub const OUTCOME_RECORD: &str = "vpd.outcome";
+/// Beginning of the name of the library in the header of a log.
+pub(crate) const LIBRARY_NAME: &str = "vpd/";
 /// Name of the attachment that holds the scenario.
 pub const SCENARIO_ATTACHMENT: &str = "scenario.json";
 /// Prefix of the names of the attachments that hold the chart data of a long log, each a
@@ -108,6 +110,22 @@ pub enum LogError {
         /// Whether it is a finished log.
         finished: bool,
     },
+    /// What is at its place is no regular file.
+    #[error("cannot write the log {}: it is {kind}, which nothing replaces; name a regular file, or run without a log: --no-log", path.display())]
+    NoFile {
+        /// The place.
+        path: PathBuf,
+        /// What is there: "a device", "a pipe", ...
+        kind: &'static str,
+    },
+    /// A file of another program.
+    #[error("{} is an MCAP file of another program ({}), not a log of vpd", path.display(), shown(library))]
+    Foreign {
+        /// The file.
+        path: PathBuf,
+        /// The library that wrote it, by its own word.
+        library: String,
+    },
     /// The file does not begin as a log does.
     #[error("{} is not a log: it does not begin like an MCAP file", path.display())]
     NotALog {
@@ -138,7 +156,8 @@ impl LogError {
             Self::Time { .. } => "log_time",
             Self::NotFinite { .. } => "log_not_finite",
             Self::Exists { .. } => "log_exists",
-            Self::NotALog { .. } => "not_a_log",
+            Self::NotALog { .. } | Self::Foreign { .. } => "not_a_log",
+            Self::NoFile { .. } => "not_a_file",
             Self::Interrupted { .. } => "interrupted",
             Self::GivenUp { .. } => "log_given_up",
         }
@@ -203,6 +222,17 @@ pub(crate) fn is_transient(error: &io::Error) -> bool {
             | K::WouldBlock
             | K::Interrupted
     )
+}
+
+/// Returns a text of a file, which anyone may have written, as a terminal may show it: characters that steer it, or turn
+/// the direction of writing, are escaped.
+pub(crate) fn shown(text: &str) -> String {
+    let steers = |c: char| {
+        c.is_control()
+            || matches!(c, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}')
+    };
+    let escaped = |c: char| if steers(c) { c.escape_unicode().to_string() } else { c.into() };
+    text.chars().map(escaped).collect()
 }
 
 /// Returns the name of a log while it is being written: `.part` is added.

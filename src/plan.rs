@@ -5,6 +5,8 @@
 //!
 //! Invariant: a [`Plan`] can be run. What it dropped changes no number of the run but its cost.
 
+use std::fmt;
+
 use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -12,10 +14,12 @@ use serde::{Deserialize, Serialize};
 use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
-    Adaptive, Ensemble, PotentialTerm, Scenario, ScenarioError, Solver, TableauChoice,
+    Adaptive, DrivenTerm, Ensemble, Path, PotentialTerm, Scenario, ScenarioError, Solver,
+    TableauChoice,
 };
 use crate::solve::composition::Composition;
 use crate::solve::failure::two_digits;
+use crate::solve::free_top;
 use crate::solve::nonlinear::StopRule;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::trajectory::Observables;
@@ -31,7 +35,8 @@ pub(crate) use cost::Fails;
 pub use cost::{Counts, FirstSteps};
 pub(crate) use model::{MOST_DEFECT, Model, ModelKinetic};
 use model::{
-    attitude, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice, with_matrix,
+    attitude, axis_and_angle, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice,
+    with_matrix,
 };
 pub(crate) use problem::driven_term;
 use terms::{Extent, Terms};
@@ -76,6 +81,9 @@ pub struct Plan {
     /// The Jacobi integral of a scene that has one; its change is logged as `jacobi_error`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub jacobi_integral: Option<String>,
+    /// The attitude at the start as one turn; for n = 3.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub start: Option<StartAttitude>,
     /// Warnings to the user before the run.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[schemars(default)]
@@ -115,6 +123,36 @@ pub struct Plan {
     pub(crate) work_step_ns: f64,
     #[serde(skip)]
     pub(crate) model: Model,
+}
+
+/// The attitude at the start, as one turn from the axes of space.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct StartAttitude {
+    /// The axis, of length one; z for no turn.
+    pub axis: [f64; 3],
+    /// The angle in degrees, from 0 to 180.
+    pub angle_deg: f64,
+}
+
+impl StartAttitude {
+    /// Returns the turn of a rotation matrix; `None` for other n than 3.
+    fn of(attitude: &DMatrix<f64>) -> Option<Self> {
+        if attitude.nrows() != 3 {
+            return None;
+        }
+        let (axis, angle) = axis_and_angle(attitude);
+        Some(Self { axis, angle_deg: angle / std::f64::consts::PI * 180.0 })
+    }
+}
+
+impl fmt::Display for StartAttitude {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { axis: [x, y, z], angle_deg } = self;
+        if *angle_deg == 0.0 {
+            return f.write_str("the axes of the body are those of space");
+        }
+        write!(f, "the body is turned by {angle_deg:.6} degrees about ({x:.6}, {y:.6}, {z:.6})")
+    }
 }
 
 /// The members of an ensemble.
@@ -296,6 +334,7 @@ impl Plan {
             balance: None,
             momentum_balance: None,
             jacobi_integral: None,
+            start: StartAttitude::of(&attitude),
             warnings: Vec::new(),
             channels: channels(scenario),
             samples_per_chunk: 0,
@@ -360,7 +399,11 @@ impl Plan {
         plan.momentum_balance =
             plan.model.momentum_balance(n, plan.free_directions, plan.formulation.method);
         plan.jacobi_integral = plan.model.jacobi_integral();
+        plan.exact_motion()?;
         plan.warnings.extend(no_body(&inertia));
+        plan.warnings.extend(plan.weak_gradients());
+        plan.warnings.extend(plan.times_coincide());
+        plan.warnings.extend(plan.tumbles());
         plan.estimate(FirstSteps::default());
         Ok(plan)
     }
@@ -432,6 +475,99 @@ impl Plan {
                 self.step_s
             ));
         }
+    }
+
+    /// Refuses a step over which doubles cannot give the motion of a free body that is solved exactly.
+    fn exact_motion(&self) -> Result<(), ScenarioError> {
+        let free = self.model.terms.is_empty() && !self.model.is_driven();
+        if self.formulation.method != Integrator::Splitting || !free {
+            return Ok(());
+        }
+        let (inverse, momentum) = self.model.in_principal_axes();
+        if free_top::flow(&inverse, &momentum, self.step_s).is_some() {
+            return Ok(());
+        }
+        let rate = momentum.norm() * inverse.amax();
+        let (turn, most) = (rate * self.step_s, free_top::MOST_TURN_RAD);
+        let message = if turn > most {
+            format!(
+                "{} s given, in which the body turns by up to {turn:.1e} rad; doubles give its attitude for at most \
+                 {most:e} rad: a step of at most {:.3e} s is needed",
+                self.step_s,
+                most / rate
+            )
+        } else {
+            format!(
+                "{} s given, but the body starts on a separatrix, to the last digit: it leaves its middle axis at a time \
+                 that rounding decides; a shorter step is needed",
+                self.step_s
+            )
+        };
+        Err(ScenarioError::invalid("/step_s", message))
+    }
+
+    /// Warns of a gravity gradient on an orbit with the strength n^2, which the figure 3 n^2 of textbooks is easily
+    /// mistaken for.
+    fn weak_gradients(&self) -> Vec<String> {
+        let mistaken = |(index, driven): (usize, &DrivenTerm)| {
+            let (PotentialTerm::GravityGradient(gradient), Some(Path::Orbit(orbit))) =
+                (&driven.term, &driven.path)
+            else {
+                return None;
+            };
+            let square = orbit.mean_motion_rad_s * orbit.mean_motion_rad_s;
+            let strength = gradient.strength.abs();
+            ((strength - square).abs() <= 0.01 * square).then(|| {
+                format!(
+                    "/scene/driven/{index}/term/strength is {strength:e}, the square of the mean motion; gravity on this \
+                     orbit has three times that, {:e}",
+                    3.0 * square
+                )
+            })
+        };
+        self.model.driven.iter().enumerate().filter_map(mistaken).collect()
+    }
+
+    /// Warns of samples that are closer than the nanoseconds of log times.
+    fn times_coincide(&self) -> Option<String> {
+        const NANOSECOND_S: f64 = 1e-9;
+        let apart_s = self.step_s * self.every as f64;
+        (apart_s < NANOSECOND_S && self.steps > 1).then(|| {
+            format!(
+                "samples are {apart_s:e} s apart, but log times are whole nanoseconds: several samples share one, and \
+                 viewers show the last of them; `time_s` in /state tells them apart"
+            )
+        })
+    }
+
+    /// Warns of a free body that spins about its middle axis.
+    fn tumbles(&self) -> Option<String> {
+        /// Part of the angular velocity that may lie across the axis.
+        const ACROSS: f64 = 0.05;
+        /// Distance of the middle moment from each of the others, in parts of it.
+        const APART: f64 = 1e-3;
+        let free = self.model.terms.is_empty() && self.model.wheels.is_none();
+        if self.dimension != 3 || !free || self.model.is_driven() {
+            return None;
+        }
+        let (inverse, momentum) = self.model.in_principal_axes();
+        let moments = inverse.map(|w| 1.0 / w);
+        let mut order = [0, 1, 2];
+        order.sort_by(|&i, &j| moments[i].total_cmp(&moments[j]));
+        let [least, middle, most] = order.map(|i| moments[i]);
+        let omega = momentum.component_mul(&inverse);
+        let is_apart = middle - least > APART * middle && most - middle > APART * middle;
+        let along = omega[order[1]].abs();
+        let across = (omega.norm_squared() - along * along).max(0.0).sqrt();
+        (is_apart && along > 0.0 && across < ACROSS * along).then(|| {
+            // Linearised Euler equations about the middle axis (Landau, Lifshitz, Mechanics, section 37).
+            let rate = along * ((middle - least) * (most - middle) / (least * most)).sqrt();
+            format!(
+                "the body spins about its middle axis, which is unstable: what is off that axis grows e-fold every {:.3e} s, \
+                 and the body turns over",
+                1.0 / rate
+            )
+        })
     }
 
     /// Returns the number of steps of all members, or of the one run.

@@ -28,7 +28,7 @@ pub use driven::{
     TorqueTable, Turning, Viscous,
 };
 pub use ensemble::Ensemble;
-pub(crate) use parse::{from_tree, tree as read_tree};
+pub(crate) use parse::{from_tree, read_text, tree as read_tree, without_mark};
 pub use steps::{Adaptive, Steps};
 pub use term::*;
 
@@ -188,6 +188,13 @@ pub enum Attitude {
     Quaternion([f64; 4]),
     /// n = 3: a turn about an axis.
     AxisAngle(AxisAngle),
+    /// n = 3: three turns one after another, each about an axis of the body as it is by then.
+    Euler(Euler),
+    /// n = 3: turns by roll about x, pitch about y and yaw about z, all axes of space, in this order: the same as the Euler
+    /// angles yaw, pitch, roll of the sequence `zyx`.
+    RollPitchYaw(RollPitchYaw),
+    /// n = 3: modified Rodrigues parameters, the axis times tan(angle / 4).
+    Mrp([f64; 3]),
 }
 
 /// A turn about an axis.
@@ -196,8 +203,99 @@ pub enum Attitude {
 pub struct AxisAngle {
     /// The axis, of any length but zero.
     pub axis: [f64; 3],
-    /// The angle in radians.
-    pub angle_rad: f64,
+    /// The angle in radians; either this or `angle_deg`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angle_rad: Option<f64>,
+    /// The angle in degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angle_deg: Option<f64>,
+}
+
+impl AxisAngle {
+    /// Returns a turn by an angle in radians.
+    pub fn of(axis: [f64; 3], angle_rad: f64) -> Self {
+        Self { axis, angle_rad: Some(angle_rad), angle_deg: None }
+    }
+}
+
+/// Euler angles: turns about the named axes of the body, the first one first, each as it is after the turns before
+/// (intrinsic). The attitude is R_i(first) R_j(second) R_k(third), R_x(a) being a turn by a about x.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Euler {
+    /// The axes of the turns.
+    pub sequence: Sequence,
+    /// The three angles in radians; either this or `angles_deg`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angles_rad: Option<[f64; 3]>,
+    /// The three angles in degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angles_deg: Option<[f64; 3]>,
+}
+
+/// The axes of three turns of which no two successive ones are about the same axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Sequence {
+    /// About x, y, z.
+    Xyz,
+    /// About x, z, y.
+    Xzy,
+    /// About y, x, z.
+    Yxz,
+    /// About y, z, x.
+    Yzx,
+    /// About z, x, y.
+    Zxy,
+    /// About z, y, x: yaw, pitch, roll.
+    Zyx,
+    /// About x, y, x.
+    Xyx,
+    /// About x, z, x.
+    Xzx,
+    /// About y, x, y.
+    Yxy,
+    /// About y, z, y.
+    Yzy,
+    /// About z, x, z: precession, nutation, spin.
+    Zxz,
+    /// About z, y, z.
+    Zyz,
+}
+
+impl Sequence {
+    /// Returns the axes by number, x = 0.
+    pub fn axes(self) -> [usize; 3] {
+        const X: usize = 0;
+        const Y: usize = 1;
+        const Z: usize = 2;
+        match self {
+            Self::Xyz => [X, Y, Z],
+            Self::Xzy => [X, Z, Y],
+            Self::Yxz => [Y, X, Z],
+            Self::Yzx => [Y, Z, X],
+            Self::Zxy => [Z, X, Y],
+            Self::Zyx => [Z, Y, X],
+            Self::Xyx => [X, Y, X],
+            Self::Xzx => [X, Z, X],
+            Self::Yxy => [Y, X, Y],
+            Self::Yzy => [Y, Z, Y],
+            Self::Zxz => [Z, X, Z],
+            Self::Zyz => [Z, Y, Z],
+        }
+    }
+}
+
+/// Roll, pitch and yaw.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RollPitchYaw {
+    /// Roll, pitch and yaw in radians; either this or `angles_deg`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angles_rad: Option<[f64; 3]>,
+    /// Roll, pitch and yaw in degrees.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angles_deg: Option<[f64; 3]>,
 }
 
 /// An element of so(n) or its dual, in one of the two frames.
@@ -431,7 +529,7 @@ impl Scenario {
     ///     body_point: vec![0.0, 0.0, 0.1],
     ///     direction: vec![0.0, 0.0, 1.0],
     /// };
-    /// let tilt = AxisAngle { axis: [1.0, 0.0, 0.0], angle_rad: 0.3 };
+    /// let tilt = AxisAngle::of([1.0, 0.0, 0.0], 0.3);
     /// let spin = [0.0, 0.0, 40.0].map(Entry::Number).to_vec();
     /// let top = Scene {
     ///     potential: vec![PotentialTerm::Uniform(weight)],

@@ -9,7 +9,7 @@
 //! sweep, and no NaN reaches a table.
 
 use std::fmt;
-use std::fs;
+use std::fs::File;
 use std::io;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -25,7 +25,7 @@ pub(crate) use crate::in_order::cores;
 use crate::in_order::in_order;
 use crate::log::part;
 use crate::plan::Plan;
-use crate::scenario::{Scenario, ScenarioError, ensure, from_tree, read_tree, set};
+use crate::scenario::{Scenario, ScenarioError, ensure, from_tree, read_text, read_tree, set};
 use crate::study::Watch;
 
 mod file;
@@ -67,15 +67,16 @@ impl Sweep {
     /// # Errors
     /// [`SweepError::Io`] if it cannot be read, else those of [`Sweep::from_json`].
     pub fn read(path: &Path) -> Result<Self, SweepError> {
-        let text = fs::read(path).map_err(|source| SweepError::io(path, "read", source))?;
+        let text = |path: &Path| File::open(path).and_then(read_text);
+        let failed = |source| SweepError::io(path, "read", source);
+        let tree = read_tree(&text(path).map_err(failed)?)?;
         let open = |name: &str| {
             let scenario = path.parent().unwrap_or(Path::new("")).join(name);
-            fs::read(&scenario).map_err(|error| {
+            text(&scenario).map_err(|error| {
                 let message = format!("{}: {error}", scenario.display());
                 ScenarioError::invalid("/scenario", message)
             })
         };
-        let tree = read_tree(&text)?;
         Ok(Self::new(from_tree(tree)?, open)?)
     }
 
@@ -443,6 +444,8 @@ pub struct Made {
     pub counts: Counts,
     /// Members whose lines an earlier run had made.
     pub resumed: u64,
+    /// The member whose line in the unfinished table was damaged: it and those after it were run again.
+    pub damaged: Option<u64>,
     /// The first member that was refused in this run, and why.
     pub first_refused: Option<(u64, ScenarioError)>,
 }
@@ -482,7 +485,8 @@ pub fn run<E: From<SweepError>>(
         && !replaces
         && let Some(counts) = table::finished(table, &identity, head)
     {
-        return Ok(Made { counts, resumed: members.end - members.start, first_refused: None });
+        let resumed = members.end - members.start;
+        return Ok(Made { counts, resumed, damaged: None, first_refused: None });
     }
     let mut part = Part::open(table, &identity, head, replaces)?;
     watch.total.store(members.end - members.start, Ordering::Relaxed);
@@ -522,9 +526,9 @@ pub fn run<E: From<SweepError>>(
         return Err(SweepError::Interrupted { left: members.end - part.next }.into());
     }
     finish(members)?;
-    let counts = part.counts;
+    let (counts, damaged) = (part.counts, part.damaged);
     part.finish(whole)?;
-    Ok(Made { counts, resumed, first_refused })
+    Ok(Made { counts, resumed, damaged, first_refused })
 }
 
 /// Error that ends a sweep or a merge early.
@@ -550,6 +554,14 @@ pub enum SweepError {
         path: PathBuf,
         /// Whether it is a finished table.
         finished: bool,
+    },
+    /// What is in the place of the table is no regular file.
+    #[error("cannot write {}: it is {kind}, which nothing replaces; name a regular file", path.display())]
+    NoFile {
+        /// The place.
+        path: PathBuf,
+        /// What is there: "a device", "a pipe", ...
+        kind: &'static str,
     },
     /// It was cancelled.
     #[error("the sweep was interrupted with {left} members left; the same command resumes it")]

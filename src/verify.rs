@@ -15,7 +15,7 @@ use thiserror::Error;
 use crate::advise;
 use crate::log::reader::{self, Item};
 use crate::log::schema::Channel;
-use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT};
+use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT, shown};
 use crate::run::{self, Control, JobContext, RunError};
 use crate::scenario::{Scenario, ScenarioError};
 
@@ -228,7 +228,8 @@ impl fmt::Display for Verification {
                 writeln!(f, "before that     {} messages are the same", self.messages)?;
             }
         }
-        writeln!(f, "outcome         {}", self.state)?;
+        let [there, here] = [there, here].map(|build| shown(build));
+        writeln!(f, "outcome         {}", shown(&self.state))?;
         if there == here {
             write!(f, "build           {here}, the one that wrote the log")
         } else {

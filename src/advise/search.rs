@@ -26,7 +26,7 @@ pub(super) const ROUND_OFF: f64 = 1e-16;
 const TRIES: u32 = 7;
 /// Number of steps tried for a method over the whole run, next to those that are far too large: where a body is pushed
 /// after the first part of its run, the step that this asked for is.
-const WHOLE_TRIES: u32 = 4;
+const WHOLE_TRIES: u32 = 6;
 const FAR_TRIES: u32 = 12;
 /// Factor by which a step is too large that is far too large.
 const FAR_TOO_LARGE: f64 = 2.0;
@@ -346,7 +346,9 @@ impl Trial<'_> {
             // Larger if that is worth another try, or smaller until it reaches the accuracy.
             let goes_on = sure.is_none() || (expected.is_some() && factor < WORTH_A_TRY);
             *choice = if *tries < WHOLE_TRIES && goes_on {
-                let factor = if sure.is_some() { factor } else { factor.max(1.03) };
+                // An error that swings with the step is not brought down by a little.
+                let least = if *tries > 2 { 1.25 } else { 1.03 };
+                let factor = if sure.is_some() { factor } else { factor.max(least) };
                 Some(Choice {
                     step_s: step_s / factor,
                     expected: self.goal(),

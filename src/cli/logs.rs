@@ -8,10 +8,11 @@ use std::process::ExitCode;
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 
-use super::{CliError, a_log, enough, print_json, show};
+use super::{CliError, a_log, enough, may_write, print_json, show};
 use crate::diff::{self, Comparison, Quantity, Tolerance};
 use crate::export::{self, Choice, ExportError, Format};
 use crate::log::schema::Channel;
+use crate::log::shown;
 
 #[derive(Debug, Args)]
 pub(super) struct ExportArgs {
@@ -70,6 +71,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
             exported => exported?,
         },
         Some(path) => {
+            may_write(path)?;
             let ending = path.extension().unwrap_or_default().to_string_lossy();
             let format = ending.parse::<Format>().map_err(CliError::Format)?;
             if !args.force && path.symlink_metadata().is_ok() {
@@ -89,8 +91,9 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
         // Reported on stderr: the table may be on stdout.
         let _ = writeln!(
             io::stderr(),
-            "vpd: {}: {damage}; everything before that is exported",
-            log.display()
+            "vpd: {}: {}; everything before that is exported",
+            log.display(),
+            shown(&damage)
         );
     }
     Ok(ExitCode::SUCCESS)
@@ -120,11 +123,12 @@ pub(super) fn diff(args: &DiffArgs) -> Result<ExitCode, CliError> {
     let mut found = diff::diff(logs, args.member, &args.tolerances)?;
     #[cfg(feature = "chart")]
     if let Some(path) = &args.chart {
+        may_write(path)?;
         let names = logs.map(|log| log.display().to_string());
         let svg = crate::chart::differences(&names.join(" and "), &found)?;
         fs::write(path, svg).map_err(|source| CliError::Write { path: path.clone(), source })?;
     }
-    let agree = found.first_beyond.is_none();
+    let agree = found.agrees();
     found.over_time = found.rows(args.rows);
     if args.json {
         print_json(&found)?;
@@ -136,16 +140,16 @@ pub(super) fn diff(args: &DiffArgs) -> Result<ExitCode, CliError> {
 
 /// Formats a comparison as a table and a few lines.
 fn text(found: &Comparison) -> String {
-    let shown: Vec<Quantity> = found.largest.iter().map(|largest| largest.quantity).collect();
+    let columns: Vec<Quantity> = found.largest.iter().map(|largest| largest.quantity).collect();
     let mut text = format!("{:>14}", "time in s");
-    for quantity in &shown {
+    for quantity in &columns {
         text += &format!("  {:>26}", format!("{} in {}", quantity.name(), quantity.unit()));
     }
     text += "\n";
     for row in &found.over_time {
         text += &format!("{:>14.6}", row.time_s);
         for (by, quantity) in row.by.iter().zip(Quantity::ALL) {
-            if shown.contains(&quantity) {
+            if columns.contains(&quantity) {
                 let by = by.map_or_else(|| "-".to_owned(), |by| format!("{by:.3e}"));
                 text += &format!("  {by:>26}");
             }
@@ -164,7 +168,15 @@ fn text(found: &Comparison) -> String {
             quantity.name()
         );
     }
+    for (log, unfinished) in ["first", "second"].iter().zip(&found.unfinished) {
+        if let Some(why) = unfinished {
+            text += &format!("unfinished        the {log} log: {}\n", shown(why));
+        }
+    }
     text += &match &found.first_beyond {
+        None if !found.agrees() => {
+            "they agree as far as both go, and one goes on alone\n".to_owned()
+        }
         None => "they agree\n".to_owned(),
         Some(diff::Beyond { time_s, quantity, difference, tolerance }) => format!(
             "first beyond      t = {time_s} s: {} differs by {difference:.3e} {unit}, more than {tolerance:e} {unit}\n",

@@ -255,7 +255,9 @@ fn listener(address: SocketAddr) -> io::Result<TcpListener> {
 /// Reads the tokens from a file, or else from the environment.
 fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
     let text = match path {
+        // An editor may have put a byte order mark before it.
         Some(path) => fs::read_to_string(path)
+            .map(|text| text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
             .map_err(|source| CliError::Read { path: path.to_owned(), source })?,
         None => std::env::var("VPD_TOKENS").unwrap_or_default(),
     };

@@ -18,10 +18,11 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::serve::EngineName;
 #[cfg(feature = "serve")]
 use super::worker::ClusterArgs;
-use super::{CliError, SchemaOf, hinted, log_path, logged, show};
+use super::{CliError, SchemaOf, hinted, log_path, logged, may_write, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
+use crate::scenario::read_text;
 use crate::study::Watch;
 use crate::sweep::{self, Counts, Made, Options, Shard, Sweep, SweepError};
 
@@ -88,7 +89,7 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     let path = &args.sweep;
     let sweep = Sweep::read(path).map_err(|error| match error {
         SweepError::Field(error) => {
-            let text = std::fs::read(path).unwrap_or_default();
+            let text = std::fs::File::open(path).and_then(read_text).unwrap_or_default();
             let source = hinted(error, &text, SchemaOf::Sweep);
             CliError::Sweep { path: path.clone(), source }
         }
@@ -111,7 +112,8 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
         return elsewhere(args, &sweep, &table);
     }
     let made = followed(args, &sweep, &table)?;
-    let Made { counts: Counts { succeeded, failed, refused }, resumed, first_refused } = made;
+    let Made { counts: Counts { succeeded, failed, refused }, resumed, damaged, first_refused } =
+        made;
     let total = succeeded + failed + refused;
     let mut text = format!(
         "members         {total}: {succeeded} succeeded, {failed} failed, {refused} refused\n"
@@ -121,6 +123,11 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     }
     if resumed > 0 {
         text += &format!("resumed         with {resumed} members in the table\n");
+    }
+    if let Some(member) = damaged {
+        text += &format!(
+            "damaged         the line of member {member}: it and those after it were run again\n"
+        );
     }
     show(format!("{text}table           {}\n", table.display()))?;
     #[cfg(feature = "chart")]
@@ -248,6 +255,7 @@ fn keep_log(sweep: &Sweep, member: u64, table: &Path, control: &Control) -> Resu
 #[cfg(feature = "chart")]
 fn draw(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<(), CliError> {
     let Some(svg) = &args.svg else { return Ok(()) };
+    may_write(svg)?;
     let picture = chart::sweep(&sweep.shown(table, args.column.as_deref())?)?;
     std::fs::write(svg, picture).map_err(|source| CliError::Write { path: svg.clone(), source })?;
     Ok(show(format!("picture         {}\n", svg.display()))?)

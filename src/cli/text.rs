@@ -21,6 +21,9 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
             summary.time_s
         ),
     );
+    if let Some(start) = &plan.start {
+        line("start", start.to_string());
+    }
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }
@@ -98,7 +101,8 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
             line("worst energy", format!("error at most {error:.2e} J in any member"));
         }
     }
-    line("log", format!("{}, {} samples", summary.log, summary.samples));
+    let log = if summary.log.is_empty() { "none kept" } else { &summary.log };
+    line("log", format!("{log}, {} samples", summary.samples));
     for unmet in &summary.unmet {
         line("not as expected", unmet.clone());
     }
@@ -180,6 +184,9 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
         let in_full: Vec<String> = in_full.iter().map(u64::to_string).collect();
         let text = format!("{members}; logged in full: member {}", in_full.join(", "));
         line("members", text);
+    }
+    if let Some(start) = &plan.start {
+        line("start", start.to_string());
     }
     for warning in &plan.warnings {
         line("warning", warning.clone());

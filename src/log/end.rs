@@ -1,22 +1,20 @@
 //! The end of a finished log: where its messages and attachments stand.
 //!
 //! Invariant: however long a log is, what is read and kept is bounded by what is asked for. The places of the chunks, of
-//! which a long log has tens of thousands, are looked through where they stand.
+//! which a long log has tens of thousands, are looked through where they stand. A chunk is shown only after its checksum
+//! agreed.
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::ops::{ControlFlow, Range};
-use std::sync::Arc;
 
+use mcap::McapError;
 use mcap::read::LinearReader;
-use mcap::records::{AttachmentIndex, Footer, MetadataIndex, Record, Statistics, op};
-use mcap::sans_io::indexed_reader::{
-    IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
-};
-use mcap::{McapError, Summary};
+use mcap::records::{AttachmentIndex, ChunkIndex, Footer, MetadataIndex, Record, Statistics, op};
 
 use super::MAX_CHUNK_BYTES;
+use super::reader::{Chunks, Item};
 
 /// Bytes of the opcode and of the length before what a record says.
 const HEAD: usize = 1 + 8;
@@ -30,8 +28,8 @@ pub(super) struct End {
     /// Index of the attachments.
     pub(super) attachments: Vec<AttachmentIndex>,
     metadata: Vec<MetadataIndex>,
-    /// Summary with the channels and without the chunks.
-    summary: Summary,
+    /// Topics of the channels.
+    channels: BTreeMap<u16, String>,
     /// Place of the chunk index in the file.
     chunks: Range<u64>,
 }
@@ -57,7 +55,7 @@ impl End {
             messages: 0,
             attachments: Vec::new(),
             metadata: Vec::new(),
-            summary: Summary::default(),
+            channels: BTreeMap::new(),
             chunks: 0..0,
         };
         let groups = bytes_at(file, groups_at..footer_at)?;
@@ -88,14 +86,7 @@ impl End {
             Record::AttachmentIndex(index) => self.attachments.push(index),
             Record::MetadataIndex(index) => self.metadata.push(index),
             Record::Channel(channel) => {
-                let channel = mcap::Channel {
-                    id: channel.id,
-                    topic: channel.topic,
-                    schema: None,
-                    message_encoding: channel.message_encoding,
-                    metadata: channel.metadata,
-                };
-                self.summary.channels.insert(channel.id, Arc::new(channel));
+                self.channels.insert(channel.id, channel.topic);
             }
             _ => return None,
         }
@@ -121,48 +112,45 @@ impl End {
         stretch: Range<u64>,
         mut visit: impl FnMut(u64, &[u8]) -> ControlFlow<()>,
     ) -> Result<(), McapError> {
-        let channels = self.summary.channels.values();
-        let channels = channels.filter(|at| topics.contains(&at.topic.as_str()));
-        let channels: Vec<u16> = channels.map(|at| at.id).collect();
-        // To the reader, no topic means every topic.
+        let channels = self.channels.iter();
+        let channels = channels.filter(|(_, topic)| topics.contains(&topic.as_str()));
+        let channels: Vec<u16> = channels.map(|(&id, _)| id).collect();
         if stretch.is_empty() || channels.is_empty() {
             return Ok(());
         }
-        let summary = self.chunks_of(file, &channels, &stretch)?;
-        let options = IndexedReaderOptions::default()
-            .with_order(ReadOrder::File)
-            .include_topics(topics.iter().copied())
-            .starting_at(stretch.start)
-            .with_record_length_limit(MAX_CHUNK_BYTES as usize);
-        let mut reader = IndexedReader::new_with_options(&summary, options)?;
-        let mut chunk = Vec::new();
-        while let Some(event) = reader.next_event() {
-            match event? {
-                IndexedReadEvent::ReadChunkRequest { offset, length } => {
-                    file.seek(SeekFrom::Start(offset))?;
-                    chunk.resize(length, 0);
-                    file.read_exact(&mut chunk)?;
-                    reader.insert_chunk_record_data(offset, &chunk)?;
+        let damaged =
+            |what: String| McapError::Io(io::Error::new(io::ErrorKind::InvalidData, what));
+        let mut chunks = Chunks::of(self.channels.iter().map(|(&id, topic)| (id, topic.clone())));
+        for place in self.chunks_of(file, &channels, &stretch)? {
+            let end = place.chunk_start_offset.saturating_add(place.chunk_length);
+            let record = bytes_at(file, place.chunk_start_offset..end);
+            let chunk = record.as_deref().and_then(|record| record.split_at_checked(HEAD));
+            let Some((_, chunk)) = chunk.filter(|(head, _)| head[0] == op::CHUNK) else {
+                return Err(damaged("the log is damaged: its index names no chunk".to_owned()));
+            };
+            let flow = chunks.read(chunk, &mut |item| match item {
+                Item::Message { topic, time_ns, data, .. }
+                    if topics.contains(&topic) && stretch.contains(&time_ns) =>
+                {
+                    visit(time_ns, data)
                 }
-                IndexedReadEvent::Message { header, data } => {
-                    let inside = header.log_time < stretch.end;
-                    if inside && visit(header.log_time, data).is_break() {
-                        break;
-                    }
-                }
+                _ => ControlFlow::Continue(()),
+            });
+            if flow.map_err(damaged)?.is_break() {
+                break;
             }
         }
         Ok(())
     }
 
-    /// Returns the chunks with messages of some channels in a stretch, as the reader wants them.
+    /// Returns the places of the chunks with messages of some channels in a stretch, in the order of the file.
     fn chunks_of(
         &self,
         file: &mut File,
         channels: &[u16],
         stretch: &Range<u64>,
-    ) -> Result<Summary, McapError> {
-        let mut summary = self.summary.clone();
+    ) -> Result<Vec<ChunkIndex>, McapError> {
+        let mut found = Vec::new();
         file.seek(SeekFrom::Start(self.chunks.start))?;
         let places = self.chunks.end.saturating_sub(self.chunks.start);
         let mut places = BufReader::with_capacity(1 << 16, file).take(places);
@@ -186,10 +174,10 @@ impl End {
                 && let Record::ChunkIndex(index) = mcap::parse_record(opcode, &place)?
                 && channels.iter().any(|id| index.message_index_offsets.contains_key(id))
             {
-                summary.chunk_indexes.push(index);
+                found.push(index);
             }
         }
-        Ok(summary)
+        Ok(found)
     }
 }
 

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::messages::Checkpoint;
 use super::reader::{self, Item, Message};
-use super::{JOB_RECORD, LogError, OUTCOME_RECORD};
+use super::{JOB_RECORD, LogError, OUTCOME_RECORD, shown};
 
 /// The sum of a log.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -192,13 +192,13 @@ impl fmt::Display for Inspection {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let state = self.outcome.as_ref().and_then(|outcome| outcome.get("state"));
         match (self.finished, state) {
-            (true, Some(state)) => writeln!(f, "finished: {state}")?,
+            (true, Some(state)) => writeln!(f, "finished: {}", shown(state))?,
             (true, None) => writeln!(f, "finished")?,
             (false, _) => {
                 writeln!(
                     f,
                     "not finished: {}",
-                    self.damage.as_deref().unwrap_or("unknown reason")
+                    shown(self.damage.as_deref().unwrap_or("unknown reason"))
                 )?;
             }
         }
@@ -211,6 +211,7 @@ impl fmt::Display for Inspection {
         let width = self.topics.iter().map(|entry| entry.topic.len()).max().unwrap_or(0);
         let kind = self.topics.iter().map(|entry| entry.schema.len()).max().unwrap_or(0);
         for Topic { topic, schema, messages } in &self.topics {
+            let (topic, schema) = (shown(topic), shown(schema));
             writeln!(f, "  {topic:width$}  {schema:kind$}  {messages}")?;
         }
         let extremes = &self.extremes;
@@ -238,7 +239,8 @@ impl fmt::Display for Inspection {
                 // Whole documents ride in the entries: here their beginning is enough.
                 let line: String = value.chars().take(100).collect();
                 let more = if line.len() < value.len() { " ..." } else { "" };
-                writeln!(f, "{title}.{key}: {}{more}", line.replace('\n', " "))?;
+                let line = shown(&line.replace('\n', " "));
+                writeln!(f, "{title}.{}: {line}{more}", shown(key))?;
             }
         }
         Ok(())

@@ -187,6 +187,30 @@ pub(crate) fn own(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     Ok(file)
 }
 
+/// Returns what is in the place of an output if no file may replace it: a device, a pipe, a socket, a folder, or a link
+/// to one. Replacing `/dev/null` by a file would break the machine.
+pub(crate) fn irreplaceable(path: &Path) -> Option<&'static str> {
+    // Through a link, because it would be replaced itself. What is not there, or a link to nothing, is in nobody's way.
+    let kind = std::fs::metadata(path).ok()?.file_type();
+    if kind.is_file() {
+        return None;
+    }
+    if kind.is_dir() {
+        return Some("a folder");
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        if kind.is_fifo() {
+            return Some("a pipe");
+        }
+        if kind.is_socket() {
+            return Some("a socket");
+        }
+    }
+    Some("a device")
+}
+
 /// Another process writes the file.
 #[derive(Debug, thiserror::Error)]
 #[error("another process{} is writing it", holder.map_or_else(String::new, |pid| format!(" ({pid})")))]

@@ -16,7 +16,9 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use mcap::{McapError, parse_record};
 
 pub use super::messages::Message;
-use super::{CHECKPOINT_OPCODE, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
+use super::{
+    CHECKPOINT_OPCODE, JOB_RECORD, LIBRARY_NAME, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD,
+};
 
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;
@@ -96,7 +98,8 @@ pub fn is_log(path: &Path) -> Result<bool, LogError> {
 /// before it is sound.
 ///
 /// # Errors
-/// If the file cannot be opened or read.
+/// If the file cannot be opened or read; [`LogError::Foreign`] if another program wrote it and nothing in it is of a log of
+/// ours, unless `visit` broke off.
 pub fn read(
     path: &Path,
     mut visit: impl FnMut(Item<'_>) -> ControlFlow<()>,
@@ -140,6 +143,10 @@ fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
             Some(Err(error)) => break Some(damaged(error)),
         }
     };
+    // What another program wrote is not a damaged log of ours.
+    if let Some(library) = walk.library.filter(|_| !walk.ours) {
+        return Err(LogError::Foreign { path: path.to_owned(), library });
+    }
     Ok(Ending { finished: damage.is_none(), damage, chunks: walk.chunks, bytes })
 }
 
@@ -159,6 +166,30 @@ pub fn read_samples(path: &Path, mut visit: impl FnMut(u64, Message)) -> Result<
     })
 }
 
+/// Chunks that an index points to, one after another.
+pub(super) struct Chunks(Walk);
+
+impl Chunks {
+    /// Knows the topics of the channels, which only the first chunk with one names.
+    pub(super) fn of(topics: impl Iterator<Item = (u16, String)>) -> Self {
+        let topics = topics.map(|(id, topic)| (id, (topic, String::new()))).collect();
+        Self(Walk { topics, ..Walk::default() })
+    }
+
+    /// Shows what is in a chunk, given as its record without opcode and length, until `visit` breaks off.
+    ///
+    /// # Errors
+    /// Its damage in words: then nothing of it was shown.
+    pub(super) fn read(
+        &mut self,
+        chunk: &[u8],
+        visit: &mut Visit<'_>,
+    ) -> Result<ControlFlow<()>, String> {
+        Walk::check_sum(chunk)?;
+        self.0.chunk(chunk, visit)
+    }
+}
+
 /// State of the log so far. Its errors are damage, in words.
 #[derive(Default)]
 struct Walk {
@@ -166,6 +197,10 @@ struct Walk {
     /// Topic and schema name.
     topics: HashMap<u16, (String, String)>,
     chunks: u64,
+    /// Library that wrote the file, by its own word.
+    library: Option<String>,
+    /// Whether anything shows that it is a log of ours, which other tools may have written anew.
+    ours: bool,
     data_ended: bool,
     /// Whether the last record of the data is the outcome.
     outcome_last: bool,
@@ -192,14 +227,17 @@ impl Walk {
             self.outcome_last = false;
         }
         match record {
-            Record::Chunk { header, .. } => {
-                if header.uncompressed_crc == 0 {
-                    return Err(damaged("a chunk without a checksum"));
-                }
+            Record::Chunk { .. } => {
+                Self::check_sum(data)?;
                 self.chunks += 1;
                 return self.chunk(data, visit);
             }
+            Record::Header(header) => {
+                self.ours |= header.library.starts_with(LIBRARY_NAME);
+                self.library = Some(header.library);
+            }
             Record::Metadata(metadata) => {
+                self.ours |= metadata.name == JOB_RECORD;
                 self.outcome_last = metadata.name == OUTCOME_RECORD;
                 return Ok(visit(Item::Metadata {
                     name: &metadata.name,
@@ -217,12 +255,22 @@ impl Walk {
             }
             // Outside a chunk no checksum vouches for them; one flipped bit makes an index a
             // message.
-            Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
-                return Err(damaged("a schema, a channel or a message outside a chunk"));
+            Record::Schema { header, .. } => {
+                self.ours |= is_own(&header.name);
+                return Err(damaged(OUTSIDE));
             }
+            Record::Channel(_) | Record::Message { .. } => return Err(damaged(OUTSIDE)),
             _ => {}
         }
         Ok(ControlFlow::Continue(()))
+    }
+
+    /// Refuses a chunk without a checksum.
+    fn check_sum(chunk: &[u8]) -> Result<(), String> {
+        match parse_record(op::CHUNK, chunk).map_err(damaged)? {
+            Record::Chunk { header, .. } if header.uncompressed_crc != 0 => Ok(()),
+            _ => Err(damaged("a chunk without a checksum")),
+        }
     }
 
     /// Takes a chunk apart, after its checksum agreed.
@@ -263,6 +311,7 @@ impl Walk {
     ) -> Result<ControlFlow<()>, String> {
         match record {
             Record::Schema { header, .. } => {
+                self.ours |= is_own(&header.name);
                 self.schemas.insert(header.id, header.name);
             }
             Record::Channel(channel) => {
@@ -304,6 +353,13 @@ impl Walk {
             }
         }
     }
+}
+
+const OUTSIDE: &str = "a schema, a channel or a message outside a chunk";
+
+/// Returns whether a message type is one of ours.
+fn is_own(schema: &str) -> bool {
+    schema.starts_with("vpd.")
 }
 
 fn damaged(what: impl std::fmt::Display) -> String {

@@ -24,7 +24,7 @@ use super::messages::{
     self, EnsembleStatistics, Figures, Member, Message as SampleMessage, timestamp,
 };
 use super::overview::Curves;
-use super::part::{Part, Syncer, folder, sync_folder};
+use super::part::{Part, Syncer, folder, irreplaceable, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
 use super::schema::{Channel, Compression, ENCODING, Topic};
 use super::{
@@ -129,6 +129,14 @@ enum Rest {
     KeptWhereSynced,
 }
 
+/// Refuses a place where something is that no file may replace.
+fn may_write(path: &Path) -> Result<(), LogError> {
+    match irreplaceable(path) {
+        Some(kind) => Err(LogError::NoFile { path: path.to_owned(), kind }),
+        None => Ok(()),
+    }
+}
+
 /// Returns whether it is the log of a job of this name, and one that failed. A link is none.
 fn is_of_failed(path: &Path, name: Option<&String>) -> bool {
     let outcome = || {
@@ -147,6 +155,7 @@ impl LogWriter {
     /// # Errors
     /// If the file cannot be created or written.
     pub fn create(path: &Path, header: &LogHeader) -> Result<Self, LogError> {
+        may_write(path)?;
         let part = super::part_path(path);
         let file = Part::create(&part).map_err(|source| LogError::io(path, "create", source))?;
         let mut log = Self::begin(path, header, file).inspect_err(|_| {
@@ -172,6 +181,7 @@ impl LogWriter {
     /// # Errors
     /// The errors of [`LogWriter::create`], and [`LogError::Exists`].
     pub fn create_new(path: &Path, header: &LogHeader) -> Result<Self, LogError> {
+        may_write(path)?;
         let exists =
             |path: &Path, finished| Err(LogError::Exists { path: path.to_owned(), finished });
         if path.symlink_metadata().is_ok() && !is_of_failed(path, header.job.get("name")) {
@@ -197,6 +207,7 @@ impl LogWriter {
         header: &LogHeader,
         part_file: Part,
     ) -> Result<Self, LogError> {
+        may_write(path)?;
         let compression = match header.compression {
             Compression::Zstd => Some(mcap::Compression::Zstd),
             Compression::Lz4 => Some(mcap::Compression::Lz4),

@@ -6,11 +6,12 @@ use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 use crate::method::{Integrator, Takes};
 use crate::scenario::{
     Attitude, DrivenTerm, Entry, Framed, Inertia, Method, Path, PotentialTerm, Scenario,
-    ScenarioError, SolverKind, TableauChoice, TableauName, Torque,
+    ScenarioError, Sequence, SolverKind, TableauChoice, TableauName, Torque,
 };
 use crate::solve::hamiltonian::CLOSEST_APPROACH;
 use crate::solve::nonlinear::{Rungs, StopRule};
 use crate::solve::so;
+use crate::solve::so3;
 use crate::solve::tableau::{Tableau, TableauError};
 
 /// The mathematical objects of the scene, of runtime size; [`crate::run`] gives them their const size.
@@ -273,9 +274,24 @@ pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64
         Some(Attitude::Quaternion([w, x, y, z])) => Ok(from_quaternion(*w, *x, *y, *z)),
         Some(Attitude::AxisAngle(turn)) => {
             let axis = Vector3::from(turn.axis).normalize();
-            let half = 0.5 * turn.angle_rad;
+            let given = [turn.angle_rad, turn.angle_deg].map(|angle| angle.map(|angle| [angle]));
+            let [angle] = in_radians(given);
+            let half = 0.5 * angle;
             let (w, v) = (libm::cos(half), axis * libm::sin(half));
             Ok(from_quaternion(w, v.x, v.y, v.z))
+        }
+        Some(Attitude::Euler(euler)) => {
+            Ok(turns(euler.sequence, in_radians([euler.angles_rad, euler.angles_deg])))
+        }
+        Some(Attitude::RollPitchYaw(given)) => {
+            let [roll, pitch, yaw] = in_radians([given.angles_rad, given.angles_deg]);
+            Ok(turns(Sequence::Zyx, [yaw, pitch, roll]))
+        }
+        Some(Attitude::Mrp([x, y, z])) => {
+            // cos(angle / 2) and axis sin(angle / 2), from p = axis tan(angle / 4), both times 1 + p^2
+            // (Schaub, Junkins 1996, Journal of the Astronautical Sciences 44, 1).
+            let square = x * x + y * y + z * z;
+            Ok(from_quaternion(1.0 - square, 2.0 * x, 2.0 * y, 2.0 * z))
         }
         Some(Attitude::Matrix(given)) => {
             let g = rows(given);
@@ -294,6 +310,38 @@ pub(super) fn attitude(given: Option<&Attitude>, n: usize) -> Result<DMatrix<f64
             Ok(g)
         }
     }
+}
+
+/// Returns angles in radians that are given in radians or in degrees.
+fn in_radians<const K: usize>([rad, deg]: [Option<[f64; K]>; 2]) -> [f64; K] {
+    // Exact for a quarter turn, and its multiples.
+    let converted = |angles: [f64; K]| angles.map(|deg| deg / 180.0 * std::f64::consts::PI);
+    rad.or(deg.map(converted)).expect("the check of the scenario saw one of the two")
+}
+
+/// Returns the rotation of three turns, each about an axis of the body as it is by then.
+fn turns(sequence: Sequence, angles: [f64; 3]) -> DMatrix<f64> {
+    let about = |axis: usize, angle: f64| {
+        let (j, k) = ((axis + 1) % 3, (axis + 2) % 3);
+        let (s, c) = (libm::sin(angle), libm::cos(angle));
+        let mut turn = DMatrix::identity(3, 3);
+        (turn[(j, j)], turn[(k, k)]) = (c, c);
+        (turn[(j, k)], turn[(k, j)]) = (-s, s);
+        turn
+    };
+    let [first, second, third] = [0, 1, 2].map(|i| about(sequence.axes()[i], angles[i]));
+    first * second * third
+}
+
+/// Returns the axis of a rotation for n = 3, of length one, and its angle in radians, from 0 to pi.
+pub(crate) fn axis_and_angle(attitude: &DMatrix<f64>) -> ([f64; 3], f64) {
+    let g = Matrix3::from_fn(|i, j| attitude[(i, j)]);
+    let q = so3::unit(&g);
+    let q = if q.w < 0.0 { -q } else { q };
+    let v = q.vector().into_owned();
+    let size = v.norm();
+    let axis = if size > 0.0 { v / size } else { Vector3::z() };
+    (axis.into(), 2.0 * libm::atan2(size, q.w))
 }
 
 /// Returns the skew matrix of a 3-vector or of rows.

@@ -104,7 +104,7 @@ impl Recording {
     /// [`super::Control::replaces_nothing`].
     ///
     /// A step that fails is no error but a finished log, an [`Outcome::Failed`] and a diagnosis,
-    /// whose step is a guess that was not tried. Momentum drift is given as far as the system tells
+    /// which advises no step. Momentum drift is given as far as the system tells
     /// what is conserved. A warning that the run means little is not given: it is not known how
     /// much of the energy of the system moves.
     ///
@@ -157,8 +157,8 @@ impl Recording {
             }
             Ending::Cancelled => (Outcome::Cancelled, None),
             Ending::Failed(failure) => {
-                let guess = Advised::Untried { step_s: failure.smaller_step(step_s) };
-                let reported = summary::diagnosis(failure, None, reached.step, step_s, guess);
+                let advised = Advised::Untried;
+                let reported = summary::diagnosis(failure, None, reached.step, step_s, advised);
                 (Outcome::Failed, Some(reported))
             }
         };

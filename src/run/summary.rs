@@ -308,8 +308,8 @@ pub(super) enum Advised {
     },
     /// No step works.
     NoneWorks,
-    /// A guess: nothing was tried.
-    Untried { step_s: f64 },
+    /// Nothing was tried, so nothing is advised.
+    Untried,
     /// The longest of adaptive steps, which was tried.
     OwnStep { largest_step_s: f64, tried: Tried },
 }
@@ -369,29 +369,24 @@ pub(super) fn diagnosis(
     let written = |step_s: f64| serde_json::json!(step_s);
     let (advice, advised_step_s) = match advised {
         Advised::Step { step_s, tried } => {
-            let advice =
-                format!("try \"step_s\": {} or a tableau with more stages", written(step_s));
+            let advice = format!("try \"step_s\": {}", written(step_s));
             (tried.appended_to(advice), Some(step_s))
         }
         Advised::OwnStep { largest_step_s, tried } => {
             let written = written(largest_step_s);
-            let advice = format!("try \"largest_step_s\": {written} or a tableau with more stages");
+            let advice = format!("try \"largest_step_s\": {written}");
             (tried.appended_to(advice), Some(largest_step_s))
         }
         Advised::NotFound { tried_s } => (
             format!(
-                "try a much smaller step than {} s, or check the scene at this time: the search ended before it found a step that works",
+                "no step is advised: the search ended before it found one that works, and {} s still fails; check the scene at this time",
                 written(tried_s)
             ),
             None,
         ),
-        Advised::Untried { step_s } => (
-            format!(
-                "try a step of {} s (a guess that was not tried), or check the law at this state",
-                written(step_s)
-            ),
-            None,
-        ),
+        Advised::Untried => {
+            ("no other step was tried; check the law at this state".to_owned(), None)
+        }
         Advised::NoneWorks => {
             ("no smaller step got past this time; check the scene there".to_owned(), None)
         }

@@ -28,7 +28,9 @@ pub(crate) fn set(document: &mut Value, pointer: &str, value: Value) -> Result<(
         place = match place {
             Value::Array(items) => {
                 let count = items.len();
-                let index = key.parse().ok().filter(|&index: &usize| index < count);
+                // RFC 6901: no leading zeros, and no sign.
+                let index: Option<usize> = key.parse().ok();
+                let index = index.filter(|&index| index < count && index.to_string() == key);
                 let index = index.ok_or_else(|| match count {
                     0 => nowhere("is a list without items".to_owned()),
                     _ => nowhere(format!("is a list with the items 0 to {}", count - 1)),

@@ -24,6 +24,11 @@ const SMALLEST_STRENGTH: f64 = 1e-30;
 const MAX_TERMS: usize = 1000;
 /// Largest seed: JSON numbers are exact up to here.
 pub(crate) const LARGEST_SEED: u64 = (1 << 53) - 1;
+/// Largest angle of an attitude: more turns would leave less than ten digits.
+const MOST_ANGLE_RAD: f64 = 1e6;
+const MOST_ANGLE_DEG: f64 = 1e8;
+/// Largest modified Rodrigues parameter, a full turn but for a billionth.
+const MOST_MRP: f64 = 1e9;
 /// Most steps of a run.
 pub(super) const MAX_STEPS: u64 = 1_000_000_000_000;
 /// Most samples of a log.
@@ -31,7 +36,7 @@ const MAX_SAMPLES: u64 = 1_000_000_000;
 /// Smallest step in seconds.
 pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
 /// Largest step in seconds.
-pub(super) const LARGEST_STEP_S: f64 = 1e6;
+pub(super) const LARGEST_STEP_S: f64 = 1e9;
 /// Smallest and largest error that may be asked for.
 const ACCURACY_RANGE: (f64, f64) = (1e-13, 0.1);
 /// Longest run in seconds of simulated time, so that log time fits its 64 bits.
@@ -263,8 +268,26 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
             let pointer = format!("{at}/attitude/axis_angle");
             only_three(pointer.clone())?;
             direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
-            ensure(turn.angle_rad.abs() <= 1e6, format!("{pointer}/angle_rad"), || {
-                format!("{:?} given, an angle is at most 1e6 rad", turn.angle_rad)
+            let given = [turn.angle_rad, turn.angle_deg];
+            angles(&pointer, "angle", given.map(|angle| angle.map(|angle| [angle])))?;
+        }
+        Some(Attitude::Euler(euler)) => {
+            let pointer = format!("{at}/attitude/euler");
+            only_three(pointer.clone())?;
+            angles(&pointer, "angles", [euler.angles_rad, euler.angles_deg])?;
+        }
+        Some(Attitude::RollPitchYaw(turns)) => {
+            let pointer = format!("{at}/attitude/roll_pitch_yaw");
+            only_three(pointer.clone())?;
+            angles(&pointer, "angles", [turns.angles_rad, turns.angles_deg])?;
+        }
+        Some(Attitude::Mrp(mrp)) => {
+            let pointer = format!("{at}/attitude/mrp");
+            only_three(pointer.clone())?;
+            mrp.iter().enumerate().try_for_each(|(i, &x)| {
+                ensure(x.abs() <= MOST_MRP, format!("{pointer}/{i}"), || {
+                    format!("{x:?} given, the size of a modified Rodrigues parameter is at most {MOST_MRP:e}")
+                })
             })?;
         }
     }
@@ -280,6 +303,29 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
         framed(&format!("{at}/angular_velocity"), velocity, n)?;
     }
     Ok(())
+}
+
+/// Checks angles that are given either in radians or in degrees.
+fn angles<const N: usize>(pointer: &str, name: &str, given: [Option<[f64; N]>; 2]) -> Check {
+    let [rad, deg] = ["rad", "deg"].map(|unit| format!("{pointer}/{name}_{unit}"));
+    let (at, angles, most, unit) = match given {
+        [Some(angles), None] => (rad, angles, MOST_ANGLE_RAD, "rad"),
+        [None, Some(angles)] => (deg, angles, MOST_ANGLE_DEG, "degrees"),
+        [None, None] => {
+            let message = format!("missing field `{name}_rad` (or `{name}_deg`)");
+            return Err(ScenarioError::invalid(pointer, message));
+        }
+        [Some(_), Some(_)] => {
+            let message = format!("is given together with `{name}_rad`; give one of the two");
+            return Err(ScenarioError::invalid(deg, message));
+        }
+    };
+    angles.iter().enumerate().try_for_each(|(i, angle)| {
+        let at = if N == 1 { at.clone() } else { format!("{at}/{i}") };
+        ensure(angle.abs() <= most, at, || {
+            format!("{angle:?} given, an angle is at most {most:e} {unit}")
+        })
+    })
 }
 
 pub(super) fn framed(pointer: &str, given: &Framed, n: usize) -> Check {

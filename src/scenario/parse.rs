@@ -6,6 +6,7 @@
 
 use std::borrow::Cow;
 use std::fmt;
+use std::io::{self, Read};
 
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::de::DeserializeOwned;
@@ -21,6 +22,9 @@ use super::{
     Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, SchemaAddress,
     TableauChoice, TableauName,
 };
+
+/// Longest text of a scenario or of a sweep, in bytes: the largest tables are a tenth of it.
+const LARGEST_TEXT_BYTES: u64 = 64 << 20;
 
 /// Reads a scenario from JSON text.
 pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
@@ -90,8 +94,45 @@ fn no_list_for_an_object(given: &Value, printed: &Value, at: &str) -> Result<(),
     }
 }
 
+/// Returns the text after the byte order mark that some editors put before UTF-8.
+///
+/// # Errors
+/// If the text is UTF-16, which other editors write, or UTF-32.
+pub(crate) fn without_mark(text: &[u8]) -> Result<&[u8], ScenarioError> {
+    // JSON begins with an ASCII character, of which these encodings make zero bytes.
+    let is_wide = |&byte: &u8| byte == 0;
+    let wide = text.starts_with(&[0xFF, 0xFE])
+        || text.starts_with(&[0xFE, 0xFF])
+        || text.iter().take(2).any(is_wide);
+    if wide {
+        let message = "is text in UTF-16 or UTF-32; JSON is UTF-8: save the file in that encoding";
+        return Err(ScenarioError::new(
+            ScenarioErrorKind::Malformed,
+            String::new(),
+            message.to_owned(),
+        ));
+    }
+    Ok(text.strip_prefix(&[0xEF, 0xBB, 0xBF]).unwrap_or(text))
+}
+
+/// Reads the text of a scenario or of a sweep, of at most [`LARGEST_TEXT_BYTES`] bytes.
+///
+/// # Errors
+/// If it cannot be read or is longer.
+pub(crate) fn read_text(from: impl Read) -> io::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    from.take(LARGEST_TEXT_BYTES + 1).read_to_end(&mut text)?;
+    if text.len() as u64 > LARGEST_TEXT_BYTES {
+        let most = LARGEST_TEXT_BYTES >> 20;
+        let message = format!("is longer than the {most} MiB that are allowed");
+        return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
+    }
+    Ok(text)
+}
+
 /// Makes the first pass: text → a tree without duplicate keys.
 pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
+    let text = without_mark(text)?;
     let mut reader = serde_json::Deserializer::from_slice(text);
     let Tree(value) = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let inner = error.inner();

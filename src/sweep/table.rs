@@ -2,8 +2,8 @@
 //! finished.
 //!
 //! Invariant: a finished table holds nothing but a head and its lines; until then, or if it is a
-//! part of a whole, it begins with a line that describes it. Anything after the last whole line of
-//! a member is written anew.
+//! part of a whole, it begins with a line that describes it, and each line ends with its checksum. Anything after the last
+//! sound line of a member is written anew.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -13,11 +13,27 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Number, Value};
 
 use super::{Counts, SweepError};
-use crate::log::part::{folder, own, sync_folder};
+use crate::log::part::{folder, irreplaceable, own, sync_folder};
 use crate::log::part_path;
 
 /// Beginning of the first line of a part; to most readers of tables a comment.
 const MARK: &str = "# vpd sweep ";
+
+/// Head of the last column of a part.
+const SEAL: &str = ",line_crc32";
+
+/// Returns a line of a part: with its checksum, CRC-32 in eight hexadecimal digits, as the last cell.
+fn sealed(line: &str) -> String {
+    let line = line.trim_end_matches('\n');
+    format!("{line},{:08x}\n", crc32fast::hash(line.as_bytes()))
+}
+
+/// Returns a line of a part without its checksum, if that is right.
+fn unsealed(line: &[u8]) -> Option<&[u8]> {
+    let (line, seal) = line.split_at_checked(line.len().checked_sub(9)?)?;
+    let right = format!(",{:08x}", crc32fast::hash(line));
+    (seal == right.as_bytes()).then_some(line)
+}
 
 /// Description of a part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -83,26 +99,48 @@ pub(super) struct Lines<R> {
     reader: R,
     columns: usize,
     next: u64,
+    /// Whether each line ends with its checksum.
+    sealed: bool,
+    /// Bytes of the last line in the file, its end included.
+    length: u64,
     line: Vec<u8>,
 }
 
 impl<R: BufRead> Lines<R> {
+    /// Reads a finished table.
     pub(super) fn new(reader: R, columns: usize, next: u64) -> Self {
-        Self { reader, columns, next, line: Vec::new() }
+        Self { reader, columns, next, sealed: false, length: 0, line: Vec::new() }
     }
 
-    /// Returns the next line, its end included, and its cells; `None` where there is no whole line
+    /// Reads a part; the checksum is no column of it.
+    fn of_part(reader: R, columns: usize, next: u64) -> Self {
+        Self { sealed: true, ..Self::new(reader, columns, next) }
+    }
+
+    /// Returns whether the line at which [`Lines::read`] ended is a whole one that is wrong.
+    fn met_damage(&self) -> bool {
+        self.line.ends_with(b"\n")
+    }
+
+    /// Returns the next line, its end included and its checksum not, and its cells; `None` where there is no sound line
     /// of the next member.
     pub(super) fn read(&mut self) -> io::Result<Option<(&[u8], Vec<String>)>> {
         self.line.clear();
-        self.reader.read_until(b'\n', &mut self.line)?;
-        let Some(text) = self.line.strip_suffix(b"\n") else { return Ok(None) };
+        self.length = self.reader.read_until(b'\n', &mut self.line)? as u64;
+        let Some(mut text) = self.line.strip_suffix(b"\n") else { return Ok(None) };
+        if self.sealed {
+            let Some(line) = unsealed(text) else { return Ok(None) };
+            text = line;
+        }
+        let length = text.len();
         let Ok(text) = std::str::from_utf8(text) else { return Ok(None) };
         let cells = cells(text);
         if cells.len() != self.columns || cells.first() != Some(&self.next.to_string()) {
             return Ok(None);
         }
         self.next += 1;
+        self.line.truncate(length);
+        self.line.push(b'\n');
         Ok(Some((&self.line, cells)))
     }
 }
@@ -116,6 +154,11 @@ pub(super) struct Part {
     pub(super) next: u64,
     /// Outcomes of the members before it.
     pub(super) counts: Counts,
+    /// The member whose line was found damaged; it and those after it are run again.
+    pub(super) damaged: Option<u64>,
+    first: u64,
+    end: u64,
+    head: String,
     /// Bytes of the first line, which a finished whole leaves out.
     mark: u64,
 }
@@ -128,6 +171,7 @@ impl Part {
         head: &str,
         replaces: bool,
     ) -> Result<Self, SweepError> {
+        may_write(path)?;
         if !replaces && path.symlink_metadata().is_ok() {
             return Err(SweepError::Exists { path: path.to_owned(), finished: true });
         }
@@ -137,7 +181,7 @@ impl Part {
         let mut file = own(&part, options.read(true).write(true).create(true).truncate(false))
             .map_err(failed)?;
         let mark = identity.line();
-        let begin = format!("{mark}{head}\n");
+        let begin = format!("{mark}{head}{SEAL}\n");
         let mut found = Vec::new();
         (&mut file).take(begin.len() as u64).read_to_end(&mut found).map_err(failed)?;
         let same = found == begin.as_bytes();
@@ -151,39 +195,49 @@ impl Part {
             file,
             next: identity.first,
             counts: Counts::default(),
+            damaged: None,
+            first: identity.first,
+            end: identity.end,
+            head: head.to_owned(),
             mark: mark.len() as u64,
         };
         if same {
-            table.take_up(begin.len() as u64, head, identity.end).map_err(failed)?;
+            table.take_up(begin.len() as u64).map_err(failed)?;
         } else {
             table.file.set_len(0).map_err(failed)?;
             table.file.rewind().map_err(failed)?;
-            table.append(&begin)?;
+            table.write(&begin)?;
         }
         Ok(table)
     }
 
-    /// Counts the lines that are there, and leaves out anything after the last whole one.
-    fn take_up(&mut self, begin: u64, head: &str, end: u64) -> io::Result<()> {
-        let columns = cells(head);
+    /// Counts the lines that are there, and leaves out anything after the last sound one.
+    fn take_up(&mut self, begin: u64) -> io::Result<()> {
+        let columns = cells(&self.head);
         let outcome = columns.iter().position(|name| name == "outcome").unwrap_or_default();
         let mut good = begin;
-        let mut lines = Lines::new(BufReader::new(&self.file), columns.len(), self.next);
-        while self.next < end
-            && let Some((line, cells)) = lines.read()?
-        {
-            good += line.len() as u64;
+        let mut lines = Lines::of_part(BufReader::new(&self.file), columns.len(), self.next);
+        while self.next < self.end {
+            let Some((_, cells)) = lines.read()? else {
+                self.damaged = lines.met_damage().then_some(self.next);
+                break;
+            };
             self.counts.add(&cells[outcome]);
+            good += lines.length;
             self.next += 1;
         }
         self.file.set_len(good)?;
         self.file.seek(SeekFrom::Start(good)).map(drop)
     }
 
-    /// Adds lines; they go to the file at once.
-    pub(super) fn append(&mut self, lines: &str) -> Result<(), SweepError> {
+    /// Adds a line; it goes to the file at once.
+    pub(super) fn append(&mut self, line: &str) -> Result<(), SweepError> {
+        self.write(&sealed(line))
+    }
+
+    fn write(&mut self, text: &str) -> Result<(), SweepError> {
         let failed = |source| SweepError::io(&self.part, "write", source);
-        self.file.write_all(lines.as_bytes()).map_err(failed)
+        self.file.write_all(text.as_bytes()).map_err(failed)
     }
 
     /// Brings everything to the disk.
@@ -191,18 +245,37 @@ impl Part {
         self.file.sync_data().map_err(|source| SweepError::io(&self.part, "sync", source))
     }
 
-    /// Gives the table its name; a whole one without its first line.
+    /// Gives the table its name; a whole one without its first line and the checksums.
     pub(super) fn finish(mut self, whole: bool) -> Result<(), SweepError> {
-        let Self { path, part, file, mark, .. } = &mut self;
+        let Self { path, part, file, mark, first, end, head, .. } = &mut self;
         if !whole {
             let named = file.sync_all().and_then(|()| fs::rename(&part, &path));
             let named = named.and_then(|()| sync_folder(folder(path)));
             return named.map_err(|source| SweepError::io(path, "finish", source));
         }
-        let copied = file.seek(SeekFrom::Start(*mark)).map(drop);
-        let copied = copied.and_then(|()| replace(path, |out| io::copy(file, out).map(drop)));
+        let begin = *mark + (head.len() + SEAL.len() + 1) as u64;
+        let copied = file.seek(SeekFrom::Start(begin)).map(drop);
+        let copied = copied.and_then(|()| {
+            replace(path, |out| {
+                writeln!(out, "{head}")?;
+                let mut lines = Lines::of_part(BufReader::new(file), cells(head).len(), *first);
+                for _ in *first..*end {
+                    let changed = || io::Error::other("its lines changed while it was made");
+                    out.write_all(lines.read()?.ok_or_else(changed)?.0)?;
+                }
+                Ok(())
+            })
+        });
         let removed = copied.and_then(|()| fs::remove_file(part));
         removed.map_err(|source| SweepError::io(path, "finish", source))
+    }
+}
+
+/// Refuses a place where something is that no file may replace.
+fn may_write(path: &Path) -> Result<(), SweepError> {
+    match irreplaceable(path) {
+        Some(kind) => Err(SweepError::NoFile { path: path.to_owned(), kind }),
+        None => Ok(()),
     }
 }
 
@@ -230,7 +303,8 @@ fn replace(
 struct Found {
     path: PathBuf,
     identity: Identity,
-    mark: String,
+    /// Bytes before its first line.
+    begin: u64,
     head: String,
 }
 
@@ -247,10 +321,12 @@ impl Found {
         let (mark, head) = (line().map_err(failed)?, line().map_err(failed)?);
         let identity = mark.ends_with('\n').then(|| Identity::read(&mark)).flatten();
         let identity = identity.filter(|id| id.first <= id.end && id.end <= id.members);
-        let Some(identity) = identity.filter(|_| head.ends_with('\n')) else {
+        let begin = (mark.len() + head.len()) as u64;
+        let head = head.strip_suffix('\n').and_then(|head| head.strip_suffix(SEAL));
+        let (Some(identity), Some(head)) = (identity, head) else {
             return Err(SweepError::NoPart { path: path.to_owned() });
         };
-        Ok(Self { path: path.to_owned(), identity, mark, head })
+        Ok(Self { path: path.to_owned(), identity, begin, head: head.to_owned() })
     }
 
     /// Gives each line to `put`; all that should be there are.
@@ -260,11 +336,10 @@ impl Found {
     ) -> Result<(), SweepError> {
         let failed = |source| SweepError::io(&self.path, "read", source);
         let mut file = File::open(&self.path).map_err(failed)?;
-        let begin = (self.mark.len() + self.head.len()) as u64;
-        file.seek(SeekFrom::Start(begin)).map_err(failed)?;
+        file.seek(SeekFrom::Start(self.begin)).map_err(failed)?;
         let Identity { first, end, .. } = self.identity;
-        let columns = cells(self.head.trim_end()).len();
-        let mut lines = Lines::new(BufReader::with_capacity(1 << 18, file), columns, first);
+        let columns = cells(&self.head).len();
+        let mut lines = Lines::of_part(BufReader::with_capacity(1 << 18, file), columns, first);
         for member in first..end {
             let Some((line, _)) = lines.read().map_err(failed)? else {
                 let (path, missing) = (self.path.clone(), (member, end - 1));
@@ -288,7 +363,7 @@ pub(super) fn finished(path: &Path, identity: &Identity, head: &str) -> Option<C
     let found = Found::open(path).ok()?;
     let columns = cells(head);
     let outcome = columns.iter().position(|name| name == "outcome")?;
-    if found.identity != *identity || found.head.trim_end() != head {
+    if found.identity != *identity || found.head != head {
         return None;
     }
     let mut counts = Counts::default();
@@ -306,6 +381,7 @@ pub(super) fn finished(path: &Path, identity: &Identity, head: &str) -> Option<C
 /// # Errors
 /// If a part is missing, unfinished, of another sweep or of another build, if two overlap, or a file cannot be read or written.
 pub fn merge(parts: &[PathBuf], out: &Path, replaces: bool) -> Result<u64, SweepError> {
+    may_write(out)?;
     if !replaces && out.symlink_metadata().is_ok() {
         return Err(SweepError::Exists { path: out.to_owned(), finished: true });
     }
@@ -355,7 +431,7 @@ pub fn merge(parts: &[PathBuf], out: &Path, replaces: bool) -> Result<u64, Sweep
     let unwritten = |source| SweepError::io(out, "write", source);
     let mut broken = None;
     let written = replace(out, |file| {
-        file.write_all(head.as_bytes())?;
+        writeln!(file, "{head}")?;
         for part in &whole {
             if let Err(error) = part.lines(|line| file.write_all(line).map_err(unwritten)) {
                 broken = Some(error);

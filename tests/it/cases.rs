@@ -12,7 +12,8 @@ use vpd::scenario::Scenario;
 use crate::scenarios::run;
 
 fn text(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases").join(format!("{name}.json"));
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases").join(format!("{name}.json"));
     std::fs::read_to_string(path).expect("a case")
 }
 

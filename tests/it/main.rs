@@ -14,6 +14,7 @@ mod extreme;
 mod failing;
 mod faults;
 mod http;
+mod inputs;
 mod gallery;
 /// Shared with the tests of the mathematics.
 #[allow(dead_code)]

@@ -106,7 +106,7 @@ fn what_goes_wrong_is_said_in_a_finished_log() {
     let diagnosis = summary.diagnosis.expect("a reason");
     assert_eq!((diagnosis.step, summary.samples), (summary.steps + 1, summary.steps + 1));
     assert!((15..=16).contains(&diagnosis.step), "{diagnosis}");
-    assert!(diagnosis.advice.contains("not tried"), "{diagnosis}");
+    assert!(diagnosis.advice.contains("no other step was tried"), "{diagnosis}");
     let sum = inspect(&log).expect("readable");
     assert!(sum.finished);
     assert_eq!(sum.outcome.expect("a record")["state"], "failed");
