@@ -165,7 +165,8 @@ pub(crate) struct Measured {
     /// The number of that sample.
     pub(crate) fastest_sample: usize,
     pub(crate) largest_kinetic: f64,
-    /// Largest size of the body momentum at a sample, at least that by which the body turns a millionth of a radian.
+    /// Largest size of the body momentum at a sample; in a potential at least that by which the body turns a millionth of a
+    /// radian meanwhile.
     pub(crate) largest_momentum: f64,
     /// The shortest step in parts of the longest, where they adapt.
     pub(crate) least_sigma: Option<f64>,
@@ -246,11 +247,12 @@ pub(crate) fn measure(
     let ensemble = scene.ensemble.as_ref();
     let mut run = assembled(&plan, Measurement { probe, ensemble, watch, most_sweeps });
     run.cost_ns = plan.work_ns(run.counts());
-    // Of a body that hardly moves the roundings of its torques would be all that is compared.
+    // Of a body that hardly moves in a potential the roundings of its torques would be all that is compared.
     const HARDLY_RAD: f64 = 1e-6;
     let time_s = probe.step_s * probe.steps as f64;
     let hardly = HARDLY_RAD / (plan.model.kinetic.mobility() * time_s);
-    if hardly.is_finite() {
+    let in_potential = !(plan.model.terms.is_empty() && plan.model.driven.is_empty());
+    if in_potential && hardly.is_finite() {
         run.largest_momentum = run.largest_momentum.max(hardly);
     }
     // A sample is about as much work as a sweep.

@@ -104,7 +104,7 @@ pub struct Reference {
     /// The state at each quarter of the time, for a long one at each sixty-fourth, the start first.
     pub points: Vec<Point>,
     /// Largest size of the body momentum on the way, in which errors of the momentum are measured; for a body that hardly
-    /// moves, that of one that turns by a millionth of a radian meanwhile.
+    /// moves in a potential, that of one that turns by a millionth of a radian meanwhile.
     pub momentum_scale: f64,
     /// Distance of the last two solutions of the first family, or a hundredth of that of the second
     /// if that is more, or all of it where the second scatters or nothing explains it; no error below it can be measured.
@@ -216,7 +216,11 @@ impl Reference {
         reference.round_start(scene, member, asked, watch)?;
         // A family with less round-off may show what this one does not.
         if first.is_rough && reference.error > asked && reference.error < ROUGH * asked {
-            let others = if scales.adapts { in_short_steps(scene) } else { [second, first] };
+            let others = match (scales.adapts, scene.dimension()) {
+                (true, _) => in_short_steps(scene),
+                (false, 3) => [second, of_little_round_off()],
+                (false, _) => [second, first],
+            };
             match solve(others) {
                 Ok(mut other) => {
                     other.round_start(scene, member, asked, watch)?;
@@ -594,6 +598,12 @@ fn adaptive_families() -> [Family; 2] {
         is_rough: true,
     };
     [family(TableauName::Gauss8, 1.0), family(TableauName::Gauss6, 1.5)]
+}
+
+/// Returns, for a body that is driven, a family that sums what it adds to the momentum with the part lost to rounding.
+fn of_little_round_off() -> Family {
+    let method = with_tableau(Integrator::Vrkmk, TableauName::Gauss6);
+    Family { method, easy_steps: 2.0, is_rough: false }
 }
 
 /// Returns the families in steps of one length, as short as a passage needs them.
