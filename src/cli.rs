@@ -169,7 +169,9 @@ struct RunArgs {
 fn log_path(path: PathBuf) -> Result<PathBuf, String> {
     let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
     if path == Path::new("-") {
-        return Err("a log needs its place on the disk, so that it can be resumed: name a file".to_owned());
+        return Err(
+            "a log needs its place on the disk, so that it can be resumed: name a file".to_owned()
+        );
     }
     let other = match ending.to_str() {
         Some("csv" | "parquet" | "arrow") => {

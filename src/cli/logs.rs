@@ -170,11 +170,13 @@ fn text(found: &Comparison) -> String {
     }
     for (log, unfinished) in ["first", "second"].iter().zip(&found.unfinished) {
         if let Some(why) = unfinished {
-            text += &format!("unfinished        the {log} log: {}\n", shown(why));
+            text += &format!("unfinished        the {log} log: {}\n", crate::log::shown(why));
         }
     }
     text += &match &found.first_beyond {
-        None if !found.agrees() => "they agree as far as both go, and one goes on alone\n".to_owned(),
+        None if !found.agrees() => {
+            "they agree as far as both go, and one goes on alone\n".to_owned()
+        }
         None => "they agree\n".to_owned(),
         Some(diff::Beyond { time_s, quantity, difference, tolerance }) => format!(
             "first beyond      t = {time_s} s: {} differs by {difference:.3e} {unit}, more than {tolerance:e} {unit}\n",

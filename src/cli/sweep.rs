@@ -125,7 +125,9 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
         text += &format!("resumed         with {resumed} members in the table\n");
     }
     if let Some(member) = damaged {
-        text += &format!("damaged         the line of member {member}: it and those after it were run again\n");
+        text += &format!(
+            "damaged         the line of member {member}: it and those after it were run again\n"
+        );
     }
     show(format!("{text}table           {}\n", table.display()))?;
     #[cfg(feature = "chart")]

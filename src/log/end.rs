@@ -118,7 +118,8 @@ impl End {
         if stretch.is_empty() || channels.is_empty() {
             return Ok(());
         }
-        let damaged = |what: String| McapError::Io(io::Error::new(io::ErrorKind::InvalidData, what));
+        let damaged =
+            |what: String| McapError::Io(io::Error::new(io::ErrorKind::InvalidData, what));
         let mut chunks = Chunks::of(self.channels.iter().map(|(&id, topic)| (id, topic.clone())));
         for place in self.chunks_of(file, &channels, &stretch)? {
             let end = place.chunk_start_offset.saturating_add(place.chunk_length);

@@ -16,7 +16,9 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use mcap::{McapError, parse_record};
 
 pub use super::messages::Message;
-use super::{CHECKPOINT_OPCODE, JOB_RECORD, LIBRARY_NAME, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD};
+use super::{
+    CHECKPOINT_OPCODE, JOB_RECORD, LIBRARY_NAME, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD,
+};
 
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;

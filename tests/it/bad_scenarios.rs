@@ -340,7 +340,10 @@ pub(crate) fn table() -> Vec<Bad> {
         (r#"{"euler":{"sequence":"xxz","angles_rad":[0,0,1]}}"#, "/euler/sequence"),
         (r#"{"euler":{"sequence":"zxz"}}"#, "/euler"),
         (r#"{"euler":{"angles_rad":[0,0,1]}}"#, "/euler"),
-        (r#"{"euler":{"sequence":"zxz","angles_rad":[0,0,1],"angles_deg":[0,0,1]}}"#, "/euler/angles_deg"),
+        (
+            r#"{"euler":{"sequence":"zxz","angles_rad":[0,0,1],"angles_deg":[0,0,1]}}"#,
+            "/euler/angles_deg",
+        ),
         (r#"{"euler":{"sequence":"zxz","angles_rad":[0,1e7,1]}}"#, "/euler/angles_rad/1"),
         (r#"{"roll_pitch_yaw":{}}"#, "/roll_pitch_yaw"),
         (r#"{"roll_pitch_yaw":{"angles_deg":[1e9,0,0]}}"#, "/roll_pitch_yaw/angles_deg/0"),

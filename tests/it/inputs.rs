@@ -67,7 +67,8 @@ fn a_byte_order_mark_is_read_over_and_wide_text_is_refused() {
 
     let little: Vec<u8> = plain.encode_utf16().flat_map(u16::to_le_bytes).collect();
     let big: Vec<u8> = plain.encode_utf16().flat_map(u16::to_be_bytes).collect();
-    for wide in [[b"\xFF\xFE", &little[..]].concat(), [b"\xFE\xFF", &big[..]].concat(), little, big] {
+    for wide in [[b"\xFF\xFE", &little[..]].concat(), [b"\xFE\xFF", &big[..]].concat(), little, big]
+    {
         fs::write(at.join("wide.json"), wide).expect("written");
         refused(at, &["run", "wide.json"], &["wide.json", "UTF-16", "UTF-8"]);
     }
@@ -104,7 +105,8 @@ fn mcap_file(at: &Path, library: &str, chunked: bool, topic: &str, metadata: Met
     let mut writer = options.create(file).expect("a writer");
     writer.write_metadata(&metadata).expect("written");
     let schema = writer.add_schema("x", "jsonschema", b"{}").expect("a schema");
-    let channel = writer.add_channel(schema, topic, "json", &Default::default()).expect("a channel");
+    let channel =
+        writer.add_channel(schema, topic, "json", &Default::default()).expect("a channel");
     let header = MessageHeader { channel_id: channel, sequence: 0, log_time: 5, publish_time: 5 };
     writer.write_to_known_channel(&header, b"{}").expect("a message");
     writer.finish().expect("finished");
@@ -220,7 +222,11 @@ fn a_damaged_line_of_a_table_is_run_again() {
     for (from, to) in damages {
         // Member 3, of which one word is another, as the disk may have it: the line still reads as one.
         let mut lines = rows.clone();
-        let line = if from == "4," { lines[5].replacen(',', "0,", 4) } else { lines[5].replacen(from, to, 1) };
+        let line = if from == "4," {
+            lines[5].replacen(',', "0,", 4)
+        } else {
+            lines[5].replacen(from, to, 1)
+        };
         assert_ne!(line, rows[5], "{from}");
         lines[5] = &line;
         fs::write(at.join("again.csv.part"), lines.join("\n") + "\n").expect("written");
@@ -261,7 +267,9 @@ fn a_cut_log_does_not_agree_with_a_whole_one() {
         let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
         let alone = ["only_first", "only_second"].map(|key| found[key].as_u64().expect("a count"));
         assert!(alone.iter().sum::<u64>() > 0 && alone.contains(&0), "{alone:?}");
-        assert!(found["unfinished"].as_array().is_some_and(|both| both.iter().any(Value::is_string)));
+        assert!(
+            found["unfinished"].as_array().is_some_and(|both| both.iter().any(Value::is_string))
+        );
     }
     assert!(succeeds(at, &["diff", "whole.mcap", "whole.mcap"]).contains("they agree\n"));
 }
@@ -299,7 +307,11 @@ fn a_start_may_be_given_by_angles_and_by_rodrigues() {
     assert!((angle - 2.0 * w.acos().to_degrees()).abs() < 1e-12);
     let radians = json!({"roll_pitch_yaw": {"angles_rad": [2.0 * roll, 2.0 * pitch, 2.0 * yaw]}});
     assert_start(radians, axis, angle);
-    assert_start(json!({"axis_angle": {"axis": [0, 3, 0], "angle_deg": 12.5}}), [0.0, 1.0, 0.0], 12.5);
+    assert_start(
+        json!({"axis_angle": {"axis": [0, 3, 0], "angle_deg": 12.5}}),
+        [0.0, 1.0, 0.0],
+        12.5,
+    );
     let tan = 15.0_f64.to_radians().tan();
     assert_start(json!({"mrp": [0, tan, 0]}), [0.0, 1.0, 0.0], 60.0);
     assert_start(json!({"mrp": [0, 0, 1]}), [0.0, 0.0, 1.0], 180.0);
@@ -318,11 +330,8 @@ fn half_turns_are_read_as_half_turns() {
     for k in 0..72 {
         let (longitude, latitude) =
             (f64::from(k % 12) * 30.0_f64.to_radians(), f64::from(k / 12 * 30 - 60).to_radians());
-        let axis = [
-            latitude.cos() * longitude.cos(),
-            latitude.cos() * longitude.sin(),
-            latitude.sin(),
-        ];
+        let axis =
+            [latitude.cos() * longitude.cos(), latitude.cos() * longitude.sin(), latitude.sin()];
         let entry = |i: usize, j: usize| 2.0 * axis[i] * axis[j] - f64::from(u8::from(i == j));
         let matrix: Vec<Vec<f64>> = (0..3).map(|i| (0..3).map(|j| entry(i, j)).collect()).collect();
         let (found, angle_deg) = start(json!({ "matrix": matrix }));
@@ -349,6 +358,18 @@ fn the_plan_warns_of_what_is_easily_overlooked() {
     }
     // J1 = 1, J2 = 2, J3 = 3 at 1 rad/s: the rate is sqrt(1 * 1 / 3).
     assert!(warned(&spin([0.0, 1.0, 0.0]), "every 1.732e0 s"));
+
+    // 1 kg at 0.5 m has 0.25 kg m^2.
+    let weight = |moment: f64| {
+        let mut document = free(turning());
+        document["scene"]["inertia"]["principal"] = json!([moment, moment, 0.01]);
+        document["scene"]["potential"] = json!([
+            { "kind": "uniform", "weight": 9.81, "body_point": [0, 0, 0.5], "direction": [0, 0, 1] }
+        ]);
+        document
+    };
+    assert!(warned(&weight(0.1), "not about the centre of mass"));
+    assert!(!warned(&weight(0.25), "centre of mass") && !warned(&weight(0.4), "centre of mass"));
 
     let orbit = |strength: f64| {
         let mut document = free(turning());
