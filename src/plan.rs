@@ -401,6 +401,7 @@ impl Plan {
         plan.jacobi_integral = plan.model.jacobi_integral();
         plan.exact_motion()?;
         plan.warnings.extend(no_body(&inertia));
+        plan.warnings.extend(below_parallel_axis(&scenario.scene.potential, &inertia));
         plan.warnings.extend(plan.weak_gradients());
         plan.warnings.extend(plan.times_coincide());
         plan.warnings.extend(plan.tumbles());
@@ -738,6 +739,40 @@ fn no_body(inertia: &DMatrix<f64>) -> Option<String> {
         };
         format!("no rigid body has this inertia: {words}; the equations hold all the same")
     })
+}
+
+/// Warns of moments about the fixed point that are less than what a mass at the body point of a weight alone has, which
+/// is so if they are about the centre of mass. Only for n = 3; whether a uniform field is a weight is not known.
+fn below_parallel_axis(terms: &[PotentialTerm], inertia: &DMatrix<f64>) -> Vec<String> {
+    /// Standard gravity in m/s^2; on Earth it differs by less than the part that is let pass.
+    const GRAVITY_M_S2: f64 = 9.80665;
+    const PART: f64 = 0.99;
+    if inertia.nrows() != 3 {
+        return Vec::new();
+    }
+    let warning = |(index, term): (usize, &PotentialTerm)| {
+        let PotentialTerm::Uniform(uniform) = term else { return None };
+        let point = DVector::from_column_slice(&uniform.body_point);
+        let size = DVector::from_column_slice(&uniform.direction).norm();
+        let mass_kg = (uniform.weight * size).abs() / GRAVITY_M_S2;
+        let least = mass_kg * point.norm_squared();
+        if least == 0.0 {
+            return None;
+        }
+        // The smallest moment about an axis across the point: the third eigenvalue belongs to the point itself.
+        let along = terms::unit(&point);
+        let across = DMatrix::identity(3, 3) - &along * along.transpose();
+        let far = &along * along.transpose() * inertia.norm();
+        let moment = (&across * inertia * &across + far).symmetric_eigenvalues().min();
+        (moment < PART * least).then(|| {
+            format!(
+                "if /scene/potential/{index} is a weight on Earth, its mass of {mass_kg:.3e} kg at its body point alone has \
+                 the moment {least:.3e} kg m^2, but the inertia has only {moment:.3e} kg m^2: it is to be given about the \
+                 fixed point, not about the centre of mass"
+            )
+        })
+    };
+    terms.iter().enumerate().filter_map(warning).collect()
 }
 
 /// Returns n less the rank of space vectors.

@@ -170,7 +170,7 @@ fn text(found: &Comparison) -> String {
     }
     for (log, unfinished) in ["first", "second"].iter().zip(&found.unfinished) {
         if let Some(why) = unfinished {
-            text += &format!("unfinished        the {log} log: {}\n", shown(why));
+            text += &format!("unfinished        the {log} log: {}\n", crate::log::shown(why));
         }
     }
     text += &match &found.first_beyond {

@@ -211,8 +211,13 @@ fn inertia(given: &Inertia) -> Check {
     match given {
         Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
             ensure(x >= RANGE.0 && x <= RANGE.1, format!("/scene/inertia/principal/{i}"), || {
+                let scale = if x > RANGE.1 {
+                    "; divide all moments, momenta, torques and strengths by one number: the motion stays the same"
+                } else {
+                    ""
+                };
                 format!(
-                    "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2",
+                    "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2{scale}",
                     RANGE.0, RANGE.1
                 )
             })

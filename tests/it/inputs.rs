@@ -359,6 +359,18 @@ fn the_plan_warns_of_what_is_easily_overlooked() {
     // J1 = 1, J2 = 2, J3 = 3 at 1 rad/s: the rate is sqrt(1 * 1 / 3).
     assert!(warned(&spin([0.0, 1.0, 0.0]), "every 1.732e0 s"));
 
+    // 1 kg at 0.5 m has 0.25 kg m^2.
+    let weight = |moment: f64| {
+        let mut document = free(turning());
+        document["scene"]["inertia"]["principal"] = json!([moment, moment, 0.01]);
+        document["scene"]["potential"] = json!([
+            { "kind": "uniform", "weight": 9.81, "body_point": [0, 0, 0.5], "direction": [0, 0, 1] }
+        ]);
+        document
+    };
+    assert!(warned(&weight(0.1), "not about the centre of mass"));
+    assert!(!warned(&weight(0.25), "centre of mass") && !warned(&weight(0.4), "centre of mass"));
+
     let orbit = |strength: f64| {
         let mut document = free(turning());
         document["scene"]["driven"] = json!([{
