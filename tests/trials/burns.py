@@ -31,6 +31,8 @@ ROUNDING, ROUNDING_80 = 2.0**-53, REAL(2) ** -64
 ORDER = 36
 # By this a state is moved, to see by how much a rounding of it grows.
 MOVED = 1e-10
+# The longest of the fixed steps; knots of burns are farther apart, for a step never is longer than the time between two of them.
+LONGEST_S = 0.6
 ORDERS = {("vpd", "gauss1"): 2, ("vpd", "gauss2"): 4, ("vpd", "gauss3"): 6, ("rkmk", "rk4"): 4, ("rkmk", "rk8"): 8}
 
 
@@ -47,11 +49,12 @@ def direction(rng):
     return v / np.linalg.norm(v)
 
 
-def burn_table(kind, windows, strengths, duration_s, rng):
-    """Strength over time: burns in windows of time, nothing between them."""
+def burn_table(kind, windows, strengths, duration_s, least, rng):
+    """Strength over time: burns in windows of time, nothing between them. `least` is the least share between two knots of one."""
     times, values = [0.0], [0.0]
     for (start, end), f in zip(windows, strengths):
-        u, v = sorted(start + (end - start) * rng.uniform(0.05, 0.95) for _ in range(2))
+        u, v = sorted(rng.uniform(0, 1 - 3 * least) for _ in range(2))
+        u, v = start + (end - start) * (u + least), start + (end - start) * (v + 2 * least)
         rows = {
             "ramps": [(start, 0), (u, f), (v, f), (end, 0)],
             "hold": [(start, f), (v, 0.5 * f), (end, 0)],
@@ -73,22 +76,23 @@ def burn_table(kind, windows, strengths, duration_s, rng):
     return table | ({"interpolation": interpolation} if interpolation else {})
 
 
-def burns(rng, duration_s, count, lengths_s, gain, inertia):
-    """Torques of burns, in one table or in one each; each burn changes the rate by about `gain` rad/s."""
+def burns(rng, duration_s, count, lengths_s, gains_rad_s, inertia, least=0.02, apart=False):
+    """Torques of burns, in one table or in one each, where they may overlap; each changes the rate by one of the gains."""
     together = rng.random() < 0.5
     kinds = ["ramps", "hold", "jumps", "monotone", "monotone_jumps"]
     windows = []
     for k in range(count):
-        # Burns of one table do not overlap: each has its share of the run.
-        first, last = (duration_s * k / count, duration_s * (k + 1) / count) if together else (0.0, duration_s)
+        # Burns that do not overlap have a share of the run each.
+        first, last = (duration_s * k / count, duration_s * (k + 1) / count) if together or apart else (0.0, duration_s)
         length = min(between(rng, *lengths_s), 0.8 * (last - first))
         start = 0.0 if k == 0 and rng.random() < 0.05 else rng.uniform(first, last - length)
         windows.append((start, start + length))
-    strengths = [rng.choice([-1, 1]) * gain(rng) * min(inertia) / (end - start) for start, end in windows]
+    strengths = [rng.choice([-1, 1]) * between(rng, *gains_rad_s) * min(inertia) / (end - start) for start, end in windows]
     groups = [list(range(count))] if together else [[k] for k in range(count)]
     torques = []
     for group in groups:
-        table = burn_table(rng.choice(kinds), [windows[k] for k in group], [strengths[k] for k in group], duration_s, rng)
+        of_group = [windows[k] for k in group], [strengths[k] for k in group]
+        table = burn_table(rng.choice(kinds), *of_group, duration_s, least, rng)
         frame = rng.choice(["body", "body", "space"])
         torques.append({"table": {"along": {frame: direction(rng).tolist()}, "table": table}})
     return torques
@@ -111,7 +115,7 @@ def accuracy_scene(seed, k):
     scene = body(rng, between(rng, 1e-4, 1.0))
     duration_s = round(between(rng, 100, 10_000), rng.choice([0, 3]))
     inertia = scene["inertia"]["principal"]
-    scene["torques"] = burns(rng, duration_s, rng.randint(1, 5), (0.1, 20), lambda rng: between(rng, 1e-3, 1.0), inertia)
+    scene["torques"] = burns(rng, duration_s, rng.randint(1, 5), (0.1, 20), (1e-3, 1.0), inertia)
     asked = 10.0 ** -(4 + k % 6)
     log = {"channels": ["/state"]}
     return {"name": f"burns-{seed}-{k}", "scene": scene, "accuracy": {"error": asked}, "duration_s": duration_s, "log": log}
@@ -119,10 +123,10 @@ def accuracy_scene(seed, k):
 
 def fixed_scene(seed, k):
     rng = random.Random(f"fixed {seed} {k}")
-    scene = body(rng, rng.uniform(0.3, 1.0))
+    scene = body(rng, rng.uniform(1.0, 3.0))
     inertia = scene["inertia"]["principal"]
-    scene["torques"] = burns(rng, 20.0, rng.randint(2, 4), (0.3, 4), lambda rng: rng.uniform(0.3, 1.0), inertia)
-    return {"name": f"fixed-{seed}-{k}", "scene": scene, "duration_s": 20.0}
+    scene["torques"] = burns(rng, 40.0, rng.randint(2, 4), (4 * LONGEST_S, 6), (0.3, 1.0), inertia, 0.25, apart=True)
+    return {"name": f"fixed-{seed}-{k}", "scene": scene, "duration_s": 40.0}
 
 
 # The other solutions.
@@ -319,7 +323,7 @@ def accuracies(program, members, seed):
 
 
 def fixed_steps(program, members, seed):
-    """Errors at steps that fall by the square root of two, of those that are neither coarse nor at round-off."""
+    """Errors at steps that fall by 2^(1/3). The slope is that of the six finest that are neither coarse nor at round-off."""
     print(f"{'scene':>6} {'method':>12} {'order':>5} {'slope':>6}  errors")
     counts = Counter()
     for k in range(members):
@@ -327,19 +331,20 @@ def fixed_steps(program, members, seed):
         right = Reference(scenario)
         for (name, tableau), order in ORDERS.items():
             points, errors = [], []
-            for halves in range(24):
-                steps = round(20 * 2 ** (halves / 2))
+            for thirds in range(30):
+                steps = round(scenario["duration_s"] / LONGEST_S * 2 ** (thirds / 3))
                 step_s = scenario["duration_s"] / steps
                 asked = {"step_s": step_s, "steps": steps, "method": {"name": name, "tableau": tableau}}
                 asked["log"] = {"every": steps, "channels": ["/state"]}
                 summary, wrong = program.run({key: scenario[key] for key in ("name", "scene")} | asked)
                 error = right.away(end_of(summary)) if summary else math.nan
-                if error < max(50 * right.own, 3e-12):
+                # Rounding: of each step.
+                if error < 1e-12 + 1e-15 * steps:
                     break
                 errors.append(error)
                 points += [(math.log(step_s), math.log(error))] if error < 1e-2 else []
-            slope = np.polyfit(*zip(*points), 1)[0] if len(points) >= 5 else math.nan
-            verdict = "by the order" if slope > order - 0.4 else "BELOW THE ORDER"
+            slope = np.polyfit(*zip(*points[-6:]), 1)[0] if len(points) >= 5 else math.nan
+            verdict = "by the order" if slope > 0.9 * order else "BELOW THE ORDER"
             counts[verdict] += 1
             if verdict.isupper():
                 method = {"name": name, "tableau": tableau}
