@@ -1,4 +1,4 @@
-"""Does vpd take bodies at rest and nearly at rest? Scenes that start there, come there or stay there, by every method for driven bodies.
+"""Does vpd take bodies at rest? Scenes that start there, nearly there, or come there, by every method for driven bodies.
 
     python3 tests/trials/rest.py
 
@@ -80,8 +80,8 @@ class Body:
         getattr(self, f"start_{start}")()
         getattr(self, f"force_{force}")()
         self.scene = {key: value for key, value in self.scene.items() if value != []}
-        self.scenario = {"name": f"rest-{seed}-{k}", "scene": self.scene, "duration_s": self.duration_s, "log": {"channels": ["/state"]}}
-        self.scenario |= asked | ({} if "accuracy" in asked else {"step_s": 1 / STEPS_PER_S})
+        self.scenario = {"name": f"rest-{seed}-{k}", "scene": self.scene, "duration_s": self.duration_s}
+        self.scenario |= {"log": {"channels": ["/state"]}} | asked | ({} if "accuracy" in asked else {"step_s": 1 / STEPS_PER_S})
         if k % 8 == 5:
             self.scenario["ensemble"] = {"members": 3, "seed": k, "attitude_spread_rad": 0.1, "momentum_spread": 0.0}
             self.what += ", ensemble"
@@ -317,7 +317,8 @@ def main():
         worst[method] = max(worst.get(method, 0.0), 0.0 if math.isnan(error) else error)
         if verdict.isupper():
             program.keep(body.scenario, verdict=verdict, said=wrong, error=error, attitude=end[0], body_momentum=end[1])
-            print(f"{k:6} {body.n:2} {error:8.1e} {body.allowed:8.0e} {own:8.1e}  {method}, {body.what}: {verdict} {wrong}", flush=True)
+            figures = f"{k:6} {body.n:2} {error:8.1e} {body.allowed:8.0e} {own:8.1e}"
+            print(f"{figures}  {method}, {body.what}: {verdict} {wrong}", flush=True)
     print("largest errors: " + ", ".join(f"{method} {error:.1e}" for method, error in worst.items()))
     print(f"closed form: {closed}, DOP853: {given.members - closed}")
     named = refusal(program)
