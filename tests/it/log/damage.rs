@@ -41,7 +41,9 @@ fn a_running_log_reads_up_to_its_last_chunk() {
 fn a_whole_file_without_outcome_is_not_finished() {
     // The file that the MCAP layer leaves when it is dropped in a panic.
     let (_folder, path) = place();
-    mcap::Writer::new(fs::File::create(&path).expect("create"))
+    mcap::WriteOptions::new()
+        .library("vpd/0.1.0")
+        .create(fs::File::create(&path).expect("create"))
         .expect("start")
         .finish()
         .expect("finish");
