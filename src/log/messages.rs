@@ -325,9 +325,6 @@ impl Figures {
             self.energy_max_abs_error = Some(error.abs().max(before));
             self.energy_final_error = Some(error);
             self.kinetic_max = Some(energy.kinetic.max(self.kinetic_max.unwrap_or_default()));
-            if let Some(work) = sample.work {
-                self.work_max = Some(work.abs().max(self.work_max.unwrap_or_default()));
-            }
         }
         if let Some(error) = sample.orthogonality_error {
             let before = self.orthogonality_max.unwrap_or_default();

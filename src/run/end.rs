@@ -62,6 +62,8 @@ pub(super) struct Asked<'a> {
     expect: Option<&'a Expect>,
     /// Warnings of the plan.
     warnings: &'a [String],
+    /// Whether trial runs have found its error at the end: then an energy that the steps do not resolve is no sign of a loss.
+    is_known: bool,
 }
 
 impl<'a> Asked<'a> {
@@ -70,12 +72,12 @@ impl<'a> Asked<'a> {
         let members = plan.ensemble.as_ref().map(|planned| planned.members);
         let Plan { step_s, steps, .. } = *plan;
         let (expect, warnings) = (plan.asked.expect.as_ref(), plan.warnings.as_slice());
-        Self { step_s, steps, members, expect, warnings }
+        Self { step_s, steps, members, expect, warnings, is_known: plan.advice.is_some() }
     }
 
     /// Returns a run of `steps` steps of one trajectory.
     pub(super) fn steps(step_s: f64, steps: u64) -> Self {
-        Self { step_s, steps, members: None, expect: None, warnings: &[] }
+        Self { step_s, steps, members: None, expect: None, warnings: &[], is_known: false }
     }
 }
 
@@ -95,7 +97,7 @@ pub(super) fn finish(
         writer.message(Level::Warning, last_s, warning)?;
     }
     let seen = energy.map(|ends| EnergySeen::at_samples(figures).unwrap_or(ends));
-    let warning = seen.and_then(summary::warning);
+    let warning = seen.filter(|_| !asked.is_known).and_then(summary::warning);
     if let Some(warning) = &warning {
         writer.message(Level::Warning, last_s, warning)?;
     }

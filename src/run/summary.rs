@@ -227,8 +227,8 @@ pub(super) struct EnergySeen {
     initial: f64,
     /// Largest |H - H0|.
     error: f64,
-    /// Largest energy that moved: kinetic, or put in.
-    moved: f64,
+    /// Largest kinetic energy.
+    kinetic: f64,
 }
 
 impl EnergySeen {
@@ -237,7 +237,7 @@ impl EnergySeen {
         Some(Self {
             initial: figures.energy_initial?,
             error: figures.energy_max_abs_error?,
-            moved: figures.kinetic_max?.max(figures.work_max.unwrap_or_default()),
+            kinetic: figures.kinetic_max?,
         })
     }
 
@@ -257,7 +257,7 @@ impl EnergySeen {
         let moved = first.kinetic.max(last.kinetic).max(torque(start)).max(torque(end));
         let change = (last.total() - first.total()).abs();
         let error = if body.is_driven() { 0.0 } else { change };
-        Self { initial: first.total(), error, moved }
+        Self { initial: first.total(), error, kinetic: moved }
     }
 }
 
@@ -266,11 +266,11 @@ impl EnergySeen {
 pub(super) fn warning(seen: EnergySeen) -> Option<String> {
     /// At rest nothing moves, and the round-off of the potential is no loss.
     const ROUND_OFF: f64 = 1e-9;
-    let EnergySeen { initial, error, moved } = seen;
-    let lost = error > MEANINGLESS * moved && error > ROUND_OFF * initial.abs();
+    let EnergySeen { initial, error, kinetic } = seen;
+    let lost = error > MEANINGLESS * kinetic && error > ROUND_OFF * initial.abs();
     lost.then(|| {
         format!(
-            "the energy was off by {error:.1e} J, but at most {moved:.1e} J was in motion: the result is not \
+            "the energy was off by {error:.1e} J, but at most {kinetic:.1e} J was in motion: the result is not \
              meaningful; take a smaller step"
         )
     })

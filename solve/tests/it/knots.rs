@@ -151,7 +151,7 @@ fn no_step_goes_over_a_burn() {
                 assert!((found - velocity).abs() < 1e-12, "{name}, {steps}: {found}");
                 let last = samples.last().expect("samples");
                 let error = last.table_impulse_error.expect("a torque by a table");
-                assert!(error.abs() < 1e-13, "{name}, {steps}: {error:e}");
+                assert!(error.abs() < 1e-12, "{name}, {steps}: {error:e}");
             }
         }
     }
@@ -346,7 +346,7 @@ fn bodies_at_rest_stay_and_set_off() {
                 let found = end.reached.momentum[(1, 0)];
                 // By the order of the method, of h 0.5 and, damped away, of h 28.
                 let allowed = match scene {
-                    "tiny, damped" => 1e-18 * 0.016_f64.powf(method.order).max(1e-12),
+                    "tiny, damped" => 1e-15 * 0.016_f64.powf(method.order).max(1e-12),
                     "damped away" => continue,
                     _ => 2e-15 * inertia,
                 };
@@ -401,8 +401,9 @@ fn thin_bodies_are_solved() {
             let drift = samples.iter().filter_map(|s| s.momentum_drift).fold(0.0, f64::max);
             assert!(drift < 2e-15, "{name}: {drift:e}");
             let axial = end.reached.momentum[(1, 0)];
-            // Rounding of the whole is what is known of it.
-            assert!((axial - 0.1 * thin).abs() < 1e-13, "{name}: {axial:e}");
+            // A rounding of the whole turns the body about its thin axis, and that moves the whole.
+            let known = 1e-14_f64.max(1e-19 / thin);
+            assert!((axial - 0.1 * thin).abs() < known, "{name}: {axial:e}");
         }
     }
 }
