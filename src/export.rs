@@ -199,7 +199,12 @@ impl Columns {
     fn row(&self, fields: Vec<Field>) -> Vec<Option<Cell>> {
         let wide = self.0.iter().zip(fields).flat_map(|((.., width), Field { cells, .. })| {
             let missing = width.saturating_sub(cells.len());
-            cells.into_iter().map(Some).chain(std::iter::repeat_n(None, missing))
+            // Programs differ in what they make of a NaN; a cell without a number is empty, of foreign logs, too.
+            let filled = |cell| match cell {
+                Cell::Number(value) if value.is_nan() => None,
+                cell => Some(cell),
+            };
+            cells.into_iter().map(filled).chain(std::iter::repeat_n(None, missing))
         });
         wide.collect()
     }

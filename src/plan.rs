@@ -316,7 +316,12 @@ impl Plan {
         };
         let inertia = inertia_matrix(&scenario.scene.inertia);
         let kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
-        let attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
+        let mut attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
+        let frame = scenario.scene.initial.orbit_frame;
+        let orbit = frame.and_then(|index| scenario.scene.driven.get(index as usize));
+        if let Some(axes) = orbit.and_then(|driven| problem::orbit_axes(driven, &inertia)) {
+            attitude = axes * attitude;
+        }
         let momentum = momentum(scenario, &kinetic, &attitude);
         let choice = tableau_choice(&scenario.method);
         let tableau = tableau(&choice, &scenario.method)?;

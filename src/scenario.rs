@@ -170,6 +170,11 @@ pub struct Initial {
     /// The attitude; the identity if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub attitude: Option<Attitude>,
+    /// n = 3: the number of a term of `driven`, from 0, that follows an orbit: the attitude is then relative to the frame of
+    /// that orbit at t = 0. Its z points along the term's direction or position, its y against the angular momentum of the
+    /// orbit, and x = y cross z: for a direction to the planet and a circle, the direction of flight.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orbit_frame: Option<u32>,
     /// The momentum; either this or `angular_velocity`, at rest if both are absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub momentum: Option<Framed>,

@@ -1,8 +1,8 @@
 //! The planned model with its const size: the body, its potential, and the state at the start.
 
-use nalgebra::DVector;
+use nalgebra::{DMatrix, DVector};
 
-use super::model::skew;
+use super::model::{skew, with_matrix};
 use super::{Model, ModelKinetic};
 use crate::scenario::{
     DrivenTerm, Entry, Factor, Framed, Interpolation, Path, PotentialTerm, Table, Torque,
@@ -216,6 +216,20 @@ pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTer
         Some(Factor::Table(table)) => body::Factor::Table(over_time(table)),
     };
     body::DrivenTerm { term, path, factor }
+}
+
+/// Returns the axes of the frame of an orbit at t = 0 in space coordinates, as columns: z along the direction or position of
+/// the term, y against the angular momentum of the orbit, x = y cross z. `None` for a term that follows no orbit.
+pub(super) fn orbit_axes(driven: &DrivenTerm, inertia: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let Some(Path::Orbit(orbit)) = &driven.path else { return None };
+    let whole = DrivenTerm { term: with_matrix(&driven.term, inertia), ..driven.clone() };
+    let z = driven_term::<3>(&whole).space_at(0.0).normalize();
+    let pericentre = unit_vector(driven.term.law().space_vector());
+    let onwards = unit_vector(&orbit.towards) * orbit.mean_motion_rad_s.signum();
+    let y = onwards.cross(&pericentre).normalize();
+    let y = vector::<3>(y.as_slice());
+    let axes = [y.cross(&z), y, z];
+    Some(DMatrix::from_fn(3, 3, |i, j| axes[j][i]))
 }
 
 fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {

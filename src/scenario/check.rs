@@ -257,6 +257,19 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
     let only_three = |pointer: String| {
         ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"))
     };
+    if let Some(index) = initial.orbit_frame {
+        let pointer = format!("{at}/orbit_frame");
+        ensure(n == 3, &pointer, || format!("is for n = 3, this body has n = {n}"))?;
+        let driven = &scenario.scene.driven;
+        let term = driven.get(index as usize);
+        let on_orbit = term.is_some_and(|term| matches!(term.path, Some(super::Path::Orbit(_))));
+        ensure(on_orbit, pointer, || {
+            let count = driven.len();
+            format!(
+                "{index} given, the number of a term of `driven` ({count} given, from 0) with the path `orbit` is needed"
+            )
+        })?;
+    }
     match &initial.attitude {
         None => {}
         Some(Attitude::Matrix(rows)) => matrix(&format!("{at}/attitude/matrix"), rows, n)?,

@@ -57,6 +57,7 @@ impl Scenario {
         };
         self.scene.initial = Initial {
             attitude: Some(Attitude::Matrix(attitude.chunks(n).map(<[f64]>::to_vec).collect())),
+            orbit_frame: None,
             momentum: Some(Framed::Body(entries)),
             angular_velocity: None,
         };

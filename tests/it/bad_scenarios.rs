@@ -725,6 +725,8 @@ pub(crate) fn table() -> Vec<Bad> {
         ("/scene/driven/2/factor/table/interpolation", "\"cubic\""),
         ("/scene/driven/2/factor/table/interpolation", "true"),
         ("/scene/driven/2/factor/table/smooth", "\"hold\""),
+        ("/scene/initial/orbit_frame", "7"),
+        ("/scene/initial/orbit_frame", "-1"),
         ("/scene/torques/0/constant/body", "[1,2]"),
         ("/scene/torques/2/viscous/coefficients", "[1,2]"),
         ("/scene/wheels", "[1,2]"),

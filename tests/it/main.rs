@@ -26,6 +26,7 @@ mod plan_sees;
 mod resume;
 mod scenarios;
 mod stability;
+mod start;
 mod study;
 mod sweep;
 mod tools;

@@ -175,6 +175,15 @@ fn driven_scenes_go_on_to_the_same_bytes() {
         resume_job(&satellite, &[0.4, 0.9]);
     }
     resume_job(&shipped(include_str!("../../scenarios/dual-spin.json"), 3900), &[0.4, 0.9]);
+    // A checkpoint keeps no sign of a zero that stands alone; no byte may depend on one.
+    let mut zeros = satellite;
+    zeros["scene"]["torques"] = json!([
+        { "constant": { "body": [-0.0, -0.0, 0.0] } },
+        { "table": { "along": { "space": [0, -1, 0] }, "table": { "times_s": [0, 1e9], "values": [-0.0, -0.0] } } },
+    ]);
+    zeros["scene"]["initial"] = json!({ "angular_velocity": { "body": [-0.0, 0.0011, -0.0] } });
+    zeros["method"] = json!({ "name": "vpd" });
+    resume_job(&zeros, &[0.4, 0.9]);
 }
 
 /// With adaptive steps a checkpoint holds the end of the last of them, next to the sample that was

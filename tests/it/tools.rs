@@ -3,10 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use prost::Message as _;
 use serde_json::Value;
+use vpd::log::messages::{Energy, State};
 use vpd::log::rows::{Row, read_rows};
 
 use crate::cli::{scenario, text, vpd};
+use crate::verify::forge;
 
 /// Runs a shipped scenario with changes, to `NAME.mcap`.
 fn run(at: &Path, name: &str, log: &str, changes: &[&str]) {
@@ -302,4 +305,57 @@ fn two_logs_are_compared() {
         let refused = vpd(at, &["diff", "a.mcap", "b.mcap", &format!("--tolerance={wrong}")]);
         assert_eq!(refused.status.code(), Some(2), "{wrong}");
     }
+}
+
+/// No log of ours holds a NaN; a forged one may, and programs take it for a large number or for none.
+#[test]
+fn no_table_holds_a_nan() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    run(at, "heavy-top", "top.mcap", &["/duration_s=0.1", "/log/every=1"]);
+    let (mut count, mut spoiled) = (0, 0);
+    forge(&at.join("top.mcap"), &at.join("forged.mcap"), |message| {
+        if message.channel.topic == "/energy" {
+            let mut energy = Energy::decode(&*message.data).expect("an energy");
+            if count == 3 {
+                energy.error = f64::NAN;
+                spoiled += 1;
+            }
+            message.data = energy.encode_to_vec().into();
+            count += 1;
+        }
+    });
+    assert_eq!(spoiled, 1);
+    let exported = vpd(at, &["export", "forged.mcap"]);
+    assert_eq!(exported.status.code(), Some(0), "{}", text(&exported.stderr));
+    assert!(!text(&exported.stdout).contains("NaN"), "{}", text(&exported.stdout));
+    let table = columns(&exported.stdout);
+    let empty: Vec<usize> =
+        (0..count).filter(|&row| table["energy_error"][row].is_none()).collect();
+    assert_eq!(empty, [3]);
+    assert!(table["energy_total"].iter().all(Option::is_some));
+}
+
+/// Zero is zero, whichever sign a writer gave it.
+#[test]
+fn the_sign_of_a_zero_is_no_difference() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    run(at, "heavy-top", "top.mcap", &["/duration_s=0.1", "/log/every=1"]);
+    let mut turned = 0;
+    forge(&at.join("top.mcap"), &at.join("forged.mcap"), |message| {
+        if message.channel.topic == "/state" {
+            let mut state = State::decode(&*message.data).expect("a state");
+            for x in state.attitude.iter_mut().chain(&mut state.body_momentum) {
+                if *x == 0.0 {
+                    *x = -*x;
+                    turned += 1;
+                }
+            }
+            message.data = state.encode_to_vec().into();
+        }
+    });
+    assert!(turned > 0);
+    let same = vpd(at, &["diff", "top.mcap", "forged.mcap"]);
+    assert_eq!(same.status.code(), Some(0), "{}", text(&same.stdout));
 }

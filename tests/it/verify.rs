@@ -101,8 +101,8 @@ fn and_of_one_that_chose_its_own_step() {
     assert_eq!(verification.messages, messages(&log, 8));
 }
 
-/// Copies a log with one bit of the `number`th message of `/state` turned over, every checksum right.
-fn forge(log: &Path, forged: &Path, number: u32) {
+/// Copies a log with its messages changed, every checksum right.
+pub(crate) fn forge(log: &Path, forged: &Path, mut change: impl FnMut(&mut mcap::Message<'_>)) {
     let bytes = fs::read(log).expect("bytes");
     let mut out = mcap::Writer::new(fs::File::create(forged).expect("a file")).expect("a writer");
     let mut outcome = None;
@@ -128,11 +128,7 @@ fn forge(log: &Path, forged: &Path, number: u32) {
     }
     for message in mcap::MessageStream::new(&bytes).expect("a log") {
         let mut message = message.expect("a message");
-        if message.channel.topic == "/state" && message.sequence == number {
-            let data = message.data.to_mut();
-            let last = data.len() - 1;
-            data[last] ^= 1;
-        }
+        change(&mut message);
         out.write(&message).expect("written");
     }
     out.write_metadata(&outcome.expect("an outcome")).expect("written");
@@ -144,7 +140,13 @@ fn one_bit_is_found() {
     let place = tempfile::tempdir().expect("a directory");
     let log = log(&dipole(200), place.path(), &Control::default());
     let forged = place.path().join("forged.mcap");
-    forge(&log, &forged, 12);
+    forge(&log, &forged, |message| {
+        if message.channel.topic == "/state" && message.sequence == 12 {
+            let data = message.data.to_mut();
+            let last = data.len() - 1;
+            data[last] ^= 1;
+        }
+    });
     let verification = verify(&forged).expect("verified");
     let difference = verification.difference.expect("a difference");
     assert_eq!((difference.topic.as_str(), difference.what), ("/state", "content"));
