@@ -141,6 +141,10 @@ impl Unsettled {
     fn of(error: StudyError, asked: Accuracy, allowed_ns: u64) -> Self {
         let out_of_reach = |why| Self::OutOfReach { asked: asked.error, why };
         match error {
+            // Nobody gave the step.
+            StudyError::Scenario(error) if is_of_steps(&error) => {
+                out_of_reach(Obstacle::TooLong(error))
+            }
             StudyError::Scenario(error) => Self::Refused(error),
             StudyError::Reference(error) => out_of_reach(error.into()),
             StudyError::Failed => out_of_reach(Obstacle::NoMethod { least: None }),
@@ -150,6 +154,11 @@ impl Unsettled {
             }
         }
     }
+}
+
+/// Is it the length of a step, or the number of steps, that is refused?
+fn is_of_steps(error: &ScenarioError) -> bool {
+    matches!(error.pointer.as_str(), "/steps" | "/step_s")
 }
 
 /// Error for a scenario that came without a method and gets none: the accuracy is the field at
@@ -475,9 +484,9 @@ fn settle(
         accuracy: None,
         ..scenario.clone()
     };
-    settled.check().map_err(|error| match error.pointer.as_str() {
-        "/steps" | "/step_s" => out_of_reach(Obstacle::TooLong(error)),
-        _ => Unsettled::Refused(error),
+    settled.check().map_err(|error| match is_of_steps(&error) {
+        true => out_of_reach(Obstacle::TooLong(error)),
+        false => Unsettled::Refused(error),
     })?;
     let advice = Advice {
         error: asked.error,
