@@ -210,6 +210,7 @@ impl Settled {
         let choice = scenario.accuracy.map(|asked| settle(scenario, asked, watch)).transpose()?;
         let mut settled = Self { asked, choice, first: FirstSteps::default(), nearest_sigma: None };
         let plan = settled.plan().map_err(Unsettled::Refused)?;
+        plan.exact_motion().map_err(Unsettled::Refused)?;
         settled.first = first_of_each(&plan).map_err(Unsettled::Refused)?;
         let plan = settled.plan().map_err(Unsettled::Refused)?;
         settled.nearest_sigma = nearest_sigma(&plan.settled, plan.steps as f64 * plan.step_s)

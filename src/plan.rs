@@ -404,7 +404,6 @@ impl Plan {
         plan.momentum_balance =
             plan.model.momentum_balance(n, plan.free_directions, plan.formulation.method);
         plan.jacobi_integral = plan.model.jacobi_integral();
-        plan.exact_motion()?;
         plan.warnings.extend(no_body(&inertia));
         plan.warnings.extend(below_parallel_axis(&scenario.scene.potential, &inertia));
         plan.warnings.extend(plan.weak_gradients());
@@ -484,7 +483,10 @@ impl Plan {
     }
 
     /// Refuses a step over which doubles cannot give the motion of a free body that is solved exactly.
-    fn exact_motion(&self) -> Result<(), ScenarioError> {
+    ///
+    /// # Errors
+    /// At `/step_s`, with the step up to which they can.
+    pub(crate) fn exact_motion(&self) -> Result<(), ScenarioError> {
         let free = self.model.terms.is_empty() && !self.model.is_driven();
         if self.formulation.method != Integrator::Splitting || !free {
             return Ok(());
