@@ -359,16 +359,6 @@ pub(crate) fn table() -> Vec<Bad> {
         let initial = format!("{{\"attitude\":{raw}}}");
         add(with(so4(), "/scene/initial", &initial), &format!("{attitude}/{at}"));
     }
-    // A free body that turns farther in a step than doubles tell.
-    let mut free = full();
-    free["scene"] = json!({
-        "inertia": {"principal": [1, 2, 3]},
-        "initial": {"angular_velocity": {"body": [1e5, 2e5, 3e5]}}
-    });
-    free["method"] = json!({});
-    free["log"] = json!({"every": 1});
-    free["steps"] = json!(1);
-    add(with(free, "/step_s", "1e8"), "/step_s");
     add(with(full(), attitude, "\"identity\""), "/scene/initial/attitude");
     let momentum = "/scene/initial/momentum";
     add(with(full(), momentum, r#"{"inertial":[0,0,1]}"#), momentum);
