@@ -14,11 +14,13 @@ use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
 
+#[cfg(feature = "chart")]
+use super::may_write;
 #[cfg(feature = "serve")]
 use super::serve::EngineName;
 #[cfg(feature = "serve")]
 use super::worker::ClusterArgs;
-use super::{CliError, SchemaOf, hinted, log_path, logged, may_write, show};
+use super::{CliError, SchemaOf, hinted, log_path, logged, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
