@@ -368,6 +368,9 @@ pub(super) fn lyapunov_in<const N: usize>(
     guess: &Mat<N>,
     iterations: &mut u32,
 ) -> Option<Mat<N>> {
+    const TINY: f64 = 1e-140;
+    /// 2^900
+    const UP: f64 = f64::from_bits((1023 + 900) << 52);
     match N {
         // M X + X M^T = tr(M) X
         2 => {
@@ -375,6 +378,10 @@ pub(super) fn lyapunov_in<const N: usize>(
             (trace.abs() > SINGULAR * m.amax()).then(|| c / trace)
         }
         3 => lyapunov_vector(m, c),
+        // The squares of what is tiny are lost; a power of two loses nothing.
+        _ if c.amax() < TINY => {
+            lyapunov_gradient(m, &(c * UP), &Mat::zeros(), iterations).map(|x| x * (1.0 / UP))
+        }
         _ => lyapunov_gradient(m, c, guess, iterations),
     }
 }
