@@ -151,7 +151,10 @@ impl fmt::Display for StartAttitude {
         if *angle_deg == 0.0 {
             return f.write_str("the axes of the body are those of space");
         }
-        write!(f, "the body is turned by {angle_deg:.6} degrees about ({x:.6}, {y:.6}, {z:.6})")
+        // Six decimals at most, and a zero without a sign.
+        let short = |x: &f64| (x * 1e6).round() / 1e6 + 0.0;
+        let [x, y, z] = [x, y, z].map(short);
+        write!(f, "the body is turned by {} degrees about ({x}, {y}, {z})", short(angle_deg))
     }
 }
 

@@ -107,7 +107,7 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
         self.clock().map(|clock| clock.impulse.value)
     }
 
-    /// Returns the part of [`System::table_impulse`] put in since [`Stepper::start`], by the weights of the scheme.
+    /// Returns the part of [`crate::system::System::table_impulse`] put in since [`Stepper::start`], by the weights of the scheme.
     fn table_impulse(&self) -> f64 {
         self.clock().map_or(0.0, |clock| clock.table_impulse.value)
     }

@@ -111,15 +111,10 @@ impl Model {
         }))
     }
 
-    /// Returns how many times of tables there are within a run: a step ends at each.
+    /// Returns how many knots of tables there are within a run: a step ends at each.
     pub(super) fn knots_within(&self, duration_s: f64) -> f64 {
-        let inside = |&time: &f64| time > 0.0 && time < duration_s;
-        let of = |table: &Table| {
-            // Where a table stays level there is none.
-            let level = |k: usize| table.values.get(k) == table.values.get(k + 1);
-            let times = table.times_s.iter().enumerate();
-            times.filter(|&(k, time)| inside(time) && !(level(k) && level(k - 1))).count()
-        };
+        let inside = |&&time: &&f64| time > 0.0 && time < duration_s;
+        let of = |table: &Table| over_time(table).knots().iter().filter(inside).count();
         self.tables().map(of).sum::<usize>() as f64
     }
 

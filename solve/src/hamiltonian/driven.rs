@@ -115,6 +115,11 @@ impl<const M: usize> Table<M> {
         table
     }
 
+    /// The times in seconds at which it changes its polynomial, its first and last among them.
+    pub fn knots(&self) -> &[f64] {
+        &self.knots
+    }
+
     /// Refuses a time that is not covered, but for a rounding: the last step of a run ends one away from its end.
     fn check(&self, t: f64) -> Result<(), Failure> {
         const ROUNDING: f64 = 1e-9;
@@ -221,17 +226,11 @@ impl<const M: usize> Table<M> {
         if i == 0 || i == last || self.is_jump(i) {
             return true;
         }
-        let straight = |k: usize| {
-            let flat = self.values[k] == self.values[k + 1];
-            match self.interpolation {
-                Interpolation::Linear => Some(std::array::from_fn(|m| self.chord(k, m))),
-                Interpolation::Monotone | Interpolation::Hold => flat.then_some([0.0; M]),
-            }
-        };
-        let (before, after) = (straight(i - 1), straight(i));
+        let level = |k: usize| self.values[k] == self.values[k + 1];
         match self.interpolation {
-            Interpolation::Hold => self.values[i - 1] != self.values[i],
-            _ => before.is_none() || before != after,
+            Interpolation::Hold => !level(i - 1),
+            Interpolation::Linear => (0..M).any(|m| self.chord(i - 1, m) != self.chord(i, m)),
+            Interpolation::Monotone => !(level(i - 1) && level(i)),
         }
     }
 
