@@ -10,7 +10,7 @@ use std::path::Path;
 use serde_json::Value;
 
 use super::file::{Combine, Values};
-use super::table::{Lines, cells};
+use super::table::{Lines, SEAL, cells};
 use super::{Sweep, SweepError};
 
 /// Largest number of cells of a map along a side, and of places of points.
@@ -131,14 +131,20 @@ impl Sweep {
             (&mut reader).take(1 << 20).read_line(head).map_err(failed)
         };
         line(&mut head)?;
-        if head.starts_with('#') {
+        let unfinished = head.starts_with('#');
+        if unfinished {
             line(&mut head)?;
         }
-        if cells(head.trim_end()) != self.columns {
+        let names = head.trim_end();
+        let names = if unfinished { names.strip_suffix(SEAL).ok_or_else(other)? } else { names };
+        if cells(names) != self.columns {
             return Err(other());
         }
         let mut shown = Collected::new(self);
-        let mut lines = Lines::new(reader, self.columns.len(), 0);
+        let mut lines = match unfinished {
+            true => Lines::of_part(reader, self.columns.len(), 0),
+            false => Lines::new(reader, self.columns.len(), 0),
+        };
         let mut member = 0;
         while member < self.members
             && let Some((_, cells)) = lines.read().map_err(failed)?

@@ -20,7 +20,7 @@ use crate::log::part_path;
 const MARK: &str = "# vpd sweep ";
 
 /// Head of the last column of a part.
-const SEAL: &str = ",line_crc32";
+pub(super) const SEAL: &str = ",line_crc32";
 
 /// Returns a line of a part: with its checksum, CRC-32 in eight hexadecimal digits, as the last cell.
 fn sealed(line: &str) -> String {
@@ -113,7 +113,7 @@ impl<R: BufRead> Lines<R> {
     }
 
     /// Reads a part; the checksum is no column of it.
-    fn of_part(reader: R, columns: usize, next: u64) -> Self {
+    pub(super) fn of_part(reader: R, columns: usize, next: u64) -> Self {
         Self { sealed: true, ..Self::new(reader, columns, next) }
     }
 

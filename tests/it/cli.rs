@@ -326,7 +326,10 @@ fn null_takes_a_field_away_wherever_it_stands() {
         ("/step_s=null", "missing field `step_s`"),
         ("/scene/potential/0/weight=null", "missing field `weight`"),
         ("/nowhere=null", "/nowhere: there is no such field to set: the scenario has "),
-        ("/scene/initial/omega=null", "/scene/initial has attitude, momentum, angular_velocity"),
+        (
+            "/scene/initial/omega=null",
+            "/scene/initial has attitude, orbit_frame, momentum, angular_velocity",
+        ),
     ] {
         let refused = plan(&[change]);
         assert_eq!(refused.status.code(), Some(2), "{change}");

@@ -292,7 +292,7 @@ fn ids_that_are_none_are_unknown_jobs() {
 fn bad_bodies_are_refused_with_a_reason() {
     let data = directory();
     let server = service(&data).start();
-    for body in ["", "{", "nonsense", "{} x", "\u{feff}{}", &"[".repeat(100_000)] {
+    for body in ["", "{", "nonsense", "{} x", "\u{feff}\u{feff}{}", &"[".repeat(100_000)] {
         server.post("/jobs", body.as_bytes()).problem(400, "malformed_json");
     }
     server.post("/jobs", b"{\"name\": \"\xff\"}").problem(400, "malformed_json");
