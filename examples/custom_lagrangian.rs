@@ -8,14 +8,15 @@ use std::io::Write;
 use std::path::Path;
 
 use vpd::run::{Control, JobContext, Recording, Summary};
-use vpd::solve::hamiltonian::Energy;
 use vpd::solve::lagrangian::{self, Lagrangian};
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat};
+use vpd::solve::state::State;
 use vpd::solve::stepper::vpd_lagrangian::VpdLagrangian;
+use vpd::solve::system::Energy;
 use vpd::solve::system::System;
 use vpd::solve::tableau::Tableau;
-use vpd::solve::trajectory::{Schedule, State};
+use vpd::solve::trajectory::Schedule;
 
 /// `L = <Omega, Omega> / 2 + c <Omega, Omega>^2 / 4 + <g^T A g, Omega>`
 struct Charged {

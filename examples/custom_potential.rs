@@ -13,9 +13,10 @@ use vpd::run::{Control, JobContext, Recording, Summary};
 use vpd::solve::hamiltonian::{Kinetic, Law, Potential, RigidBody, Term};
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat, Vector};
+use vpd::solve::state::State;
 use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::tableau::Tableau;
-use vpd::solve::trajectory::{Schedule, State};
+use vpd::solve::trajectory::Schedule;
 
 /// Cubic anisotropy, as of a magnetised grain in a crystal: `U = strength (x^4 + y^4 + z^4)` for `(x, y, z) = g e_3`.
 #[derive(Debug)]

@@ -6,10 +6,10 @@ use crate::method::Parts;
 use crate::plan::{Motion, Plan};
 use crate::solve::ensemble::{Apart, Members};
 use crate::solve::hamiltonian::RigidBody;
+use crate::solve::state::State;
 use crate::solve::stepper::Stepper;
 use crate::solve::stepper::at_rest::AtRest;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
-use crate::solve::trajectory::State;
 
 /// Parts that are made from a plan once its size is known.
 pub(crate) struct Assembly<const N: usize> {

@@ -428,10 +428,10 @@ mod tests {
     use crate::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
     use crate::solve::nonlinear::StopRule;
     use crate::solve::so::{self, Mat, Vector};
+    use crate::solve::state::State;
     use crate::solve::stepper::Stepper;
     use crate::solve::stepper::vpd::Vpd;
     use crate::solve::tableau::Tableau;
-    use crate::solve::trajectory::State;
 
     /// Returns the parts of a method of fourth order, in steps of `step_s`.
     fn parts(method: Integrator, step_s: f64) -> Parts {

@@ -23,9 +23,8 @@ use crate::log::messages::{self, Figures};
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
-use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Origin, Sample, Schedule, Sink, Trajectory,
-};
+use crate::solve::state::Checkpoint;
+use crate::solve::trajectory::{self, Ending, Origin, Sample, Schedule, Sink, Trajectory};
 use crate::study::Watch;
 
 mod advice;

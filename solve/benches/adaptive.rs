@@ -9,12 +9,12 @@ use std::time::Instant;
 use vpd_solve::hamiltonian::{Rescaled, TimeScale};
 use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so;
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 #[allow(dead_code, reason = "the tests use more of it")]
 #[path = "../tests/it/encounters.rs"]

@@ -6,11 +6,11 @@ use divan::{Bencher, black_box};
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 fn main() {
     divan::main();

@@ -8,11 +8,12 @@ use std::error::Error;
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, State, integrate};
+use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, integrate};
 
 /// The largest |H - H0| of the samples, in J.
 #[derive(Default)]

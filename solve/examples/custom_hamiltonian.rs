@@ -4,14 +4,14 @@
 
 use std::error::Error;
 
-use vpd_solve::hamiltonian::{Energy, Hamiltonian};
+use vpd_solve::hamiltonian::Hamiltonian;
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::system::{System, free_directions};
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 /// `H = <w nu, nu> / 2` with `nu = mu - g^T A g`, w entry by entry: the field A stands in space.
 struct Charged {

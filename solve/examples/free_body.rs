@@ -7,10 +7,10 @@ use std::error::Error;
 use vpd_solve::hamiltonian::{Kinetic, RigidBody};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 /// The largest errors of the energy (J) and of the length of the momentum (kg m^2/s) over the run.
 pub(crate) fn run() -> Result<(f64, f64), Box<dyn Error>> {

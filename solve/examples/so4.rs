@@ -8,9 +8,10 @@ use std::error::Error;
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, State, integrate};
+use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, integrate};
 
 /// Keeps the largest errors of the samples.
 #[derive(Clone, Copy, Debug, Default)]

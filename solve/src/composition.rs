@@ -15,12 +15,12 @@
 
 use nalgebra::{Quaternion, Vector3};
 
+use super::compensated::two_sum;
 use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::nonlinear::Convergence;
 use super::so::{Mat, Vector};
 use super::so3::{self, Top};
-use super::space;
 
 /// Suzuki (1990), Physics Letters A 146: five steps, `1 / (4 - 4^(1/3))` four times around the rest.
 const ORDER_4: [f64; 3] =
@@ -59,25 +59,25 @@ pub struct Drift {
 
 /// A point of T*SO(3) as a sum: its value, and the part still to be added.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sum {
+pub struct TopSum {
     /// The point.
     pub top: Top,
     carry: Top,
 }
 
-impl From<Top> for Sum {
+impl From<Top> for TopSum {
     fn from(top: Top) -> Self {
         let attitude = Quaternion::from_imag(Vector3::zeros());
         Self { top, carry: Top { attitude, momentum: Vector3::zeros() } }
     }
 }
 
-impl Sum {
+impl TopSum {
     /// Adds to the body momentum.
     fn push(&mut self, gain: &Vector3<f64>) {
         for i in 0..3 {
             let gain = gain[i] + self.carry.momentum[i];
-            let (sum, left) = space::sum(self.top.momentum[i], gain);
+            let (sum, left) = two_sum(self.top.momentum[i], gain);
             (self.top.momentum[i], self.carry.momentum[i]) = (sum, left);
         }
     }
@@ -92,7 +92,7 @@ impl Sum {
         let deficit = 0.5 - 0.5 * attitude.norm_squared();
         let change = *attitude * small + (*carry + *carry * small + *attitude * deficit);
         for i in 0..4 {
-            let (sum, left) = space::sum(attitude.coords[i], change.coords[i]);
+            let (sum, left) = two_sum(attitude.coords[i], change.coords[i]);
             (attitude.coords[i], carry.coords[i]) = (sum, left);
         }
     }
@@ -140,10 +140,10 @@ impl Composition {
         &self,
         body: &RigidBody<3>,
         seen: &mut Vec<Vector<3>>,
-        mut state: Sum,
+        mut state: TopSum,
         h: f64,
         mut drift: impl FnMut(&Top, f64) -> Result<(Drift, Convergence), Failure>,
-    ) -> Result<(Sum, Convergence), Failure> {
+    ) -> Result<(TopSum, Convergence), Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), seen);
         let mut total = Convergence { iterations: 0, ..Convergence::EXPLICIT };

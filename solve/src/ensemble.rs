@@ -7,8 +7,9 @@ use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::lanes::WIDTH;
 use super::nonlinear::Convergence;
+use super::state::State;
 use super::stepper::{Knots, Stepper};
-use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, State, Trajectory};
+use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, Trajectory};
 
 /// A few members of an ensemble that take each step together.
 pub trait Members<const N: usize> {

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
 use super::so::{self, Mat, Vector};
-use super::system::{System, free_directions};
+use super::system::{Energy, System, free_directions};
 use super::work::Work;
 
 mod driven;
@@ -103,22 +103,6 @@ impl<const N: usize> Kinetic<N> {
         }
         let inverse = inertia.cholesky()?.inverse();
         Some(Self::Tensor { inertia, inverse })
-    }
-}
-
-/// Kinetic and potential energy.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Energy {
-    /// T.
-    pub kinetic: f64,
-    /// U.
-    pub potential: f64,
-}
-
-impl Energy {
-    /// H = T + U.
-    pub fn total(&self) -> f64 {
-        self.kinetic + self.potential
     }
 }
 

@@ -5,10 +5,10 @@
 
 use nalgebra::DMatrix;
 
-use super::hamiltonian::{Energy, RigidBody};
+use super::hamiltonian::RigidBody;
 use super::nonlinear::SMALLEST_SIZE;
 use super::so::{self, Mat};
-use super::system::System;
+use super::system::{Energy, System};
 
 /// A Lagrangian L(g, Omega), for [`crate::stepper::vpd_lagrangian::VpdLagrangian`]: the steps ask for its two derivatives,
 /// [`energy`] for its value.

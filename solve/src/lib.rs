@@ -10,6 +10,7 @@
 //!
 //! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).
 
+pub mod compensated;
 pub mod composition;
 pub mod ensemble;
 pub mod failure;
@@ -22,6 +23,7 @@ pub mod so;
 pub mod so3;
 pub mod space;
 pub mod stack;
+pub mod state;
 pub mod stepper;
 pub mod system;
 pub mod tableau;

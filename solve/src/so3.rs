@@ -8,7 +8,7 @@
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::failure::Failure;
-use super::trajectory::State;
+use super::state::State;
 
 /// A point of T*SO(3): attitude and body momentum.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,6 +78,11 @@ pub fn rotation(q: &Quaternion<f64>) -> Matrix3<f64> {
 /// The rotation matrix of a quaternion that is of length one to round-off.
 pub fn unit_rotation(q: &Quaternion<f64>) -> Matrix3<f64> {
     UnitQuaternion::new_unchecked(*q).to_rotation_matrix().into_inner()
+}
+
+/// Does the matrix map axis k to a multiple of itself, and the plane across it to itself?
+pub(crate) fn is_axis(m: &Matrix3<f64>, [i, j, k]: [usize; 3]) -> bool {
+    [m[(i, k)], m[(j, k)], m[(k, i)], m[(k, j)]] == [0.0; 4]
 }
 
 #[cfg(test)]

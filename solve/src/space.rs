@@ -59,14 +59,6 @@ pub fn plus<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> Vec3<T> {
     vec3!(i => a[i] + b[i])
 }
 
-/// Returns `a + b`, and the part of it lost to rounding (Knuth's two-sum).
-#[inline(always)]
-pub fn sum<T: Real>(a: T, b: T) -> (T, T) {
-    let sum = a + b;
-    let part = sum - a;
-    (sum, (a - (sum - part)) + (b - part))
-}
-
 /// `a - b`
 #[inline(always)]
 pub fn minus<T: Real>(a: &Vec3<T>, b: &Vec3<T>) -> Vec3<T> {

@@ -3,18 +3,20 @@
 //! Invariant: a stepper owns the state it carries, in the variables of its scheme, and gives attitude and
 //! body momentum out on demand; a step that fails leaves that state as it was.
 
-use super::failure::{Failure, FailureCode};
+use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::nonlinear::Convergence;
-use super::so::{self, Mat};
-use super::trajectory::{Checkpoint, OwnTime, Pace, State};
+use super::so::Mat;
+use super::state::{Checkpoint, OwnTime, Pace, State};
 pub use clock::Clock;
 pub use knots::Knots;
 
+mod checks;
 mod clock;
 mod galerkin;
 mod knots;
 mod motion;
+mod so3_equations;
 pub mod vpd;
 pub mod vpd_adaptive;
 pub mod vpd_lagrangian;
@@ -122,46 +124,5 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// that interpolates none.
     fn sigma_min(&self) -> Option<f64> {
         None
-    }
-}
-
-/// Largest distance, as `|g - h|_F / sqrt(2)`, between the end of a step and that of two of half
-/// its length. On random scenes at the largest steps that are solved, the right solutions of two to
-/// four stages end by at most 0.4 from there, and those of the second roots that Newton's method
-/// has found by 0.5 to 1.4; one stage errs by 0.9 by itself.
-const FAR: [f64; 2] = [1.0, 0.5];
-
-/// Refuses a step that Newton's method has solved for a root that belongs to no smaller step: two of half the length by
-/// sweeps, which find no other root, end elsewhere. `half` makes one of these, from where the step began, and gives the
-/// attitude; `end` is the attitude that the step of a scheme of this order reached.
-///
-/// # Errors
-/// [`FailureCode::SecondRoot`] with the distance.
-fn check_root<const N: usize>(
-    solved: Convergence,
-    order: u32,
-    end: &Mat<N>,
-    mut half: impl FnMut() -> Result<Option<Mat<N>>, Failure>,
-) -> Result<(), Failure> {
-    let mut reached = None;
-    for _ in 0..2 {
-        match half() {
-            Ok(attitude) => reached = attitude,
-            Err(stopped) if stopped.code == FailureCode::Stopped => return Err(stopped),
-            // If these are not solved either, nothing is known.
-            Err(_) => return Ok(()),
-        }
-    }
-    let Some(reached) = reached else { return Ok(()) };
-    let far = FAR[usize::from(order > 2)];
-    let apart = reached - end;
-    let distance = so::inner(&apart, &apart).sqrt();
-    if distance <= far {
-        Ok(())
-    } else {
-        Err(Failure {
-            iterations: solved.iterations,
-            ..Failure::new(FailureCode::SecondRoot, None, distance, far)
-        })
     }
 }

@@ -4,8 +4,23 @@
 //! [`crate::lagrangian::Lagrangian`]. A body with built-in terms, [`crate::hamiltonian::RigidBody`], has both.
 
 use super::failure::Failure;
-use super::hamiltonian::Energy;
 use super::so::{self, Mat, Vector};
+
+/// Kinetic and potential energy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Energy {
+    /// T.
+    pub kinetic: f64,
+    /// U.
+    pub potential: f64,
+}
+
+impl Energy {
+    /// H = T + U.
+    pub fn total(&self) -> f64 {
+        self.kinetic + self.potential
+    }
+}
 
 /// A system on T*SO(n). States are left-trivialised: the attitude `g` turns body coordinates into space coordinates
 /// (n x n, on the group to rounding), the momentum `mu` is the skew n x n matrix in the body frame, in kg m^2/s.

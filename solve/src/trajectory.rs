@@ -5,41 +5,12 @@
 //! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
 //! holds, so that a trajectory which is resumed there is, to the bit, the one that was not interrupted.
 
-use nalgebra::DMatrix;
-
 use super::failure::{Failure, FailureCode};
-use super::hamiltonian::Energy;
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
+use super::state::{Checkpoint, Pace, State};
 use super::stepper::{Knots, Stepper};
-use super::system::System;
-
-/// A point of T*SO(n), left-trivialised: `g' = g Omega`. It is not checked: [`State::defect`] says how far it is from one.
-#[derive(Clone, Debug, PartialEq)]
-pub struct State<const N: usize> {
-    /// The attitude g in SO(n): body coordinates to space coordinates.
-    pub attitude: Mat<N>,
-    /// The body momentum mu in so(n)*, skew.
-    pub momentum: Mat<N>,
-}
-
-impl<const N: usize> State<N> {
-    /// Returns the distance from a state: the largest entry of `g^T g - I`, or of `mu + mu^T` in
-    /// parts of the largest of mu if that is larger; 2 for a reflection, NaN for what is not
-    /// finite.
-    pub fn defect(&self) -> f64 {
-        let Self { attitude, momentum } = self;
-        let group = (so::transposed_product(attitude, attitude) - Mat::identity()).amax();
-        let size = momentum.amax();
-        let skew = if size > 0.0 { (momentum + momentum.transpose()).amax() / size } else { 0.0 };
-        let finite = attitude.iter().chain(momentum).all(|x| x.is_finite());
-        if !finite {
-            return f64::NAN;
-        }
-        let determinant = DMatrix::from_column_slice(N, N, attitude.as_slice()).determinant();
-        if determinant < 0.0 { 2.0 } else { group.max(skew) }
-    }
-}
+use super::system::{Energy, System};
 
 /// Length and resolution of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,44 +21,6 @@ pub struct Schedule {
     pub steps: u64,
     /// A sample is taken every k steps (0: as 1), at the start and at the end.
     pub every: u64,
-}
-
-/// Pace of time for a scheme whose own steps differ in duration.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Pace {
-    /// dt / dtau at the sample.
-    pub sigma: f64,
-    /// Duration of the own step around the sample, in seconds; 0 at the start.
-    pub step_s: f64,
-    /// Own steps made before the sample.
-    pub steps: u64,
-    /// The least dt / dtau of an own step since the sample before.
-    pub least_sigma: f64,
-    /// Time of the state minus the time of the sample, in seconds.
-    pub time_error_s: f64,
-}
-
-impl Pace {
-    fn is_finite(&self) -> bool {
-        [self.sigma, self.step_s, self.least_sigma, self.time_error_s]
-            .into_iter()
-            .all(f64::is_finite)
-    }
-}
-
-/// Position of a scheme in its own time: the end of its last own step.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OwnTime<const N: usize> {
-    /// The attitude g there.
-    pub attitude: Mat<N>,
-    /// The body momentum mu there.
-    pub momentum: Mat<N>,
-    /// The time there, in seconds since the start.
-    pub time_s: f64,
-    /// Part of that time lost to rounding.
-    pub carry_s: f64,
-    /// Own steps made.
-    pub steps: u64,
 }
 
 /// Quantities computed at a sample in addition to the state, as the caller asked for.
@@ -245,57 +178,6 @@ impl<const N: usize> Sink<N> for Vec<Sample<N>> {
     fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error> {
         self.push(sample.clone());
         Ok(())
-    }
-}
-
-/// State of a trajectory at a sample: all that it needs, in addition to its start, to go on from
-/// there.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Checkpoint<const N: usize> {
-    /// Steps made.
-    pub step: u64,
-    /// Samples recorded, that of this step included.
-    pub samples: u64,
-    /// The attitude g; `None` from a scheme that carries none.
-    pub attitude: Option<Mat<N>>,
-    /// The body momentum mu.
-    pub momentum: Mat<N>,
-    /// Sweeps of the nonlinear solver in all.
-    pub iterations: u64,
-    /// How the last step was solved; `None` if none was made.
-    pub convergence: Option<Convergence>,
-    /// Energy put in since the start, in J: see [`Stepper::work`].
-    pub work: f64,
-    /// Spatial momentum put in by torques that are no potential's since the start, in N m s: see
-    /// [`Stepper::impulse`].
-    pub impulse: Mat<N>,
-    /// Impulse put in by torques by tables since the start, in N m s: see [`Stepper::table_impulse`].
-    pub table_impulse: f64,
-    /// Own time of a scheme that has one.
-    pub own_time: Option<OwnTime<N>>,
-}
-
-impl<const N: usize> Checkpoint<N> {
-    /// Attitude and momentum; a scheme that carries no attitude does not look at the one that stands here for it.
-    pub fn state(&self) -> State<N> {
-        let attitude = self.attitude.unwrap_or_else(Mat::identity);
-        State { attitude, momentum: self.momentum }
-    }
-
-    /// Creates the checkpoint before any step and sample.
-    pub fn at_start(state: &State<N>) -> Self {
-        Self {
-            step: 0,
-            samples: 0,
-            attitude: Some(state.attitude),
-            momentum: state.momentum,
-            iterations: 0,
-            convergence: None,
-            work: 0.0,
-            impulse: Mat::zeros(),
-            table_impulse: 0.0,
-            own_time: None,
-        }
     }
 }
 

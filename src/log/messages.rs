@@ -11,7 +11,8 @@ use super::rows::Field;
 use super::schema::Channel;
 use crate::solve::nonlinear::{Convergence, Rung};
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::{self, Sample};
+use crate::solve::state;
+use crate::solve::trajectory::Sample;
 
 include!(concat!(env!("OUT_DIR"), "/vpd.rs"));
 
@@ -173,9 +174,9 @@ impl State {
     }
 
     /// Returns attitude and momentum; `None` if one is missing or of another size.
-    pub fn point<const N: usize>(&self) -> Option<trajectory::State<N>> {
+    pub fn point<const N: usize>(&self) -> Option<state::State<N>> {
         (self.attitude.len() == N * N && self.body_momentum.len() == so::dimension(N)).then(|| {
-            trajectory::State {
+            state::State {
                 attitude: Mat::from_row_slice(&self.attitude),
                 momentum: so::hat(&self.body_momentum),
             }
@@ -246,14 +247,14 @@ impl From<Convergence> for Solver {
 impl Pace {
     /// Returns the rate of time up to a sample, for adaptive steps.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
-        let trajectory::Pace { sigma, step_s, steps, least_sigma, time_error_s } = sample.pace?;
+        let state::Pace { sigma, step_s, steps, least_sigma, time_error_s } = sample.pace?;
         Some(Self { sigma, step_s, own_steps: steps, least_sigma, time_error_s })
     }
 }
 
 impl Checkpoint {
     /// Returns the place of a trajectory, and the figures of its samples so far.
-    pub fn of<const N: usize>(checkpoint: &trajectory::Checkpoint<N>, figures: Figures) -> Self {
+    pub fn of<const N: usize>(checkpoint: &state::Checkpoint<N>, figures: Figures) -> Self {
         // nalgebra stores columns; the rows of a matrix are the columns of its transpose.
         let rows = |matrix: &Mat<N>| matrix.transpose().as_slice().to_vec();
         let none = checkpoint.impulse.iter().all(|x| *x == 0.0);
@@ -293,9 +294,9 @@ impl Checkpoint {
     }
 
     /// Returns the place of the trajectory; `None` if it is of another dimension.
-    pub fn trajectory<const N: usize>(&self) -> Option<trajectory::Checkpoint<N>> {
+    pub fn trajectory<const N: usize>(&self) -> Option<state::Checkpoint<N>> {
         let present = |rows: &[f64]| (!rows.is_empty()).then(|| Mat::from_row_slice(rows));
-        self.is_of(N).then(|| trajectory::Checkpoint {
+        self.is_of(N).then(|| state::Checkpoint {
             step: self.step,
             samples: self.samples,
             attitude: present(&self.attitude),
@@ -305,7 +306,7 @@ impl Checkpoint {
             work: self.work,
             impulse: present(&self.impulse).unwrap_or_else(Mat::zeros),
             table_impulse: self.table_impulse,
-            own_time: self.own_time.as_ref().map(|own| trajectory::OwnTime {
+            own_time: self.own_time.as_ref().map(|own| state::OwnTime {
                 attitude: Mat::from_row_slice(&own.attitude),
                 momentum: Mat::from_row_slice(&own.body_momentum),
                 time_s: own.time_s,

@@ -31,7 +31,8 @@ use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
     is_transient,
 };
-use crate::solve::trajectory::{Checkpoint, Sample, Sink};
+use crate::solve::state::Checkpoint;
+use crate::solve::trajectory::{Sample, Sink};
 
 /// Library name in the file's header; part of the bytes.
 const LIBRARY: &str = concat!("vpd/", env!("CARGO_PKG_VERSION"));

@@ -10,8 +10,8 @@ use crate::scenario::{
 };
 use crate::solve::hamiltonian::{self as body, Kinetic, RigidBody, Term};
 use crate::solve::so::{self, Mat};
+use crate::solve::state::State;
 use crate::solve::system::System as _;
-use crate::solve::trajectory::State;
 
 impl Model {
     /// Returns the body and its state at the start, with their const size.

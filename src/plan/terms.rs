@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Dyn, OMatrix};
 
 use super::{Model, TermPlan};
 use crate::scenario::{GravityGradient, PotentialTerm, Uniform};
-use crate::solve::space;
+use crate::solve::compensated::two_sum;
 
 /// Relative error of a number by rounding: a few units in its last place.
 const ROUNDED: f64 = 8.0 * f64::EPSILON;
@@ -462,7 +462,7 @@ where
     for summand in summands {
         size += summand.amax();
         for i in 0..total.len() {
-            let (sum, left) = space::sum(total[i], summand[i]);
+            let (sum, left) = two_sum(total[i], summand[i]);
             (total[i], carry[i]) = (sum, carry[i] + left);
         }
     }

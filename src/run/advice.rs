@@ -18,11 +18,12 @@ use crate::solve::failure::{Failure, FailureCode, two_digits};
 use crate::solve::hamiltonian::{RigidBody, TimeScale};
 use crate::solve::nonlinear::StopRule;
 use crate::solve::so;
+use crate::solve::state::{Checkpoint, Pace, State};
 use crate::solve::stepper::vpd_adaptive::VpdAdaptive;
 use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::system::System;
 use crate::solve::tableau::Tableau;
-use crate::solve::trajectory::{Checkpoint, Pace, Schedule, State};
+use crate::solve::trajectory::Schedule;
 use crate::solve::work::Work;
 
 /// Work of a search in nanoseconds, by the plan's figures: this many runs like the one that failed, but at least

@@ -21,7 +21,7 @@ use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
 use crate::scenario::Expect;
 use crate::solve::nonlinear::Convergence;
-use crate::solve::trajectory::Checkpoint;
+use crate::solve::state::Checkpoint;
 
 /// State that a run reached.
 pub(super) struct Reached {

@@ -26,9 +26,8 @@ use crate::scenario;
 use crate::solve::ensemble;
 use crate::solve::lanes::WIDTH;
 use crate::solve::so::Mat;
-use crate::solve::trajectory::{
-    Checkpoint, Ending, Observables, Sample, Schedule, State, Trajectory,
-};
+use crate::solve::state::{Checkpoint, State};
+use crate::solve::trajectory::{Ending, Observables, Sample, Schedule, Trajectory};
 
 pub(crate) mod spread;
 mod statistics;

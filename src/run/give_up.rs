@@ -12,7 +12,7 @@ use crate::log::course::Course;
 use crate::log::messages;
 use crate::log::writer::LogWriter;
 use crate::plan::Plan;
-use crate::solve::trajectory::Checkpoint;
+use crate::solve::state::Checkpoint;
 
 /// Reason why a job is run no more.
 #[derive(Clone, Copy, Debug)]

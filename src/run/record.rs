@@ -17,9 +17,10 @@ use crate::log::schema::{Channel, Compression};
 use crate::log::writer::LogHeader;
 use crate::plan::MOST_DEFECT;
 use crate::scenario::Scenario;
+use crate::solve::state::State;
 use crate::solve::stepper::Stepper;
 use crate::solve::system::System;
-use crate::solve::trajectory::{self, Ending, Schedule, State, Trajectory};
+use crate::solve::trajectory::{self, Ending, Schedule, Trajectory};
 
 /// A chunk of the log is closed, and so is safe from a kill, after this many samples.
 const SAMPLES_PER_CHUNK: u64 = 1000;
@@ -35,7 +36,8 @@ const SAMPLES_PER_CHUNK: u64 = 1000;
 /// use vpd::solve::so::{self, Mat};
 /// use vpd::solve::stepper::vpd_so3::VpdSo3;
 /// use vpd::solve::tableau::Tableau;
-/// use vpd::solve::trajectory::{Schedule, State};
+/// use vpd::solve::state::State;
+/// use vpd::solve::trajectory::Schedule;
 ///
 /// /// `U = g_33^2 / 2`
 /// #[derive(Debug)]

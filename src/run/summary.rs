@@ -11,7 +11,7 @@ use crate::scenario::{Entry, Expect};
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::State;
+use crate::solve::state::State;
 
 /// Outcome of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -21,10 +21,11 @@ use crate::solve::failure::Failure;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rung;
 use crate::solve::so::{self, Mat};
+use crate::solve::state::{Checkpoint, State};
 use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::system::System;
 use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State, Trajectory,
+    self, Ending, Observables, Origin, Sample, Schedule, Sink, Trajectory,
 };
 use crate::solve::work::Work;
 

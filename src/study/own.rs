@@ -15,9 +15,10 @@ use super::table::{Row, Table};
 use super::{Scales, StudyError, Watch};
 use crate::solve::nonlinear::Rung;
 use crate::solve::so;
+use crate::solve::state::State;
 use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::system::System;
-use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
+use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
 
 /// A method that takes part.
 pub struct Candidate<'a, const N: usize, Y: ?Sized> {

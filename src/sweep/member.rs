@@ -16,9 +16,8 @@ use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so;
-use crate::solve::trajectory::{
-    self, Checkpoint, Ending, Observables, Sample, Schedule, Sink, Trajectory,
-};
+use crate::solve::state::Checkpoint;
+use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, Trajectory};
 use crate::solve::work::Work;
 use crate::study::Watch;
 use crate::study::measure::rate_at;

@@ -7,8 +7,9 @@ use rand_distr::{Distribution, StandardNormal};
 use super::file::{Condition, Lyapunov, Measure, Quantity, Score, Tilt};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
+use crate::solve::state::State;
 use crate::solve::stepper::{Knots, Stepper};
-use crate::solve::trajectory::{Sample, State};
+use crate::solve::trajectory::Sample;
 
 /// A score during a run.
 pub(super) enum Tally<'a, const N: usize> {

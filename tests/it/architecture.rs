@@ -1,5 +1,6 @@
 //! The invariants of ARCHITECTURE.md that the text of the code can show.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -79,4 +80,139 @@ fn functions_that_fail_in_silence_are_not_called() {
     for module in modules.chain(["solve".to_owned()]) {
         assert_eq!(lines_with(&module, &wrong), Vec::<String>::new());
     }
+}
+
+/// A module by its path from the root of its crate: one file.
+type Module = Vec<String>;
+
+/// Returns the modules of a crate, each with its code: without comments and unit tests.
+fn modules(source: &Path) -> BTreeMap<Module, String> {
+    let mut modules = BTreeMap::new();
+    for file in sources(source) {
+        let path = file.strip_prefix(source).expect("below").with_extension("");
+        let mut module: Module =
+            path.iter().map(|part| part.to_string_lossy().into_owned()).collect();
+        if module == ["lib"] || module == ["main"] {
+            module.clear();
+        }
+        let text = fs::read_to_string(&file).expect("readable");
+        let code = text.split("#[cfg(test)]\nmod tests").next().expect("one part");
+        let lines = code.lines().map(|line| line.split("//").next().expect("one part"));
+        modules
+            .entry(module)
+            .or_insert_with(String::new)
+            .extend(lines.map(|line| line.to_owned() + "\n"));
+    }
+    modules
+}
+
+/// Reads the tree of paths at the start of `code`, such as `a::{b, c::d}`, below `before`, and returns what follows it.
+fn read_paths<'a>(mut code: &'a str, before: &[String], paths: &mut Vec<Module>) -> &'a str {
+    let mut path = before.to_vec();
+    loop {
+        code = code.trim_start();
+        if let Some(mut list) = code.strip_prefix('{') {
+            loop {
+                list = list.trim_start();
+                match list.strip_prefix('}') {
+                    Some(rest) => return rest,
+                    None if list.is_empty() => return list,
+                    None => {}
+                }
+                let rest = read_paths(list, &path, paths);
+                // A name that is given another, or a glob.
+                let end = rest.find([',', '}', '{']).unwrap_or(rest.len());
+                list = &rest[end..];
+                list = list.strip_prefix(',').unwrap_or(list);
+            }
+        }
+        let end = code.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(code.len());
+        path.push(code[..end].to_owned());
+        code = &code[end..];
+        match code.strip_prefix("::") {
+            Some(rest) if !rest.starts_with('<') => code = rest,
+            _ => {
+                paths.push(path);
+                return code;
+            }
+        }
+    }
+}
+
+/// Returns the modules of the same crate that the code of a module names, except those around it and in it: a module
+/// and those in it are one.
+fn named(module: &Module, all: &BTreeMap<Module, String>) -> BTreeSet<Module> {
+    let code = &all[module];
+    let mut paths = Vec::new();
+    for (root, start) in ["crate::", "super::"]
+        .iter()
+        .flat_map(|root| code.match_indices(root).map(|(start, root)| (root, start)))
+    {
+        let before = code[..start].chars().next_back();
+        if before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':') {
+            continue;
+        }
+        let mut rest = &code[start..];
+        let mut base = if root == "crate::" { Module::new() } else { module.clone() };
+        rest = rest.strip_prefix("crate::").unwrap_or(rest);
+        while let Some(above) = rest.strip_prefix("super::") {
+            base.pop();
+            rest = above;
+        }
+        read_paths(rest, &base, &mut paths);
+    }
+    let file = |path: &Module| {
+        (1..=path.len()).rev().map(|end| path[..end].to_vec()).find(|part| all.contains_key(part))
+    };
+    let mut found: BTreeSet<Module> = paths.iter().filter_map(file).collect();
+    found.retain(|other| !other.starts_with(module) && !module.starts_with(other));
+    found
+}
+
+/// Returns the circles of a crate: modules that lead to one another by what they name.
+fn circles(source: &Path) -> Vec<Vec<String>> {
+    let all = modules(source);
+    let mut reached: BTreeMap<&Module, BTreeSet<Module>> =
+        all.keys().map(|module| (module, named(module, &all))).collect();
+    for between in all.keys() {
+        let beyond = reached[between].clone();
+        for found in reached.values_mut().filter(|found| found.contains(between)) {
+            found.extend(beyond.iter().cloned());
+        }
+    }
+    let mut circles = BTreeSet::new();
+    for (module, found) in &reached {
+        let circle: BTreeSet<_> =
+            found.iter().filter(|other| reached[*other].contains(*module)).collect();
+        if !circle.is_empty() {
+            circles.insert(circle.into_iter().map(|module| module.join("/")).collect::<Vec<_>>());
+        }
+    }
+    circles.into_iter().collect()
+}
+
+#[test]
+fn no_modules_of_the_mathematics_need_one_another() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    assert_eq!(circles(&root.join("solve/src")), Vec::<Vec<String>>::new());
+}
+
+/// The search finds circles, and follows every form of a path.
+#[test]
+fn circles_are_found() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let files = [
+        ("lib.rs", "pub mod a;\npub mod b;\npub mod c;\n"),
+        ("a.rs", "use crate::{b::{self, Of}, c as other};\n// crate::d\nmod inner;\n"),
+        ("a/inner.rs", "use super::Of;\nuse super::super::d::This;\n"),
+        ("b.rs", "fn f() { crate::c::<u8>() }\n"),
+        ("c.rs", "use super::a;\n#[cfg(test)]\nmod tests { use crate::d; }\n"),
+        ("d.rs", "use crate::a::inner::{Of, That};\n"),
+    ];
+    for (name, code) in files {
+        let path = folder.path().join(name);
+        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        fs::write(path, code).expect("written");
+    }
+    assert_eq!(circles(folder.path()), [vec!["a", "b", "c"], vec!["a/inner", "d"]]);
 }

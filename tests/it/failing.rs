@@ -14,10 +14,10 @@ use vpd::solve::failure::FailureCode;
 use vpd::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd::solve::nonlinear::{Rung, Rungs, StopRule};
 use vpd::solve::so::{self, Mat, Vector};
+use vpd::solve::state::State;
 use vpd::solve::stepper::Stepper;
 use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::tableau::Tableau;
-use vpd::solve::trajectory::State;
 
 use crate::given::Numbers;
 use crate::scenarios::run;

@@ -25,7 +25,8 @@ use vpd::run::{Control, JobContext};
 use vpd::scenario::Scenario;
 use vpd::solve::hamiltonian::{Kinetic, RigidBody};
 use vpd::solve::so::{Mat, hat};
-use vpd::solve::trajectory::{self, Sample, Sink};
+use vpd::solve::state;
+use vpd::solve::trajectory::{Sample, Sink};
 
 use fixture::*;
 pub(super) use fixture::{NAMED, next};
@@ -275,7 +276,7 @@ fn other_dimensions_have_no_frames() {
         LogWriter::create(&path, &LogHeader { dimension: 4, ..header() }).expect("create");
     let body = RigidBody::new(Kinetic::Principal { weights: Mat::<4>::repeat(0.5) }, vec![], 0.0);
     let momentum = hat::<4>(&[0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
-    let state = trajectory::State { attitude: Mat::<4>::identity(), momentum };
+    let state = state::State { attitude: Mat::<4>::identity(), momentum };
     run(&body, state, &mut log, 20);
     log.finish(succeeded()).expect("finish");
     let found = topics(&path);

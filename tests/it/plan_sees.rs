@@ -15,11 +15,11 @@ use vpd::scenario::{PotentialTerm, Scenario};
 use vpd::solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so::{self, Mat, Vector};
+use vpd::solve::state::State;
 use vpd::solve::stepper::Stepper;
 use vpd::solve::stepper::vpd::Vpd;
 use vpd::solve::stepper::vpd_so3::VpdSo3;
 use vpd::solve::tableau::Tableau;
-use vpd::solve::trajectory::State;
 
 use crate::scenarios::run;
 

@@ -12,10 +12,11 @@
 //!
 //! Invariant: [`Moment::input`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
 
+use super::RigidBody;
 use super::term::{Law, Space, Term};
-use super::{Energy, RigidBody};
 use crate::failure::{Failure, FailureCode};
 use crate::so::{self, Mat, Vector};
+use crate::system::Energy;
 
 /// Motion of the space vector of a term.
 #[derive(Clone, Debug, PartialEq)]

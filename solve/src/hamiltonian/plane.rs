@@ -2,6 +2,7 @@
 
 use super::{Kinetic, RigidBody, Term};
 use crate::so::{Mat, Vector};
+use crate::so3::is_axis;
 
 /// Rounding error of a space vector that lies in the plane, in parts of its length.
 const ROUNDED: f64 = 8.0 * f64::EPSILON;
@@ -34,9 +35,4 @@ impl RigidBody<3> {
         let weights = Mat::<2>::new(0.0, weight, weight, 0.0);
         Some(RigidBody::new(Kinetic::Principal { weights }, terms, self.constant))
     }
-}
-
-/// Does the matrix leave axis k alone?
-pub(super) fn is_axis(m: &Mat<3>, [i, j, k]: [usize; 3]) -> bool {
-    [m[(i, k)], m[(j, k)], m[(k, i)], m[(k, j)]] == [0.0; 4]
 }

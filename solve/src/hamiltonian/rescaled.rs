@@ -20,13 +20,13 @@
 
 use super::term::{Image, Lanes, Law, Numbers};
 use super::torque::Torques;
-use super::{Energy, Hamiltonian, RigidBody};
+use super::{Hamiltonian, RigidBody};
 use crate::failure::Failure;
 use crate::lanes::Stages;
 use crate::so::{self, Mat};
 use crate::space::{Mat3, Vec3, cross, dot, minus, plus, scaled, transposed_product, vec3};
 use crate::stack::{Dimension, Known, Stack};
-use crate::system::System;
+use crate::system::{Energy, System};
 
 /// sigma(g), a function of the distances to the point sources of a body.
 #[derive(Clone, Debug, PartialEq)]

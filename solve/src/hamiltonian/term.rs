@@ -14,8 +14,8 @@
 
 use super::super::lanes::Real;
 use super::super::so::{self, Mat, Vector};
+use super::super::so3::is_axis;
 use super::super::stack::Dimension;
-use super::plane::is_axis;
 
 mod gravity_gradient;
 mod point_source;

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::Convergence;
 use crate::so::Mat;
-use crate::trajectory::State;
+use crate::state::State;
 
 /// The stepper: the state that is kept, and the method for any other.
 pub struct AtRest<const N: usize> {

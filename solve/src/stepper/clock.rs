@@ -2,10 +2,9 @@
 //!
 //! Invariant: each input is a sum with its lost part, by the weights of the scheme that made the steps.
 
-use super::galerkin::Sum;
+use crate::compensated::Sum;
 use crate::hamiltonian::{Input, Time};
 use crate::so::Mat;
-use crate::space;
 
 /// The time at which the next step begins, and the input since [`super::Stepper::start`].
 #[derive(Clone, Debug)]
@@ -13,30 +12,17 @@ pub struct Clock<const N: usize> {
     /// In seconds.
     pub(super) time: f64,
     /// Energy, in J.
-    pub(super) work: Scalar,
+    pub(super) work: Sum<f64>,
     /// Spatial momentum, in N m s.
-    pub(super) impulse: Sum<N>,
+    pub(super) impulse: Sum<Mat<N>>,
     /// Strengths of torques by tables, in N m s.
-    pub(super) table_impulse: Scalar,
-}
-
-/// A sum of numbers, and the part of it lost to rounding.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Scalar {
-    pub(super) value: f64,
-    carry: f64,
-}
-
-impl Scalar {
-    fn add(&mut self, change: f64) {
-        (self.value, self.carry) = space::sum(self.value, change + self.carry);
-    }
+    pub(super) table_impulse: Sum<f64>,
 }
 
 impl<const N: usize> Default for Clock<N> {
     fn default() -> Self {
-        let (work, table_impulse) = (Scalar::default(), Scalar::default());
-        Self { time: 0.0, work, impulse: Sum::new(Mat::zeros()), table_impulse }
+        let (work, table_impulse) = (Sum::default(), Sum::default());
+        Self { time: 0.0, work, impulse: Sum::new(Mat::zeros(), Mat::zeros()), table_impulse }
     }
 }
 

@@ -30,40 +30,29 @@ use std::any::Any;
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, Input, Moment, Rescaled, RigidBody, Scale};
+use crate::hamiltonian::{Input, Moment, Rescaled, RigidBody, Scale};
 use crate::lanes::Real;
 use crate::nonlinear::{Convergence, Past, Rung, Rungs, Solver, StopRule};
 use crate::so::{self, Mat, Vector};
+use crate::stepper::checks::{check_branch, check_singular_value};
 use crate::tableau::Tableau;
 
 mod carried;
+mod convergence;
 mod deferred;
 mod motion;
 mod sweeps;
 mod vectors;
 
 pub(super) use carried::Carried;
-use deferred::{AtStage, Collocation, Place, Solved, Source, Start, Stuck, Velocity};
-pub(super) use motion::{Motion, Sum};
+use convergence::{
+    COST_OF_A_SWEEP, FAR_ENOUGH, MODEST_STRETCH, MODEST_TURN_SQUARE, MOST_OFF_THE_GROUP, Solved,
+    Stuck,
+};
+use deferred::{AtStage, Collocation, Place, Source, Start, Velocity};
+pub(super) use motion::Motion;
 use sweeps::{End, Stage, Sweeps};
 use vectors::InVectors;
-
-/// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
-pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
-
-/// `n max |F|`, in vectors `n max |E|`, up to which no singular value of an interpolated matrix is
-/// below two thirds, in vectors one half.
-const MODEST_STRETCH: f64 = 0.5;
-/// `|U - I|_F^2` up to which no two attitudes are a quarter turn apart: at a quarter turn
-/// `|U - V|_F^2 = 2 n - 2 tr(U^T V)` is 4.
-const MODEST_TURN: f64 = 1.0;
-/// Largest deviation from a rotation allowed for f of a solved step.
-const MOST_OFF_THE_GROUP: f64 = 1e-9;
-/// Cost of a sweep over all unknowns, in rounds of the collocation; sweeps run where that leads
-/// nowhere.
-const ROUNDS_OF_A_SWEEP: u32 = 4;
-/// Minus the square of the relative distance to a point of the potential that is near.
-const FAR_ENOUGH: f64 = -CLOSEST_APPROACH * CLOSEST_APPROACH;
 
 /// Equations that a form of VPD adds to the shared step. Attitudes `u` are in the frame of g0.
 pub(super) trait Dynamics<const N: usize> {
@@ -283,7 +272,7 @@ impl<const N: usize> GalerkinStep<N> {
         let h = length.h;
         (self.solution.by, self.solution.h, self.solution.gain) = (By::Sweeps, h, None);
         let Self { tableau, solver, past, stages, end, collocation, .. } = self;
-        let worth = if collocation.is_some() { ROUNDS_OF_A_SWEEP } else { 1 };
+        let worth = if collocation.is_some() { COST_OF_A_SWEEP } else { 1 };
         let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end, worth };
         match solver.solve_after(past, &mut equations) {
             Ok(convergence) => {
@@ -331,7 +320,7 @@ impl<const N: usize> GalerkinStep<N> {
             return Ok(None);
         }
         // Where no attitude is far from where the step began, none is far from the next.
-        if !(solved.change_square <= MODEST_TURN) && self.check_continuity().is_err() {
+        if !(solved.change_square <= MODEST_TURN_SQUARE) && self.check_continuity().is_err() {
             return Ok(None);
         }
         if dynamics.body().is_none_or(|seen| seen.body.has_own()) {
@@ -636,22 +625,4 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
             (now - before).iter().fold(0.0, |most: f64, x| Real::max_or_nan(most, x.abs()));
         [change, now.amax()]
     }
-}
-
-/// Refuses a matrix that is nearly singular, or reflects: by its smallest singular value, less than zero if it reflects.
-pub(super) fn check_singular_value(sigma: f64, stage: Option<usize>) -> Result<(), Failure> {
-    if sigma >= SMALLEST_SINGULAR_VALUE {
-        return Ok(());
-    }
-    let code = if sigma > 0.0 { FailureCode::IllConditioned } else { FailureCode::LeftGlPlus };
-    Err(Failure::new(code, stage, sigma, SMALLEST_SINGULAR_VALUE))
-}
-
-/// Refuses a turn of a quarter or more from one node to the next, by its trace or cosine and that of a quarter turn: it may
-/// be of another branch of the polar factor.
-pub(super) fn check_branch(found: f64, limit: f64, stage: Option<usize>) -> Result<(), Failure> {
-    if found > limit {
-        return Ok(());
-    }
-    Err(Failure::new(FailureCode::BranchJump, stage, found, limit))
 }

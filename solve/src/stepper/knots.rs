@@ -7,8 +7,8 @@ use crate::failure::Failure;
 use crate::hamiltonian::rounding_s;
 use crate::nonlinear::{Convergence, Rung};
 use crate::so::Mat;
+use crate::state::State;
 use crate::system::System;
-use crate::trajectory::State;
 
 /// The knots of a system along a run.
 #[derive(Clone, Copy, Debug)]

@@ -22,21 +22,21 @@
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
-use crate::composition::{Composition, Drift, Sum};
+use crate::composition::{Composition, Drift, TopSum};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::{Convergence, Rung, StopRule, fixed_point, relative};
 use crate::so::{Mat, Vector};
 use crate::so3::{self, Top};
+use crate::state::State;
 use crate::stepper::Stepper;
-use crate::trajectory::State;
 
 /// The stepper: a composition and a stop rule.
 #[derive(Clone, Debug)]
 pub struct Lgvi {
     composition: Composition,
     stop: StopRule,
-    state: Sum,
+    state: TopSum,
     seen: Vec<Vector<3>>,
 }
 

@@ -5,61 +5,36 @@
 //!
 //! Invariant: only torques change the spatial momentum.
 
+use crate::compensated::Sum;
 use crate::hamiltonian::RigidBody;
 use crate::lanes::{Row, Whole};
 use crate::so3::Top;
 use crate::space::{
-    Quaternion, Vec3, cross, dot, mat3, minus, product, scaled, sum, transposed_product, vec3,
+    Quaternion, Vec3, cross, dot, mat3, minus, product, scaled, transposed_product, vec3,
 };
-use crate::trajectory::State;
+use crate::state::State;
 
 /// Square of the largest angle by which a momentum may be seen apart from its sum in the body for that to be rounding.
 pub(super) const ROUNDING_SQUARE: f64 = 1e-28;
-
-/// A sum, and the part of it lost to rounding.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sum<P, const K: usize> {
-    pub(super) value: [P; K],
-    pub(super) carry: [P; K],
-}
-
-impl<P: Copy, const K: usize> Sum<P, K> {
-    /// Begins with `value`, without a deficit.
-    pub(super) fn new(value: [P; K], zero: P) -> Self {
-        Self { value, carry: [zero; K] }
-    }
-
-    /// Adds `change` and the carried part.
-    #[inline(always)]
-    pub(super) fn add<W: Whole<Plain = P>>(&mut self, change: &[W; K]) {
-        for i in 0..K {
-            let value = change[i].load(&self.value[i]);
-            let change = change[i] + change[i].load(&self.carry[i]);
-            let (value, carry) = sum(value, change);
-            value.store(&mut self.value[i]);
-            carry.store(&mut self.carry[i]);
-        }
-    }
-}
 
 /// The motion of a body in three dimensions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Motion<P> {
     /// A quaternion (w, v).
-    pub(super) attitude: Sum<P, 4>,
+    pub(super) attitude: Sum<[P; 4]>,
     /// Spatial momentum.
-    pub(super) momentum: Sum<P, 3>,
+    pub(super) momentum: Sum<[P; 3]>,
     /// Body momentum; with one or two stages, and for a free body, `g^T pi` and no sum.
-    pub(super) body_momentum: Sum<P, 3>,
+    pub(super) body_momentum: Sum<[P; 3]>,
 }
 
 impl<P: Copy> Motion<P> {
     /// Creates a motion at rest, not turned.
     pub(super) fn blank(zero: P, one: P) -> Self {
         Self {
-            attitude: Sum::new([one, zero, zero, zero], zero),
-            momentum: Sum::new([zero; 3], zero),
-            body_momentum: Sum::new([zero; 3], zero),
+            attitude: Sum::new([one, zero, zero, zero], [zero; 4]),
+            momentum: Sum::new([zero; 3], [zero; 3]),
+            body_momentum: Sum::new([zero; 3], [zero; 3]),
         }
     }
 
@@ -163,9 +138,9 @@ impl Motion<f64> {
     pub(super) fn of(state: &State<3>) -> Self {
         let Top { attitude: q, momentum } = Top::from_state(state);
         let g = mat3!(i, j => state.attitude[(i, j)]);
-        let begun = |numbers| Sum::new(unsigned_zeros(numbers), 0.0);
+        let begun = |numbers| Sum::new(unsigned_zeros(numbers), [0.0; 3]);
         Self {
-            attitude: Sum::new(unsigned_zeros([q.w, q.i, q.j, q.k]), 0.0),
+            attitude: Sum::new(unsigned_zeros([q.w, q.i, q.j, q.k]), [0.0; 4]),
             momentum: begun(product(&g, &momentum.into())),
             body_momentum: begun(momentum.into()),
         }
@@ -198,22 +173,6 @@ impl Motion<Row> {
             attitude: attitude.member(lane),
             momentum: momentum.member(lane),
             body_momentum: body_momentum.member(lane),
-        }
-    }
-}
-
-impl<const K: usize> Sum<Row, K> {
-    fn take(&mut self, lane: usize, member: &Sum<f64, K>) {
-        for i in 0..K {
-            self.value[i][lane] = member.value[i];
-            self.carry[i][lane] = member.carry[i];
-        }
-    }
-
-    fn member(&self, lane: usize) -> Sum<f64, K> {
-        Sum {
-            value: self.value.each_ref().map(|row| row[lane]),
-            carry: self.carry.each_ref().map(|row| row[lane]),
         }
     }
 }

@@ -46,10 +46,10 @@ use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
 use crate::so3;
 use crate::space::{Quaternion, Vec3};
+use crate::state::State;
 use crate::stepper::Stepper;
 use crate::stepper::motion::Motion;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 mod stages;
 

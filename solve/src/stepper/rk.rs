@@ -14,14 +14,14 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::galerkin::check_branch;
+use super::checks::check_branch;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Input, RigidBody};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::state::State;
 use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// The stepper: an explicit tableau and its scratch.
 #[derive(Clone, Debug)]

@@ -20,9 +20,9 @@ use crate::failure::Failure;
 use crate::hamiltonian::{Input, RigidBody};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
+use crate::state::State;
 use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// `(-1)^k B_k / k!`, k = 1, 2, ...
 const DEXPINV: [f64; 6] = [0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30_240.0];

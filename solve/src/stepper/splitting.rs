@@ -12,21 +12,21 @@
 
 use nalgebra::{Matrix3, Quaternion, Vector3};
 
-use crate::composition::{Composition, Drift, Sum};
+use crate::composition::{Composition, Drift, TopSum};
 use crate::failure::Failure;
 use crate::free_top;
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::Convergence;
 use crate::so::{Mat, Vector};
 use crate::so3::{self, Top};
+use crate::state::State;
 use crate::stepper::Stepper;
-use crate::trajectory::State;
 
 /// The stepper: a composition and its data of the body.
 #[derive(Clone, Debug)]
 pub struct Splitting {
     composition: Composition,
-    state: Sum,
+    state: TopSum,
     /// The axes of the last body seen.
     axes: PrincipalAxes,
     seen: Vec<Vector<3>>,

@@ -14,8 +14,8 @@ use crate::failure::Failure;
 use crate::hamiltonian::{Hamiltonian, Moment, Rescaled, RigidBody};
 use crate::nonlinear::{Convergence, StopRule};
 use crate::so::{self, Mat, Vector};
+use crate::state::State;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// The stepper. It takes any [`Hamiltonian`] `S`, a rigid body if none is named.
 #[derive(Clone, Debug)]

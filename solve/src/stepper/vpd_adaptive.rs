@@ -16,13 +16,13 @@
 use super::Stepper;
 use super::galerkin::{Carried, Length, Motion};
 use super::vpd::solve;
+use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{Rescaled, RigidBody, TimeScale};
 use crate::nonlinear::{Convergence, Rung, StopRule};
 use crate::so::Mat;
-use crate::space;
+use crate::state::{Checkpoint, OwnTime, Pace, State};
 use crate::tableau::Tableau;
-use crate::trajectory::{Checkpoint, OwnTime, Pace, State};
 
 /// The stepper.
 #[derive(Clone, Debug)]
@@ -49,8 +49,7 @@ pub struct VpdAdaptive<const N: usize> {
 #[derive(Clone, Debug)]
 struct Place<const N: usize> {
     motion: Motion<N>,
-    time_s: f64,
-    carry_s: f64,
+    time_s: Sum<f64>,
     /// Own steps so far.
     steps: u64,
 }
@@ -86,7 +85,7 @@ impl<const N: usize> VpdAdaptive<N> {
 
 impl<const N: usize> Place<N> {
     fn new(state: &State<N>) -> Self {
-        Self { motion: Motion::new(state), time_s: 0.0, carry_s: 0.0, steps: 0 }
+        Self { motion: Motion::new(state), time_s: Sum::default(), steps: 0 }
     }
 }
 
@@ -110,8 +109,7 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
         self.last = match &checkpoint.own_time {
             Some(OwnTime { attitude, momentum, time_s, carry_s, steps }) => Place {
                 motion: Motion::new(&State { attitude: *attitude, momentum: *momentum }),
-                time_s: *time_s,
-                carry_s: *carry_s,
+                time_s: Sum { value: *time_s, carry: *carry_s },
                 steps: *steps,
             },
             None => Place::new(&state),
@@ -125,7 +123,7 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     }
 
     fn own_time(&self) -> Option<OwnTime<N>> {
-        let Place { motion, time_s, carry_s, steps } = &self.last;
+        let Place { motion, time_s: Sum { value: time_s, carry: carry_s }, steps } = &self.last;
         let (attitude, momentum) = (*motion.attitude(), *motion.body_momentum());
         Some(OwnTime { attitude, momentum, time_s: *time_s, carry_s: *carry_s, steps: *steps })
     }
@@ -144,7 +142,7 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
 
     fn settle(&mut self, body: &RigidBody<N>, h: f64) -> Result<u32, Failure> {
         let time_s = self.made as f64 * h;
-        let lasting = (time_s - self.last.time_s) - self.last.carry_s;
+        let lasting = (time_s - self.last.time_s.value) - self.last.time_s.carry;
         let energy = self.energy(body);
         let dtau = self.longest_s.unwrap_or(h);
         let Self { scale, last, aside, lasts, least_sigma, pace, .. } = self;
@@ -216,7 +214,7 @@ impl<const N: usize> VpdAdaptive<N> {
     fn go_to(&mut self, body: &RigidBody<N>, goal: f64, dtau: f64) -> Result<Convergence, Failure> {
         let energy = self.energy(body);
         let Self { scale, last, ahead, lasts, least_sigma, .. } = self;
-        let (begun_s, most_steps) = (last.time_s, last.steps + MOST_STEPS);
+        let (begun_s, most_steps) = (last.time_s.value, last.steps + MOST_STEPS);
         let system = Rescaled::new(body, scale, energy);
         let mut solved = Convergence { iterations: 0, increment: 0.0, rung: Rung::FixedPoint };
         loop {
@@ -235,18 +233,20 @@ impl<const N: usize> VpdAdaptive<N> {
                     *lasts.insert(dt)
                 }
             };
-            let (time_s, carry_s) = space::sum(last.time_s, dt + last.carry_s);
-            if time_s > goal || (time_s == goal && carry_s > 0.0) {
+            let mut end_s = last.time_s;
+            end_s.add(dt);
+            if end_s.value > goal || (end_s.value == goal && end_s.carry > 0.0) {
                 return Ok(solved);
             }
             let steps = last.steps + 1;
-            *last = Place { motion: ahead.motion.clone(), time_s, carry_s, steps };
+            *last = Place { motion: ahead.motion.clone(), time_s: end_s, steps };
             *lasts = None;
             if steps == most_steps {
                 // sigma as the distance it belongs to, and the distance at which `MOST_STEPS` steps would suffice.
                 let near = |sigma: f64| libm::cbrt(sigma * sigma);
                 let all = MOST_STEPS as f64 * dtau;
-                let (here, needed) = (near((time_s - begun_s) / all), near((goal - begun_s) / all));
+                let (here, needed) =
+                    (near((end_s.value - begun_s) / all), near((goal - begun_s) / all));
                 return Err(Failure::new(FailureCode::PotentialSingularity, None, here, needed));
             }
         }

@@ -25,8 +25,8 @@ use crate::hamiltonian::{Moment, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
 use crate::nonlinear::{Convergence, StopRule};
 use crate::so::{self, Mat, Vector};
+use crate::state::State;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// The stepper, for any [`Lagrangian`] `S`; a rigid body if none is named.
 #[derive(Clone, Debug)]

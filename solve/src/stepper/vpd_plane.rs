@@ -21,14 +21,14 @@
 use nalgebra::Complex;
 
 use super::Stepper;
-use super::galerkin::{SMALLEST_SINGULAR_VALUE, check_branch};
+use super::checks::{SMALLEST_SINGULAR_VALUE, check_branch};
+use crate::compensated::{Sum, two_sum};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::{Convergence, Equations, SMALLEST_SIZE, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
-use crate::space;
+use crate::state::State;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// Passes over the turns, and over the linear system of x, within a sweep: a torque costs more than they.
 const KINEMATIC_PASSES: usize = 3;
@@ -98,9 +98,9 @@ pub struct VpdPlane {
     /// Does the body move in the plane? Else `space` has it.
     inside: bool,
     turn: Complex<f64>,
-    momentum: f64,
-    /// Parts of turn and momentum lost to rounding.
-    carry: (Complex<f64>, f64),
+    /// Part of the turn lost to rounding.
+    turn_carry: Complex<f64>,
+    momentum: Sum<f64>,
     tableau: Tableau,
     /// `a_ij` row by row, and `e_ik` column by column.
     rows: Vec<f64>,
@@ -129,8 +129,8 @@ impl VpdPlane {
             space,
             inside: false,
             turn: Complex::new(1.0, 0.0),
-            momentum: 0.0,
-            carry: (Complex::new(0.0, 0.0), 0.0),
+            turn_carry: Complex::new(0.0, 0.0),
+            momentum: Sum::default(),
             step: Step::new(stages),
             tableau,
             rows,
@@ -143,7 +143,7 @@ impl VpdPlane {
     /// The momentum, about the axis.
     fn about_axis(&self) -> Mat<3> {
         let mut vector = [0.0; 3];
-        vector[self.plane.axis] = self.momentum;
+        vector[self.plane.axis] = self.momentum.value;
         so::hat(&vector)
     }
 
@@ -152,7 +152,7 @@ impl VpdPlane {
         let Self { plane, turn, momentum, tableau, rows, columns, solver, step, seen, .. } = self;
         plane.body.seen_from(&matrix(*turn), seen);
         let gradients = plane.body.work().gradients();
-        let (plane, p0) = (&plane.body, *momentum);
+        let (plane, p0) = (&plane.body, momentum.value);
         let mut equations = Sweeps { tableau, rows, columns, body, plane, seen, h, p0, step };
         let solved = solver.solve(&mut equations).and_then(|solved| {
             equations.check()?;
@@ -169,15 +169,14 @@ impl VpdPlane {
         let f = end.turn;
         // f - 1, with 1 - cos = sin^2 / (1 + cos)
         let change = Complex::new(-f.im * f.im / (1.0 + f.re), f.im);
-        let (carried, of_momentum) = self.carry;
         // The deficit of the length from one; the carried part turns along.
         let deficit = 0.5 * (1.0 - self.turn.norm_sqr());
-        let change = self.turn * change + (carried * f + self.turn * f * deficit);
-        let (re, lost_re) = space::sum(self.turn.re, change.re);
-        let (im, lost_im) = space::sum(self.turn.im, change.im);
-        let (momentum, lost) = space::sum(self.momentum, kick + of_momentum);
-        (self.turn, self.momentum) = (Complex::new(re, im), momentum);
-        self.carry = (Complex::new(lost_re, lost_im), lost);
+        let change = self.turn * change + (self.turn_carry * f + self.turn * f * deficit);
+        let (re, lost_re) = two_sum(self.turn.re, change.re);
+        let (im, lost_im) = two_sum(self.turn.im, change.im);
+        self.turn = Complex::new(re, im);
+        self.turn_carry = Complex::new(lost_re, lost_im);
+        self.momentum.add(*kick);
     }
 }
 
@@ -191,8 +190,8 @@ impl Stepper<3> for VpdPlane {
         self.inside = found.is_some();
         match found {
             Some((turn, momentum)) => {
-                (self.turn, self.momentum) = (turn, momentum);
-                self.carry = (Complex::new(0.0, 0.0), 0.0);
+                (self.turn, self.momentum) = (turn, Sum::new(momentum, 0.0));
+                self.turn_carry = Complex::new(0.0, 0.0);
             }
             None => self.space.start(state),
         }

@@ -10,19 +10,20 @@
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
 
 use super::Stepper;
-use super::galerkin::{Dynamics, GalerkinStep, Seen, Sum};
+use super::galerkin::{Dynamics, GalerkinStep, Seen};
+use crate::compensated::Sum;
 use crate::failure::Failure;
 use crate::hamiltonian::RigidBody;
 use crate::nonlinear::{Convergence, StopRule};
 use crate::so::{self, Mat};
+use crate::state::State;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// The stepper: the shared step, the momentum, and the attitude if requested.
 #[derive(Clone, Debug)]
 pub struct VpdReduced<const N: usize> {
     step: GalerkinStep<N>,
-    momentum: Sum<N>,
+    momentum: Sum<Mat<N>>,
     attitude: Option<Mat<N>>,
 }
 
@@ -32,7 +33,7 @@ impl<const N: usize> VpdReduced<N> {
     pub fn new(tableau: Tableau, stop: StopRule, with_attitude: bool) -> Self {
         Self {
             step: GalerkinStep::new(tableau, stop).continued(),
-            momentum: Sum::new(Mat::zeros()),
+            momentum: Sum::new(Mat::zeros(), Mat::zeros()),
             attitude: with_attitude.then(Mat::identity),
         }
     }
@@ -85,7 +86,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.step.forget();
-        self.momentum = Sum::new(state.momentum);
+        self.momentum = Sum::new(state.momentum, Mat::zeros());
         self.attitude = self.attitude.map(|_| state.attitude);
     }
 

@@ -14,9 +14,12 @@
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
-use super::galerkin::{self, check_branch, check_singular_value};
-use super::motion::{Motion, Sum, unsigned_zeros};
-use super::{Stepper, check_root};
+use super::Stepper;
+use super::checks::{check_branch, check_root, check_singular_value};
+use super::galerkin;
+use super::motion::{Motion, unsigned_zeros};
+use super::so3_equations::Inertia;
+use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Row, Rows, WIDTH, in_stage_lanes, widest};
@@ -26,14 +29,14 @@ use crate::nonlinear::{
 use crate::so::{self, Mat, Vector};
 use crate::so3;
 use crate::space::{Quaternion, Sym3, Vec3, dot, scaled, transposed_product, vec3};
+use crate::state::State;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 pub mod ensemble;
 pub(super) mod sweep;
 pub(super) mod unknowns;
 
-use unknowns::{FEW_STAGES, Inertia, LaneTableau, Passes, Start, Unknowns};
+use unknowns::{FEW_STAGES, LaneTableau, Passes, Start, Unknowns};
 
 /// Turn of a step below which a free body takes half as many passes.
 const CALM_RAD: f64 = 0.05;
@@ -73,7 +76,7 @@ enum Carried {
     Full(Motion<f64>),
     /// Only the body momentum of a free body (Lie-Poisson): nothing depends on the attitude. Its
     /// square labels the coadjoint orbit.
-    Reduced { momentum: Sum<f64, 3>, square: f64 },
+    Reduced { momentum: Sum<[f64; 3]>, square: f64 },
 }
 
 impl VpdSo3 {
@@ -102,7 +105,7 @@ impl VpdSo3 {
         let state = if with_attitude {
             self.state
         } else {
-            Carried::Reduced { momentum: Sum::new([0.0; 3], 0.0), square: 0.0 }
+            Carried::Reduced { momentum: Sum::new([0.0; 3], [0.0; 3]), square: 0.0 }
         };
         // With many stages the guess is better without the preceding steps.
         let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
@@ -327,7 +330,7 @@ impl Stepper<3> for VpdSo3 {
             Carried::Reduced { .. } => {
                 let momentum = so3::vee(&state.momentum);
                 let square = momentum.norm_squared();
-                Carried::Reduced { momentum: Sum::new(momentum.into(), 0.0), square }
+                Carried::Reduced { momentum: Sum::new(momentum.into(), [0.0; 3]), square }
             }
         };
     }

@@ -40,14 +40,15 @@
 
 use nalgebra::Vector3;
 
+use crate::compensated::Sum;
 use crate::failure::Failure;
 use crate::hamiltonian::{Input, Moment, RigidBody};
 use crate::nonlinear::{Convergence, Equations, Rung, SMALLEST_SIZE, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
-use crate::stepper::galerkin::Sum;
-use crate::stepper::{Clock, Stepper, check_root};
+use crate::state::State;
+use crate::stepper::checks::check_root;
+use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 use maps::{Chains, MAX_TRUNCATION, Skew, greater, inverse_dexp_coefficients};
 
@@ -64,7 +65,7 @@ pub struct Vrkmk<const N: usize> {
     projected: bool,
     attitude: Mat<N>,
     /// Spatial momentum, skew.
-    momentum: Sum<N>,
+    momentum: Sum<Mat<N>>,
     space: Vec<Vector<N>>,
     clock: Clock<N>,
     unknowns: Unknowns<N>,
@@ -121,7 +122,7 @@ impl<const N: usize> Vrkmk<N> {
             },
             projected: false,
             attitude: Mat::identity(),
-            momentum: Sum::new(Mat::zeros()),
+            momentum: Sum::new(Mat::zeros(), Mat::zeros()),
             space: Vec::new(),
             clock: Clock::default(),
             tableau,
@@ -160,7 +161,7 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
 
     fn start(&mut self, state: &State<N>) {
         self.attitude = state.attitude;
-        self.momentum = Sum::new(Skew::<N>::turned(&state.momentum, &state.attitude));
+        self.momentum = Sum::new(Skew::<N>::turned(&state.momentum, &state.attitude), Mat::zeros());
         self.clock = Clock::default();
     }
 

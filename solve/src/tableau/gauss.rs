@@ -7,7 +7,7 @@
 
 use std::ops::{Add, Div, Mul, Sub};
 
-use crate::space;
+use crate::compensated::two_sum;
 
 /// `a` and `b` of Gauss collocation with `stages` nodes, 1 to 8.
 ///
@@ -118,10 +118,10 @@ impl Add for Twice {
     type Output = Self;
 
     fn add(self, other: Self) -> Self {
-        let (high, rest) = space::sum(self.high, other.high);
-        let (low, lowest) = space::sum(self.low, other.low);
-        let (high, rest) = space::sum(high, rest + low);
-        Self::of(space::sum(high, rest + lowest))
+        let (high, rest) = two_sum(self.high, other.high);
+        let (low, lowest) = two_sum(self.low, other.low);
+        let (high, rest) = two_sum(high, rest + low);
+        Self::of(two_sum(high, rest + lowest))
     }
 }
 
@@ -139,7 +139,7 @@ impl Mul for Twice {
     fn mul(self, other: Self) -> Self {
         let Self { high, low } = Self::product(self.high, other.high);
         let across = self.high * other.low + self.low * other.high;
-        Self::of(space::sum(high, low + across))
+        Self::of(two_sum(high, low + across))
     }
 }
 

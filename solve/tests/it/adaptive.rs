@@ -8,14 +8,13 @@ use vpd_solve::hamiltonian::{
 };
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::{Checkpoint, State};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{
-    Checkpoint, Ending, Observables, Origin, Sample, Schedule, Sink, State, integrate,
-};
+use vpd_solve::trajectory::{Ending, Observables, Origin, Sample, Schedule, Sink, integrate};
 
 use crate::encounters::{Scene, flyby, heavy_dipole};
 use crate::given::Numbers;

@@ -5,13 +5,14 @@ use vpd_solve::hamiltonian::{
 };
 use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::rk::Rk;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, State, integrate};
+use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, integrate};
 
 use crate::given::Numbers;
 use crate::methods::{Method, methods};

@@ -2,7 +2,7 @@
 
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
 use vpd_solve::so::{self, Vector};
-use vpd_solve::trajectory::State;
+use vpd_solve::state::State;
 
 /// A body of n = 3 with a weight and charges (strength, body point, place), and its start.
 pub(crate) struct Scene {

@@ -1,17 +1,18 @@
 //! The forms of VPD against each other: Hamiltonian, Lagrangian, reduced.
 
-use vpd_solve::hamiltonian::{Energy, Kinetic, RigidBody};
+use vpd_solve::hamiltonian::{Kinetic, RigidBody};
 use vpd_solve::lagrangian::{self, Lagrangian, velocity_of_momentum};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
-use vpd_solve::system::System;
+use vpd_solve::system::{Energy, System};
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{self, Observables, Sample, Schedule, Sink, State};
+use vpd_solve::trajectory::{self, Observables, Sample, Schedule, Sink};
 
 use crate::given::Numbers;
 use crate::laws::body;

@@ -4,7 +4,7 @@
 use serde_json::Value;
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::so::{self, Mat, Vector};
-use vpd_solve::trajectory::State;
+use vpd_solve::state::State;
 
 /// Numbers in [-1, 1) from a seed, the same on every machine (an xorshift generator).
 pub(crate) struct Numbers(pub(crate) u64);

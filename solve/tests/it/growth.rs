@@ -15,6 +15,7 @@ use std::thread;
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term, TimeScale};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
@@ -25,7 +26,6 @@ use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 use crate::given::dipole;
 

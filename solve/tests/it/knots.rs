@@ -9,13 +9,14 @@ use vpd_solve::hamiltonian::{
 };
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::rk::Rk;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, State, Trajectory, integrate};
+use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Trajectory, integrate};
 
 use crate::given::{Numbers, distance};
 use crate::methods::{Method, methods};

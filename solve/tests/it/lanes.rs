@@ -8,6 +8,7 @@ use vpd_solve::ensemble::Members;
 use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::{Rung, Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::rk::Rk;
@@ -19,7 +20,6 @@ use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 use crate::given::{Numbers, dipole};
 use crate::laws::{self, advance};

@@ -4,12 +4,12 @@ use nalgebra::{Matrix3, Vector3};
 use vpd_solve::hamiltonian::{DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 use crate::given::Numbers;
 use crate::literal;

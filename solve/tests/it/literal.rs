@@ -6,8 +6,8 @@
 use nalgebra::{DMatrix, DVector};
 use vpd_solve::hamiltonian::RigidBody;
 use vpd_solve::so::{Mat, asym, symmetric_part};
+use vpd_solve::state::State;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 /// Rounds of the fixed-point iterations, and of Newton's within: more than any of the tests needs.
 const ROUNDS: usize = 200;

@@ -9,6 +9,7 @@ use vpd_solve::hamiltonian::{
 };
 use vpd_solve::nonlinear::{Rung, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
@@ -21,7 +22,6 @@ use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 use crate::given::{Numbers, dipole, distance, reference};
 use crate::laws::{advance, body};

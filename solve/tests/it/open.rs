@@ -11,6 +11,7 @@ use vpd_solve::hamiltonian::{
 use vpd_solve::lagrangian::{self, Lagrangian};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
@@ -24,9 +25,7 @@ use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{
-    self, Ending, Observables, Sample, Schedule, State, Trajectory, integrate,
-};
+use vpd_solve::trajectory::{self, Ending, Observables, Sample, Schedule, Trajectory, integrate};
 
 use crate::forms::{Charged, charged};
 use crate::given::Numbers;

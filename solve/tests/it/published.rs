@@ -10,6 +10,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
 use vpd_solve::hamiltonian::{DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Term, Torque};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::lgvi::Lgvi;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
@@ -22,7 +23,6 @@ use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::State;
 
 type Make = fn() -> Box<dyn Stepper<3>>;
 

@@ -3,10 +3,11 @@
 use vpd_solve::hamiltonian::RigidBody;
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
+use vpd_solve::state::State;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink, State};
+use vpd_solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
 
 use crate::given::{Numbers, dipole, distance, known, reference};
 use crate::laws::{self, body};

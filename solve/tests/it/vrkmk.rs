@@ -6,13 +6,14 @@ use vpd_solve::failure::FailureCode;
 use vpd_solve::hamiltonian::{Kinetic, RigidBody};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat};
+use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::rkmk::Rkmk;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
-use vpd_solve::trajectory::{self, Ending, Observables, Schedule, State};
+use vpd_solve::trajectory::{self, Ending, Observables, Schedule};
 
 use crate::given::{Numbers, dipole, distance, reference};
 use crate::laws::{advance, body};

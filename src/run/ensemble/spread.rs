@@ -6,7 +6,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use crate::scenario::Ensemble;
 use crate::solve::so;
-use crate::solve::trajectory::State;
+use crate::solve::state::State;
 
 /// Returns the start of `member`: `g exp(hat(theta))` and `mu + hat(delta)`, with theta and delta
 /// normally distributed. Each member has its own stream of random numbers, so that it does not

@@ -10,7 +10,7 @@ use super::SUCCEEDED;
 use crate::log::messages::{EnsembleStatistics, Figures, Member, Quantiles};
 use crate::run::summary::EnsembleSummary;
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::State;
+use crate::solve::state::State;
 
 /// Sums over states, each taken from the first: what they have in common would hide their
 /// differences.

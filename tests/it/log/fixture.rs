@@ -16,9 +16,10 @@ use vpd::log::{LogError, part_path};
 use vpd::solve::hamiltonian::RigidBody;
 use vpd::solve::nonlinear::StopRule;
 use vpd::solve::so;
+use vpd::solve::state;
 use vpd::solve::stepper::vpd::Vpd;
 use vpd::solve::tableau::Tableau;
-use vpd::solve::trajectory::{self, Observables, Sample, Schedule, Sink, integrate};
+use vpd::solve::trajectory::{Observables, Sample, Schedule, Sink, integrate};
 
 pub(super) const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
 pub(super) const EVERYTHING: Observables =
@@ -98,7 +99,7 @@ pub(super) fn run_dipole<S: Sink<3, Error = LogError>>(sink: &mut S, steps: u64)
 
 pub(super) fn run<const N: usize, S: Sink<N, Error = LogError>>(
     body: &RigidBody<N>,
-    state: trajectory::State<N>,
+    state: state::State<N>,
     sink: &mut S,
     steps: u64,
 ) {
@@ -107,7 +108,7 @@ pub(super) fn run<const N: usize, S: Sink<N, Error = LogError>>(
 
 pub(super) fn try_run<const N: usize, S: Sink<N, Error = LogError>>(
     body: &RigidBody<N>,
-    state: trajectory::State<N>,
+    state: state::State<N>,
     sink: &mut S,
     steps: u64,
 ) -> Result<(), LogError> {
@@ -129,7 +130,7 @@ pub(super) fn write_dipole(steps: u64) -> (TempDir, PathBuf) {
     (folder, path)
 }
 
-pub(super) fn sample(state: &trajectory::State<3>, time_s: f64) -> Sample<3> {
+pub(super) fn sample(state: &state::State<3>, time_s: f64) -> Sample<3> {
     Sample {
         step: 0,
         time_s,

@@ -8,9 +8,10 @@ use crate::failure::Failure;
 use crate::hamiltonian::{Moment, RigidBody};
 use crate::nonlinear::{Convergence, Rung, StopRule};
 use crate::so::{Mat, Vector};
-use crate::stepper::{Clock, check_root};
+use crate::state::State;
+use crate::stepper::Clock;
+use crate::stepper::checks::check_root;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// The step, the motion and the clock.
 #[derive(Clone, Debug)]

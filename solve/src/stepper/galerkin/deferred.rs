@@ -36,6 +36,10 @@ use std::mem::swap;
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
+use super::convergence::{
+    LAST_DIGIT, LEAST_TURN_RAD, MODEST_TURN_RAD, MOST_ROUNDS, PASSES_PER_TORQUE, REMEMBERED_STEPS,
+    ROUND_OFF, ROUNDING_CHANGE, Rounds, SAME_SIGN, Solved, Stuck, USUAL_PASSES,
+};
 use crate::failure::Failure;
 use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
 use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
@@ -43,31 +47,6 @@ use crate::nonlinear::{SMALLEST_SIZE, Trail, relative};
 use crate::stack::{Any, Dimension, Known, Numbers, Stack};
 use crate::tableau::Tableau;
 use crate::work;
-
-/// Rounds of any kind after which a step is left to [`super`].
-pub(super) const MOST_ROUNDS: u32 = 40;
-/// Passes over attitudes and momenta for each torque, for a system in a time of its own.
-const PASSES: usize = 2;
-/// Shortfall allowed at the end of a step, relative to the momentum.
-pub(super) const ROUND_OFF: f64 = 1e-16;
-/// Part of it that is allowed where nothing may be spared. About an axis with a small moment of
-/// inertia an error of the momentum turns the body farther than the turn of the step says: with
-/// moments of 0.01 and 1 a tenth of it still shows as a drift of the energy over a million steps,
-/// this part does not.
-pub(super) const LAST_DIGIT: f64 = 0.03;
-/// Part of it that the last passes may leave, and all of a step that starts from the last nine: what
-/// is left has the same sign step after step, and over a million steps it has to stay below a random
-/// walk of roundings. With a hundredth a drift of the energy shows.
-const SAME_SIGN: f64 = 3e-3;
-/// Change by a pass, in units of [`ROUND_OFF`] of the momentum, that is rounding.
-const ROUNDING: f64 = 3.0;
-
-/// Number of steps that are remembered: with fewer the polynomial through them misses more, with
-/// more it multiplies their rounding errors.
-const REMEMBERED: usize = 9;
-
-/// Angle in rad of a step up to which it may be guessed from the one before.
-const MODEST: f64 = 0.5;
 
 /// A system as the step sees it.
 pub(super) enum Source<'a> {
@@ -126,20 +105,6 @@ pub(super) struct Start<'a> {
     /// p0 and its velocity, row by row.
     pub(super) momentum: &'a [f64],
     pub(super) velocity: &'a [f64],
-}
-
-/// Why a step is not solved here.
-pub(super) enum Stuck {
-    /// The rounds do not converge.
-    Lost,
-    /// The work was stopped.
-    Stopped(Failure),
-}
-
-impl From<Failure> for Stuck {
-    fn from(failure: Failure) -> Self {
-        Self::Stopped(failure)
-    }
 }
 
 /// A tableau of up to [`WIDTH`] stages that is its own partner, in lanes; lanes beyond its stages
@@ -237,7 +202,7 @@ struct Unknowns {
 #[derive(Clone, Debug, Default)]
 struct Past {
     /// The matrices of [`Unknowns::smooth`], of short steps.
-    trail: Trail<REMEMBERED>,
+    trail: Trail<REMEMBERED_STEPS>,
     /// Length of the last step, whose unknowns are still there.
     h: Option<f64>,
     /// The largest entry of its delta; infinite where that is not known.
@@ -250,7 +215,7 @@ impl Unknowns {
     fn smooth<'b>(
         &'b mut self,
         end: &'b mut End,
-    ) -> (&'b mut Trail<REMEMBERED>, [&'b mut Numbers; 9]) {
+    ) -> (&'b mut Trail<REMEMBERED_STEPS>, [&'b mut Numbers; 9]) {
         let Self { gain, c, f, s, x, delta, omega, past, .. } = self;
         let End { f: end_f, multiplier, .. } = end;
         (&mut past.trail, [gain, c, f, s, x, delta, end_f, multiplier, omega])
@@ -302,23 +267,6 @@ struct End {
     gain: Numbers,
     pi: Numbers,
     room: [Numbers; 2],
-}
-
-/// Measures of a solution: the largest entry of any F, in vectors of any E, and the largest square
-/// of |C|.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Solved {
-    pub(super) rounds: u32,
-    /// The length of the step.
-    pub(super) h: f64,
-    /// The last change of a momentum, relative to the largest.
-    pub(super) increment: f64,
-    /// The largest entry of any F, in vectors of any E.
-    pub(super) stretch: f64,
-    /// The largest `|C|_F^2`.
-    pub(super) change_square: f64,
-    /// Nearness as returned by [`crate::hamiltonian::RigidBody::torque`].
-    pub(super) nearness: f64,
 }
 
 /// Whence a step was begun.
@@ -583,7 +531,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
         let begun = if is_short && self.follow() {
             Begun::LastNine
-        } else if continues && self.start.turn <= MODEST {
+        } else if continues && self.start.turn <= MODEST_TURN_RAD {
             self.go_on();
             Begun::Last
         } else {
@@ -712,8 +660,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// The turn, as far as errors are divided by it: a body that hardly turns keeps the digits of its momentum all the same.
     fn clear_turn(&self) -> f64 {
-        const LEAST: f64 = 1e-3;
-        self.turn.clamp(LEAST, 1.0)
+        self.turn.clamp(LEAST_TURN_RAD, 1.0)
     }
 
     /// What the defect may lack, by the estimate; with up to four stages what it lacks is far below that.
@@ -752,7 +699,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let jump = self.momenta_in_body();
             if is_rescaled {
                 // Momenta and attitudes depend on each other through sigma and H - H0.
-                for _ in 0..PASSES {
+                for _ in 0..PASSES_PER_TORQUE {
                     self.attitudes();
                     self.momenta_in_body();
                 }
@@ -818,7 +765,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let momenta = self.momenta_from_space();
             let jump = if sees { momenta } else { momenta.max(self.turned()) };
             let floor = rounds.at_floor(jump, self.size)
-                || forced && jump <= ROUNDING * ROUND_OFF * self.size;
+                || forced && jump <= ROUNDING_CHANGE * ROUND_OFF * self.size;
             let mut left = rounds.left(jump);
             if forced && pass == 0 {
                 // What forces leave depends on how stiff they are.
@@ -844,8 +791,6 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     fn begin_pass(&self, pass: u32) -> Result<(), Failure> {
-        /// Usual number of passes in a sweep; each further pass counts as a sweep.
-        const USUAL_PASSES: u32 = 8;
         if pass >= USUAL_PASSES {
             self.begin_sweep()?;
         } else if let Forces::None { work, .. }
@@ -1446,38 +1391,4 @@ struct Passed {
     last: f64,
     /// Error left that more passes would remove.
     left: f64,
-}
-
-/// Convergence of rounds.
-#[derive(Debug)]
-pub(super) struct Rounds {
-    /// Contraction of an error by a round, assumed until it is measured.
-    expected: f64,
-    /// Last change, at first that before the rounds; a change much smaller than expected may be
-    /// luck.
-    last: f64,
-    first: bool,
-}
-
-impl Rounds {
-    pub(super) fn new(expected: f64, before: f64) -> Self {
-        Self { expected, last: before, first: true }
-    }
-
-    /// Returns whether `change` no longer falls because it is rounding of momenta of this size.
-    pub(super) fn at_floor(&self, change: f64, size: f64) -> bool {
-        /// Below this part of the momentum a change that no longer falls is rounding.
-        const FLOOR: f64 = 1e-14;
-        !self.first && change >= self.last && change <= FLOOR * size
-    }
-
-    /// Returns the error left after a round whose change was `change`.
-    pub(super) fn left(&mut self, change: f64) -> f64 {
-        let change = change.max(0.3 * self.expected * self.last);
-        let contraction =
-            if self.first { self.expected } else { (change / self.last).clamp(0.0, 1.0) };
-        (self.last, self.first) = (change, false);
-        // No change leaves no error.
-        if change > 0.0 { change * contraction } else { change }
-    }
 }

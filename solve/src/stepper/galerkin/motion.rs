@@ -9,52 +9,32 @@
 use fearless_simd::{Level, f64x4, prelude::*};
 
 use super::Solution;
+use crate::compensated::Sum;
 use crate::lanes::{Rows, Stages, widest};
 use crate::so::{self, Mat};
-use crate::space;
+use crate::state::State;
 use crate::stepper::motion::ROUNDING_SQUARE;
-use crate::trajectory::State;
-
-/// A sum, and the part of it lost to rounding.
-#[derive(Clone, Debug)]
-pub(in crate::stepper) struct Sum<const N: usize> {
-    pub(in crate::stepper) value: Mat<N>,
-    carry: Mat<N>,
-}
-
-impl<const N: usize> Sum<N> {
-    /// Begins with `value`.
-    pub(in crate::stepper) fn new(value: Mat<N>) -> Self {
-        Self { value, carry: Mat::zeros() }
-    }
-
-    /// Adds `change` and the carried part.
-    #[inline(always)]
-    pub(in crate::stepper) fn add(&mut self, change: &Mat<N>) {
-        for i in 0..N * N {
-            let (sum, left) = space::sum(self.value[i], change[i] + self.carry[i]);
-            (self.value[i], self.carry[i]) = (sum, left);
-        }
-    }
-}
 
 /// The motion of a body.
 #[derive(Clone, Debug)]
 pub(in crate::stepper) struct Motion<const N: usize> {
-    attitude: Sum<N>,
+    attitude: Sum<Mat<N>>,
     /// Spatial momentum.
-    momentum: Sum<N>,
+    momentum: Sum<Mat<N>>,
     /// Body momentum; for a free and for a driven body `g^T pi g` and no sum.
-    body_momentum: Sum<N>,
+    body_momentum: Sum<Mat<N>>,
 }
 
 impl<const N: usize> Motion<N> {
     /// Begins at a state.
     pub(in crate::stepper) fn new(state: &State<N>) -> Self {
         Self {
-            attitude: Sum::new(state.attitude),
-            momentum: Sum::new(so::skew(&so::conjugate(&state.attitude, &state.momentum))),
-            body_momentum: Sum::new(state.momentum),
+            attitude: Sum::new(state.attitude, Mat::zeros()),
+            momentum: Sum::new(
+                so::skew(&so::conjugate(&state.attitude, &state.momentum)),
+                Mat::zeros(),
+            ),
+            body_momentum: Sum::new(state.momentum, Mat::zeros()),
         }
     }
 
@@ -97,7 +77,7 @@ impl<const N: usize> Motion<N> {
         let seen = so::skew(&conjugate(lanes, &inverse, &self.momentum.value));
         match gain {
             Some(gain) if is_pushed => self.gain(lanes, gain, &seen),
-            _ => self.body_momentum = Sum::new(seen),
+            _ => self.body_momentum = Sum::new(seen, Mat::zeros()),
         }
     }
 

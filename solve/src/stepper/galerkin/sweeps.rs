@@ -4,10 +4,11 @@
 //!
 //! Invariant: a sweep computes each unknown from the newest of the others, once.
 
-use super::{Dynamics, SMALLEST_SINGULAR_VALUE};
+use super::Dynamics;
 use crate::failure::{Failure, FailureCode};
 use crate::nonlinear::{Continued, Equations, ROUND_OFF_FLOOR, SMALLEST_SIZE, relative};
 use crate::so::{self, Mat};
+use crate::stepper::checks::SMALLEST_SINGULAR_VALUE;
 use crate::tableau::Tableau;
 
 /// The unknowns of one stage, in the frame of g0.

@@ -26,7 +26,11 @@
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
-use super::deferred::{LAST_DIGIT, MOST_ROUNDS, ROUND_OFF, Rounds, Solved, Stuck};
+use super::convergence::{
+    COLLOCATION_ROUND_OFF, LAST_DIGIT, LEAST_SCALE, MOST_ROUNDS, PASSES_BETWEEN_TORQUES,
+    PASSES_PER_DEFECT, PATIENCE, ROUND_OFF, Rounds, SMALL_STRETCH, Solved, Stuck,
+    TORQUE_CONTRACTION,
+};
 use crate::hamiltonian::{Looked, RigidBody, Scale};
 use crate::lanes::{Real, Row, Rows, Stages, WIDTH, widest};
 use crate::nonlinear::SMALLEST_SIZE;
@@ -36,27 +40,11 @@ use crate::space::{
     symmetric_product, times_hat, transposed_product, vec3, with_one,
 };
 use crate::stepper::motion::unsigned_zeros;
-use crate::stepper::vpd_so3::sweep::{
-    defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
+use crate::stepper::so3_equations::{
+    Inertia, defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
 };
-use crate::stepper::vpd_so3::unknowns::{Inertia, LaneTableau};
+use crate::stepper::vpd_so3::unknowns::LaneTableau;
 use crate::tableau::Tableau;
-
-/// Rounds between two torques.
-const ROUNDS: u32 = 2;
-/// Rounds after an evaluation of the defects.
-const ROUNDS_AFTER: u32 = 4;
-/// Contraction of an error by new torques, assumed until it is measured.
-const TORQUE_CONTRACTION: f64 = 0.02;
-/// Shortfall allowed in a collocation that is still to be improved, relative to the momentum.
-const ENOUGH: f64 = 1e-15;
-/// Least fraction of sigma^-2 that a diverging step may leave.
-const LEAST: f64 = 0.25;
-/// Number of torques, or evaluations, after which a step that does not converge is abandoned.
-const PATIENCE: u32 = 6;
-/// Largest stretch `|P - I|` of a stage whose square is round-off: what f and its multiplier lack by
-/// collocation and by P = I is as small as that, and enters delta times K, which is, too.
-const SMALL_STRETCH: f64 = 1e-8;
 
 /// Start of a step.
 pub(super) struct Start {
@@ -345,7 +333,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             let left = evaluations.left(jump);
             let enough = 0.1 * left.max(LAST_DIGIT * ROUND_OFF);
             let mut rounds = Rounds::new(of_round(turn), jump);
-            for _ in 0..ROUNDS_AFTER {
+            for _ in 0..PASSES_PER_DEFECT {
                 if rounds.left(self.round()) <= enough {
                     break;
                 }
@@ -431,7 +419,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let (a, u) = (&self.at, &self.attitude);
         let c = cross(&u.v, &a.v);
         let eta: Vec3<R> = vec3!(i => ((a.w * u.v[i] - u.w * a.v[i]) + c[i]) * 2.0);
-        let sum = (*sum + dot(of_sum, &eta)).max_or_nan(*sum * LEAST);
+        let sum = (*sum + dot(of_sum, &eta)).max_or_nan(*sum * LEAST_SCALE);
         self.sigma = self.lanes.constant(1.0) / sum.sqrt();
         let sigma = self.sigma;
         let potential = *potential + dot(torque, &eta);
@@ -484,10 +472,11 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         for torques in 0..MOST_ROUNDS {
             let first = self.round();
             let turn = self.turn();
-            let enough = (0.1 * self.given.tableau.order_of_defect(turn)).max(ENOUGH);
+            let enough =
+                (0.1 * self.given.tableau.order_of_defect(turn)).max(COLLOCATION_ROUND_OFF);
             let mut rounds = Rounds::new(of_round(turn), first);
             let (mut change, mut of_rounds) = (first, first * of_round(turn));
-            for _ in 0..ROUNDS {
+            for _ in 0..PASSES_BETWEEN_TORQUES {
                 if of_rounds <= enough {
                     break;
                 }

@@ -14,7 +14,7 @@
 use fearless_simd::{Level, f64x8, prelude::*};
 
 use super::sweep;
-use super::unknowns::{Inertia, Start, Unknowns};
+use super::unknowns::{Start, Unknowns};
 use super::{Carried, VpdSo3};
 use crate::ensemble::Members;
 use crate::failure::Failure;
@@ -22,10 +22,11 @@ use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Real, Row, Rows, Stages, WIDTH, Whole, aligned_zero};
 use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
 use crate::space::{Quaternion, Vec3, dot};
+use crate::state::State;
 use crate::stepper::Stepper;
 use crate::stepper::motion::Motion;
+use crate::stepper::so3_equations::Inertia;
 use crate::tableau::Tableau;
-use crate::trajectory::State;
 
 /// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `$lanes` is
 /// `$stages` stages in lanes.

@@ -56,12 +56,14 @@
 //! ```
 
 use super::unknowns::{LaneTableau, RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
-use crate::lanes::{Real, Row, Stages, WIDTH, Whole};
+use crate::lanes::{Real, Row, Stages, Whole};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
-    Mat3, Quaternion, Sym3, Vec3, asym_of_product, cross, dot, inverse_less_half, mat3, minus,
-    plus, product, scaled, symmetric_product, times_hat, transposed, transposed_matrix_product,
-    transposed_product, vec3, vee_asym, with_one,
+    Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
+    symmetric_product, times_hat, transposed_product, vec3, vee_asym, with_one,
+};
+use crate::stepper::so3_equations::{
+    defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
 };
 
 /// Largest deviation of the square of a quaternion from one allowed in the last round of the first
@@ -490,32 +492,6 @@ fn transported_momenta<R: Stages>(
     vec3!(i => delta[i] + kicks[i].apply_tableau(partner))
 }
 
-/// Computes [T] and [Y]: `T_k = U_k hat(x_k)` and `Y_k = sum_i e_ik T_i`, the part of W_k that
-/// differs from stage to stage.
-#[inline(always)]
-pub(in crate::stepper) fn embedded<R: Stages>(
-    u: &Mat3<R>,
-    x: &Vec3<R>,
-    rows: &[Row; WIDTH],
-) -> [Mat3<R>; 2] {
-    let t = times_hat(u, x);
-    [t, mat3!(i, j => t[i][j].apply_tableau(rows))]
-}
-
-/// [defect]: `vee asym(f Lambda K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))`.
-#[inline(always)]
-pub(in crate::stepper) fn defect<R: Stages>(
-    f_lambda: &Mat3<R>,
-    [c, d, k]: [&Mat3<R>; 3],
-    w: &Mat3<R>,
-    [t, y]: [&Mat3<R>; 2],
-    partner: &[Row; WIDTH],
-) -> Vec3<R> {
-    let parts = minus(&asym_of_product(t, d), &asym_of_product(y, w));
-    let (of_end, of_turn) = (asym_of_product(f_lambda, k), asym_of_product(y, c));
-    vec3!(i => of_end[i] - (of_turn[i] + parts[i].apply_tableau(partner)))
-}
-
 /// `(K(P) - 2) v` for `P = I + E`.
 #[inline(always)]
 fn k_less_two<T: Real>(stretch: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
@@ -524,65 +500,9 @@ fn k_less_two<T: Real>(stretch: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
     vec3!(i => trace * v[i] - stretched[i])
 }
 
-/// `vee asym(U^T A)` for `A = I + D`: vee asym(U^T) = -4 w v without cancellation.
-#[inline(always)]
-pub(in crate::stepper) fn residual<T: Real>(
-    attitude: &Quaternion<T>,
-    u: &Mat3<T>,
-    d: &Mat3<T>,
-) -> Vec3<T> {
-    let [u, d] = [transposed(u), transposed(d)];
-    let factor = attitude.w * -4.0;
-    [
-        factor * attitude.v[0] + (dot(&u[2], &d[1]) - dot(&u[1], &d[2])),
-        factor * attitude.v[1] + (dot(&u[0], &d[2]) - dot(&u[2], &d[0])),
-        factor * attitude.v[2] + (dot(&u[1], &d[0]) - dot(&u[0], &d[1])),
-    ]
-}
-
-/// `E = P - I = sym(U^T A) - I` for `A = I + D`: sym(U) - I = 2 hat(v)^2 = 2 (v v^T - |v|^2 I) without cancellation.
-#[inline(always)]
-pub(in crate::stepper) fn stretch_of<T: Real>(
-    attitude: &Quaternion<T>,
-    u: &Mat3<T>,
-    d: &Mat3<T>,
-) -> Sym3<T> {
-    let [x, y, z] = attitude.v;
-    let (xx, yy, zz) = (x * x, y * y, z * z);
-    let b = transposed_matrix_product(u, d);
-    [
-        (yy + zz) * -2.0 + b[0][0],
-        (xx + zz) * -2.0 + b[1][1],
-        (xx + yy) * -2.0 + b[2][2],
-        y * z * 2.0 + (b[1][2] + b[2][1]) * 0.5,
-        x * z * 2.0 + (b[0][2] + b[2][0]) * 0.5,
-        x * y * 2.0 + (b[0][1] + b[1][0]) * 0.5,
-    ]
-}
-
-/// `K(P)^-1 - I / 2` for `P = I + E`: K(P) = 2 I + tr(E) I - E.
-#[inline(always)]
-pub(in crate::stepper) fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
-    inverse_less_half(&[*yy + *zz, *xx + *zz, *xx + *yy, -*yz, -*xz, -*xy])
-}
-
-/// Returns `K(P)^-1 v`, given `K(P)^-1 - I / 2`.
-#[inline(always)]
-pub(in crate::stepper) fn over_k<T: Real>(inverse: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
-    let rest = symmetric_product(inverse, v);
-    vec3!(i => v[i] * 0.5 + rest[i])
-}
-
 #[inline(always)]
 fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
     vec3!(i => lanes.load(&plain[i]))
-}
-
-#[inline(always)]
-pub(in crate::stepper) fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
-    for i in 0..3 {
-        value[i].store(&mut plain[i]);
-    }
 }
 
 #[inline(always)]

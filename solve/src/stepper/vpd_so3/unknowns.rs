@@ -3,8 +3,9 @@
 //! Invariant: lanes beyond the stages hold numbers, and have zero weight.
 
 use crate::hamiltonian::RigidBody;
-use crate::lanes::{Real, Row, WIDTH};
-use crate::space::{Quaternion, Sym3, Vec3, dot, symmetric_product, vec3};
+use crate::lanes::{Row, WIDTH};
+use crate::space::{Quaternion, Sym3, Vec3, dot, vec3};
+use crate::stepper::so3_equations::Inertia;
 use crate::tableau::Tableau;
 
 /// Largest number of stages that counts as few.
@@ -155,46 +156,6 @@ pub(super) struct Start<'a, P> {
     pub(super) passes: [u32; 2],
     /// p0.
     pub(super) momentum: Vec3<P>,
-}
-
-/// The inertia J of the body, in the form in which it divides a momentum.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::stepper) struct Inertia<T> {
-    /// J^-1.
-    inverse: Sym3<T>,
-    /// Is it diagonal, as in principal axes?
-    principal: bool,
-}
-
-impl Inertia<f64> {
-    /// Returns the inertia of a body.
-    pub(in crate::stepper) fn of(body: &RigidBody<3>) -> Self {
-        let m = body.inverse_inertia();
-        let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
-        Self { inverse, principal: inverse[3..] == [0.0; 3] }
-    }
-
-    /// Returns the same for all lanes.
-    #[inline(always)]
-    pub(in crate::stepper) fn in_lanes<R: Real>(&self, lanes: R) -> Inertia<R> {
-        let mut inverse = [lanes; 6];
-        for i in 0..6 {
-            inverse[i] = lanes.constant(self.inverse[i]);
-        }
-        Inertia { inverse, principal: self.principal }
-    }
-}
-
-impl<R: Real> Inertia<R> {
-    /// `J^-1 v`
-    #[inline(always)]
-    pub(in crate::stepper) fn divides(&self, v: &Vec3<R>) -> Vec3<R> {
-        if self.principal {
-            vec3!(i => self.inverse[i] * v[i])
-        } else {
-            symmetric_product(&self.inverse, v)
-        }
-    }
 }
 
 /// The unknowns of a step in the frame of g0, as they lie in memory; `S` holds a number for each stage.
