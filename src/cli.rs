@@ -40,6 +40,8 @@ use crate::verify::{self, VerifyError};
 
 mod logs;
 #[cfg(feature = "serve")]
+mod process;
+#[cfg(feature = "serve")]
 mod serve;
 #[cfg(feature = "chart")]
 mod study;

@@ -12,9 +12,10 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::log::LogError;
+use crate::log::field::{Cell, Field, Kind};
 use crate::log::messages::{EnsembleStatistics, Member, Message, State};
 use crate::log::reader::{self, Ending, Item};
-use crate::log::rows::{Cell, Field, Kind, Row, read_rows};
+use crate::log::rows::{Row, read_rows};
 use crate::log::schema::Channel;
 
 #[cfg(feature = "parquet")]

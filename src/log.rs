@@ -14,7 +14,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 pub mod course;
+mod curve;
 mod end;
+pub(crate) mod field;
 pub mod inspect;
 pub mod members;
 pub mod messages;

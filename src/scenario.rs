@@ -15,20 +15,22 @@ mod check;
 mod driven;
 mod ensemble;
 mod parse;
+mod range;
 mod steps;
 mod suggest;
 mod term;
 
 pub(crate) use change::set;
+pub(crate) use check::dividing;
 #[cfg(feature = "serve")]
 pub(crate) use check::twelve_digits;
-pub(crate) use check::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, dividing, ensure};
 pub use driven::{
     DrivenTerm, Factor, Harmonic, Interpolation, OfMomentum, Orbit, Path, Table, Torque,
     TorqueTable, Turning, Viscous,
 };
 pub use ensemble::Ensemble;
 pub(crate) use parse::{from_tree, read_text, tree as read_tree, without_mark};
+pub(crate) use range::{LARGEST_SEED, MAX_SIZE, SMALLEST_STEP_S, ensure};
 pub use steps::{Adaptive, Steps};
 pub use term::*;
 
@@ -611,7 +613,9 @@ impl Scenario {
     /// # Errors
     /// The first fault found, with the pointer of its field.
     pub fn from_json(text: &[u8]) -> Result<Self, ScenarioError> {
-        let scenario = parse::parse(text)?;
+        let tree = parse::tree(text)?;
+        let scenario: Self =
+            parse::typed(&tree).map_err(|error| suggest::with_suggestion(error, &tree))?;
         scenario.check()?;
         Ok(scenario)
     }

@@ -24,6 +24,7 @@ pub mod measure;
 pub mod own;
 pub mod precision;
 pub mod reference;
+pub(crate) mod spread;
 pub mod stability;
 pub mod table;
 

@@ -1,24 +1,20 @@
-//! `vpd serve`: the arguments, the service's own log, the signals.
+//! `vpd serve`: the arguments, and the service they start.
 
 use std::fs;
-use std::io::{self, IsTerminal};
+use std::io;
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::thread;
-use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use tokio::net::{TcpListener, TcpSocket};
-use tracing::level_filters::LevelFilter;
-use tracing_appender::non_blocking::{ErrorCounter, NonBlockingBuilder, WorkerGuard};
-use tracing_subscriber::filter::Targets;
-use tracing_subscriber::layer::SubscriberExt;
-use tracing_subscriber::util::SubscriberInitExt;
 
 use super::CliError;
-use super::worker::{CLUSTER, ClusterArgs};
+use super::process::{
+    CLUSTER, ClusterArgs, LogFormat, own_log, program, stop_signal, tell_of_lost_lines,
+};
 use crate::serve::{self, Cors, Limits, ServeConfig, ServeError, Tokens};
 
 #[derive(Debug, Args)]
@@ -102,19 +98,6 @@ fn lease(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Format of the service's own log.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(super) enum LogFormat {
-    Text,
-    Json,
-}
-
-/// Lines of the service's own log that wait to be written; more are lost, and counted.
-const LOG_LINES: usize = 10_000;
-
-/// Pause between checks for lost lines.
-const LOST_LINES_PAUSE: Duration = Duration::from_secs(10);
-
 /// Serves until it is asked to stop.
 pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     let (_rest, lost) = own_log(args.log_format);
@@ -168,80 +151,6 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
     served
 }
 
-/// Starts the service's own log. The rest of it is written when the guard is dropped.
-pub(super) fn own_log(format: LogFormat) -> (WorkerGuard, ErrorCounter) {
-    let asked = std::env::var("RUST_LOG").unwrap_or_default();
-    let (filter, refused) = match detail(&asked) {
-        Ok(filter) => (filter, None),
-        Err(refused) => (Targets::new().with_default(LevelFilter::INFO), Some(refused)),
-    };
-    // Written by a thread of its own: a stderr that is not read must not stall the threads that answer.
-    let (out, rest) =
-        NonBlockingBuilder::default().buffered_lines_limit(LOG_LINES).finish(io::stderr());
-    let lost = out.error_counter();
-    let log = tracing_subscriber::fmt()
-        .with_max_level(LevelFilter::TRACE)
-        .with_writer(out)
-        // A closed stderr must not turn a line of the log into a panic.
-        .log_internal_errors(false)
-        .with_ansi(io::stderr().is_terminal());
-    match format {
-        LogFormat::Text => log.finish().with(filter).init(),
-        LogFormat::Json => log.json().finish().with(filter).init(),
-    }
-    if let Some(refused) = refused {
-        tracing::warn!(
-            "RUST_LOG is not used: {refused:?} given, levels and targets with a level are allowed, as in `debug` or `vpd=trace,info`"
-        );
-    }
-    (rest, lost)
-}
-
-/// Parses the value of `RUST_LOG`, levels and targets with a level: `vpd=trace,info`. Without a
-/// level, info.
-///
-/// # Errors
-/// The part that is neither.
-fn detail(asked: &str) -> Result<Targets, &str> {
-    let mut targets = Targets::new().with_default(LevelFilter::INFO);
-    for part in asked.split(',').map(str::trim).filter(|part| !part.is_empty()) {
-        let (target, level) = part.split_once('=').map_or((None, part), |(t, l)| (Some(t), l));
-        let level: LevelFilter = level.parse().map_err(|_| part)?;
-        let is_target = |c: char| c.is_alphanumeric() || "_:-".contains(c);
-        targets = match target {
-            None => targets.with_default(level),
-            Some(target) if !target.is_empty() && target.chars().all(is_target) => {
-                targets.with_target(target, level)
-            }
-            Some(_) => return Err(part),
-        };
-    }
-    Ok(targets)
-}
-
-/// Returns the path of this program, to start others like it.
-pub(super) fn program() -> Option<PathBuf> {
-    // This works even if the file was replaced since.
-    if cfg!(target_os = "linux") {
-        Some("/proc/self/exe".into())
-    } else {
-        std::env::current_exe().ok()
-    }
-}
-
-/// Reports in the service's own log how many of its lines were dropped, each time there are more.
-pub(super) async fn tell_of_lost_lines(lost: ErrorCounter) {
-    let mut reported = 0;
-    loop {
-        tokio::time::sleep(LOST_LINES_PAUSE).await;
-        let lines = lost.dropped_lines();
-        if lines > reported {
-            reported = lines;
-            tracing::warn!(lines, "lines of this log are lost: they were not read in time");
-        }
-    }
-}
-
 /// Listens with room for many clients that connect at once; the usual 128 make the others wait a
 /// second.
 fn listener(address: SocketAddr) -> io::Result<TcpListener> {
@@ -262,48 +171,4 @@ fn tokens(path: Option<&Path>) -> Result<Tokens, CliError> {
         None => std::env::var("VPD_TOKENS").unwrap_or_default(),
     };
     text.parse().map_err(CliError::Tokens)
-}
-
-/// Ends when the process is asked to stop: SIGTERM or ctrl-c. From this call on neither ends the process by itself.
-#[cfg(unix)]
-pub(super) fn stop_signal() -> io::Result<impl Future<Output = ()>> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let (mut interrupt, mut terminate) =
-        (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-    })
-}
-
-/// Ends when the process is asked to stop by ctrl-c. From this call on that does not end the process by itself.
-#[cfg(not(unix))]
-pub(super) fn stop_signal() -> io::Result<impl Future<Output = ()>> {
-    let mut interrupt = tokio::signal::windows::ctrl_c()?;
-    Ok(async move {
-        interrupt.recv().await;
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::detail;
-
-    #[test]
-    fn rust_log_takes_levels_and_targets_with_a_level() {
-        let level = |asked: &str, target: &str| {
-            let targets = detail(asked).expect("usable");
-            [tracing::Level::INFO, tracing::Level::DEBUG].map(|l| targets.would_enable(target, &l))
-        };
-        assert_eq!(level("", "vpd"), [true, false]);
-        assert_eq!(level("debug", "vpd"), [true, true]);
-        assert_eq!(level(" vpd=debug, warn", "vpd::serve"), [true, true]);
-        assert_eq!(level("vpd=debug,warn", "hyper"), [false, false]);
-        assert_eq!(level("off", "vpd"), [false, false]);
-        for unusable in ["bogus", "[[[", "=,=", "vpd=loud", "debug,vpd=loud", "vpd[job]=debug"] {
-            assert!(detail(unusable).is_err(), "{unusable}");
-        }
-    }
 }

@@ -1,4 +1,4 @@
-//! `vpd worker`: the arguments of a worker, and those by which service and workers find each other.
+//! `vpd worker`: the arguments of a worker, and what it does.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -7,45 +7,8 @@ use std::process::ExitCode;
 use clap::Args;
 
 use super::CliError;
-use super::serve::LogFormat;
+use super::process::{ClusterArgs, LogFormat};
 use crate::serve::Limits;
-
-/// Whether this program can work with other machines.
-pub(super) const CLUSTER: bool = cfg!(feature = "cluster");
-
-/// Addresses of the other machines. A program without the feature hides these, and says so if they
-/// are given.
-#[derive(Debug, Args)]
-#[cfg_attr(not(feature = "cluster"), allow(dead_code, reason = "refused where they are given"))]
-pub(super) struct ClusterArgs {
-    /// The record that service and workers share: s3://NAME/PREFIX, with credentials in AWS_ACCESS_KEY_ID and its like, or
-    /// file:///DIRECTORY on a file system of all machines.
-    #[arg(long, env = "VPD_BUCKET", hide = !CLUSTER, value_name = "URL")]
-    pub(super) bucket: Option<String>,
-    /// Address of Temporal, as 127.0.0.1:7233; namespace, key and certificates are in TEMPORAL_NAMESPACE and its like.
-    #[arg(long, env = "TEMPORAL_ADDRESS", hide = !CLUSTER, value_name = "ADDRESS")]
-    pub(super) temporal: Option<String>,
-    /// Name of Temporal's task queue, the same for service and workers.
-    #[arg(long, env = "VPD_TASK_QUEUE", default_value = "vpd", hide = !CLUSTER, value_name = "NAME")]
-    pub(super) task_queue: String,
-}
-
-#[cfg(feature = "cluster")]
-impl ClusterArgs {
-    /// Returns the configuration, if everything needed was given.
-    pub(super) fn config(&self, lease_s: f64) -> Result<crate::serve::ClusterConfig, CliError> {
-        let needed = |given: &Option<String>, wanted| {
-            let given = given.clone().filter(|given| !given.is_empty());
-            given.ok_or(CliError::Needed { wanted })
-        };
-        Ok(crate::serve::ClusterConfig {
-            bucket: needed(&self.bucket, "--bucket URL (or VPD_BUCKET)")?,
-            temporal: needed(&self.temporal, "--temporal ADDRESS (or TEMPORAL_ADDRESS)")?,
-            queue: self.task_queue.clone(),
-            lease: std::time::Duration::from_secs_f64(lease_s),
-        })
-    }
-}
 
 #[derive(Debug, Args)]
 #[cfg_attr(not(feature = "cluster"), allow(dead_code, reason = "refused where they are given"))]
@@ -75,7 +38,7 @@ pub(super) struct WorkerArgs {
 /// Works until it is asked to stop.
 #[cfg(feature = "cluster")]
 pub(super) fn work(args: &WorkerArgs) -> Result<ExitCode, CliError> {
-    use super::serve::{own_log, program, stop_signal, tell_of_lost_lines};
+    use super::process::{own_log, program, stop_signal, tell_of_lost_lines};
     use crate::serve::{self, ServeError, WorkConfig};
     let (_rest, lost) = own_log(args.log_format);
     let workers = args.workers.or_else(|| std::thread::available_parallelism().ok());

@@ -5,10 +5,10 @@
 
 use prost::Message as _;
 
-use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Timestamp, Vector3};
+use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Vector3};
 
-use super::rows::Field;
-use super::schema::Channel;
+use super::field::Field;
+use super::schema::{Channel, timestamp};
 use crate::solve::nonlinear::{Convergence, Rung};
 use crate::solve::so::{self, Mat};
 use crate::solve::state;
@@ -367,12 +367,6 @@ pub fn nearer_sign(before: Option<[f64; 4]>, found: [f64; 4]) -> [f64; 4] {
     let along = |before: [f64; 4]| before.iter().zip(found).map(|(a, b)| a * b).sum::<f64>();
     let turned = before.is_some_and(|before| along(before) < 0.0);
     if turned { found.map(|x| -x) } else { found }
-}
-
-/// Returns a log time as the viewers' time stamp.
-pub(super) fn timestamp(time_ns: u64) -> Option<Timestamp> {
-    let seconds = u32::try_from(time_ns / 1_000_000_000).ok()?;
-    Timestamp::new_checked(seconds, (time_ns % 1_000_000_000) as u32)
 }
 
 /// Returns the unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; `None` unless n = 3.

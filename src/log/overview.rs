@@ -11,9 +11,9 @@ use mcap::records::AttachmentIndex;
 use prost::Message as _;
 
 use super::OVERVIEW_ATTACHMENTS;
+use super::curve::Curve;
 use super::end::{End, attachment};
 use super::messages::{Message, Overview, OverviewLine};
-use super::samples::Curve;
 use super::schema::Topic;
 use crate::solve::so;
 

@@ -12,7 +12,7 @@ use foxglove::messages::{
     SceneUpdate, SpherePrimitive, Vector3,
 };
 
-use super::messages::timestamp;
+use super::schema::timestamp;
 use crate::solve::hamiltonian::DrivenTerm;
 
 /// Name of the inertial frame.

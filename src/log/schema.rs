@@ -8,7 +8,7 @@
 use std::borrow::Cow;
 
 use foxglove::Encode;
-use foxglove::messages::{FrameTransforms, Log, SceneUpdate};
+use foxglove::messages::{FrameTransforms, Log, SceneUpdate, Timestamp};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -379,4 +379,10 @@ impl From<Channel> for Topic {
 
 fn well_known<M: Encode>() -> Cow<'static, [u8]> {
     M::get_schema().map_or(Cow::Borrowed(&[]), |schema| schema.data)
+}
+
+/// Returns a log time as the viewers' time stamp.
+pub(super) fn timestamp(time_ns: u64) -> Option<Timestamp> {
+    let seconds = u32::try_from(time_ns / 1_000_000_000).ok()?;
+    Timestamp::new_checked(seconds, (time_ns % 1_000_000_000) as u32)
 }

@@ -20,13 +20,11 @@ use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
 
 use super::end::End;
-use super::messages::{
-    self, EnsembleStatistics, Figures, Member, Message as SampleMessage, timestamp,
-};
+use super::messages::{self, EnsembleStatistics, Figures, Member, Message as SampleMessage};
 use super::overview::Curves;
 use super::part::{Part, Syncer, folder, irreplaceable, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
-use super::schema::{Channel, Compression, ENCODING, Topic};
+use super::schema::{Channel, Compression, ENCODING, Topic, timestamp};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
     is_transient,

@@ -28,8 +28,8 @@ use crate::solve::lanes::WIDTH;
 use crate::solve::so::Mat;
 use crate::solve::state::{Checkpoint, State};
 use crate::solve::trajectory::{Ending, Observables, Sample, Schedule, Trajectory};
+use crate::study::spread;
 
-pub(crate) mod spread;
 mod statistics;
 mod way;
 

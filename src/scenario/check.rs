@@ -2,6 +2,10 @@
 
 use std::collections::HashSet;
 
+use super::range::{
+    Check, LARGEST_SEED, LARGEST_STEP_S, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, SMALLEST_STEP_S,
+    direction, ensure, framed, largest, matrix, number, point, size, strength, symmetry, vector,
+};
 use super::{
     Accuracy, Attitude, Entry, Framed, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind,
     TableauChoice,
@@ -13,30 +17,15 @@ const MAX_DIMENSION: usize = 16;
 /// The one n beyond it for which the program is also built: each n costs a fifteenth of the
 /// program's build.
 const LARGE_DIMENSION: usize = 32;
-/// Largest size of any number of a scene.
-pub(crate) const MAX_SIZE: f64 = 1e15;
-/// Smallest size of a vector that is not zero: its square, and that of what follows from it, is
-/// still a number.
-pub(super) const SMALLEST_SIZE: f64 = 1e-15;
-/// Smallest strength of a term that is not zero.
-const SMALLEST_STRENGTH: f64 = 1e-30;
 /// Most terms of a potential.
 const MAX_TERMS: usize = 1000;
-/// Largest seed: JSON numbers are exact up to here.
-pub(crate) const LARGEST_SEED: u64 = (1 << 53) - 1;
 /// Largest angle of an attitude: more turns would leave less than ten digits.
 const MOST_ANGLE_RAD: f64 = 1e6;
 const MOST_ANGLE_DEG: f64 = 1e8;
 /// Largest modified Rodrigues parameter, a full turn but for a billionth.
 const MOST_MRP: f64 = 1e9;
-/// Most steps of a run.
-pub(super) const MAX_STEPS: u64 = 1_000_000_000_000;
 /// Most samples of a log.
 const MAX_SAMPLES: u64 = 1_000_000_000;
-/// Smallest step in seconds.
-pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
-/// Largest step in seconds.
-pub(super) const LARGEST_STEP_S: f64 = 1e9;
 /// Smallest and largest error that may be asked for.
 const ACCURACY_RANGE: (f64, f64) = (1e-13, 0.1);
 /// Longest run in seconds of simulated time, so that log time fits its 64 bits.
@@ -45,16 +34,6 @@ const MAX_DURATION_S: f64 = 4e9;
 const TOLERANCE_RANGE: (f64, f64) = (1e-16, 1e-3);
 /// Most sweeps a step may ask for.
 const MAX_ITERATIONS: u32 = 10_000;
-
-pub(crate) type Check = Result<(), ScenarioError>;
-
-pub(crate) fn ensure(
-    condition: bool,
-    pointer: impl Into<String>,
-    message: impl FnOnce() -> String,
-) -> Check {
-    if condition { Ok(()) } else { Err(ScenarioError::invalid(pointer, message())) }
-}
 
 /// Checks everything that can be checked without mathematics.
 pub(super) fn check(scenario: &Scenario) -> Check {
@@ -131,79 +110,6 @@ fn is_unseen(c: char) -> bool {
         | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
         | '\u{2060}'..='\u{206f}' | '\u{2800}' | '\u{3164}' | '\u{fe00}'..='\u{fe0f}'
         | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}' | '\u{e0000}'..='\u{e0fff}')
-}
-
-pub(super) fn number(pointer: &str, x: f64) -> Check {
-    // JSON has no NaN; an infinite value cannot be written either.
-    ensure(x.abs() <= MAX_SIZE, pointer, || {
-        format!("{x:?} given, the size of a number is at most {MAX_SIZE:e}")
-    })
-}
-
-fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
-    ensure(given.len() == n, pointer, || {
-        format!("{} numbers given, n = {n} are needed", given.len())
-    })?;
-    given.iter().enumerate().try_for_each(|(i, &x)| number(&format!("{pointer}/{i}"), x))
-}
-
-/// Checks that a number is zero, or not so small that what is made of it is lost.
-pub(super) fn strength(pointer: &str, x: f64) -> Check {
-    number(pointer, x)?;
-    ensure(x == 0.0 || x.abs() >= SMALLEST_STRENGTH, pointer, || {
-        format!("{x:?} given, a size is 0 or at least {SMALLEST_STRENGTH:e}")
-    })
-}
-
-/// Returns the largest size of the numbers.
-pub(super) fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
-    numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))
-}
-
-/// Refuses numbers that are not all zero, but all close to it.
-pub(super) fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check {
-    let largest = largest(numbers);
-    ensure(largest == 0.0 || largest >= SMALLEST_SIZE, pointer, || {
-        format!(
-            "has {largest:e} as its largest number; all must be 0, or one must be at least {SMALLEST_SIZE:e}"
-        )
-    })
-}
-
-pub(super) fn point(pointer: &str, given: &[f64], n: usize) -> Check {
-    vector(pointer, given, n)?;
-    size(pointer, given)
-}
-
-pub(super) fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
-    vector(pointer, given, n)?;
-    let largest = largest(given);
-    ensure(largest >= SMALLEST_SIZE, pointer, || {
-        format!(
-            "has {largest:e} as its largest number; a direction needs one of at least {SMALLEST_SIZE:e}"
-        )
-    })
-}
-
-pub(super) fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
-    ensure(given.len() == n, pointer, || {
-        format!("{} rows given, n = {n} are needed", given.len())
-    })?;
-    given.iter().enumerate().try_for_each(|(i, row)| vector(&format!("{pointer}/{i}"), row, n))
-}
-
-/// Checks that a matrix is symmetric (`sign` +1) or skew (`sign` -1).
-pub(super) fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
-    let size = largest(given.iter().flatten());
-    for (i, row) in given.iter().enumerate() {
-        for (j, &x) in row.iter().enumerate().take(i + 1) {
-            let partner = sign * given[j][i];
-            ensure((x - partner).abs() <= 1e-12 * size, format!("{pointer}/{i}/{j}"), || {
-                format!("{x} given, {partner} is needed: the matrix must be {word}")
-            })?;
-        }
-    }
-    Ok(())
 }
 
 fn inertia(given: &Inertia) -> Check {
@@ -344,48 +250,6 @@ fn angles<const N: usize>(pointer: &str, name: &str, given: [Option<[f64; N]>; 2
             format!("{angle:?} given, an angle is at most {most:e} {unit}")
         })
     })
-}
-
-pub(super) fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
-    let (frame, entries) = match given {
-        Framed::Body(entries) => ("body", entries),
-        Framed::Space(entries) => ("space", entries),
-    };
-    let pointer = format!("{pointer}/{frame}");
-    let shape = |i: usize| {
-        let allowed = if n == 3 {
-            "3 numbers or a skew 3 x 3 matrix".to_owned()
-        } else {
-            format!("a skew {n} x {n} matrix")
-        };
-        ScenarioError::invalid(
-            format!("{pointer}/{i}"),
-            format!("numbers and rows are mixed; {allowed} is needed"),
-        )
-    };
-    if matches!(entries.first(), Some(Entry::Number(_))) {
-        ensure(n == 3, pointer.clone(), || {
-            format!("is a vector, which is for n = 3; n = {n} needs a skew {n} x {n} matrix")
-        })?;
-        let mut numbers = Vec::new();
-        for (i, entry) in entries.iter().enumerate() {
-            match entry {
-                Entry::Number(x) => numbers.push(*x),
-                Entry::Row(_) => return Err(shape(i)),
-            }
-        }
-        return point(&pointer, &numbers, 3);
-    }
-    let mut rows = Vec::new();
-    for (i, entry) in entries.iter().enumerate() {
-        match entry {
-            Entry::Row(row) => rows.push(row.clone()),
-            Entry::Number(_) => return Err(shape(i)),
-        }
-    }
-    matrix(&pointer, &rows, n)?;
-    size(&pointer, rows.iter().flatten())?;
-    symmetry(&pointer, &rows, -1.0, "skew")
 }
 
 fn method(scenario: &Scenario, n: usize) -> Check {

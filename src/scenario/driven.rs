@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::check::{
+use super::range::{
     Check, direction, ensure, framed, largest, matrix, number, size, strength, symmetry,
 };
 use super::term::PotentialTerm;

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, LARGEST_SEED, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
+use super::range::{Check, LARGEST_SEED, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, ensure};
 #[cfg(feature = "serve")]
 use super::{Attitude, Entry, Framed, Initial, Scenario};
 

@@ -16,7 +16,6 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use serde_path_to_error::{Path, Segment};
 
-use super::suggest::with_suggestion;
 use super::term::Kind;
 use super::{
     Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, SchemaAddress,
@@ -25,12 +24,6 @@ use super::{
 
 /// Longest text of a scenario or of a sweep, in bytes: the largest tables are a tenth of it.
 const LARGEST_TEXT_BYTES: u64 = 64 << 20;
-
-/// Reads a scenario from JSON text.
-pub(super) fn parse(text: &[u8]) -> Result<Scenario, ScenarioError> {
-    let tree = tree(text)?;
-    typed(&tree).map_err(|error| with_suggestion(error, &tree))
-}
 
 /// Makes the second pass: a tree → types.
 pub(crate) fn from_tree<T: DeserializeOwned + Serialize>(tree: Value) -> Result<T, ScenarioError> {

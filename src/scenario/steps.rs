@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::check::{Check, LARGEST_STEP_S, MAX_SIZE, SMALLEST_SIZE, SMALLEST_STEP_S, ensure};
+use super::range::{Check, LARGEST_STEP_S, MAX_SIZE, SMALLEST_SIZE, SMALLEST_STEP_S, ensure};
 use super::{MethodName, PotentialTerm, Scenario};
 
 /// Steps that are not all of one length.

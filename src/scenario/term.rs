@@ -8,7 +8,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::check::Check;
+use super::range::Check;
 use crate::solve::hamiltonian;
 use crate::solve::so::Vector;
 

@@ -25,8 +25,11 @@ use governor::{Quota, RateLimiter};
 use super::ServeConfig;
 use super::config::{Cors, Scope, Tokens};
 use super::link::{LinkKey, Subject};
-use super::listen::Peer;
 use super::problem::Problem;
+
+/// The address of the client, in the extensions of each request.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Peer(pub(super) IpAddr);
 
 /// Largest request body, bytes.
 const MAX_BODY: usize = 1 << 20;

@@ -56,10 +56,6 @@ const REFUSAL_TIMEOUT: Duration = Duration::from_secs(2);
 /// Pause after a failed accept: the system may be out of file handles.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// The address of the client, in the extensions of each request.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Peer(pub(super) IpAddr);
-
 /// Open connections, of all doors.
 #[derive(Clone, Debug)]
 pub(super) struct Open(Arc<Mutex<Places>>);
@@ -243,7 +239,7 @@ async fn serve(stream: TcpStream, entry: Entry, app: Router, mut stop: watch::Re
     stream.set_write_timeout(Some(WRITE_TIMEOUT));
     let service = service_fn(|mut request: Request<Incoming>| {
         entry.speaks();
-        request.extensions_mut().insert(Peer(peer));
+        request.extensions_mut().insert(gate::Peer(peer));
         let answer = app.clone().oneshot(request.map(Body::new));
         async { answer.await.map_err(|never: Infallible| never) }
     });

@@ -9,11 +9,11 @@ use std::time::Instant;
 
 use nalgebra::DMatrix;
 
+use super::spread;
 use super::{Entry, Watch};
 use crate::assemble::{Assembly, Task, assembled};
 use crate::log::schema::Channel;
 use crate::plan::{Counts, Plan};
-use crate::run::ensemble::spread;
 use crate::scenario::{
     Adaptive, Ensemble, LogOptions, Method, MethodName, Scenario, ScenarioError, Steps,
 };

@@ -197,6 +197,17 @@ fn no_modules_of_the_mathematics_need_one_another() {
     assert_eq!(circles(&root.join("solve/src")), Vec::<Vec<String>>::new());
 }
 
+/// Those that are left are named here, and no more come.
+#[test]
+fn few_modules_of_the_program_need_one_another() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let left = [
+        vec!["serve/engine", "serve/job", "serve/store"],
+        vec!["serve/engine/cluster/sweeps", "serve/engine/cluster/work"],
+    ];
+    assert_eq!(circles(&root.join("src")), left);
+}
+
 /// The search finds circles, and follows every form of a path.
 #[test]
 fn circles_are_found() {

@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::check::{Check, direction, largest, matrix, size, strength, symmetry};
+use super::super::range::{Check, direction, largest, matrix, size, strength, symmetry};
 use super::{Drawn, Law, Mobility, NO_STRENGTH, example_vector, length};
 use crate::solve::hamiltonian;
 use crate::solve::so::{self, Mat};

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::check::{Check, point, strength};
+use super::super::range::{Check, point, strength};
 use super::{
     Drawn, FIXED, Law, Mobility, NO_STRENGTH, apart, distance, example_vector, is_zero, length,
     vector,

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::super::check::{Check, direction, point, strength};
+use super::super::range::{Check, direction, point, strength};
 use super::{
     Drawn, FIXED, Law, Mobility, NO_STRENGTH, example_vector, is_zero, length, unit, vector,
 };

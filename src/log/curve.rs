@@ -1,0 +1,112 @@
+//! The quantities that charts show over time, and where a log holds them.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::messages::Message;
+use super::schema::Channel;
+
+/// Quantity that a chart shows over time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Curve {
+    /// Total energy minus that at the start, in joule.
+    EnergyError,
+    /// Distance of the attitude from the group.
+    OrthogonalityError,
+    /// Change of the part of the spatial momentum that the scene conserves, in kg m^2/s.
+    MomentumDrift,
+    /// Angular velocity in body coordinates, in rad/s.
+    AngularVelocity,
+    /// Angular momentum in body coordinates, in kg m^2/s.
+    BodyMomentum,
+    /// Spatial angular momentum, in kg m^2/s.
+    SpatialMomentum,
+    /// Angle of each axis of the body to the axis of space of the same number, in rad.
+    AxisAngle,
+    /// Length of an adaptive step, in s.
+    Step,
+}
+
+impl Curve {
+    /// All quantities.
+    pub const ALL: [Self; 8] = [
+        Self::EnergyError,
+        Self::OrthogonalityError,
+        Self::MomentumDrift,
+        Self::AngularVelocity,
+        Self::BodyMomentum,
+        Self::SpatialMomentum,
+        Self::AxisAngle,
+        Self::Step,
+    ];
+
+    /// Returns its name in queries and answers.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::EnergyError => "energy_error",
+            Self::OrthogonalityError => "orthogonality_error",
+            Self::MomentumDrift => "momentum_drift",
+            Self::AngularVelocity => "angular_velocity",
+            Self::BodyMomentum => "body_momentum",
+            Self::SpatialMomentum => "spatial_momentum",
+            Self::AxisAngle => "axis_angle",
+            Self::Step => "step",
+        }
+    }
+
+    /// The unit of its values; empty for a number.
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::EnergyError => "J",
+            Self::OrthogonalityError => "",
+            Self::AngularVelocity => "rad/s",
+            Self::AxisAngle => "rad",
+            Self::Step => "s",
+            Self::MomentumDrift | Self::BodyMomentum | Self::SpatialMomentum => "kg m²/s",
+        }
+    }
+
+    /// Returns the channel whose messages hold it.
+    pub const fn channel(self) -> Channel {
+        match self {
+            Self::EnergyError => Channel::Energy,
+            Self::OrthogonalityError => Channel::Orthogonality,
+            Self::MomentumDrift | Self::SpatialMomentum => Channel::Momentum,
+            Self::AngularVelocity | Self::BodyMomentum | Self::AxisAngle => Channel::State,
+            Self::Step => Channel::Pace,
+        }
+    }
+
+    /// Adds its values from a message of its channel; nothing if the message holds none.
+    pub(super) fn values(self, message: &Message, velocity: Velocity<'_>, values: &mut Vec<f64>) {
+        match (self, message) {
+            (Self::EnergyError, Message::Energy(energy)) => values.push(energy.error),
+            (Self::OrthogonalityError, Message::Orthogonality(found)) => values.push(found.error),
+            (Self::MomentumDrift, Message::Momentum(momentum)) => values.extend(momentum.drift),
+            (Self::SpatialMomentum, Message::Momentum(momentum)) => {
+                values.extend_from_slice(&momentum.spatial_momentum);
+            }
+            (Self::BodyMomentum, Message::State(state)) => {
+                values.extend_from_slice(&state.body_momentum);
+            }
+            (Self::AngularVelocity, Message::State(state)) => {
+                // Logs of earlier builds hold the momentum alone.
+                match state.angular_velocity.as_slice() {
+                    [] => values.extend(velocity(&state.body_momentum)),
+                    found => values.extend_from_slice(found),
+                }
+            }
+            (Self::AxisAngle, Message::State(state)) => {
+                let n = state.attitude.len().isqrt();
+                let cosine = |k: usize| state.attitude[k * (n + 1)].clamp(-1.0, 1.0);
+                values.extend((0..n).map(|k| libm::acos(cosine(k))));
+            }
+            (Self::Step, Message::Pace(pace)) => values.push(pace.step_s),
+            _ => {}
+        }
+    }
+}
+
+/// Function that returns the angular velocity of a momentum, both in body coordinates.
+pub type Velocity<'a> = &'a (dyn Fn(&[f64]) -> Vec<f64> + Sync);

@@ -1,0 +1,146 @@
+//! Form and range of what stands in more than one field: numbers, points, directions, matrices.
+
+use super::{Entry, Framed, ScenarioError};
+
+/// Largest size of any number of a scene.
+pub(crate) const MAX_SIZE: f64 = 1e15;
+/// Smallest size of a vector that is not zero: its square, and that of what follows from it, is
+/// still a number.
+pub(super) const SMALLEST_SIZE: f64 = 1e-15;
+/// Smallest strength of a term that is not zero.
+const SMALLEST_STRENGTH: f64 = 1e-30;
+/// Largest seed: JSON numbers are exact up to here.
+pub(crate) const LARGEST_SEED: u64 = (1 << 53) - 1;
+/// Most steps of a run.
+pub(super) const MAX_STEPS: u64 = 1_000_000_000_000;
+/// Smallest step in seconds.
+pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
+/// Largest step in seconds.
+pub(super) const LARGEST_STEP_S: f64 = 1e9;
+
+/// Result of a check.
+pub(crate) type Check = Result<(), ScenarioError>;
+
+/// Refuses the field at `pointer` unless the condition holds.
+pub(crate) fn ensure(
+    condition: bool,
+    pointer: impl Into<String>,
+    message: impl FnOnce() -> String,
+) -> Check {
+    if condition { Ok(()) } else { Err(ScenarioError::invalid(pointer, message())) }
+}
+
+pub(super) fn number(pointer: &str, x: f64) -> Check {
+    // JSON has no NaN; an infinite value cannot be written either.
+    ensure(x.abs() <= MAX_SIZE, pointer, || {
+        format!("{x:?} given, the size of a number is at most {MAX_SIZE:e}")
+    })
+}
+
+pub(super) fn vector(pointer: &str, given: &[f64], n: usize) -> Check {
+    ensure(given.len() == n, pointer, || {
+        format!("{} numbers given, n = {n} are needed", given.len())
+    })?;
+    given.iter().enumerate().try_for_each(|(i, &x)| number(&format!("{pointer}/{i}"), x))
+}
+
+/// Checks that a number is zero, or not so small that what is made of it is lost.
+pub(super) fn strength(pointer: &str, x: f64) -> Check {
+    number(pointer, x)?;
+    ensure(x == 0.0 || x.abs() >= SMALLEST_STRENGTH, pointer, || {
+        format!("{x:?} given, a size is 0 or at least {SMALLEST_STRENGTH:e}")
+    })
+}
+
+/// Returns the largest size of the numbers.
+pub(super) fn largest<'a>(numbers: impl IntoIterator<Item = &'a f64>) -> f64 {
+    numbers.into_iter().fold(0.0, |largest, x| x.abs().max(largest))
+}
+
+/// Refuses numbers that are not all zero, but all close to it.
+pub(super) fn size<'a>(pointer: &str, numbers: impl IntoIterator<Item = &'a f64>) -> Check {
+    let largest = largest(numbers);
+    ensure(largest == 0.0 || largest >= SMALLEST_SIZE, pointer, || {
+        format!(
+            "has {largest:e} as its largest number; all must be 0, or one must be at least {SMALLEST_SIZE:e}"
+        )
+    })
+}
+
+pub(super) fn point(pointer: &str, given: &[f64], n: usize) -> Check {
+    vector(pointer, given, n)?;
+    size(pointer, given)
+}
+
+pub(super) fn direction(pointer: &str, given: &[f64], n: usize) -> Check {
+    vector(pointer, given, n)?;
+    let largest = largest(given);
+    ensure(largest >= SMALLEST_SIZE, pointer, || {
+        format!(
+            "has {largest:e} as its largest number; a direction needs one of at least {SMALLEST_SIZE:e}"
+        )
+    })
+}
+
+pub(super) fn matrix(pointer: &str, given: &[Vec<f64>], n: usize) -> Check {
+    ensure(given.len() == n, pointer, || {
+        format!("{} rows given, n = {n} are needed", given.len())
+    })?;
+    given.iter().enumerate().try_for_each(|(i, row)| vector(&format!("{pointer}/{i}"), row, n))
+}
+
+/// Checks that a matrix is symmetric (`sign` +1) or skew (`sign` -1).
+pub(super) fn symmetry(pointer: &str, given: &[Vec<f64>], sign: f64, word: &str) -> Check {
+    let size = largest(given.iter().flatten());
+    for (i, row) in given.iter().enumerate() {
+        for (j, &x) in row.iter().enumerate().take(i + 1) {
+            let partner = sign * given[j][i];
+            ensure((x - partner).abs() <= 1e-12 * size, format!("{pointer}/{i}/{j}"), || {
+                format!("{x} given, {partner} is needed: the matrix must be {word}")
+            })?;
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
+    let (frame, entries) = match given {
+        Framed::Body(entries) => ("body", entries),
+        Framed::Space(entries) => ("space", entries),
+    };
+    let pointer = format!("{pointer}/{frame}");
+    let shape = |i: usize| {
+        let allowed = if n == 3 {
+            "3 numbers or a skew 3 x 3 matrix".to_owned()
+        } else {
+            format!("a skew {n} x {n} matrix")
+        };
+        ScenarioError::invalid(
+            format!("{pointer}/{i}"),
+            format!("numbers and rows are mixed; {allowed} is needed"),
+        )
+    };
+    if matches!(entries.first(), Some(Entry::Number(_))) {
+        ensure(n == 3, pointer.clone(), || {
+            format!("is a vector, which is for n = 3; n = {n} needs a skew {n} x {n} matrix")
+        })?;
+        let mut numbers = Vec::new();
+        for (i, entry) in entries.iter().enumerate() {
+            match entry {
+                Entry::Number(x) => numbers.push(*x),
+                Entry::Row(_) => return Err(shape(i)),
+            }
+        }
+        return point(&pointer, &numbers, 3);
+    }
+    let mut rows = Vec::new();
+    for (i, entry) in entries.iter().enumerate() {
+        match entry {
+            Entry::Row(row) => rows.push(row.clone()),
+            Entry::Number(_) => return Err(shape(i)),
+        }
+    }
+    matrix(&pointer, &rows, n)?;
+    size(&pointer, rows.iter().flatten())?;
+    symmetry(&pointer, &rows, -1.0, "skew")
+}
