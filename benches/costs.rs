@@ -15,7 +15,7 @@ use vpd::study::measure::{Effort, effort};
 
 const GAUSS: &[&str] = &["gauss1", "gauss2", "gauss3", "gauss4", "gauss5", "gauss6", "gauss8"];
 const FEW: &[&str] = &["gauss1", "gauss2", "gauss4"];
-/// Prefix of the name of a tableau: one next to it that is not its own partner.
+/// Prefix of the name of a tableau: one next to it that is not symplectic.
 const BY_SWEEPS: &str = "next to ";
 const EXPLICIT: &[&str] = &["rk3", "rk4", "rk8"];
 const ORDERS: &[&str] = &["2", "4", "8"];
@@ -80,8 +80,8 @@ fn measured() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
     })
 }
 
-/// Returns those of them that solve by sweeps over the unknowns, where the tableau is not its own
-/// partner.
+/// Returns those of them that solve by sweeps over the unknowns, where the tableau is not
+/// symplectic.
 fn swept() -> impl Iterator<Item = (Integrator, &'static str, usize)> {
     let methods = [Integrator::Vpd, Integrator::VpdLagrangian, Integrator::VpdReduced];
     methods.into_iter().flat_map(|method| {
@@ -194,7 +194,7 @@ fn compare(asked: &[String]) {
     }
 }
 
-/// Returns a tableau so near to that of this name that it is no longer its own partner.
+/// Returns a tableau so near to that of this name that it is no longer symplectic.
 fn next_to(name: &str) -> Value {
     const OFF: f64 = 1e-9;
     let stages = name.strip_prefix("gauss").and_then(|stages| stages.parse().ok());

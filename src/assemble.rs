@@ -4,7 +4,7 @@
 
 use crate::method::Parts;
 use crate::plan::{Motion, Plan};
-use crate::solve::ensemble::{Apart, Members};
+use crate::solve::ensemble::{Members, Sequential};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::state::State;
 use crate::solve::stepper::Stepper;
@@ -65,7 +65,8 @@ fn assembly<const N: usize>(
         }
     };
     let members = plan.ensemble.is_some().then(|| {
-        together(plan).unwrap_or_else(|| Box::new(Apart::new(std::array::from_fn(|_| stepper()))))
+        together(plan)
+            .unwrap_or_else(|| Box::new(Sequential::new(std::array::from_fn(|_| stepper()))))
     });
     let (body, initial) = plan.model.problem::<N>();
     let shadow = shadow.then(stepper);

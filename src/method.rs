@@ -469,7 +469,7 @@ mod tests {
             for _ in 0..steps {
                 stepper.step(&body, step_s).expect("a small step");
             }
-            stepper.settle(&body, step_s).expect("a small step");
+            stepper.synchronise(&body, step_s).expect("a small step");
             (stepper.attitude().expect("carried"), stepper.momentum())
         };
         let gauss = Tableau::gauss(4).expect("of order 8");

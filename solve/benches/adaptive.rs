@@ -71,7 +71,7 @@ fn adaptive(scene: &Scene, scale: &TimeScale, stages: usize, h: f64) -> Option<(
     stepper.start(&scene.start);
     let begun = scene.body.work().gradients();
     stepper.step(&scene.body, scene.until).ok()?;
-    stepper.settle(&scene.body, scene.until).ok()?;
+    stepper.synchronise(&scene.body, scene.until).ok()?;
     let state = State { attitude: stepper.attitude()?, momentum: stepper.momentum() };
     Some((state, scene.body.work().gradients() - begun))
 }

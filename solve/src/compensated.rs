@@ -3,7 +3,7 @@
 //! Where each step adds what is small relative to the sum, rounding then makes a random walk and no drift (Brouwer's law; Hairer,
 //! McLachlan, Razakarivony 2008, BIT 48).
 
-use super::lanes::{Real, Row, Whole};
+use super::lanes::{Real, Row, StepScalar};
 use super::so::Mat;
 
 /// Returns `a + b`, and the part of it lost to rounding (Knuth's two-sum).
@@ -51,7 +51,7 @@ impl<const N: usize> Sum<Mat<N>> {
 impl<P: Copy, const K: usize> Sum<[P; K]> {
     /// Adds `change` and the carried part.
     #[inline(always)]
-    pub(crate) fn add<W: Whole<Plain = P>>(&mut self, change: &[W; K]) {
+    pub(crate) fn add<W: StepScalar<Storage = P>>(&mut self, change: &[W; K]) {
         for i in 0..K {
             let value = change[i].load(&self.value[i]);
             let change = change[i] + change[i].load(&self.carry[i]);

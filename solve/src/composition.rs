@@ -54,7 +54,7 @@ pub struct Drift {
     /// f of `g1 = g0 f`.
     pub turn: Quaternion<f64>,
     /// Change of the body momentum.
-    pub gain: Vector3<f64>,
+    pub momentum_increment: Vector3<f64>,
 }
 
 /// A point of T*SO(3) as a sum: its value, and the part still to be added.
@@ -74,10 +74,10 @@ impl From<Top> for TopSum {
 
 impl TopSum {
     /// Adds to the body momentum.
-    fn push(&mut self, gain: &Vector3<f64>) {
+    fn add_impulse(&mut self, momentum_increment: &Vector3<f64>) {
         for i in 0..3 {
-            let gain = gain[i] + self.carry.momentum[i];
-            let (sum, left) = two_sum(self.top.momentum[i], gain);
+            let momentum_increment = momentum_increment[i] + self.carry.momentum[i];
+            let (sum, left) = two_sum(self.top.momentum[i], momentum_increment);
             (self.top.momentum[i], self.carry.momentum[i]) = (sum, left);
         }
     }
@@ -89,8 +89,8 @@ impl TopSum {
         let turn = turn * 1.0_f64.copysign(turn.w);
         let v = turn.vector();
         let small = Quaternion::from_parts(-v.norm_squared() / (1.0 + turn.w), v.into_owned());
-        let deficit = 0.5 - 0.5 * attitude.norm_squared();
-        let change = *attitude * small + (*carry + *carry * small + *attitude * deficit);
+        let norm_error = 0.5 - 0.5 * attitude.norm_squared();
+        let change = *attitude * small + (*carry + *carry * small + *attitude * norm_error);
         for i in 0..4 {
             let (sum, left) = two_sum(attitude.coords[i], change.coords[i]);
             (attitude.coords[i], carry.coords[i]) = (sum, left);
@@ -149,10 +149,10 @@ impl Composition {
         let mut total = Convergence { iterations: 0, ..Convergence::EXPLICIT };
         let mut before = 0.0;
         for &part in &self.parts {
-            state.push(&kick(body, seen, &state.top, 0.5 * h * (before + part))?);
-            let (Drift { turn, gain }, solved) = drift(&state.top, h * part)?;
+            state.add_impulse(&kick(body, seen, &state.top, 0.5 * h * (before + part))?);
+            let (Drift { turn, momentum_increment }, solved) = drift(&state.top, h * part)?;
             state.turn(&turn);
-            state.push(&gain);
+            state.add_impulse(&momentum_increment);
             total = Convergence {
                 iterations: total.iterations + solved.iterations,
                 increment: total.increment.max(solved.increment),
@@ -160,7 +160,7 @@ impl Composition {
             };
             before = part;
         }
-        state.push(&kick(body, seen, &state.top, 0.5 * h * before)?);
+        state.add_impulse(&kick(body, seen, &state.top, 0.5 * h * before)?);
         state.top.finite()?;
         Ok((state, total))
     }

@@ -27,11 +27,11 @@ pub trait Members<const N: usize> {
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     );
 
-    /// Brings member `m` to the end of its last step: see [`Stepper::settle`].
+    /// Brings member `m` to the end of its last step: see [`Stepper::synchronise`].
     ///
     /// # Errors
     /// Any failure.
-    fn settle(&mut self, _body: &RigidBody<N>, _h: f64, _m: usize) -> Result<u32, Failure> {
+    fn synchronise(&mut self, _body: &RigidBody<N>, _h: f64, _m: usize) -> Result<u32, Failure> {
         Ok(0)
     }
 
@@ -40,19 +40,19 @@ pub trait Members<const N: usize> {
 }
 
 /// Members one after the other, with any scheme.
-pub struct Apart<const N: usize> {
+pub struct Sequential<const N: usize> {
     steppers: [Box<dyn Stepper<N>>; WIDTH],
     knots: Knots,
 }
 
-impl<const N: usize> Apart<N> {
+impl<const N: usize> Sequential<N> {
     /// Creates the members of an ensemble by their steppers.
     pub fn new(steppers: [Box<dyn Stepper<N>>; WIDTH]) -> Self {
         Self { steppers, knots: Knots::default() }
     }
 }
 
-impl<const N: usize> Members<N> for Apart<N> {
+impl<const N: usize> Members<N> for Sequential<N> {
     fn start(&mut self, states: &[State<N>]) {
         self.knots = Knots::default();
         self.steppers.iter_mut().zip(states).for_each(|(stepper, state)| stepper.start(state));
@@ -73,8 +73,8 @@ impl<const N: usize> Members<N> for Apart<N> {
         }
     }
 
-    fn settle(&mut self, body: &RigidBody<N>, h: f64, m: usize) -> Result<u32, Failure> {
-        self.steppers[m].settle(body, h)
+    fn synchronise(&mut self, body: &RigidBody<N>, h: f64, m: usize) -> Result<u32, Failure> {
+        self.steppers[m].synchronise(body, h)
     }
 
     fn member(&mut self, m: usize) -> &dyn Stepper<N> {
@@ -103,7 +103,7 @@ pub fn integrate<const N: usize, E>(
     let mut bookkeeping: Vec<Bookkeeping<N>> =
         initial.iter().map(|state| Bookkeeping::new(body, state, step_s, observables)).collect();
     let mut sample = |m: usize, bookkeeping: &mut Bookkeeping<N>, members: &mut dyn Members<N>| {
-        let settled = bookkeeping.needs_sample().then(|| members.settle(body, step_s, m));
+        let settled = bookkeeping.needs_sample().then(|| members.synchronise(body, step_s, m));
         match bookkeeping.sample(body, settled, members.member(m)) {
             Some(sample) => record(m, &sample),
             None => Ok(()),

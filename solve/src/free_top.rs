@@ -73,7 +73,7 @@ const SHORT_RULE: [(f64, f64); 3] = [
 pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift, f64)> {
     let size = mu.norm();
     if size == 0.0 {
-        let none = Drift { turn: Quaternion::identity(), gain: Vector3::zeros() };
+        let none = Drift { turn: Quaternion::identity(), momentum_increment: Vector3::zeros() };
         return Some((none, 1.0));
     }
     let axes = Axes::new(inverse);
@@ -117,11 +117,11 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift,
         integral += 2.0 * periods * of_half;
         pieces += more;
     }
-    let mut gain = Vector3::zeros();
+    let mut momentum_increment = Vector3::zeros();
     for (axis, value) in axes.0.into_iter().zip(gains) {
-        gain[axis] = value;
+        momentum_increment[axis] = value;
     }
-    let gain = on_orbit(&Matrix3::from_diagonal(inverse), mu, gain);
+    let momentum_increment = on_orbit(&Matrix3::from_diagonal(inverse), mu, momentum_increment);
     let w = inverse[pole.axis];
     // 2 T - G^2 w_e, without the difference of large numbers.
     let remainder: f64 =
@@ -130,8 +130,8 @@ pub fn flow(inverse: &Vector3<f64>, mu: &Vector3<f64>, h: f64) -> Option<(Drift,
     let mut direction = Vector3::zeros();
     direction[pole.axis] = pole.sign;
     let turn = Quaternion::from_parts(libm::cos(half), direction * libm::sin(half));
-    let (start, end) = (pole.to(mu, size), pole.to(&(mu + gain), size));
-    Some((Drift { turn: (start * turn * end.conjugate()).normalize(), gain }, pieces))
+    let (start, end) = (pole.to(mu, size), pole.to(&(mu + momentum_increment), size));
+    Some((Drift { turn: (start * turn * end.conjugate()).normalize(), momentum_increment }, pieces))
 }
 
 /// Returns the number of pieces in which [`flow`] computes a motion of a body given by its inverse
@@ -167,21 +167,25 @@ struct Course {
 /// ```text
 /// gain <- gain - d_G mu / (2 |mu|^2) - d_T n / (2 |n|^2),     n = (J^-1 - w) mu, which is across mu
 /// ```
-pub fn on_orbit(inverse: &Matrix3<f64>, mu: &Vector3<f64>, gain: Vector3<f64>) -> Vector3<f64> {
+pub fn on_orbit(
+    inverse: &Matrix3<f64>,
+    mu: &Vector3<f64>,
+    momentum_increment: Vector3<f64>,
+) -> Vector3<f64> {
     let square = mu.norm_squared();
     if square == 0.0 {
-        return gain;
+        return momentum_increment;
     }
-    let both = mu * 2.0 + gain;
+    let both = mu * 2.0 + momentum_increment;
     // The gradients at the end of the step.
-    let end = mu + gain;
+    let end = mu + momentum_increment;
     let rate = inverse * end;
     let mean = rate.dot(&end) / square;
     let across = rate - end * mean;
     let part = |defect: f64, size: f64| if size > 0.0 { -0.5 * defect / size } else { 0.0 };
-    let longer = part(gain.dot(&both), square);
-    let defect = gain.dot(&(inverse * both - both * mean));
-    gain + (end * longer + across * part(defect, across.norm_squared()))
+    let longer = part(momentum_increment.dot(&both), square);
+    let defect = momentum_increment.dot(&(inverse * both - both * mean));
+    momentum_increment + (end * longer + across * part(defect, across.norm_squared()))
 }
 
 /// The axes x, y, z, y that of the middle moment, right-handed.
@@ -346,9 +350,9 @@ mod tests {
 
     /// Returns the body after `h`.
     fn after(inverse: &Vector3<f64>, top: &Top, h: f64) -> Option<Top> {
-        let (Drift { turn, gain }, _) = flow(inverse, &top.momentum, h)?;
+        let (Drift { turn, momentum_increment }, _) = flow(inverse, &top.momentum, h)?;
         let attitude = so3::renormalised(&(top.attitude * turn));
-        Some(Top { attitude, momentum: top.momentum + gain })
+        Some(Top { attitude, momentum: top.momentum + momentum_increment })
     }
 
     #[test]

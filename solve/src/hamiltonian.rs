@@ -22,11 +22,11 @@ mod term;
 mod torque;
 
 use driven::Driven;
+pub(crate) use driven::{BodyAtTime, Time, WorkAndImpulse, rounding_s};
 pub use driven::{DrivenTerm, Factor, Interpolation, Path, Table, Torque};
-pub(crate) use driven::{Input, Moment, Time, rounding_s};
-use potential::Own;
+use potential::UserPotentials;
 pub use potential::{Potential, gradient_error};
-pub(crate) use rescaled::{AtStages, Looked, Scale};
+pub(crate) use rescaled::{AtStages, Scale, StageForces};
 pub use rescaled::{Rescaled, TimeScale};
 pub use term::{Law, Term};
 pub(crate) use torque::{Terms, Torques};
@@ -115,11 +115,11 @@ pub const CLOSEST_APPROACH: f64 = 1e-8;
 pub struct RigidBody<const N: usize> {
     kinetic: Kinetic<N>,
     terms: Vec<Term<N>>,
-    /// [`Term::reach`] of each.
-    reaches: Vec<f64>,
+    /// [`Term::inverse_arm_squared`] of each.
+    inverse_arms_squared: Vec<f64>,
     constant: f64,
     /// Potentials that are no terms.
-    own: Own<N>,
+    user: UserPotentials<N>,
     driven: Driven<N>,
     /// The constant angular momentum of wheels relative to the body.
     wheels: Option<Mat<N>>,
@@ -137,13 +137,13 @@ impl<const N: usize> RigidBody<N> {
             N == 3 || !matches!(kinetic, Kinetic::Tensor { .. }),
             "an inertia tensor is for n = 3"
         );
-        let reaches = terms.iter().map(Term::reach).collect();
+        let inverse_arms_squared = terms.iter().map(Term::inverse_arm_squared).collect();
         Self {
             kinetic,
             terms,
-            reaches,
+            inverse_arms_squared,
             constant,
-            own: Own::default(),
+            user: UserPotentials::default(),
             driven: Driven::default(),
             wheels: None,
             work: Work::default(),
@@ -152,7 +152,7 @@ impl<const N: usize> RigidBody<N> {
 
     /// Adds a term.
     fn push(&mut self, term: Term<N>) {
-        self.reaches.push(term.reach());
+        self.inverse_arms_squared.push(term.inverse_arm_squared());
         self.terms.push(term);
     }
 
@@ -233,12 +233,12 @@ impl<const N: usize> RigidBody<N> {
 
     /// Is H independent of the attitude?
     pub fn is_free(&self) -> bool {
-        self.terms.is_empty() && self.own.is_empty() && self.driven.is_empty()
+        self.terms.is_empty() && self.user.is_empty() && self.driven.is_empty()
     }
 
     /// The space vectors of the potential: one a term, and the axes if there is a user-defined potential.
     pub fn space_vectors(&self) -> impl Iterator<Item = &Vector<N>> {
-        self.terms.iter().map(|term| &term.space).chain(&self.own.axes)
+        self.terms.iter().map(|term| &term.space).chain(&self.user.axes)
     }
 
     /// The space vectors of the potential in the frame of `g0`, `g0^T v`, written to `seen`.
@@ -263,15 +263,15 @@ impl<const N: usize> RigidBody<N> {
                 }
             }
         }
-        if self.has_own() {
-            sum += self.own.gradient(&self.attitude_of(u, seen));
+        if self.has_user_potential() {
+            sum += self.user.gradient(&self.attitude_of(u, seen));
         }
         sum
     }
 
     /// `g = g0 u`, as user-defined potentials see it.
     fn attitude_of(&self, u: &Mat<N>, seen: &[Vector<N>]) -> Mat<N> {
-        Own::attitude(u, seen.get(self.terms.len()..).unwrap_or_default())
+        UserPotentials::attitude(u, seen.get(self.terms.len()..).unwrap_or_default())
     }
 
     /// dH/dg at `g`, left-trivialised and skew: [`Hamiltonian::gradient`], at any momentum.
@@ -308,8 +308,8 @@ impl<const N: usize> RigidBody<N> {
                 }
             }
         }
-        if self.has_own() {
-            sum += so::conjugate(g, &self.own.gradient(g));
+        if self.has_user_potential() {
+            sum += so::conjugate(g, &self.user.gradient(g));
         }
         sum
     }
@@ -327,7 +327,7 @@ impl<const N: usize> RigidBody<N> {
                 return Err(Failure::new(code, None, distance, CLOSEST_APPROACH));
             }
         }
-        if self.has_own() { self.own.check(&self.attitude_of(u, seen)) } else { Ok(()) }
+        if self.has_user_potential() { self.user.check(&self.attitude_of(u, seen)) } else { Ok(()) }
     }
 
     /// Kinetic and potential energy at an attitude and a body momentum.
@@ -337,14 +337,14 @@ impl<const N: usize> RigidBody<N> {
         let kinetic = 0.5 * so::inner(&own, &self.velocity_without_wheels(&own));
         let terms: f64 =
             self.terms.iter().map(|term| term.law.value(&so::to_body(attitude, &term.space))).sum();
-        Energy { kinetic, potential: self.own.energy(terms + self.constant, attitude) }
+        Energy { kinetic, potential: self.user.energy(terms + self.constant, attitude) }
     }
 
     /// The projection `Q` onto the space directions that the potential leaves free: rotations of that
     /// subspace are symmetries, so by Noether `Q m Q` is conserved, m the spatial momentum. `None` if
     /// fewer than two directions are free.
     pub fn conserved_directions(&self) -> Option<Mat<N>> {
-        let (own, driven) = (self.own.space_vectors(), self.driven.space_vectors());
+        let (own, driven) = (self.user.space_vectors(), self.driven.space_vectors());
         free_directions(self.terms.iter().map(|term| &term.space).chain(&own).chain(&driven))
     }
 }
@@ -359,7 +359,7 @@ impl<const N: usize> System<N> for RigidBody<N> {
     }
 
     fn turning_frame(&self) -> Option<Mat<N>> {
-        let own = self.own.space_vectors();
+        let own = self.user.space_vectors();
         self.driven.turning_frame(self.terms.iter().map(|term| &term.space).chain(&own))
     }
 

@@ -91,7 +91,7 @@ macro_rules! widest {
 /// it. With it, lanes are compiled for many stages only, where they save a third.
 macro_rules! in_stage_lanes {
     ($level:expr, $stages:expr, $body:expr, $module:ident::$work:ident, $($argument:expr),*) => {{
-        let in_lanes = match ($level, $stages, $body.has_own()) {
+        let in_lanes = match ($level, $stages, $body.has_user_potential()) {
             (Some(level), 2, false) => widest!(
                 level, f64x2, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
             ),
@@ -144,13 +144,13 @@ pub trait Real:
 }
 
 /// Quantity of a step as a whole: one number, or one for each member of an ensemble.
-pub trait Whole: Real {
+pub trait StepScalar: Real {
     /// Layout in memory.
-    type Plain: Copy;
+    type Storage: Copy;
     /// Loads from memory, like `self`.
-    fn load(self, plain: &Self::Plain) -> Self;
+    fn load(self, plain: &Self::Storage) -> Self;
     /// Stores to memory.
-    fn store(self, plain: &mut Self::Plain);
+    fn store(self, plain: &mut Self::Storage);
     /// Number of lanes: one for a single number, else as many as there are members.
     const LANES: usize;
     /// The number in a lane.
@@ -182,25 +182,25 @@ pub trait Stored: Real {
 }
 
 /// Quantity of the stages of a step: a number for each.
-pub trait Stages: Stored {
+pub trait StageScalar: Stored {
     /// Quantity of the step as a whole.
-    type Whole: Whole + Stored;
+    type StepScalar: StepScalar + Stored;
     /// Layout in memory.
-    type Plain: Copy;
+    type Storage: Copy;
     /// Largest number of stages.
     const STAGES: usize;
     /// Loads from memory, like `self`.
-    fn load(self, plain: &Self::Plain) -> Self;
+    fn load(self, plain: &Self::Storage) -> Self;
     /// Stores to memory.
-    fn store(self, plain: &mut Self::Plain);
+    fn store(self, plain: &mut Self::Storage);
     /// Constants, one for each stage.
     fn row(self, row: &Row) -> Self;
     /// Returns the same number for all stages.
-    fn spread(self, whole: Self::Whole) -> Self;
+    fn spread(self, whole: Self::StepScalar) -> Self;
     /// The number of stage `k`.
-    fn stage(self, k: usize) -> Self::Whole;
+    fn stage(self, k: usize) -> Self::StepScalar;
     /// The sum over the stages, by halves.
-    fn sum(self) -> Self::Whole;
+    fn sum(self) -> Self::StepScalar;
     /// `sum_j columns[j] self_j`, summed by halves.
     fn apply_tableau(self, columns: &[Row; WIDTH]) -> Self;
     /// Rows of constants.
@@ -210,7 +210,7 @@ pub trait Stages: Stored {
     /// Does some work, compiled for the instruction set.
     fn vectorized<T>(self, work: impl FnOnce() -> T) -> T;
     /// The largest over the stages.
-    fn largest(self) -> Self::Whole;
+    fn largest(self) -> Self::StepScalar;
     /// Applies a law that is not written in lanes to three rows of three numbers, lane by lane.
     fn lane_by_lane(
         numbers: [[Self; 3]; 3],
@@ -283,8 +283,8 @@ impl Stored for f64 {
     }
 }
 
-impl Whole for f64 {
-    type Plain = f64;
+impl StepScalar for f64 {
+    type Storage = f64;
 
     #[inline(always)]
     fn load(self, plain: &f64) -> Self {
@@ -395,9 +395,9 @@ macro_rules! stage_lanes {
             }
         }
 
-        impl<S: Simd> Stages for $vector<S> {
-            type Whole = f64;
-            type Plain = Row;
+        impl<S: Simd> StageScalar for $vector<S> {
+            type StepScalar = f64;
+            type Storage = Row;
             const STAGES: usize = $lanes;
 
             #[inline(always)]
@@ -575,7 +575,7 @@ macro_rules! elementwise {
 
 macro_rules! rows_operator {
     ($operator:ident, $function:ident, $symbol:tt) => {
-        impl<T: Whole, const K: usize> $operator for Rows<T, K> {
+        impl<T: StepScalar, const K: usize> $operator for Rows<T, K> {
             type Output = Self;
 
             #[inline(always)]
@@ -591,7 +591,7 @@ rows_operator!(Sub, sub, -);
 rows_operator!(Mul, mul, *);
 rows_operator!(Div, div, /);
 
-impl<T: Whole, const K: usize> Add<f64> for Rows<T, K> {
+impl<T: StepScalar, const K: usize> Add<f64> for Rows<T, K> {
     type Output = Self;
 
     #[inline(always)]
@@ -600,7 +600,7 @@ impl<T: Whole, const K: usize> Add<f64> for Rows<T, K> {
     }
 }
 
-impl<T: Whole, const K: usize> Mul<f64> for Rows<T, K> {
+impl<T: StepScalar, const K: usize> Mul<f64> for Rows<T, K> {
     type Output = Self;
 
     #[inline(always)]
@@ -609,7 +609,7 @@ impl<T: Whole, const K: usize> Mul<f64> for Rows<T, K> {
     }
 }
 
-impl<T: Whole, const K: usize> Neg for Rows<T, K> {
+impl<T: StepScalar, const K: usize> Neg for Rows<T, K> {
     type Output = Self;
 
     #[inline(always)]
@@ -618,7 +618,7 @@ impl<T: Whole, const K: usize> Neg for Rows<T, K> {
     }
 }
 
-impl<T: Whole, const K: usize> Real for Rows<T, K> {
+impl<T: StepScalar, const K: usize> Real for Rows<T, K> {
     #[inline(always)]
     fn constant(self, value: f64) -> Self {
         elementwise!(self, k => self.0[k].constant(value))
@@ -645,8 +645,8 @@ impl<T: Whole, const K: usize> Real for Rows<T, K> {
     }
 }
 
-impl<S: Simd> Whole for f64x8<S> {
-    type Plain = Row;
+impl<S: Simd> StepScalar for f64x8<S> {
+    type Storage = Row;
 
     #[inline(always)]
     fn load(self, plain: &Row) -> Self {
@@ -667,7 +667,7 @@ impl<S: Simd> Whole for f64x8<S> {
 
     #[inline(always)]
     fn of_lanes(self, lanes: &Row) -> Self {
-        Whole::load(self, lanes)
+        StepScalar::load(self, lanes)
     }
 }
 
@@ -738,20 +738,20 @@ macro_rules! stages_in_turn {
             }
         }
 
-        impl$(<$simd: Simd>)? Stages for Rows<$whole, $stages> {
-            type Whole = $whole;
-            type Plain = $plain;
+        impl$(<$simd: Simd>)? StageScalar for Rows<$whole, $stages> {
+            type StepScalar = $whole;
+            type Storage = $plain;
             const STAGES: usize = $stages;
 
             #[inline(always)]
-            fn load(self, plain: &Self::Plain) -> Self {
-                elementwise!(self, K = $stages, k => Whole::load(self.0[0], &plain[k]))
+            fn load(self, plain: &Self::Storage) -> Self {
+                elementwise!(self, K = $stages, k => StepScalar::load(self.0[0], &plain[k]))
             }
 
             #[inline(always)]
-            fn store(self, plain: &mut Self::Plain) {
+            fn store(self, plain: &mut Self::Storage) {
                 for k in 0..$stages {
-                    Whole::store(self.0[k], &mut plain[k]);
+                    StepScalar::store(self.0[k], &mut plain[k]);
                 }
             }
 
@@ -840,7 +840,7 @@ macro_rules! stages_in_turn {
                 let mut made = [numbers[0][0]; 4];
                 for k in 0..$stages {
                     let mut lanes = [Row::splat(0.0); 4];
-                    for lane in 0..<$whole as Whole>::LANES {
+                    for lane in 0..<$whole as StepScalar>::LANES {
                         let found = law(numbers.map(|row| row.map(|x| x.0[k].lane(lane))));
                         for (row, x) in lanes.iter_mut().zip(found) {
                             row[lane] = x;

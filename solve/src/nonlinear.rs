@@ -10,7 +10,7 @@
 //! |---|---|---|
 //! | `d_k` is not finite | overflow | [`FailureCode::NonFinite`] |
 //! | `d_k <= tolerance` | solved | converged |
-//! | `q <= FAST` and `q d_k <= FORESEEN tolerance` | the next sweep would change nothing that counts | converged, if the rule allows it ([`StopRule::foresee`]) |
+//! | `q <= FAST` and `q d_k <= EARLY tolerance` | the next sweep would change nothing that counts | converged, if the rule allows it ([`StopRule::stop_early`]) |
 //! | `d_k` grew once, and `d_k <= ROUND_OFF` | the last digit | converged |
 //! | `d_k` grew twice in a row, and `d_k <= ROUND_OFF_FLOOR` | the last digits | converged |
 //! | no new smallest increment for `CYCLE` sweeps, `d_k <= ROUND_OFF_FLOOR` | a limit cycle of rounding | converged |
@@ -30,10 +30,10 @@ use super::failure::{Failure, FailureCode};
 use super::lanes::Real;
 
 mod newton;
-mod past;
+mod step_history;
 
 use newton::Newton;
-pub use past::{Continued, Past, Trail};
+pub use step_history::{Continued, Extrapolation, StepHistory};
 
 /// Conditions under which an iteration has converged or failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +45,7 @@ pub struct StopRule {
     /// Rungs that may be tried.
     pub rungs: Rungs,
     /// Whether a sweep that would change next to nothing is spared. The part left out is biased.
-    pub foresee: bool,
+    pub stop_early: bool,
 }
 
 impl StopRule {
@@ -57,7 +57,7 @@ impl StopRule {
         if self.tolerance > round_off {
             self
         } else {
-            Self { tolerance: 0.0, foresee: false, ..self }
+            Self { tolerance: 0.0, stop_early: false, ..self }
         }
     }
 }
@@ -76,7 +76,7 @@ pub enum Rungs {
 impl Default for StopRule {
     /// Returns the rule that goes to round-off.
     fn default() -> Self {
-        Self { tolerance: 1e-15, max_iterations: 100, rungs: Rungs::Both, foresee: true }
+        Self { tolerance: 1e-15, max_iterations: 100, rungs: Rungs::Both, stop_early: true }
     }
 }
 
@@ -88,7 +88,7 @@ pub(crate) const ROUND_OFF_FLOOR: f64 = 1e-12;
 const FAST: f64 = 0.1;
 /// A sweep is spared if it would change less than this part of the tolerance: the part left out is
 /// biased, and a tenth of the tolerance at each step shows as a drift of the energy.
-const FORESEEN: f64 = 1e-2;
+const EARLY: f64 = 1e-2;
 /// Number of sweeps after which convergence is judged, and number of latest sweeps over which ...
 const TRIAL: u32 = 16;
 const TRIAL_SPAN: usize = 4;
@@ -162,7 +162,7 @@ pub trait Equations {
     ///
     /// # Errors
     /// Fails where the unknowns make no sense.
-    fn settle(&mut self) -> Result<(), Failure> {
+    fn prime(&mut self) -> Result<(), Failure> {
         Ok(())
     }
 
@@ -275,9 +275,9 @@ fn swept(
     loop {
         let increment = sweep().map_err(|failure| progress.failure_of(failure))?;
         match progress.judged(increment)? {
-            Verdict::GoOn => {}
+            Verdict::Continue => {}
             Verdict::Converged(convergence) => return Ok(Some(convergence)),
-            Verdict::Leave => return Ok(None),
+            Verdict::SwitchToNewton => return Ok(None),
         }
     }
 }
@@ -300,11 +300,11 @@ pub(super) struct Progress {
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Verdict {
     /// Another sweep.
-    GoOn,
+    Continue,
     /// The equations are solved.
     Converged(Convergence),
     /// Sweeps converge too slowly.
-    Leave,
+    SwitchToNewton,
 }
 
 impl Progress {
@@ -359,15 +359,15 @@ impl Progress {
         // of the last two: one may be luck.
         let contraction =
             if *iteration > 2 { (increment / previous).max(previous / before) } else { *expected };
-        let foreseen = rule.foresee
+        let stops_early = rule.stop_early
             && contraction <= FAST
-            && increment * contraction <= FORESEEN * rule.tolerance;
+            && increment * contraction <= EARLY * rule.tolerance;
         // One increment that does not fall may be the wobble of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
         let at_floor = (*grown == 1 && increment <= ROUND_OFF)
             || (*grown == 2 && increment <= ROUND_OFF_FLOOR)
             || (*since_smallest >= CYCLE && increment <= ROUND_OFF_FLOOR);
-        if increment <= rule.tolerance || foreseen || at_floor {
+        if increment <= rule.tolerance || stops_early || at_floor {
             let (iterations, rung) = (*iteration, Rung::FixedPoint);
             return Ok(Verdict::Converged(Convergence { iterations, increment, rung }));
         }
@@ -380,12 +380,12 @@ impl Progress {
             });
         }
         if *leave && *iteration == TRIAL && increment > SLOW * history.before(TRIAL_SPAN) {
-            return Ok(Verdict::Leave);
+            return Ok(Verdict::SwitchToNewton);
         }
         if *iteration == rule.max_iterations {
             return Err(history.failure(FailureCode::MaxIterations, rule.tolerance));
         }
-        Ok(Verdict::GoOn)
+        Ok(Verdict::Continue)
     }
 }
 

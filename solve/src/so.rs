@@ -546,21 +546,21 @@ fn singular_values<const N: usize>(x: &Mat<N>) -> Option<DVector<f64>> {
 /// The nearest rotation to a matrix that is already orthogonal to about 1e-8: one step of
 /// Newton and Schulz, `g (3 I - g^T g) / 2`, which squares the defect.
 pub fn orthonormalised<const N: usize>(g: &Mat<N>) -> Mat<N> {
-    g + product(g, &deficit(g)) * 0.5
+    g + product(g, &norm_error(g)) * 0.5
 }
 
 /// `I - g^T g`, each product taken off the identity: a sum next to one is rounded twice as far from
 /// above as from below, and what is mended by it would keep a bias.
 #[inline(always)]
-pub fn deficit<const N: usize>(g: &Mat<N>) -> Mat<N> {
-    let (transposed, mut deficit) = (g.transpose(), Mat::identity());
+pub fn norm_error<const N: usize>(g: &Mat<N>) -> Mat<N> {
+    let (transposed, mut norm_error) = (g.transpose(), Mat::identity());
     for j in 0..N {
         for k in 0..N {
             let x = g[(k, j)];
             for i in 0..N {
-                deficit[(i, j)] -= transposed[(i, k)] * x;
+                norm_error[(i, j)] -= transposed[(i, k)] * x;
             }
         }
     }
-    deficit
+    norm_error
 }

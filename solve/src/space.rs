@@ -185,8 +185,8 @@ impl<T: Real> Quaternion<T> {
     #[inline(always)]
     pub fn lengthened_by_w(&self) -> Self {
         let square = dot(&self.v, &self.v);
-        let deficit = ((-self.w + 1.0) * (self.w + 1.0) - square) * 0.5;
-        let (for_w, for_v) = (deficit * (square + 1.0), deficit * square);
+        let norm_error = ((-self.w + 1.0) * (self.w + 1.0) - square) * 0.5;
+        let (for_w, for_v) = (norm_error * (square + 1.0), norm_error * square);
         Self { w: self.w + self.w * for_w, v: vec3!(i => self.v[i] + self.v[i] * for_v) }
     }
 

@@ -7,7 +7,7 @@
 
 use std::ops::{Deref, DerefMut, IndexMut};
 
-use super::lanes::{Real, Row, Stages, Stored, WIDTH};
+use super::lanes::{Real, Row, StageScalar, Stored, WIDTH};
 
 /// The number of rows, known to the compiler or not.
 pub trait Dimension: Copy {
@@ -64,12 +64,12 @@ impl Dimension for Any {
 
 /// Numbers that begin where a line of the cache begins.
 #[derive(Debug)]
-pub struct Numbers {
+pub struct AlignedBuffer {
     all: Vec<f64>,
     first: usize,
 }
 
-impl Numbers {
+impl AlignedBuffer {
     /// `count` zeros.
     pub fn zeros(count: usize) -> Self {
         /// Bytes of a line.
@@ -82,7 +82,7 @@ impl Numbers {
     }
 }
 
-impl Clone for Numbers {
+impl Clone for AlignedBuffer {
     fn clone(&self) -> Self {
         let mut copy = Self::zeros(self.len());
         copy.copy_from_slice(self);
@@ -90,7 +90,7 @@ impl Clone for Numbers {
     }
 }
 
-impl Deref for Numbers {
+impl Deref for AlignedBuffer {
     type Target = [f64];
 
     #[inline(always)]
@@ -99,7 +99,7 @@ impl Deref for Numbers {
     }
 }
 
-impl DerefMut for Numbers {
+impl DerefMut for AlignedBuffer {
     #[inline(always)]
     fn deref_mut(&mut self) -> &mut [f64] {
         &mut self.all[self.first..]
@@ -108,14 +108,14 @@ impl DerefMut for Numbers {
 
 /// Arithmetic of n x n matrices in lanes.
 #[derive(Clone, Copy, Debug)]
-pub struct Stack<R, D> {
+pub struct StageMatrices<R, D> {
     /// A number in as many lanes.
     pub lanes: R,
     /// n.
     pub dimension: D,
 }
 
-impl<R: Stored, D: Dimension> Stack<R, D> {
+impl<R: Stored, D: Dimension> StageMatrices<R, D> {
     /// Groups of columns of a matrix, if the compiler knows n.
     const GROUPS: usize = match D::KNOWN {
         Some(n) => n / R::GROUP,
@@ -449,11 +449,11 @@ impl<R: Stored, D: Dimension> Stack<R, D> {
     }
 }
 
-impl<R: Stages<Whole = f64>, D: Dimension> Stack<R, D> {
+impl<R: StageScalar<StepScalar = f64>, D: Dimension> StageMatrices<R, D> {
     /// Returns the arithmetic for the step as a whole.
     #[inline(always)]
-    pub fn whole(self) -> Stack<f64, D> {
-        Stack { lanes: 0.0, dimension: self.dimension }
+    pub fn whole(self) -> StageMatrices<f64, D> {
+        StageMatrices { lanes: 0.0, dimension: self.dimension }
     }
 
     /// `C_k = sum_j columns[j]_k A_j`, k and j stages.

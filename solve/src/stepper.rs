@@ -55,7 +55,7 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     ///
     /// # Errors
     /// Any failure.
-    fn settle(&mut self, _system: &S, _h: f64) -> Result<u32, Failure> {
+    fn synchronise(&mut self, _system: &S, _h: f64) -> Result<u32, Failure> {
         Ok(0)
     }
 

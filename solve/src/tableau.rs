@@ -2,7 +2,7 @@
 //! other with b_i != 0.
 //!
 //! Invariant: a [`Tableau`] is consistent (sum b = 1) and knows its order, found from order conditions and not from its
-//! name. Only an explicit one may have a zero weight, and then it has no symplectic partner.
+//! name. Only an explicit one may have a zero weight, and then it has no symplectic conjugate.
 
 use thiserror::Error;
 
@@ -88,7 +88,7 @@ impl Tableau {
         let mut ascending: Vec<usize> = (0..stages).collect();
         ascending.sort_by(|&i, &j| c[i].total_cmp(&c[j]));
         let mut tableau = Self { a, b, c, ascending, order: 0 };
-        match tableau.partnered() {
+        match tableau.check_conjugate() {
             Ok(()) => tableau.order = tableau.simplified_order().max(tableau.pair_order()),
             Err(error) if !tableau.is_explicit() => return Err(error),
             Err(_) => {}
@@ -96,11 +96,11 @@ impl Tableau {
         Ok(tableau)
     }
 
-    /// Makes sure that it has a symplectic partner.
+    /// Makes sure that it has a symplectic conjugate: that no weight is zero.
     ///
     /// # Errors
     /// Fails if a weight is zero.
-    pub fn partnered(&self) -> Result<(), TableauError> {
+    pub fn check_conjugate(&self) -> Result<(), TableauError> {
         match self.b.iter().position(|weight| weight.abs() < MIN_WEIGHT) {
             Some(stage) => Err(TableauError::ZeroWeight { stage, weight: self.b[stage] }),
             None => Ok(()),
@@ -175,13 +175,13 @@ impl Tableau {
 
     /// Order of the symplectic pair `(a, b)` and `a^ = b_j (1 - a_ji / b_i)` that the discrete
     /// Lagrangian makes of the tableau. Exact where the conditions checked decide it: up to order 6 for
-    /// any tableau, up to any order for one that is symplectic by itself. 0 where a zero weight leaves no partner.
+    /// any tableau, up to any order for one that is symplectic by itself. 0 where a zero weight leaves no conjugate.
     pub fn order(&self) -> u32 {
         self.order
     }
 
     /// Is it symplectic by itself, but for rounding: `b_i a_ij + b_j a_ji = b_i b_j`?
-    pub fn is_own_partner(&self) -> bool {
+    pub fn is_symplectic(&self) -> bool {
         /// Rounding error of a coefficient.
         const ROUNDED: f64 = 1e-14;
         let part = |i: usize, j: usize| self.a[i][j] / self.b[j];
@@ -194,24 +194,25 @@ impl Tableau {
         self.a.iter().enumerate().all(|(i, row)| row[i..].iter().all(|&a| a == 0.0))
     }
 
-    /// Order of the tableau as a Runge-Kutta method by itself, without a partner: at least [`Self::order`].
+    /// Order of the tableau as a Runge-Kutta method by itself, without its conjugate: at least [`Self::order`].
     /// Exact up to order 8, and never more than that for a tableau that is not symplectic.
     pub fn classical_order(&self) -> u32 {
         self.order.max(self.tree_order(std::slice::from_ref(&self.a), MAX_CLASSICAL_ORDER))
     }
 
-    /// The momentum's partner coefficients `a^_ij = b_j (1 - a_ji / b_i)`.
-    fn partner(&self, i: usize, j: usize) -> f64 {
+    /// The momentum's conjugate coefficients `a^_ij = b_j (1 - a_ji / b_i)`.
+    fn conjugate(&self, i: usize, j: usize) -> f64 {
         self.b[j] * (1.0 - self.a[j][i] / self.b[i])
     }
 
-    /// Lower bound of the order of a tableau that is its own partner, from Butcher's simplifying
+    /// Lower bound of the order of a symplectic tableau, from Butcher's simplifying
     /// assumptions B(p), C(q), D(r): at least min(p, q + r + 1, 2 q + 2).
     fn simplified_order(&self) -> u32 {
         let s = self.stages();
         let holds = |left: f64, right: f64| (left - right).abs() <= CONDITION_TOLERANCE;
-        let own_partner = (0..s).all(|i| (0..s).all(|j| holds(self.a[i][j], self.partner(i, j))));
-        if !own_partner {
+        let is_symplectic =
+            (0..s).all(|i| (0..s).all(|j| holds(self.a[i][j], self.conjugate(i, j))));
+        if !is_symplectic {
             return 0;
         }
         let power = |i: usize, q: u32| self.c[i].powi(q as i32);
@@ -240,8 +241,8 @@ impl Tableau {
     /// The order of the pair of position and momentum coefficients.
     fn pair_order(&self) -> u32 {
         let s = self.stages();
-        let partner = (0..s).map(|i| (0..s).map(|j| self.partner(i, j)).collect()).collect();
-        self.tree_order(&[self.a.clone(), partner], MAX_PAIR_ORDER)
+        let conjugate = (0..s).map(|i| (0..s).map(|j| self.conjugate(i, j)).collect()).collect();
+        self.tree_order(&[self.a.clone(), conjugate], MAX_PAIR_ORDER)
     }
 
     /// The order from the conditions of all rooted trees with vertices of as many colours as there are
@@ -396,7 +397,7 @@ mod tests {
             assert_eq!(gauss.order(), 2 * stages as u32);
         }
         assert_eq!((Tableau::rk3().order(), Tableau::rk4().order()), (3, 4));
-        // Euler: with its partner the symplectic Euler method, first order.
+        // Euler: with its conjugate the symplectic Euler method, first order.
         assert_eq!(Tableau::new(vec![vec![0.0]], vec![1.0]).expect("consistent").order(), 1);
         // Heun's second-order method.
         let heun = Tableau::new(vec![vec![0.0, 0.0], vec![1.0, 0.0]], vec![0.5, 0.5]);
@@ -412,7 +413,7 @@ mod tests {
         let rk8 = Tableau::rk8();
         assert!(rk8.is_explicit());
         assert_eq!((rk8.order(), rk8.classical_order()), (0, 8));
-        assert!(matches!(rk8.partnered(), Err(TableauError::ZeroWeight { stage: 1, .. })));
+        assert!(matches!(rk8.check_conjugate(), Err(TableauError::ZeroWeight { stage: 1, .. })));
         let gauss = Tableau::gauss(4).expect("4 stages");
         assert!(!gauss.is_explicit());
         assert_eq!(gauss.classical_order(), 8);

@@ -246,7 +246,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
         let step = bookkeeping.reached.step;
         let over = step == steps || !bookkeeping.goes_on();
         if over || step % every == 0 {
-            let settled = bookkeeping.needs_sample().then(|| stepper.settle(system, step_s));
+            let settled = bookkeeping.needs_sample().then(|| stepper.synchronise(system, step_s));
             if let Some(sample) = bookkeeping.sample(system, settled, stepper) {
                 sink.record(&sample)?;
             }
@@ -339,14 +339,14 @@ impl<const N: usize> Bookkeeping<N> {
         let Self { observer, step_s, ending, reached, sampled } = self;
         let step = reached.step;
         let time_s = step as f64 * *step_s;
-        let put_in = PutIn {
+        let work_and_impulse = TotalInput {
             work: reached.work + stepper.work(),
             impulse: stepper.impulse().map(|since| reached.impulse + since),
             table_impulse: reached.table_impulse + stepper.table_impulse(),
         };
         let sample = settled.and_then(|sweeps| {
             reached.iterations += u64::from(sweeps);
-            observer.sample(system, stepper, step, time_s, reached.convergence, &put_in)
+            observer.sample(system, stepper, step, time_s, reached.convergence, &work_and_impulse)
         });
         match sample {
             Ok(sample) => {
@@ -382,7 +382,7 @@ impl<const N: usize> Bookkeeping<N> {
 }
 
 /// Input to a driven system since the start.
-struct PutIn<const N: usize> {
+struct TotalInput<const N: usize> {
     work: f64,
     /// `None` from a stepper that does not know.
     impulse: Option<Mat<N>>,
@@ -429,10 +429,10 @@ impl<const N: usize> Observer<N> {
         step: u64,
         time_s: f64,
         convergence: Option<Convergence>,
-        put_in: &PutIn<N>,
+        work_and_impulse: &TotalInput<N>,
     ) -> Result<Sample<N>, Failure> {
         let asked = self.observables;
-        let &PutIn { work, impulse, table_impulse } = put_in;
+        let &TotalInput { work, impulse, table_impulse } = work_and_impulse;
         let impulse = impulse.filter(|_| self.pushed);
         let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
         // A scheme without an attitude serves free bodies, whose energy needs none.

@@ -96,8 +96,8 @@ struct Scheme {
 #[derive(Debug, Deserialize)]
 struct SchemeRow {
     method: Integrator,
-    /// Whether the unknowns are found by sweeps over them: for a tableau that is not its own
-    /// partner, or by Newton's method alone.
+    /// Whether the unknowns are found by sweeps over them: for a tableau that is not
+    /// symplectic, or by Newton's method alone.
     #[serde(default)]
     swept: bool,
     stages: usize,
@@ -314,7 +314,7 @@ impl Plan {
         let general = method.facts().lanes && (stages > WIDTH || alone || adapts);
         let tableau = &self.model.tableau;
         let by_sweeps =
-            stages > WIDTH || !tableau.is_own_partner() || self.model.stop.rungs == Rungs::Newton;
+            stages > WIDTH || !tableau.is_symplectic() || self.model.stop.rungs == Rungs::Newton;
         let in_lanes = method.facts().lanes && self.dimension == 3 && !general;
         let of_method = |swept: bool| {
             let row_fits = move |row: &&SchemeRow| {

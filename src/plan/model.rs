@@ -413,8 +413,8 @@ pub(super) fn tableau(choice: &TableauChoice, method: &Method) -> Result<Tableau
             "{name} is explicit; it takes rk3, rk4, rk8 or explicit coefficients"
         ));
     }
-    let partner = if takes == Takes::Explicit { Ok(()) } else { tableau.partnered() };
-    partner.map_err(|error| refused(choice, &error))?;
+    let paired = if takes == Takes::Explicit { Ok(()) } else { tableau.check_conjugate() };
+    paired.map_err(|error| refused(choice, &error))?;
     let gauss = Tableau::gauss(tableau.stages());
     if takes == Takes::Gauss && gauss.as_ref() != Some(&tableau) {
         return wrong(format!("{name} takes gauss1 to gauss8"));

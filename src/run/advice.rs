@@ -292,7 +292,7 @@ impl<const N: usize> Search<'_, N> {
             let looked_at = step % every == 0 || step == steps;
             let mut made = knots.step(*body, *stepper, time_s(step - 1), step_s).map(drop);
             if looked_at {
-                made = made.and_then(|()| stepper.settle(body, step_s).map(drop));
+                made = made.and_then(|()| stepper.synchronise(body, step_s).map(drop));
             }
             match made {
                 Ok(()) => {}

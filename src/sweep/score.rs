@@ -182,7 +182,7 @@ impl<'a, const N: usize> Shadow<'a, N> {
             let begun_s = self.made as f64 * self.step_s;
             let stepper = self.stepper.as_mut();
             self.lost = self.knots.step(body, stepper, begun_s, self.step_s).is_err()
-                || self.stepper.settle(body, self.step_s).is_err();
+                || self.stepper.synchronise(body, self.step_s).is_err();
             self.made += 1;
         }
         let attitude = self.stepper.attitude().unwrap_or(run.attitude);

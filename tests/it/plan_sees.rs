@@ -374,7 +374,7 @@ fn what_the_plan_sees_is_said_and_changes_no_result() {
         };
         let gauss = Tableau::gauss(stages).expect("a tableau");
         // To the last digit: with one stage a sweep that is spared shows as 1e-13.
-        let stop = StopRule { tolerance: 1e-16, foresee: false, ..StopRule::default() };
+        let stop = StopRule { tolerance: 1e-16, stop_early: false, ..StopRule::default() };
         let mut stepper = VpdSo3::new(gauss, stop).expect("few stages");
         let (attitude, momentum) = carried(&body, &mut stepper, &start);
         let (got, got_momentum, energy) = planned::<3>(&text);

@@ -7,10 +7,10 @@
 //! H(t) - H(0) = integral of dH/dt + <F, Omega>
 //! ```
 //!
-//! is what the drive has put in: [`Moment::input`], summed by the stepper with the weights of its tableau. Along rotations that
+//! is what the drive has put in: [`BodyAtTime::input`], summed by the stepper with the weights of its tableau. Along rotations that
 //! leave the potential as it is, the spatial momentum changes by the torques alone, by the integral of `g F g^T`.
 //!
-//! Invariant: [`Moment::input`] is the rate of the energy along the motion that [`Moment::gradient`] makes.
+//! Invariant: [`BodyAtTime::input`] is the rate of the energy along the motion that [`BodyAtTime::gradient`] makes.
 
 use super::RigidBody;
 use super::term::{Law, Space, Term};
@@ -396,7 +396,7 @@ impl<const N: usize> Driven<N> {
 
 /// A driven body at one moment.
 #[derive(Clone, Debug)]
-pub(crate) struct Moment<const N: usize> {
+pub(crate) struct BodyAtTime<const N: usize> {
     /// The body with its potential at that moment.
     pub(crate) body: RigidBody<N>,
     torques: Vec<Torque<N>>,
@@ -410,7 +410,7 @@ pub(crate) struct Moment<const N: usize> {
 /// Input of time and torques to a driven body: at a moment, or, times the weights of a step, in a
 /// step.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Input<const N: usize> {
+pub(crate) struct WorkAndImpulse<const N: usize> {
     /// Input to the energy.
     pub(crate) power: f64,
     /// Input of torques that are no potential's to the spatial momentum; `None` if none act.
@@ -419,7 +419,7 @@ pub(crate) struct Input<const N: usize> {
     pub(crate) tables: f64,
 }
 
-impl<const N: usize> Input<N> {
+impl<const N: usize> WorkAndImpulse<N> {
     /// Adds the input at a stage of the given weight.
     pub(crate) fn add(&mut self, weight: f64, at_stage: &Self) {
         self.power += weight * at_stage.power;
@@ -584,7 +584,7 @@ fn eccentric_anomaly(mean: f64, e: f64) -> f64 {
     anomaly
 }
 
-impl<const N: usize> Moment<N> {
+impl<const N: usize> BodyAtTime<N> {
     /// The torque that is no potential's: left-trivialised, in the body.
     fn torque(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let mut sum = Mat::zeros();
@@ -618,14 +618,18 @@ impl<const N: usize> Moment<N> {
     }
 
     /// Returns the input: `dH/dt + <F, Omega>` to the energy, `g F g^T` to the spatial momentum.
-    pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Input<N> {
+    pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> WorkAndImpulse<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
         for Changing { strengthening, law, space, moving } in &self.changing {
             let q = so::to_body(g, space);
             power += strengthening.value(&q) + law.change(&q, &so::to_body(g, moving));
         }
-        Input { power, torque: torque.map(|torque| so::conjugate(g, &torque)), tables: self.tables }
+        WorkAndImpulse {
+            power,
+            torque: torque.map(|torque| so::conjugate(g, &torque)),
+            tables: self.tables,
+        }
     }
 
     /// Refuses a time that the drive does not know, and an attitude at which the potential has lost its meaning.
@@ -668,15 +672,15 @@ impl<const N: usize> RigidBody<N> {
     }
 
     /// Returns the body at a moment.
-    pub(crate) fn at(&self, t: Time) -> Moment<N> {
+    pub(crate) fn at(&self, t: Time) -> BodyAtTime<N> {
         let changing: Vec<_> = self.driven.terms.iter().map(|driven| driven.at(t)).collect();
         // Built without the drive: its tables may be long.
         let mut body = RigidBody {
             kinetic: self.kinetic.clone(),
             terms: self.terms.clone(),
-            reaches: self.reaches.clone(),
+            inverse_arms_squared: self.inverse_arms_squared.clone(),
             constant: self.constant,
-            own: self.own.clone(),
+            user: self.user.clone(),
             driven: Driven::default(),
             wheels: self.wheels,
             work: self.work.clone(),
@@ -694,7 +698,7 @@ impl<const N: usize> RigidBody<N> {
         let refused = self.driven.check(t).err();
         let torques = self.driven.torques.iter().map(now).collect();
         let tables = self.driven.torque_tables().map(|(size, table)| size * table.at(t).0[0]).sum();
-        Moment { body, torques, tables, changing, refused }
+        BodyAtTime { body, torques, tables, changing, refused }
     }
 
     /// The energy by which the potential jumps at a knot.
@@ -712,7 +716,7 @@ impl<const N: usize> RigidBody<N> {
         begun: f64,
         h: f64,
         nodes: impl Iterator<Item = f64>,
-    ) -> Vec<Moment<N>> {
+    ) -> Vec<BodyAtTime<N>> {
         nodes.chain([1.0]).map(|c| self.at(Time::in_step(begun, h, c * h))).collect()
     }
 }

@@ -13,7 +13,7 @@ impl RigidBody<3> {
     /// momentum along the axis stays along it.
     pub fn across(&self, k: usize, frame: &Mat<3>) -> Option<RigidBody<2>> {
         // Nothing is known of a user-defined potential.
-        if self.has_own() {
+        if self.has_user_potential() {
             return None;
         }
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);

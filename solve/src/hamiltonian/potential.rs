@@ -106,13 +106,13 @@ pub(super) fn axes<const N: usize>() -> impl Iterator<Item = Vector<N>> {
 
 /// The potentials that are no built-in terms. They see the attitude through the axes of space.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Own<const N: usize> {
+pub(super) struct UserPotentials<const N: usize> {
     laws: Vec<Arc<dyn Potential<N>>>,
     /// The axes of space, if there is a law.
     pub(super) axes: Vec<Vector<N>>,
 }
 
-impl<const N: usize> Own<N> {
+impl<const N: usize> UserPotentials<N> {
     pub(super) fn push(&mut self, law: Arc<dyn Potential<N>>) {
         self.laws.push(law);
         self.axes = axes().collect();
@@ -157,12 +157,12 @@ impl<const N: usize> Own<N> {
 impl<const N: usize> RigidBody<N> {
     /// Adds a user-defined potential, which acts in addition to the built-in terms.
     pub fn with_potential(mut self, potential: Arc<dyn Potential<N>>) -> Self {
-        self.own.push(potential);
+        self.user.push(potential);
         self
     }
 
     /// Is there a potential that is no built-in term?
-    pub(crate) fn has_own(&self) -> bool {
-        !self.own.is_empty()
+    pub(crate) fn has_user_potential(&self) -> bool {
+        !self.user.is_empty()
     }
 }

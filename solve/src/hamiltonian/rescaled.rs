@@ -18,14 +18,14 @@
 //! Invariant: a step along K is one of a Hamiltonian system, so a symplectic scheme stays symplectic, in the state and in
 //! the time with its momentum.
 
-use super::term::{Image, Lanes, Law, Numbers};
+use super::term::{BodyVector, Lanes, Law, LawRef};
 use super::torque::Torques;
 use super::{Hamiltonian, RigidBody};
 use crate::failure::Failure;
-use crate::lanes::Stages;
+use crate::lanes::StageScalar;
 use crate::so::{self, Mat};
 use crate::space::{Mat3, Vec3, cross, dot, minus, plus, scaled, transposed_product, vec3};
-use crate::stack::{Dimension, Known, Stack};
+use crate::stack::{Dimension, Known, StageMatrices};
 use crate::system::{Energy, System};
 
 /// sigma(g), a function of the distances to the point sources of a body.
@@ -161,11 +161,11 @@ impl<'a, const N: usize> From<&Rescaled<'a, N>> for Scale<'a> {
 }
 
 /// Values at the attitudes of the stages, in vectors, for n = 3.
-pub(crate) struct Looked<R> {
+pub(crate) struct StageForces<R> {
     /// vee(dH/dg).
     pub(crate) torque: Vec3<R>,
     /// Nearness as returned by [`RigidBody::torque`].
-    pub(crate) nearness: R,
+    pub(crate) proximity: R,
     /// The potential energy less its constant.
     pub(crate) potential: R,
     /// `S = 1 + sum (near / d)^3`.
@@ -177,41 +177,41 @@ pub(crate) struct Looked<R> {
 impl RigidBody<3> {
     /// Looks from the attitudes `g0 U`, with the space vectors `seen` from g0.
     #[inline(always)]
-    pub(crate) fn look<R: Stages<Whole = f64>>(
+    pub(crate) fn evaluate_forces<R: StageScalar<StepScalar = f64>>(
         &self,
         scale: &Scale<'_>,
         u: &Mat3<R>,
         seen: &[Vec3<f64>],
-    ) -> Looked<R> {
+    ) -> StageForces<R> {
         let lanes = u[0][0];
         let zero = lanes.constant(0.0);
-        let mut looked = Looked {
+        let mut forces = StageForces {
             torque: [zero; 3],
-            nearness: lanes.constant(-1.0),
+            proximity: lanes.constant(-1.0),
             potential: zero,
             sum: lanes.constant(1.0),
             of_sum: [zero; 3],
         };
-        let terms = self.terms.iter().zip(&self.reaches).zip(scale.near_m);
-        for (((term, reach), near), v) in terms.zip(seen) {
+        let terms = self.terms.iter().zip(&self.inverse_arms_squared).zip(scale.near_m);
+        for (((term, inverse_arm_squared), near), v) in terms.zip(seen) {
             let v: Vec3<R> = vec3!(i => lanes.spread(v[i]));
             let q = transposed_product(u, &v);
             let in_lanes = Lanes { dimension: Known::<3>, numbers: q };
             let law = term.law.numbers();
-            let slope = law.slope(&in_lanes, *reach, &mut looked.nearness).numbers;
-            looked.torque = plus(&looked.torque, &cross(&slope, &q));
-            looked.potential = looked.potential + law.value(&in_lanes);
+            let slope = law.slope(&in_lanes, *inverse_arm_squared, &mut forces.proximity).numbers;
+            forces.torque = plus(&forces.torque, &cross(&slope, &q));
+            forces.potential = forces.potential + law.value(&in_lanes);
             if let Law::PointSource { body_point, .. } = &term.law {
                 // dS/dq = 3 near^3 y / d^5, up to multiples of q
                 let y: Vec3<R> = vec3!(i => lanes.constant(body_point[i]));
                 let arm = minus(&y, &q);
                 let square = dot(&arm, &arm);
                 let cube = lanes.constant(near * near * near) / (square * square.sqrt());
-                looked.sum = looked.sum + cube;
-                looked.of_sum = plus(&looked.of_sum, &scaled(&cross(&y, &q), cube / square * 3.0));
+                forces.sum = forces.sum + cube;
+                forces.of_sum = plus(&forces.of_sum, &scaled(&cross(&y, &q), cube / square * 3.0));
             }
         }
-        looked
+        forces
     }
 }
 
@@ -255,13 +255,13 @@ impl AtStages {
 
     /// Evaluates all of it at attitudes `I + C_k`, with the new torques.
     #[inline(always)]
-    pub(crate) fn look<R: Stages<Whole = f64>, D: Dimension>(
+    pub(crate) fn evaluate_forces<R: StageScalar<StepScalar = f64>, D: Dimension>(
         &mut self,
         torques: &mut Torques<'_, R, D>,
         scale: &Scale<'_>,
         c: &[f64],
     ) {
-        let Stack { lanes, dimension } = torques.stack;
+        let StageMatrices { lanes, dimension } = torques.stack;
         let (n, stack) = (dimension.n(), torques.stack);
         let (matrix, vector) = (stack.numbers(), n * R::LANES);
         let count = torques.terms.count();
@@ -279,19 +279,19 @@ impl AtStages {
             numbers.resize(R::LANES, 0.0);
         }
         self.of_distances.fill(0.0);
-        let mut nearness = lanes.constant(-1.0);
+        let mut proximity = lanes.constant(-1.0);
         let (mut sum, mut potential) = (lanes.constant(1.0), lanes.constant(0.0));
         for i in 0..count {
-            let (law, reach) = torques.terms.term(i);
+            let (law, inverse_arm_squared) = torques.terms.term(i);
             let q = Lanes { dimension, numbers: torques.seen_by_stages(i, c) };
             potential = potential + law.value(&q);
-            let slope = law.slope(&q, reach, &mut nearness).numbers;
+            let slope = law.slope(&q, inverse_arm_squared, &mut proximity).numbers;
             stack.add_wedge(i == 0, &q.numbers, &slope, &mut self.of_energy);
             stack.put_vector(&slope, &mut self.energy_slopes[i * vector..(i + 1) * vector]);
             torques.add_outer(i, &slope, &mut self.energy_rate);
             let kept = &mut self.distance_slopes[i * vector..(i + 1) * vector];
             match law {
-                Numbers::PointSource { body_point, .. } => {
+                LawRef::PointSource { body_point, .. } => {
                     let (y, near) = (q.vector(body_point), scale.near_m[i]);
                     let square = y.minus(&q).square();
                     let cube = lanes.constant(near * near * near) / (square * square.sqrt());
@@ -304,7 +304,7 @@ impl AtStages {
                 _ => kept.fill(0.0),
             }
         }
-        torques.nearness = nearness.largest();
+        torques.proximity = proximity.largest();
         sum.put(&mut self.sum);
         (lanes.constant(1.0) / sum.sqrt()).put(&mut self.sigma);
         potential.put(&mut self.potential);
@@ -312,9 +312,9 @@ impl AtStages {
 
     /// `w = sigma J^-1 mu` and dK/dg, with the newest momenta and attitudes.
     #[inline(always)]
-    pub(crate) fn derivatives<R: Stages<Whole = f64>, D: Dimension>(
+    pub(crate) fn derivatives<R: StageScalar<StepScalar = f64>, D: Dimension>(
         &mut self,
-        stack: Stack<R, D>,
+        stack: StageMatrices<R, D>,
         scale: &Scale<'_>,
         inertia: &[f64],
         [c, mu]: [&[f64]; 2],
@@ -363,7 +363,7 @@ impl AtStages {
 
     /// `U_k (dK/dg) U_k^T` at the stages.
     #[inline(always)]
-    pub(crate) fn spatial_gradient<R: Stages<Whole = f64>, D: Dimension>(
+    pub(crate) fn spatial_gradient<R: StageScalar<StepScalar = f64>, D: Dimension>(
         &self,
         torques: &Torques<'_, R, D>,
         c: &[f64],

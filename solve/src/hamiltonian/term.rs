@@ -7,7 +7,7 @@
 //! ```text
 //! SPACE                                            what its space vector is
 //! value(fields.., q)                               U(q)
-//! slope(fields.., q, reach, nearness)              dU/dq, see [`Numbers::slope`]
+//! slope(fields.., q, inverse_arm_squared, proximity)              dU/dq, see [`LawRef::slope`]
 //! change(fields.., q, rate)                        dU/dq . rate
 //! singular_point(fields..)                         the body point y, if U is singular at q = y
 //! ```
@@ -84,7 +84,7 @@ pub(super) enum Space {
     Tide,
 }
 
-/// For each kind of field: its type in a law, its type in [`Numbers`] and the conversion; the same
+/// For each kind of field: its type in a law, its type in [`LawRef`] and the conversion; the same
 /// in a plane; an example.
 macro_rules! field {
     (type number $n:ident) => { f64 };
@@ -125,7 +125,7 @@ macro_rules! declare {
 
         /// A law as its formulas see it: vectors and matrices (column by column) by their numbers.
         #[derive(Clone, Copy, Debug)]
-        pub(crate) enum Numbers<'a> {
+        pub(crate) enum LawRef<'a> {
             $($law { $first: f64, $($field: field!(numbers $kind 'a),)* },)*
         }
 
@@ -165,9 +165,9 @@ macro_rules! declare {
             }
 
             /// The law as its formulas see it.
-            pub(crate) fn numbers(&self) -> Numbers<'_> {
+            pub(crate) fn numbers(&self) -> LawRef<'_> {
                 match self {
-                    $(Self::$law { $first, $($field,)* } => Numbers::$law {
+                    $(Self::$law { $first, $($field,)* } => LawRef::$law {
                         $first: *$first,
                         $($field: field!(seen $kind $field),)*
                     },)*
@@ -185,7 +185,7 @@ macro_rules! declare {
         }
 
         impl Law<3> {
-            /// The law in the plane of axes i and j, if it never pulls out of it. An [`Image`] knows no handedness: a law
+            /// The law in the plane of axes i and j, if it never pulls out of it. A [`BodyVector`] knows no handedness: a law
             /// whose body vectors are in the plane, and whose matrices leave its normal alone, does not.
             pub(super) fn in_plane(&self, axes: [usize; 3]) -> Option<Law<2>> {
                 Some(match self {
@@ -197,22 +197,22 @@ macro_rules! declare {
             }
         }
 
-        impl Numbers<'_> {
+        impl LawRef<'_> {
             /// U(q).
             #[inline(always)]
-            pub(super) fn value<V: Image>(&self, q: &V) -> V::Number {
+            pub(super) fn value<V: BodyVector>(&self, q: &V) -> V::Number {
                 match *self {
                     $(Self::$law { $first, $($field,)* } => $module::value($first, $($field,)* q),)*
                 }
             }
 
             /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular
-            /// at zero distance, `nearness` becomes at least `-reach` times the square of the distance.
+            /// at zero distance, `proximity` becomes at least `-inverse_arm_squared` times the square of the distance.
             #[inline(always)]
-            pub(super) fn slope<V: Image>(&self, q: &V, reach: f64, nearness: &mut V::Number) -> V {
+            pub(super) fn slope<V: BodyVector>(&self, q: &V, inverse_arm_squared: f64, proximity: &mut V::Number) -> V {
                 match *self {
                     $(Self::$law { $first, $($field,)* } => {
-                        $module::slope($first, $($field,)* q, reach, nearness)
+                        $module::slope($first, $($field,)* q, inverse_arm_squared, proximity)
                     })*
                 }
             }
@@ -246,7 +246,7 @@ impl<const N: usize> Law<N> {
 
 impl<const N: usize> Term<N> {
     /// `1 / (|y| + |v|)^2` where the law is singular at zero distance, else zero.
-    pub(super) fn reach(&self) -> f64 {
+    pub(super) fn inverse_arm_squared(&self) -> f64 {
         self.law.singular_point().map_or(0.0, |y| {
             let arms = so::norm(y.as_slice()) + so::norm(self.space.as_slice());
             1.0 / (arms * arms)
@@ -255,7 +255,7 @@ impl<const N: usize> Term<N> {
 }
 
 /// Argument of a law: the body image q of a space vector at one attitude, or at several in lanes.
-pub(super) trait Image {
+pub(super) trait BodyVector {
     type Number: Real;
     /// A number, in as many lanes.
     fn number(&self, value: f64) -> Self::Number;
@@ -269,7 +269,7 @@ pub(super) trait Image {
     fn times(&self, m: &[f64]) -> Self;
 }
 
-impl<const N: usize> Image for Vector<N> {
+impl<const N: usize> BodyVector for Vector<N> {
     type Number = f64;
 
     #[inline(always)]
@@ -315,7 +315,7 @@ pub(super) struct Lanes<R: Copy, D: Dimension> {
     pub(super) numbers: D::Vector<R>,
 }
 
-impl<R: Real, D: Dimension> Image for Lanes<R, D> {
+impl<R: Real, D: Dimension> BodyVector for Lanes<R, D> {
     type Number = R;
 
     #[inline(always)]

@@ -1,51 +1,53 @@
 //! dH/dg for the stages of a step side by side: for n = 3 in vectors, for any n in matrices.
 
 use super::RigidBody;
-use super::term::{Lanes, Numbers};
-use crate::lanes::{Stages, Whole};
+use super::term::{Lanes, LawRef};
+use crate::lanes::{StageScalar, StepScalar};
 use crate::so::Mat;
 use crate::so3;
 use crate::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
-use crate::stack::{Dimension, Known, Stack};
+use crate::stack::{Dimension, Known, StageMatrices};
 
 impl RigidBody<3> {
     /// vee(dH/dg) at `g = g0 U`, given the space vectors `seen` from g0:
-    /// [`RigidBody::gradient_seen`] in lanes. With it comes the nearness, minus the square of the
+    /// [`RigidBody::gradient_seen`] in lanes. With it comes the proximity, minus the square of the
     /// smallest relative distance to a point of the potential; -1 if there is none;
     /// [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller counts
-    /// the evaluations: not every lane is a stage. Without `OWN`, user-defined potentials are left
+    /// the evaluations: not every lane is a stage. Without `USER`, user-defined potentials are left
     /// out (`in_stage_lanes`).
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
     #[inline(always)]
-    pub fn torque<R: Stages, const OWN: bool>(
+    pub fn torque<R: StageScalar, const USER: bool>(
         &self,
         u: &Mat3<R>,
-        seen: &[Vec3<<R::Whole as Whole>::Plain>],
+        seen: &[Vec3<<R::StepScalar as StepScalar>::Storage>],
     ) -> (Vec3<R>, R) {
         let lanes = u[0][0];
         let mut torque = [lanes.constant(0.0); 3];
-        let mut nearness = lanes.constant(-1.0);
-        for ((term, reach), v) in self.terms.iter().zip(&self.reaches).zip(seen) {
+        let mut proximity = lanes.constant(-1.0);
+        for ((term, inverse_arm_squared), v) in
+            self.terms.iter().zip(&self.inverse_arms_squared).zip(seen)
+        {
             let v: Vec3<R> = vec3!(i => lanes.spread(lanes.stage(0).load(&v[i])));
             let q = transposed_product(u, &v);
             let q = Lanes { dimension: Known::<3>, numbers: q };
-            let slope = term.law.numbers().slope(&q, *reach, &mut nearness);
+            let slope = term.law.numbers().slope(&q, *inverse_arm_squared, &mut proximity);
             torque = plus(&torque, &cross(&slope.numbers, &q.numbers));
         }
-        if OWN && self.has_own() {
+        if USER && self.has_user_potential() {
             let (own, refused) = self.own_torque(u, seen);
-            (torque, nearness) = (plus(&torque, &own), nearness.max_or_nan(refused));
+            (torque, proximity) = (plus(&torque, &own), proximity.max_or_nan(refused));
         }
-        (torque, nearness)
+        (torque, proximity)
     }
 
     /// Returns the torque of user-defined potentials, which know no lanes; with it 0 where one of
     /// them refuses the attitude, else -1.
-    fn own_torque<R: Stages>(
+    fn own_torque<R: StageScalar>(
         &self,
         u: &Mat3<R>,
-        seen: &[Vec3<<R::Whole as Whole>::Plain>],
+        seen: &[Vec3<<R::StepScalar as StepScalar>::Storage>],
     ) -> (Vec3<R>, R) {
         let lanes = u[0][0];
         let mut g = *u;
@@ -56,8 +58,8 @@ impl RigidBody<3> {
         }
         let [x, y, z, refused] = R::lane_by_lane(g, &mut |g| {
             let g = Mat::<3>::from_fn(|i, j| g[i][j]);
-            let torque = so3::vee(&self.own.gradient(&g));
-            let refused = if self.own.check(&g).is_err() { 0.0 } else { -1.0 };
+            let torque = so3::vee(&self.user.gradient(&g));
+            let refused = if self.user.check(&g).is_err() { 0.0 } else { -1.0 };
             [torque.x, torque.y, torque.z, refused]
         });
         ([x, y, z], refused)
@@ -68,8 +70,8 @@ impl RigidBody<3> {
 pub(crate) trait Terms {
     /// Number of terms.
     fn count(&self) -> usize;
-    /// A term's law, and [`Term::reach`] of it.
-    fn term(&self, i: usize) -> (Numbers<'_>, f64);
+    /// A term's law, and [`Term::inverse_arm_squared`] of it.
+    fn term(&self, i: usize) -> (LawRef<'_>, f64);
 }
 
 impl<const N: usize> Terms for RigidBody<N> {
@@ -77,8 +79,8 @@ impl<const N: usize> Terms for RigidBody<N> {
         self.terms.len()
     }
 
-    fn term(&self, i: usize) -> (Numbers<'_>, f64) {
-        (self.terms[i].law.numbers(), self.reaches[i])
+    fn term(&self, i: usize) -> (LawRef<'_>, f64) {
+        (self.terms[i].law.numbers(), self.inverse_arms_squared[i])
     }
 }
 
@@ -86,18 +88,18 @@ impl<const N: usize> Terms for RigidBody<N> {
 ///
 /// A term U(q) with `q = v + C^T v` has `dH/dg = q s^T - s q^T`, s its slope dU/dq; turned to the frame of g0 this is
 /// `v z^T - z v^T` with `z = s + C s`.
-pub(crate) struct Torques<'a, R: Stages, D: Dimension> {
-    pub(super) stack: Stack<R, D>,
+pub(crate) struct Torques<'a, R: StageScalar, D: Dimension> {
+    pub(super) stack: StageMatrices<R, D>,
     pub(super) terms: &'a dyn Terms,
     /// The space vectors of the potential, as seen from g0, one after the other.
     seen: &'a [f64],
-    /// Largest nearness, as returned by [`RigidBody::torque`].
-    pub(crate) nearness: f64,
+    /// Largest proximity, as returned by [`RigidBody::torque`].
+    pub(crate) proximity: f64,
 }
 
-impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
-    pub(crate) fn new(stack: Stack<R, D>, terms: &'a dyn Terms, seen: &'a [f64]) -> Self {
-        Self { stack, terms, seen, nearness: -1.0 }
+impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Torques<'a, R, D> {
+    pub(crate) fn new(stack: StageMatrices<R, D>, terms: &'a dyn Terms, seen: &'a [f64]) -> Self {
+        Self { stack, terms, seen, proximity: -1.0 }
     }
 
     /// `dH/dg` at the stages; keeps the slopes of the terms, one after the other.
@@ -111,19 +113,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
 
     #[inline(always)]
     fn gradient_in_lanes(&mut self, c: &[f64], slopes: &mut Vec<f64>, gradient: &mut [f64]) {
-        let Stack { lanes, dimension } = self.stack;
+        let StageMatrices { lanes, dimension } = self.stack;
         let (n, len) = (self.stack.n(), self.stack.numbers());
         let gradient = &mut gradient[..len];
-        let mut nearness = lanes.constant(-1.0);
+        let mut proximity = lanes.constant(-1.0);
         slopes.resize(self.seen.len() * R::LANES, 0.0);
         for (i, kept) in slopes.chunks_exact_mut(n * R::LANES).enumerate() {
-            let (law, reach) = self.terms.term(i);
+            let (law, inverse_arm_squared) = self.terms.term(i);
             let q = Lanes { dimension, numbers: self.seen_by_stages(i, c) };
-            let slope = law.slope(&q, reach, &mut nearness).numbers;
+            let slope = law.slope(&q, inverse_arm_squared, &mut proximity).numbers;
             self.stack.add_wedge(i == 0, &q.numbers, &slope, gradient);
             self.stack.put_vector(&slope, kept);
         }
-        self.nearness = nearness.largest();
+        self.proximity = proximity.largest();
     }
 
     /// Adds `v s^T` of term i.
@@ -141,7 +143,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
     /// `q = U_k^T v` of term i at the stages.
     #[inline(always)]
     pub(super) fn seen_by_stages(&self, i: usize, c: &[f64]) -> D::Vector<R> {
-        let Stack { lanes, dimension } = self.stack;
+        let StageMatrices { lanes, dimension } = self.stack;
         let (n, c) = (dimension.n(), &c[..self.stack.numbers()]);
         let v = &self.seen[i * n..(i + 1) * n];
         let mut q = dimension.vector(lanes.constant(0.0));
@@ -159,7 +161,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Torques<'a, R, D> {
     /// `U_k (dH/dg) U_k^T` at the stages, with the last slopes.
     #[inline(always)]
     pub(crate) fn spatial_gradient(&self, c: &[f64], slopes: &[f64], turned: &mut [f64]) {
-        let Stack { lanes, dimension } = self.stack;
+        let StageMatrices { lanes, dimension } = self.stack;
         let (n, len) = (self.stack.n(), self.stack.numbers());
         let (c, turned) = (&c[..len], &mut turned[..len]);
         let slopes = slopes.chunks_exact(n * R::LANES);

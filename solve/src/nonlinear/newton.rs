@@ -49,7 +49,7 @@ impl Newton {
         let mut history = History::new();
         // A correction squares the error: none is needed for an error at round-off.
         let tolerance = rule.tolerance.max(StopRule::default().tolerance);
-        equations.settle()?;
+        equations.prime()?;
         self.take(equations);
         let mut increment = equations.sweep()?;
         // A solution that the sweep before the first correction finds counts as one iteration.

@@ -3,7 +3,7 @@
 //! Invariant: each input is a sum with its lost part, by the weights of the scheme that made the steps.
 
 use crate::compensated::Sum;
-use crate::hamiltonian::{Input, Time};
+use crate::hamiltonian::{Time, WorkAndImpulse};
 use crate::so::Mat;
 
 /// The time at which the next step begins, and the input since [`super::Stepper::start`].
@@ -33,12 +33,12 @@ impl<const N: usize> Clock<N> {
     }
 
     /// Advances by a step, with the input during it.
-    pub(super) fn advance(&mut self, h: f64, put_in: &Input<N>) {
+    pub(super) fn advance(&mut self, h: f64, work_and_impulse: &WorkAndImpulse<N>) {
         self.time += h;
-        self.work.add(put_in.power);
-        self.table_impulse.add(put_in.tables);
+        self.work.add(work_and_impulse.power);
+        self.table_impulse.add(work_and_impulse.tables);
         // Without torques it stays zero.
-        if let Some(torque) = &put_in.torque {
+        if let Some(torque) = &work_and_impulse.torque {
             self.impulse.add(torque);
         }
     }

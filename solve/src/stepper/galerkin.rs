@@ -30,27 +30,27 @@ use std::any::Any;
 use fearless_simd::Level;
 
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{Input, Moment, Rescaled, RigidBody, Scale};
+use crate::hamiltonian::{BodyAtTime, Rescaled, RigidBody, Scale, WorkAndImpulse};
 use crate::lanes::Real;
-use crate::nonlinear::{Convergence, Past, Rung, Rungs, Solver, StopRule};
+use crate::nonlinear::{Convergence, Rung, Rungs, Solver, StepHistory, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::stepper::checks::{check_branch, check_singular_value};
 use crate::tableau::Tableau;
 
-mod carried;
 mod convergence;
 mod deferred;
 mod motion;
+mod stepper_state;
 mod sweeps;
 mod vectors;
 
-pub(super) use carried::Carried;
 use convergence::{
-    COST_OF_A_SWEEP, FAR_ENOUGH, MODEST_STRETCH, MODEST_TURN_SQUARE, MOST_OFF_THE_GROUP, Solved,
-    Stuck,
+    COST_OF_A_SWEEP, FAR_ENOUGH, MODEST_STRETCH, MODEST_TURN_SQUARE, MOST_OFF_THE_GROUP,
+    SolveError, Solved,
 };
-use deferred::{AtStage, Collocation, Place, Source, Start, Velocity};
+use deferred::{AtStage, Collocation, StageSlot, StepStart, SystemView, Velocity};
 pub(super) use motion::Motion;
+pub(super) use stepper_state::StepperState;
 use sweeps::{End, Stage, Sweeps};
 use vectors::InVectors;
 
@@ -74,7 +74,7 @@ pub(super) trait Dynamics<const N: usize> {
     fn begin_sweep(&self) -> Result<(), Failure>;
 
     /// The rigid body that moves, if it is one.
-    fn body(&self) -> Option<Seen<'_, N>> {
+    fn body(&self) -> Option<BodyView<'_, N>> {
         None
     }
 
@@ -90,7 +90,7 @@ pub(super) trait Dynamics<const N: usize> {
 }
 
 /// A rigid body as a step sees it.
-pub(super) struct Seen<'a, const N: usize> {
+pub(super) struct BodyView<'a, const N: usize> {
     pub(super) body: &'a RigidBody<N>,
     /// The space vectors of its potential, as seen from g0.
     pub(super) vectors: &'a [Vector<N>],
@@ -132,7 +132,7 @@ pub(super) struct GalerkinStep<const N: usize> {
     /// Fast solver for a rigid body with n = 3 in a time of its own.
     in_vectors: Option<InVectors>,
     /// Previous steps, if they show where the next one leads.
-    past: Option<Past>,
+    history: Option<StepHistory>,
     stages: Vec<Stage<N>>,
     end: End<N>,
     solution: Solution<N>,
@@ -143,19 +143,19 @@ pub(super) struct GalerkinStep<const N: usize> {
 #[derive(Clone, Debug)]
 pub(super) struct Solution<const N: usize> {
     /// f - I.
-    pub(super) turn: Mat<N>,
+    pub(super) rotation_increment: Mat<N>,
     /// `pi1 - p0`, added to the momentum by the forces.
     pub(super) impulse: Mat<N>,
     /// `p1 - p0` of an undriven rigid body, where it is known independently of the others.
-    pub(super) gain: Option<Mat<N>>,
+    pub(super) momentum_increment: Option<Mat<N>>,
     /// The length of the step.
     h: f64,
-    by: By,
+    by: SolvedBy,
 }
 
 /// Solver of a step.
 #[derive(Clone, Copy, Debug)]
-enum By {
+enum SolvedBy {
     Sweeps,
     /// [`Collocation`].
     Matrices,
@@ -163,8 +163,8 @@ enum By {
     Vectors,
 }
 
-/// Place where the solution of a step is stored.
-enum Found<'a> {
+/// Where the solution of a step is stored.
+enum SolutionRef<'a> {
     /// In the stages of [`GalerkinStep`].
     Sweeps,
     Matrices(&'a Collocation),
@@ -174,13 +174,13 @@ enum Found<'a> {
 impl<const N: usize> Solution<N> {
     /// Returns how far f is from a rotation: the largest entry of `f^T f - I`.
     fn off_the_group(&self) -> f64 {
-        let turn = &self.turn;
-        (turn + turn.transpose() + so::transposed_product(turn, turn)).amax()
+        let change = &self.rotation_increment;
+        (change + change.transpose() + so::transposed_product(change, change)).amax()
     }
 
     /// Refuses a solution that is not finite.
     fn checked(&self) -> Result<(), Failure> {
-        let finite = self.turn.iter().chain(&self.impulse).all(|x| x.is_finite());
+        let finite = self.rotation_increment.iter().chain(&self.impulse).all(|x| x.is_finite());
         if finite { Ok(()) } else { Err(Failure::not_finite(None)) }
     }
 }
@@ -197,26 +197,32 @@ impl<const N: usize> GalerkinStep<N> {
         let by_sweeps_alone = stop.rungs == Rungs::Newton;
         let collocation = if by_sweeps_alone { None } else { Collocation::new(&tableau, N) };
         let in_vectors = if by_sweeps_alone || N != 3 { None } else { InVectors::new(&tableau) };
-        let solution = Solution { turn: zero, impulse: zero, gain: None, h: 0.0, by: By::Sweeps };
-        let (past, seen) = (None, Vec::new());
-        Self { stages, end, tableau, solver, collocation, in_vectors, past, solution, seen }
+        let solution = Solution {
+            rotation_increment: zero,
+            impulse: zero,
+            momentum_increment: None,
+            h: 0.0,
+            by: SolvedBy::Sweeps,
+        };
+        let (history, seen) = (None, Vec::new());
+        Self { stages, end, tableau, solver, collocation, in_vectors, history, solution, seen }
     }
 
     /// Returns this step for steps that follow one another smoothly: each begins where the previous
     /// ones lead, until [`GalerkinStep::forget`].
     pub(super) fn continued(self) -> Self {
-        Self { past: Some(Past::default()), ..self }
+        Self { history: Some(StepHistory::default()), ..self }
     }
 
     /// Returns this step without Newton's method and without previous steps.
     pub(super) fn by_sweeps(&self) -> Self {
-        Self { solver: self.solver.by_sweeps(), past: None, ..self.clone() }
+        Self { solver: self.solver.by_sweeps(), history: None, ..self.clone() }
     }
 
     /// Forgets the previous steps: where a stepper starts, so that a resumed run repeats every bit.
     pub(super) fn forget(&mut self) {
-        if let Some(past) = &mut self.past {
-            past.forget();
+        if let Some(history) = &mut self.history {
+            history.forget();
         }
         if let Some(collocation) = &mut self.collocation {
             collocation.forget();
@@ -252,7 +258,7 @@ impl<const N: usize> GalerkinStep<N> {
         omega: &Mat<N>,
     ) -> Result<Convergence, Failure> {
         let length = length.into();
-        let turn_rad = Some(turn(length.h, omega));
+        let turn_rad = Some(angle(length.h, omega));
         self.solved(dynamics, length, p0, omega).map_err(|failure| Failure { turn_rad, ..failure })
     }
 
@@ -270,14 +276,16 @@ impl<const N: usize> GalerkinStep<N> {
             collocation.forget();
         }
         let h = length.h;
-        (self.solution.by, self.solution.h, self.solution.gain) = (By::Sweeps, h, None);
-        let Self { tableau, solver, past, stages, end, collocation, .. } = self;
-        let worth = if collocation.is_some() { COST_OF_A_SWEEP } else { 1 };
-        let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end, worth };
-        match solver.solve_after(past, &mut equations) {
+        (self.solution.by, self.solution.h, self.solution.momentum_increment) =
+            (SolvedBy::Sweeps, h, None);
+        let Self { tableau, solver, history, stages, end, collocation, .. } = self;
+        let cost_in_sweeps = if collocation.is_some() { COST_OF_A_SWEEP } else { 1 };
+        let mut equations = Sweeps { tableau, dynamics, h, p0, omega, stages, end, cost_in_sweeps };
+        match solver.solve_after(history, &mut equations) {
             Ok(convergence) => {
                 self.check(dynamics)?;
-                (self.solution.turn, self.solution.impulse) = self.changes(dynamics, h);
+                (self.solution.rotation_increment, self.solution.impulse) =
+                    self.changes(dynamics, h);
                 self.solution.checked()?;
                 // Where the equations have no solution nearby, Newton's method may stop at a point
                 // that is not one.
@@ -302,20 +310,20 @@ impl<const N: usize> GalerkinStep<N> {
         omega: &Mat<N>,
     ) -> Result<Option<Convergence>, Failure> {
         let in_vectors = self.in_vectors(dynamics, length, p0, omega);
-        let solved = match in_vectors.unwrap_or(Err(Stuck::Lost)) {
+        let solved = match in_vectors.unwrap_or(Err(SolveError::NotConverged)) {
             // Not a body, or not solved there: matrices go a little further.
-            Err(Stuck::Lost) => self.in_matrices(dynamics, length, p0, omega),
+            Err(SolveError::NotConverged) => self.in_matrices(dynamics, length, p0, omega),
             solved => solved,
         };
         let solved = match solved {
             Ok(solved) => solved,
-            Err(Stuck::Stopped(stopped)) => return Err(stopped),
-            Err(Stuck::Lost) => return Ok(None),
+            Err(SolveError::Cancelled(stopped)) => return Err(stopped),
+            Err(SolveError::NotConverged) => return Ok(None),
         };
-        let allowed = solved.rounds <= self.solver.rule().max_iterations;
+        let allowed = solved.sweeps <= self.solver.rule().max_iterations;
         if !(allowed
             && solved.stretch * (N as f64) <= MODEST_STRETCH
-            && solved.nearness <= FAR_ENOUGH)
+            && solved.proximity <= FAR_ENOUGH)
         {
             return Ok(None);
         }
@@ -323,10 +331,10 @@ impl<const N: usize> GalerkinStep<N> {
         if !(solved.change_square <= MODEST_TURN_SQUARE) && self.check_continuity().is_err() {
             return Ok(None);
         }
-        if dynamics.body().is_none_or(|seen| seen.body.has_own()) {
+        if dynamics.body().is_none_or(|seen| seen.body.has_user_potential()) {
             self.check_dynamics(dynamics)?;
         }
-        let Solved { rounds: iterations, increment, .. } = solved;
+        let Solved { sweeps: iterations, increment, .. } = solved;
         self.solution.checked()?;
         Ok(Some(Convergence { iterations, increment, rung: Rung::FixedPoint }))
     }
@@ -339,11 +347,11 @@ impl<const N: usize> GalerkinStep<N> {
         Length { h, lasting }: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
-    ) -> Option<Result<Solved, Stuck>> {
+    ) -> Option<Result<Solved, SolveError>> {
         let in_vectors = self.in_vectors.as_mut()?;
-        let Seen { body, vectors, scale, .. } = dynamics.body()?;
+        let BodyView { body, vectors, scale, .. } = dynamics.body()?;
         let (body, scale) = (for_three::<_, RigidBody<3>>(body)?, scale?);
-        if body.has_own() {
+        if body.has_user_potential() {
             return None;
         }
         let vee = |x: &Mat<N>| [x[(2, 1)], x[(0, 2)], x[(1, 0)]];
@@ -353,11 +361,11 @@ impl<const N: usize> GalerkinStep<N> {
         if let Ok(solved) = &solved {
             let change = in_vectors.change(self.stages.len());
             self.solution = Solution {
-                turn: Mat::from_fn(|i, j| change[(i, j)]),
+                rotation_increment: Mat::from_fn(|i, j| change[(i, j)]),
                 impulse: so::hat(&in_vectors.impulse()),
-                gain: Some(so::hat(&in_vectors.gain())),
+                momentum_increment: Some(so::hat(&in_vectors.momentum_increment())),
                 h: solved.h,
-                by: By::Vectors,
+                by: SolvedBy::Vectors,
             };
         }
         Some(solved)
@@ -370,18 +378,18 @@ impl<const N: usize> GalerkinStep<N> {
         length: Length,
         p0: &Mat<N>,
         omega: &Mat<N>,
-    ) -> Result<Solved, Stuck> {
-        let Some(collocation) = &mut self.collocation else { return Err(Stuck::Lost) };
+    ) -> Result<Solved, SolveError> {
+        let Some(collocation) = &mut self.collocation else { return Err(SolveError::NotConverged) };
         let (momentum, velocity) = (p0.transpose(), omega.transpose());
         let (momentum, velocity) = (momentum.as_slice(), velocity.as_slice());
         let Length { h, lasting } = length;
-        let foresee = self.solver.rule().foresee;
-        let turn = turn(h, omega);
-        let start = Start { n: N, h, turn, lasting, foresee, momentum, velocity };
+        let stop_early = self.solver.rule().stop_early;
+        let angle = angle(h, omega);
+        let start = StepStart { n: N, h, angle, lasting, stop_early, momentum, velocity };
         let one_stage = OneStage(dynamics);
         let source = match dynamics.body() {
-            Some(Seen { body, vectors, scale, weights })
-                if !body.has_own() && (scale.is_none() || weights.is_some()) =>
+            Some(BodyView { body, vectors, scale, weights })
+                if !body.has_user_potential() && (scale.is_none() || weights.is_some()) =>
             {
                 self.seen.clear();
                 vectors.iter().for_each(|v| self.seen.extend(v.as_slice()));
@@ -389,18 +397,19 @@ impl<const N: usize> GalerkinStep<N> {
                     Some(weights) => Velocity::Weights(weights.as_slice(), scale),
                     None => Velocity::Stages(&one_stage),
                 };
-                Source::Body { velocity, terms: body, seen: &self.seen, work: body.work() }
+                SystemView::Body { velocity, terms: body, seen: &self.seen, work: body.work() }
             }
-            _ => Source::Stages(&one_stage),
+            _ => SystemView::Stages(&one_stage),
         };
-        let is_body = matches!(source, Source::Body { .. });
+        let is_body = matches!(source, SystemView::Body { .. });
         let solved = collocation.solve(&start, source)?;
         self.solution = Solution {
-            turn: Mat::from_row_slice(collocation.turn()),
+            rotation_increment: Mat::from_row_slice(collocation.rotation_increment()),
             impulse: Mat::from_row_slice(collocation.impulse()),
-            gain: is_body.then(|| Mat::from_row_slice(collocation.gain())),
+            momentum_increment: is_body
+                .then(|| Mat::from_row_slice(collocation.momentum_increment())),
             h: solved.h,
-            by: By::Matrices,
+            by: SolvedBy::Matrices,
         };
         Ok(solved)
     }
@@ -419,62 +428,67 @@ impl<const N: usize> GalerkinStep<N> {
     /// Was the step before solved by sweeps, and not as collocation with a deferred defect?
     #[cfg(test)]
     pub(super) fn was_swept(&self) -> bool {
-        matches!(self.solution.by, By::Sweeps)
+        matches!(self.solution.by, SolvedBy::Sweeps)
     }
 
     /// Returns where the solution is stored.
-    fn found(&self) -> Found<'_> {
+    fn solution_ref(&self) -> SolutionRef<'_> {
         match (self.solution.by, &self.collocation, &self.in_vectors) {
-            (By::Matrices, Some(collocation), _) => Found::Matrices(collocation),
-            (By::Vectors, _, Some(in_vectors)) => Found::Vectors(in_vectors),
-            _ => Found::Sweeps,
+            (SolvedBy::Matrices, Some(collocation), _) => SolutionRef::Matrices(collocation),
+            (SolvedBy::Vectors, _, Some(in_vectors)) => SolutionRef::Vectors(in_vectors),
+            _ => SolutionRef::Sweeps,
         }
     }
 
     /// U_k, or f after the last stage.
     fn attitude(&self, k: usize) -> Mat<N> {
-        match self.found() {
-            Found::Matrices(collocation) => {
+        match self.solution_ref() {
+            SolutionRef::Matrices(collocation) => {
                 Mat::identity() + Mat::from_fn(|i, j| collocation.change(k, i * N + j))
             }
-            Found::Vectors(in_vectors) => {
+            SolutionRef::Vectors(in_vectors) => {
                 let change = in_vectors.change(k);
                 Mat::identity() + Mat::from_fn(|i, j| change[(i, j)])
             }
-            Found::Sweeps => self.stages.get(k).map_or(self.end.f, |stage| stage.u),
+            SolutionRef::Sweeps => self.stages.get(k).map_or(self.end.f, |stage| stage.u),
         }
     }
 
     /// Returns the input of a driven body in a step of length `h`: `h sum_k b_k input_k`.
-    pub(super) fn put_in(&self, h: f64, moments: &[Moment<N>], g0: &Mat<N>) -> Input<N> {
-        let mut put_in = Input::default();
-        for (k, moment) in moments.iter().enumerate().take(self.stages.len()) {
-            let (mu, omega) = match self.found() {
-                Found::Matrices(collocation) => (
+    pub(super) fn work_and_impulse(
+        &self,
+        h: f64,
+        bodies: &[BodyAtTime<N>],
+        g0: &Mat<N>,
+    ) -> WorkAndImpulse<N> {
+        let mut work_and_impulse = WorkAndImpulse::default();
+        for (k, body_at_time) in bodies.iter().enumerate().take(self.stages.len()) {
+            let (mu, omega) = match self.solution_ref() {
+                SolutionRef::Matrices(collocation) => (
                     Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
                     Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
                 ),
-                Found::Vectors(in_vectors) => {
+                SolutionRef::Vectors(in_vectors) => {
                     let [mu, omega] = in_vectors.motion(k);
                     (so::hat(&mu), so::hat(&omega))
                 }
-                Found::Sweeps => (self.stages[k].mu, self.stages[k].omega),
+                SolutionRef::Sweeps => (self.stages[k].mu, self.stages[k].omega),
             };
             let g = so::product(g0, &self.attitude(k));
-            put_in.add(h * self.tableau.b(k), &moment.input(&g, &mu, &omega));
+            work_and_impulse.add(h * self.tableau.b(k), &body_at_time.input(&g, &mu, &omega));
         }
-        put_in
+        work_and_impulse
     }
 
     /// Returns how long the step lasted, for a system in a time of its own:
     /// `h sum_k b_k sigma(U_k)`, [time] of docs/derivation.md.
     pub(super) fn lasted(&self, system: &Rescaled<'_, N>, g0: &Mat<N>) -> f64 {
-        let in_lanes = system.body.principal().is_some() && !system.body.has_own();
+        let in_lanes = system.body.principal().is_some() && !system.body.has_user_potential();
         let sigma = |k: usize| {
-            let seen = match self.found() {
-                Found::Matrices(collocation) if in_lanes => collocation.sigma(k),
-                Found::Vectors(in_vectors) => Some(in_vectors.sigma(k)),
-                Found::Matrices(_) | Found::Sweeps => None,
+            let seen = match self.solution_ref() {
+                SolutionRef::Matrices(collocation) if in_lanes => collocation.sigma(k),
+                SolutionRef::Vectors(in_vectors) => Some(in_vectors.sigma(k)),
+                SolutionRef::Matrices(_) | SolutionRef::Sweeps => None,
             };
             seen.unwrap_or_else(|| system.sigma(&so::product(g0, &self.attitude(k))))
         };
@@ -486,21 +500,23 @@ impl<const N: usize> GalerkinStep<N> {
         self.solution.h
     }
 
-    /// Returns the moments of a driven body in a step of length `h` from `time`.
-    pub(super) fn moments(&self, body: &RigidBody<N>, time: f64, h: f64) -> Vec<Moment<N>> {
+    /// Returns a driven body as it is at the stages and at the end, in a step of length `h` from `time`.
+    pub(super) fn bodies(&self, body: &RigidBody<N>, time: f64, h: f64) -> Vec<BodyAtTime<N>> {
         body.over(time, h, (0..self.stages.len()).map(|k| self.tableau.c(k)))
     }
 
     /// The smallest singular value of the interpolated matrix of stage `k`, or of the end after the last.
     fn smallest_singular_value(&self, k: usize) -> f64 {
-        match self.found() {
-            Found::Vectors(in_vectors) => 1.0 + so::smallest_eigenvalue(&in_vectors.stretch(k)),
-            Found::Matrices(collocation) => {
+        match self.solution_ref() {
+            SolutionRef::Vectors(in_vectors) => {
+                1.0 + so::smallest_eigenvalue(&in_vectors.stretch(k))
+            }
+            SolutionRef::Matrices(collocation) => {
                 // F = I - P^-1
                 let f = Mat::<N>::from_fn(|i, j| collocation.stretch(k, i * N + j));
                 1.0 / (1.0 - so::smallest_eigenvalue(&f))
             }
-            Found::Sweeps => {
+            SolutionRef::Sweeps => {
                 let e = self.stages.get(k).map_or(&self.end.e, |stage| &stage.e);
                 1.0 + so::smallest_eigenvalue(e)
             }
@@ -579,25 +595,25 @@ struct OneStage<'a, const N: usize>(&'a dyn Dynamics<N>);
 
 /// The angle in rad through which a velocity turns a body in a time: |Omega| is the length of the vector for n = 3, and at
 /// least the largest frequency for any n.
-fn turn<const N: usize>(h: f64, omega: &Mat<N>) -> f64 {
+fn angle<const N: usize>(h: f64, omega: &Mat<N>) -> f64 {
     h.abs() * so::inner(omega, omega).sqrt()
 }
 
 /// The matrix of a stage.
-fn of_stage<const N: usize>(matrices: &[f64], Place { stage, lanes }: Place) -> Mat<N> {
-    Mat::from_fn(|i, j| matrices[(i * N + j) * lanes + stage])
+fn of_stage<const N: usize>(matrices: &[f64], StageSlot { stage, stride }: StageSlot) -> Mat<N> {
+    Mat::from_fn(|i, j| matrices[(i * N + j) * stride + stage])
 }
 
-fn to_stage<const N: usize>(matrix: &Mat<N>, matrices: &mut [f64], at: Place) {
+fn to_stage<const N: usize>(matrix: &Mat<N>, matrices: &mut [f64], at: StageSlot) {
     for i in 0..N {
         for j in 0..N {
-            matrices[(i * N + j) * at.lanes + at.stage] = matrix[(i, j)];
+            matrices[(i * N + j) * at.stride + at.stage] = matrix[(i, j)];
         }
     }
 }
 
 /// Returns U, given U - I.
-fn attitude_of<const N: usize>(c: &[f64], at: Place) -> Mat<N> {
+fn attitude_of<const N: usize>(c: &[f64], at: StageSlot) -> Mat<N> {
     Mat::identity() + of_stage(c, at)
 }
 
@@ -606,17 +622,17 @@ impl<const N: usize> AtStage for OneStage<'_, N> {
         self.0.begin_sweep()
     }
 
-    fn gradient(&self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
+    fn gradient(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]) {
         let (u, omega) = (attitude_of(c, at), of_stage(omega, at));
         let found = self.0.gradient(at.stage, &u, &|| of_stage(mu, at), &omega);
         to_stage(&found.unwrap_or_else(Mat::zeros), gradient, at);
     }
 
-    fn to_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]) {
+    fn to_space(&self, at: StageSlot, c: &[f64], x: &[f64], turned: &mut [f64]) {
         to_stage(&so::conjugate(&attitude_of::<N>(c, at), &of_stage(x, at)), turned, at);
     }
 
-    fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2] {
+    fn velocity(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2] {
         let before = of_stage(omega, at);
         let now = self.0.velocity(at.stage, &attitude_of(c, at), &of_stage(mu, at), &before);
         to_stage(&now, omega, at);

@@ -69,8 +69,9 @@ impl Stepper<3> for Lgvi {
                 // F^T p by its change, relative to which it is rounded: `2 (v x (v x p) - s v x p)`, s via 1 - s.
                 let v = Vector3::from(turn.vector());
                 let across = v.cross(&top.momentum);
-                let gain = (v.cross(&across) + across * deficit(&v, turn.scalar()) - across) * 2.0;
-                Ok((Drift { turn, gain }, convergence))
+                let momentum_increment =
+                    (v.cross(&across) + across * norm_error(&v, turn.scalar()) - across) * 2.0;
+                Ok((Drift { turn, momentum_increment }, convergence))
             })?;
         self.state = state;
         Ok(convergence)
@@ -95,7 +96,7 @@ fn solve(
     let convergence = fixed_point(stop, || {
         let s = scalar(&v)?;
         let jv = inertia * v;
-        let residual = (jv - half) + (v.cross(&jv) - jv * deficit(&v, s));
+        let residual = (jv - half) + (v.cross(&jv) - jv * norm_error(&v, s));
         // d(s J v + v x J v): s J - J v v^T / s + hat(v) J - hat(J v)
         let slope = inertia * s - jv * v.transpose() / s + so3::hat(&v) * inertia - so3::hat(&jv);
         let change = slope.try_inverse().ok_or(too_large(0.0, 0.0))? * residual;
@@ -113,7 +114,7 @@ fn scalar(v: &Vector3<f64>) -> Result<f64, Failure> {
 }
 
 /// `1 - s = |v|^2 / (1 + s)`, rounded relative to itself: with s, rounded relative to one, the energy of a dipole moved in a line.
-fn deficit(v: &Vector3<f64>, s: f64) -> f64 {
+fn norm_error(v: &Vector3<f64>, s: f64) -> f64 {
     v.norm_squared() / (1.0 + s)
 }
 

@@ -7,7 +7,7 @@
 
 use crate::compensated::Sum;
 use crate::hamiltonian::RigidBody;
-use crate::lanes::{Row, Whole};
+use crate::lanes::{Row, StepScalar};
 use crate::so3::Top;
 use crate::space::{
     Quaternion, Vec3, cross, dot, mat3, minus, product, scaled, transposed_product, vec3,
@@ -40,7 +40,7 @@ impl<P: Copy> Motion<P> {
 
     /// Writes the space vectors of the potential, as they are seen from here, to `seen`.
     #[inline(always)]
-    pub(super) fn look<W: Whole<Plain = P>>(
+    pub(super) fn space_vectors<W: StepScalar<Storage = P>>(
         &self,
         lanes: W,
         body: &RigidBody<3>,
@@ -58,17 +58,17 @@ impl<P: Copy> Motion<P> {
         }
     }
 
-    /// Advances by a step that turns by `end` and pushes by `kick`, both in the frame of its
+    /// Advances by a step that turns by `end` and pushes by `impulse`, both in the frame of its
     /// beginning; the body momentum is left behind.
     #[inline(always)]
-    pub(super) fn advance<W: Whole<Plain = P>>(
+    pub(super) fn advance<W: StepScalar<Storage = P>>(
         &mut self,
         lanes: W,
         end: &Quaternion<P>,
-        kick: &Vec3<P>,
+        impulse: &Vec3<P>,
     ) {
         let start = load_turn(lanes, &self.attitude.value);
-        self.momentum.add(&product(&start.matrix(), &vec3!(i => lanes.load(&kick[i]))));
+        self.momentum.add(&product(&start.matrix(), &vec3!(i => lanes.load(&impulse[i]))));
         // The quaternion of the rotation that is close to one: f - 1, with 1 - w = |v|^2 / (1 + w)
         let end_w = lanes.load(&end.w);
         let one = lanes.constant(1.0);
@@ -82,18 +82,18 @@ impl<P: Copy> Motion<P> {
         // rounded twice as far from above as from below. The length would keep a bias, and the
         // momentum in the body with it.
         let Quaternion { w, v: [x, y, z] } = start;
-        let deficit = ((((one - w * w) - x * x) - y * y) - z * z) * 0.5;
+        let norm_error = ((((one - w * w) - x * x) - y * y) - z * z) * 0.5;
         self.attitude.add(&[
-            change.w + (carried.w + deficit * start.w),
-            change.v[0] + (carried.v[0] + deficit * start.v[0]),
-            change.v[1] + (carried.v[1] + deficit * start.v[1]),
-            change.v[2] + (carried.v[2] + deficit * start.v[2]),
+            change.w + (carried.w + norm_error * start.w),
+            change.v[0] + (carried.v[0] + norm_error * start.v[0]),
+            change.v[1] + (carried.v[1] + norm_error * start.v[1]),
+            change.v[2] + (carried.v[2] + norm_error * start.v[2]),
         ]);
     }
 
     /// The body momentum is the spatial one, seen from the body: `g^T pi`.
     #[inline(always)]
-    pub(super) fn turn_momentum<W: Whole<Plain = P>>(&mut self, lanes: W) {
+    pub(super) fn turn_momentum<W: StepScalar<Storage = P>>(&mut self, lanes: W) {
         let g = load_turn(lanes, &self.attitude.value).matrix();
         let seen = transposed_product(&g, &vec3!(i => lanes.load(&self.momentum.value[i])));
         for i in 0..3 {
@@ -101,7 +101,7 @@ impl<P: Copy> Motion<P> {
         }
     }
 
-    /// Adds `gain` to the body momentum, and turns the attitude so that rounding does not separate
+    /// Adds `momentum_increment` to the body momentum, and turns the attitude so that rounding does not separate
     /// the spatial momentum, which only torques change, from the body momentum, whose direction is
     /// the more precise: `g <- g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and
     /// less where the step has added more than there is. Of a body that nearly stands still, the direction of its momentum is
@@ -111,14 +111,18 @@ impl<P: Copy> Motion<P> {
     /// other would take from all its components what rounding has put into some, and the energy of
     /// a heavy top grew in a line by that.
     #[inline(always)]
-    pub(super) fn gain<W: Whole<Plain = P>>(&mut self, lanes: W, gain: &Vec3<P>) {
-        let gain = vec3!(i => lanes.load(&gain[i]));
-        self.body_momentum.add(&gain);
+    pub(super) fn add_momentum_increment<W: StepScalar<Storage = P>>(
+        &mut self,
+        lanes: W,
+        momentum_increment: &Vec3<P>,
+    ) {
+        let momentum_increment = vec3!(i => lanes.load(&momentum_increment[i]));
+        self.body_momentum.add(&momentum_increment);
         let now = load_turn(lanes, &self.attitude.value);
         let [momentum, pi] = [&self.body_momentum, &self.momentum]
             .map(|sum| -> Vec3<W> { vec3!(i => lanes.load(&sum.value[i])) });
         let seen = transposed_product(&now.matrix(), &pi);
-        let square = dot(&seen, &seen) + dot(&gain, &gain);
+        let square = dot(&seen, &seen) + dot(&momentum_increment, &momentum_increment);
         let square = square.max_or_nan(lanes.constant(f64::MIN_POSITIVE));
         let apart = minus(&momentum, &seen);
         let scale = lanes.constant(0.5) / square;
@@ -152,7 +156,7 @@ impl Motion<f64> {
         numbers.into_iter().all(|x| x.is_finite())
     }
 
-    pub(super) fn turn(&self) -> Quaternion<f64> {
+    pub(super) fn quaternion(&self) -> Quaternion<f64> {
         load_turn(0.0, &self.attitude.value)
     }
 }
@@ -184,6 +188,6 @@ pub(super) fn unsigned_zeros<const K: usize>(numbers: [f64; K]) -> [f64; K] {
 }
 
 #[inline(always)]
-fn load_turn<W: Whole>(lanes: W, [w, x, y, z]: &[W::Plain; 4]) -> Quaternion<W> {
+fn load_turn<W: StepScalar>(lanes: W, [w, x, y, z]: &[W::Storage; 4]) -> Quaternion<W> {
     Quaternion { w: lanes.load(w), v: [lanes.load(x), lanes.load(y), lanes.load(z)] }
 }

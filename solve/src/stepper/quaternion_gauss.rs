@@ -76,8 +76,8 @@ impl QuaternionGauss {
         Some(Self {
             lanes: LaneTableau::new(&tableau),
             tableau,
-            // On the dipole the energy moves no less with sweeps to the last digit; to foresee the last sweep saves nothing.
-            stop: StopRule { foresee: false, ..stop },
+            // On the dipole the energy moves no less with sweeps to the last digit; to stop_early the last sweep saves nothing.
+            stop: StopRule { stop_early: false, ..stop },
             level: Some(Level::new()),
             motion: Motion::blank(0.0, 1.0),
             stages: Stages::blank(),
@@ -114,7 +114,7 @@ impl Stepper<3> for QuaternionGauss {
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let Self { tableau, lanes, stop, level, motion, stages, seen, .. } = self;
-        motion.look(0.0, body, seen);
+        motion.space_vectors(0.0, body, seen);
         let (level, count) = (*level, tableau.stages());
         let start = &Start::new(lanes, body, seen, h, motion.body_momentum.value);
         in_stage_lanes!(level, count, body, stages::guess, start, stages);
@@ -124,12 +124,12 @@ impl Stepper<3> for QuaternionGauss {
             torques += 1;
             Ok(in_stage_lanes!(level, count, body, stages::sweep, start, stages))
         });
-        let End { turn, kick, gain } =
+        let End { turn, impulse, momentum_increment } =
             in_stage_lanes!(level, count, body, stages::end, start, stages);
         body.count(torques * count as u64);
         // A charge met explains non-finite values and divergence better than they do. A NaN is
         // looked at, too.
-        if !(solved.is_ok() && self.stages.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH) {
+        if !(solved.is_ok() && self.stages.proximity <= -CLOSEST_APPROACH * CLOSEST_APPROACH) {
             self.check_distances(body)?;
         }
         let convergence = solved.map_err(|failure| match failure.code {
@@ -138,12 +138,12 @@ impl Stepper<3> for QuaternionGauss {
             _ => failure,
         })?;
         let mut motion = self.motion;
-        motion.advance(0.0, &turn, &kick);
+        motion.advance(0.0, &turn, &impulse);
         // As in VPD, a free body keeps the spatial momentum to the bit.
         if self.seen.is_empty() {
             motion.turn_momentum(0.0);
         } else {
-            motion.gain(0.0, &gain);
+            motion.add_momentum_increment(0.0, &momentum_increment);
         }
         if !motion.is_finite() {
             return Err(Failure::not_finite(None));

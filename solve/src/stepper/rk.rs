@@ -16,7 +16,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use super::checks::check_branch;
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{Input, RigidBody};
+use crate::hamiltonian::{RigidBody, WorkAndImpulse};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
 use crate::state::State;
@@ -128,27 +128,29 @@ impl<const N: usize> Stepper<N> for Rk<N> {
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&Mat::identity(), &mut self.seen);
-        let mut put_in = Input::default();
+        let mut work_and_impulse = WorkAndImpulse::default();
         for i in 0..self.tableau.stages() {
             let State { attitude: g, momentum: mu } =
                 self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            let moment = body.is_driven().then(|| body.at(self.clock.at(h, h * self.tableau.c(i))));
-            moment
+            let body_at_time =
+                body.is_driven().then(|| body.at(self.clock.at(h, h * self.tableau.c(i))));
+            body_at_time
                 .as_ref()
                 .map_or_else(
                     || body.check_distances_seen(&g, &self.seen),
-                    |moment| moment.check(&g),
+                    |body_at_time| body_at_time.check(&g),
                 )
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
             if self.projected && i == 0 {
                 check_turn(&omega, h)?;
             }
-            let rate = match &moment {
-                Some(moment) => {
+            let rate = match &body_at_time {
+                Some(body_at_time) => {
                     body.count(1);
-                    put_in.add(h * self.tableau.b(i), &moment.input(&g, &mu, &omega));
-                    moment.momentum_rate(&g, &mu, &omega)
+                    work_and_impulse
+                        .add(h * self.tableau.b(i), &body_at_time.input(&g, &mu, &omega));
+                    body_at_time.momentum_rate(&g, &mu, &omega)
                 }
                 None => body.momentum_rate(&g, &mu, &omega, &self.seen),
             };
@@ -165,7 +167,7 @@ impl<const N: usize> Stepper<N> for Rk<N> {
             end.attitude = factor;
         }
         self.state = end;
-        self.clock.advance(h, &put_in);
+        self.clock.advance(h, &work_and_impulse);
         Ok(Convergence::EXPLICIT)
     }
 

@@ -17,7 +17,7 @@
 //! Invariant: the attitude is on the group to round-off. The method is not symplectic and not symmetric.
 
 use crate::failure::Failure;
-use crate::hamiltonian::{Input, RigidBody};
+use crate::hamiltonian::{RigidBody, WorkAndImpulse};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
 use crate::state::State;
@@ -108,25 +108,27 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
     fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
         body.work().begin_sweep()?;
         body.seen_from(&self.state.attitude, &mut self.seen);
-        let mut put_in = Input::default();
+        let mut work_and_impulse = WorkAndImpulse::default();
         for i in 0..self.tableau.stages() {
             let (sigma, u, mu) = self.at(Some(i), |j| h * self.tableau.a(i, j))?;
-            let moment = body.is_driven().then(|| body.at(self.clock.at(h, h * self.tableau.c(i))));
+            let body_at_time =
+                body.is_driven().then(|| body.at(self.clock.at(h, h * self.tableau.c(i))));
             let g = || so::product(&self.state.attitude, &u);
-            moment
+            body_at_time
                 .as_ref()
                 .map_or_else(
                     || body.check_distances_seen(&u, &self.seen),
-                    |moment| moment.check(&g()),
+                    |body_at_time| body_at_time.check(&g()),
                 )
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
             let omega = body.velocity(&mu);
             let k = self.dexpinv(&sigma, &omega);
-            let rate = match &moment {
-                Some(moment) => {
+            let rate = match &body_at_time {
+                Some(body_at_time) => {
                     body.count(1);
-                    put_in.add(h * self.tableau.b(i), &moment.input(&g(), &mu, &omega));
-                    moment.momentum_rate(&g(), &mu, &omega)
+                    work_and_impulse
+                        .add(h * self.tableau.b(i), &body_at_time.input(&g(), &mu, &omega));
+                    body_at_time.momentum_rate(&g(), &mu, &omega)
                 }
                 None => body.momentum_rate(&u, &mu, &omega, &self.seen),
             };
@@ -136,7 +138,7 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
         // The product drifts off the group like any product; one correction puts it back.
         let attitude = so::orthonormalised(&so::product(&self.state.attitude, &f));
         self.state = State { attitude, momentum };
-        self.clock.advance(h, &put_in);
+        self.clock.advance(h, &work_and_impulse);
         Ok(Convergence::EXPLICIT)
     }
 

@@ -2,7 +2,7 @@
 //! docs/derivation.md.
 
 use crate::hamiltonian::RigidBody;
-use crate::lanes::{Real, Row, Stages, WIDTH};
+use crate::lanes::{Real, Row, StageScalar, WIDTH};
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, asym_of_product, dot, inverse_less_half, mat3, minus,
     symmetric_product, times_hat, transposed, transposed_matrix_product, vec3,
@@ -51,23 +51,27 @@ impl<R: Real> Inertia<R> {
 /// Computes [T] and [Y]: `T_k = U_k hat(x_k)` and `Y_k = sum_i e_ik T_i`, the part of W_k that
 /// differs from stage to stage.
 #[inline(always)]
-pub(super) fn embedded<R: Stages>(u: &Mat3<R>, x: &Vec3<R>, rows: &[Row; WIDTH]) -> [Mat3<R>; 2] {
+pub(super) fn embedded<R: StageScalar>(
+    u: &Mat3<R>,
+    x: &Vec3<R>,
+    rows: &[Row; WIDTH],
+) -> [Mat3<R>; 2] {
     let t = times_hat(u, x);
     [t, mat3!(i, j => t[i][j].apply_tableau(rows))]
 }
 
 /// [defect]: `vee asym(f Lambda K_k^T - Y_k C_k^T - sum_j (1 - e_jk) (T_j D_j^T - Y_j w_j^T))`.
 #[inline(always)]
-pub(super) fn defect<R: Stages>(
+pub(super) fn defect<R: StageScalar>(
     f_lambda: &Mat3<R>,
     [c, d, k]: [&Mat3<R>; 3],
     w: &Mat3<R>,
     [t, y]: [&Mat3<R>; 2],
-    partner: &[Row; WIDTH],
+    conjugate: &[Row; WIDTH],
 ) -> Vec3<R> {
     let parts = minus(&asym_of_product(t, d), &asym_of_product(y, w));
     let (of_end, of_turn) = (asym_of_product(f_lambda, k), asym_of_product(y, c));
-    vec3!(i => of_end[i] - (of_turn[i] + parts[i].apply_tableau(partner)))
+    vec3!(i => of_end[i] - (of_turn[i] + parts[i].apply_tableau(conjugate)))
 }
 
 /// `vee asym(U^T A)` for `A = I + D`: vee asym(U^T) = -4 w v without cancellation.
@@ -113,7 +117,7 @@ pub(super) fn over_k<T: Real>(inverse: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
 
 /// Stores a vector.
 #[inline(always)]
-pub(super) fn store<R: Stages>(value: &Vec3<R>, plain: &mut Vec3<R::Plain>) {
+pub(super) fn store<R: StageScalar>(value: &Vec3<R>, plain: &mut Vec3<R::Storage>) {
     for i in 0..3 {
         value[i].store(&mut plain[i]);
     }

@@ -120,9 +120,11 @@ impl PrincipalAxes {
             Vector3::from((*q * so3::pure(v) * q.conjugate()).vector())
         };
         let principal = rotate(&turn.conjugate(), &top.momentum);
-        let (Drift { turn: f, gain }, pieces) = free_top::flow(&self.inverse, &principal, h)?;
-        let gain = free_top::on_orbit(&self.tensor, &top.momentum, rotate(&turn, &gain));
-        Some((Drift { turn: turn * f * turn.conjugate(), gain }, pieces))
+        let (Drift { turn: f, momentum_increment }, pieces) =
+            free_top::flow(&self.inverse, &principal, h)?;
+        let momentum_increment =
+            free_top::on_orbit(&self.tensor, &top.momentum, rotate(&turn, &momentum_increment));
+        Some((Drift { turn: turn * f * turn.conjugate(), momentum_increment }, pieces))
     }
 }
 

@@ -8,10 +8,10 @@ use std::marker::PhantomData;
 
 use fearless_simd::Level;
 
-use super::galerkin::{Carried, Dynamics, Length, Seen};
+use super::galerkin::{BodyView, Dynamics, Length, StepperState};
 use super::{Clock, Stepper};
 use crate::failure::Failure;
-use crate::hamiltonian::{Hamiltonian, Moment, Rescaled, RigidBody};
+use crate::hamiltonian::{BodyAtTime, Hamiltonian, Rescaled, RigidBody};
 use crate::nonlinear::{Convergence, StopRule};
 use crate::so::{self, Mat, Vector};
 use crate::state::State;
@@ -20,14 +20,14 @@ use crate::tableau::Tableau;
 /// The stepper. It takes any [`Hamiltonian`] `S`, a rigid body if none is named.
 #[derive(Clone, Debug)]
 pub struct Vpd<const N: usize, S: ?Sized = RigidBody<N>> {
-    carried: Carried<N>,
+    carried: StepperState<N>,
     system: PhantomData<fn(&S)>,
 }
 
 impl<const N: usize, S: ?Sized> Vpd<N, S> {
     /// Creates a stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
-        Self { carried: Carried::new(tableau, stop), system: PhantomData }
+        Self { carried: StepperState::new(tableau, stop), system: PhantomData }
     }
 
     /// Returns the stepper on an older instruction set, or without lanes: a test compares the bits.
@@ -56,19 +56,19 @@ impl<const N: usize> Vpd<N, Rescaled<'_, N>> {
 
 /// Solves the step of such a length, for any root.
 pub(super) fn solve<const N: usize, S: Hamiltonian<N> + ?Sized>(
-    carried: &mut Carried<N>,
+    carried: &mut StepperState<N>,
     system: &S,
     length: impl Into<Length>,
 ) -> Result<Convergence, Failure> {
     let length = length.into();
-    carried.look(system.as_body(), length.h);
-    let Carried { step, motion, moments, seen, .. } = carried;
+    carried.update_bodies(system.as_body(), length.h);
+    let StepperState { step, motion, bodies, seen, .. } = carried;
     let (g0, p0) = (motion.attitude(), motion.body_momentum());
     let rescaled = system.as_rescaled().map(|rescaled| rescaled.body);
-    if let Some(body) = system.as_body().filter(|_| moments.is_empty()).or(rescaled) {
+    if let Some(body) = system.as_body().filter(|_| bodies.is_empty()).or(rescaled) {
         body.seen_from(g0, seen);
     }
-    let canonical = Canonical { system, g0, seen, moments };
+    let canonical = Canonical { system, g0, seen, bodies };
     step.solve(&canonical, length, p0, &system.velocity(g0, p0))
 }
 
@@ -78,7 +78,7 @@ struct Canonical<'a, const N: usize, S: ?Sized> {
     system: &'a S,
     g0: &'a Mat<N>,
     seen: &'a [Vector<N>],
-    moments: &'a [Moment<N>],
+    bodies: &'a [BodyAtTime<N>],
 }
 
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N, S> {
@@ -96,10 +96,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         mu: &dyn Fn() -> Mat<N>,
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
-        match (self.system.as_body(), self.moments.get(k)) {
-            (body, Some(moment)) => {
+        match (self.system.as_body(), self.bodies.get(k)) {
+            (body, Some(body_at_time)) => {
                 body.inspect(|body| body.count(1));
-                Some(moment.gradient(&so::product(self.g0, u), &mu(), omega))
+                Some(body_at_time.gradient(&so::product(self.g0, u), &mu(), omega))
             }
             (Some(body), None) => (!body.is_free()).then(|| body.gradient_seen(u, self.seen)),
             (None, None) => Some(self.system.gradient(&so::product(self.g0, u), &mu())),
@@ -114,19 +114,19 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N
         self.system.as_body().map_or(0.0, RigidBody::mobility)
     }
 
-    fn body(&self) -> Option<Seen<'_, N>> {
+    fn body(&self) -> Option<BodyView<'_, N>> {
         let vectors = self.seen;
         if let Some(rescaled) = self.system.as_rescaled() {
             let (body, scale) = (rescaled.body, Some(rescaled.into()));
-            return Some(Seen { body, vectors, scale, weights: body.principal() });
+            return Some(BodyView { body, vectors, scale, weights: body.principal() });
         }
-        let body = self.system.as_body().filter(|_| self.moments.is_empty())?;
-        Some(Seen { body, vectors, scale: None, weights: body.principal() })
+        let body = self.system.as_body().filter(|_| self.bodies.is_empty())?;
+        Some(BodyView { body, vectors, scale: None, weights: body.principal() })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
-        match (self.system.as_body(), self.moments.get(k)) {
-            (_, Some(moment)) => moment.check(&so::product(self.g0, u)),
+        match (self.system.as_body(), self.bodies.get(k)) {
+            (_, Some(body_at_time)) => body_at_time.check(&so::product(self.g0, u)),
             (Some(body), None) => body.check_distances_seen(u, self.seen),
             (None, None) => self.system.check(&so::product(self.g0, u)),
         }
@@ -174,11 +174,11 @@ mod tests {
 
     /// Is a step of such a length solved by sweeps?
     fn is_swept<const N: usize>(tableau: Tableau, h: f64) -> bool {
-        let moments = std::array::from_fn(|i| 0.5 + 0.1 * i as f64);
+        let bodies = std::array::from_fn(|i| 0.5 + 0.1 * i as f64);
         let vector = |from: f64| Vector::from_fn(|i, _| from - 0.2 * i as f64);
         let law = Law::Uniform { weight: 0.7, body_point: vector(0.5) };
         let body = RigidBody::<N>::new(
-            Kinetic::of_second_moments(moments),
+            Kinetic::of_second_moments(bodies),
             vec![Term { law, space: vector(0.9) }],
             0.0,
         );

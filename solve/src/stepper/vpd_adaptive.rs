@@ -14,7 +14,7 @@
 //! wherever it is resumed.
 
 use super::Stepper;
-use super::galerkin::{Carried, Length, Motion};
+use super::galerkin::{Length, Motion, StepperState};
 use super::vpd::solve;
 use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
@@ -35,11 +35,11 @@ pub struct VpdAdaptive<const N: usize> {
     energy: Option<f64>,
     /// Steps of the time loop.
     made: u64,
-    last: Place<N>,
+    last: OwnStepEnd<N>,
     /// The own step from `last`, and how long it lasts: it ends after the time that the loop has reached.
-    ahead: Carried<N>,
+    ahead: StepperState<N>,
     lasts: Option<f64>,
-    aside: Carried<N>,
+    aside: StepperState<N>,
     /// The least dt / dtau of an own step since the last sample.
     least_sigma: f64,
     pace: Pace,
@@ -47,7 +47,7 @@ pub struct VpdAdaptive<const N: usize> {
 
 /// End of an own step.
 #[derive(Clone, Debug)]
-struct Place<const N: usize> {
+struct OwnStepEnd<const N: usize> {
     motion: Motion<N>,
     time_s: Sum<f64>,
     /// Own steps so far.
@@ -59,13 +59,13 @@ impl<const N: usize> VpdAdaptive<N> {
     /// long as those of the time loop, in a time whose rate is `scale`, so none lasts longer.
     pub fn new(tableau: Tableau, stop: StopRule, scale: TimeScale) -> Self {
         let start = State { attitude: Mat::identity(), momentum: Mat::zeros() };
-        let carried = Carried::new(tableau, stop);
+        let carried = StepperState::new(tableau, stop);
         Self {
             scale,
             longest_s: None,
             energy: None,
             made: 0,
-            last: Place::new(&start),
+            last: OwnStepEnd::new(&start),
             lasts: None,
             aside: carried.clone(),
             least_sigma: 1.0,
@@ -83,7 +83,7 @@ impl<const N: usize> VpdAdaptive<N> {
     }
 }
 
-impl<const N: usize> Place<N> {
+impl<const N: usize> OwnStepEnd<N> {
     fn new(state: &State<N>) -> Self {
         Self { motion: Motion::new(state), time_s: Sum::default(), steps: 0 }
     }
@@ -99,7 +99,7 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
 
     fn start(&mut self, state: &State<N>) {
         (self.start, self.energy, self.made) = (state.clone(), None, 0);
-        (self.last, self.lasts, self.least_sigma) = (Place::new(state), None, 1.0);
+        (self.last, self.lasts, self.least_sigma) = (OwnStepEnd::new(state), None, 1.0);
         self.aside.start(state);
         self.pace = Pace::default();
     }
@@ -107,12 +107,12 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     fn resume(&mut self, checkpoint: &Checkpoint<N>) {
         let state = checkpoint.state();
         self.last = match &checkpoint.own_time {
-            Some(OwnTime { attitude, momentum, time_s, carry_s, steps }) => Place {
+            Some(OwnTime { attitude, momentum, time_s, carry_s, steps }) => OwnStepEnd {
                 motion: Motion::new(&State { attitude: *attitude, momentum: *momentum }),
                 time_s: Sum { value: *time_s, carry: *carry_s },
                 steps: *steps,
             },
-            None => Place::new(&state),
+            None => OwnStepEnd::new(&state),
         };
         (self.made, self.lasts, self.least_sigma) = (checkpoint.step, None, 1.0);
         self.aside.start(&state);
@@ -123,7 +123,8 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
     }
 
     fn own_time(&self) -> Option<OwnTime<N>> {
-        let Place { motion, time_s: Sum { value: time_s, carry: carry_s }, steps } = &self.last;
+        let OwnStepEnd { motion, time_s: Sum { value: time_s, carry: carry_s }, steps } =
+            &self.last;
         let (attitude, momentum) = (*motion.attitude(), *motion.body_momentum());
         Some(OwnTime { attitude, momentum, time_s: *time_s, carry_s: *carry_s, steps: *steps })
     }
@@ -140,7 +141,7 @@ impl<const N: usize> Stepper<N> for VpdAdaptive<N> {
         result
     }
 
-    fn settle(&mut self, body: &RigidBody<N>, h: f64) -> Result<u32, Failure> {
+    fn synchronise(&mut self, body: &RigidBody<N>, h: f64) -> Result<u32, Failure> {
         let time_s = self.made as f64 * h;
         let lasting = (time_s - self.last.time_s.value) - self.last.time_s.carry;
         let energy = self.energy(body);
@@ -239,7 +240,7 @@ impl<const N: usize> VpdAdaptive<N> {
                 return Ok(solved);
             }
             let steps = last.steps + 1;
-            *last = Place { motion: ahead.motion.clone(), time_s: end_s, steps };
+            *last = OwnStepEnd { motion: ahead.motion.clone(), time_s: end_s, steps };
             *lasts = None;
             if steps == most_steps {
                 // sigma as the distance it belongs to, and the distance at which `MOST_STEPS` steps would suffice.

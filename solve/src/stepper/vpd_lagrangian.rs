@@ -18,10 +18,10 @@ use std::marker::PhantomData;
 
 use nalgebra::DMatrix;
 
-use super::galerkin::{Carried, Dynamics, Seen};
+use super::galerkin::{BodyView, Dynamics, StepperState};
 use super::{Clock, Stepper};
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{Moment, RigidBody};
+use crate::hamiltonian::{BodyAtTime, RigidBody};
 use crate::lagrangian::{Lagrangian, corrected, inverse_hessian, velocity_of_momentum};
 use crate::nonlinear::{Convergence, StopRule};
 use crate::so::{self, Mat, Vector};
@@ -31,26 +31,26 @@ use crate::tableau::Tableau;
 /// The stepper, for any [`Lagrangian`] `S`; a rigid body if none is named.
 #[derive(Clone, Debug)]
 pub struct VpdLagrangian<const N: usize, S: ?Sized = RigidBody<N>> {
-    carried: Carried<N>,
+    carried: StepperState<N>,
     system: PhantomData<fn(&S)>,
 }
 
 impl<const N: usize, S: ?Sized> VpdLagrangian<N, S> {
     /// Creates a stepper for `tableau` that solves each step until `stop`.
     pub fn new(tableau: Tableau, stop: StopRule) -> Self {
-        Self { carried: Carried::new(tableau, stop.to_the_floor()), system: PhantomData }
+        Self { carried: StepperState::new(tableau, stop.to_the_floor()), system: PhantomData }
     }
 }
 
 /// Solves the step of length `h`, for any root.
 fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
-    carried: &mut Carried<N>,
+    carried: &mut StepperState<N>,
     lagrangian: &S,
     h: f64,
 ) -> Result<Convergence, Failure> {
-    carried.look(lagrangian.as_body(), h);
-    let Carried { step, motion, moments, seen, .. } = carried;
-    let body = lagrangian.as_body().filter(|_| moments.is_empty());
+    carried.update_bodies(lagrangian.as_body(), h);
+    let StepperState { step, motion, bodies, seen, .. } = carried;
+    let body = lagrangian.as_body().filter(|_| bodies.is_empty());
     if let Some(body) = body {
         body.seen_from(motion.attitude(), seen);
     }
@@ -62,7 +62,7 @@ fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
     };
     let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
     let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
-    step.solve(&Euler { lagrangian, body, g0, seen, inverse, moments }, h, &p0, &omega)
+    step.solve(&Euler { lagrangian, body, g0, seen, inverse, bodies }, h, &p0, &omega)
 }
 
 /// (22a, vil1) and the force, in the frame of g0; for a rigid body with the space vectors as seen
@@ -74,7 +74,7 @@ struct Euler<'a, const N: usize, S: ?Sized> {
     g0: Mat<N>,
     seen: &'a [Vector<N>],
     inverse: DMatrix<f64>,
-    moments: &'a [Moment<N>],
+    bodies: &'a [BodyAtTime<N>],
 }
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
@@ -90,10 +90,10 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         mu: &dyn Fn() -> Mat<N>,
         omega: &Mat<N>,
     ) -> Option<Mat<N>> {
-        Some(match (self.body, self.moments.get(k)) {
-            (_, Some(moment)) => {
+        Some(match (self.body, self.bodies.get(k)) {
+            (_, Some(body_at_time)) => {
                 self.lagrangian.as_body().inspect(|body| body.count(1));
-                moment.gradient(&so::product(&self.g0, u), &mu(), omega)
+                body_at_time.gradient(&so::product(&self.g0, u), &mu(), omega)
             }
             (Some(body), None) => body.gradient_seen(u, self.seen),
             // dH/dg = -dL/dg
@@ -109,14 +109,14 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
         self.lagrangian.as_body().map_or(0.0, RigidBody::mobility)
     }
 
-    fn body(&self) -> Option<Seen<'_, N>> {
+    fn body(&self) -> Option<BodyView<'_, N>> {
         let (body, vectors) = (self.body?, self.seen);
-        Some(Seen { body, vectors, scale: None, weights: None })
+        Some(BodyView { body, vectors, scale: None, weights: None })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {
-        match (self.body, self.moments.get(k)) {
-            (_, Some(moment)) => moment.check(&so::product(&self.g0, u)),
+        match (self.body, self.bodies.get(k)) {
+            (_, Some(body_at_time)) => body_at_time.check(&so::product(&self.g0, u)),
             (Some(body), None) => body.check_distances_seen(u, self.seen),
             (None, None) => self.lagrangian.check(&so::product(&self.g0, u)),
         }

@@ -120,7 +120,7 @@ impl VpdPlane {
     pub fn new(plane: Plane, tableau: Tableau, stop: StopRule, space: Box<dyn Stepper<3>>) -> Self {
         let stages = tableau.stages();
         // A sweep is cheap here, and with one stage a sweep that is spared shows: 4e-13 over 200 steps of a pendulum.
-        let stop = StopRule { foresee: false, ..stop };
+        let stop = StopRule { stop_early: false, ..stop };
         let places = (0..stages * stages).map(|at| (at / stages, at % stages));
         let rows = places.clone().map(|(i, j)| tableau.a(i, j)).collect();
         let columns = places.map(|(k, i)| tableau.a(i, k) / tableau.b(k)).collect();
@@ -165,18 +165,18 @@ impl VpdPlane {
     }
 
     fn advance(&mut self) {
-        let Step { end, kick, .. } = &self.step;
+        let Step { end, impulse, .. } = &self.step;
         let f = end.turn;
         // f - 1, with 1 - cos = sin^2 / (1 + cos)
         let change = Complex::new(-f.im * f.im / (1.0 + f.re), f.im);
         // The deficit of the length from one; the carried part turns along.
-        let deficit = 0.5 * (1.0 - self.turn.norm_sqr());
-        let change = self.turn * change + (self.turn_carry * f + self.turn * f * deficit);
+        let norm_error = 0.5 * (1.0 - self.turn.norm_sqr());
+        let change = self.turn * change + (self.turn_carry * f + self.turn * f * norm_error);
         let (re, lost_re) = two_sum(self.turn.re, change.re);
         let (im, lost_im) = two_sum(self.turn.im, change.im);
         self.turn = Complex::new(re, im);
         self.turn_carry = Complex::new(lost_re, lost_im);
-        self.momentum.add(*kick);
+        self.momentum.add(*impulse);
     }
 }
 
@@ -272,7 +272,7 @@ struct Step {
     stages: Vec<Stage>,
     end: Point,
     /// p1 - p0
-    kick: f64,
+    impulse: f64,
     /// The unit of momenta.
     unit: f64,
     /// `conj(u_k) u_i`, row by row.
@@ -285,7 +285,7 @@ impl Step {
         let end = Point { turn: Complex::new(1.0, 0.0), stretch: 1.0 };
         let stage = Stage { point: end, mu: 0.0, omega: 0.0, rate: zero, tau: 0.0, x: 0.0 };
         let between = vec![zero; stages * stages];
-        Self { stages: vec![stage; stages], end, kick: 0.0, unit: 1.0, between }
+        Self { stages: vec![stage; stages], end, impulse: 0.0, unit: 1.0, between }
     }
 
     fn points(&self) -> impl Iterator<Item = &Point> {
@@ -404,14 +404,14 @@ impl Equations for Sweeps<'_> {
         for k in 0..s {
             self.step.stages[k].tau = self.torque(self.step.stages[k].point.turn);
         }
-        let Step { stages, end, kick, between, .. } = &mut *self.step;
-        let (mut d, mut impulse) = (Complex::new(0.0, 0.0), 0.0);
+        let Step { stages, end, impulse, between, .. } = &mut *self.step;
+        let (mut d, mut torque_sum) = (Complex::new(0.0, 0.0), 0.0);
         for (k, stage) in stages.iter().enumerate() {
             d += stage.rate * tableau.b(k);
-            impulse += tableau.b(k) * stage.tau;
+            torque_sum += tableau.b(k) * stage.tau;
         }
-        (*end, *kick) = (Point::of(d * h + 1.0), -h * impulse);
-        let lambda = -0.5 * (p0 + *kick) / end.stretch;
+        (*end, *impulse) = (Point::of(d * h + 1.0), -h * torque_sum);
+        let lambda = -0.5 * (p0 + *impulse) / end.stretch;
         for k in 0..s {
             let back = stages[k].point.turn.conj();
             for i in 0..s {

@@ -10,7 +10,7 @@
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
 
 use super::Stepper;
-use super::galerkin::{Dynamics, GalerkinStep, Seen};
+use super::galerkin::{BodyView, Dynamics, GalerkinStep};
 use crate::compensated::Sum;
 use crate::failure::Failure;
 use crate::hamiltonian::RigidBody;
@@ -61,8 +61,8 @@ impl<const N: usize> Dynamics<N> for Free<'_, N> {
         self.0.work().begin_sweep()
     }
 
-    fn body(&self) -> Option<Seen<'_, N>> {
-        Some(Seen { body: self.0, vectors: &[], scale: None, weights: self.0.principal() })
+    fn body(&self) -> Option<BodyView<'_, N>> {
+        Some(BodyView { body: self.0, vectors: &[], scale: None, weights: self.0.principal() })
     }
 }
 
@@ -96,7 +96,7 @@ impl<const N: usize> Stepper<N> for VpdReduced<N> {
         debug_assert!(body.is_free(), "the reduced integrator is for free bodies");
         let p0 = self.momentum.value;
         let convergence = self.step.solve(&Free(body), h, &p0, &body.velocity(&p0))?;
-        let turn = &self.step.solution().turn;
+        let turn = &self.step.solution().rotation_increment;
         self.momentum.add(&coadjoint_change(turn, &p0));
         self.attitude = self.attitude.map(|g| so::orthonormalised(&(g + so::product(&g, turn))));
         Ok(convergence)

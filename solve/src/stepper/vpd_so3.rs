@@ -24,7 +24,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
 use crate::lanes::{Row, Rows, WIDTH, in_stage_lanes, widest};
 use crate::nonlinear::{
-    Continued, Convergence, Equations, Past, Rung, Rungs, SMALLEST_SIZE, Solver, StopRule,
+    Continued, Convergence, Equations, Rung, Rungs, SMALLEST_SIZE, Solver, StepHistory, StopRule,
 };
 use crate::so::{self, Mat, Vector};
 use crate::so3;
@@ -57,21 +57,21 @@ pub struct VpdSo3 {
     lanes: LaneTableau,
     solver: Solver,
     /// The preceding steps, if the next one is guessed from them.
-    past: Option<Past>,
+    history: Option<StepHistory>,
     /// The instruction set; without one, one number at a time.
     level: Option<Level>,
-    state: Carried,
+    state: MotionState,
     unknowns: Unknowns<Row, f64>,
     seen: Vec<Vec3<f64>>,
     /// The same step in matrices, made where it was needed.
-    matrices: Option<Box<galerkin::Carried<3>>>,
+    matrices: Option<Box<galerkin::StepperState<3>>>,
     /// Was the last step solved there?
     by_matrices: bool,
 }
 
 /// State carried from step to step.
 #[derive(Clone, Copy, Debug)]
-enum Carried {
+enum MotionState {
     /// Attitude and momentum.
     Full(Motion<f64>),
     /// Only the body momentum of a free body (Lie-Poisson): nothing depends on the attitude. Its
@@ -84,14 +84,14 @@ impl VpdSo3 {
     /// has more stages than there are lanes.
     pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
         // Many stages are used for the last digits.
-        let stop = StopRule { foresee: tableau.stages() <= FEW_STAGES, ..stop };
+        let stop = StopRule { stop_early: tableau.stages() <= FEW_STAGES, ..stop };
         (tableau.stages() <= WIDTH).then(|| Self {
             lanes: LaneTableau::new(&tableau),
             tableau,
             solver: Solver::new(stop),
-            past: None,
+            history: None,
             level: Some(Level::new()),
-            state: Carried::Full(Motion::blank(0.0, 1.0)),
+            state: MotionState::Full(Motion::blank(0.0, 1.0)),
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
             seen: Vec::new(),
             matrices: None,
@@ -105,11 +105,11 @@ impl VpdSo3 {
         let state = if with_attitude {
             self.state
         } else {
-            Carried::Reduced { momentum: Sum::new([0.0; 3], [0.0; 3]), square: 0.0 }
+            MotionState::Reduced { momentum: Sum::new([0.0; 3], [0.0; 3]), square: 0.0 }
         };
         // With many stages the guess is better without the preceding steps.
-        let past = (self.tableau.stages() <= FEW_STAGES).then(Past::default);
-        Self { past, state, ..self }
+        let history = (self.tableau.stages() <= FEW_STAGES).then(StepHistory::default);
+        Self { history, state, ..self }
     }
 
     /// Returns the stepper on an older instruction set, or without lanes: a test compares the bits,
@@ -129,7 +129,7 @@ impl VpdSo3 {
     }
 
     /// Returns U_k, or f after the last stage.
-    fn turn(&self, k: usize) -> Quaternion<f64> {
+    fn rotation(&self, k: usize) -> Quaternion<f64> {
         if k < self.tableau.stages() {
             let Quaternion { w, v } = &self.unknowns.attitude;
             Quaternion { w: w.0[k], v: vec3!(i => v[i].0[k]) }
@@ -153,7 +153,7 @@ impl VpdSo3 {
         }
         let mut before = Quaternion { w: 1.0, v: [0.0; 3] };
         for k in self.tableau.ascending().iter().copied().chain([stages]) {
-            let turn = self.turn(k);
+            let turn = self.rotation(k);
             // tr(U^T V) = 4 (p . q)^2 - 1, which is 1 for a quarter turn.
             let cosine = before.w * turn.w + dot(&before.v, &turn.v);
             let trace = 4.0 * cosine * cosine - 1.0;
@@ -161,7 +161,7 @@ impl VpdSo3 {
             before = turn;
         }
         // A NaN does not pass, either.
-        if self.unknowns.nearness <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
+        if self.unknowns.proximity <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
             Ok(())
         } else {
             self.check_distances(body)
@@ -172,7 +172,7 @@ impl VpdSo3 {
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
         // An iterate that is not a rotation, or not finite, meets no charge.
-        let turns = (0..self.tableau.stages()).map(|k| (k, self.turn(k)));
+        let turns = (0..self.tableau.stages()).map(|k| (k, self.rotation(k)));
         let is_rotation =
             |turn: &Quaternion<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
         turns.filter(|(_, turn)| is_rotation(turn)).try_for_each(|(k, turn)| {
@@ -191,9 +191,9 @@ impl VpdSo3 {
         momentum: Vec3<f64>,
     ) -> Result<Convergence, Failure> {
         let inertia = Inertia::of(body);
-        let Self { tableau, lanes, solver, past, level, unknowns, seen, .. } = self;
+        let Self { tableau, lanes, solver, history, level, unknowns, seen, .. } = self;
         // If a step is guessed from the preceding ones and turns little, half the passes suffice.
-        let calm = past.is_some() && {
+        let calm = history.is_some() && {
             let turn = scaled(&inertia.divides(&momentum), h);
             dot(&turn, &turn) <= CALM_RAD * CALM_RAD
         };
@@ -218,7 +218,7 @@ impl VpdSo3 {
             momentum_scale: 1.0,
             torques: 0,
         };
-        let solved = solver.solve_after(past, &mut equations);
+        let solved = solver.solve_after(history, &mut equations);
         if lanes.is_finished && solved.is_ok() {
             in_lanes!(finish, &mut equations);
         }
@@ -269,7 +269,7 @@ impl Equations for InLanes<'_> {
     }
 
     /// Makes one sweep: the guess leaves x and K^-1 far from where a sweep puts them.
-    fn settle(&mut self) -> Result<(), Failure> {
+    fn prime(&mut self) -> Result<(), Failure> {
         if !self.sweep()?.is_finite() {
             self.guess()?;
             // Newton's method needs sweeps that are all alike.
@@ -322,29 +322,29 @@ impl Stepper<3> for VpdSo3 {
     }
 
     fn start(&mut self, state: &State<3>) {
-        if let Some(past) = &mut self.past {
-            past.forget();
+        if let Some(history) = &mut self.history {
+            history.forget();
         }
         self.state = match self.state {
-            Carried::Full(_) => Carried::Full(Motion::of(state)),
-            Carried::Reduced { .. } => {
+            MotionState::Full(_) => MotionState::Full(Motion::of(state)),
+            MotionState::Reduced { .. } => {
                 let momentum = so3::vee(&state.momentum);
                 let square = momentum.norm_squared();
-                Carried::Reduced { momentum: Sum::new(momentum.into(), [0.0; 3]), square }
+                MotionState::Reduced { momentum: Sum::new(momentum.into(), [0.0; 3]), square }
             }
         };
     }
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let p0 = self.body_momentum();
-        self.look(body);
-        let solved = self.solve(body, h, p0).map_err(|failure| self.turned(body, h, failure));
+        self.update_space_vectors(body);
+        let solved = self.solve(body, h, p0).map_err(|failure| self.with_angle(body, h, failure));
         let made = solved.and_then(|solved| self.accepted(body, h, solved));
         self.or_in_matrices(body, h, made)
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        let g = self.motion()?.turn().matrix();
+        let g = self.motion()?.quaternion().matrix();
         Some(so::orthonormalised(&Mat::from_fn(|i, j| g[i][j])))
     }
 
@@ -363,10 +363,10 @@ impl Stepper<3> for VpdSo3 {
 
 impl VpdSo3 {
     /// Updates the space vectors of the potential, as seen from the beginning of the step.
-    fn look(&mut self, body: &RigidBody<3>) {
+    fn update_space_vectors(&mut self, body: &RigidBody<3>) {
         match &self.state {
-            Carried::Full(motion) => motion.look(0.0, body, &mut self.seen),
-            Carried::Reduced { .. } => self.seen.clear(),
+            MotionState::Full(motion) => motion.space_vectors(0.0, body, &mut self.seen),
+            MotionState::Reduced { .. } => self.seen.clear(),
         }
     }
 
@@ -377,24 +377,26 @@ impl VpdSo3 {
         h: f64,
         solved: Convergence,
     ) -> Result<Convergence, Failure> {
-        self.check(body).map_err(|failure| self.turned(body, h, failure))?;
+        self.check(body).map_err(|failure| self.with_angle(body, h, failure))?;
         // What a user-defined law returns after the last sweep has not been checked yet.
-        let Unknowns { kick, gain, .. } = &self.unknowns;
-        if body.has_own() && !kick.iter().chain(gain).all(|x| x.is_finite()) {
+        let Unknowns { impulse, momentum_increment, .. } = &self.unknowns;
+        if body.has_user_potential()
+            && !impulse.iter().chain(momentum_increment).all(|x| x.is_finite())
+        {
             let failure = Failure::not_finite(None);
-            return Err(self.turned(body, h, failure));
+            return Err(self.with_angle(body, h, failure));
         }
         let before = self.state;
-        self.advance(self.lanes.is_finished.then_some(self.unknowns.gain));
+        self.advance(self.lanes.is_finished.then_some(self.unknowns.momentum_increment));
         if solved.rung == Rung::Newton
             && let Some(end) = self.attitude()
         {
             let solver = self.solver.by_sweeps();
-            let mut halves = Self { solver, past: None, state: before, ..self.clone() };
+            let mut halves = Self { solver, history: None, state: before, ..self.clone() };
             let half = || halves.step(body, 0.5 * h).map(|_| halves.attitude());
             if let Err(failure) = check_root(solved, self.order(), &end, half) {
                 self.state = before;
-                return Err(self.turned(body, h, failure));
+                return Err(self.with_angle(body, h, failure));
             }
         }
         Ok(solved)
@@ -426,19 +428,23 @@ impl VpdSo3 {
         };
         let attitude = self.attitude().unwrap_or_else(Mat::identity);
         let state = State { attitude, momentum: self.momentum() };
-        let new = || Box::new(galerkin::Carried::new(self.tableau.clone(), self.solver.rule()));
+        let new =
+            || Box::new(galerkin::StepperState::new(self.tableau.clone(), self.solver.rule()));
         let mut matrices = self.matrices.take().unwrap_or_else(new);
         matrices.start(&state);
         let solved = matrices.step(h, |carried, h| super::vpd::solve(carried, body, h));
         if solved.is_ok() {
-            let galerkin::Solution { turn, impulse, gain, .. } = matrices.step.solution();
+            let galerkin::Solution {
+                rotation_increment: turn, impulse, momentum_increment, ..
+            } = matrices.step.solution();
             // f = I + 2 w hat(v) + 2 hat(v)^2
             let w = (1.0 + 0.25 * turn.trace()).sqrt();
             let v = so3::vee(&(so::asym(turn) * (0.25 / w)));
             self.unknowns.end = Quaternion { w, v: v.into() };
-            self.unknowns.kick = so3::vee(impulse).into();
-            let gain = gain.map(|gain| so3::vee(&gain).into());
-            self.advance(gain);
+            self.unknowns.impulse = so3::vee(impulse).into();
+            let momentum_increment =
+                momentum_increment.map(|momentum_increment| so3::vee(&momentum_increment).into());
+            self.advance(momentum_increment);
             self.by_matrices = true;
         }
         self.matrices = Some(matrices);
@@ -449,34 +455,36 @@ impl VpdSo3 {
     }
 
     /// Returns the failure with the angle by which the body would turn.
-    fn turned(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
+    fn with_angle(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
         let velocity = body.inverse_inertia() * Vector::<3>::from(self.body_momentum());
         Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
     }
 
     /// Applies the solved step to the state: that of the body momentum by its gain, where it is known by itself.
-    fn advance(&mut self, gain: Option<Vec3<f64>>) {
-        let Unknowns { end, kick, .. } = &self.unknowns;
+    fn advance(&mut self, momentum_increment: Option<Vec3<f64>>) {
+        let Unknowns { end, impulse, .. } = &self.unknowns;
         match &mut self.state {
-            Carried::Full(motion) => {
-                motion.advance(0.0, end, kick);
+            MotionState::Full(motion) => {
+                motion.advance(0.0, end, impulse);
                 // A free body keeps the spatial momentum to the bit, and the sum would drift by
                 // 1e-18 a step.
-                match gain {
-                    Some(gain) if !self.seen.is_empty() => motion.gain(0.0, &gain),
+                match momentum_increment {
+                    Some(momentum_increment) if !self.seen.is_empty() => {
+                        motion.add_momentum_increment(0.0, &momentum_increment)
+                    }
                     _ => motion.turn_momentum(0.0),
                 }
             }
-            Carried::Reduced { momentum, square } => {
+            MotionState::Reduced { momentum, square } => {
                 let Sum { value, carry } = &*momentum;
                 let small = end.change();
                 let change = transposed_product(&small, value);
                 let carried = transposed_product(&small, carry);
                 // Moves the momentum back onto the orbit, which it leaves only by rounding.
-                let deficit = 0.5 * (*square - dot(value, value));
-                let deficit = if *square > 0.0 { deficit / *square } else { 0.0 };
+                let norm_error = 0.5 * (*square - dot(value, value));
+                let norm_error = if *square > 0.0 { norm_error / *square } else { 0.0 };
                 let change =
-                    vec3!(i => change[i] + (carried[i] + deficit * (value[i] + change[i])));
+                    vec3!(i => change[i] + (carried[i] + norm_error * (value[i] + change[i])));
                 momentum.add(&change);
             }
         }
@@ -485,15 +493,15 @@ impl VpdSo3 {
     /// Returns the motion, if the stepper carries an attitude.
     fn motion(&self) -> Option<&Motion<f64>> {
         match &self.state {
-            Carried::Full(motion) => Some(motion),
-            Carried::Reduced { .. } => None,
+            MotionState::Full(motion) => Some(motion),
+            MotionState::Reduced { .. } => None,
         }
     }
 
     fn body_momentum(&self) -> Vec3<f64> {
         match &self.state {
-            Carried::Full(motion) => motion.body_momentum.value,
-            Carried::Reduced { momentum, .. } => momentum.value,
+            MotionState::Full(motion) => motion.body_momentum.value,
+            MotionState::Reduced { momentum, .. } => momentum.value,
         }
     }
 }

@@ -42,7 +42,7 @@ use nalgebra::Vector3;
 
 use crate::compensated::Sum;
 use crate::failure::Failure;
-use crate::hamiltonian::{Input, Moment, RigidBody};
+use crate::hamiltonian::{BodyAtTime, RigidBody, WorkAndImpulse};
 use crate::nonlinear::{Convergence, Equations, Rung, SMALLEST_SIZE, Solver, StopRule, relative};
 use crate::so::{self, Mat, Vector};
 use crate::state::State;
@@ -101,11 +101,11 @@ struct Stage<const N: usize, A> {
     /// h b_i Q_i.
     load: A,
     /// h b_i (f_i + [xi_i, M_i]).
-    kick: A,
+    impulse: A,
     /// Attitude G_i.
     g: Mat<N>,
     /// Input to a driven body at the stage.
-    input: Input<N>,
+    input: WorkAndImpulse<N>,
 }
 
 impl<const N: usize> Vrkmk<N> {
@@ -178,8 +178,8 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         body.seen_from(&Mat::identity(), &mut self.space);
         let Self { tableau, solver, beta, attitude, momentum, space, unknowns, clock, .. } = self;
         let nodes = (0..tableau.stages()).map(|k| tableau.c(k));
-        let moments = if body.is_driven() { body.over(clock.time, h, nodes) } else { Vec::new() };
-        let step = Step { tableau, beta, body, moments: &moments, space, h, g0: attitude };
+        let bodies = if body.is_driven() { body.over(clock.time, h, nodes) } else { Vec::new() };
+        let step = Step { tableau, beta, body, bodies: &bodies, space, h, g0: attitude };
         let (convergence, (g1, impulse)) = match unknowns {
             Unknowns::Vector(stages) => step.solve(solver, &momentum.value, stages)?,
             Unknowns::Bracket(stages) => step.solve(solver, &momentum.value, stages)?,
@@ -193,11 +193,11 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
         self.attitude = attitude;
         // The increment is skew to the last bit.
         self.momentum.add(&so::skew(&impulse));
-        let put_in = match &self.unknowns {
-            Unknowns::Vector(stages) => stages.put_in(&self.tableau, h),
-            Unknowns::Bracket(stages) => stages.put_in(&self.tableau, h),
+        let work_and_impulse = match &self.unknowns {
+            Unknowns::Vector(stages) => stages.work_and_impulse(&self.tableau, h),
+            Unknowns::Bracket(stages) => stages.work_and_impulse(&self.tableau, h),
         };
-        self.clock.advance(h, &put_in);
+        self.clock.advance(h, &work_and_impulse);
         Ok(convergence)
     }
 
@@ -212,18 +212,18 @@ impl<const N: usize> Stepper<N> for Vrkmk<N> {
 
 impl<const N: usize, A: Skew<N>> Stages<N, A> {
     /// Returns the input to a driven body in the step.
-    fn put_in(&self, tableau: &Tableau, h: f64) -> Input<N> {
-        let mut put_in = Input::default();
+    fn work_and_impulse(&self, tableau: &Tableau, h: f64) -> WorkAndImpulse<N> {
+        let mut work_and_impulse = WorkAndImpulse::default();
         for (k, stage) in self.stages.iter().enumerate() {
-            put_in.add(h * tableau.b(k), &stage.input);
+            work_and_impulse.add(h * tableau.b(k), &stage.input);
         }
-        put_in
+        work_and_impulse
     }
 
     fn new(stages: usize, q: usize) -> Self {
         let zero = A::zero();
-        let (g, input) = (Mat::identity(), Input::default());
-        let stage = Stage { k: zero, p: zero, load: zero, kick: zero, g, input };
+        let (g, input) = (Mat::identity(), WorkAndImpulse::default());
+        let stage = Stage { k: zero, p: zero, load: zero, impulse: zero, g, input };
         let chains = Chains::new(q);
         Self { stages: vec![stage; stages], chains, y: zero, n: zero }
     }
@@ -235,7 +235,7 @@ struct Step<'a, const N: usize> {
     beta: &'a [f64],
     body: &'a RigidBody<N>,
     /// A driven body at the moments of the stages.
-    moments: &'a [Moment<N>],
+    bodies: &'a [BodyAtTime<N>],
     space: &'a [Vector<N>],
     h: f64,
     g0: &'a Mat<N>,
@@ -256,9 +256,9 @@ impl<const N: usize> Step<'_, N> {
         let finite = |stage: &Stage<N, A>| stage.g.iter().all(|x| x.is_finite());
         let mut stages = unknowns.stages.iter().enumerate().filter(|(_, stage)| finite(stage));
         let check = stages.try_for_each(|(i, stage)| {
-            let check = match self.moments.get(i) {
+            let check = match self.bodies.get(i) {
                 None => self.body.check_distances_seen(&stage.g, self.space),
-                Some(moment) => moment.check(&stage.g),
+                Some(body_at_time) => body_at_time.check(&stage.g),
             };
             check.map_err(|met| Failure { stage: Some(i), ..met })
         });
@@ -269,7 +269,7 @@ impl<const N: usize> Step<'_, N> {
         let turn = so::exp(&unknowns.y.matrix());
         let mut impulse = A::zero();
         for stage in &unknowns.stages {
-            impulse += stage.kick;
+            impulse += stage.impulse;
         }
         Ok((convergence, (so::product(&turn, self.g0), impulse.matrix())))
     }
@@ -281,7 +281,7 @@ impl<const N: usize> Step<'_, N> {
     /// Changes of the slopes themselves would be no measure: they contain the round-off of the
     /// momentum times the inverse of the smallest moment of inertia.
     fn sweep<A: Skew<N>>(&self, m0: &A, unknowns: &mut Stages<N, A>) -> Result<f64, Failure> {
-        let Self { tableau, beta, body, moments, h, g0, .. } = *self;
+        let Self { tableau, beta, body, bodies, h, g0, .. } = *self;
         let Stages { stages, chains, y, n } = unknowns;
         let s = stages.len();
         (*y, *n) = (A::zero(), *m0);
@@ -298,11 +298,11 @@ impl<const N: usize> Step<'_, N> {
             let turn = so::exp(&x.matrix());
             stage.g = so::product(&turn, g0);
             let m = chains.dual_image(beta, &x, &stage.p);
-            let (xi, push) = match moments.get(i) {
+            let (xi, torque) = match bodies.get(i) {
                 None => slopes(body, &stage.g, &m),
-                Some(moment) => {
+                Some(body_at_time) => {
                     body.count(1);
-                    let (slopes, input) = driven_slopes(moment, &stage.g, &m);
+                    let (slopes, input) = driven_slopes(body_at_time, &stage.g, &m);
                     stage.input = input;
                     slopes
                 }
@@ -311,8 +311,8 @@ impl<const N: usize> Step<'_, N> {
             displacement = greater(displacement, h.abs() * (k - stage.k).size());
             stage.k = k;
             let weight = h * tableau.b(i);
-            let f = push - xi.bracket(&m);
-            stage.kick = push * weight;
+            let f = torque - xi.bracket(&m);
+            stage.impulse = torque * weight;
             stage.load = ((-x).dexp(&f) - chains.adjoint_of_derivative(beta)) * weight;
             *y += k * weight;
             *n += f.turned_back(&turn) * weight;
@@ -346,9 +346,9 @@ struct Sweeps<'a, 'b, const N: usize, A> {
 impl<const N: usize, A: Skew<N>> Equations for Sweeps<'_, '_, N, A> {
     fn guess(&mut self) -> Result<(), Failure> {
         for stage in &mut self.unknowns.stages {
-            let (zero, input) = (A::zero(), Input::default());
+            let (zero, input) = (A::zero(), WorkAndImpulse::default());
             let (k, p, g) = (*self.xi, *self.m0, *self.step.g0);
-            *stage = Stage { k, p, load: zero, kick: zero, g, input };
+            *stage = Stage { k, p, load: zero, impulse: zero, g, input };
         }
         Ok(())
     }
@@ -399,15 +399,15 @@ fn slopes<const N: usize, A: Skew<N>>(body: &RigidBody<N>, g: &Mat<N>, m: &A) ->
 
 /// Does the same for a driven body at a moment; also returns the input to the body.
 fn driven_slopes<const N: usize, A: Skew<N>>(
-    moment: &Moment<N>,
+    body_at_time: &BodyAtTime<N>,
     g: &Mat<N>,
     m: &A,
-) -> ((A, A), Input<N>) {
+) -> ((A, A), WorkAndImpulse<N>) {
     let mu = m.turned_back(g).matrix();
-    let body_omega = moment.body.velocity(&mu);
+    let body_omega = body_at_time.body.velocity(&mu);
     let xi = A::from_matrix(&body_omega).turned(g);
-    let push = -A::from_matrix(&moment.spatial_gradient(g, &mu, &body_omega));
-    ((xi, push), moment.input(g, &mu, &body_omega))
+    let torque = -A::from_matrix(&body_at_time.spatial_gradient(g, &mu, &body_omega));
+    ((xi, torque), body_at_time.input(g, &mu, &body_omega))
 }
 
 #[cfg(test)]
@@ -417,7 +417,7 @@ mod tests {
 
     /// The paper's dipole on a stick.
     fn dipole() -> RigidBody<3> {
-        let moments = [1.01, 1.0, 0.01];
+        let bodies = [1.01, 1.0, 0.01];
         let vertical = Vector::<3>::new(0.0, 0.0, 1.0);
         let source = |strength: f64| Term {
             law: Law::PointSource {
@@ -428,7 +428,7 @@ mod tests {
         };
         let weight =
             Term { law: Law::Uniform { weight: 1.0, body_point: vertical }, space: vertical };
-        RigidBody::new(Kinetic::of_moments(moments), vec![weight, source(1.0), source(-1.0)], 0.0)
+        RigidBody::new(Kinetic::of_moments(bodies), vec![weight, source(1.0), source(-1.0)], 0.0)
     }
 
     fn start() -> State<3> {
@@ -441,8 +441,8 @@ mod tests {
     fn slopes_of_the_dipole() {
         let (body, g) = (dipole(), start().attitude);
         let m = Vector3::new(0.4, -0.2, 0.1);
-        let (xi, push) = slopes(&body, &g, &m);
-        let f = push - xi.cross(&m);
+        let (xi, torque) = slopes(&body, &g, &m);
+        let f = torque - xi.cross(&m);
         // Values from an independent program.
         let expected = [
             [-0.749_360_295_121_939_4, -1.649_027_840_870_673, 2.976_318_224_715_369_4],
@@ -467,8 +467,8 @@ mod tests {
             ];
             let body = RigidBody::new(Kinetic::Principal { weights }, terms, 0.0);
             let (g, m) = (so::exp(&skew(0.317)), skew(0.605));
-            let (xi, push) = slopes(&body, &g, &m);
-            let f = push - so::asym(&so::product(&xi, &m));
+            let (xi, torque) = slopes(&body, &g, &m);
+            let f = torque - so::asym(&so::product(&xi, &m));
             let energy = |g: &Mat<N>, m: &Mat<N>| body.energy(g, &m.turned_back(g)).total();
             let e = 1e-3;
             let derivative = |at: &dyn Fn(f64) -> f64| {

@@ -379,7 +379,7 @@ fn samples_come_at_their_times_and_are_no_worse_than_ends_of_steps() {
             exact.start(&scene.start);
             if own.time_s > 0.0 {
                 exact.step(&scene.body, own.time_s).expect("a small step");
-                exact.settle(&scene.body, own.time_s).expect("a small step");
+                exact.synchronise(&scene.body, own.time_s).expect("a small step");
                 let here = State { attitude: own.attitude, momentum: own.momentum };
                 let there = State {
                     attitude: exact.attitude().expect("carried"),

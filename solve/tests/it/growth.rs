@@ -171,7 +171,7 @@ fn run<const N: usize>(
         for step in 1..=length {
             stepper.step(body, h).unwrap_or_else(|failure| panic!("{failure:?}"));
             if step % EVERY == 0 {
-                stepper.settle(body, h).unwrap_or_else(|failure| panic!("{failure:?}"));
+                stepper.synchronise(body, h).unwrap_or_else(|failure| panic!("{failure:?}"));
                 let g = stepper.attitude().expect("carried");
                 let now = figures(&g, &stepper.momentum());
                 for i in 0..2 {

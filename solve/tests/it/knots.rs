@@ -2,7 +2,7 @@
 
 use std::convert::Infallible;
 
-use vpd_solve::ensemble::{self, Apart};
+use vpd_solve::ensemble::{self, Sequential};
 use vpd_solve::failure::FailureCode;
 use vpd_solve::hamiltonian::{
     DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, Torque,
@@ -278,7 +278,7 @@ fn members_meet_knots_as_they_do_alone() {
     let starts: Vec<State<3>> =
         (0..5).map(|_| State { attitude: numbers.rotation(), momentum: numbers.skew() }).collect();
     let stepper = || Box::new(Vpd::<3>::new(Tableau::gauss(2).expect("two"), StopRule::default()));
-    let mut members = Apart::new(std::array::from_fn(|_| stepper() as Box<dyn Stepper<3>>));
+    let mut members = Sequential::new(std::array::from_fn(|_| stepper() as Box<dyn Stepper<3>>));
     let schedule = Schedule { step_s: 0.1, steps: 20, every: 1 };
     let mut seen = vec![Vec::new(); starts.len()];
     let ends = ensemble::integrate(

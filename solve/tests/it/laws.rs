@@ -66,7 +66,7 @@ pub(crate) fn advance<const N: usize>(
     stepper.start(start);
     for &h in steps {
         stepper.step(body, h).expect("a step that can be solved");
-        stepper.settle(body, h).expect("a step that can be solved");
+        stepper.synchronise(body, h).expect("a step that can be solved");
     }
     let attitude = stepper.attitude().expect("a scheme with an attitude");
     State { attitude, momentum: stepper.momentum() }

@@ -361,7 +361,7 @@ fn the_step_of_a_hamiltonian_of_ones_own_is_symplectic() {
         let system = magnetic::<N>(0.3);
         let at = start::<N>(&mut numbers);
         let stepped = |state: &State<N>| {
-            let mut stepper = Vpd::new(tableau.clone(), StopRule { foresee: false, ..stop() });
+            let mut stepper = Vpd::new(tableau.clone(), StopRule { stop_early: false, ..stop() });
             stepper.start(state);
             stepper.step(&system, 0.2).expect("a small step");
             State { attitude: stepper.attitude().expect("carried"), momentum: stepper.momentum() }

@@ -1,17 +1,23 @@
 //! The gradient of gravity: `U = strength / 2 q . M q`.
 
-use super::{Image, Mat, Space, Vector, so};
+use super::{BodyVector, Mat, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Tide;
 
 #[inline(always)]
-pub(super) fn value<V: Image>(strength: f64, m: &[f64], q: &V) -> V::Number {
+pub(super) fn value<V: BodyVector>(strength: f64, m: &[f64], q: &V) -> V::Number {
     q.dot(&q.times(m)) * (0.5 * strength)
 }
 
 /// `dU/dq = strength M q`.
 #[inline(always)]
-pub(super) fn slope<V: Image>(strength: f64, m: &[f64], q: &V, _: f64, _: &mut V::Number) -> V {
+pub(super) fn slope<V: BodyVector>(
+    strength: f64,
+    m: &[f64],
+    q: &V,
+    _: f64,
+    _: &mut V::Number,
+) -> V {
     q.times(m).scaled(q.number(strength))
 }
 

@@ -1,26 +1,26 @@
 //! A charge: `U = strength / r`, `r = |y - q|`.
 
-use super::{Image, Real, Space, Vector, so};
+use super::{BodyVector, Real, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Place;
 
 #[inline(always)]
-pub(super) fn value<V: Image>(strength: f64, y: &[f64], q: &V) -> V::Number {
+pub(super) fn value<V: BodyVector>(strength: f64, y: &[f64], q: &V) -> V::Number {
     q.number(strength) / q.vector(y).minus(q).square().sqrt()
 }
 
 /// `dU/dq = strength (y - q) / r^3`; the part along q has no torque.
 #[inline(always)]
-pub(super) fn slope<V: Image>(
+pub(super) fn slope<V: BodyVector>(
     strength: f64,
     y: &[f64],
     q: &V,
-    reach: f64,
-    nearness: &mut V::Number,
+    inverse_arm_squared: f64,
+    proximity: &mut V::Number,
 ) -> V {
     let y = q.vector(y);
     let square = y.minus(q).square();
-    *nearness = nearness.max_or_nan(square * -reach);
+    *proximity = proximity.max_or_nan(square * -inverse_arm_squared);
     y.scaled(q.number(strength) / (square * square.sqrt()))
 }
 

@@ -1,31 +1,36 @@
 //! A spring: `U = stiffness / 2 (r - rest_length)^2`, `r = |y - q|`.
 
-use super::{Image, Real, Space, Vector, so};
+use super::{BodyVector, Real, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Place;
 
 #[inline(always)]
-pub(super) fn value<V: Image>(stiffness: f64, rest_length: f64, y: &[f64], q: &V) -> V::Number {
+pub(super) fn value<V: BodyVector>(
+    stiffness: f64,
+    rest_length: f64,
+    y: &[f64],
+    q: &V,
+) -> V::Number {
     let stretch = q.vector(y).minus(q).square().sqrt() + -rest_length;
     stretch * (0.5 * stiffness) * stretch
 }
 
 /// `dU/dq = -stiffness (1 - rest_length / r) (y - q)`; the part along q has no torque.
 #[inline(always)]
-pub(super) fn slope<V: Image>(
+pub(super) fn slope<V: BodyVector>(
     stiffness: f64,
     rest_length: f64,
     y: &[f64],
     q: &V,
-    reach: f64,
-    nearness: &mut V::Number,
+    inverse_arm_squared: f64,
+    proximity: &mut V::Number,
 ) -> V {
     let y = q.vector(y);
     if rest_length == 0.0 {
         return y.scaled(q.number(-stiffness));
     }
     let square = y.minus(q).square();
-    *nearness = nearness.max_or_nan(square * -reach);
+    *proximity = proximity.max_or_nan(square * -inverse_arm_squared);
     let ratio = q.number(rest_length) / square.sqrt();
     y.scaled((ratio + -1.0) * stiffness)
 }

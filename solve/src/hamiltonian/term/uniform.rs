@@ -1,17 +1,17 @@
 //! A uniform field: `U = weight y . q`.
 
-use super::{Image, Space, Vector, so};
+use super::{BodyVector, Space, Vector, so};
 
 pub(super) const SPACE: Space = Space::Direction;
 
 #[inline(always)]
-pub(super) fn value<V: Image>(weight: f64, y: &[f64], q: &V) -> V::Number {
+pub(super) fn value<V: BodyVector>(weight: f64, y: &[f64], q: &V) -> V::Number {
     q.vector(y).dot(q) * weight
 }
 
 /// `dU/dq = weight y`.
 #[inline(always)]
-pub(super) fn slope<V: Image>(weight: f64, y: &[f64], q: &V, _: f64, _: &mut V::Number) -> V {
+pub(super) fn slope<V: BodyVector>(weight: f64, y: &[f64], q: &V, _: f64, _: &mut V::Number) -> V {
     q.vector(y).scaled(q.number(weight))
 }
 

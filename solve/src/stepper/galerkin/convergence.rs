@@ -7,7 +7,7 @@ use crate::hamiltonian::CLOSEST_APPROACH;
 // How far an iteration goes.
 
 /// Iterations of any kind after which a step is left to [`super`].
-pub(super) const MOST_ROUNDS: u32 = 40;
+pub(super) const MOST_ITERATIONS: u32 = 40;
 /// Error of a momentum left at the end of a step, relative to the largest momentum.
 pub(super) const ROUND_OFF: f64 = 1e-16;
 /// Fraction of [`ROUND_OFF`] allowed when early stopping is off. About an axis with a small moment of
@@ -72,16 +72,16 @@ pub(super) const MOST_OFF_THE_GROUP: f64 = 1e-9;
 pub(super) const FAR_ENOUGH: f64 = -CLOSEST_APPROACH * CLOSEST_APPROACH;
 
 /// Why a step is not solved here.
-pub(super) enum Stuck {
-    /// The rounds do not converge.
-    Lost,
+pub(super) enum SolveError {
+    /// The iteration does not converge.
+    NotConverged,
     /// The work was stopped.
-    Stopped(Failure),
+    Cancelled(Failure),
 }
 
-impl From<Failure> for Stuck {
+impl From<Failure> for SolveError {
     fn from(failure: Failure) -> Self {
-        Self::Stopped(failure)
+        Self::Cancelled(failure)
     }
 }
 
@@ -89,7 +89,7 @@ impl From<Failure> for Stuck {
 /// of |C|.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solved {
-    pub(super) rounds: u32,
+    pub(super) sweeps: u32,
     /// The length of the step.
     pub(super) h: f64,
     /// The last change of a momentum, relative to the largest.
@@ -99,21 +99,21 @@ pub(super) struct Solved {
     /// The largest `|C|_F^2`.
     pub(super) change_square: f64,
     /// Nearness as returned by [`crate::hamiltonian::RigidBody::torque`].
-    pub(super) nearness: f64,
+    pub(super) proximity: f64,
 }
 
-/// Convergence of rounds.
+/// Convergence of an iteration: of sweeps, inner passes or defect evaluations.
 #[derive(Debug)]
-pub(super) struct Rounds {
-    /// Contraction of an error by a round, assumed until it is measured.
+pub(super) struct Contraction {
+    /// Contraction of an error by an iteration, assumed until it is measured.
     expected: f64,
-    /// Last change, at first that before the rounds; a change much smaller than expected may be
-    /// luck.
+    /// Last change, at first that before the first iteration; a change much smaller than expected says nothing
+    /// of the next.
     last: f64,
     first: bool,
 }
 
-impl Rounds {
+impl Contraction {
     pub(super) fn new(expected: f64, before: f64) -> Self {
         Self { expected, last: before, first: true }
     }
@@ -123,7 +123,7 @@ impl Rounds {
         !self.first && change >= self.last && change <= FLOOR * size
     }
 
-    /// Returns the error left after a round whose change was `change`.
+    /// Returns the error left after an iteration whose change was `change`.
     pub(super) fn left(&mut self, change: f64) -> f64 {
         let change = change.max(0.3 * self.expected * self.last);
         let contraction =

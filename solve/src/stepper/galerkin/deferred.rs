@@ -1,4 +1,4 @@
-//! The step of [`super`] for a tableau that is its own partner (Gauss), solved as Gauss collocation
+//! The step of [`super`] for a symplectic tableau (Gauss), solved as Gauss collocation
 //! with a deferred defect: the same equations in another order. The tags are those of
 //! docs/derivation.md, where they are derived.
 //!
@@ -23,9 +23,9 @@
 //! collocation is solved first, and the defect is evaluated one to three times up to a turn of
 //! 0.15 rad, four to eight times in larger steps.
 //!
-//! A step goes on from the polynomials through the stages of the last one (`go_on`), which saves
-//! rounds of collocation. Short steps with few stages start from the polynomial through the last
-//! nine solutions (`follow`), which saves all rounds and an evaluation.
+//! A step goes on from the polynomials through the stages of the last one (`continue_stages`), which saves
+//! sweeps of collocation. Short steps with few stages start from the polynomial through the last
+//! nine solutions (`extrapolate`), which saves all sweeps and an evaluation.
 //!
 //! Everything is computed for all stages at once, in lanes. An operation carries the tag of its
 //! result.
@@ -37,19 +37,19 @@ use std::mem::swap;
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use super::convergence::{
-    LAST_DIGIT, LEAST_TURN_RAD, MODEST_TURN_RAD, MOST_ROUNDS, PASSES_PER_TORQUE, REMEMBERED_STEPS,
-    ROUND_OFF, ROUNDING_CHANGE, Rounds, SAME_SIGN, Solved, Stuck, USUAL_PASSES,
+    Contraction, LAST_DIGIT, LEAST_TURN_RAD, MODEST_TURN_RAD, MOST_ITERATIONS, PASSES_PER_TORQUE,
+    REMEMBERED_STEPS, ROUND_OFF, ROUNDING_CHANGE, SAME_SIGN, SolveError, Solved, USUAL_PASSES,
 };
 use crate::failure::Failure;
 use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
-use crate::lanes::{Real, Row, Rows, Stages, Stored, WIDTH, widest};
-use crate::nonlinear::{SMALLEST_SIZE, Trail, relative};
-use crate::stack::{Any, Dimension, Known, Numbers, Stack};
+use crate::lanes::{Real, Row, Rows, StageScalar, Stored, WIDTH, widest};
+use crate::nonlinear::{Extrapolation, SMALLEST_SIZE, relative};
+use crate::stack::{AlignedBuffer, Any, Dimension, Known, StageMatrices};
 use crate::tableau::Tableau;
 use crate::work;
 
 /// A system as the step sees it.
-pub(super) enum Source<'a> {
+pub(super) enum SystemView<'a> {
     /// A rigid body in principal axes and a potential of built-in terms.
     Body {
         velocity: Velocity<'a>,
@@ -72,42 +72,42 @@ pub(super) enum Velocity<'a> {
 
 /// A system at one stage, whose matrices are stored among those of the others.
 pub(super) trait AtStage {
-    /// Records that a round begins, or refuses it.
+    /// Records that a sweep begins, or refuses it.
     fn begin_sweep(&self) -> Result<(), Failure>;
     /// Computes dH/dg; c is U - I.
-    fn gradient(&self, at: Place, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
+    fn gradient(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &[f64], gradient: &mut [f64]);
     /// Computes `U X U^T`.
-    fn to_space(&self, at: Place, c: &[f64], x: &[f64], turned: &mut [f64]);
+    fn to_space(&self, at: StageSlot, c: &[f64], x: &[f64], turned: &mut [f64]);
     /// Improves Omega. Returns its largest change and its size.
-    fn velocity(&self, at: Place, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
+    fn velocity(&self, at: StageSlot, c: &[f64], mu: &[f64], omega: &mut [f64]) -> [f64; 2];
 }
 
-/// Position of the matrix of a stage: entry e is number `e * lanes + stage`.
+/// Position of the matrix of a stage: entry e is number `e * stride + stage`.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
+pub(super) struct StageSlot {
     pub(super) stage: usize,
-    pub(super) lanes: usize,
+    pub(super) stride: usize,
 }
 
 /// Start of a step.
-pub(super) struct Start<'a> {
+pub(super) struct StepStart<'a> {
     /// n.
     pub(super) n: usize,
     pub(super) h: f64,
     /// The angle h |Omega| in rad at its beginning.
-    pub(super) turn: f64,
+    pub(super) angle: f64,
     /// Time that the step is to last, if it is known, for a system in a time of its own; h is then
     /// a guess.
     pub(super) lasting: Option<f64>,
     /// As of [`crate::nonlinear::StopRule`]: whether an evaluation of the defect that would change
     /// next to nothing is spared.
-    pub(super) foresee: bool,
+    pub(super) stop_early: bool,
     /// p0 and its velocity, row by row.
     pub(super) momentum: &'a [f64],
     pub(super) velocity: &'a [f64],
 }
 
-/// A tableau of up to [`WIDTH`] stages that is its own partner, in lanes; lanes beyond its stages
+/// A symplectic tableau of up to [`WIDTH`] stages, in lanes; lanes beyond its stages
 /// are zero.
 #[derive(Clone, Debug)]
 struct Coefficients {
@@ -129,7 +129,7 @@ impl Coefficients {
     fn new(tableau: &Tableau) -> Option<Self> {
         let stages = tableau.stages();
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        if stages > WIDTH || !tableau.is_own_partner() {
+        if stages > WIDTH || !tableau.is_symplectic() {
             return None;
         }
         let zero = Row::splat(0.0);
@@ -163,46 +163,46 @@ impl Coefficients {
 }
 
 /// The unknowns of the stages, and scratch space: n x n matrices in lanes, row by row. Skew and
-/// symmetric ones are stored in full, except `kappa`, `delta_rest` and some in `room`, of which
+/// symmetric ones are stored in full, except `kappa`, `delta_rest` and some in `scratch`, of which
 /// only the entries above the diagonal count (for symmetric ones also those on it).
 #[derive(Clone, Debug)]
 struct Unknowns {
     /// p0, and the weights of a body, in every lane.
-    p0: Numbers,
-    inertia: Numbers,
-    omega: Numbers,
-    mu: Numbers,
-    c: Numbers,
-    d: Numbers,
-    w: Numbers,
-    k: Numbers,
-    f: Numbers,
-    e: Numbers,
-    gradient: Numbers,
-    kappa: Numbers,
+    p0: AlignedBuffer,
+    inertia: AlignedBuffer,
+    omega: AlignedBuffer,
+    mu: AlignedBuffer,
+    c: AlignedBuffer,
+    d: AlignedBuffer,
+    w: AlignedBuffer,
+    k: AlignedBuffer,
+    f: AlignedBuffer,
+    e: AlignedBuffer,
+    gradient: AlignedBuffer,
+    kappa: AlignedBuffer,
     /// `pi - p0`
-    gain: Numbers,
-    delta: Numbers,
+    momentum_increment: AlignedBuffer,
+    delta: AlignedBuffer,
     /// Part of delta that does not depend on K.
-    delta_rest: Numbers,
-    s: Numbers,
-    x: Numbers,
-    t: Numbers,
-    y: Numbers,
+    delta_rest: AlignedBuffer,
+    s: AlignedBuffer,
+    x: AlignedBuffer,
+    t: AlignedBuffer,
+    y: AlignedBuffer,
     /// f Lambda, at each stage.
-    f_lambda: Numbers,
-    room: [Numbers; 3],
+    f_lambda: AlignedBuffer,
+    scratch: [AlignedBuffer; 3],
     slopes: Vec<f64>,
     /// Values at the stages, for a system in a time of its own.
     rescaled: AtStages,
-    past: Past,
+    previous: PreviousSteps,
 }
 
 /// The last steps, all of one length.
 #[derive(Clone, Debug, Default)]
-struct Past {
+struct PreviousSteps {
     /// The matrices of [`Unknowns::smooth`], of short steps.
-    trail: Trail<REMEMBERED_STEPS>,
+    extrapolation: Extrapolation<REMEMBERED_STEPS>,
     /// Length of the last step, whose unknowns are still there.
     h: Option<f64>,
     /// The largest entry of its delta; infinite where that is not known.
@@ -215,14 +215,17 @@ impl Unknowns {
     fn smooth<'b>(
         &'b mut self,
         end: &'b mut End,
-    ) -> (&'b mut Trail<REMEMBERED_STEPS>, [&'b mut Numbers; 9]) {
-        let Self { gain, c, f, s, x, delta, omega, past, .. } = self;
+    ) -> (&'b mut Extrapolation<REMEMBERED_STEPS>, [&'b mut AlignedBuffer; 9]) {
+        let Self { momentum_increment, c, f, s, x, delta, omega, previous, .. } = self;
         let End { f: end_f, multiplier, .. } = end;
-        (&mut past.trail, [gain, c, f, s, x, delta, end_f, multiplier, omega])
+        (
+            &mut previous.extrapolation,
+            [momentum_increment, c, f, s, x, delta, end_f, multiplier, omega],
+        )
     }
 
     fn new(n: usize, lanes: usize) -> Self {
-        let zeros = || Numbers::zeros(n * n * lanes);
+        let zeros = || AlignedBuffer::zeros(n * n * lanes);
         Self {
             p0: zeros(),
             inertia: zeros(),
@@ -236,7 +239,7 @@ impl Unknowns {
             e: zeros(),
             gradient: zeros(),
             kappa: zeros(),
-            gain: zeros(),
+            momentum_increment: zeros(),
             delta: zeros(),
             delta_rest: zeros(),
             s: zeros(),
@@ -244,10 +247,10 @@ impl Unknowns {
             t: zeros(),
             y: zeros(),
             f_lambda: zeros(),
-            room: [zeros(), zeros(), zeros()],
+            scratch: [zeros(), zeros(), zeros()],
             slopes: Vec::new(),
             rescaled: AtStages::default(),
-            past: Past::default(),
+            previous: PreviousSteps::default(),
         }
     }
 }
@@ -255,28 +258,29 @@ impl Unknowns {
 /// The unknowns of the end point.
 #[derive(Clone, Debug)]
 struct End {
-    c: Numbers,
-    d: Numbers,
-    k: Numbers,
-    f: Numbers,
+    c: AlignedBuffer,
+    d: AlignedBuffer,
+    k: AlignedBuffer,
+    f: AlignedBuffer,
     /// `f Lambda f^T`
-    multiplier: Numbers,
+    multiplier: AlignedBuffer,
     /// `pi1 - p0`
-    impulse: Numbers,
+    impulse: AlignedBuffer,
     /// `p1 - p0`
-    gain: Numbers,
-    pi: Numbers,
-    room: [Numbers; 2],
+    momentum_increment: AlignedBuffer,
+    pi: AlignedBuffer,
+    scratch: [AlignedBuffer; 2],
 }
 
-/// Whence a step was begun.
+/// First guess of the unknowns of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Begun {
-    Guess,
-    /// From the last step ([`Step::go_on`]).
-    Last,
-    /// From the last nine ([`Step::follow`]).
-    LastNine,
+enum InitialGuess {
+    /// [`Step::guess`]
+    ConstantVelocity,
+    /// From the last step ([`Step::continue_stages`]).
+    StagePolynomial,
+    /// From the last nine ([`Step::extrapolate`]).
+    Extrapolated,
 }
 
 /// Solver of the collocation, kept from step to step.
@@ -292,13 +296,12 @@ pub(super) struct Collocation {
 }
 
 impl Collocation {
-    /// Creates the solver for `tableau` in n dimensions; `None` if the tableau is not its own
-    /// partner, or has more stages than there are lanes.
+    /// Creates the solver for `tableau` in n dimensions; `None` if the tableau is not symplectic, or has more stages than there are lanes.
     pub(super) fn new(tableau: &Tableau, n: usize) -> Option<Self> {
         let coefficients = Coefficients::new(tableau)?;
         // One number at a time would be slower than two.
         let lanes = coefficients.stages.next_power_of_two().max(2);
-        let zeros = || Numbers::zeros(n * n);
+        let zeros = || AlignedBuffer::zeros(n * n);
         let end = End {
             c: zeros(),
             d: zeros(),
@@ -306,9 +309,9 @@ impl Collocation {
             f: zeros(),
             multiplier: zeros(),
             impulse: zeros(),
-            gain: zeros(),
+            momentum_increment: zeros(),
             pi: zeros(),
-            room: [zeros(), zeros()],
+            scratch: [zeros(), zeros()],
         };
         let unknowns = Unknowns::new(n, lanes);
         Some(Self { coefficients, level: Some(Level::new()), lanes, unknowns, end })
@@ -317,12 +320,12 @@ impl Collocation {
     /// Solves a step.
     ///
     /// # Errors
-    /// [`Stuck`].
+    /// [`SolveError`].
     pub(super) fn solve<'a>(
         &'a mut self,
-        start: &'a Start<'a>,
-        source: Source<'a>,
-    ) -> Result<Solved, Stuck> {
+        start: &'a StepStart<'a>,
+        source: SystemView<'a>,
+    ) -> Result<Solved, SolveError> {
         let Self { coefficients, level, lanes, unknowns: u, end } = self;
         match (lanes, *level) {
             (2, Some(level)) => {
@@ -345,11 +348,11 @@ impl Collocation {
 
     /// Forgets the last steps.
     pub(super) fn forget(&mut self) {
-        self.unknowns.past = Past::default();
+        self.unknowns.previous = PreviousSteps::default();
     }
 
     /// `f - I`, row by row.
-    pub(super) fn turn(&self) -> &[f64] {
+    pub(super) fn rotation_increment(&self) -> &[f64] {
         &self.end.c
     }
 
@@ -359,8 +362,8 @@ impl Collocation {
     }
 
     /// `p1 - p0` of a body, row by row.
-    pub(super) fn gain(&self) -> &[f64] {
-        &self.end.gain
+    pub(super) fn momentum_increment(&self) -> &[f64] {
+        &self.end.momentum_increment
     }
 
     /// Entry e of `U_k - I`, or of `f - I` after the last stage.
@@ -398,14 +401,14 @@ impl Collocation {
 }
 
 /// Selects the code for `start.n` rows.
-fn solve<'a, R: Stages<Whole = f64>>(
+fn solve<'a, R: StageScalar<StepScalar = f64>>(
     lanes: R,
     coefficients: &'a Coefficients,
-    start: &'a Start<'a>,
-    source: Source<'a>,
+    start: &'a StepStart<'a>,
+    source: SystemView<'a>,
     unknowns: &'a mut Unknowns,
     end: &'a mut End,
-) -> Result<Solved, Stuck> {
+) -> Result<Solved, SolveError> {
     match start.n {
         3 => Step::new(lanes, Known::<3>, coefficients, start, source, unknowns, end).solve(),
         4 => Step::new(lanes, Known::<4>, coefficients, start, source, unknowns, end).solve(),
@@ -419,19 +422,19 @@ fn solve<'a, R: Stages<Whole = f64>>(
 }
 
 /// Solves the step for any number of rows.
-fn solve_any<'a, R: Stages<Whole = f64>>(
+fn solve_any<'a, R: StageScalar<StepScalar = f64>>(
     lanes: R,
     coefficients: &'a Coefficients,
-    start: &'a Start<'a>,
-    source: Source<'a>,
+    start: &'a StepStart<'a>,
+    source: SystemView<'a>,
     unknowns: &'a mut Unknowns,
     end: &'a mut End,
-) -> Result<Solved, Stuck> {
+) -> Result<Solved, SolveError> {
     Step::new(lanes, Any(start.n), coefficients, start, source, unknowns, end).solve()
 }
 
 /// Forces that turn the body, at all stages.
-enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
+enum Forces<'a, R: StageScalar<StepScalar = f64>, D: Dimension> {
     /// No forces.
     None {
         velocity: Velocity<'a>,
@@ -451,13 +454,13 @@ enum Forces<'a, R: Stages<Whole = f64>, D: Dimension> {
     Stages(&'a dyn AtStage),
 }
 
-impl<'a, R: Stages<Whole = f64>, D: Dimension> Forces<'a, R, D> {
-    fn new(stack: Stack<R, D>, source: Source<'a>) -> Self {
+impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Forces<'a, R, D> {
+    fn new(stack: StageMatrices<R, D>, source: SystemView<'a>) -> Self {
         match source {
-            Source::Body { velocity, terms, work, .. } if terms.count() == 0 => {
+            SystemView::Body { velocity, terms, work, .. } if terms.count() == 0 => {
                 Self::None { velocity, work }
             }
-            Source::Body { velocity, terms, seen, work } => {
+            SystemView::Body { velocity, terms, seen, work } => {
                 let torques = Torques::new(stack, terms, seen);
                 match velocity {
                     Velocity::Weights(weights, Some(scale)) => {
@@ -466,16 +469,16 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Forces<'a, R, D> {
                     velocity => Self::Body { velocity, torques, work },
                 }
             }
-            Source::Stages(system) => Self::Stages(system),
+            SystemView::Stages(system) => Self::Stages(system),
         }
     }
 }
 
 /// A step being solved.
-struct Step<'a, R: Stages<Whole = f64>, D: Dimension> {
-    stack: Stack<R, D>,
+struct Step<'a, R: StageScalar<StepScalar = f64>, D: Dimension> {
+    stack: StageMatrices<R, D>,
     coefficients: &'a Coefficients,
-    start: &'a Start<'a>,
+    start: &'a StepStart<'a>,
     h: f64,
     /// h b_k.
     weights: R,
@@ -483,7 +486,7 @@ struct Step<'a, R: Stages<Whole = f64>, D: Dimension> {
     size: f64,
     /// The largest angle h |Omega_k| through which the velocity of a stage would turn the body in
     /// the step.
-    turn: f64,
+    angle: f64,
     u: &'a mut Unknowns,
     end: &'a mut End,
     forces: Forces<'a, R, D>,
@@ -503,65 +506,67 @@ macro_rules! in_lanes {
     };
 }
 
-impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
+impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     fn new(
         lanes: R,
         dimension: D,
         coefficients: &'a Coefficients,
-        start: &'a Start<'a>,
-        source: Source<'a>,
+        start: &'a StepStart<'a>,
+        source: SystemView<'a>,
         u: &'a mut Unknowns,
         end: &'a mut End,
     ) -> Self {
-        let stack = Stack { lanes, dimension };
+        let stack = StageMatrices { lanes, dimension };
         let forces = Forces::new(stack, source);
         let weights = lanes.row(&coefficients.weights) * start.h;
-        let (h, size, turn) = (start.h, 0.0, 0.0);
-        Self { stack, coefficients, start, h, weights, size, turn, u, end, forces }
+        let (h, size, angle) = (start.h, 0.0, 0.0);
+        Self { stack, coefficients, start, h, weights, size, angle, u, end, forces }
     }
 
-    fn solve(mut self) -> Result<Solved, Stuck> {
+    fn solve(mut self) -> Result<Solved, SolveError> {
         self.load();
         // In a time of its own the last step of a run has another length.
         let is_even = !matches!(self.forces, Forces::Rescaled { .. });
-        let continues = is_even && self.u.past.h.take() == Some(self.h);
+        let continues = is_even && self.u.previous.h.take() == Some(self.h);
         let is_short = is_even && self.is_short();
         if !(is_short && continues) {
-            self.u.past.trail.forget();
+            self.u.previous.extrapolation.forget();
         }
-        let begun = if is_short && self.follow() {
-            Begun::LastNine
-        } else if continues && self.start.turn <= MODEST_TURN_RAD {
-            self.go_on();
-            Begun::Last
+        let initial_guess = if is_short && self.extrapolate() {
+            InitialGuess::Extrapolated
+        } else if continues && self.start.angle <= MODEST_TURN_RAD {
+            self.continue_stages();
+            InitialGuess::StagePolynomial
         } else {
             self.guess();
-            Begun::Guess
+            InitialGuess::ConstantVelocity
         };
-        let mut solved = self.solve_from(begun);
-        if begun != Begun::Guess && matches!(solved, Err(Stuck::Lost)) {
-            self.u.past.trail.forget();
+        let mut solved = self.solve_from(initial_guess);
+        if initial_guess != InitialGuess::ConstantVelocity
+            && matches!(solved, Err(SolveError::NotConverged))
+        {
+            self.u.previous.extrapolation.forget();
             self.guess();
-            solved = self.solve_from(Begun::Guess);
+            solved = self.solve_from(InitialGuess::ConstantVelocity);
         }
         let solved = solved?;
         if is_short {
             self.keep();
         }
-        self.u.past.h = is_even.then_some(self.h);
+        self.u.previous.h = is_even.then_some(self.h);
         Ok(solved)
     }
 
     /// Is the step so short that the last steps lead nearer to its solution than the guess, and
     /// have the stages so low an order that this saves evaluations of the defect?
     fn is_short(&self) -> bool {
-        // rad; with more stages collocation needs few rounds, and the first evaluation is often the last.
+        // rad; with more stages collocation needs few sweeps, and the first evaluation is often the last.
         let short = match self.coefficients.stages {
             1..=3 => 0.08,
             4 => 0.03,
             _ => 0.0,
         };
-        self.start.turn <= short
+        self.start.angle <= short
     }
 
     /// Is Omega the momentum times weights?
@@ -574,42 +579,43 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     /// Solves the step from where it was begun.
-    fn solve_from(&mut self, begun: Begun) -> Result<Solved, Stuck> {
+    fn solve_from(&mut self, initial_guess: InitialGuess) -> Result<Solved, SolveError> {
         let stages = self.coefficients.stages;
-        let follows = begun == Begun::LastNine;
-        let mut rounds = 0;
-        if follows {
+        let is_extrapolated = initial_guess == InitialGuess::Extrapolated;
+        let mut sweeps = 0;
+        if is_extrapolated {
             self.momenta_from_space();
             self.measure();
             self.attitudes_of_factors();
         } else {
-            rounds = self.collocate()?;
+            sweeps = self.collocate()?;
         }
         self.polar_factors();
         self.gradients()?;
         self.transport();
-        if !follows {
+        if !is_extrapolated {
             self.first_symmetric_parts();
         }
-        let turn = self.turn.min(1.0);
+        let angle = self.angle.min(1.0);
         let expected = self.contraction_of_an_evaluation();
         // What the momenta may lack at the end, and what the estimate of the defect may.
         let goal = SAME_SIGN * self.rounding();
-        let allowed = if follows { goal } else { self.allowed() };
+        let allowed = if is_extrapolated { goal } else { self.allowed() };
         // X and S depend on each other: with one look at both, the defect lacks half the turn times itself.
-        let is_small = !follows && 0.5 * turn * self.u.past.defect <= allowed.min(self.rounding());
-        let looks_twice = !follows && !is_small && (stages >= 4 || turn > 0.3);
+        let is_small = !is_extrapolated
+            && 0.5 * angle * self.u.previous.defect <= allowed.min(self.rounding());
+        let looks_twice = !is_extrapolated && !is_small && (stages >= 4 || angle > 0.3);
         // A small change is luck where the unknowns were guessed. X and S of a polynomial miss as much as each
         // other, and the first evaluation leaves the error of S, times half the turn, in X.
-        let mut evaluations = match (follows, is_small) {
-            (true, _) => Rounds::new(0.1 * turn, 0.0),
-            (false, true) => Rounds::new(0.5 * turn, self.u.past.defect),
-            (false, false) => Rounds::new(expected, self.order(stages) * self.size),
+        let mut evaluations = match (is_extrapolated, is_small) {
+            (true, _) => Contraction::new(0.1 * angle, 0.0),
+            (false, true) => Contraction::new(0.5 * angle, self.u.previous.defect),
+            (false, false) => Contraction::new(expected, self.order(stages) * self.size),
         };
-        let mut shortfall = 0.0;
-        for evaluation in 1..=MOST_ROUNDS {
-            rounds += 1;
-            if evaluation > 1 || !follows {
+        let mut residual = 0.0;
+        for evaluation in 1..=MOST_ITERATIONS {
+            sweeps += 1;
+            if evaluation > 1 || !is_extrapolated {
                 self.end_point(1);
             }
             self.end_at_stages();
@@ -621,52 +627,54 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             let jump = self.defects();
             let momenta = self.momenta_from_space();
             if evaluation == 1 {
-                self.u.past.defect = if follows { f64::INFINITY } else { jump };
+                self.u.previous.defect = if is_extrapolated { f64::INFINITY } else { jump };
             }
             let floor = evaluations.at_floor(jump, self.size);
             // The defect contains the shortfall of the attitudes at its evaluation, times the turn.
-            let left = evaluations.left(jump).max(turn * shortfall);
+            let left = evaluations.left(jump).max(angle * residual);
             // With few stages the first evaluation does not yet know its order.
-            let is_last = (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || follows);
+            let is_last =
+                (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || is_extrapolated);
             if is_last {
                 // At first, where it follows, the forces are those of these attitudes.
-                let is_solved =
-                    follows && evaluation == 1 && momenta * self.contraction_of_a_pass() <= goal;
+                let is_solved = is_extrapolated
+                    && evaluation == 1
+                    && momenta * self.contraction_of_a_pass() <= goal;
                 let increment =
                     if is_solved { momenta } else { self.pass_until(momenta, goal, true)?.last };
-                self.end_step(if follows { 1 } else { 2 });
-                return Ok(self.judged(rounds, increment / self.size));
+                self.end_step(if is_extrapolated { 1 } else { 2 });
+                return Ok(self.judged(sweeps, increment / self.size));
             }
-            let enough = (0.3 * left * expected / self.clear_turn()).max(0.3 * goal);
-            shortfall = self.pass_until(momenta, enough, false)?.left;
+            let enough = (0.3 * left * expected / self.clear_angle()).max(0.3 * goal);
+            residual = self.pass_until(momenta, enough, false)?.left;
             self.gradients()?;
             if !jump.is_finite() {
                 break;
             }
         }
-        Err(Stuck::Lost)
+        Err(SolveError::NotConverged)
     }
 
     /// Contraction of the error of the defect by an evaluation, assumed until it is measured.
     fn contraction_of_an_evaluation(&self) -> f64 {
-        let turn = self.turn.min(1.0);
-        (0.2 * if self.coefficients.stages == 1 { turn } else { turn * turn }).min(0.1)
+        let angle = self.angle.min(1.0);
+        (0.2 * if self.coefficients.stages == 1 { angle } else { angle * angle }).min(0.1)
     }
 
     /// The error of a momentum that turns the end of the step by a rounding error: it does by its product with the turn.
     fn rounding(&self) -> f64 {
-        ROUND_OFF * self.size / self.clear_turn()
+        ROUND_OFF * self.size / self.clear_angle()
     }
 
     /// The turn, as far as errors are divided by it: a body that hardly turns keeps the digits of its momentum all the same.
-    fn clear_turn(&self) -> f64 {
-        self.turn.clamp(LEAST_TURN_RAD, 1.0)
+    fn clear_angle(&self) -> f64 {
+        self.angle.clamp(LEAST_TURN_RAD, 1.0)
     }
 
     /// What the defect may lack, by the estimate; with up to four stages what it lacks is far below that.
     fn allowed(&self) -> f64 {
         self.rounding()
-            * match (self.start.foresee, self.coefficients.stages) {
+            * match (self.start.stop_early, self.coefficients.stages) {
                 (false, _) => LAST_DIGIT,
                 (true, ..=4) => 10.0,
                 (true, _) => 1.0,
@@ -675,7 +683,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Estimates the size of the defect, for stopping collocation alone: `turn^(s+1) / (s+1)!`.
     fn order(&self, stages: usize) -> f64 {
-        (1..=stages + 1).fold(1.0, |product, m| product * self.turn / m as f64)
+        (1..=stages + 1).fold(1.0, |product, m| product * self.angle / m as f64)
     }
 
     /// Computes what the step changes, the turn in such a number of passes.
@@ -684,17 +692,17 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.transport();
         self.end_point(passes);
         if !matches!(self.forces, Forces::Stages(_)) {
-            self.gain();
+            self.momentum_increment();
         }
     }
 
     /// Solves Gauss collocation, without the defect, until the error left is smaller than the
     /// defect.
-    fn collocate(&mut self) -> Result<u32, Stuck> {
+    fn collocate(&mut self) -> Result<u32, SolveError> {
         let stages = self.coefficients.stages;
         let is_rescaled = matches!(self.forces, Forces::Rescaled { .. });
         let mut last = f64::INFINITY;
-        for round in 1..=MOST_ROUNDS {
+        for sweep in 1..=MOST_ITERATIONS {
             self.gradients()?;
             let jump = self.momenta_in_body();
             if is_rescaled {
@@ -713,42 +721,42 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             if !(jump <= 1e3 * self.size) {
                 break;
             }
-            let ratio = if round == 1 { 0.05 * self.turn * self.turn } else { jump / last };
+            let ratio = if sweep == 1 { 0.05 * self.angle * self.angle } else { jump / last };
             // What is left here enters the defect times the turn, and stays in it if the first evaluation will do.
             let is_evaluated_once =
-                self.contraction_of_an_evaluation() * self.u.past.defect <= self.allowed();
+                self.contraction_of_an_evaluation() * self.u.previous.defect <= self.allowed();
             let goal = if is_evaluated_once {
-                0.1 * self.rounding() / self.clear_turn()
+                0.1 * self.rounding() / self.clear_angle()
             } else {
                 (0.1 * self.order(stages)).max(ROUND_OFF) * self.size
             };
             let is_last = jump * ratio.min(1.0) <= goal;
             // The next torque needs no better attitudes in a step of less than 0.25 rad.
-            if (is_last || self.turn > 0.25) && !is_rescaled {
+            if (is_last || self.angle > 0.25) && !is_rescaled {
                 self.attitudes();
             }
             if is_last {
-                return Ok(round);
+                return Ok(sweep);
             }
             last = jump;
         }
-        Err(Stuck::Lost)
+        Err(SolveError::NotConverged)
     }
 
     /// Contraction of an error by a pass, assumed until it is measured.
     fn contraction_of_a_pass(&self) -> f64 {
-        (0.15 * self.turn).clamp(0.01, 0.3)
+        (0.15 * self.angle).clamp(0.01, 0.3)
     }
 
     /// Repeats passes over attitudes and momenta, with the slow part of the defect kept, until the
     /// error left in the momenta is `goal`; with new forces in each pass, or with the last ones.
-    fn pass_until(&mut self, before: f64, goal: f64, forced: bool) -> Result<Passed, Stuck> {
-        let mut rounds = Rounds::new(self.contraction_of_a_pass(), before);
-        for pass in 0..MOST_ROUNDS {
+    fn pass_until(&mut self, before: f64, goal: f64, forced: bool) -> Result<Passed, SolveError> {
+        let mut passes = Contraction::new(self.contraction_of_a_pass(), before);
+        for pass in 0..MOST_ITERATIONS {
             // New forces count as a sweep by themselves.
             self.begin_pass(if forced { 0 } else { pass })?;
             // Under stiff forces changes fall slowly: there a rounding error has to do.
-            let is_slow = forced && pass >= MOST_ROUNDS / 2;
+            let is_slow = forced && pass >= MOST_ITERATIONS / 2;
             let goal = if is_slow { goal.max(self.rounding()) } else { goal };
             // In a plane a momentum does not depend on the attitude.
             let sees = self.start.n > 2;
@@ -764,9 +772,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             self.transport();
             let momenta = self.momenta_from_space();
             let jump = if sees { momenta } else { momenta.max(self.turned()) };
-            let floor = rounds.at_floor(jump, self.size)
+            let floor = passes.at_floor(jump, self.size)
                 || forced && jump <= ROUNDING_CHANGE * ROUND_OFF * self.size;
-            let mut left = rounds.left(jump);
+            let mut left = passes.left(jump);
             if forced && pass == 0 {
                 // What forces leave depends on how stiff they are.
                 left = left.max(jump * (jump / before).min(1.0));
@@ -778,7 +786,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 break;
             }
         }
-        Err(Stuck::Lost)
+        Err(SolveError::NotConverged)
     }
 
     fn begin_sweep(&self) -> Result<(), Failure> {
@@ -805,7 +813,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn gradients(&mut self) -> Result<(), Failure> {
         self.begin_sweep()?;
         if matches!(self.forces, Forces::Rescaled { .. }) {
-            self.look_at_time();
+            self.evaluate_time_scale();
             return Ok(());
         }
         let Unknowns { c, mu, omega, gradient, slopes, .. } = &mut *self.u;
@@ -817,7 +825,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
             }
             Forces::Stages(system) => {
                 for stage in 0..self.coefficients.stages {
-                    system.gradient(Place { stage, lanes: R::LANES }, c, mu, omega, gradient);
+                    system.gradient(StageSlot { stage, stride: R::LANES }, c, mu, omega, gradient);
                 }
             }
         }
@@ -826,7 +834,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Evaluates [time]: the forces and the time of the stages, and the length of a step that is to
     /// last a given time, `h = t / sum_k b_k sigma_k`.
-    fn look_at_time(&mut self) {
+    fn evaluate_time_scale(&mut self) {
         if let Forces::Rescaled { work, .. } = &self.forces {
             work.add_gradients(self.coefficients.stages as u64);
         }
@@ -846,7 +854,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn scales(&mut self) {
         if let Forces::Rescaled { torques, scale, .. } = &mut self.forces {
             let Unknowns { c, rescaled, .. } = &mut *self.u;
-            rescaled.look(torques, scale, c);
+            rescaled.evaluate_forces(torques, scale, c);
         }
     }
 
@@ -869,20 +877,20 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Adds the solution to the last steps.
     fn keep(&mut self) {
         let without = usize::from(self.has_weights());
-        let (trail, smooth) = self.u.smooth(self.end);
+        let (extrapolation, smooth) = self.u.smooth(self.end);
         let count = smooth.len() - without;
-        trail.add(smooth.into_iter().take(count).map(|matrix| &matrix[..]));
+        extrapolation.add(smooth.into_iter().take(count).map(|matrix| &matrix[..]));
     }
 
     /// Takes the unknowns from where the last steps lead, if enough of them are known.
-    fn follow(&mut self) -> bool {
+    fn extrapolate(&mut self) -> bool {
         let without = usize::from(self.has_weights());
-        let (trail, smooth) = self.u.smooth(self.end);
+        let (extrapolation, smooth) = self.u.smooth(self.end);
         let count = smooth.len() - without;
-        let is_known = trail.is_known();
+        let is_known = extrapolation.is_known();
         if is_known {
             let matrices = smooth.into_iter().take(count).map(|matrix| &mut matrix[..]);
-            trail.ahead(self.stack.lanes, matrices);
+            extrapolation.extrapolate(self.stack.lanes, matrices);
         }
         is_known
     }
@@ -904,7 +912,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Guesses the unknowns from the initial velocity, kept constant.
     fn guess(&mut self) {
         let Self { stack, start, coefficients, u, .. } = self;
-        u.past.defect = f64::INFINITY;
+        u.previous.defect = f64::INFINITY;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let angle = lanes.row(&coefficients.nodes) * start.h;
         let Unknowns { p0, omega, mu, c, .. } = &mut **u;
@@ -928,19 +936,19 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Guesses momenta and attitudes from the last step, continued as a polynomial in time: `mu_j`
     /// and, as seen from where the step begins, `f^T U_j`.
-    fn go_on(&mut self) {
+    fn continue_stages(&mut self) {
         let Self { stack, coefficients, u, end, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { p0, mu, c, room: [turn, seen, _], .. } = &mut **u;
-        stack.spread(&end.c, turn);
-        stack.plus_transposed_product(c, turn, c, seen);
+        let Unknowns { p0, mu, c, scratch: [rotation, seen, _], .. } = &mut **u;
+        stack.spread(&end.c, rotation);
+        stack.plus_transposed_product(c, rotation, c, seen);
         let columns = stack.lanes.rows(&coefficients.ahead);
         let at_end = stack.lanes.row(&coefficients.ahead_of_end);
         {
-            let (c, turn, seen) = (&mut c[..len], &turn[..len], &mut seen[..len]);
+            let (c, rotation, seen) = (&mut c[..len], &rotation[..len], &mut seen[..len]);
             for i in 0..n {
                 for j in 0..n {
-                    stack.put(seen, i, j, stack.get(seen, i, j) + stack.get(turn, j, i));
+                    stack.put(seen, i, j, stack.get(seen, i, j) + stack.get(rotation, j, i));
                     // zero at the end
                     let ahead = R::combination(&seen[(i * n + j) * R::LANES..], &columns);
                     stack.put(c, i, j, ahead);
@@ -968,14 +976,14 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.rates();
         let Self { stack, coefficients, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
-        let Unknowns { p0, mu, room: [rate, ..], .. } = &mut **u;
+        let Unknowns { p0, mu, scratch: [rate, ..], .. } = &mut **u;
         let (p0, mu, rate) = (&p0[..len], &mut mu[..len], &rate[..len]);
         let columns = lanes.rows(&coefficients.columns);
         let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
-                let gain = R::combination(&rate[(i * n + j) * R::LANES..], &columns);
-                let now = stack.get(p0, i, j) + gain;
+                let momentum_increment = R::combination(&rate[(i * n + j) * R::LANES..], &columns);
+                let now = stack.get(p0, i, j) + momentum_increment;
                 jump = jump.max_or_nan((now - stack.get(mu, i, j)).abs());
                 stack.put_skew(mu, i, j, now);
             }
@@ -1001,7 +1009,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Measures the largest momentum, and the largest turn of a step by a stage's velocity.
     fn measure(&mut self) {
-        let Self { stack, h, u, size, turn, .. } = self;
+        let Self { stack, h, u, size, angle, .. } = self;
         let (len, lanes) = (stack.numbers(), stack.lanes);
         let (omega, mu) = (&u.omega[..len], &u.mu[..len]);
         let (mut square, mut largest) = (lanes.constant(0.0), lanes.constant(0.0));
@@ -1014,35 +1022,35 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
         // At rest there is nothing by which to measure, and nothing to solve.
         *size = largest.largest().max_or_nan(SMALLEST_SIZE);
-        *turn = h.abs() * square.largest().sqrt();
+        *angle = h.abs() * square.largest().sqrt();
     }
 
     /// [F], [K] and [C]: (24c, vih3).
     fn polar_factors(&mut self) {
         let Self { stack, u, .. } = self;
-        let Unknowns { d, c, f, k, room: [room, ..], .. } = &mut **u;
-        polar_factor(*stack, d, c, f, k, room);
+        let Unknowns { d, c, f, k, scratch: [scratch, ..], .. } = &mut **u;
+        polar_factor(*stack, d, c, f, k, scratch);
     }
 
     /// [transport]: pi - p0.
     fn transport(&mut self) {
         let Self { stack, coefficients, weights, u, forces, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
-        let Unknowns { c, kappa, gain, delta, gradient, slopes, rescaled, .. } = &mut **u;
+        let Unknowns { c, kappa, momentum_increment, delta, gradient, slopes, rescaled, .. } = &mut **u;
         match forces {
             Forces::None { .. } => {
-                gain.copy_from_slice(delta);
+                momentum_increment.copy_from_slice(delta);
                 return;
             }
             Forces::Body { torques, .. } => torques.spatial_gradient(c, slopes, kappa),
             Forces::Rescaled { torques, .. } => rescaled.spatial_gradient(torques, c, slopes, kappa),
             Forces::Stages(system) => {
                 for stage in 0..coefficients.stages {
-                    system.to_space(Place { stage, lanes: R::LANES }, c, gradient, kappa);
+                    system.to_space(StageSlot { stage, stride: R::LANES }, c, gradient, kappa);
                 }
             }
         }
-        let (kappa, gain, delta) = (&mut kappa[..len], &mut gain[..len], &delta[..len]);
+        let (kappa, momentum_increment, delta) = (&mut kappa[..len], &mut momentum_increment[..len], &delta[..len]);
         let columns = lanes.rows(&coefficients.columns);
         for i in 0..n {
             for j in i + 1..n {
@@ -1051,8 +1059,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
         for i in 0..n {
             for j in i + 1..n {
-                let kicks = R::combination(&kappa[(i * n + j) * R::LANES..], &columns);
-                stack.put_skew(gain, i, j, stack.get(delta, i, j) - kicks);
+                let impulses = R::combination(&kappa[(i * n + j) * R::LANES..], &columns);
+                stack.put_skew(momentum_increment, i, j, stack.get(delta, i, j) - impulses);
             }
         }
     }
@@ -1062,18 +1070,18 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn momenta_from_space(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
-        let Unknowns { p0, mu, c, gain, room: [pi, turned, twice], .. } = &mut **u;
-        let (p0, mu, c, gain) = (&p0[..len], &mut mu[..len], &c[..len], &gain[..len]);
+        let Unknowns { p0, mu, c, momentum_increment, scratch: [pi, turned, twice], .. } = &mut **u;
+        let (p0, mu, c, momentum_increment) = (&p0[..len], &mut mu[..len], &c[..len], &momentum_increment[..len]);
         let (pi, turned, twice) = (&mut pi[..len], &mut turned[..len], &mut twice[..len]);
-        stack.sum(p0, gain, pi);
+        stack.sum(p0, momentum_increment, pi);
         stack.product(pi, c, turned);
         stack.upper_of_transposed_product(c, turned, twice);
         let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
                 let once = stack.get(turned, i, j) - stack.get(turned, j, i);
-                let gain = stack.get(gain, i, j) + (once + stack.get(twice, i, j));
-                let now = stack.get(p0, i, j) + gain;
+                let momentum_increment = stack.get(momentum_increment, i, j) + (once + stack.get(twice, i, j));
+                let now = stack.get(p0, i, j) + momentum_increment;
                 jump = jump.max_or_nan((now - stack.get(mu, i, j)).abs());
                 stack.put_skew(mu, i, j, now);
             }
@@ -1085,7 +1093,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn first_symmetric_parts(&mut self) {
         let Self { stack, coefficients, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { mu, omega, s, room: [product, both, _], .. } = &mut **u;
+        let Unknowns { mu, omega, s, scratch: [product, both, _], .. } = &mut **u;
         stack.product(omega, mu, product);
         let (product, both, s) = (&product[..len], &mut both[..len], &mut s[..len]);
         for i in 0..n {
@@ -1113,7 +1121,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         let (n, len, one) = (stack.n(), stack.numbers(), stack.whole());
         let Unknowns { w, kappa, .. } = &mut **u;
         let (kappa, whole) = (&kappa[..len], one.numbers());
-        let End { c, d, k, f: end_f, multiplier, impulse, pi, room: [a, b], .. } = &mut **end;
+        let End { c, d, k, f: end_f, multiplier, impulse, pi, scratch: [a, b], .. } = &mut **end;
         let (c, d, k) = (&mut c[..whole], &mut d[..whole], &mut k[..whole]);
         let (multiplier, impulse) = (&mut multiplier[..whole], &mut impulse[..whole]);
         let (pi, a, b) = (&mut pi[..whole], &mut a[..whole], &mut b[..whole]);
@@ -1147,8 +1155,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// Takes `f Lambda = Lambda_s f` to all stages, and computes [E] there.
     fn end_at_stages(&mut self) {
         let Self { stack, u, end, .. } = self;
-        let Unknowns { f, e, f_lambda, room: [next, ..], .. } = &mut **u;
-        let End { c, multiplier, room: [f_lambda_once, _], .. } = &mut **end;
+        let Unknowns { f, e, f_lambda, scratch: [next, ..], .. } = &mut **u;
+        let End { c, multiplier, scratch: [f_lambda_once, _], .. } = &mut **end;
         stack.whole().plus_product(multiplier, multiplier, c, f_lambda_once);
         stack.spread(f_lambda_once, f_lambda);
         stack.plus_product(f, f, e, next);
@@ -1157,13 +1165,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
     /// [gain]: `p1 - p0 = sum_k h b_k ([mu_k, Omega_k] - dH/dg(U_k))`, the equations of X summed
     /// over the stages.
-    fn gain(&mut self) {
+    fn momentum_increment(&mut self) {
         self.rates();
         let Self { stack, u, end, .. } = self;
-        let (rate, gain) = (&u.room[0][..stack.numbers()], &mut *end.gain);
+        let (rate, momentum_increment) = (&u.scratch[0][..stack.numbers()], &mut *end.momentum_increment);
         for i in 0..stack.n() {
             for j in i + 1..stack.n() {
-                stack.whole().put_skew(gain, i, j, stack.get(rate, i, j).sum());
+                stack.whole().put_skew(momentum_increment, i, j, stack.get(rate, i, j).sum());
             }
         }
     }
@@ -1174,7 +1182,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn multipliers(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { mu, omega, s, e, x, gradient, room: [half, load, stretched], .. } = &mut **u;
+        let Unknowns { mu, omega, s, e, x, gradient, scratch: [half, load, stretched], .. } = &mut **u;
         // [mu, Omega] = asym(mu Omega); for skew B, asym(A B) = -asym(A B^T)
         let (mu, s, half) = (&mu[..len], &s[..len], &mut half[..len]);
         for entry in 0..len {
@@ -1196,7 +1204,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     /// [T], [Y] and [S]
     fn embed(&mut self) {
         let Self { stack, coefficients, u, .. } = self;
-        let Unknowns { c, x, t, y, s, f_lambda, room: [w, turned, _], .. } = &mut **u;
+        let Unknowns { c, x, t, y, s, f_lambda, scratch: [w, turned, _], .. } = &mut **u;
         stack.plus_product(x, c, x, t);
         stack.combination(t, &coefficients.transposed, y);
         stack.sum(f_lambda, y, w);
@@ -1209,7 +1217,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn slow_defects(&mut self) {
         let Self { stack, coefficients, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { c, d, w, t, y, delta_rest, room: [part, of_y, of_stage], .. } = &mut **u;
+        let Unknowns { c, d, w, t, y, delta_rest, scratch: [part, of_y, of_stage], .. } = &mut **u;
         stack.asym_of_product(t, d, part);
         stack.asym_of_product(y, w, of_y);
         stack.asym_of_product(y, c, of_stage);
@@ -1233,9 +1241,9 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     fn newest_defects(&mut self) -> f64 {
         let Self { stack, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { k, gain, delta, delta_rest, f_lambda, room: [newest, ..], .. } = &mut **u;
+        let Unknowns { k, momentum_increment, delta, delta_rest, f_lambda, scratch: [newest, ..], .. } = &mut **u;
         stack.asym_of_product(f_lambda, k, newest);
-        let (gain, delta) = (&mut gain[..len], &mut delta[..len]);
+        let (momentum_increment, delta) = (&mut momentum_increment[..len], &mut delta[..len]);
         let (delta_rest, newest) = (&delta_rest[..len], &newest[..len]);
         let mut jump = stack.lanes.constant(0.0);
         for i in 0..n {
@@ -1244,7 +1252,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
                 let change = now - stack.get(delta, i, j);
                 jump = jump.max_or_nan(change.abs());
                 stack.put_skew(delta, i, j, now);
-                stack.put_skew(gain, i, j, stack.get(gain, i, j) + change);
+                stack.put_skew(momentum_increment, i, j, stack.get(momentum_increment, i, j) + change);
             }
         }
         jump.largest()
@@ -1262,7 +1270,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
     }
 
     /// Computes the measures by which a solution is judged.
-    fn judged(&mut self, rounds: u32, increment: f64) -> Solved {
+    fn judged(&mut self, sweeps: u32, increment: f64) -> Solved {
         let Self { stack, u, end, forces, h, .. } = self;
         let (len, lanes) = (stack.numbers(), stack.lanes);
         let (c, f) = (&u.c[..len], &u.f[..len]);
@@ -1275,13 +1283,13 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         }
         let (square, end_square) = (stack.square(c), stack.whole().square(&end.c));
         Solved {
-            rounds,
+            sweeps,
             h: *h,
             increment,
             stretch: Real::max_or_nan(end_stretch, stretch.largest()),
             change_square: Real::max_or_nan(end_square, square.largest()),
-            nearness: match forces {
-                Forces::Body { torques, .. } | Forces::Rescaled { torques, .. } => torques.nearness,
+            proximity: match forces {
+                Forces::Body { torques, .. } | Forces::Rescaled { torques, .. } => torques.proximity,
                 Forces::None { .. } | Forces::Stages(_) => -1.0,
             },
         }
@@ -1295,8 +1303,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         for (multiplier, momentum) in end.multiplier.iter_mut().zip(start.momentum) {
             *multiplier = -0.5 * momentum;
         }
-        let Unknowns { k, f, e, x, delta, gain, gradient, kappa, .. } = &mut **u;
-        for matrices in [k, f, e, x, delta, gain, gradient, kappa] {
+        let Unknowns { k, f, e, x, delta, momentum_increment, gradient, kappa, .. } = &mut **u;
+        for matrices in [k, f, e, x, delta, momentum_increment, gradient, kappa] {
             matrices.fill(0.0);
         }
         end.k.fill(0.0);
@@ -1310,12 +1318,12 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         self.newest_defects()
     }
 
-    /// Writes `h b ([mu, Omega] - dH/dg)` to the first matrix of `room`.
+    /// Writes `h b ([mu, Omega] - dH/dg)` to the first matrix of `scratch`.
     #[inline(always)]
     fn rates(&mut self) {
         let Self { stack, weights, u, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
-        let Unknowns { mu, omega, gradient, room: [rate, ..], .. } = &mut **u;
+        let Unknowns { mu, omega, gradient, scratch: [rate, ..], .. } = &mut **u;
         // asym(mu Omega) = -asym(mu Omega^T)
         stack.asym_of_product(mu, omega, rate);
         let (rate, gradient) = (&mut rate[..len], &gradient[..len]);
@@ -1349,7 +1357,7 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
         };
         let (mut change, mut size) = (0.0_f64, 0.0_f64);
         for stage in 0..self.coefficients.stages {
-            let at = Place { stage, lanes: R::LANES };
+            let at = StageSlot { stage, stride: R::LANES };
             let [changed, now] = system.velocity(at, c, mu, omega);
             (change, size) = (Real::max_or_nan(change, changed), size.max(now));
         }
@@ -1359,8 +1367,8 @@ impl<'a, R: Stages<Whole = f64>, D: Dimension> Step<'a, R, D> {
 
 /// [w]
 #[inline(always)]
-fn spatial_velocities<R: Stages<Whole = f64>, D: Dimension>(
-    stack: Stack<R, D>,
+fn spatial_velocities<R: StageScalar<StepScalar = f64>, D: Dimension>(
+    stack: StageMatrices<R, D>,
     weights: R,
     c: &[f64],
     omega: &[f64],
@@ -1374,14 +1382,14 @@ fn spatial_velocities<R: Stages<Whole = f64>, D: Dimension>(
 /// derivative at P = I, from the current F.
 #[inline(always)]
 fn polar_factor<R: Stored, D: Dimension>(
-    stack: Stack<R, D>,
+    stack: StageMatrices<R, D>,
     d: &[f64],
     c: &mut [f64],
     f: &mut [f64],
     k: &mut [f64],
-    room: &mut [f64],
+    scratch: &mut [f64],
 ) {
-    stack.add_half_defect(c, f, room);
+    stack.add_half_defect(c, f, scratch);
     stack.plus_product(f, d, f, k);
     stack.difference(d, k, c);
 }

@@ -10,7 +10,7 @@ use fearless_simd::{Level, f64x4, prelude::*};
 
 use super::Solution;
 use crate::compensated::Sum;
-use crate::lanes::{Rows, Stages, widest};
+use crate::lanes::{Rows, StageScalar, widest};
 use crate::so::{self, Mat};
 use crate::state::State;
 use crate::stepper::motion::ROUNDING_SQUARE;
@@ -60,8 +60,8 @@ impl<const N: usize> Motion<N> {
     }
 
     #[inline(always)]
-    fn advance_in<R: Stages>(&mut self, lanes: R, solution: &Solution<N>) {
-        let Solution { turn, impulse, gain, .. } = solution;
+    fn advance_in<R: StageScalar>(&mut self, lanes: R, solution: &Solution<N>) {
+        let Solution { rotation_increment: turn, impulse, momentum_increment, .. } = solution;
         let g = self.attitude.value;
         let is_pushed = impulse.iter().any(|x| *x != 0.0);
         if is_pushed {
@@ -69,28 +69,35 @@ impl<const N: usize> Motion<N> {
         }
         // The deficit of g^T g from one is taken off before the turn, and turns along with what is carried: taken off after it,
         // `f^T e f - sym(f^T e)` would be left of an error e, which grows where f turns by more than a sixth of a circle.
-        let deficit = so::deficit(&g) * 0.5;
-        let mended = product(lanes, &g, &deficit);
+        let norm_error = so::norm_error(&g) * 0.5;
+        let mended = product(lanes, &g, &norm_error);
         let carried = product(lanes, &(self.attitude.carry + mended), turn);
         self.attitude.add(&(product(lanes, &g, turn) + (carried + mended)));
         let inverse = self.attitude.value.transpose();
         let seen = so::skew(&conjugate(lanes, &inverse, &self.momentum.value));
-        match gain {
-            Some(gain) if is_pushed => self.gain(lanes, gain, &seen),
+        match momentum_increment {
+            Some(momentum_increment) if is_pushed => {
+                self.add_momentum_increment(lanes, momentum_increment, &seen)
+            }
             _ => self.body_momentum = Sum::new(seen, Mat::zeros()),
         }
     }
 
-    /// Adds `gain` to the body momentum, and turns the attitude so that rounding does not separate
+    /// Adds `momentum_increment` to the body momentum, and turns the attitude so that rounding does not separate
     /// it from the spatial momentum as `seen` from the body: `g <- g (I + theta)` with
     /// `theta = [p - seen, seen] / (2 |seen|^2)`, a step downhill of
     /// `|p - seen - [seen, theta]|^2`, and less where the step has added more than there is, or not at all. See
-    /// [`crate::stepper::motion::Motion::gain`].
+    /// [`crate::stepper::motion::Motion::add_momentum_increment`].
     #[inline(always)]
-    fn gain<R: Stages>(&mut self, lanes: R, gain: &Mat<N>, seen: &Mat<N>) {
-        self.body_momentum.add(gain);
+    fn add_momentum_increment<R: StageScalar>(
+        &mut self,
+        lanes: R,
+        momentum_increment: &Mat<N>,
+        seen: &Mat<N>,
+    ) {
+        self.body_momentum.add(momentum_increment);
         let apart = self.body_momentum.value - seen;
-        let square = so::inner(seen, seen) + so::inner(gain, gain);
+        let square = so::inner(seen, seen) + so::inner(momentum_increment, momentum_increment);
         if so::inner(&apart, &apart) > ROUNDING_SQUARE * square {
             return;
         }
@@ -104,7 +111,7 @@ impl<const N: usize> Motion<N> {
 
 /// `A B`
 #[inline(never)]
-fn product<R: Stages, const N: usize>(lanes: R, a: &Mat<N>, b: &Mat<N>) -> Mat<N> {
+fn product<R: StageScalar, const N: usize>(lanes: R, a: &Mat<N>, b: &Mat<N>) -> Mat<N> {
     lanes.vectorized(
         #[inline(always)]
         || so::product_here(a, b),
@@ -112,6 +119,6 @@ fn product<R: Stages, const N: usize>(lanes: R, a: &Mat<N>, b: &Mat<N>) -> Mat<N
 }
 
 /// `g X g^T`
-fn conjugate<R: Stages, const N: usize>(lanes: R, g: &Mat<N>, x: &Mat<N>) -> Mat<N> {
+fn conjugate<R: StageScalar, const N: usize>(lanes: R, g: &Mat<N>, x: &Mat<N>) -> Mat<N> {
     product(lanes, &product(lanes, g, x), &g.transpose())
 }

@@ -1,6 +1,6 @@
 //! The equations of the step, solved by sweeps over all stages, as they stand in the documentation
-//! of [`super`]: for tableaux that are not their own partner, and where the collocation with a
-//! deferred defect leads nowhere.
+//! of [`super`]: for tableaux that are not symplectic by themselves, and where the collocation with a
+//! deferred defect does not converge.
 //!
 //! Invariant: a sweep computes each unknown from the newest of the others, once.
 
@@ -54,7 +54,7 @@ pub(super) struct Sweeps<'a, const N: usize> {
     pub(super) stages: &'a mut [Stage<N>],
     pub(super) end: &'a mut End<N>,
     /// Cost of a sweep, in sweeps of the usual solver for the tableau.
-    pub(super) worth: u32,
+    pub(super) cost_in_sweeps: u32,
 }
 
 impl<const N: usize> Equations for Sweeps<'_, N> {
@@ -87,7 +87,7 @@ impl<const N: usize> Equations for Sweeps<'_, N> {
         let swept = self.over_all(&mut iterations);
         // A sweep that takes as long as several counts as several.
         let equations = self.stages.len() as u32 + 1;
-        let several = (iterations / (USUAL * equations)).max(1) * self.worth;
+        let several = (iterations / (USUAL * equations)).max(1) * self.cost_in_sweeps;
         for _ in 1..several {
             self.dynamics.begin_sweep()?;
         }

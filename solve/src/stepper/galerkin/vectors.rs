@@ -11,7 +11,7 @@
 //! ```
 //!
 //! theta makes the quaternion u_k the polar factor of `I + D_k`. With theta and delta zero this is
-//! collocation of quaternion and momentum; both are of order h^(s+1). So a round takes seven
+//! collocation of quaternion and momentum; both are of order h^(s+1). So an inner pass takes seven
 //! sums over the stages, and products of matrices are formed where theta and delta are evaluated.
 //!
 //! In a time of its own `Omega = sigma J^-1 mu` (with wheels, mu less their momentum), and dH~/dg is the gradient of
@@ -27,12 +27,12 @@
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use super::convergence::{
-    COLLOCATION_ROUND_OFF, LAST_DIGIT, LEAST_SCALE, MOST_ROUNDS, PASSES_BETWEEN_TORQUES,
-    PASSES_PER_DEFECT, PATIENCE, ROUND_OFF, Rounds, SMALL_STRETCH, Solved, Stuck,
-    TORQUE_CONTRACTION,
+    COLLOCATION_ROUND_OFF, Contraction, LAST_DIGIT, LEAST_SCALE, MOST_ITERATIONS,
+    PASSES_BETWEEN_TORQUES, PASSES_PER_DEFECT, PATIENCE, ROUND_OFF, SMALL_STRETCH, SolveError,
+    Solved, TORQUE_CONTRACTION,
 };
-use crate::hamiltonian::{Looked, RigidBody, Scale};
-use crate::lanes::{Real, Row, Rows, Stages, WIDTH, widest};
+use crate::hamiltonian::{RigidBody, Scale, StageForces};
+use crate::lanes::{Real, Row, Rows, StageScalar, WIDTH, widest};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::so::Mat;
 use crate::space::{
@@ -49,7 +49,7 @@ use crate::tableau::Tableau;
 /// Start of a step.
 pub(super) struct Start {
     pub(super) h: f64,
-    /// As in [`super::deferred::Start`].
+    /// As in [`super::deferred::StepStart`].
     pub(super) lasting: Option<f64>,
     pub(super) momentum: Vec3<f64>,
     pub(super) velocity: Vec3<f64>,
@@ -62,12 +62,12 @@ pub(super) struct InVectors {
     /// The instruction set; without one, one number at a time.
     pub(super) level: Option<Level>,
     seen: Vec<Vec3<f64>>,
-    found: Found,
+    values: StageValues,
 }
 
 /// Solution of a step.
 #[derive(Clone, Debug)]
-pub(super) struct Found {
+pub(super) struct StageValues {
     attitude: Quaternion<Row>,
     mu: Vec3<Row>,
     omega: Vec3<Row>,
@@ -76,18 +76,18 @@ pub(super) struct Found {
     end: Quaternion<f64>,
     end_stretch: Sym3<f64>,
     impulse: Vec3<f64>,
-    gain: Vec3<f64>,
+    momentum_increment: Vec3<f64>,
 }
 
 impl InVectors {
-    /// Creates the solver for `tableau`; `None` if the tableau is not its own partner, or has more
+    /// Creates the solver for `tableau`; `None` if the tableau is not symplectic, or has more
     /// stages than there are lanes.
     pub(super) fn new(tableau: &Tableau) -> Option<Self> {
-        if !tableau.is_own_partner() || tableau.stages() > WIDTH {
+        if !tableau.is_symplectic() || tableau.stages() > WIDTH {
             return None;
         }
         let zero = Row::splat(0.0);
-        let found = Found {
+        let values = StageValues {
             attitude: Quaternion { w: Row::splat(1.0), v: [zero; 3] },
             mu: [zero; 3],
             omega: [zero; 3],
@@ -96,24 +96,24 @@ impl InVectors {
             end: Quaternion { w: 1.0, v: [0.0; 3] },
             end_stretch: [0.0; 6],
             impulse: [0.0; 3],
-            gain: [0.0; 3],
+            momentum_increment: [0.0; 3],
         };
         let (tableau, seen) = (LaneTableau::new(tableau), Vec::new());
-        Some(Self { tableau, level: Some(Level::new()), seen, found })
+        Some(Self { tableau, level: Some(Level::new()), seen, values })
     }
 
     /// Solves a step of `body` in the time of `scale`; `seen` are its space vectors as seen from
     /// the beginning of the step.
     ///
     /// # Errors
-    /// [`Stuck`].
+    /// [`SolveError`].
     pub(super) fn solve(
         &mut self,
         start: &Start,
         body: &RigidBody<3>,
         vectors: impl Iterator<Item = Vec3<f64>>,
         scale: Scale<'_>,
-    ) -> Result<Solved, Stuck> {
+    ) -> Result<Solved, SolveError> {
         self.seen.clear();
         self.seen.extend(vectors);
         self.solve_seen(start, body, scale)
@@ -126,75 +126,75 @@ impl InVectors {
         start: &Start,
         body: &RigidBody<3>,
         scale: Scale<'_>,
-    ) -> Result<Solved, Stuck> {
-        let Self { tableau, level, seen, found } = self;
+    ) -> Result<Solved, SolveError> {
+        let Self { tableau, level, seen, values } = self;
         let (inertia, wheels) = (Inertia::of(body), body.wheels());
-        let given = Given { tableau, body, seen, scale, inertia, wheels, start };
-        let given = &given;
+        let data = StepData { tableau, body, seen, scale, inertia, wheels, start };
+        let data = &data;
         match (tableau.stages, *level) {
-            (1, _) => solve(Rows([0.0; 1]), given, found),
+            (1, _) => solve(Rows([0.0; 1]), data, values),
             (2, Some(level)) => {
-                widest!(level below Avx512, f64x2, lanes => solve(lanes, given, found), else solve(Rows([0.0; 2]), given, found))
+                widest!(level below Avx512, f64x2, lanes => solve(lanes, data, values), else solve(Rows([0.0; 2]), data, values))
             }
-            (2, None) => solve(Rows([0.0; 2]), given, found),
+            (2, None) => solve(Rows([0.0; 2]), data, values),
             (3 | 4, Some(level)) => {
-                widest!(level below Avx512, f64x4, lanes => solve(lanes, given, found), else solve(Rows([0.0; 4]), given, found))
+                widest!(level below Avx512, f64x4, lanes => solve(lanes, data, values), else solve(Rows([0.0; 4]), data, values))
             }
-            (3 | 4, None) => solve(Rows([0.0; 4]), given, found),
+            (3 | 4, None) => solve(Rows([0.0; 4]), data, values),
             (_, Some(level)) => {
-                widest!(level, f64x8, lanes => solve(lanes, given, found), else solve(Rows([0.0; 8]), given, found))
+                widest!(level, f64x8, lanes => solve(lanes, data, values), else solve(Rows([0.0; 8]), data, values))
             }
-            (_, None) => solve(Rows([0.0; 8]), given, found),
+            (_, None) => solve(Rows([0.0; 8]), data, values),
         }
     }
 
     /// `U_k - I`, or `f - I` after the last stage.
     pub(super) fn change(&self, k: usize) -> Mat<3> {
-        let turn = if k == self.tableau.stages {
-            self.found.end
+        let attitude = if k == self.tableau.stages {
+            self.values.end
         } else {
-            let Quaternion { w, v } = &self.found.attitude;
+            let Quaternion { w, v } = &self.values.attitude;
             Quaternion { w: w[k], v: vec3!(i => v[i][k]) }
         };
-        let change = turn.change();
+        let change = attitude.change();
         Mat::from_fn(|i, j| change[i][j])
     }
 
     /// vee of `pi1 - p0`.
     pub(super) fn impulse(&self) -> Vec3<f64> {
-        self.found.impulse
+        self.values.impulse
     }
 
     /// vee of `p1 - p0`.
-    pub(super) fn gain(&self) -> Vec3<f64> {
-        self.found.gain
+    pub(super) fn momentum_increment(&self) -> Vec3<f64> {
+        self.values.momentum_increment
     }
 
     /// vee(mu_k) and vee(Omega_k).
     pub(super) fn motion(&self, k: usize) -> [Vec3<f64>; 2] {
-        let Found { mu, omega, .. } = &self.found;
+        let StageValues { mu, omega, .. } = &self.values;
         [vec3!(i => mu[i][k]), vec3!(i => omega[i][k])]
     }
 
     /// sigma_k.
     pub(super) fn sigma(&self, k: usize) -> f64 {
-        self.found.sigma[k]
+        self.values.sigma[k]
     }
 
     /// `P_k - I`, or that of the end after the last stage.
     pub(super) fn stretch(&self, k: usize) -> Mat<3> {
         let stretch = if k == self.tableau.stages {
-            self.found.end_stretch
+            self.values.end_stretch
         } else {
-            self.found.stretch.each_ref().map(|row| row[k])
+            self.values.stretch.each_ref().map(|row| row[k])
         };
         let [xx, yy, zz, yz, xz, xy] = stretch;
         Mat::<3>::new(xx, xy, xz, xy, yy, yz, xz, yz, zz)
     }
 }
 
-/// Inputs that are the same in all rounds.
-struct Given<'a> {
+/// Inputs that are the same in all passes.
+struct StepData<'a> {
     tableau: &'a LaneTableau,
     body: &'a RigidBody<3>,
     seen: &'a [Vec3<f64>],
@@ -204,22 +204,22 @@ struct Given<'a> {
     start: &'a Start,
 }
 
-fn solve<R: Stages<Whole = f64, Plain = Row>>(
+fn solve<R: StageScalar<StepScalar = f64, Storage = Row>>(
     lanes: R,
-    given: &Given<'_>,
-    found: &mut Found,
-) -> Result<Solved, Stuck> {
+    data: &StepData<'_>,
+    values: &mut StageValues,
+) -> Result<Solved, SolveError> {
     let step = lanes.vectorized(
         #[inline(always)]
-        || Step::new(lanes, given),
+        || Step::new(lanes, data),
     );
-    step.solve(found)
+    step.solve(values)
 }
 
 /// A step being solved.
 struct Step<'a, R> {
     lanes: R,
-    given: &'a Given<'a>,
+    data: &'a StepData<'a>,
     h: f64,
     /// h b
     weight: R,
@@ -227,11 +227,11 @@ struct Step<'a, R> {
     /// u.
     attitude: Quaternion<R>,
     /// pi - p0
-    gain: Vec3<R>,
+    momentum_increment: Vec3<R>,
     mu: Vec3<R>,
     omega: Vec3<R>,
     /// Values evaluated at the attitudes, and these attitudes.
-    looked: Looked<R>,
+    forces: StageForces<R>,
     at: Quaternion<R>,
     sigma: R,
     /// vee(dH~/dg).
@@ -267,35 +267,35 @@ macro_rules! in_lanes {
     };
 }
 
-impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
+impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
     /// Creates a step whose guess keeps the initial velocity constant.
     #[inline(always)]
-    fn new(lanes: R, given: &'a Given<'a>) -> Self {
-        let LaneTableau { weights, nodes, .. } = given.tableau;
-        let Start { h, momentum, velocity, .. } = given.start;
+    fn new(lanes: R, data: &'a StepData<'a>) -> Self {
+        let LaneTableau { weights, nodes, .. } = data.tableau;
+        let Start { h, momentum, velocity, .. } = data.start;
         let half = lanes.row(nodes) * (0.5 * h);
         let attitude = Quaternion::cayley(&vec3!(i => half * velocity[i]));
         let p0: Vec3<R> = vec3!(i => lanes.spread(momentum[i]));
         let zero = lanes.constant(0.0);
         let none = [zero; 3];
-        let looked = Looked {
+        let forces = StageForces {
             torque: none,
-            nearness: zero,
+            proximity: zero,
             potential: zero,
             sum: lanes.constant(1.0),
             of_sum: none,
         };
         Self {
             lanes,
-            given,
+            data,
             h: *h,
             weight: lanes.row(weights) * *h,
             p0,
             attitude,
-            gain: none,
+            momentum_increment: none,
             mu: p0,
             omega: vec3!(i => lanes.spread(velocity[i])),
-            looked,
+            forces,
             at: attitude,
             sigma: lanes.constant(1.0),
             gradient: none,
@@ -315,16 +315,16 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         }
     }
 
-    fn solve(mut self, found: &mut Found) -> Result<Solved, Stuck> {
-        let stages = self.given.tableau.stages;
-        self.look()?;
-        self.push();
-        let turn = self.collocate()?;
-        let order = self.given.tableau.order_of_defect(turn);
-        let first = if stages == 1 { turn } else { turn * turn };
-        let mut evaluations = Rounds::new((0.4 * first).clamp(1e-4, 0.1), order);
+    fn solve(mut self, values: &mut StageValues) -> Result<Solved, SolveError> {
+        let stages = self.data.tableau.stages;
+        self.evaluate_forces()?;
+        self.guess_momenta();
+        let angle = self.collocate()?;
+        let order = self.data.tableau.order_of_defect(angle);
+        let first = if stages == 1 { angle } else { angle * angle };
+        let mut evaluations = Contraction::new((0.4 * first).clamp(1e-4, 0.1), order);
         let mut last = f64::INFINITY;
-        for evaluation in 1..=MOST_ROUNDS {
+        for evaluation in 1..=MOST_ITERATIONS {
             let jump = self.evaluate()?;
             if !(jump <= 1.0) || (evaluation > PATIENCE && jump > last.max(1e-12)) {
                 break;
@@ -332,43 +332,43 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             let floor = evaluations.at_floor(jump, 1.0);
             let left = evaluations.left(jump);
             let enough = 0.1 * left.max(LAST_DIGIT * ROUND_OFF);
-            let mut rounds = Rounds::new(of_round(turn), jump);
+            let mut passes = Contraction::new(contraction_of_a_pass(angle), jump);
             for _ in 0..PASSES_PER_DEFECT {
-                if rounds.left(self.round()) <= enough {
+                if passes.left(self.inner_pass()) <= enough {
                     break;
                 }
             }
             // With few stages the first evaluation does not yet know its order.
             let is_sure = stages >= 4 || evaluation > 1;
             if (is_sure && left <= LAST_DIGIT * ROUND_OFF) || floor {
-                let increment = self.finish(turn, jump)?;
+                let increment = self.finish(angle, jump)?;
                 let lanes = self.lanes;
                 return Ok(lanes.vectorized(
                     #[inline(always)]
-                    || self.judged(increment, found),
+                    || self.judged(increment, values),
                 ));
             }
             last = jump;
         }
-        Err(Stuck::Lost)
+        Err(SolveError::NotConverged)
     }
 
     /// Evaluates the forces at the current attitudes.
-    fn look(&mut self) -> Result<(), Stuck> {
-        let Given { tableau, body, .. } = self.given;
+    fn evaluate_forces(&mut self) -> Result<(), SolveError> {
+        let StepData { tableau, body, .. } = self.data;
         let work = body.work();
         work.begin_sweep()?;
         work.add_gradients(tableau.stages as u64);
-        self.seen();
+        self.evaluate_forces_in_lanes();
         Ok(())
     }
 
     in_lanes! {
-    /// Evaluates the body for [`Step::look`], and the length of a step that is to last a given
+    /// Evaluates the body for [`Step::evaluate_forces`], and the length of a step that is to last a given
     /// time.
-    fn seen(&mut self) {
-        let Given { tableau, body, seen, scale, start, .. } = self.given;
-        self.looked = body.look(scale, &self.attitude.matrix(), seen);
+    fn evaluate_forces_in_lanes(&mut self) {
+        let StepData { tableau, body, seen, scale, start, .. } = self.data;
+        self.forces = body.evaluate_forces(scale, &self.attitude.matrix(), seen);
         self.at = self.attitude;
         self.momenta();
         if let Some(lasting) = start.lasting {
@@ -381,15 +381,15 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
 
     in_lanes! {
     /// Guesses the momenta as if the force at a stage had acted until then.
-    fn push(&mut self) {
-        let elapsed = self.lanes.row(&self.given.tableau.nodes) * self.h;
-        let pushed = product(&self.attitude.matrix(), &self.gradient);
-        self.gain = vec3!(i => -(pushed[i] * elapsed));
+    fn guess_momenta(&mut self) {
+        let elapsed = self.lanes.row(&self.data.tableau.nodes) * self.h;
+        let impulse = product(&self.attitude.matrix(), &self.gradient);
+        self.momentum_increment = vec3!(i => -(impulse[i] * elapsed));
         self.momenta();
     }
 
     /// Returns the largest turn of a velocity over the step.
-    fn turn(&mut self) -> f64 {
+    fn angle(&mut self) -> f64 {
         self.h.abs() * dot(&self.omega, &self.omega).largest().sqrt()
     }
 
@@ -403,9 +403,9 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     /// Updates mu, Omega and what depends on them: `J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi`.
     #[inline(always)]
     fn momenta(&mut self) {
-        let Given { scale, inertia, wheels, .. } = self.given;
+        let StepData { scale, inertia, wheels, .. } = self.data;
         let inertia = inertia.in_lanes(self.lanes);
-        let pi = plus(&self.p0, &self.gain);
+        let pi = plus(&self.p0, &self.momentum_increment);
         let turned = transposed_product(&self.attitude.change(), &pi);
         self.mu = plus(&pi, &turned);
         let mut omega = plus(&inertia.divides(&pi), &inertia.divides(&turned));
@@ -415,7 +415,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             omega = minus(&omega, &inertia.divides(&wheels));
             own = minus(&own, &wheels);
         }
-        let Looked { torque, potential, sum, of_sum, .. } = &self.looked;
+        let StageForces { torque, potential, sum, of_sum, .. } = &self.forces;
         let (a, u) = (&self.at, &self.attitude);
         let c = cross(&u.v, &a.v);
         let eta: Vec3<R> = vec3!(i => ((a.w * u.v[i] - u.w * a.v[i]) + c[i]) * 2.0);
@@ -432,7 +432,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     /// `sum_j e_kj r_j`
     #[inline(always)]
     fn collocated(&self) -> Quaternion<R> {
-        let columns = &self.given.tableau.columns;
+        let columns = &self.data.tableau.columns;
         let rate = self.attitude.rate(&scaled(&self.omega, self.weight * 0.5));
         Quaternion {
             w: rate.w.apply_tableau(columns),
@@ -443,7 +443,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     in_lanes! {
     /// Updates the attitudes by [turn], and the momenta there. Returns the largest change of an
     /// attitude.
-    fn round(&mut self) -> f64 {
+    fn inner_pass(&mut self) -> f64 {
         let Quaternion { w, v } = self.collocated();
         let theta = &self.theta;
         let next = Quaternion { w: (w + theta.w) + 1.0, v: plus(&v, &theta.v) };
@@ -459,51 +459,51 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     /// [transport]
     #[inline(always)]
     fn transport(&mut self) {
-        let columns = &self.given.tableau.columns;
+        let columns = &self.data.tableau.columns;
         let u = self.attitude.matrix();
         self.kappa = scaled(&product(&u, &self.gradient), self.weight);
-        self.gain = vec3!(i => self.delta[i] - self.kappa[i].apply_tableau(columns));
+        self.momentum_increment = vec3!(i => self.delta[i] - self.kappa[i].apply_tableau(columns));
     }
 
     /// Solves the collocation until the error left is smaller than the defects. Returns the largest
     /// turn of a velocity over the step.
-    fn collocate(&mut self) -> Result<f64, Stuck> {
+    fn collocate(&mut self) -> Result<f64, SolveError> {
         let mut last = f64::INFINITY;
-        for torques in 0..MOST_ROUNDS {
-            let first = self.round();
-            let turn = self.turn();
+        for torques in 0..MOST_ITERATIONS {
+            let first = self.inner_pass();
+            let angle = self.angle();
             let enough =
-                (0.1 * self.given.tableau.order_of_defect(turn)).max(COLLOCATION_ROUND_OFF);
-            let mut rounds = Rounds::new(of_round(turn), first);
-            let (mut change, mut of_rounds) = (first, first * of_round(turn));
+                (0.1 * self.data.tableau.order_of_defect(angle)).max(COLLOCATION_ROUND_OFF);
+            let mut passes = Contraction::new(contraction_of_a_pass(angle), first);
+            let (mut change, mut of_passes) = (first, first * contraction_of_a_pass(angle));
             for _ in 0..PASSES_BETWEEN_TORQUES {
-                if of_rounds <= enough {
+                if of_passes <= enough {
                     break;
                 }
-                change = self.round();
-                of_rounds = rounds.left(change);
+                change = self.inner_pass();
+                of_passes = passes.left(change);
             }
             if !(change <= 2.0) || (torques > PATIENCE && first > 0.5 * last) {
                 break;
             }
-            // Errors left by the rounds, and by the torques.
+            // Errors left by the passes, and by the torques.
             let seen =
                 if last < f64::INFINITY { (first / last).min(1.0) } else { TORQUE_CONTRACTION };
-            if of_rounds.max(first * seen) <= enough {
-                return Ok(turn);
+            if of_passes.max(first * seen) <= enough {
+                return Ok(angle);
             }
             last = first;
-            self.look()?;
+            self.evaluate_forces()?;
         }
-        Err(Stuck::Lost)
+        Err(SolveError::NotConverged)
     }
 
     /// Evaluates theta and delta, with new forces. Returns their largest change, that of delta
     /// relative to the momentum.
-    fn evaluate(&mut self) -> Result<f64, Stuck> {
+    fn evaluate(&mut self) -> Result<f64, SolveError> {
         self.evaluations += 1;
         let turned = self.polar_factors();
-        self.look()?;
+        self.evaluate_forces()?;
         self.transported();
         let is_stretched = self.largest_stretch() > SMALL_STRETCH;
         if self.evaluations == 1 || is_stretched {
@@ -515,7 +515,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     in_lanes! {
     /// [w], [D] and [turn]. Returns the largest change of theta.
     fn polar_factors(&mut self) -> f64 {
-        let columns = &self.given.tableau.columns;
+        let columns = &self.data.tableau.columns;
         let u = self.attitude.matrix();
         let w = times_hat(&u, &scaled(&self.omega, self.weight));
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
@@ -539,7 +539,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     /// relative to the momentum.
     fn defects(&mut self) -> f64 {
         let lanes = self.lanes;
-        let LaneTableau { columns, rows, .. } = self.given.tableau;
+        let LaneTableau { columns, rows, .. } = self.data.tableau;
         // [C] and [K]
         let c = self.attitude.change();
         let u = with_one(&c);
@@ -583,7 +583,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
         let delta = defect(&f_lambda, [&c, &self.d, &k], &self.w, [&t, &y], columns);
         let change = minus(&delta, &self.delta);
         (self.delta, self.y) = (delta, y);
-        self.gain = plus(&self.gain, &change);
+        self.momentum_increment = plus(&self.momentum_increment, &change);
         self.momenta();
         // At rest nothing moves, and nothing changes.
         largest(&change) / largest(&self.mu).max(SMALLEST_SIZE)
@@ -603,7 +603,7 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
             inverse = self.turn_end(if self.evaluations == 1 { 2 } else { 1 });
         }
         let f = self.f.matrix();
-        let pi1: Vec3<f64> = vec3!(i => self.given.start.momentum[i] - self.kappa[i].sum());
+        let pi1: Vec3<f64> = vec3!(i => self.data.start.momentum[i] - self.kappa[i].sum());
         let lambda = over_k(&inverse, &scaled(&transposed_product(&f, &pi1), -1.0));
         self.f_lambda = times_hat(&f, &lambda);
     }
@@ -630,15 +630,15 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
     }
     }
 
-    /// Repeats rounds with new forces until these change nothing, then computes the end point.
-    fn finish(&mut self, turn: f64, jump: f64) -> Result<f64, Stuck> {
+    /// Repeats inner passes with new forces until these change nothing, then computes the end point.
+    fn finish(&mut self, angle: f64, jump: f64) -> Result<f64, SolveError> {
         // The forces also depend on the momenta.
-        let mut forces = Rounds::new(3.0 * TORQUE_CONTRACTION, jump);
-        for _ in 0..MOST_ROUNDS {
-            self.look()?;
-            let change = self.round();
-            if change * of_round(turn) > ROUND_OFF {
-                self.round();
+        let mut forces = Contraction::new(3.0 * TORQUE_CONTRACTION, jump);
+        for _ in 0..MOST_ITERATIONS {
+            self.evaluate_forces()?;
+            let change = self.inner_pass();
+            if change * contraction_of_a_pass(angle) > ROUND_OFF {
+                self.inner_pass();
             }
             if !(change <= 1.0) {
                 break;
@@ -651,57 +651,57 @@ impl<'a, R: Stages<Whole = f64, Plain = Row>> Step<'a, R> {
                 return Ok(change);
             }
         }
-        Err(Stuck::Lost)
+        Err(SolveError::NotConverged)
     }
 
     /// Stores the solution in `found` and returns the measures by which it is judged.
     #[inline(always)]
-    fn judged(&self, increment: f64, found: &mut Found) -> Solved {
+    fn judged(&self, increment: f64, values: &mut StageValues) -> Solved {
         let Self { attitude, mu, omega, sigma, stretch, f, end_stretch, .. } = self;
-        attitude.w.store(&mut found.attitude.w);
-        store(&attitude.v, &mut found.attitude.v);
-        store(mu, &mut found.mu);
-        store(omega, &mut found.omega);
-        sigma.store(&mut found.sigma);
+        attitude.w.store(&mut values.attitude.w);
+        store(&attitude.v, &mut values.attitude.v);
+        store(mu, &mut values.mu);
+        store(omega, &mut values.omega);
+        sigma.store(&mut values.sigma);
         for i in 0..6 {
-            stretch[i].store(&mut found.stretch[i]);
+            stretch[i].store(&mut values.stretch[i]);
         }
-        found.end = *f;
-        found.end_stretch = unsigned_zeros(*end_stretch);
+        values.end = *f;
+        values.end_stretch = unsigned_zeros(*end_stretch);
         // [gain]
         let turning = cross(mu, &scaled(omega, self.weight));
-        let gain = vec3!(i => (turning[i] - self.weight * self.gradient[i]).sum());
-        found.gain = unsigned_zeros(gain);
-        found.impulse = unsigned_zeros(vec3!(i => -self.kappa[i].sum()));
+        let momentum_increment = vec3!(i => (turning[i] - self.weight * self.gradient[i]).sum());
+        values.momentum_increment = unsigned_zeros(momentum_increment);
+        values.impulse = unsigned_zeros(vec3!(i => -self.kappa[i].sum()));
         let most = end_stretch
             .iter()
             .fold(largest_entry(stretch), |most, x| Real::max_or_nan(most, x.abs()));
         // |U - I|_F^2 = 8 |v|^2
         let turn = dot(&attitude.v, &attitude.v).largest();
         Solved {
-            rounds: self.evaluations,
+            sweeps: self.evaluations,
             h: self.h,
             increment,
             stretch: most,
             change_square: 8.0 * Real::max_or_nan(turn, dot(&f.v, &f.v)),
-            nearness: self.looked.nearness.largest(),
+            proximity: self.forces.proximity.largest(),
         }
     }
 }
 
-/// Returns the contraction of an error by a round, assumed until it is measured.
-fn of_round(turn: f64) -> f64 {
-    (0.15 * turn).clamp(0.01, 0.3)
+/// Returns the contraction of an error by an inner pass, assumed until it is measured.
+fn contraction_of_a_pass(angle: f64) -> f64 {
+    (0.15 * angle).clamp(0.01, 0.3)
 }
 
 /// The largest entry of a symmetric matrix.
 #[inline(always)]
-fn largest_entry<R: Stages<Whole = f64>>(s: &Sym3<R>) -> f64 {
+fn largest_entry<R: StageScalar<StepScalar = f64>>(s: &Sym3<R>) -> f64 {
     s[1..].iter().fold(s[0].abs(), |most, entry| most.max_or_nan(entry.abs())).largest()
 }
 
 /// The largest component of a vector.
 #[inline(always)]
-fn largest<R: Stages<Whole = f64>>(v: &Vec3<R>) -> f64 {
+fn largest<R: StageScalar<StepScalar = f64>>(v: &Vec3<R>) -> f64 {
     v[0].abs().max_or_nan(v[1].abs()).max_or_nan(v[2].abs()).largest()
 }

@@ -28,7 +28,7 @@ pub(super) const FEW_STAGES: usize = 4;
 /// Number of rounds of the guess that take the same torque.
 const TORQUE_EVERY: u32 = 3;
 /// Largest deviation of |u|^2 from one allowed after the last round of the guess.
-const MOST_DEFICIT: f64 = 0.1;
+const MOST_NORM_ERROR: f64 = 0.1;
 
 /// A Gauss tableau in lanes; lanes beyond its stages are zero.
 #[derive(Clone, Debug)]
@@ -109,33 +109,40 @@ pub(super) struct Stages {
     /// tau.
     torque: [Row; 3],
     /// `h b tau / |u|^2`
-    push: [Row; 3],
-    /// Largest nearness, as returned by [`RigidBody::torque`].
-    pub(super) nearness: f64,
+    weighted_torque: [Row; 3],
+    /// Largest proximity, as returned by [`RigidBody::torque`].
+    pub(super) proximity: f64,
 }
 
 impl Stages {
     pub(super) fn blank() -> Self {
         let zero = Row::splat(0.0);
-        Self { x: [zero; 4], d: [zero; 4], torque: [zero; 3], push: [zero; 3], nearness: -1.0 }
+        Self {
+            x: [zero; 4],
+            d: [zero; 4],
+            torque: [zero; 3],
+            weighted_torque: [zero; 3],
+            proximity: -1.0,
+        }
     }
 
     /// Stores the start of a sweep.
     #[inline(always)]
     fn keep<R: Lanes>(
         &mut self,
-        given: &Given<'_, R>,
+        data: &StepData<'_, R>,
         x: &Quaternion<R>,
         d: &Quaternion<R>,
         torque: &Vec3<R>,
-        excess: R,
+        inverse_square_error: R,
     ) {
         store(x, &mut self.x);
         store(d, &mut self.d);
         for i in 0..3 {
             torque[i].store(&mut self.torque[i]);
-            let push = torque[i] * given.weight;
-            (push + push * excess).store(&mut self.push[i]);
+            let weighted_torque = torque[i] * data.weight;
+            (weighted_torque + weighted_torque * inverse_square_error)
+                .store(&mut self.weighted_torque[i]);
         }
     }
 
@@ -151,17 +158,17 @@ pub(super) struct End {
     /// `q0* q1`
     pub(super) turn: Quaternion<f64>,
     /// Change of the spatial momentum, in the frame of q0.
-    pub(super) kick: Vec3<f64>,
+    pub(super) impulse: Vec3<f64>,
     /// `p1 - p0`
-    pub(super) gain: Vec3<f64>,
+    pub(super) momentum_increment: Vec3<f64>,
 }
 
 /// The stages in lanes, of one body.
-pub(super) trait Lanes: lanes::Stages<Whole = f64, Plain = Row> {}
-impl<R: lanes::Stages<Whole = f64, Plain = Row>> Lanes for R {}
+pub(super) trait Lanes: lanes::StageScalar<StepScalar = f64, Storage = Row> {}
+impl<R: lanes::StageScalar<StepScalar = f64, Storage = Row>> Lanes for R {}
 
 /// Inputs that are the same in all passes.
-struct Given<'a, R> {
+struct StepData<'a, R> {
     start: &'a Start<'a>,
     momentum: Vec3<R>,
     /// h b
@@ -169,7 +176,7 @@ struct Given<'a, R> {
     inverse: Sym3<R>,
 }
 
-impl<'a, R: Lanes> Given<'a, R> {
+impl<'a, R: Lanes> StepData<'a, R> {
     #[inline(always)]
     fn new(lanes: R, start: &'a Start<'a>) -> Self {
         let mut inverse = [lanes; 6];
@@ -226,21 +233,21 @@ impl<'a, R: Lanes> Given<'a, R> {
         &self,
         x: &Quaternion<R>,
         d: &Quaternion<R>,
-        push: &Vec3<R>,
+        weighted_torque: &Vec3<R>,
     ) -> (Quaternion<R>, Quaternion<R>) {
         let omega = self.velocity(&self.body_momentum(x, d));
         let half = scaled(&omega, self.weight * 0.5);
-        let (turned, pushed) = (d.rate(&half), self.turning(x, push));
-        let z = Quaternion { w: turned.w - pushed.w, v: minus(&turned.v, &pushed.v) };
+        let (turned, torque_rate) = (d.rate(&half), self.turning(x, weighted_torque));
+        let z = Quaternion { w: turned.w - torque_rate.w, v: minus(&turned.v, &torque_rate.v) };
         (self.collocated(&self.turning(x, &half)), self.collocated(&z))
     }
 
-    /// Returns tau, the nearness and 1 / |u|^2 - 1.
+    /// Returns tau, the proximity and 1 / |u|^2 - 1.
     #[inline(always)]
-    fn torque<const OWN: bool>(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
-        let (u, excess) = self.rotation(x);
-        let (torque, nearness) = self.start.body.torque::<R, OWN>(&u, self.start.seen);
-        (torque, nearness, excess)
+    fn torque<const USER: bool>(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
+        let (u, inverse_square_error) = self.rotation(x);
+        let (torque, proximity) = self.start.body.torque::<R, USER>(&u, self.start.seen);
+        (torque, proximity, inverse_square_error)
     }
 
     /// Returns the rotation u / |u|, and 1 / |u|^2 - 1: a quotient within 1e-8 above one would be
@@ -251,9 +258,12 @@ impl<'a, R: Lanes> Given<'a, R> {
         let u = Quaternion { w: x.w + 1.0, v: x.v };
         // |u|^2 - 1
         let square = (x.w + x.w) + (x.w * x.w + dot(&x.v, &x.v));
-        let excess = -square / (square + 1.0);
+        let inverse_square_error = -square / (square + 1.0);
         let change = u.change();
-        (with_one(&mat3!(i, j => change[i][j] + change[i][j] * excess)), excess)
+        (
+            with_one(&mat3!(i, j => change[i][j] + change[i][j] * inverse_square_error)),
+            inverse_square_error,
+        )
     }
 }
 
@@ -268,62 +278,62 @@ impl<'a, R: Lanes> Given<'a, R> {
 /// for terms of the order of the quadrature. The torque couples weakly: every third round takes it.
 /// The guess is a function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: Lanes, const OWN: bool>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
-    let given = Given::new(lanes, start);
+pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
+    let data = StepData::new(lanes, start);
     let LaneTableau { columns, nodes, rounds, .. } = start.tableau;
-    let p = given.momentum;
-    let half_weight = given.weight * 0.5;
+    let p = data.momentum;
+    let half_weight = data.weight * 0.5;
     let elapsed = lanes.row(nodes) * (0.5 * start.step);
     let zero = lanes.constant(0.0);
-    let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * given.velocity(&p)[i]) };
+    let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * data.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
-    let (mut torque, _, mut excess) = given.torque::<OWN>(&x);
+    let (mut torque, _, mut inverse_square_error) = data.torque::<USER>(&x);
     for round in 1..=*rounds {
-        let omega = given.velocity(&mu);
+        let omega = data.velocity(&mu);
         let turned = cross(&mu, &omega);
-        mu = vec3!(i => p[i] + (given.weight * (turned[i] - torque[i])).apply_tableau(columns));
-        let half = scaled(&given.velocity(&mu), half_weight);
-        x = given.collocated(&given.turning(&x, &half));
+        mu = vec3!(i => p[i] + (data.weight * (turned[i] - torque[i])).apply_tableau(columns));
+        let half = scaled(&data.velocity(&mu), half_weight);
+        x = data.collocated(&data.turning(&x, &half));
         if round % TORQUE_EVERY == 0 {
-            (torque, _, excess) = given.torque::<OWN>(&x);
+            (torque, _, inverse_square_error) = data.torque::<USER>(&x);
         }
     }
     // d = u mu / |u|^2 - p0 u
-    let mu: Vec3<R> = vec3!(i => mu[i] + mu[i] * excess);
+    let mu: Vec3<R> = vec3!(i => mu[i] + mu[i] * inverse_square_error);
     let (r, s) = (x.rate(&mu), cross(&p, &x.v));
     let d_w = r.w + dot(&p, &x.v);
     let d_v: Vec3<R> = vec3!(i => (mu[i] - p[i]) + (r.v[i] - (p[i] * x.w + s[i])));
     // Rounds that diverged are worse than none.
     let square = Quaternion { w: x.w + 1.0, v: x.v }.square();
-    let deficit = lanes.constant((square + -1.0).abs().largest());
-    let x = x.select(deficit, MOST_DEFICIT, &kept_on);
+    let norm_error = lanes.constant((square + -1.0).abs().largest());
+    let x = x.select(norm_error, MOST_NORM_ERROR, &kept_on);
     let d = Quaternion { w: d_w, v: d_v }.select(
-        deficit,
-        MOST_DEFICIT,
+        norm_error,
+        MOST_NORM_ERROR,
         &Quaternion { w: zero, v: [zero; 3] },
     );
-    let (torque, _, excess) = given.torque::<OWN>(&x);
-    stages.keep(&given, &x, &d, &torque, excess);
+    let (torque, _, inverse_square_error) = data.torque::<USER>(&x);
+    stages.keep(&data, &x, &d, &torque, inverse_square_error);
 }
 
 /// Makes passes over u and d with the torques kept, then takes the torques: passes cost a third of
 /// these, and couple the stages by J^-1. Returns the largest change of u, or of d relative to the
 /// momentum; not finite if an unknown is not.
 #[inline(always)]
-pub(super) fn sweep<R: Lanes, const OWN: bool>(
+pub(super) fn sweep<R: Lanes, const USER: bool>(
     lanes: R,
     start: &Start<'_>,
     stages: &mut Stages,
 ) -> f64 {
-    let given = Given::new(lanes, start);
+    let data = StepData::new(lanes, start);
     let (old_x, old_d) = (load(lanes, &stages.x), load(lanes, &stages.d));
-    let push: Vec3<R> = vec3!(i => lanes.load(&stages.push[i]));
+    let weighted_torque: Vec3<R> = vec3!(i => lanes.load(&stages.weighted_torque[i]));
     let (mut x, mut d) = (old_x, old_d);
     for _ in 0..start.tableau.passes {
-        (x, d) = given.pass(&x, &d, &push);
+        (x, d) = data.pass(&x, &d, &weighted_torque);
     }
-    let (torque, nearness, excess) = given.torque::<OWN>(&x);
-    stages.keep(&given, &x, &d, &torque, excess);
+    let (torque, proximity, inverse_square_error) = data.torque::<USER>(&x);
+    stages.keep(&data, &x, &d, &torque, inverse_square_error);
     let p = start.momentum[0]
         .abs()
         .max_or_nan(start.momentum[1].abs())
@@ -332,37 +342,37 @@ pub(super) fn sweep<R: Lanes, const OWN: bool>(
     let change = largest(&less(&x, &old_x)).max_or_nan(largest(&less(&d, &old_d)) / size);
     // Zero where all is finite.
     let total = (x.w + (x.v[0] + x.v[1]) + x.v[2]) + (d.w + (d.v[0] + d.v[1]) + d.v[2]);
-    stages.nearness = nearness.largest();
+    stages.proximity = proximity.largest();
     change.largest() + total.sum() * 0.0
 }
 
 /// Computes the end of the step from the newest stages: a last pass brings u and d up to the newest
 /// torques, whose lag would be a bias.
 #[inline(always)]
-pub(super) fn end<R: Lanes, const OWN: bool>(
+pub(super) fn end<R: Lanes, const USER: bool>(
     lanes: R,
     start: &Start<'_>,
     stages: &mut Stages,
 ) -> End {
-    let given = Given::new(lanes, start);
-    let push: Vec3<R> = vec3!(i => lanes.load(&stages.push[i]));
+    let data = StepData::new(lanes, start);
+    let weighted_torque: Vec3<R> = vec3!(i => lanes.load(&stages.weighted_torque[i]));
     let old_x = load(lanes, &stages.x);
-    let (x, d) = given.pass(&old_x, &load(lanes, &stages.d), &push);
-    let mu = given.body_momentum(&x, &d);
-    let omega = given.velocity(&mu);
+    let (x, d) = data.pass(&old_x, &load(lanes, &stages.d), &weighted_torque);
+    let mu = data.body_momentum(&x, &d);
+    let omega = data.velocity(&mu);
     // The angle of a stage as the stages take it: its rounding error is then that of another body,
     // and symplectic.
-    let half = scaled(&omega, given.weight * 0.5);
-    let w = given.turning(&x, &half);
+    let half = scaled(&omega, data.weight * 0.5);
+    let w = data.turning(&x, &half);
     let turned = cross(&mu, &half);
     let torque: Vec3<R> = vec3!(i => lanes.load(&stages.torque[i]));
     // In the frame of q0, by the matrices at which the torques were taken: a spatial component that
     // a potential leaves alone stays as it is.
-    let pushed = product(&given.rotation(&old_x).0, &torque);
+    let torque_rate = product(&data.rotation(&old_x).0, &torque);
     End {
         turn: Quaternion { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },
-        kick: vec3!(i => -(given.weight * pushed[i]).sum()),
-        gain: vec3!(i => ((turned[i] + turned[i]) - given.weight * torque[i]).sum()),
+        impulse: vec3!(i => -(data.weight * torque_rate[i]).sum()),
+        momentum_increment: vec3!(i => ((turned[i] + turned[i]) - data.weight * torque[i]).sum()),
     }
 }
 

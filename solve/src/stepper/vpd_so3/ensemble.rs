@@ -15,11 +15,11 @@ use fearless_simd::{Level, f64x8, prelude::*};
 
 use super::sweep;
 use super::unknowns::{Start, Unknowns};
-use super::{Carried, VpdSo3};
+use super::{MotionState, VpdSo3};
 use crate::ensemble::Members;
 use crate::failure::Failure;
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Real, Row, Rows, Stages, WIDTH, Whole, aligned_zero};
+use crate::lanes::{Real, Row, Rows, StageScalar, StepScalar, WIDTH, aligned_zero};
 use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
 use crate::space::{Quaternion, Vec3, dot};
 use crate::state::State;
@@ -61,7 +61,7 @@ pub struct VpdEnsemble {
     blank: VpdSo3,
     lanes: Lanes,
     /// Whether the lane is ahead of its member, which is written only on request.
-    ahead: [bool; WIDTH],
+    stale: [bool; WIDTH],
     motion: Motion<Row>,
     seen: Vec<Vec3<Row>>,
     iterations: [Progress; WIDTH],
@@ -70,26 +70,26 @@ pub struct VpdEnsemble {
 /// The members side by side, for as many stages as there are rows.
 #[derive(Clone, Debug)]
 enum Lanes {
-    One(Box<Side<1>>),
-    Two(Box<Side<2>>),
-    Three(Box<Side<3>>),
-    Four(Box<Side<4>>),
+    One(Box<LaneState<1>>),
+    Two(Box<LaneState<2>>),
+    Three(Box<LaneState<3>>),
+    Four(Box<LaneState<4>>),
     /// Members are stepped individually.
     None,
 }
 
 /// The unknowns that sweeps work on, and the solutions that have been taken from them.
 #[derive(Clone, Debug)]
-struct Side<const K: usize> {
+struct LaneState<const K: usize> {
     unknowns: Unknowns<[Row; K], Row>,
-    taken: Unknowns<[Row; K], Row>,
+    accepted: Unknowns<[Row; K], Row>,
 }
 
-impl<const K: usize> Side<K> {
+impl<const K: usize> LaneState<K> {
     fn blank() -> Box<Self> {
         let zero = Row::splat(0.0);
         let blank = Unknowns::blank([zero; K], zero);
-        Box::new(Self { unknowns: blank, taken: blank })
+        Box::new(Self { unknowns: blank, accepted: blank })
     }
 }
 
@@ -111,17 +111,17 @@ impl VpdEnsemble {
         let blank = VpdSo3::new(tableau.clone(), stop)?;
         let lanes = match tableau.stages() {
             _ if stop.rungs == Rungs::Newton || !has_lanes(blank.level) => Lanes::None,
-            1 => Lanes::One(Side::blank()),
-            2 => Lanes::Two(Side::blank()),
-            3 => Lanes::Three(Side::blank()),
-            4 => Lanes::Four(Side::blank()),
+            1 => Lanes::One(LaneState::blank()),
+            2 => Lanes::Two(LaneState::blank()),
+            3 => Lanes::Three(LaneState::blank()),
+            4 => Lanes::Four(LaneState::blank()),
             _ => Lanes::None,
         };
         Some(Self {
             members: Vec::new(),
             blank,
             lanes,
-            ahead: [false; WIDTH],
+            stale: [false; WIDTH],
             motion: Motion::blank(Row::splat(0.0), Row::splat(1.0)),
             seen: Vec::new(),
             iterations: [Progress::new(stop, stop.rungs == Rungs::Both); WIDTH],
@@ -131,12 +131,12 @@ impl VpdEnsemble {
     /// Makes the step of the members whose sweeps converge, together.
     fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
         let mut swept = [Swept::Stuck; WIDTH];
-        let Self { blank, lanes, ahead, motion, seen, iterations, .. } = self;
+        let Self { blank, lanes, stale, motion, seen, iterations, .. } = self;
         let VpdSo3 { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
             return swept;
         };
         // User-defined potentials know no lanes.
-        if body.has_own() {
+        if body.has_user_potential() {
             return swept;
         }
         let inertia = Inertia::of(body);
@@ -144,8 +144,8 @@ impl VpdEnsemble {
         let (mut sweeps, mut guesses) = (0, 0);
         macro_rules! step {
             ($side:ident, $stages:literal) => {{
-                let Side { unknowns, taken } = &mut **$side;
-                in_member_lanes!(level, $stages, lanes => motion.look(lanes.0[0], body, seen));
+                let LaneState { unknowns, accepted } = &mut **$side;
+                in_member_lanes!(level, $stages, lanes => motion.space_vectors(lanes.0[0], body, seen));
                 let momentum = motion.body_momentum.value;
                 let mut start =
                     Start { tableau, body, inertia, seen, step: h, passes, momentum };
@@ -165,32 +165,32 @@ impl VpdEnsemble {
                             continue;
                         }
                         match iterations[m].judged(increments[m]) {
-                            Ok(Verdict::GoOn) => continue,
+                            Ok(Verdict::Continue) => continue,
                             Ok(Verdict::Converged(convergence)) => {
                                 sweeps += u64::from(convergence.iterations);
                                 guesses += 1;
                                 swept[m] = Swept::Made(convergence);
-                                taken.take(m, unknowns);
-                                ahead[m] = true;
+                                accepted.take(m, unknowns);
+                                stale[m] = true;
                             }
-                            Ok(Verdict::Leave) | Err(_) => {}
+                            Ok(Verdict::SwitchToNewton) | Err(_) => {}
                         }
                         goes_on[m] = false;
                     }
                 }
                 if tableau.is_finished {
-                    in_member_lanes!(level, $stages, lanes => sweep::finish::<_, false>(lanes, &start, taken));
+                    in_member_lanes!(level, $stages, lanes => sweep::finish::<_, false>(lanes, &start, accepted));
                 }
                 let before = *motion;
                 let order = stages.ascending();
                 let doubts = in_member_lanes!(level, $stages, lanes => {
-                    motion.advance(lanes.0[0], &taken.end, &taken.kick);
+                    motion.advance(lanes.0[0], &accepted.end, &accepted.impulse);
                     if tableau.is_finished && !seen.is_empty() {
-                        motion.gain(lanes.0[0], &taken.gain);
+                        motion.add_momentum_increment(lanes.0[0], &accepted.momentum_increment);
                     } else {
                         motion.turn_momentum(lanes.0[0]);
                     }
-                    doubts(lanes, order, taken)
+                    doubts(lanes, order, accepted)
                 });
                 for lane in 0..WIDTH {
                     match swept[lane] {
@@ -217,15 +217,15 @@ impl VpdEnsemble {
 
     /// Returns member `m`, brought up to date with its lane.
     fn written(&mut self, m: usize) -> &mut VpdSo3 {
-        let Self { members, lanes, ahead, motion, .. } = self;
+        let Self { members, lanes, stale, motion, .. } = self;
         let stepper = &mut members[m];
-        if std::mem::take(&mut ahead[m]) {
-            stepper.state = Carried::Full(motion.member(m));
+        if std::mem::take(&mut stale[m]) {
+            stepper.state = MotionState::Full(motion.member(m));
             match lanes {
-                Lanes::One(side) => side.taken.hand_over(m, &mut stepper.unknowns),
-                Lanes::Two(side) => side.taken.hand_over(m, &mut stepper.unknowns),
-                Lanes::Three(side) => side.taken.hand_over(m, &mut stepper.unknowns),
-                Lanes::Four(side) => side.taken.hand_over(m, &mut stepper.unknowns),
+                Lanes::One(side) => side.accepted.scatter(m, &mut stepper.unknowns),
+                Lanes::Two(side) => side.accepted.scatter(m, &mut stepper.unknowns),
+                Lanes::Three(side) => side.accepted.scatter(m, &mut stepper.unknowns),
+                Lanes::Four(side) => side.accepted.scatter(m, &mut stepper.unknowns),
                 Lanes::None => {}
             }
         }
@@ -237,16 +237,16 @@ impl VpdEnsemble {
 /// Gershgorin's discs, the turns from stage to stage in the order of their times, and the
 /// distances. NaN where the solution is not finite.
 #[inline(always)]
-fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
+fn doubts<R: StageScalar<StepScalar: StepScalar<Storage = Row>>>(
     lanes: R,
     ascending: &[usize],
-    solution: &Unknowns<R::Plain, Row>,
+    solution: &Unknowns<R::Storage, Row>,
 ) -> Row {
-    let Unknowns { attitude, stretch, end, end_stretch, nearness, .. } = solution;
+    let Unknowns { attitude, stretch, end, end_stretch, proximity, .. } = solution;
     let whole = lanes.stage(0);
-    let nearness = whole.load(nearness);
-    let mut doubt = nearness + CLOSEST_APPROACH * CLOSEST_APPROACH;
-    let mut total = nearness;
+    let proximity = whole.load(proximity);
+    let mut doubt = proximity + CLOSEST_APPROACH * CLOSEST_APPROACH;
+    let mut total = proximity;
     let mut before = Quaternion { w: whole.constant(1.0), v: [whole.constant(0.0); 3] };
     for k in 0..=ascending.len() {
         let (mut e, mut turn) = ([whole; 6], before);
@@ -270,9 +270,9 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
         }
         let [xx, yy, zz, yz, xz, xy] = e;
         let [yz, xz, xy] = [yz.abs(), xz.abs(), xy.abs()];
-        for deficit in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
-            doubt = doubt.max_or_nan(deficit + -0.5);
-            total = total + deficit;
+        for norm_error in [(xy + xz) - xx, (xy + yz) - yy, (xz + yz) - zz] {
+            doubt = doubt.max_or_nan(norm_error + -0.5);
+            total = total + norm_error;
         }
         let cosine = before.w * turn.w + dot(&before.v, &turn.v);
         doubt = doubt.max_or_nan(cosine * cosine * -4.0 + 2.0);
@@ -286,12 +286,12 @@ fn doubts<R: Stages<Whole: Whole<Plain = Row>>>(
 
 impl Members<3> for VpdEnsemble {
     fn start(&mut self, states: &[State<3>]) {
-        let Self { members, blank, ahead, motion, .. } = self;
+        let Self { members, blank, stale, motion, .. } = self;
         members.resize_with(states.len().min(WIDTH), || blank.clone());
         for (stepper, state) in members.iter_mut().zip(states) {
             stepper.start(state);
         }
-        *ahead = [false; WIDTH];
+        *stale = [false; WIDTH];
         // Unused lanes repeat the others.
         for (lane, own) in members.iter().filter_map(VpdSo3::motion).cycle().take(WIDTH).enumerate()
         {
@@ -319,7 +319,7 @@ impl Members<3> for VpdEnsemble {
             }
             let stepper = self.written(m);
             let result = if let Swept::Doubtful(convergence) = swept[m] {
-                stepper.look(body);
+                stepper.update_space_vectors(body);
                 let made = stepper.accepted(body, h, convergence);
                 stepper.or_in_matrices(body, h, made)
             } else {
@@ -354,7 +354,16 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
             }
         };
         let Self {
-            attitude, momentum, x, inverse, stretch, end, end_stretch, kick, nearness, ..
+            attitude,
+            momentum,
+            x,
+            inverse,
+            stretch,
+            end,
+            end_stretch,
+            impulse,
+            proximity,
+            ..
         } = self;
         stages(&mut attitude.w, &solved.attitude.w);
         for i in 0..3 {
@@ -362,7 +371,7 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
             stages(&mut momentum[i], &solved.momentum[i]);
             stages(&mut x[i], &solved.x[i]);
             end.v[i][lane] = solved.end.v[i][lane];
-            kick[i][lane] = solved.kick[i][lane];
+            impulse[i][lane] = solved.impulse[i][lane];
         }
         for i in 0..6 {
             stages(&mut inverse[i], &solved.inverse[i]);
@@ -370,28 +379,28 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
             end_stretch[i][lane] = solved.end_stretch[i][lane];
         }
         end.w[lane] = solved.end.w[lane];
-        nearness[lane] = solved.nearness[lane];
+        proximity[lane] = solved.proximity[lane];
     }
 
     /// Hands the values of a lane over to its member.
-    fn hand_over(&self, lane: usize, own: &mut Unknowns<Row, f64>) {
+    fn scatter(&self, lane: usize, own: &mut Unknowns<Row, f64>) {
         let stages = |rows: &[Row; K], row: &mut Row| {
             for k in 0..K {
                 row[k] = rows[k][lane];
             }
         };
-        let Self { attitude, stretch, end, end_stretch, kick, nearness, .. } = self;
+        let Self { attitude, stretch, end, end_stretch, impulse, proximity, .. } = self;
         stages(&attitude.w, &mut own.attitude.w);
         for i in 0..3 {
             stages(&attitude.v[i], &mut own.attitude.v[i]);
             own.end.v[i] = end.v[i][lane];
-            own.kick[i] = kick[i][lane];
+            own.impulse[i] = impulse[i][lane];
         }
         for i in 0..6 {
             stages(&stretch[i], &mut own.stretch[i]);
             own.end_stretch[i] = end_stretch[i][lane];
         }
         own.end.w = end.w[lane];
-        own.nearness = nearness[lane];
+        own.proximity = proximity[lane];
     }
 }

@@ -56,7 +56,7 @@
 //! ```
 
 use super::unknowns::{LaneTableau, RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
-use crate::lanes::{Real, Row, Stages, Whole};
+use crate::lanes::{Real, Row, StageScalar, StepScalar};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
@@ -68,14 +68,14 @@ use crate::stepper::so3_equations::{
 
 /// Largest deviation of the square of a quaternion from one allowed in the last round of the first
 /// guess.
-const MOST_DEFICIT: f64 = 0.1;
+const MOST_NORM_ERROR: f64 = 0.1;
 
 /// Runs [`sweep`] for members, and returns the increment of each in memory.
 #[inline(always)]
-pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
+pub(super) fn sweep_to_row<R: StageScalar<StepScalar: StepScalar<Storage = Row>>>(
     lanes: R,
     start: &Start<'_, Row>,
-    unknowns: &mut Unknowns<R::Plain, Row>,
+    unknowns: &mut Unknowns<R::Storage, Row>,
 ) -> Row {
     let mut increments = Row::splat(0.0);
     sweep::<R, false>(lanes, start, unknowns).store(&mut increments);
@@ -95,10 +95,10 @@ pub(super) fn sweep_to_row<R: Stages<Whole: Whole<Plain = Row>>>(
 /// is taken in every third round, and once more at the end. The guess is a function of the state
 /// alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: Stages, const OWN: bool>(
+pub(super) fn guess<R: StageScalar, const USER: bool>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) {
     let whole = lanes.stage(0);
     let LaneTableau { columns, weights, nodes, rounds, .. } = start.tableau;
@@ -111,16 +111,16 @@ pub(super) fn guess<R: Stages, const OWN: bool>(
     let half = elapsed * 0.5;
     let turned = Quaternion::cayley(&vec3!(i => half * lanes.spread(velocity[i])));
     let u = turned.matrix();
-    let (torque, _) = start.body.torque::<R, OWN>(&u, start.seen);
-    let pushed = scaled(&product(&u, &torque), -elapsed);
-    let (mut attitude, mut momentum) = (turned, pushed);
-    let mut deficit = lanes.constant(0.0);
+    let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
+    let guessed_momentum = scaled(&product(&u, &torque), -elapsed);
+    let (mut attitude, mut momentum) = (turned, guessed_momentum);
+    let mut norm_error = lanes.constant(0.0);
     for round in 0..*rounds {
         let u = attitude.matrix();
         if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
-            let (torque, _) = start.body.torque::<R, OWN>(&u, start.seen);
-            let kick = scaled(&product(&u, &torque), weight);
-            momentum = vec3!(i => -kick[i].apply_tableau(columns));
+            let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
+            let impulse = scaled(&product(&u, &torque), weight);
+            momentum = vec3!(i => -impulse[i].apply_tableau(columns));
         }
         let mu = transposed_product(&u, &plus(&p0, &momentum));
         let rate = attitude.rate(&scaled(&inertia.divides(&mu), weight * 0.5));
@@ -128,24 +128,23 @@ pub(super) fn guess<R: Stages, const OWN: bool>(
             w: rate.w.apply_tableau(columns) + 1.0,
             v: vec3!(i => rate.v[i].apply_tableau(columns)),
         };
-        deficit = (next.square() + -1.0).abs();
+        norm_error = (next.square() + -1.0).abs();
         attitude = next.lengthened();
     }
     // Rounds that diverged are worse than none.
-    let last_deficit = deficit.largest();
-    let deficit = lanes.spread(last_deficit);
-    let attitude = attitude.select(deficit, MOST_DEFICIT, &turned);
+    let last_deficit = norm_error.largest();
+    let norm_error = lanes.spread(last_deficit);
+    let attitude = attitude.select(norm_error, MOST_NORM_ERROR, &turned);
     let u = attitude.matrix();
-    let (torque, _) = start.body.torque::<R, OWN>(&u, start.seen);
-    let kick = scaled(&product(&u, &torque), weight);
-    let momentum =
-        vec3!(i => (-kick[i].apply_tableau(columns)).select(deficit, MOST_DEFICIT, pushed[i]));
+    let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
+    let impulse = scaled(&product(&u, &torque), weight);
+    let momentum = vec3!(i => (-impulse[i].apply_tableau(columns)).select(norm_error, MOST_NORM_ERROR, guessed_momentum[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
     let omega = inertia.divides(&mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Quaternion { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
     let kept_on = Quaternion::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
-    let end = end.normalised().select(last_deficit, MOST_DEFICIT, &kept_on);
+    let end = end.normalised().select(last_deficit, MOST_NORM_ERROR, &kept_on);
     // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
     let c = cross(&mu, &omega);
     let weight = weight * 0.5;
@@ -166,11 +165,11 @@ pub(super) fn guess<R: Stages, const OWN: bool>(
 /// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the
 /// largest, or of an attitude in the last pass. The result is NaN or infinite if an unknown is.
 #[inline(always)]
-pub(super) fn sweep<R: Stages, const OWN: bool>(
+pub(super) fn sweep<R: StageScalar, const USER: bool>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
-) -> R::Whole {
+    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
+) -> R::StepScalar {
     let whole = lanes.stage(0);
     let LaneTableau { rows, present, .. } = start.tableau;
     let [kinematic, linear] = &start.passes;
@@ -178,7 +177,7 @@ pub(super) fn sweep<R: Stages, const OWN: bool>(
     let stages = kinematics(lanes, start, &momentum, unknowns, *kinematic);
     let u = with_one(&stages.c);
     let end = end_point(lanes, &stages.w, unknowns);
-    let forces = forces::<R, OWN>(lanes, start, &u, stages.weight, unknowns);
+    let forces = forces::<R, USER>(lanes, start, &u, stages.weight, unknowns);
     let last = end_momentum(lanes, start, &end, &forces);
     let Kinematics { omega, weight, inverse_k, turned, .. } = &stages;
     let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
@@ -191,12 +190,12 @@ pub(super) fn sweep<R: Stages, const OWN: bool>(
     // h b N^T Omega = W^T U (h b Omega)
     let turning = scaled(omega, *weight);
     let turned_out = product(&u, &turning);
-    let push = scaled(&forces.torque, *weight);
+    let weighted_torque = scaled(&forces.torque, *weight);
     for _ in 0..*linear {
         // tr(U^T W)
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
         let turned = transposed_product(&m, &turned_out);
-        let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + push[i]));
+        let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + weighted_torque[i]));
         let next = over_k(inverse_k, &load);
         // What the change itself causes.
         let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
@@ -208,7 +207,7 @@ pub(super) fn sweep<R: Stages, const OWN: bool>(
     let next = if R::STAGES <= 2 {
         embedded_momenta(lanes, &stages, &end, &last, &m, &y)
     } else {
-        transported_momenta(start.tableau, &stages, &u, &forces.kicks, &f_lambda, [&t, &y])
+        transported_momenta(start.tableau, &stages, &u, &forces.impulses, &f_lambda, [&t, &y])
     };
     // A lane without a stage must not show as a change made by the sweeps.
     let present = lanes.row(present);
@@ -245,23 +244,23 @@ pub(super) fn sweep<R: Stages, const OWN: bool>(
 /// of x: the rounding error of the constant Omega about that axis is then that of another body, and
 /// symplectic.
 #[inline(always)]
-pub(super) fn finish<R: Stages, const OWN: bool>(
+pub(super) fn finish<R: StageScalar, const USER: bool>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) {
     let mut momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let mut stages = kinematics(lanes, start, &momentum, unknowns, 1);
     let u = with_one(&stages.c);
     let end = end_point(lanes, &stages.w, unknowns);
-    let forces = forces::<R, OWN>(lanes, start, &u, stages.weight, unknowns);
+    let forces = forces::<R, USER>(lanes, start, &u, stages.weight, unknowns);
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     if R::STAGES > 2 && start.tableau.stages >= RENEWED_STAGES {
         let last = end_momentum(lanes, start, &end, &forces);
         let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
         let [t, y] = embedded(&u, &load(lanes, &unknowns.x), &start.tableau.rows);
         momentum =
-            transported_momenta(start.tableau, &stages, &u, &forces.kicks, &f_lambda, [&t, &y]);
+            transported_momenta(start.tableau, &stages, &u, &forces.impulses, &f_lambda, [&t, &y]);
         let pi = plus(&p0, &momentum);
         let inertia = start.inertia.in_lanes(lanes);
         let turned_by = transposed_product(&stages.c, &pi);
@@ -273,9 +272,10 @@ pub(super) fn finish<R: Stages, const OWN: bool>(
     let pi = plus(&p0, &momentum);
     let mu = plus(&pi, &transposed_product(c, &pi));
     let turned = cross(&mu, &scaled(omega, *weight));
-    let gain: Vec3<R::Whole> = vec3!(i => (turned[i] - *weight * forces.torque[i]).sum());
+    let momentum_increment: Vec3<R::StepScalar> =
+        vec3!(i => (turned[i] - *weight * forces.torque[i]).sum());
     for i in 0..3 {
-        gain[i].store(&mut unknowns.gain[i]);
+        momentum_increment[i].store(&mut unknowns.momentum_increment[i]);
     }
 }
 
@@ -297,11 +297,11 @@ struct Kinematics<R> {
 
 /// Computes U_k and Omega_k for the momenta p0 + `momentum`.
 #[inline(always)]
-fn kinematics<R: Stages>(
+fn kinematics<R: StageScalar>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
     momentum: &Vec3<R>,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
     passes: u32,
 ) -> Kinematics<R> {
     let LaneTableau { columns, weights, .. } = start.tableau;
@@ -355,24 +355,24 @@ fn kinematics<R: Stages>(
 }
 
 /// The end point, to which the stages lead.
-struct EndPoint<R: Stages> {
+struct EndPoint<R: StageScalar> {
     /// f - I
-    change: Mat3<R::Whole>,
+    change: Mat3<R::StepScalar>,
     /// P_e - I.
-    stretch: Sym3<R::Whole>,
+    stretch: Sym3<R::StepScalar>,
     /// K(P_e)^-1 - I / 2.
-    inverse: Sym3<R::Whole>,
+    inverse: Sym3<R::StepScalar>,
 }
 
 /// Computes the end point for the w of the stages.
 #[inline(always)]
-fn end_point<R: Stages>(
+fn end_point<R: StageScalar>(
     lanes: R,
     w: &Mat3<R>,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) -> EndPoint<R> {
     let whole = lanes.stage(0);
-    let d: Mat3<R::Whole> = mat3!(i, j => w[i][j].sum());
+    let d: Mat3<R::StepScalar> = mat3!(i, j => w[i][j].sum());
     let end = Quaternion {
         w: whole.load(&unknowns.end.w),
         v: vec3!(i => whole.load(&unknowns.end.v[i])),
@@ -394,75 +394,76 @@ fn end_point<R: Stages>(
 }
 
 /// Torques on the body, and their effects.
-struct Forces<R: Stages> {
+struct Forces<R: StageScalar> {
     /// tau
     torque: Vec3<R>,
     /// -h b U tau
-    kicks: Vec3<R>,
+    impulses: Vec3<R>,
     /// pi1 - p0
-    kick: Vec3<R::Whole>,
-    pi1: Vec3<R::Whole>,
+    impulse: Vec3<R::StepScalar>,
+    pi1: Vec3<R::StepScalar>,
 }
 
 /// Computes the torques at the stages, and their effects.
 #[inline(always)]
-fn forces<R: Stages, const OWN: bool>(
+fn forces<R: StageScalar, const USER: bool>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
     u: &Mat3<R>,
     weight: R,
-    unknowns: &mut Unknowns<R::Plain, <R::Whole as Whole>::Plain>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) -> Forces<R> {
-    let (torque, nearness) = start.body.torque::<R, OWN>(u, start.seen);
-    let kicks = scaled(&product(u, &torque), -weight);
-    let kick: Vec3<R::Whole> = vec3!(i => kicks[i].sum());
+    let (torque, proximity) = start.body.torque::<R, USER>(u, start.seen);
+    let impulses = scaled(&product(u, &torque), -weight);
+    let impulse: Vec3<R::StepScalar> = vec3!(i => impulses[i].sum());
     for i in 0..3 {
-        kick[i].store(&mut unknowns.kick[i]);
+        impulse[i].store(&mut unknowns.impulse[i]);
     }
-    nearness.largest().store(&mut unknowns.nearness);
-    let pi1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + kick[i]);
-    Forces { torque, kicks, kick, pi1 }
+    proximity.largest().store(&mut unknowns.proximity);
+    let pi1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + impulse[i]);
+    Forces { torque, impulses, impulse, pi1 }
 }
 
 /// The momentum at the end point.
-struct EndMomentum<R: Stages> {
+struct EndMomentum<R: StageScalar> {
     /// p1 - p0
-    gain: Vec3<R::Whole>,
-    p1: Vec3<R::Whole>,
-    lambda: Vec3<R::Whole>,
+    momentum_increment: Vec3<R::StepScalar>,
+    p1: Vec3<R::StepScalar>,
+    lambda: Vec3<R::StepScalar>,
     /// f hat(lambda)
-    f_lambda: Mat3<R::Whole>,
+    f_lambda: Mat3<R::StepScalar>,
 }
 
 /// Computes `p1 = f^T pi1` and [Lambda]: `K(P_e) lambda = -p1`.
 #[inline(always)]
-fn end_momentum<R: Stages>(
+fn end_momentum<R: StageScalar>(
     lanes: R,
-    start: &Start<'_, <R::Whole as Whole>::Plain>,
+    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
     EndPoint { change, inverse, .. }: &EndPoint<R>,
-    Forces { kick, pi1, .. }: &Forces<R>,
+    Forces { impulse, pi1, .. }: &Forces<R>,
 ) -> EndMomentum<R> {
-    let gain = plus(kick, &transposed_product(change, pi1));
-    let p1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + gain[i]);
+    let momentum_increment = plus(impulse, &transposed_product(change, pi1));
+    let p1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + momentum_increment[i]);
     let lambda = over_k(inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(change), &lambda);
-    EndMomentum { gain, p1, lambda, f_lambda }
+    EndMomentum { momentum_increment, p1, lambda, f_lambda }
 }
 
 /// Computes `pi - p0` of the stages by (24a, vih1), `pi = -vee asym(W U^T)`.
 #[inline(always)]
-fn embedded_momenta<R: Stages>(
+fn embedded_momenta<R: StageScalar>(
     lanes: R,
     Kinematics { c, .. }: &Kinematics<R>,
     EndPoint { change, stretch, inverse }: &EndPoint<R>,
-    EndMomentum { gain, p1, lambda, .. }: &EndMomentum<R>,
+    EndMomentum { momentum_increment, p1, lambda, .. }: &EndMomentum<R>,
     m: &Mat3<R>,
     y: &Mat3<R>,
 ) -> Vec3<R> {
     // -vee asym(f hat(lambda)) - p0
     let stretched = over_k(inverse, &k_less_two(stretch, p1));
     let beyond = vee_asym(&times_hat(change, lambda));
-    let common: Vec3<R> = vec3!(i => lanes.spread(gain[i] - (stretched[i] + beyond[i])));
+    let common: Vec3<R> =
+        vec3!(i => lanes.spread(momentum_increment[i] - (stretched[i] + beyond[i])));
     let turned_off = [
         dot(&m[1], &c[2]) - dot(&m[2], &c[1]),
         dot(&m[2], &c[0]) - dot(&m[0], &c[2]),
@@ -474,22 +475,22 @@ fn embedded_momenta<R: Stages>(
 
 /// Computes the same by [transport].
 #[inline(always)]
-fn transported_momenta<R: Stages>(
-    LaneTableau { partner, apart, .. }: &LaneTableau,
+fn transported_momenta<R: StageScalar>(
+    LaneTableau { conjugate, conjugate_defect, .. }: &LaneTableau,
     Kinematics { c, stretch, w, .. }: &Kinematics<R>,
     u: &Mat3<R>,
-    kicks: &Vec3<R>,
+    impulses: &Vec3<R>,
     f_lambda: &Mat3<R>,
     embedded: [&Mat3<R>; 2],
 ) -> Vec3<R> {
     // [K] and [D]
     let mut k: Mat3<R> = vec3!(i => symmetric_product(stretch, &u[i]));
     let d: Mat3<R> = mat3!(i, j => c[i][j] + k[i][j]);
-    if let Some(apart) = apart {
-        k = mat3!(i, j => k[i][j] + w[i][j].apply_tableau(apart));
+    if let Some(conjugate_defect) = conjugate_defect {
+        k = mat3!(i, j => k[i][j] + w[i][j].apply_tableau(conjugate_defect));
     }
-    let delta = defect(f_lambda, [c, &d, &k], w, embedded, partner);
-    vec3!(i => delta[i] + kicks[i].apply_tableau(partner))
+    let delta = defect(f_lambda, [c, &d, &k], w, embedded, conjugate);
+    vec3!(i => delta[i] + impulses[i].apply_tableau(conjugate))
 }
 
 /// `(K(P) - 2) v` for `P = I + E`.
@@ -501,17 +502,17 @@ fn k_less_two<T: Real>(stretch: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
 }
 
 #[inline(always)]
-fn load<R: Stages>(lanes: R, plain: &Vec3<R::Plain>) -> Vec3<R> {
+fn load<R: StageScalar>(lanes: R, plain: &Vec3<R::Storage>) -> Vec3<R> {
     vec3!(i => lanes.load(&plain[i]))
 }
 
 #[inline(always)]
-fn load_turn<R: Stages>(lanes: R, plain: &Quaternion<R::Plain>) -> Quaternion<R> {
+fn load_turn<R: StageScalar>(lanes: R, plain: &Quaternion<R::Storage>) -> Quaternion<R> {
     Quaternion { w: lanes.load(&plain.w), v: load(lanes, &plain.v) }
 }
 
 #[inline(always)]
-fn store_turn<R: Stages>(value: &Quaternion<R>, plain: &mut Quaternion<R::Plain>) {
+fn store_turn<R: StageScalar>(value: &Quaternion<R>, plain: &mut Quaternion<R::Storage>) {
     value.w.store(&mut plain.w);
     store(&value.v, &mut plain.v);
 }

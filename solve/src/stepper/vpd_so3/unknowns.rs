@@ -66,10 +66,10 @@ pub(in crate::stepper) struct LaneTableau {
     pub(in crate::stepper) columns: [Row; WIDTH],
     /// `e_ij`, row by row: the columns of its transpose.
     pub(in crate::stepper) rows: [Row; WIDTH],
-    /// `1 - e_ji`, column by column; the same as `columns` if the tableau is its own partner.
-    pub(in crate::stepper) partner: [Row; WIDTH],
-    /// `1 - e_ji - e_ij`, column by column; `None` if the tableau is its own partner.
-    pub(super) apart: Option<[Row; WIDTH]>,
+    /// `1 - e_ji`, column by column; the same as `columns` for a symplectic tableau.
+    pub(in crate::stepper) conjugate: [Row; WIDTH],
+    /// `1 - e_ji - e_ij`, column by column; `None` for a symplectic tableau.
+    pub(super) conjugate_defect: Option<[Row; WIDTH]>,
     pub(in crate::stepper) weights: Row,
     pub(in crate::stepper) nodes: Row,
     /// The number one in the lane of each stage.
@@ -90,8 +90,8 @@ impl LaneTableau {
         let mut lanes = Self {
             columns: [zero; WIDTH],
             rows: [zero; WIDTH],
-            partner: [zero; WIDTH],
-            apart: None,
+            conjugate: [zero; WIDTH],
+            conjugate_defect: None,
             weights: zero,
             nodes: zero,
             present: zero,
@@ -101,7 +101,7 @@ impl LaneTableau {
             stages,
         };
         let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        let own_partner = tableau.is_own_partner();
+        let is_symplectic = tableau.is_symplectic();
         for i in 0..stages {
             lanes.weights.0[i] = tableau.b(i);
             lanes.nodes.0[i] = tableau.c(i);
@@ -109,23 +109,23 @@ impl LaneTableau {
             for j in 0..stages {
                 // Of two entries that sum to one, the smaller is one minus the larger, to the last
                 // bit.
-                let from_other = own_partner && part(i, j) < part(j, i);
+                let from_other = is_symplectic && part(i, j) < part(j, i);
                 let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
                 // The same bits enter both halves: the pair is symplectic whatever their rounding.
                 lanes.columns[j].0[i] = e;
                 lanes.rows[i].0[j] = e;
             }
         }
-        lanes.partner = lanes.columns;
-        if !own_partner {
-            let mut apart = [zero; WIDTH];
+        lanes.conjugate = lanes.columns;
+        if !is_symplectic {
+            let mut conjugate_defect = [zero; WIDTH];
             for i in 0..stages {
                 for j in 0..stages {
-                    lanes.partner[j].0[i] = 1.0 - lanes.columns[i].0[j];
-                    apart[j].0[i] = lanes.partner[j].0[i] - lanes.columns[j].0[i];
+                    lanes.conjugate[j].0[i] = 1.0 - lanes.columns[i].0[j];
+                    conjugate_defect[j].0[i] = lanes.conjugate[j].0[i] - lanes.columns[j].0[i];
                 }
             }
-            lanes.apart = Some(apart);
+            lanes.conjugate_defect = Some(conjugate_defect);
         }
         lanes
     }
@@ -176,11 +176,11 @@ pub(super) struct Unknowns<S, P> {
     /// The same for the end point.
     pub(super) end_stretch: Sym3<P>,
     /// pi1 - p0.
-    pub(super) kick: Vec3<P>,
+    pub(super) impulse: Vec3<P>,
     /// p1 - p0, if it is needed to the last digit.
-    pub(super) gain: Vec3<P>,
-    /// Largest nearness over the stages, as returned by [`RigidBody::torque`].
-    pub(super) nearness: P,
+    pub(super) momentum_increment: Vec3<P>,
+    /// Largest proximity over the stages, as returned by [`RigidBody::torque`].
+    pub(super) proximity: P,
 }
 
 impl<S: Copy, P: Copy> Unknowns<S, P> {
@@ -194,9 +194,9 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
             inverse: [stages; 6],
             stretch: [stages; 6],
             end_stretch: [whole; 6],
-            kick: [whole; 3],
-            gain: [whole; 3],
-            nearness: whole,
+            impulse: [whole; 3],
+            momentum_increment: [whole; 3],
+            proximity: whole,
         }
     }
 }

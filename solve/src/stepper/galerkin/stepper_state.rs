@@ -5,7 +5,7 @@
 
 use super::{GalerkinStep, Motion};
 use crate::failure::Failure;
-use crate::hamiltonian::{Moment, RigidBody};
+use crate::hamiltonian::{BodyAtTime, RigidBody};
 use crate::nonlinear::{Convergence, Rung, StopRule};
 use crate::so::{Mat, Vector};
 use crate::state::State;
@@ -15,17 +15,17 @@ use crate::tableau::Tableau;
 
 /// The step, the motion and the clock.
 #[derive(Clone, Debug)]
-pub(in crate::stepper) struct Carried<const N: usize> {
+pub(in crate::stepper) struct StepperState<const N: usize> {
     pub(in crate::stepper) step: GalerkinStep<N>,
     pub(in crate::stepper) motion: Motion<N>,
     pub(in crate::stepper) clock: Clock<N>,
     /// Moments of a driven body at the stages and the end of the step (empty otherwise).
-    pub(in crate::stepper) moments: Vec<Moment<N>>,
+    pub(in crate::stepper) bodies: Vec<BodyAtTime<N>>,
     /// The space vectors of the potential, from where the step begins.
     pub(in crate::stepper) seen: Vec<Vector<N>>,
 }
 
-impl<const N: usize> Carried<N> {
+impl<const N: usize> StepperState<N> {
     /// Creates the state for steps of `tableau` that are solved until `stop`.
     pub(in crate::stepper) fn new(tableau: Tableau, stop: StopRule) -> Self {
         let state = State { attitude: Mat::identity(), momentum: Mat::zeros() };
@@ -33,7 +33,7 @@ impl<const N: usize> Carried<N> {
             step: GalerkinStep::new(tableau, stop),
             motion: Motion::new(&state),
             clock: Clock::default(),
-            moments: Vec::new(),
+            bodies: Vec::new(),
             seen: Vec::new(),
         }
     }
@@ -45,11 +45,11 @@ impl<const N: usize> Carried<N> {
         self.clock = Clock::default();
     }
 
-    /// Looks at `body` over a step of length `h`: moment by moment if it is driven.
-    pub(in crate::stepper) fn look(&mut self, body: Option<&RigidBody<N>>, h: f64) {
-        self.moments.clear();
+    /// Takes `body` as it is at the stages of a step of length `h`, if it is driven.
+    pub(in crate::stepper) fn update_bodies(&mut self, body: Option<&RigidBody<N>>, h: f64) {
+        self.bodies.clear();
         if let Some(body) = body.filter(|body| body.is_driven()) {
-            self.moments = self.step.moments(body, self.clock.time, h);
+            self.bodies = self.step.bodies(body, self.clock.time, h);
         }
     }
 
@@ -80,9 +80,10 @@ impl<const N: usize> Carried<N> {
 
     /// Advances by the step that was solved.
     fn advance(&mut self, h: f64) {
-        if !self.moments.is_empty() {
-            let put_in = self.step.put_in(h, &self.moments, self.motion.attitude());
-            self.clock.advance(h, &put_in);
+        if !self.bodies.is_empty() {
+            let work_and_impulse =
+                self.step.work_and_impulse(h, &self.bodies, self.motion.attitude());
+            self.clock.advance(h, &work_and_impulse);
         }
         self.step.carry(&mut self.motion);
     }

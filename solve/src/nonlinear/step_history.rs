@@ -3,7 +3,7 @@
 //! On the smooth orbit of a free body such a guess is as near as a sweep or two would come, and how well sweeps contract
 //! is known from the steps before, too: one sweep solves the step. (Where it does not pay: docs/decisions/0008.)
 //!
-//! Invariant: a guess is a function of the steps since [`Trail::forget`]; one that leads astray costs time and no more.
+//! Invariant: a guess is a function of the steps since [`Extrapolation::forget`]; one that leads astray costs time and no more.
 
 use super::{Convergence, Equations, Progress, Rungs, Solver, swept};
 use crate::failure::Failure;
@@ -15,7 +15,7 @@ const CLEAR: f64 = 1e-12;
 /// The solutions of the last `DEPTH` steps, and the polynomial through them. A solution consists of parts, always as many
 /// and as long.
 #[derive(Clone, Debug, Default)]
-pub struct Trail<const DEPTH: usize> {
+pub struct Extrapolation<const DEPTH: usize> {
     /// Eight numbers of each solution after the other, and again; a part begins with a row of its own.
     rows: Vec<[Row; DEPTH]>,
     /// Index of the newest solution: they lie in a ring.
@@ -24,7 +24,7 @@ pub struct Trail<const DEPTH: usize> {
     known: usize,
 }
 
-impl<const DEPTH: usize> Trail<DEPTH> {
+impl<const DEPTH: usize> Extrapolation<DEPTH> {
     /// `z_{n+1} = sum_i (-1)^i C(DEPTH, i + 1) z_{n-i}`
     const COEFFICIENTS: [f64; DEPTH] = {
         let mut coefficients = [DEPTH as f64; DEPTH];
@@ -70,7 +70,11 @@ impl<const DEPTH: usize> Trail<DEPTH> {
 
     /// Computes the polynomial a step ahead, part by part, in such lanes.
     #[inline(always)]
-    pub fn ahead<'a, R: Stored>(&self, lanes: R, parts: impl IntoIterator<Item = &'a mut [f64]>) {
+    pub fn extrapolate<'a, R: Stored>(
+        &self,
+        lanes: R,
+        parts: impl IntoIterator<Item = &'a mut [f64]>,
+    ) {
         let mut coefficients = [0.0; DEPTH];
         for (back, coefficient) in Self::COEFFICIENTS.into_iter().enumerate() {
             coefficients[(self.newest + DEPTH - back) % DEPTH] = coefficient;
@@ -79,13 +83,13 @@ impl<const DEPTH: usize> Trail<DEPTH> {
         for part in parts {
             let (whole, rest) = part.as_chunks_mut::<WIDTH>();
             for (next, rows) in whole.iter_mut().zip(&mut rows) {
-                row_ahead(lanes, &coefficients, rows, next);
+                extrapolated_row(lanes, &coefficients, rows, next);
             }
             if !rest.is_empty()
                 && let Some(rows) = rows.next()
             {
                 let mut next = [0.0; WIDTH];
-                row_ahead(lanes, &coefficients, rows, &mut next);
+                extrapolated_row(lanes, &coefficients, rows, &mut next);
                 rest.copy_from_slice(&next[..rest.len()]);
             }
         }
@@ -94,7 +98,7 @@ impl<const DEPTH: usize> Trail<DEPTH> {
 
 /// Computes eight numbers of the polynomial from those of each solution.
 #[inline(always)]
-fn row_ahead<R: Stored, const DEPTH: usize>(
+fn extrapolated_row<R: Stored, const DEPTH: usize>(
     lanes: R,
     coefficients: &[f64; DEPTH],
     rows: &[Row; DEPTH],
@@ -111,9 +115,9 @@ fn row_ahead<R: Stored, const DEPTH: usize>(
 
 /// The last steps of sweeps.
 #[derive(Clone, Debug, Default)]
-pub struct Past {
+pub struct StepHistory {
     /// Eight: the polynomial through more multiplies their rounding errors too much.
-    trail: Trail<8>,
+    extrapolation: Extrapolation<8>,
     /// The newest solution, then the first guess of the next.
     numbers: Vec<f64>,
     /// The largest first increment from the guess of the equations themselves.
@@ -134,10 +138,10 @@ pub trait Continued: Equations {
     fn continue_from(&mut self, numbers: &[f64]) -> Result<u32, Failure>;
 }
 
-impl Past {
+impl StepHistory {
     /// Forgets all steps.
     pub fn forget(&mut self) {
-        self.trail.forget();
+        self.extrapolation.forget();
         (self.first, self.contraction) = (0.0, None);
     }
 
@@ -147,13 +151,13 @@ impl Past {
         solver: &mut Solver,
         equations: &mut impl Continued,
     ) -> Result<Convergence, Failure> {
-        if self.trail.is_known() && solver.rule.rungs != Rungs::Newton {
+        if self.extrapolation.is_known() && solver.rule.rungs != Rungs::Newton {
             if let Some(solved) = self.continued(solver, equations) {
                 return Ok(solved);
             }
             self.forget();
         }
-        let mut seen = Seen::NOTHING;
+        let mut seen = IncrementStats::NOTHING;
         let solved = solver.watched(equations, |increment| seen.note(increment))?;
         self.first = self.first.max(seen.first);
         self.note(equations, &seen);
@@ -165,11 +169,11 @@ impl Past {
         solver: &Solver,
         equations: &mut impl Continued,
     ) -> Option<Convergence> {
-        self.trail.ahead(0.0, [&mut self.numbers[..]]);
+        self.extrapolation.extrapolate(0.0, [&mut self.numbers[..]]);
         let sweeps = equations.continue_from(&self.numbers).ok()?;
         let expected = self.contraction.unwrap_or(f64::INFINITY);
         let progress = Progress { expected, ..Progress::new(solver.rule, true) };
-        let mut seen = Seen::NOTHING;
+        let mut seen = IncrementStats::NOTHING;
         let sweep = || equations.sweep().inspect(|increment| seen.note(*increment));
         let mut solved = swept(progress, sweep).ok()??;
         solved.iterations += sweeps;
@@ -182,14 +186,14 @@ impl Past {
         Some(solved)
     }
 
-    fn note(&mut self, equations: &impl Continued, seen: &Seen) {
+    fn note(&mut self, equations: &impl Continued, seen: &IncrementStats) {
         if let Some(contraction) = seen.contraction {
             let worst = self.contraction.map_or(contraction, |worst| worst.max(contraction));
             self.contraction = Some(worst);
         }
         self.numbers.clear();
         equations.keep(&mut self.numbers);
-        self.trail.add([&self.numbers[..]]);
+        self.extrapolation.add([&self.numbers[..]]);
     }
 }
 
@@ -200,11 +204,11 @@ impl Solver {
     /// Those of [`Solver::solve`].
     pub fn solve_after(
         &mut self,
-        past: &mut Option<Past>,
+        history: &mut Option<StepHistory>,
         equations: &mut impl Continued,
     ) -> Result<Convergence, Failure> {
-        match past {
-            Some(past) => past.solve(self, equations),
+        match history {
+            Some(history) => history.solve(self, equations),
             None => self.solve(equations),
         }
     }
@@ -212,7 +216,7 @@ impl Solver {
 
 /// Measures of the increments of a step.
 #[derive(Debug)]
-struct Seen {
+struct IncrementStats {
     /// The first increment.
     first: f64,
     last: f64,
@@ -220,7 +224,7 @@ struct Seen {
     contraction: Option<f64>,
 }
 
-impl Seen {
+impl IncrementStats {
     const NOTHING: Self = Self { first: f64::NAN, last: 0.0, contraction: None };
 
     fn note(&mut self, increment: f64) {
@@ -282,14 +286,14 @@ mod tests {
 
     #[test]
     fn a_smooth_motion_takes_one_sweep_and_a_jump_is_followed() {
-        let (mut past, mut solver) = (Past::default(), Solver::new(StopRule::default()));
+        let (mut history, mut solver) = (StepHistory::default(), Solver::new(StopRule::default()));
         let mut equations = Moving { target: 0.0, z: 0.0, sweeps: 0 };
         let mut made = Vec::new();
         for step in 0..60 {
             let jump = if step < 30 { 0.0 } else { 3.0 };
             equations.target = libm::cos(0.01 * f64::from(step)) + jump;
             equations.sweeps = 0;
-            let solved = past.solve(&mut solver, &mut equations).expect("contracts");
+            let solved = history.solve(&mut solver, &mut equations).expect("contracts");
             assert_eq!(solved.iterations, equations.sweeps);
             assert!((equations.z - equations.target).abs() < 1e-15 * equations.target);
             made.push(solved.iterations);
@@ -302,12 +306,12 @@ mod tests {
 
     #[test]
     fn what_was_never_seen_to_contract_is_not_foreseen() {
-        let (mut past, mut solver) = (Past::default(), Solver::new(StopRule::default()));
+        let (mut history, mut solver) = (StepHistory::default(), Solver::new(StopRule::default()));
         let mut equations = Moving { target: 0.0, z: 0.0, sweeps: 0 };
         for step in 0..30 {
             // The guess is the solution, and then it is not.
             equations.target = if step < 20 { 0.0 } else { 2.0 };
-            past.solve(&mut solver, &mut equations).expect("contracts");
+            history.solve(&mut solver, &mut equations).expect("contracts");
             assert!((equations.z - equations.target).abs() < 1e-15, "step {step}");
         }
     }
