@@ -118,7 +118,21 @@ macro_rules! in_stage_lanes {
     }};
 }
 
-pub(crate) use {in_stage_lanes, widest};
+/// Methods of a type with a method `lanes` whose bodies are compiled for the instruction set of these lanes, each once.
+macro_rules! in_lanes {
+    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
+        $($(#[$attribute])*
+        #[inline(never)]
+        fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
+            $this.lanes().vectorized(
+                #[inline(always)]
+                || $body,
+            )
+        })*
+    };
+}
+
+pub(crate) use {in_lanes, in_stage_lanes, widest};
 
 /// A number, or one in each lane.
 pub trait Real:

@@ -7,6 +7,9 @@
 use thiserror::Error;
 
 mod gauss;
+mod in_lanes;
+
+pub(crate) use in_lanes::TableauInLanes;
 
 /// Coefficients `a_ij`, `b_j` of a Runge-Kutta method, as the internal points and the end point of the
 /// VPD discrete Lagrangian use them (paper, 8 internal and restrict).

@@ -65,3 +65,20 @@ pub(super) fn check_branch(found: f64, limit: f64, stage: Option<usize>) -> Resu
     }
     Err(Failure::new(FailureCode::BranchJump, stage, found, limit))
 }
+
+/// Refuses a solution that jumps between two nodes, from `start` on: a determinant is blind past half a turn. `trace` is
+/// that of the rotation between two attitudes, or its cosine, `limit` its value for a quarter turn; each attitude comes with
+/// its stage, `None` for the end.
+pub(super) fn check_continuity<U>(
+    start: U,
+    nodes: impl IntoIterator<Item = (Option<usize>, U)>,
+    limit: f64,
+    trace: impl Fn(&U, &U) -> f64,
+) -> Result<(), Failure> {
+    let mut before = start;
+    for (stage, attitude) in nodes {
+        check_branch(trace(&before, &attitude), limit, stage)?;
+        before = attitude;
+    }
+    Ok(())
+}

@@ -34,7 +34,7 @@ use crate::hamiltonian::{BodyAtTime, Rescaled, RigidBody, Scale, WorkAndImpulse}
 use crate::lanes::Real;
 use crate::nonlinear::{Convergence, Rung, Rungs, Solver, StepHistory, StopRule};
 use crate::so::{self, Mat, Vector};
-use crate::stepper::checks::{check_branch, check_singular_value};
+use crate::stepper::checks::{check_continuity, check_singular_value};
 use crate::tableau::Tableau;
 
 mod convergence;
@@ -566,19 +566,15 @@ impl<const N: usize> GalerkinStep<N> {
         self.check_dynamics(dynamics)
     }
 
-    /// Refuses a solution that jumps between two nodes: a determinant is blind past half a turn.
+    /// See [`check_continuity`].
     fn check_continuity(&self) -> Result<(), Failure> {
         // A quarter turn in one plane: tr(U^T V) = n - 2 + 2 cos.
         let limit = N as f64 - 2.0;
-        let mut before = Mat::<N>::identity();
-        let nodes = self.tableau.ascending().iter().map(|&k| (Some(k), k));
-        for (stage, k) in nodes.chain([(None, self.stages.len())]) {
-            let u = self.attitude(k);
-            let trace = so::dot(before.as_slice(), u.as_slice());
-            check_branch(trace, limit, stage)?;
-            before = u;
-        }
-        Ok(())
+        let stages = self.tableau.ascending().iter().map(|&k| (Some(k), k));
+        let nodes = stages.chain([(None, self.stages.len())]);
+        let attitudes = nodes.map(|(stage, k)| (stage, self.attitude(k)));
+        let trace = |u: &Mat<N>, v: &Mat<N>| so::dot(u.as_slice(), v.as_slice());
+        check_continuity(Mat::identity(), attitudes, limit, trace)
     }
 
     fn check_dynamics(&self, dynamics: &dyn Dynamics<N>) -> Result<(), Failure> {

@@ -41,7 +41,7 @@ use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Rows, WIDTH, in_stage_lanes, widest};
+use crate::lanes::{Rows, in_stage_lanes, widest};
 use crate::nonlinear::{Convergence, StopRule, fixed_point};
 use crate::so::{Mat, Vector};
 use crate::so3;
@@ -53,13 +53,13 @@ use crate::tableau::Tableau;
 
 mod stages;
 
-use stages::{End, LaneTableau, Stages, Start};
+use stages::{End, GaussPlan, Stages, Start};
 
 /// The stepper: a Gauss tableau in lanes, a stop rule, the state and the stages of the last step.
 #[derive(Clone, Debug)]
 pub struct QuaternionGauss {
     tableau: Tableau,
-    lanes: LaneTableau,
+    plan: GaussPlan,
     stop: StopRule,
     /// The instruction set; without one, one number at a time.
     level: Option<Level>,
@@ -72,11 +72,11 @@ impl QuaternionGauss {
     /// Creates a stepper with 1 to 8 stages that solves each step until `stop`; `None` for any
     /// other number.
     pub fn new(stages: usize, stop: StopRule) -> Option<Self> {
-        let tableau = Tableau::gauss(stages).filter(|_| stages <= WIDTH)?;
+        let tableau = Tableau::gauss(stages)?;
         Some(Self {
-            lanes: LaneTableau::new(&tableau),
+            plan: GaussPlan::new(&tableau)?,
             tableau,
-            // On the dipole the energy moves no less with sweeps to the last digit; to stop_early the last sweep saves nothing.
+            // On the dipole the energy moves no less with sweeps to the last digit; stopping a sweep earlier saves nothing.
             stop: StopRule { stop_early: false, ..stop },
             level: Some(Level::new()),
             motion: Motion::blank(0.0, 1.0),
@@ -94,7 +94,7 @@ impl QuaternionGauss {
     /// Refuses stages too close to a point of the potential.
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
-        let turns = (0..self.tableau.stages()).map(|k| (k, self.stages.turn(k)));
+        let turns = (0..self.tableau.stages()).map(|k| (k, self.stages.rotation(k)));
         // An iterate that is not finite has met nothing.
         turns.filter(|(_, u)| u.coords.iter().all(|x| x.is_finite())).try_for_each(|(k, u)| {
             body.check_distances_seen(&so3::rotation(&u), &seen)
@@ -113,12 +113,12 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
-        let Self { tableau, lanes, stop, level, motion, stages, seen, .. } = self;
+        let Self { tableau, plan, stop, level, motion, stages, seen, .. } = self;
         motion.space_vectors(0.0, body, seen);
         let (level, count) = (*level, tableau.stages());
-        let start = &Start::new(lanes, body, seen, h, motion.body_momentum.value);
+        let start = &Start::new(plan, body, seen, h, motion.body_momentum.value);
         in_stage_lanes!(level, count, body, stages::guess, start, stages);
-        let mut torques = lanes.torques_of_guess();
+        let mut torques = plan.torques_of_guess();
         let solved = fixed_point(*stop, || {
             body.work().begin_sweep()?;
             torques += 1;
@@ -153,7 +153,7 @@ impl Stepper<3> for QuaternionGauss {
     }
 
     fn attitude(&self) -> Option<Mat<3>> {
-        let Quaternion { w, v: [x, y, z] } = self.motion.turn();
+        let Quaternion { w, v: [x, y, z] } = self.motion.quaternion();
         Some(so3::rotation(&nalgebra::Quaternion::new(w, x, y, z)))
     }
 

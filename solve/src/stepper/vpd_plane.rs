@@ -21,7 +21,7 @@
 use nalgebra::Complex;
 
 use super::Stepper;
-use super::checks::{SMALLEST_SINGULAR_VALUE, check_branch};
+use super::checks::{SMALLEST_SINGULAR_VALUE, check_continuity};
 use crate::compensated::{Sum, two_sum};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::RigidBody;
@@ -330,13 +330,10 @@ impl Sweeps<'_> {
                 return Err(Failure::new(FailureCode::IllConditioned, None, found, limit));
             }
         }
-        let mut before = Complex::new(1.0, 0.0);
         let ascending = self.tableau.ascending().iter().map(|&k| stages[k].point.turn);
-        for turn in ascending.chain([end.turn]) {
-            let cosine = (before.conj() * turn).re;
-            check_branch(cosine, 0.0, None)?;
-            before = turn;
-        }
+        let nodes = ascending.chain([end.turn]).map(|turn| (None, turn));
+        let cosine = |u: &Complex<f64>, v: &Complex<f64>| (u.conj() * v).re;
+        check_continuity(Complex::new(1.0, 0.0), nodes, 0.0, cosine)?;
         stages.iter().try_for_each(|stage| {
             self.plane.check_distances_seen(&matrix(stage.point.turn), self.seen)
         })

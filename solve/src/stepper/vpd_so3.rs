@@ -15,14 +15,14 @@
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
 use super::Stepper;
-use super::checks::{check_branch, check_root, check_singular_value};
+use super::checks::{check_continuity, check_root, check_singular_value};
 use super::galerkin;
 use super::motion::{Motion, unsigned_zeros};
 use super::so3_equations::Inertia;
 use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
-use crate::lanes::{Row, Rows, WIDTH, in_stage_lanes, widest};
+use crate::lanes::{Row, Rows, in_stage_lanes, widest};
 use crate::nonlinear::{
     Continued, Convergence, Equations, Rung, Rungs, SMALLEST_SIZE, Solver, StepHistory, StopRule,
 };
@@ -36,13 +36,13 @@ pub mod ensemble;
 pub(super) mod sweep;
 pub(super) mod unknowns;
 
-use unknowns::{FEW_STAGES, LaneTableau, Passes, Start, Unknowns};
+use unknowns::{FEW_STAGES, Passes, Start, SweepPlan, Unknowns};
 
 /// Turn of a step below which a free body takes half as many passes.
 const CALM_RAD: f64 = 0.05;
 
 /// Does the work in lanes, and counts its torques.
-macro_rules! in_lanes {
+macro_rules! counted {
     ($work:ident, $equations:expr) => {{
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
@@ -54,7 +54,7 @@ macro_rules! in_lanes {
 #[derive(Clone, Debug)]
 pub struct VpdSo3 {
     tableau: Tableau,
-    lanes: LaneTableau,
+    plan: SweepPlan,
     solver: Solver,
     /// The preceding steps, if the next one is guessed from them.
     history: Option<StepHistory>,
@@ -85,8 +85,8 @@ impl VpdSo3 {
     pub fn new(tableau: Tableau, stop: StopRule) -> Option<Self> {
         // Many stages are used for the last digits.
         let stop = StopRule { stop_early: tableau.stages() <= FEW_STAGES, ..stop };
-        (tableau.stages() <= WIDTH).then(|| Self {
-            lanes: LaneTableau::new(&tableau),
+        Some(Self {
+            plan: SweepPlan::new(&tableau)?,
             tableau,
             solver: Solver::new(stop),
             history: None,
@@ -151,15 +151,14 @@ impl VpdSo3 {
                 check_singular_value(smallest_singular_value(&self.stretch(k)), stage(k))?;
             }
         }
-        let mut before = Quaternion { w: 1.0, v: [0.0; 3] };
-        for k in self.tableau.ascending().iter().copied().chain([stages]) {
-            let turn = self.rotation(k);
-            // tr(U^T V) = 4 (p . q)^2 - 1, which is 1 for a quarter turn.
-            let cosine = before.w * turn.w + dot(&before.v, &turn.v);
-            let trace = 4.0 * cosine * cosine - 1.0;
-            check_branch(trace, 1.0, stage(k))?;
-            before = turn;
-        }
+        let ascending = self.tableau.ascending().iter().copied();
+        let nodes = ascending.chain([stages]).map(|k| (stage(k), self.rotation(k)));
+        // tr(U^T V) = 4 (p . q)^2 - 1, which is 1 for a quarter turn.
+        let trace = |p: &Quaternion<f64>, q: &Quaternion<f64>| {
+            let cosine = p.w * q.w + dot(&p.v, &q.v);
+            4.0 * cosine * cosine - 1.0
+        };
+        check_continuity(Quaternion { w: 1.0, v: [0.0; 3] }, nodes, 1.0, trace)?;
         // A NaN does not pass, either.
         if self.unknowns.proximity <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
             Ok(())
@@ -191,22 +190,15 @@ impl VpdSo3 {
         momentum: Vec3<f64>,
     ) -> Result<Convergence, Failure> {
         let inertia = Inertia::of(body);
-        let Self { tableau, lanes, solver, history, level, unknowns, seen, .. } = self;
+        let Self { tableau, plan, solver, history, level, unknowns, seen, .. } = self;
         // If a step is guessed from the preceding ones and turns little, half the passes suffice.
         let calm = history.is_some() && {
             let turn = scaled(&inertia.divides(&momentum), h);
             dot(&turn, &turn) <= CALM_RAD * CALM_RAD
         };
-        let passes = if calm { lanes.passes.halved() } else { lanes.passes };
-        let start = Start {
-            tableau: lanes,
-            body,
-            inertia,
-            seen,
-            step: h,
-            passes: passes.of_sweep(false),
-            momentum,
-        };
+        let passes = if calm { plan.passes.halved() } else { plan.passes };
+        let start =
+            Start { plan, body, inertia, seen, step: h, passes: passes.of_sweep(false), momentum };
         let (level, stages) = (*level, tableau.stages());
         let mut equations = InLanes {
             level,
@@ -219,8 +211,8 @@ impl VpdSo3 {
             torques: 0,
         };
         let solved = solver.solve_after(history, &mut equations);
-        if lanes.is_finished && solved.is_ok() {
-            in_lanes!(finish, &mut equations);
+        if plan.is_finished && solved.is_ok() {
+            counted!(finish, &mut equations);
         }
         body.count(equations.torques);
         solved.map_err(|mut failure| {
@@ -256,9 +248,9 @@ impl InLanes<'_> {
 
 impl Equations for InLanes<'_> {
     fn guess(&mut self) -> Result<(), Failure> {
-        in_lanes!(guess, self);
+        counted!(guess, self);
         // Each piece of work already counts one torque at each stage.
-        let more = self.start.tableau.torques_of_guess() - 1;
+        let more = self.start.plan.torques_of_guess() - 1;
         self.torques += u64::from(more) * self.stages as u64;
         self.at_first = true;
         let largest = |size: f64, row: &Row| row.0.iter().fold(size, |size, x| size.max(x.abs()));
@@ -282,7 +274,7 @@ impl Equations for InLanes<'_> {
         self.start.body.work().begin_sweep()?;
         self.start.passes = self.passes.of_sweep(self.at_first);
         self.at_first = false;
-        Ok(in_lanes!(sweep, self))
+        Ok(counted!(sweep, self))
     }
 
     fn unknowns(&self, values: &mut Vec<f64>) {
@@ -387,7 +379,7 @@ impl VpdSo3 {
             return Err(self.with_angle(body, h, failure));
         }
         let before = self.state;
-        self.advance(self.lanes.is_finished.then_some(self.unknowns.momentum_increment));
+        self.advance(self.plan.is_finished.then_some(self.unknowns.momentum_increment));
         if solved.rung == Rung::Newton
             && let Some(end) = self.attitude()
         {

@@ -42,10 +42,10 @@ use super::convergence::{
 };
 use crate::failure::Failure;
 use crate::hamiltonian::{AtStages, Scale, Terms, Torques};
-use crate::lanes::{Real, Row, Rows, StageScalar, Stored, WIDTH, widest};
+use crate::lanes::{Real, Row, Rows, StageScalar, Stored, WIDTH, in_lanes, widest};
 use crate::nonlinear::{Extrapolation, SMALLEST_SIZE, relative};
 use crate::stack::{AlignedBuffer, Any, Dimension, Known, StageMatrices};
-use crate::tableau::Tableau;
+use crate::tableau::{Tableau, TableauInLanes};
 use crate::work;
 
 /// A system as the step sees it.
@@ -107,17 +107,10 @@ pub(super) struct StepStart<'a> {
     pub(super) velocity: &'a [f64],
 }
 
-/// A symplectic tableau of up to [`WIDTH`] stages, in lanes; lanes beyond its stages
-/// are zero.
+/// A symplectic tableau in lanes, and the polynomials through the stages of a step.
 #[derive(Clone, Debug)]
 struct Coefficients {
-    stages: usize,
-    /// `e_kj`, column by column.
-    columns: [Row; WIDTH],
-    /// `e_jk`, column by column.
-    transposed: [Row; WIDTH],
-    weights: Row,
-    nodes: Row,
+    tableau: TableauInLanes,
     /// `l_j(1 + c_k)`, column by column: the polynomials that are one at the stage j of a step, and
     /// zero at the others and at its end, at the stages of the next step.
     ahead: [Row; WIDTH],
@@ -128,33 +121,21 @@ struct Coefficients {
 impl Coefficients {
     fn new(tableau: &Tableau) -> Option<Self> {
         let stages = tableau.stages();
-        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        if stages > WIDTH || !tableau.is_symplectic() {
+        if !tableau.is_symplectic() {
             return None;
         }
+        let in_lanes = TableauInLanes::new(tableau)?;
         let zero = Row::splat(0.0);
-        let none = [zero; WIDTH];
-        let (columns, transposed, ahead) = (none, none, none);
-        let (weights, nodes, ahead_of_end) = (zero, zero, zero);
-        let mut lanes = Self { stages, columns, transposed, weights, nodes, ahead, ahead_of_end };
-        let places: Vec<f64> = (0..stages).map(|i| tableau.c(i)).chain([1.0]).collect();
-        // The polynomial that is one at places[j], at t.
+        let mut lanes = Self { tableau: in_lanes, ahead: [zero; WIDTH], ahead_of_end: zero };
+        let nodes: Vec<f64> = (0..stages).map(|i| tableau.c(i)).chain([1.0]).collect();
+        // The polynomial that is one at nodes[j], at t.
         let polynomial = |j: usize, t: f64| -> f64 {
-            let others = places.iter().enumerate().filter(|(m, _)| *m != j);
-            others.map(|(_, place)| (t - place) / (places[j] - place)).product()
+            let others = nodes.iter().enumerate().filter(|(m, _)| *m != j);
+            others.map(|(_, node)| (t - node) / (nodes[j] - node)).product()
         };
         for i in 0..stages {
-            lanes.weights[i] = tableau.b(i);
-            lanes.nodes[i] = tableau.c(i);
             lanes.ahead_of_end[i] = polynomial(stages, 1.0 + tableau.c(i));
             for j in 0..stages {
-                // Of two entries that sum to one, the smaller is one minus the larger, to the last
-                // bit: off the diagonal the pair is symplectic whatever their rounding; e_kk is 1/2
-                // to the bit for the built-in Gauss tableaux.
-                let smaller = part(i, j) < part(j, i);
-                let e = if smaller { 1.0 - part(j, i) } else { part(i, j) };
-                lanes.columns[j][i] = e;
-                lanes.transposed[i][j] = e;
                 lanes.ahead[j][i] = polynomial(j, 1.0 + tableau.c(i));
             }
         }
@@ -300,7 +281,7 @@ impl Collocation {
     pub(super) fn new(tableau: &Tableau, n: usize) -> Option<Self> {
         let coefficients = Coefficients::new(tableau)?;
         // One number at a time would be slower than two.
-        let lanes = coefficients.stages.next_power_of_two().max(2);
+        let lanes = coefficients.tableau.stages.next_power_of_two().max(2);
         let zeros = || AlignedBuffer::zeros(n * n);
         let end = End {
             c: zeros(),
@@ -368,7 +349,7 @@ impl Collocation {
 
     /// Entry e of `U_k - I`, or of `f - I` after the last stage.
     pub(super) fn change(&self, k: usize, e: usize) -> f64 {
-        if k == self.coefficients.stages {
+        if k == self.coefficients.tableau.stages {
             self.end.c[e]
         } else {
             self.unknowns.c[e * self.lanes + k]
@@ -392,7 +373,7 @@ impl Collocation {
 
     /// Entry e of `I - P_k^-1`, or of the end point after the last stage.
     pub(super) fn stretch(&self, k: usize, e: usize) -> f64 {
-        if k == self.coefficients.stages {
+        if k == self.coefficients.tableau.stages {
             self.end.f[e]
         } else {
             self.unknowns.f[e * self.lanes + k]
@@ -492,21 +473,12 @@ struct Step<'a, R: StageScalar<StepScalar = f64>, D: Dimension> {
     forces: Forces<'a, R, D>,
 }
 
-/// Functions whose bodies are compiled for the instruction set of the lanes, each once.
-macro_rules! in_lanes {
-    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
-        $($(#[$attribute])*
-        #[inline(never)]
-        fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
-            $this.stack.lanes.vectorized(
-                #[inline(always)]
-                || $body,
-            )
-        })*
-    };
-}
-
 impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
+    #[inline(always)]
+    fn lanes(&self) -> R {
+        self.stack.lanes
+    }
+
     fn new(
         lanes: R,
         dimension: D,
@@ -518,7 +490,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     ) -> Self {
         let stack = StageMatrices { lanes, dimension };
         let forces = Forces::new(stack, source);
-        let weights = lanes.row(&coefficients.weights) * start.h;
+        let weights = lanes.row(&coefficients.tableau.weights) * start.h;
         let (h, size, angle) = (start.h, 0.0, 0.0);
         Self { stack, coefficients, start, h, weights, size, angle, u, end, forces }
     }
@@ -561,7 +533,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     /// have the stages so low an order that this saves evaluations of the defect?
     fn is_short(&self) -> bool {
         // rad; with more stages collocation needs few sweeps, and the first evaluation is often the last.
-        let short = match self.coefficients.stages {
+        let short = match self.coefficients.tableau.stages {
             1..=3 => 0.08,
             4 => 0.03,
             _ => 0.0,
@@ -580,7 +552,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
 
     /// Solves the step from where it was begun.
     fn solve_from(&mut self, initial_guess: InitialGuess) -> Result<Solved, SolveError> {
-        let stages = self.coefficients.stages;
+        let stages = self.coefficients.tableau.stages;
         let is_extrapolated = initial_guess == InitialGuess::Extrapolated;
         let mut sweeps = 0;
         if is_extrapolated {
@@ -610,7 +582,10 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         let mut evaluations = match (is_extrapolated, is_small) {
             (true, _) => Contraction::new(0.1 * angle, 0.0),
             (false, true) => Contraction::new(0.5 * angle, self.u.previous.defect),
-            (false, false) => Contraction::new(expected, self.order(stages) * self.size),
+            (false, false) => Contraction::new(
+                expected,
+                self.coefficients.tableau.order_of_defect(self.angle) * self.size,
+            ),
         };
         let mut residual = 0.0;
         for evaluation in 1..=MOST_ITERATIONS {
@@ -658,7 +633,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     /// Contraction of the error of the defect by an evaluation, assumed until it is measured.
     fn contraction_of_an_evaluation(&self) -> f64 {
         let angle = self.angle.min(1.0);
-        (0.2 * if self.coefficients.stages == 1 { angle } else { angle * angle }).min(0.1)
+        (0.2 * if self.coefficients.tableau.stages == 1 { angle } else { angle * angle }).min(0.1)
     }
 
     /// The error of a momentum that turns the end of the step by a rounding error: it does by its product with the turn.
@@ -674,16 +649,11 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     /// What the defect may lack, by the estimate; with up to four stages what it lacks is far below that.
     fn allowed(&self) -> f64 {
         self.rounding()
-            * match (self.start.stop_early, self.coefficients.stages) {
+            * match (self.start.stop_early, self.coefficients.tableau.stages) {
                 (false, _) => LAST_DIGIT,
                 (true, ..=4) => 10.0,
                 (true, _) => 1.0,
             }
-    }
-
-    /// Estimates the size of the defect, for stopping collocation alone: `turn^(s+1) / (s+1)!`.
-    fn order(&self, stages: usize) -> f64 {
-        (1..=stages + 1).fold(1.0, |product, m| product * self.angle / m as f64)
     }
 
     /// Computes what the step changes, the turn in such a number of passes.
@@ -699,7 +669,6 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     /// Solves Gauss collocation, without the defect, until the error left is smaller than the
     /// defect.
     fn collocate(&mut self) -> Result<u32, SolveError> {
-        let stages = self.coefficients.stages;
         let is_rescaled = matches!(self.forces, Forces::Rescaled { .. });
         let mut last = f64::INFINITY;
         for sweep in 1..=MOST_ITERATIONS {
@@ -728,7 +697,8 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
             let goal = if is_evaluated_once {
                 0.1 * self.rounding() / self.clear_angle()
             } else {
-                (0.1 * self.order(stages)).max(ROUND_OFF) * self.size
+                (0.1 * self.coefficients.tableau.order_of_defect(self.angle)).max(ROUND_OFF)
+                    * self.size
             };
             let is_last = jump * ratio.min(1.0) <= goal;
             // The next torque needs no better attitudes in a step of less than 0.25 rad.
@@ -820,11 +790,11 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         match &mut self.forces {
             Forces::None { .. } | Forces::Rescaled { .. } => {}
             Forces::Body { torques, work, .. } => {
-                work.add_gradients(self.coefficients.stages as u64);
+                work.add_gradients(self.coefficients.tableau.stages as u64);
                 torques.gradient(c, slopes, gradient);
             }
             Forces::Stages(system) => {
-                for stage in 0..self.coefficients.stages {
+                for stage in 0..self.coefficients.tableau.stages {
                     system.gradient(StageSlot { stage, stride: R::LANES }, c, mu, omega, gradient);
                 }
             }
@@ -836,12 +806,12 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
     /// last a given time, `h = t / sum_k b_k sigma_k`.
     fn evaluate_time_scale(&mut self) {
         if let Forces::Rescaled { work, .. } = &self.forces {
-            work.add_gradients(self.coefficients.stages as u64);
+            work.add_gradients(self.coefficients.tableau.stages as u64);
         }
         self.scales();
         self.velocities_in_lanes();
         if let Some(lasting) = self.start.lasting {
-            let Coefficients { weights, stages, .. } = self.coefficients;
+            let TableauInLanes { weights, stages, .. } = &self.coefficients.tableau;
             let sigma = self.u.rescaled.sigma();
             let mean: f64 = (0..*stages).map(|k| weights[k] * sigma[k]).sum();
             self.h = lasting / mean;
@@ -900,7 +870,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, coefficients, weights, u, end, .. } = self;
         let Unknowns { w, c, d, f, k, omega, .. } = &mut **u;
         spatial_velocities(*stack, *weights, c, omega, w);
-        stack.combination(w, &coefficients.columns, d);
+        stack.combination(w, &coefficients.tableau.columns, d);
         stack.plus_product(f, d, f, k);
         stack.difference(d, k, c);
         let (one, End { c, d, f, k, .. }) = (stack.whole(), &mut **end);
@@ -914,7 +884,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, start, coefficients, u, .. } = self;
         u.previous.defect = f64::INFINITY;
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
-        let angle = lanes.row(&coefficients.nodes) * start.h;
+        let angle = lanes.row(&coefficients.tableau.nodes) * start.h;
         let Unknowns { p0, omega, mu, c, .. } = &mut **u;
         let velocity = &start.velocity[..n * n];
         let (omega, c) = (&mut omega[..len], &mut c[..len]);
@@ -978,7 +948,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         let (n, len, lanes) = (stack.n(), stack.numbers(), stack.lanes);
         let Unknowns { p0, mu, scratch: [rate, ..], .. } = &mut **u;
         let (p0, mu, rate) = (&p0[..len], &mut mu[..len], &rate[..len]);
-        let columns = lanes.rows(&coefficients.columns);
+        let columns = lanes.rows(&coefficients.tableau.columns);
         let mut jump = lanes.constant(0.0);
         for i in 0..n {
             for j in i + 1..n {
@@ -1003,7 +973,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, coefficients, weights, u, .. } = self;
         let Unknowns { w, c, d, k, omega, .. } = &mut **u;
         spatial_velocities(*stack, *weights, c, omega, w);
-        stack.combination(w, &coefficients.columns, d);
+        stack.combination(w, &coefficients.tableau.columns, d);
         stack.difference(d, k, c);
     }
 
@@ -1045,13 +1015,13 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
             Forces::Body { torques, .. } => torques.spatial_gradient(c, slopes, kappa),
             Forces::Rescaled { torques, .. } => rescaled.spatial_gradient(torques, c, slopes, kappa),
             Forces::Stages(system) => {
-                for stage in 0..coefficients.stages {
+                for stage in 0..coefficients.tableau.stages {
                     system.to_space(StageSlot { stage, stride: R::LANES }, c, gradient, kappa);
                 }
             }
         }
         let (kappa, momentum_increment, delta) = (&mut kappa[..len], &mut momentum_increment[..len], &delta[..len]);
-        let columns = lanes.rows(&coefficients.columns);
+        let columns = lanes.rows(&coefficients.tableau.columns);
         for i in 0..n {
             for j in i + 1..n {
                 stack.put(kappa, i, j, *weights * stack.get(kappa, i, j));
@@ -1103,7 +1073,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
                 stack.put(both, i, j, *weights * sum * -0.25);
             }
         }
-        let columns = stack.lanes.rows(&coefficients.transposed);
+        let columns = stack.lanes.rows(&coefficients.tableau.rows);
         for i in 0..n {
             for j in i..n {
                 let part = R::combination(&both[(i * n + j) * R::LANES..], &columns);
@@ -1206,7 +1176,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         let Self { stack, coefficients, u, .. } = self;
         let Unknowns { c, x, t, y, s, f_lambda, scratch: [w, turned, _], .. } = &mut **u;
         stack.plus_product(x, c, x, t);
-        stack.combination(t, &coefficients.transposed, y);
+        stack.combination(t, &coefficients.tableau.rows, y);
         stack.sum(f_lambda, y, w);
         stack.plus_transposed_product(w, c, w, turned);
         stack.symmetric_part(turned, s);
@@ -1228,7 +1198,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
                 stack.put(part, i, j, stack.get(part, i, j) - stack.get(of_y, i, j));
             }
         }
-        let columns = stack.lanes.rows(&coefficients.columns);
+        let columns = stack.lanes.rows(&coefficients.tableau.columns);
         for i in 0..n {
             for j in i + 1..n {
                 let sum = R::combination(&part[(i * n + j) * R::LANES..], &columns);
@@ -1356,7 +1326,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
             | Forces::Stages(system) => system,
         };
         let (mut change, mut size) = (0.0_f64, 0.0_f64);
-        for stage in 0..self.coefficients.stages {
+        for stage in 0..self.coefficients.tableau.stages {
             let at = StageSlot { stage, stride: R::LANES };
             let [changed, now] = system.velocity(at, c, mu, omega);
             (change, size) = (Real::max_or_nan(change, changed), size.max(now));

@@ -32,7 +32,7 @@ use super::convergence::{
     Solved, TORQUE_CONTRACTION,
 };
 use crate::hamiltonian::{RigidBody, Scale, StageForces};
-use crate::lanes::{Real, Row, Rows, StageScalar, WIDTH, widest};
+use crate::lanes::{Real, Row, Rows, StageScalar, in_lanes, widest};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::so::Mat;
 use crate::space::{
@@ -43,8 +43,7 @@ use crate::stepper::motion::unsigned_zeros;
 use crate::stepper::so3_equations::{
     Inertia, defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
 };
-use crate::stepper::vpd_so3::unknowns::LaneTableau;
-use crate::tableau::Tableau;
+use crate::tableau::{Tableau, TableauInLanes};
 
 /// Start of a step.
 pub(super) struct Start {
@@ -58,7 +57,7 @@ pub(super) struct Start {
 /// Solver in vectors, kept from step to step.
 #[derive(Clone, Debug)]
 pub(super) struct InVectors {
-    tableau: LaneTableau,
+    tableau: TableauInLanes,
     /// The instruction set; without one, one number at a time.
     pub(super) level: Option<Level>,
     seen: Vec<Vec3<f64>>,
@@ -83,7 +82,7 @@ impl InVectors {
     /// Creates the solver for `tableau`; `None` if the tableau is not symplectic, or has more
     /// stages than there are lanes.
     pub(super) fn new(tableau: &Tableau) -> Option<Self> {
-        if !tableau.is_symplectic() || tableau.stages() > WIDTH {
+        if !tableau.is_symplectic() {
             return None;
         }
         let zero = Row::splat(0.0);
@@ -98,7 +97,7 @@ impl InVectors {
             impulse: [0.0; 3],
             momentum_increment: [0.0; 3],
         };
-        let (tableau, seen) = (LaneTableau::new(tableau), Vec::new());
+        let (tableau, seen) = (TableauInLanes::new(tableau)?, Vec::new());
         Some(Self { tableau, level: Some(Level::new()), seen, values })
     }
 
@@ -195,7 +194,7 @@ impl InVectors {
 
 /// Inputs that are the same in all passes.
 struct StepData<'a> {
-    tableau: &'a LaneTableau,
+    tableau: &'a TableauInLanes,
     body: &'a RigidBody<3>,
     seen: &'a [Vec3<f64>],
     scale: Scale<'a>,
@@ -253,25 +252,16 @@ struct Step<'a, R> {
     evaluations: u32,
 }
 
-/// Functions whose bodies are compiled for the instruction set of the lanes, each once.
-macro_rules! in_lanes {
-    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
-        $($(#[$attribute])*
-        #[inline(never)]
-        fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
-            $this.lanes.vectorized(
-                #[inline(always)]
-                || $body,
-            )
-        })*
-    };
-}
-
 impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
+    #[inline(always)]
+    fn lanes(&self) -> R {
+        self.lanes
+    }
+
     /// Creates a step whose guess keeps the initial velocity constant.
     #[inline(always)]
     fn new(lanes: R, data: &'a StepData<'a>) -> Self {
-        let LaneTableau { weights, nodes, .. } = data.tableau;
+        let TableauInLanes { weights, nodes, .. } = data.tableau;
         let Start { h, momentum, velocity, .. } = data.start;
         let half = lanes.row(nodes) * (0.5 * h);
         let attitude = Quaternion::cayley(&vec3!(i => half * velocity[i]));
@@ -539,7 +529,7 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
     /// relative to the momentum.
     fn defects(&mut self) -> f64 {
         let lanes = self.lanes;
-        let LaneTableau { columns, rows, .. } = self.data.tableau;
+        let TableauInLanes { columns, rows, .. } = self.data.tableau;
         // [C] and [K]
         let c = self.attitude.change();
         let u = with_one(&c);

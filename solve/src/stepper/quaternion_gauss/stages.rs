@@ -14,66 +14,50 @@
 //! Invariant: lanes beyond the stages stay at the beginning of the step, and have zero weight.
 
 use crate::hamiltonian::RigidBody;
-use crate::lanes::{self, Real, Row, WIDTH};
+use crate::lanes::{self, Real, Row};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, cross, dot, mat3, minus, plus, product, scaled,
     symmetric_product, vec3, with_one,
 };
-use crate::tableau::Tableau;
+use crate::tableau::{Tableau, TableauInLanes};
 
-/// Largest number of stages that counts as few: their steps are small, and need fewer rounds and
+/// Largest number of stages that counts as few: their steps are small, and need fewer sweeps of the guess and
 /// passes.
 pub(super) const FEW_STAGES: usize = 4;
-/// Number of rounds of the guess that take the same torque.
+/// Number of sweeps of the guess that use the same torque.
 const TORQUE_EVERY: u32 = 3;
-/// Largest deviation of |u|^2 from one allowed after the last round of the guess.
+/// Largest deviation of |u|^2 from one allowed after the last sweep of the guess.
 const MOST_NORM_ERROR: f64 = 0.1;
 
-/// A Gauss tableau in lanes; lanes beyond its stages are zero.
+/// A Gauss tableau, and how the guess and a sweep go over it.
 #[derive(Clone, Debug)]
-pub(super) struct LaneTableau {
-    /// `e_ij = a_ij / b_j`, column by column.
-    columns: [Row; WIDTH],
-    weights: Row,
-    nodes: Row,
-    /// Rounds of the guess.
-    rounds: u32,
+pub(super) struct GaussPlan {
+    tableau: TableauInLanes,
+    /// Sweeps of the guess.
+    guess_sweeps: u32,
     /// Passes over the kinematics in a sweep.
     passes: u32,
 }
 
-impl LaneTableau {
-    pub(super) fn new(tableau: &Tableau) -> Self {
-        let zero = Row::splat(0.0);
-        let s = tableau.stages();
-        let (rounds, passes) = if s <= FEW_STAGES { (4, 2) } else { (s as u32 + 2, 3) };
-        let mut lanes = Self { columns: [zero; WIDTH], weights: zero, nodes: zero, rounds, passes };
-        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        for i in 0..s {
-            (lanes.weights.0[i], lanes.nodes.0[i]) = (tableau.b(i), tableau.c(i));
-            for j in 0..s {
-                // Of two entries that sum to one, the smaller is one minus the larger, to the last
-                // bit.
-                lanes.columns[j].0[i] = match (i == j, part(i, j) < part(j, i)) {
-                    (true, _) => 0.5,
-                    (_, true) => 1.0 - part(j, i),
-                    (_, false) => part(i, j),
-                };
-            }
-        }
-        lanes
+impl GaussPlan {
+    /// Returns the plan for a Gauss tableau; `None` if it has more stages than there are lanes.
+    pub(super) fn new(tableau: &Tableau) -> Option<Self> {
+        let stages = tableau.stages();
+        let (guess_sweeps, passes) =
+            if stages <= FEW_STAGES { (4, 2) } else { (stages as u32 + 2, 3) };
+        Some(Self { tableau: TableauInLanes::new(tableau)?, guess_sweeps, passes })
     }
 
-    /// Returns how often the guess takes the torque at the stages.
+    /// Returns how often the guess evaluates the torque at the stages.
     pub(super) fn torques_of_guess(&self) -> u64 {
-        2 + u64::from(self.rounds / TORQUE_EVERY)
+        2 + u64::from(self.guess_sweeps / TORQUE_EVERY)
     }
 }
 
 /// Inputs of a step.
 pub(super) struct Start<'a> {
-    tableau: &'a LaneTableau,
+    plan: &'a GaussPlan,
     body: &'a RigidBody<3>,
     /// J^-1.
     inverse: Sym3<f64>,
@@ -87,7 +71,7 @@ pub(super) struct Start<'a> {
 
 impl<'a> Start<'a> {
     pub(super) fn new(
-        tableau: &'a LaneTableau,
+        plan: &'a GaussPlan,
         body: &'a RigidBody<3>,
         seen: &'a [Vec3<f64>],
         step: f64,
@@ -96,7 +80,7 @@ impl<'a> Start<'a> {
         let m = body.inverse_inertia();
         let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
         let principal = inverse[3..] == [0.0; 3];
-        Self { tableau, body, inverse, principal, seen, step, momentum }
+        Self { plan, body, inverse, principal, seen, step, momentum }
     }
 }
 
@@ -147,7 +131,7 @@ impl Stages {
     }
 
     /// u_k.
-    pub(super) fn turn(&self, k: usize) -> nalgebra::Quaternion<f64> {
+    pub(super) fn rotation(&self, k: usize) -> nalgebra::Quaternion<f64> {
         let [w, x, y, z] = self.x.each_ref().map(|row| row.0[k]);
         nalgebra::Quaternion::new(1.0 + w, x, y, z)
     }
@@ -186,7 +170,7 @@ impl<'a, R: Lanes> StepData<'a, R> {
         Self {
             start,
             momentum: vec3!(i => lanes.constant(start.momentum[i])),
-            weight: lanes.row(&start.tableau.weights) * start.step,
+            weight: lanes.row(&start.plan.tableau.weights) * start.step,
             inverse,
         }
     }
@@ -223,7 +207,7 @@ impl<'a, R: Lanes> StepData<'a, R> {
     /// `sum_j e_ij z_j`
     #[inline(always)]
     fn collocated(&self, z: &Quaternion<R>) -> Quaternion<R> {
-        let columns = &self.start.tableau.columns;
+        let columns = &self.start.plan.tableau.columns;
         Quaternion { w: z.w.apply_tableau(columns), v: vec3!(i => z.v[i].apply_tableau(columns)) }
     }
 
@@ -280,7 +264,7 @@ impl<'a, R: Lanes> StepData<'a, R> {
 #[inline(always)]
 pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
     let data = StepData::new(lanes, start);
-    let LaneTableau { columns, nodes, rounds, .. } = start.tableau;
+    let TableauInLanes { columns, nodes, .. } = &start.plan.tableau;
     let p = data.momentum;
     let half_weight = data.weight * 0.5;
     let elapsed = lanes.row(nodes) * (0.5 * start.step);
@@ -288,7 +272,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
     let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * data.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
     let (mut torque, _, mut inverse_square_error) = data.torque::<USER>(&x);
-    for round in 1..=*rounds {
+    for round in 1..=start.plan.guess_sweeps {
         let omega = data.velocity(&mu);
         let turned = cross(&mu, &omega);
         mu = vec3!(i => p[i] + (data.weight * (turned[i] - torque[i])).apply_tableau(columns));
@@ -329,7 +313,7 @@ pub(super) fn sweep<R: Lanes, const USER: bool>(
     let (old_x, old_d) = (load(lanes, &stages.x), load(lanes, &stages.d));
     let weighted_torque: Vec3<R> = vec3!(i => lanes.load(&stages.weighted_torque[i]));
     let (mut x, mut d) = (old_x, old_d);
-    for _ in 0..start.tableau.passes {
+    for _ in 0..start.plan.passes {
         (x, d) = data.pass(&x, &d, &weighted_torque);
     }
     let (torque, proximity, inverse_square_error) = data.torque::<USER>(&x);

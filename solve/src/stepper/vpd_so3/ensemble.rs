@@ -132,7 +132,7 @@ impl VpdEnsemble {
     fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
         let mut swept = [Swept::Stuck; WIDTH];
         let Self { blank, lanes, stale, motion, seen, iterations, .. } = self;
-        let VpdSo3 { level: Some(level), lanes: tableau, tableau: stages, .. } = &*blank else {
+        let VpdSo3 { level: Some(level), plan, tableau, .. } = &*blank else {
             return swept;
         };
         // User-defined potentials know no lanes.
@@ -140,7 +140,7 @@ impl VpdEnsemble {
             return swept;
         }
         let inertia = Inertia::of(body);
-        let passes = tableau.passes.of_sweep(true);
+        let passes = plan.passes.of_sweep(true);
         let (mut sweeps, mut guesses) = (0, 0);
         macro_rules! step {
             ($side:ident, $stages:literal) => {{
@@ -148,7 +148,7 @@ impl VpdEnsemble {
                 in_member_lanes!(level, $stages, lanes => motion.space_vectors(lanes.0[0], body, seen));
                 let momentum = motion.body_momentum.value;
                 let mut start =
-                    Start { tableau, body, inertia, seen, step: h, passes, momentum };
+                    Start { plan, body, inertia, seen, step: h, passes, momentum };
                 in_member_lanes!(level, $stages, lanes => sweep::guess::<_, false>(lanes, &start, unknowns));
                 let mut goes_on = [false; WIDTH];
                 for &m in going {
@@ -159,7 +159,7 @@ impl VpdEnsemble {
                     let increments = in_member_lanes!(level, $stages, lanes => {
                         sweep::sweep_to_row(lanes, &start, unknowns)
                     });
-                    start.passes = tableau.passes.of_sweep(false);
+                    start.passes = plan.passes.of_sweep(false);
                     for &m in going {
                         if !goes_on[m] {
                             continue;
@@ -178,14 +178,14 @@ impl VpdEnsemble {
                         goes_on[m] = false;
                     }
                 }
-                if tableau.is_finished {
+                if plan.is_finished {
                     in_member_lanes!(level, $stages, lanes => sweep::finish::<_, false>(lanes, &start, accepted));
                 }
                 let before = *motion;
-                let order = stages.ascending();
+                let order = tableau.ascending();
                 let doubts = in_member_lanes!(level, $stages, lanes => {
                     motion.advance(lanes.0[0], &accepted.end, &accepted.impulse);
-                    if tableau.is_finished && !seen.is_empty() {
+                    if plan.is_finished && !seen.is_empty() {
                         motion.add_momentum_increment(lanes.0[0], &accepted.momentum_increment);
                     } else {
                         motion.turn_momentum(lanes.0[0]);
@@ -209,9 +209,9 @@ impl VpdEnsemble {
             Lanes::Four(side) => step!(side, 4),
             Lanes::None => {}
         }
-        let ends = u64::from(tableau.torques_of_guess()) + u64::from(tableau.is_finished);
+        let ends = u64::from(plan.torques_of_guess()) + u64::from(plan.is_finished);
         let torques = sweeps + guesses * ends;
-        body.count(torques * stages.stages() as u64);
+        body.count(torques * tableau.stages() as u64);
         swept
     }
 

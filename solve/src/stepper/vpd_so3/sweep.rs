@@ -55,7 +55,7 @@
 //! x_k <- x_k + h b_k Omega_k x (sum_i e_ik dx_i) / 2                  dx the change of x in the pass
 //! ```
 
-use super::unknowns::{LaneTableau, RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
+use super::unknowns::{RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
 use crate::lanes::{Real, Row, StageScalar, StepScalar};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
@@ -65,6 +65,7 @@ use crate::space::{
 use crate::stepper::so3_equations::{
     defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
 };
+use crate::tableau::TableauInLanes;
 
 /// Largest deviation of the square of a quaternion from one allowed in the last round of the first
 /// guess.
@@ -101,7 +102,7 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) {
     let whole = lanes.stage(0);
-    let LaneTableau { columns, weights, nodes, rounds, .. } = start.tableau;
+    let TableauInLanes { columns, weights, nodes, .. } = &start.plan.tableau;
     let at_start = vec3!(i => whole.load(&start.momentum[i]));
     let velocity = start.inertia.in_lanes(whole).divides(&at_start);
     let inertia = start.inertia.in_lanes(lanes);
@@ -115,7 +116,7 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
     let guessed_momentum = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, guessed_momentum);
     let mut norm_error = lanes.constant(0.0);
-    for round in 0..*rounds {
+    for round in 0..start.plan.guess_sweeps {
         let u = attitude.matrix();
         if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
             let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
@@ -132,19 +133,21 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
         attitude = next.lengthened();
     }
     // Rounds that diverged are worse than none.
-    let last_deficit = norm_error.largest();
-    let norm_error = lanes.spread(last_deficit);
+    let last_norm_error = norm_error.largest();
+    let norm_error = lanes.spread(last_norm_error);
     let attitude = attitude.select(norm_error, MOST_NORM_ERROR, &turned);
     let u = attitude.matrix();
     let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
     let impulse = scaled(&product(&u, &torque), weight);
-    let momentum = vec3!(i => (-impulse[i].apply_tableau(columns)).select(norm_error, MOST_NORM_ERROR, guessed_momentum[i]));
+    let collocated: Vec3<R> = vec3!(i => -impulse[i].apply_tableau(columns));
+    let momentum =
+        vec3!(i => collocated[i].select(norm_error, MOST_NORM_ERROR, guessed_momentum[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
     let omega = inertia.divides(&mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Quaternion { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
     let kept_on = Quaternion::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
-    let end = end.normalised().select(last_deficit, MOST_NORM_ERROR, &kept_on);
+    let end = end.normalised().select(last_norm_error, MOST_NORM_ERROR, &kept_on);
     // With P = I and N = -hat(mu) / 2 the equation of x is x = h b (mu x Omega / 2 - tau) / 2.
     let c = cross(&mu, &omega);
     let weight = weight * 0.5;
@@ -171,7 +174,7 @@ pub(super) fn sweep<R: StageScalar, const USER: bool>(
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) -> R::StepScalar {
     let whole = lanes.stage(0);
-    let LaneTableau { rows, present, .. } = start.tableau;
+    let (TableauInLanes { rows, .. }, present) = (&start.plan.tableau, &start.plan.present);
     let [kinematic, linear] = &start.passes;
     let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let stages = kinematics(lanes, start, &momentum, unknowns, *kinematic);
@@ -207,7 +210,7 @@ pub(super) fn sweep<R: StageScalar, const USER: bool>(
     let next = if R::STAGES <= 2 {
         embedded_momenta(lanes, &stages, &end, &last, &m, &y)
     } else {
-        transported_momenta(start.tableau, &stages, &u, &forces.impulses, &f_lambda, [&t, &y])
+        transported_momenta(&start.plan.tableau, &stages, &u, &forces.impulses, &f_lambda, [&t, &y])
     };
     // A lane without a stage must not show as a change made by the sweeps.
     let present = lanes.row(present);
@@ -255,12 +258,18 @@ pub(super) fn finish<R: StageScalar, const USER: bool>(
     let end = end_point(lanes, &stages.w, unknowns);
     let forces = forces::<R, USER>(lanes, start, &u, stages.weight, unknowns);
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
-    if R::STAGES > 2 && start.tableau.stages >= RENEWED_STAGES {
+    if R::STAGES > 2 && start.plan.tableau.stages >= RENEWED_STAGES {
         let last = end_momentum(lanes, start, &end, &forces);
         let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
-        let [t, y] = embedded(&u, &load(lanes, &unknowns.x), &start.tableau.rows);
-        momentum =
-            transported_momenta(start.tableau, &stages, &u, &forces.impulses, &f_lambda, [&t, &y]);
+        let [t, y] = embedded(&u, &load(lanes, &unknowns.x), &start.plan.tableau.rows);
+        momentum = transported_momenta(
+            &start.plan.tableau,
+            &stages,
+            &u,
+            &forces.impulses,
+            &f_lambda,
+            [&t, &y],
+        );
         let pi = plus(&p0, &momentum);
         let inertia = start.inertia.in_lanes(lanes);
         let turned_by = transposed_product(&stages.c, &pi);
@@ -304,7 +313,7 @@ fn kinematics<R: StageScalar>(
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
     passes: u32,
 ) -> Kinematics<R> {
-    let LaneTableau { columns, weights, .. } = start.tableau;
+    let TableauInLanes { columns, weights, .. } = &start.plan.tableau;
     let weight = lanes.row(weights) * start.step;
     let inertia = start.inertia.in_lanes(lanes);
     let mut attitude = load_turn(lanes, &unknowns.attitude);
@@ -476,7 +485,7 @@ fn embedded_momenta<R: StageScalar>(
 /// Computes the same by [transport].
 #[inline(always)]
 fn transported_momenta<R: StageScalar>(
-    LaneTableau { conjugate, conjugate_defect, .. }: &LaneTableau,
+    TableauInLanes { conjugate, conjugate_defect, .. }: &TableauInLanes,
     Kinematics { c, stretch, w, .. }: &Kinematics<R>,
     u: &Mat3<R>,
     impulses: &Vec3<R>,

@@ -3,15 +3,15 @@
 //! Invariant: lanes beyond the stages hold numbers, and have zero weight.
 
 use crate::hamiltonian::RigidBody;
-use crate::lanes::{Row, WIDTH};
+use crate::lanes::Row;
 use crate::space::{Quaternion, Sym3, Vec3, dot, vec3};
 use crate::stepper::so3_equations::Inertia;
-use crate::tableau::Tableau;
+use crate::tableau::{Tableau, TableauInLanes};
 
 /// Largest number of stages that counts as few.
 pub(super) const FEW_STAGES: usize = 4;
 
-/// Least number of stages with which a step lacks only its last digits, and the deficit is biased:
+/// Least number of stages with which a step lacks only its last digits, and what it lacks is biased:
 /// its end is brought up to the newest sweep.
 const FINISHED_STAGES: usize = 3;
 
@@ -19,7 +19,7 @@ const FINISHED_STAGES: usize = 3;
 /// energy: finishing begins with the momenta.
 pub(super) const RENEWED_STAGES: usize = 4;
 
-/// Number of rounds of the first guess that take the same torque.
+/// Number of sweeps of the first guess that use the same torque.
 pub(super) const TORQUE_EVERY: u32 = 3;
 
 /// Numbers of passes within a sweep.
@@ -59,93 +59,45 @@ impl Passes {
     }
 }
 
-/// A tableau of up to [`WIDTH`] stages, in lanes; lanes beyond its stages are zero.
+/// The tableau, and how a sweep and the first guess go over it.
 #[derive(Clone, Debug)]
-pub(in crate::stepper) struct LaneTableau {
-    /// `e_ij`, column by column.
-    pub(in crate::stepper) columns: [Row; WIDTH],
-    /// `e_ij`, row by row: the columns of its transpose.
-    pub(in crate::stepper) rows: [Row; WIDTH],
-    /// `1 - e_ji`, column by column; the same as `columns` for a symplectic tableau.
-    pub(in crate::stepper) conjugate: [Row; WIDTH],
-    /// `1 - e_ji - e_ij`, column by column; `None` for a symplectic tableau.
-    pub(super) conjugate_defect: Option<[Row; WIDTH]>,
-    pub(in crate::stepper) weights: Row,
-    pub(in crate::stepper) nodes: Row,
+pub(super) struct SweepPlan {
+    pub(super) tableau: TableauInLanes,
     /// The number one in the lane of each stage.
     pub(super) present: Row,
     pub(super) passes: Passes,
     /// Is a solved step finished? See [`super::sweep::finish`].
     pub(super) is_finished: bool,
-    /// Rounds of the first guess.
-    pub(super) rounds: u32,
-    pub(in crate::stepper) stages: usize,
+    /// Sweeps of plain collocation in the first guess.
+    pub(super) guess_sweeps: u32,
 }
 
-impl LaneTableau {
-    pub(in crate::stepper) fn new(tableau: &Tableau) -> Self {
-        let zero = Row::splat(0.0);
+impl SweepPlan {
+    /// Returns the plan for a tableau; `None` if it has more stages than there are lanes.
+    pub(super) fn new(tableau: &Tableau) -> Option<Self> {
         let stages = tableau.stages();
         let few = stages <= FEW_STAGES;
-        let mut lanes = Self {
-            columns: [zero; WIDTH],
-            rows: [zero; WIDTH],
-            conjugate: [zero; WIDTH],
-            conjugate_defect: None,
-            weights: zero,
-            nodes: zero,
-            present: zero,
+        let mut present = Row::splat(0.0);
+        present.0.iter_mut().take(stages).for_each(|one| *one = 1.0);
+        Some(Self {
+            tableau: TableauInLanes::new(tableau)?,
+            present,
             passes: Passes::of_stages(stages),
             is_finished: stages >= FINISHED_STAGES,
-            rounds: if few { stages as u32 - 1 } else { stages as u32 + 2 },
-            stages,
-        };
-        let part = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        let is_symplectic = tableau.is_symplectic();
-        for i in 0..stages {
-            lanes.weights.0[i] = tableau.b(i);
-            lanes.nodes.0[i] = tableau.c(i);
-            lanes.present.0[i] = 1.0;
-            for j in 0..stages {
-                // Of two entries that sum to one, the smaller is one minus the larger, to the last
-                // bit.
-                let from_other = is_symplectic && part(i, j) < part(j, i);
-                let e = if from_other { 1.0 - part(j, i) } else { part(i, j) };
-                // The same bits enter both halves: the pair is symplectic whatever their rounding.
-                lanes.columns[j].0[i] = e;
-                lanes.rows[i].0[j] = e;
-            }
-        }
-        lanes.conjugate = lanes.columns;
-        if !is_symplectic {
-            let mut conjugate_defect = [zero; WIDTH];
-            for i in 0..stages {
-                for j in 0..stages {
-                    lanes.conjugate[j].0[i] = 1.0 - lanes.columns[i].0[j];
-                    conjugate_defect[j].0[i] = lanes.conjugate[j].0[i] - lanes.columns[j].0[i];
-                }
-            }
-            lanes.conjugate_defect = Some(conjugate_defect);
-        }
-        lanes
+            guess_sweeps: if few { stages as u32 - 1 } else { stages as u32 + 2 },
+        })
     }
 
-    /// Estimates the size of the defects of a step that turns by `turn`: `turn^(s+1) / (s+1)!`.
-    #[inline(always)]
-    pub(in crate::stepper) fn order_of_defect(&self, turn: f64) -> f64 {
-        (1..=self.stages + 1).fold(1.0, |product, m| product * turn / m as f64)
-    }
-
-    /// Returns how often the first guess takes the torque at the stages: before its rounds, in
+    /// Returns how often the first guess evaluates the torque at the stages: before its sweeps, in
     /// them, and after.
     pub(super) fn torques_of_guess(&self) -> u32 {
-        2 + self.rounds / TORQUE_EVERY
+        2 + self.guess_sweeps / TORQUE_EVERY
     }
 }
 
 /// Inputs of a step. `P` holds a number in memory, or one for each member.
 pub(super) struct Start<'a, P> {
-    pub(super) tableau: &'a LaneTableau,
+    pub(super) plan: &'a SweepPlan,
     pub(super) body: &'a RigidBody<3>,
     pub(super) inertia: Inertia<f64>,
     /// The space vectors of the potential, as seen from g0.
