@@ -79,7 +79,7 @@ enum Command {
     Serve(serve::ServeArgs),
     /// Run jobs that a service with --engine cluster takes, one of many workers.
     #[cfg(feature = "serve")]
-    #[command(hide = !worker::CLUSTER)]
+    #[command(hide = !process::CLUSTER)]
     Worker(worker::WorkerArgs),
     /// Sum up a log, finished or not.
     Inspect(InspectArgs),

@@ -26,8 +26,8 @@ impl Row {
     }
 }
 
-/// A zero in all lanes that lies in the frame of the function, and so aligns it: numbers for which there is no register
-/// would straddle the lines of the cache, a tenth of the time.
+/// A 64-byte aligned zero on the stack: forces the alignment of the frame, so that spilled vectors do not cross cache
+/// lines (10 % otherwise).
 #[inline(always)]
 pub fn aligned_zero() -> Row {
     std::hint::black_box(Row::splat(0.0))
@@ -51,7 +51,7 @@ impl IndexMut<usize> for Row {
 
 /// Does the work in lanes of a wide instruction set, compiled for it, if there is one; else the other.
 // Not for every instruction set: a piece of work is compiled once for each. The additional
-// registers of AVX-512 make few lanes of n = 3 quicker by a tenth, and four lanes of n = 16; two
+// registers of AVX-512 make few lanes of n = 3 faster by a tenth, and four lanes of n = 16; two
 // lanes of matrices gain nothing.
 macro_rules! widest {
     (@on $token:ident, $vector:ident, $lanes:ident => $work:expr) => {{
@@ -525,7 +525,7 @@ stage_lanes!(
         let (low, high) = (low + high).split();
         low + high
     },
-    // Few lanes wait for their results, and a way through memory takes longer.
+    // With few lanes latency dominates, and a store and reload takes longer.
     |x: Self| [x.zip_low(x), x.zip_high(x)]
 );
 stage_lanes!(
@@ -554,8 +554,8 @@ stage_lanes!(
     1,
     |x: Self| x,
     |x: Self| x,
-    // Eight would each be taken out of two registers or more, through the port that half the arithmetic needs; from
-    // memory spreading a number costs nothing. (A row: see `aligned_zero`.)
+    // Extracting eight numbers would use the shuffle port that half the arithmetic needs; broadcasts from memory are
+    // free. (A row: see `aligned_zero`.)
     |x: Self| {
         let mut values = Row::splat(0.0);
         // To a slice: stored to the array itself it is compiled to a step longer by 6 %.

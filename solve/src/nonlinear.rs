@@ -21,7 +21,7 @@
 //!
 //! Newton's method has the same first two lines and the last, at a tolerance of at least 1e-15; a correction that does not
 //! reduce the residual is halved up to `HALVINGS` times, and then it has diverged. A failure of the method that was turned to
-//! is reported as the failure of the sweeps before, which is plainer.
+//! is reported as the failure of the sweeps before, which explains more.
 //!
 //! Invariant: an iteration ends at its tolerance, at the round-off floor, or with a [`Failure`]; it never
 //! runs out silently. Every decision depends on computed floats alone, so it repeats to the bit.
@@ -44,7 +44,8 @@ pub struct StopRule {
     pub max_iterations: u32,
     /// Rungs that may be tried.
     pub rungs: Rungs,
-    /// Whether a sweep that would change next to nothing is spared. The part left out is biased.
+    /// Stop when the predicted next increment is below tolerance / 100; the omitted part has a constant sign and
+    /// drifts.
     pub stop_early: bool,
 }
 
@@ -84,15 +85,15 @@ impl Default for StopRule {
 const ROUND_OFF: f64 = 4e-15;
 /// Below this an increment that no longer falls is round-off.
 pub(crate) const ROUND_OFF_FLOOR: f64 = 1e-12;
-/// A contraction that can be relied upon to go on.
+/// A contraction that persists.
 const FAST: f64 = 0.1;
-/// A sweep is spared if it would change less than this part of the tolerance: the part left out is
-/// biased, and a tenth of the tolerance at each step shows as a drift of the energy.
+/// Fraction of the tolerance below which a predicted increment is not computed: the omitted part has a constant sign,
+/// and a tenth of the tolerance at each step shows as a drift of the energy.
 const EARLY: f64 = 1e-2;
 /// Number of sweeps after which convergence is judged, and number of latest sweeps over which ...
 const TRIAL: u32 = 16;
 const TRIAL_SPAN: usize = 4;
-/// ... the increment must have fallen to this part. Slower than that Newton's method is quicker.
+/// ... the increment must have fallen to this part. Slower than that, Newton's method is faster.
 const SLOW: f64 = 0.1;
 /// This many sweeps near round-off without a new smallest increment are a limit cycle: rounding alone can
 /// carry the unknowns round a few neighbouring numbers, the increment falling and rising by turns.
@@ -157,8 +158,8 @@ pub trait Equations {
     /// Fails if there is none.
     fn guess(&mut self) -> Result<(), Failure>;
 
-    /// Moves unknowns that a sweep finds at once from where the guess has left them: in Newton's method they would
-    /// drown the others.
+    /// Updates unknowns that one sweep determines, before Newton's method: their residuals from the guess would
+    /// dominate the others.
     ///
     /// # Errors
     /// Fails where the unknowns make no sense.
@@ -233,15 +234,15 @@ impl Solver {
             Rungs::Both => match swept(Progress::new(self.rule, true), sweep) {
                 Ok(Some(convergence)) => Ok(convergence),
                 Err(stopped) if stopped.code == FailureCode::Stopped => Err(stopped),
-                // If nothing gets there, the sweeps show the reason more plainly.
+                // If neither converges, the failure of the sweeps explains more.
                 stuck => {
-                    // Sweeps that converged, but ran out, stand near a solution.
+                    // Sweeps that converged, but reached their limit, are near a solution.
                     if let Err(Failure { code: FailureCode::MaxIterations, .. }) = stuck
                         && let Ok(convergence) = self.newton.solve(self.rule, equations)
                     {
                         return Ok(convergence);
                     }
-                    // From the beginning: the place that other sweeps reached is no better.
+                    // From the guess: the iterate of diverging sweeps is no better.
                     equations.guess()?;
                     let newton = self.newton.solve(self.rule, equations);
                     newton.map_err(|failure| match failure.code {
@@ -356,13 +357,13 @@ impl Progress {
             *since_smallest += 1;
         }
         // The error left after this sweep is about the increment times the contraction, the worse
-        // of the last two: one may be luck.
+        // of the last two: one may be accidental.
         let contraction =
             if *iteration > 2 { (increment / previous).max(previous / before) } else { *expected };
         let stops_early = rule.stop_early
             && contraction <= FAST
             && increment * contraction <= EARLY * rule.tolerance;
-        // One increment that does not fall may be the wobble of a complex contraction factor; near the
+        // One increment that does not fall may be the oscillation of a complex contraction factor; near the
         // round-off of the unknowns it is the end, above it two in a row are.
         let at_floor = (*grown == 1 && increment <= ROUND_OFF)
             || (*grown == 2 && increment <= ROUND_OFF_FLOOR)

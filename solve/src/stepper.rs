@@ -51,7 +51,7 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     }
 
     /// Brings attitude and momentum to the end of the last step of `h` seconds, if the steps of the scheme do not end there;
-    /// to be called before they are looked at. Returns the sweeps that it took.
+    /// to be called before they are read. Returns the sweeps that it needed.
     ///
     /// # Errors
     /// Any failure.
@@ -71,13 +71,13 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
         None
     }
 
-    /// Returns the pace of time for the scheme at the state that was looked at last; `None` for one
+    /// Returns the pace of time for the scheme at the state that was read last; `None` for one
     /// with no time of its own.
     fn pace(&self) -> Option<Pace> {
         None
     }
 
-    /// Returns the clock of a scheme for driven systems; `None` for one that takes none.
+    /// Returns the clock of a scheme for driven systems; `None` for one that has none.
     fn clock(&self) -> Option<&Clock<N>> {
         None
     }

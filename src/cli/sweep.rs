@@ -17,9 +17,9 @@ use indicatif::{ProgressBar, ProgressStyle};
 #[cfg(feature = "chart")]
 use super::may_write;
 #[cfg(feature = "serve")]
-use super::serve::EngineName;
+use super::process::ClusterArgs;
 #[cfg(feature = "serve")]
-use super::worker::ClusterArgs;
+use super::serve::EngineName;
 use super::{CliError, SchemaOf, hinted, log_path, logged, show};
 #[cfg(feature = "chart")]
 use crate::chart;
@@ -63,7 +63,7 @@ pub(super) struct SweepArgs {
     /// Engine that makes the members: this machine, or workers on many (vpd worker), which need
     /// --bucket and --temporal.
     #[cfg(feature = "serve")]
-    #[arg(long, value_enum, default_value_t = EngineName::Local, hide = !super::worker::CLUSTER, conflicts_with_all = ["shard", "threads", "member"])]
+    #[arg(long, value_enum, default_value_t = EngineName::Local, hide = !super::process::CLUSTER, conflicts_with_all = ["shard", "threads", "member"])]
     engine: EngineName,
     #[cfg(feature = "serve")]
     #[command(flatten)]

@@ -9,7 +9,7 @@ use std::ops::{ControlFlow, Range};
 use std::path::Path;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::LogError;
 pub use super::curve::{Curve, Velocity};
@@ -17,7 +17,6 @@ use super::end::End;
 use super::messages::Message;
 use super::overview::{self, Points};
 use super::reader::{self, Item};
-use super::schema::Channel;
 
 /// Part of a log in time, and the number of points for it.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,12 +3,11 @@
 use std::collections::HashSet;
 
 use super::range::{
-    Check, LARGEST_SEED, LARGEST_STEP_S, MAX_SIZE, MAX_STEPS, SMALLEST_SIZE, SMALLEST_STEP_S,
-    direction, ensure, framed, largest, matrix, number, point, size, strength, symmetry, vector,
+    Check, LARGEST_STEP_S, MAX_STEPS, SMALLEST_STEP_S, direction, ensure, framed, matrix, symmetry,
+    vector,
 };
 use super::{
-    Accuracy, Attitude, Entry, Framed, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind,
-    TableauChoice,
+    Accuracy, Attitude, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind, TableauChoice,
 };
 use crate::method::Integrator;
 

@@ -18,7 +18,7 @@ use serde_path_to_error::{Path, Segment};
 
 use super::term::Kind;
 use super::{
-    Coefficients, Entry, PotentialTerm, Scenario, ScenarioError, ScenarioErrorKind, SchemaAddress,
+    Coefficients, Entry, PotentialTerm, ScenarioError, ScenarioErrorKind, SchemaAddress,
     TableauChoice, TableauName,
 };
 

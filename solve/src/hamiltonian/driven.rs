@@ -1,6 +1,6 @@
 //! Parts of a body that change with time, push it without being a potential, or spin in it.
 //!
-//! A driven body is looked at moment by moment: [`RigidBody::at`] gives its potential as it is then, and the torques. In
+//! A driven body is evaluated at the times of the stages: [`RigidBody::at`] gives its potential as it is then, and the torques. In
 //! the extended phase space the momentum of time changes by `-dH/dt`, so that
 //!
 //! ```text

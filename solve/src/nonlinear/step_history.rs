@@ -1,9 +1,9 @@
-//! A first guess from the steps before: the polynomial in time through their solutions, continued by a step.
+//! A first guess from the previous steps: the polynomial in time through their solutions, continued by a step.
 //!
 //! On the smooth orbit of a free body such a guess is as near as a sweep or two would come, and how well sweeps contract
 //! is known from the steps before, too: one sweep solves the step. (Where it does not pay: docs/decisions/0008.)
 //!
-//! Invariant: a guess is a function of the steps since [`Extrapolation::forget`]; one that leads astray costs time and no more.
+//! Invariant: a guess is a function of the steps since [`Extrapolation::forget`]; a bad one costs time and no more.
 
 use super::{Convergence, Equations, Progress, Rungs, Solver, swept};
 use crate::failure::Failure;
@@ -180,7 +180,7 @@ impl StepHistory {
         if seen.first <= self.first {
             self.note(equations, &seen);
         } else {
-            // The guess does better: the motion is too quick for the polynomial.
+            // The guess does better: the motion is too fast for the polynomial.
             self.forget();
         }
         Some(solved)

@@ -4,7 +4,7 @@ use crate::failure::{Failure, FailureCode};
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat};
 
-/// Smallest singular value of an interpolated matrix below which its polar factor is not trusted.
+/// Smallest singular value of an interpolated matrix for which its polar factor is accepted.
 pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 
 /// Largest distance, as `|g - h|_F / sqrt(2)`, between the end of a step and that of two of half
@@ -13,8 +13,8 @@ pub(super) const SMALLEST_SINGULAR_VALUE: f64 = 0.1;
 /// has found by 0.5 to 1.4; one stage errs by 0.9 by itself.
 const FAR: [f64; 2] = [1.0, 0.5];
 
-/// Refuses a step that Newton's method has solved for a root that belongs to no smaller step: two of half the length by
-/// sweeps, which find no other root, end elsewhere. `half` makes one of these, from where the step began, and gives the
+/// Refuses a spurious root of Newton's method: two half steps by fixed-point iteration, which follow the branch
+/// continuous in h, end elsewhere. `half` makes one of these, from the start of the step, and gives the
 /// attitude; `end` is the attitude that the step of a scheme of this order reached.
 ///
 /// # Errors
@@ -30,7 +30,7 @@ pub(super) fn check_root<const N: usize>(
         match half() {
             Ok(attitude) => reached = attitude,
             Err(stopped) if stopped.code == FailureCode::Stopped => return Err(stopped),
-            // If these are not solved either, nothing is known.
+            // If these are not solved either, there is nothing to compare with.
             Err(_) => return Ok(()),
         }
     }
@@ -66,7 +66,7 @@ pub(super) fn check_branch(found: f64, limit: f64, stage: Option<usize>) -> Resu
     Err(Failure::new(FailureCode::BranchJump, stage, found, limit))
 }
 
-/// Refuses a solution that jumps between two nodes, from `start` on: a determinant is blind past half a turn. `trace` is
+/// Refuses a solution that jumps between two nodes, from `start` on: a determinant cannot show a turn past half a circle. `trace` is
 /// that of the rotation between two attitudes, or its cosine, `limit` its value for a quarter turn; each attitude comes with
 /// its stage, `None` for the end.
 pub(super) fn check_continuity<U>(

@@ -23,7 +23,7 @@
 //! g0 remains only in dH/dg and, where it depends on the attitude, in dH/dmu. For a free body the step is therefore the reduced
 //! Lie-Poisson integrator (25, lp) as it stands, with f_0 = f and Theta_i = U_i^T f.
 //!
-//! Invariant: a solution is refused where its polar factors are not to be trusted.
+//! Invariant: a solution is refused where its polar factors are ill-conditioned or on another branch.
 
 use std::any::Any;
 
@@ -70,7 +70,7 @@ pub(super) trait Dynamics<const N: usize> {
         omega: &Mat<N>,
     ) -> Option<Mat<N>>;
 
-    /// Takes note of a sweep that begins, or refuses it: see [`crate::work`].
+    /// Counts a sweep that begins, or refuses it: see [`crate::work`].
     fn begin_sweep(&self) -> Result<(), Failure>;
 
     /// The rigid body that moves, if it is one.
@@ -83,7 +83,7 @@ pub(super) trait Dynamics<const N: usize> {
         0.0
     }
 
-    /// Refuses an attitude of stage `k` at which the dynamics have lost their meaning.
+    /// Refuses an attitude of stage `k` at which the dynamics are singular.
     fn check(&self, _k: usize, _u: &Mat<N>) -> Result<(), Failure> {
         Ok(())
     }
@@ -300,8 +300,7 @@ impl<const N: usize> GalerkinStep<N> {
         }
     }
 
-    /// Solves the step as collocation with a deferred defect; `None` where that leads nowhere, or to a solution that is not
-    /// beyond doubt.
+    /// Solves the step as collocation with a deferred defect; `None` if it does not converge or a cheap check fails.
     fn collocated(
         &mut self,
         dynamics: &dyn Dynamics<N>,
@@ -311,7 +310,7 @@ impl<const N: usize> GalerkinStep<N> {
     ) -> Result<Option<Convergence>, Failure> {
         let in_vectors = self.in_vectors(dynamics, length, p0, omega);
         let solved = match in_vectors.unwrap_or(Err(SolveError::NotConverged)) {
-            // Not a body, or not solved there: matrices go a little further.
+            // Not a body, or not solved there: matrices converge for slightly larger steps.
             Err(SolveError::NotConverged) => self.in_matrices(dynamics, length, p0, omega),
             solved => solved,
         };
@@ -553,7 +552,7 @@ impl<const N: usize> GalerkinStep<N> {
         self.stages.iter().map(|stage| &stage.e).chain([&self.end.e])
     }
 
-    /// Refuses a solution on which the polar factors or the dynamics are not to be trusted.
+    /// Refuses a solution whose polar factors are ill-conditioned or jump, or at which the dynamics are singular.
     fn check(&self, dynamics: &dyn Dynamics<N>) -> Result<(), Failure> {
         for (k, e) in self.stretches().enumerate() {
             let stage = (k < self.stages.len()).then_some(k);

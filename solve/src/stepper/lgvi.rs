@@ -118,7 +118,7 @@ fn norm_error(v: &Vector3<f64>, s: f64) -> f64 {
     v.norm_squared() / (1.0 + s)
 }
 
-/// Newton's iterate has turned by half a turn or met a singular slope: the step is too large.
+/// Newton's iterate has turned by half a turn, or its derivative is singular: the step is too large.
 fn too_large(measured: f64, limit: f64) -> Failure {
     Failure::new(FailureCode::Diverged, None, measured, limit)
 }

@@ -59,7 +59,7 @@ impl<P: Copy> Motion<P> {
     }
 
     /// Advances by a step that turns by `end` and pushes by `impulse`, both in the frame of its
-    /// beginning; the body momentum is left behind.
+    /// beginning; the body momentum is not updated.
     #[inline(always)]
     pub(super) fn advance<W: StepScalar<Storage = P>>(
         &mut self,
@@ -78,8 +78,8 @@ impl<P: Copy> Motion<P> {
         // The carried part turns along.
         let carried = load_turn(lanes, &self.attitude.carry).times(&change);
         let change = start.times(&change);
-        // The deficit of the length from one, each square taken off one: a sum next to one is
-        // rounded twice as far from above as from below. The length would keep a bias, and the
+        // The error of the norm, each square subtracted from one: a sum next to one is
+        // rounded twice as far from above as from below. The norm would keep a bias, and the
         // momentum in the body with it.
         let Quaternion { w, v: [x, y, z] } = start;
         let norm_error = ((((one - w * w) - x * x) - y * y) - z * z) * 0.5;
@@ -104,8 +104,8 @@ impl<P: Copy> Motion<P> {
     /// Adds `momentum_increment` to the body momentum, and turns the attitude so that rounding does not separate
     /// the spatial momentum, which only torques change, from the body momentum, whose direction is
     /// the more precise: `g <- g (I + hat(theta))` with `theta = (p - g^T pi) x p / |p|^2`, and
-    /// less where the step has added more than there is. Of a body that nearly stands still, the direction of its momentum is
-    /// made of rounding errors: it turns nothing.
+    /// less where the step has added more than there is. The direction of the momentum of a body almost at
+    /// rest is made of rounding errors: it turns nothing.
     ///
     /// The lengths of the two are left as they are: giving the body momentum the length of the
     /// other would take from all its components what rounding has put into some, and the energy of

@@ -95,7 +95,7 @@ impl QuaternionGauss {
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
         let turns = (0..self.tableau.stages()).map(|k| (k, self.stages.rotation(k)));
-        // An iterate that is not finite has met nothing.
+        // The distance of an iterate that is not finite says nothing.
         turns.filter(|(_, u)| u.coords.iter().all(|x| x.is_finite())).try_for_each(|(k, u)| {
             body.check_distances_seen(&so3::rotation(&u), &seen)
                 .map_err(|met| Failure { stage: Some(k), ..met })
@@ -127,8 +127,8 @@ impl Stepper<3> for QuaternionGauss {
         let End { turn, impulse, momentum_increment } =
             in_stage_lanes!(level, count, body, stages::end, start, stages);
         body.count(torques * count as u64);
-        // A charge met explains non-finite values and divergence better than they do. A NaN is
-        // looked at, too.
+        // A singularity of the potential explains non-finite values and divergence better than they do. A NaN is checked,
+        // too.
         if !(solved.is_ok() && self.stages.proximity <= -CLOSEST_APPROACH * CLOSEST_APPROACH) {
             self.check_distances(body)?;
         }

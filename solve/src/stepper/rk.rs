@@ -71,7 +71,7 @@ impl<const N: usize> Rk<N> {
 }
 
 /// A projection does not distinguish turns that differ by a whole one, and what four stages make of a turn past 3 rad looks
-/// like one of less than a quarter: the guard behind the projection is blind there. So the turn is judged by the
+/// like one of less than a quarter: the check of the projection cannot tell. So the turn is checked by the
 /// velocity as well, by the same limit.
 fn check_turn<const N: usize>(omega: &Mat<N>, h: f64) -> Result<(), Failure> {
     // No plane turns faster than all of them together.

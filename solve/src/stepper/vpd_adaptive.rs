@@ -1,11 +1,11 @@
 //! VPD in Hamiltonian form, with steps of one length in a time of its own that slows down near the points of the potential:
 //! the map of [`super::vpd`] for the Hamiltonian K of [`crate::hamiltonian::Rescaled`].
 //!
-//! Its own steps end where they end. The time loop asks for times k h: from the last own step before such a time a step
-//! aside is taken that lasts until it,
+//! Its own steps do not end at the times k h that the time loop asks for: from the last own step before such a time an
+//! extra step leads to it,
 //!
 //! ```text
-//! dt = dtau sum_k b_k sigma(U_k),      dtau = (k h - t) / sum_k b_k sigma(U_k)   aside
+//! dt = dtau sum_k b_k sigma(U_k),      dtau = (k h - t) / sum_k b_k sigma(U_k)   extra step
 //! ```
 //!
 //! and forgotten after the sample. t is a sum, and its part lost to rounding is carried.
@@ -89,7 +89,7 @@ impl<const N: usize> OwnStepEnd<N> {
     }
 }
 
-/// Most own steps between two times of the loop: beyond it nothing is in proportion any more.
+/// Most own steps between two times of the loop: with more, the step length does not fit the scene.
 const MOST_STEPS: u64 = 100_000;
 
 impl<const N: usize> Stepper<N> for VpdAdaptive<N> {

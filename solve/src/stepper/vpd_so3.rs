@@ -138,7 +138,7 @@ impl VpdSo3 {
         }
     }
 
-    /// Refuses a solution for which the polar factors or the potential cannot be trusted.
+    /// Refuses a solution whose polar factors are ill-conditioned or jump, or at which the potential is singular.
     fn check(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let stages = self.tableau.stages();
         let stage = |k: usize| (k < stages).then_some(k);
@@ -170,7 +170,7 @@ impl VpdSo3 {
     /// Refuses stages too close to a point of the potential.
     fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
-        // An iterate that is not a rotation, or not finite, meets no charge.
+        // The distance of an iterate that is not a rotation, or not finite, says nothing.
         let turns = (0..self.tableau.stages()).map(|k| (k, self.rotation(k)));
         let is_rotation =
             |turn: &Quaternion<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
@@ -260,7 +260,7 @@ impl Equations for InLanes<'_> {
         Ok(())
     }
 
-    /// Makes one sweep: the guess leaves x and K^-1 far from where a sweep puts them.
+    /// Makes one sweep: x and K^-1 of the guess are far from those of a sweep.
     fn prime(&mut self) -> Result<(), Failure> {
         if !self.sweep()?.is_finite() {
             self.guess()?;
@@ -395,7 +395,7 @@ impl VpdSo3 {
     }
 
     /// Makes the step in matrices where it was not solved here: their Newton's method solves steps of a thin body that
-    /// turn it ten times as far. If they do not solve it either, the failure here shows the reason more plainly.
+    /// turn it ten times as far. If they do not solve it either, the failure of the sweeps explains more.
     fn or_in_matrices(
         &mut self,
         body: &RigidBody<3>,

@@ -23,7 +23,7 @@
 //! collocation is solved first, and the defect is evaluated one to three times up to a turn of
 //! 0.15 rad, four to eight times in larger steps.
 //!
-//! A step goes on from the polynomials through the stages of the last one (`continue_stages`), which saves
+//! The guess continues the polynomials through the stages of the last step (`continue_stages`), which saves
 //! sweeps of collocation. Short steps with few stages start from the polynomial through the last
 //! nine solutions (`extrapolate`), which saves all sweeps and an evaluation.
 //!
@@ -99,8 +99,8 @@ pub(super) struct StepStart<'a> {
     /// Time that the step is to last, if it is known, for a system in a time of its own; h is then
     /// a guess.
     pub(super) lasting: Option<f64>,
-    /// As of [`crate::nonlinear::StopRule`]: whether an evaluation of the defect that would change
-    /// next to nothing is spared.
+    /// As of [`crate::nonlinear::StopRule`]: whether to stop before an evaluation of the defect whose predicted change is
+    /// negligible.
     pub(super) stop_early: bool,
     /// p0 and its velocity, row by row.
     pub(super) momentum: &'a [f64],
@@ -529,8 +529,8 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         Ok(solved)
     }
 
-    /// Is the step so short that the last steps lead nearer to its solution than the guess, and
-    /// have the stages so low an order that this saves evaluations of the defect?
+    /// Is the step so short that extrapolation of the last steps is nearer to its solution than the guess, and
+    /// the order of the stages so low that this saves evaluations of the defect?
     fn is_short(&self) -> bool {
         // rad; with more stages collocation needs few sweeps, and the first evaluation is often the last.
         let short = match self.coefficients.tableau.stages {
@@ -550,7 +550,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         )
     }
 
-    /// Solves the step from where it was begun.
+    /// Solves the step from such a guess.
     fn solve_from(&mut self, initial_guess: InitialGuess) -> Result<Solved, SolveError> {
         let stages = self.coefficients.tableau.stages;
         let is_extrapolated = initial_guess == InitialGuess::Extrapolated;
@@ -570,15 +570,15 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         }
         let angle = self.angle.min(1.0);
         let expected = self.contraction_of_an_evaluation();
-        // What the momenta may lack at the end, and what the estimate of the defect may.
+        // Error allowed in the momenta at the end, and in the estimate of the defect.
         let goal = SAME_SIGN * self.rounding();
         let allowed = if is_extrapolated { goal } else { self.allowed() };
-        // X and S depend on each other: with one look at both, the defect lacks half the turn times itself.
+        // X and S depend on each other: one Gauss-Seidel pass over both leaves a relative error of turn / 2.
         let is_small = !is_extrapolated
             && 0.5 * angle * self.u.previous.defect <= allowed.min(self.rounding());
-        let looks_twice = !is_extrapolated && !is_small && (stages >= 4 || angle > 0.3);
-        // A small change is luck where the unknowns were guessed. X and S of a polynomial miss as much as each
-        // other, and the first evaluation leaves the error of S, times half the turn, in X.
+        let passes_twice = !is_extrapolated && !is_small && (stages >= 4 || angle > 0.3);
+        // From a cold start a small first increment says nothing about convergence. X and S of a polynomial have equal
+        // errors, and the first evaluation leaves the error of S, times half the turn, in X.
         let mut evaluations = match (is_extrapolated, is_small) {
             (true, _) => Contraction::new(0.1 * angle, 0.0),
             (false, true) => Contraction::new(0.5 * angle, self.u.previous.defect),
@@ -595,7 +595,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
             }
             self.end_at_stages();
             self.multipliers();
-            if evaluation > 1 || looks_twice {
+            if evaluation > 1 || passes_twice {
                 self.embed();
                 self.multipliers();
             }
@@ -605,9 +605,9 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
                 self.u.previous.defect = if is_extrapolated { f64::INFINITY } else { jump };
             }
             let floor = evaluations.at_floor(jump, self.size);
-            // The defect contains the shortfall of the attitudes at its evaluation, times the turn.
+            // The defect contains the error of the attitudes at its evaluation, times the turn.
             let left = evaluations.left(jump).max(angle * residual);
-            // With few stages the first evaluation does not yet know its order.
+            // With few stages the first evaluation has not reached its order yet.
             let is_last =
                 (left <= allowed || floor) && (stages >= 4 || evaluation > 1 || is_extrapolated);
             if is_last {
@@ -636,17 +636,17 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         (0.2 * if self.coefficients.tableau.stages == 1 { angle } else { angle * angle }).min(0.1)
     }
 
-    /// The error of a momentum that turns the end of the step by a rounding error: it does by its product with the turn.
+    /// The error of a momentum that, times the turn, rotates the end of the step by a rounding error.
     fn rounding(&self) -> f64 {
         ROUND_OFF * self.size / self.clear_angle()
     }
 
-    /// The turn, as far as errors are divided by it: a body that hardly turns keeps the digits of its momentum all the same.
+    /// The turn by which errors are divided, bounded below: a body that hardly turns keeps the digits of its momentum.
     fn clear_angle(&self) -> f64 {
         self.angle.clamp(LEAST_TURN_RAD, 1.0)
     }
 
-    /// What the defect may lack, by the estimate; with up to four stages what it lacks is far below that.
+    /// Error allowed in the defect, by the estimate; with up to four stages the true one is far below that.
     fn allowed(&self) -> f64 {
         self.rounding()
             * match (self.start.stop_early, self.coefficients.tableau.stages) {
@@ -691,7 +691,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
                 break;
             }
             let ratio = if sweep == 1 { 0.05 * self.angle * self.angle } else { jump / last };
-            // What is left here enters the defect times the turn, and stays in it if the first evaluation will do.
+            // The error left here enters the defect times the turn, and stays in it if one evaluation suffices.
             let is_evaluated_once =
                 self.contraction_of_an_evaluation() * self.u.previous.defect <= self.allowed();
             let goal = if is_evaluated_once {
@@ -725,7 +725,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         for pass in 0..MOST_ITERATIONS {
             // New forces count as a sweep by themselves.
             self.begin_pass(if forced { 0 } else { pass })?;
-            // Under stiff forces changes fall slowly: there a rounding error has to do.
+            // Stiff forces contract slowly; after half the passes accept one rounding error.
             let is_slow = forced && pass >= MOST_ITERATIONS / 2;
             let goal = if is_slow { goal.max(self.rounding()) } else { goal };
             // In a plane a momentum does not depend on the attitude.
@@ -832,7 +832,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         self.velocities();
     }
 
-    /// Takes p0, and the weights of a body, into all lanes.
+    /// Spreads p0, and the weights of a body, over all lanes.
     fn load(&mut self) {
         let Self { stack, start, u, forces, .. } = self;
         if let Forces::None { velocity: Velocity::Weights(weights, _), .. }
@@ -844,7 +844,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         stack.spread(start.momentum, &mut u.p0);
     }
 
-    /// Adds the solution to the last steps.
+    /// Remembers the solution.
     fn keep(&mut self) {
         let without = usize::from(self.has_weights());
         let (extrapolation, smooth) = self.u.smooth(self.end);
@@ -852,7 +852,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         extrapolation.add(smooth.into_iter().take(count).map(|matrix| &matrix[..]));
     }
 
-    /// Takes the unknowns from where the last steps lead, if enough of them are known.
+    /// Extrapolates the unknowns from the last steps, if enough of them are known.
     fn extrapolate(&mut self) -> bool {
         let without = usize::from(self.has_weights());
         let (extrapolation, smooth) = self.u.smooth(self.end);
@@ -904,8 +904,8 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
         self.guess_no_defect();
     }
 
-    /// Guesses momenta and attitudes from the last step, continued as a polynomial in time: `mu_j`
-    /// and, as seen from where the step begins, `f^T U_j`.
+    /// Guesses momenta and attitudes from the last step, continued as polynomials in time: `mu_j`
+    /// and, relative to its end, `f^T U_j`.
     fn continue_stages(&mut self) {
         let Self { stack, coefficients, u, end, .. } = self;
         let (n, len) = (stack.n(), stack.numbers());
@@ -990,7 +990,7 @@ impl<'a, R: StageScalar<StepScalar = f64>, D: Dimension> Step<'a, R, D> {
                 largest = largest.max_or_nan(stack.get(mu, i, j).abs());
             }
         }
-        // At rest there is nothing by which to measure, and nothing to solve.
+        // Avoids 0 / 0 for a body at rest.
         *size = largest.largest().max_or_nan(SMALLEST_SIZE);
         *angle = h.abs() * square.largest().sqrt();
     }

@@ -67,7 +67,7 @@ impl<const N: usize> Motion<N> {
         if is_pushed {
             self.momentum.add(&so::skew(&conjugate(lanes, &g, impulse)));
         }
-        // The deficit of g^T g from one is taken off before the turn, and turns along with what is carried: taken off after it,
+        // The norm error I - g^T g is corrected before the turn, and rotated along with the carried part: corrected after it,
         // `f^T e f - sym(f^T e)` would be left of an error e, which grows where f turns by more than a sixth of a circle.
         let norm_error = so::norm_error(&g) * 0.5;
         let mended = product(lanes, &g, &norm_error);

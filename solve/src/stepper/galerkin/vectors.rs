@@ -16,7 +16,7 @@
 //!
 //! In a time of its own `Omega = sigma J^-1 mu` (with wheels, mu less their momentum), and dH~/dg is the gradient of
 //! `H~ = sigma (H - H0)`. Between two torques both follow the momenta and, to first order, the
-//! attitudes: with `eta = 2 vec(conj(u') u)`, u' being the attitude at which the torque was taken,
+//! attitudes: with `eta = 2 vec(conj(u') u)`, u' being the attitude at which the torque was evaluated,
 //!
 //! ```text
 //! potential = potential' + vee(dH/dg) . eta,      sigma^-2 = sigma'^-2 + vee(dsigma^-2/dg) . eta
@@ -328,7 +328,7 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
                     break;
                 }
             }
-            // With few stages the first evaluation does not yet know its order.
+            // With few stages the first evaluation has not reached its order yet.
             let is_sure = stages >= 4 || evaluation > 1;
             if (is_sure && left <= LAST_DIGIT * ROUND_OFF) || floor {
                 let increment = self.finish(angle, jump)?;
@@ -431,7 +431,7 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
     }
 
     in_lanes! {
-    /// Updates the attitudes by [turn], and the momenta there. Returns the largest change of an
+    /// An inner pass: updates the attitudes by [turn], and the momenta there. Returns the largest change of an
     /// attitude.
     fn inner_pass(&mut self) -> f64 {
         let Quaternion { w, v } = self.collocated();
@@ -575,7 +575,7 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
         (self.delta, self.y) = (delta, y);
         self.momentum_increment = plus(&self.momentum_increment, &change);
         self.momenta();
-        // At rest nothing moves, and nothing changes.
+        // Avoids 0 / 0 for a body at rest.
         largest(&change) / largest(&self.mu).max(SMALLEST_SIZE)
     }
 

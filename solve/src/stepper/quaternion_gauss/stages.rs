@@ -258,8 +258,8 @@ impl<'a, R: Lanes> StepData<'a, R> {
 /// ```
 ///
 /// in which the momenta depend on the attitudes through the torques alone: however thin the body,
-/// its rounds contract by the angle through which it turns. Its stages are those of the step except
-/// for terms of the order of the quadrature. The torque couples weakly: every third round takes it.
+/// its sweeps contract by the angle through which it turns. Its stages are those of the step except
+/// for terms of the order of the quadrature. The torque couples weakly: every third sweep evaluates it.
 /// The guess is a function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
@@ -272,13 +272,13 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
     let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * data.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
     let (mut torque, _, mut inverse_square_error) = data.torque::<USER>(&x);
-    for round in 1..=start.plan.guess_sweeps {
+    for sweep in 1..=start.plan.guess_sweeps {
         let omega = data.velocity(&mu);
         let turned = cross(&mu, &omega);
         mu = vec3!(i => p[i] + (data.weight * (turned[i] - torque[i])).apply_tableau(columns));
         let half = scaled(&data.velocity(&mu), half_weight);
         x = data.collocated(&data.turning(&x, &half));
-        if round % TORQUE_EVERY == 0 {
+        if sweep % TORQUE_EVERY == 0 {
             (torque, _, inverse_square_error) = data.torque::<USER>(&x);
         }
     }
@@ -287,7 +287,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
     let (r, s) = (x.rate(&mu), cross(&p, &x.v));
     let d_w = r.w + dot(&p, &x.v);
     let d_v: Vec3<R> = vec3!(i => (mu[i] - p[i]) + (r.v[i] - (p[i] * x.w + s[i])));
-    // Rounds that diverged are worse than none.
+    // If they diverged, the constant velocity is the better guess.
     let square = Quaternion { w: x.w + 1.0, v: x.v }.square();
     let norm_error = lanes.constant((square + -1.0).abs().largest());
     let x = x.select(norm_error, MOST_NORM_ERROR, &kept_on);
@@ -300,7 +300,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
     stages.keep(&data, &x, &d, &torque, inverse_square_error);
 }
 
-/// Makes passes over u and d with the torques kept, then takes the torques: passes cost a third of
+/// Makes passes over u and d with the torques kept, then evaluates the torques: passes cost a third of
 /// these, and couple the stages by J^-1. Returns the largest change of u, or of d relative to the
 /// momentum; not finite if an unknown is not.
 #[inline(always)]
@@ -344,14 +344,14 @@ pub(super) fn end<R: Lanes, const USER: bool>(
     let (x, d) = data.pass(&old_x, &load(lanes, &stages.d), &weighted_torque);
     let mu = data.body_momentum(&x, &d);
     let omega = data.velocity(&mu);
-    // The angle of a stage as the stages take it: its rounding error is then that of another body,
+    // The angle of a stage as in the equations of the stages: its rounding error is then that of another body,
     // and symplectic.
     let half = scaled(&omega, data.weight * 0.5);
     let w = data.turning(&x, &half);
     let turned = cross(&mu, &half);
     let torque: Vec3<R> = vec3!(i => lanes.load(&stages.torque[i]));
-    // In the frame of q0, by the matrices at which the torques were taken: a spatial component that
-    // a potential leaves alone stays as it is.
+    // In the frame of q0, by the matrices at which the torques were evaluated: a spatial component that
+    // that no potential drives is constant.
     let torque_rate = product(&data.rotation(&old_x).0, &torque);
     End {
         turn: Quaternion { w: w.w.sum() + 1.0, v: vec3!(i => w.v[i].sum()) },

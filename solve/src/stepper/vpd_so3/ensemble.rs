@@ -1,6 +1,6 @@
 //! Up to eight members of an ensemble side by side, one in each lane.
 //!
-//! A lane makes the sweeps of [`VpdSo3`] with the same bits. Its solution is taken when its own
+//! A lane makes the sweeps of [`VpdSo3`] with the same bits. Its solution is accepted when its own
 //! iteration has converged, whatever the others still do, and it holds the state of the member
 //! until that is requested. A member whose sweeps do not converge makes that step individually,
 //! with Newton's method where that helps. Without AVX2, and with more than four stages, which fill
@@ -78,7 +78,7 @@ enum Lanes {
     None,
 }
 
-/// The unknowns that sweeps work on, and the solutions that have been taken from them.
+/// The unknowns that sweeps work on, and the solutions that were accepted from them.
 #[derive(Clone, Debug)]
 struct LaneState<const K: usize> {
     unknowns: Unknowns<[Row; K], Row>,

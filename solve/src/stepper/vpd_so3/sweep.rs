@@ -47,7 +47,7 @@
 //! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the previous sweep. At the end U^T A is
 //! symmetric, and P its polar factor. What a correction itself causes at the other stages is added
-//! to first order, with all turns and stretches taken as the identity, in vectors where a pass
+//! to first order, with all turns and stretches replaced by the identity, in vectors where a pass
 //! works with matrices:
 //!
 //! ```text
@@ -67,7 +67,7 @@ use crate::stepper::so3_equations::{
 };
 use crate::tableau::TableauInLanes;
 
-/// Largest deviation of the square of a quaternion from one allowed in the last round of the first
+/// Largest deviation of the square of a quaternion from one allowed after the last sweep of the first
 /// guess.
 const MOST_NORM_ERROR: f64 = 0.1;
 
@@ -84,16 +84,16 @@ pub(super) fn sweep_to_row<R: StageScalar<StepScalar: StepScalar<Storage = Row>>
 }
 
 /// Makes the first guess: from the velocity at the beginning, kept constant, and the torque along
-/// it, a few rounds of plain collocation,
+/// it, a few sweeps of plain collocation,
 ///
 /// ```text
 /// q_k = 1 + h sum_j a_kj q_j Omega_j / 2,    pi_k = p0 - h sum_j a_kj U_j tau_j
 /// ```
 ///
-/// each of which takes a small part of the time of a sweep. A round gains an order of h, until the
-/// guess is as close as the stages of the step are to those of the collocation: some rounds more
+/// each a small part of the time of a sweep of the step. Each gains an order of h, until the
+/// guess is as close as the stages of the step are to those of the collocation: some more
 /// than there are stages if these are many, one less if they are few. The torque couples weakly: it
-/// is taken in every third round, and once more at the end. The guess is a function of the state
+/// is evaluated in every third of them, and once more at the end. The guess is a function of the state
 /// alone: a resumed run repeats it to the bit.
 #[inline(always)]
 pub(super) fn guess<R: StageScalar, const USER: bool>(
@@ -116,9 +116,9 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
     let guessed_momentum = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, guessed_momentum);
     let mut norm_error = lanes.constant(0.0);
-    for round in 0..start.plan.guess_sweeps {
+    for sweep in 0..start.plan.guess_sweeps {
         let u = attitude.matrix();
-        if round % TORQUE_EVERY == TORQUE_EVERY - 1 {
+        if sweep % TORQUE_EVERY == TORQUE_EVERY - 1 {
             let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
             let impulse = scaled(&product(&u, &torque), weight);
             momentum = vec3!(i => -impulse[i].apply_tableau(columns));
@@ -132,7 +132,7 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
         norm_error = (next.square() + -1.0).abs();
         attitude = next.lengthened();
     }
-    // Rounds that diverged are worse than none.
+    // If they diverged, the constant velocity is the better guess.
     let last_norm_error = norm_error.largest();
     let norm_error = lanes.spread(last_norm_error);
     let attitude = attitude.select(norm_error, MOST_NORM_ERROR, &turned);
@@ -225,13 +225,13 @@ pub(super) fn sweep<R: StageScalar, const USER: bool>(
     let poison = total * 0.0;
     store(&next, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
-    // At rest nothing moves, and nothing changes.
+    // Avoids 0 / 0 for a body at rest.
     let relative = change / size.max_or_nan(whole.constant(SMALLEST_SIZE));
     relative.max_or_nan(turned.largest()) + poison
 }
 
 /// Brings the end point, the impulse and the body momentum, of which the state is made, up to the
-/// newest stage momenta: after a sweep they are one behind, and the deficit is biased. With many
+/// newest stage momenta: after a sweep they are one iteration behind, and that error is biased. With many
 /// stages the momenta are brought up to the attitudes first.
 ///
 /// In `p1 - p0 = (pi1 - p0) + C_f^T pi1` the momentum about a thin axis is the small difference of

@@ -11,8 +11,8 @@ use crate::tableau::{Tableau, TableauInLanes};
 /// Largest number of stages that counts as few.
 pub(super) const FEW_STAGES: usize = 4;
 
-/// Least number of stages with which a step lacks only its last digits, and what it lacks is biased:
-/// its end is brought up to the newest sweep.
+/// Least number of stages with which the error left is in the last digits, and biased:
+/// the end is brought up to the newest sweep.
 const FINISHED_STAGES: usize = 3;
 
 /// Least number of stages with which the last increment, which the stop rule leaves, shows in the

@@ -222,7 +222,7 @@ pub(super) struct Chains<const N: usize, A> {
 }
 
 impl<const N: usize, A: Skew<N>> Chains<N, A> {
-    /// Creates room for chains up to `q`.
+    /// Allocates chains up to `q`.
     pub(super) fn new(q: usize) -> Self {
         Self { u: vec![A::zero(); q + 1], v: vec![A::zero(); q + 1] }
     }
