@@ -10,7 +10,7 @@ use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
-use vpd_solve::system::{System, free_directions};
+use vpd_solve::system::{Energy, System, free_directions};
 use vpd_solve::tableau::Tableau;
 
 /// `H = <w nu, nu> / 2` with `nu = mu - g^T A g`, w entry by entry: the field A stands in space.

@@ -3,16 +3,14 @@
 use std::ops::RangeInclusive;
 
 use vpd_solve::failure::Failure;
-use vpd_solve::hamiltonian::{
-    Energy, Hamiltonian, Kinetic, Law, Rescaled, RigidBody, Term, TimeScale,
-};
+use vpd_solve::hamiltonian::{Hamiltonian, Kinetic, Law, Rescaled, RigidBody, Term, TimeScale};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::{Checkpoint, State};
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
-use vpd_solve::system::System;
+use vpd_solve::system::{Energy, System};
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{Ending, Observables, Origin, Sample, Schedule, Sink, integrate};
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use vpd_solve::ensemble::Members;
 use vpd_solve::failure::{Failure, FailureCode};
 use vpd_solve::hamiltonian::{
-    Energy, Hamiltonian, Kinetic, Law, Potential, RigidBody, Term, gradient_error,
+    Hamiltonian, Kinetic, Law, Potential, RigidBody, Term, gradient_error,
 };
 use vpd_solve::lagrangian::{self, Lagrangian};
 use vpd_solve::nonlinear::StopRule;
@@ -23,7 +23,7 @@ use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
 use vpd_solve::stepper::vrkmk::Vrkmk;
-use vpd_solve::system::System;
+use vpd_solve::system::{Energy, System};
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{self, Ending, Observables, Sample, Schedule, Trajectory, integrate};
 
