@@ -85,8 +85,7 @@ fn parts(plan: &Plan) -> Parts {
 }
 
 fn together(plan: &Plan) -> Option<Box<dyn Members<3>>> {
-    let alone = plan.model.is_driven() || plan.model.wheels.is_some();
-    if alone { None } else { plan.formulation.method.side_by_side(&parts(plan)) }
+    plan.formulation.method.side_by_side(&parts(plan))
 }
 
 /// Returns the stepper that the plan chose, of those for any n; `None` for the others.
@@ -96,11 +95,7 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
 
 /// Returns the stepper that the plan chose, for n = 3.
 fn in_three_dimensions(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let method = plan.formulation.method;
-    if plan.model.is_driven() || plan.model.wheels.is_some() {
-        return method.in_any_dimension(parts(plan));
-    }
-    let stepper = method.in_three_dimensions(parts(plan))?;
+    let stepper = plan.formulation.method.in_three_dimensions(parts(plan))?;
     let (body, start) = plan.model.problem::<3>();
     let plane = Plane::of(&body, &start).filter(|_| plan.formulation.motion == Motion::InPlane);
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);

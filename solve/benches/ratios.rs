@@ -9,13 +9,16 @@ use std::time::Instant;
 use fearless_simd::Level;
 use serde_json::Value;
 use vpd_solve::ensemble::Members;
-use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
+use vpd_solve::hamiltonian::{
+    DrivenTerm, Factor, Interpolation, Kinetic, Law, Path, RigidBody, Table, Term, Torque,
+};
 use vpd_solve::nonlinear::{Rungs, StopRule};
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
 use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::quaternion_gauss::QuaternionGauss;
 use vpd_solve::stepper::vpd::Vpd;
+use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
 use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vpd_so3::ensemble::VpdEnsemble;
@@ -23,10 +26,11 @@ use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
 
 fn main() {
-    let parts: [(&str, fn()); 9] = [
+    let parts: [(&str, fn()); 10] = [
         ("against_vrkmk", against_vrkmk),
         ("one_trajectory", one_trajectory),
         ("any_dimension", any_dimension),
+        ("driven", driven),
         ("free_bodies", free_bodies),
         ("long_run", long_run),
         ("ensembles", ensembles),
@@ -260,6 +264,99 @@ fn one_trajectory() {
 }
 
 /// The integrator for free bodies, without an attitude, against the full one with it.
+/// A satellite whose pull comes from a fixed direction, from one on a circular or an elliptic orbit, next to a torque by a
+/// table, and with a wheel; and the Lagrangian form.
+fn satellites() -> [(&'static str, RigidBody<3>); 6] {
+    let moments = [1.0, 1.4, 1.7];
+    let matrix = Mat::from_diagonal(&Vector::<3>::from(moments));
+    let motion = 0.5_f64;
+    let law = Law::GravityGradient { strength: 3.0 * motion * motion, matrix };
+    let toward = Vector::<3>::new(1.0, 0.0, 0.0);
+    let term = Term { law, space: toward };
+    let free = || RigidBody::new(Kinetic::of_moments(moments), Vec::new(), 0.0);
+    let fixed = || RigidBody::new(Kinetic::of_moments(moments), vec![term.clone()], 0.0);
+    let orbit = |eccentricity| Path::Orbit {
+        across: Vector::<3>::new(0.0, 1.0, 0.0),
+        mean_motion: motion,
+        eccentricity,
+        mean_anomaly: 0.3,
+    };
+    let on = |path| DrivenTerm { term: term.clone(), path, factor: Factor::Constant };
+    let table = Table::new(vec![0.0, 1e6], vec![[1e-3], [2e-3]], Interpolation::Linear);
+    let along = so::hat(&[0.3, 0.5, 0.2]);
+    let push = Torque::Table { along, spatial: false, table };
+    let wheels = so::hat(&[0.1, 0.2, 0.3]);
+    [
+        ("fixed", fixed()),
+        ("circular orbit", free().with_driven_term(on(orbit(0.0)))),
+        ("elliptic orbit", free().with_driven_term(on(orbit(0.1)))),
+        ("fixed, torque by a table", fixed().with_torque(push)),
+        ("fixed, wheels", fixed().with_wheels(wheels)),
+        ("circular orbit, wheels", free().with_driven_term(on(orbit(0.0))).with_wheels(wheels)),
+    ]
+}
+
+/// Times of a step in ns, all in turn: each scene alone and in ensembles of eight, in parts of the fixed one.
+fn driven() {
+    say(
+        "\n## Driven bodies and wheels: a step next to that of a fixed term (ns, and as a ratio)\n",
+    );
+    say("The last column is the Lagrangian form of the same scene next to the Hamiltonian one.\n");
+    say(
+        "| scene | tableau | h | alone | ratio | a member of eight | ratio | Lagrangian | ratio |\n|---|---|---|---|---|---|---|---|---|",
+    );
+    let steps = 4000;
+    for (stages, h) in [(1, 0.02), (2, 0.02), (2, 0.1), (3, 0.1), (4, 0.2), (8, 0.4)] {
+        let scenes = satellites();
+        let starts: Vec<State<3>> = (0..8)
+            .map(|m| State {
+                attitude: so::exp(&so::hat(&[0.1, 0.05 * f64::from(m), 0.2])),
+                momentum: so::hat(&[0.2, 0.5 + 0.02 * f64::from(m), -0.3]),
+            })
+            .collect();
+        let everybody: Vec<usize> = (0..8).collect();
+        let mut least = vec![[f64::INFINITY; 3]; scenes.len()];
+        for _ in 0..7 {
+            for ((_, body), least) in scenes.iter().zip(&mut least) {
+                let mut alone: [Box<dyn Stepper<3>>; 2] = [
+                    Box::new(in_lanes(stages, Rungs::Both)),
+                    Box::new(VpdLagrangian::new(gauss(stages), StopRule::default())),
+                ];
+                for (stepper, place) in alone.iter_mut().zip([0, 2]) {
+                    stepper.start(&starts[0]);
+                    let begun = Instant::now();
+                    for k in 0..steps {
+                        stepper.set_time(f64::from(k) * h);
+                        stepper.step(body, h).expect("a moderate step");
+                    }
+                    least[place] = least[place].min(begun.elapsed().as_secs_f64());
+                }
+                let mut members = VpdEnsemble::new(&gauss(stages), StopRule::default()).expect("8");
+                members.start(&starts);
+                let begun = Instant::now();
+                for k in 0..steps / 4 {
+                    members.step(body, f64::from(k) * h, h, &everybody, &mut |_, result| {
+                        result.expect("a moderate step");
+                    });
+                }
+                least[1] = least[1].min(begun.elapsed().as_secs_f64() / 2.0);
+            }
+        }
+        for ((name, _), own) in scenes.iter().zip(&least) {
+            let ns = own.map(|seconds| seconds / f64::from(steps) * 1e9);
+            say(&format!(
+                "| {name} | gauss{stages} | {h} | {:.0} | {:.2} | {:.0} | {:.2} | {:.0} | {:.2} |",
+                ns[0],
+                own[0] / least[0][0],
+                ns[1],
+                own[1] / least[0][1],
+                ns[2],
+                own[2] / own[0],
+            ));
+        }
+    }
+}
+
 fn free_bodies() {
     say("\n## The reduced form without an attitude against the full one with it, on a free body\n");
     say(

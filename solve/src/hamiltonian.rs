@@ -9,10 +9,12 @@
 use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
+use super::lanes::extras;
 use super::so::{self, Mat, Vector};
 use super::system::{Energy, System, free_directions};
 use super::work::Work;
 
+mod drive;
 mod driven;
 mod frequency;
 mod plane;
@@ -21,6 +23,7 @@ mod rescaled;
 mod term;
 mod torque;
 
+pub(crate) use drive::{Drive, DriveInFrame};
 use driven::Driven;
 pub(crate) use driven::{BodyAtTime, Time, WorkAndImpulse, rounding_s};
 pub use driven::{DrivenTerm, Factor, Interpolation, Path, Table, Torque};
@@ -415,6 +418,13 @@ impl<const N: usize> Hamiltonian<N> for RigidBody<N> {
 }
 
 impl RigidBody<3> {
+    /// What a step takes into account besides the terms of the potential: [`super::lanes::extras`].
+    pub(crate) fn extras(&self) -> u8 {
+        let user = if self.has_user_potential() { extras::USER } else { 0 };
+        let driven = self.is_driven() || self.wheels.is_some();
+        user | if driven { extras::DRIVEN } else { 0 }
+    }
+
     /// The wheels as a vector, in kg m^2/s.
     pub(crate) fn wheels(&self) -> Option<[f64; 3]> {
         self.wheels.as_ref().map(|wheels| super::so3::vee(wheels).into())

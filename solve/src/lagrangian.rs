@@ -27,6 +27,12 @@ pub trait Lagrangian<const N: usize>: System<N> {
     /// `<force, eta> = d/de L(g exp(e eta), omega)`.
     fn force(&self, g: &Mat<N>, omega: &Mat<N>) -> Mat<N>;
 
+    /// The velocity whose momentum at `g` is `mu`, where a formula gives it: the inverse Legendre transform. Without one it
+    /// is found by Newton's method from [`Lagrangian::momentum`].
+    fn inverse_legendre(&self, _g: &Mat<N>, _mu: &Mat<N>) -> Option<Mat<N>> {
+        None
+    }
+
     /// The system as a rigid body, if it is one: it may be driven.
     fn as_body(&self) -> Option<&RigidBody<N>> {
         None
@@ -45,6 +51,10 @@ impl<const N: usize> Lagrangian<N> for RigidBody<N> {
 
     fn momentum(&self, _g: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         self.momentum(omega)
+    }
+
+    fn inverse_legendre(&self, _g: &Mat<N>, mu: &Mat<N>) -> Option<Mat<N>> {
+        Some(self.velocity(mu))
     }
 
     fn force(&self, g: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
@@ -97,8 +107,8 @@ pub fn inverse_hessian<const N: usize>(
     hessian.try_inverse().filter(|inverse| inverse.iter().all(|x| x.is_finite()))
 }
 
-/// The velocity with the body momentum `mu` at `g`, by Newton's method from `guess`: the inverse Legendre
-/// transform.
+/// The velocity with the body momentum `mu` at `g`: the inverse Legendre transform, by its formula if there is one, else by
+/// Newton's method from `guess`.
 ///
 /// `None` if the method does not converge.
 pub fn velocity_of_momentum<const N: usize>(
@@ -108,6 +118,9 @@ pub fn velocity_of_momentum<const N: usize>(
     guess: &Mat<N>,
 ) -> Option<Mat<N>> {
     const MAX_ITERATIONS: usize = 50;
+    if let Some(omega) = lagrangian.inverse_legendre(g, mu) {
+        return Some(omega);
+    }
     let mut omega = *guess;
     let mut previous = f64::INFINITY;
     for _ in 0..MAX_ITERATIONS {

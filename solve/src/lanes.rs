@@ -41,7 +41,7 @@ mod dispatch;
 mod serial;
 mod simd;
 
-pub(crate) use dispatch::{in_lanes, in_stage_lanes, widest};
+pub(crate) use dispatch::{extras, in_lanes, in_stage_lanes, widest};
 pub use serial::Rows;
 
 /// The most lanes that there are.

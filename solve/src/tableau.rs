@@ -171,6 +171,11 @@ impl Tableau {
         self.c[i]
     }
 
+    /// All `c_i`.
+    pub fn nodes(&self) -> &[f64] {
+        &self.c
+    }
+
     /// The stages in the order of their nodes.
     pub fn ascending(&self) -> &[usize] {
         &self.ascending

@@ -107,8 +107,8 @@ pub enum Torque<const N: usize> {
 /// Parts of a body that change with time, or push it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Driven<const N: usize> {
-    terms: Vec<DrivenTerm<N>>,
-    torques: Vec<Torque<N>>,
+    pub(super) terms: Vec<DrivenTerm<N>>,
+    pub(super) torques: Vec<Torque<N>>,
 }
 
 impl<const N: usize> Driven<N> {
@@ -117,7 +117,7 @@ impl<const N: usize> Driven<N> {
     }
 
     /// Refuses a time that a table does not cover, and orbits that do not close.
-    fn check(&self, t: Time) -> Result<(), Failure> {
+    pub(super) fn check(&self, t: Time) -> Result<(), Failure> {
         for DrivenTerm { path, factor, .. } in &self.terms {
             if let Path::Orbit { eccentricity, .. } = path
                 && !(0.0..1.0).contains(eccentricity)
@@ -255,6 +255,18 @@ struct Changing<const N: usize> {
     moving: Vector<N>,
 }
 
+/// What drives a term at a moment.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Driving<const N: usize> {
+    /// Factor on the strength.
+    pub(super) strength: f64,
+    /// The rate of the factor.
+    pub(super) strengthening: f64,
+    pub(super) space: Vector<N>,
+    /// The rate of the space vector.
+    pub(super) moving: Vector<N>,
+}
+
 /// A time: the beginning of a step, and the time since. Their sum would be rounded to the
 /// resolution of a clock late in a run, which is a noise in every phase.
 #[derive(Clone, Copy, Debug)]
@@ -329,12 +341,19 @@ impl<const N: usize> DrivenTerm<N> {
     }
 
     fn at(&self, t: Time) -> Changing<N> {
+        let Driving { strength, strengthening, space, moving } = self.driving(t);
+        let law = |factor: f64| self.term.law.times(factor);
+        Changing { strengthening: law(strengthening), law: law(strength), space, moving }
+    }
+
+    /// Its factor and its space vector at a time, and their rates.
+    pub(super) fn driving(&self, t: Time) -> Driving<N> {
         let own = self.term.space;
         let (mut strength, mut strengthening) = match &self.factor {
             Factor::Constant => (1.0, 0.0),
             Factor::Harmonic { mean, amplitude, rate, phase } => {
-                let angle = t.angle(*rate, *phase);
-                (mean + amplitude * libm::cos(angle), -amplitude * rate * libm::sin(angle))
+                let (sin, cos) = libm::sincos(t.angle(*rate, *phase));
+                (mean + amplitude * cos, -amplitude * rate * sin)
             }
             Factor::Table(table) => {
                 let ([value], [rate]) = table.at(t);
@@ -346,15 +365,13 @@ impl<const N: usize> DrivenTerm<N> {
             Path::Turning { plane: [a, b], rate } => {
                 let part = |v: &Vector<N>| so::dot(v.as_slice(), own.as_slice());
                 let (x, y) = (part(a), part(b));
-                let angle = t.angle(*rate, 0.0);
-                let (cos, sin) = (libm::cos(angle), libm::sin(angle));
+                let (sin, cos) = libm::sincos(t.angle(*rate, 0.0));
                 let rest = own - a * x - b * y;
                 let (now_x, now_y) = (x * cos - y * sin, x * sin + y * cos);
                 (rest + a * now_x + b * now_y, (b * now_x - a * now_y) * *rate)
             }
             Path::Orbit { across, mean_motion, eccentricity: e, mean_anomaly } => {
-                let anomaly = eccentric_anomaly(t.angle(*mean_motion, *mean_anomaly), *e);
-                let (cos, sin) = (libm::cos(anomaly), libm::sin(anomaly));
+                let (sin, cos) = eccentric_anomaly(t.angle(*mean_motion, *mean_anomaly), *e);
                 // r / a, and the direction by the true anomaly.
                 let (r, root) = (1.0 - e * cos, (1.0 - e * e).sqrt());
                 let (x, y) = ((cos - e) / r, root * sin / r);
@@ -375,27 +392,38 @@ impl<const N: usize> DrivenTerm<N> {
                 }
             }
         };
-        let law = |factor: f64| self.term.law.times(factor);
-        Changing { strengthening: law(strengthening), law: law(strength), space, moving }
+        Driving { strength, strengthening, space, moving }
     }
 }
 
-/// Solves Kepler's equation `E - e sin E = M` for E, to round-off, less whole turns.
-fn eccentric_anomaly(mean: f64, e: f64) -> f64 {
-    /// Newton's method from this start gains digits from the first round on for every e below one.
+/// The sine and cosine of the eccentric anomaly E, by Kepler's equation `E - e sin E = M`, to round-off.
+///
+/// By the quartic iteration of Danby (1987, Celestial Mechanics 40, 303), with his start, which is good for every e below one.
+fn eccentric_anomaly(mean: f64, e: f64) -> (f64, f64) {
+    /// Two or three rounds are usual; near e = 1 it takes more.
     const ROUNDS: usize = 60;
+    /// The fourth power of a change of this size, next to the whole, is below round-off.
+    const LAST_CHANGE: f64 = 3e-5;
     let mean = Time::of(mean).angle(1.0, 0.0);
+    if e == 0.0 {
+        return libm::sincos(mean);
+    }
     let mut anomaly = if mean == 0.0 { 0.0 } else { mean + (0.85 * e).copysign(mean) };
     for _ in 0..ROUNDS {
-        let defect = anomaly - e * libm::sin(anomaly) - mean;
-        let change = defect / (1.0 - e * libm::cos(anomaly));
-        let next = anomaly - change;
-        if next == anomaly || change.abs() <= f64::EPSILON * anomaly.abs() * 0.5 {
-            break;
+        let (sin, cos) = libm::sincos(anomaly);
+        let (defect, slope, bend) = (anomaly - e * sin - mean, 1.0 - e * cos, e * sin);
+        let first = -defect / slope;
+        let second = -defect / (slope + 0.5 * first * bend);
+        let change = -defect / (slope + second * (0.5 * bend + second * (e * cos) / 6.0));
+        anomaly += change;
+        if change.abs() <= LAST_CHANGE * anomaly.abs() {
+            // The addition theorem, to the fifth order.
+            let square = change * change;
+            let (by_sin, by_cos) = (change * (1.0 - square / 6.0), square * (0.5 - square / 24.0));
+            return (sin + (cos * by_sin - sin * by_cos), cos - (sin * by_sin + cos * by_cos));
         }
-        anomaly = next;
     }
-    anomaly
+    libm::sincos(anomaly)
 }
 
 impl<const N: usize> BodyAtTime<N> {
@@ -437,7 +465,7 @@ impl<const N: usize> BodyAtTime<N> {
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
         for Changing { strengthening, law, space, moving } in &self.changing {
             let q = so::to_body(g, space);
-            power += strengthening.value(&q) + law.change(&q, &so::to_body(g, moving));
+            power += strengthening.value(&q) + law.numbers().change(&q, &so::to_body(g, moving));
         }
         WorkAndImpulse {
             power,

@@ -12,8 +12,8 @@ impl RigidBody<3> {
     /// is a principal one and every term by itself pulls along the plane alone, at every attitude about the axis: then a
     /// momentum along the axis stays along it.
     pub fn across(&self, k: usize, frame: &Mat<3>) -> Option<RigidBody<2>> {
-        // Nothing is known of a user-defined potential.
-        if self.has_user_potential() {
+        // Nothing is known of a user-defined potential, and a drive or a wheel may turn it out of the plane.
+        if self.has_user_potential() || self.is_driven() || self.wheels.is_some() {
             return None;
         }
         let (i, j) = ((k + 1) % 3, (k + 2) % 3);

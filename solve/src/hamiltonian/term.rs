@@ -8,7 +8,7 @@
 //! SPACE                                            what its space vector is
 //! value(fields.., q)                               U(q)
 //! slope(fields.., q, inverse_arm_squared, proximity)              dU/dq, see [`LawRef::slope`]
-//! change(fields.., q, rate)                        dU/dq . rate
+//! change(fields.., q, rate)                        dU/dq . q', rate being q'
 //! singular_point(fields..)                         the body point y, if U is singular at q = y
 //! ```
 
@@ -155,15 +155,6 @@ macro_rules! declare {
                 law
             }
 
-            /// `dU/dq . q'`
-            pub(super) fn change(&self, q: &Vector<N>, rate: &Vector<N>) -> f64 {
-                match self {
-                    $(Self::$law { $first, $($field,)* } => {
-                        $module::change(*$first, $($field,)* q, rate)
-                    })*
-                }
-            }
-
             /// The law as its formulas see it.
             pub(crate) fn numbers(&self) -> LawRef<'_> {
                 match self {
@@ -206,6 +197,16 @@ macro_rules! declare {
                 }
             }
 
+            /// `dU/dq . q'`
+            #[inline(always)]
+            pub(super) fn change<V: BodyVector>(&self, q: &V, rate: &V) -> V::Number {
+                match *self {
+                    $(Self::$law { $first, $($field,)* } => {
+                        $module::change($first, $($field,)* q, rate)
+                    })*
+                }
+            }
+
             /// dU/dq, up to multiples of q where that is cheaper (they cancel in the gradient). Where the law is singular
             /// at zero distance, `proximity` becomes at least `-inverse_arm_squared` times the square of the distance.
             #[inline(always)]
@@ -242,15 +243,20 @@ impl<const N: usize> Law<N> {
         let norm = |v: &Vector<N>| so::norm(v.as_slice());
         self.singular_point().map(|y| norm(&(y - q)) / (norm(y) + norm(q)))
     }
+
+    /// `1 / (|y| + |v|)^2` for the space vector v where the law is singular at zero distance, else zero.
+    pub(super) fn inverse_arm_squared(&self, space: &Vector<N>) -> f64 {
+        self.singular_point().map_or(0.0, |y| {
+            let arms = so::norm(y.as_slice()) + so::norm(space.as_slice());
+            1.0 / (arms * arms)
+        })
+    }
 }
 
 impl<const N: usize> Term<N> {
-    /// `1 / (|y| + |v|)^2` where the law is singular at zero distance, else zero.
+    /// [`Law::inverse_arm_squared`] for its own space vector.
     pub(super) fn inverse_arm_squared(&self) -> f64 {
-        self.law.singular_point().map_or(0.0, |y| {
-            let arms = so::norm(y.as_slice()) + so::norm(self.space.as_slice());
-            1.0 / (arms * arms)
-        })
+        self.law.inverse_arm_squared(&self.space)
     }
 }
 

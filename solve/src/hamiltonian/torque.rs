@@ -2,6 +2,7 @@
 
 use super::RigidBody;
 use super::term::{Lanes, LawRef};
+use crate::lanes::extras::USER;
 use crate::lanes::{StageScalar, StepScalar};
 use crate::so::Mat;
 use crate::so3;
@@ -13,12 +14,12 @@ impl RigidBody<3> {
     /// [`RigidBody::gradient_seen`] in lanes. With it comes the proximity, minus the square of the
     /// smallest relative distance to a point of the potential; -1 if there is none;
     /// [`RigidBody::check_distances_seen`] refuses from `-CLOSEST_APPROACH^2` on. The caller counts
-    /// the evaluations: not every lane is a stage. Without `USER`, user-defined potentials are left
+    /// the evaluations: not every lane is a stage. Without `USER` in `EXTRAS`, user-defined potentials are left
     /// out (`in_stage_lanes`).
     ///
     /// A term U(q) with `q = U^T v` has `dH/dg = q s^T - s q^T = hat(s x q)`, s its slope dU/dq.
     #[inline(always)]
-    pub fn torque<R: StageScalar, const USER: bool>(
+    pub(crate) fn torque<R: StageScalar, const EXTRAS: u8>(
         &self,
         u: &Mat3<R>,
         seen: &[Vec3<<R::StepScalar as StepScalar>::Storage>],
@@ -35,7 +36,7 @@ impl RigidBody<3> {
             let slope = term.law.numbers().slope(&q, *inverse_arm_squared, &mut proximity);
             torque = plus(&torque, &cross(&slope.numbers, &q.numbers));
         }
-        if USER && self.has_user_potential() {
+        if EXTRAS & USER != 0 && self.has_user_potential() {
             let (own, refused) = self.own_torque(u, seen);
             (torque, proximity) = (plus(&torque, &own), proximity.max_or_nan(refused));
         }

@@ -36,37 +36,71 @@ macro_rules! widest {
     }};
 }
 
+/// What a piece of work is compiled for besides the terms of a potential, as a set of bits. A call keeps no register, and
+/// more code needs more of them: either costs a plain body a tenth of its time, so it has work without them.
+pub(crate) mod extras {
+    /// User-defined potentials.
+    pub(crate) const USER: u8 = 1;
+    /// Drives and wheels.
+    pub(crate) const DRIVEN: u8 = 2;
+}
+
 /// Does the work on the stages of a step in as many lanes as they need, compiled for the widest instruction set; or
-/// one number at a time. The last type parameter of the work says whether it calls user-defined potentials. That call
-/// keeps no register, which would cost bodies without such potentials a tenth of their time: they have work without
-/// it. With it, lanes are compiled for many stages only, where they save a third.
+/// one number at a time. The last type parameter of the work is the set of [`extras`]. With user-defined potentials lanes are
+/// compiled for many stages only, where they save a third. For work marked `also DRIVEN`, bodies may be driven or have wheels.
 macro_rules! in_stage_lanes {
-    ($level:expr, $stages:expr, $body:expr, $module:ident::$work:ident, $($argument:expr),*) => {{
-        let in_lanes = match ($level, $stages, $body.has_user_potential()) {
-            (Some(level), 2, false) => widest!(
-                level, f64x2, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
+    (@call $module:ident::$work:ident, $extras:expr, $lanes:expr, ($($argument:expr),*)) => {
+        $module::$work::<_, { $extras }>($lanes, $($argument),*)
+    };
+    (@in $level:expr, $stages:expr, $body:expr, $module:ident::$work:ident, [$($driven:ident)?], $arguments:tt) => {{
+        use $crate::lanes::extras::*;
+        let in_lanes = match ($level, $stages, $body.extras()) {
+            (Some(level), 2, 0) => widest!(
+                level, f64x2,
+                lanes => Some(in_stage_lanes!(@call $module::$work, 0, lanes, $arguments)), else None
             ),
-            (Some(level), 3 | 4, false) => widest!(
-                level, f64x4, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
+            (Some(level), 3 | 4, 0) => widest!(
+                level, f64x4,
+                lanes => Some(in_stage_lanes!(@call $module::$work, 0, lanes, $arguments)), else None
             ),
-            (Some(level), 5.., false) => widest!(
-                level, f64x8, lanes => Some($module::$work::<_, false>(lanes, $($argument),*)), else None
+            (Some(level), 5.., 0) => widest!(
+                level, f64x8,
+                lanes => Some(in_stage_lanes!(@call $module::$work, 0, lanes, $arguments)), else None
             ),
-            (Some(level), 5.., true) => widest!(
+            (Some(level), 5.., USER) => widest!(
                 level below Avx512, f64x8,
-                lanes => Some($module::$work::<_, true>(lanes, $($argument),*)), else None
+                lanes => Some(in_stage_lanes!(@call $module::$work, USER, lanes, $arguments)), else None
             ),
+            $(
+                (Some(level), 2, $driven) => widest!(
+                    level below Avx512, f64x2,
+                    lanes => Some(in_stage_lanes!(@call $module::$work, $driven, lanes, $arguments)), else None
+                ),
+                (Some(level), 3 | 4, $driven) => widest!(
+                    level below Avx512, f64x4,
+                    lanes => Some(in_stage_lanes!(@call $module::$work, $driven, lanes, $arguments)), else None
+                ),
+                (Some(level), 5.., $driven) => widest!(
+                    level below Avx512, f64x8,
+                    lanes => Some(in_stage_lanes!(@call $module::$work, $driven, lanes, $arguments)), else None
+                ),
+            )?
             _ => None,
         };
         // Each call is written once: compiling it takes long.
         match (in_lanes, $stages) {
             (Some(done), _) => done,
-            (None, 1) => $module::$work::<_, true>(Rows([0.0; 1]), $($argument),*),
-            (None, 2) => $module::$work::<_, true>(Rows([0.0; 2]), $($argument),*),
-            (None, 3 | 4) => $module::$work::<_, true>(Rows([0.0; 4]), $($argument),*),
-            (None, _) => $module::$work::<_, true>(Rows([0.0; 8]), $($argument),*),
+            (None, 1) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 1]), $arguments),
+            (None, 2) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 2]), $arguments),
+            (None, 3 | 4) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 4]), $arguments),
+            (None, _) => in_stage_lanes!(@call $module::$work, USER $(| $driven)?, Rows([0.0; 8]), $arguments),
         }
     }};
+    (
+        $level:expr, $stages:expr, $body:expr, $module:ident::$work:ident $(also $driven:ident)?, $($argument:expr),*
+    ) => {
+        in_stage_lanes!(@in $level, $stages, $body, $module::$work, [$($driven)?], ($($argument),*))
+    };
 }
 
 /// Methods of a type with a method `lanes` whose bodies are compiled for the instruction set of these lanes, each once.

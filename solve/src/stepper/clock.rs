@@ -43,6 +43,16 @@ impl<const N: usize> Clock<N> {
         }
     }
 
+    /// Returns the input so far, of a clock that has advanced by one step.
+    pub(super) fn work_and_impulse(&self) -> WorkAndImpulse<N> {
+        let Self { work, impulse, table_impulse, .. } = self;
+        WorkAndImpulse {
+            power: work.value,
+            torque: Some(impulse.value),
+            tables: table_impulse.value,
+        }
+    }
+
     /// Adds the energy by which a potential jumps.
     pub(super) fn add_jump(&mut self, energy: f64) {
         self.work.add(energy);

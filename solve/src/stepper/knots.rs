@@ -34,6 +34,17 @@ impl Knots {
         self.next_s
     }
 
+    /// Do knots lie in, or at the end of, the `h` seconds from `begun_s` on?
+    pub(super) fn lie_in<const N: usize, Y: System<N> + ?Sized>(
+        &mut self,
+        system: &Y,
+        begun_s: f64,
+        h: f64,
+    ) -> bool {
+        let ends_s = begun_s + h;
+        self.after(system, begun_s) <= ends_s + rounding_s(ends_s)
+    }
+
     /// Makes a step of `h` seconds from the time `begun_s`, in parts that end at the knots in between. Times do not go back
     /// from one step to the next.
     ///
@@ -46,9 +57,8 @@ impl Knots {
         begun_s: f64,
         h: f64,
     ) -> Result<Convergence, Failure> {
-        let ends_s = begun_s + h;
         stepper.set_time(begun_s);
-        if self.after(system, begun_s) > ends_s + rounding_s(ends_s) {
+        if !self.lie_in(system, begun_s, h) {
             return stepper.step(system, h);
         }
         let attitude = stepper.attitude().unwrap_or_else(Mat::identity);

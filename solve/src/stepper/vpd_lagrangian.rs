@@ -8,10 +8,10 @@
 //! ```
 //!
 //! with the second derivative at the beginning of the step, so that the sweeps converge to the
-//! solution of (22a, vil1) whatever the Lagrangian. For a hyperregular one this is the map of the
-//! Hamiltonian form.
+//! solution of (22a, vil1) whatever the Lagrangian. Where its inverse Legendre transform has a formula, that of a rigid body
+//! for one, Omega_k follows from it. For a hyperregular Lagrangian this is the map of the Hamiltonian form.
 //!
-//! Invariant: the system provides only the derivatives of its Lagrangian; a rigid body that is not
+//! Invariant: the system provides only its Lagrangian and what follows from it; a rigid body that is not
 //! driven also provides the terms of its potential, whose forces are then those of [`super::vpd`].
 
 use std::marker::PhantomData;
@@ -61,7 +61,10 @@ fn solve<const N: usize, S: Lagrangian<N> + ?Sized>(
         Failure::new(code, None, f64::INFINITY, f64::MAX)
     };
     let omega = velocity_of_momentum(lagrangian, &g0, &p0, &zero).ok_or_else(singular)?;
-    let inverse = inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?;
+    let inverse = match lagrangian.inverse_legendre(&g0, &p0) {
+        Some(_) => None,
+        None => Some(inverse_hessian(lagrangian, &g0, &omega).ok_or_else(singular)?),
+    };
     step.solve(&Euler { lagrangian, body, g0, seen, inverse, bodies }, h, &p0, &omega)
 }
 
@@ -73,14 +76,20 @@ struct Euler<'a, const N: usize, S: ?Sized> {
     body: Option<&'a RigidBody<N>>,
     g0: Mat<N>,
     seen: &'a [Vector<N>],
-    inverse: DMatrix<f64>,
+    /// (d^2L/dOmega^2)^-1; `None` where a formula takes its place.
+    inverse: Option<DMatrix<f64>>,
     bodies: &'a [BodyAtTime<N>],
 }
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
     fn velocity(&self, _k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
-        let residual = self.lagrangian.momentum(&so::product(&self.g0, u), omega) - mu;
-        omega - corrected(&self.inverse, &residual)
+        let g = so::product(&self.g0, u);
+        match &self.inverse {
+            Some(inverse) => {
+                omega - corrected(inverse, &(self.lagrangian.momentum(&g, omega) - mu))
+            }
+            None => self.lagrangian.inverse_legendre(&g, mu).unwrap_or(*omega),
+        }
     }
 
     fn gradient(
@@ -111,7 +120,7 @@ impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> 
 
     fn body(&self) -> Option<BodyView<'_, N>> {
         let (body, vectors) = (self.body?, self.seen);
-        Some(BodyView { body, vectors, scale: None, weights: None })
+        Some(BodyView { body, vectors, scale: None, weights: body.principal() })
     }
 
     fn check(&self, k: usize, u: &Mat<N>) -> Result<(), Failure> {

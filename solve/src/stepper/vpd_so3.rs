@@ -14,21 +14,21 @@
 
 use fearless_simd::{Level, f64x2, f64x4, f64x8, prelude::*};
 
-use super::Stepper;
 use super::checks::{check_continuity, check_root, check_singular_value};
 use super::galerkin;
 use super::motion::{Motion, unsigned_zeros};
 use super::so3_equations::Inertia;
+use super::{Clock, Stepper};
 use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
-use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::hamiltonian::{CLOSEST_APPROACH, Drive, DriveInFrame, RigidBody, WorkAndImpulse};
 use crate::lanes::{Row, Rows, in_stage_lanes, widest};
 use crate::nonlinear::{
     Continued, Convergence, Equations, Rung, Rungs, SMALLEST_SIZE, Solver, StepHistory, StopRule,
 };
 use crate::so::{self, Mat, Vector};
 use crate::so3;
-use crate::space::{Quaternion, Sym3, Vec3, dot, scaled, transposed_product, vec3};
+use crate::space::{Quaternion, Sym3, Vec3, dot, product, scaled, transposed_product, vec3};
 use crate::state::State;
 use crate::tableau::Tableau;
 
@@ -46,7 +46,7 @@ macro_rules! counted {
     ($work:ident, $equations:expr) => {{
         let InLanes { level, stages, start, unknowns, torques, .. } = $equations;
         *torques += *stages as u64;
-        in_stage_lanes!(*level, *stages, start.body, sweep::$work, start, unknowns)
+        in_stage_lanes!(*level, *stages, start.body, sweep::$work also DRIVEN, start, unknowns)
     }};
 }
 
@@ -62,7 +62,11 @@ pub struct VpdSo3 {
     level: Option<Level>,
     state: MotionState,
     unknowns: Unknowns<Row, f64>,
+    clock: Clock<3>,
+    /// The space vectors of the potential, as seen from the beginning of the step.
     seen: Vec<Vec3<f64>>,
+    drive: Drive,
+    drive_seen: DriveInFrame<Row>,
     /// The same step in matrices, made where it was needed.
     matrices: Option<Box<galerkin::StepperState<3>>>,
     /// Was the last step solved there?
@@ -93,7 +97,10 @@ impl VpdSo3 {
             level: Some(Level::new()),
             state: MotionState::Full(Motion::blank(0.0, 1.0)),
             unknowns: Unknowns::blank(Row::splat(0.0), 0.0),
+            clock: Clock::default(),
             seen: Vec::new(),
+            drive: Drive::default(),
+            drive_seen: DriveInFrame::nothing(Row::splat(0.0)),
             matrices: None,
             by_matrices: false,
         })
@@ -139,7 +146,7 @@ impl VpdSo3 {
     }
 
     /// Refuses a solution whose polar factors are ill-conditioned or jump, or at which the potential is singular.
-    fn check(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+    fn check(&self, body: &RigidBody<3>, h: f64) -> Result<(), Failure> {
         let stages = self.tableau.stages();
         let stage = |k: usize| (k < stages).then_some(k);
         for k in 0..=stages {
@@ -163,21 +170,30 @@ impl VpdSo3 {
         if self.unknowns.proximity <= -CLOSEST_APPROACH * CLOSEST_APPROACH {
             Ok(())
         } else {
-            self.check_distances(body)
+            self.check_distances(body, h)
         }
     }
 
-    /// Refuses stages too close to a point of the potential.
-    fn check_distances(&self, body: &RigidBody<3>) -> Result<(), Failure> {
+    /// Refuses stages too close to a point of the potential, in a step of length `h`.
+    fn check_distances(&self, body: &RigidBody<3>, h: f64) -> Result<(), Failure> {
         let seen: Vec<Vector<3>> = self.seen.iter().map(|v| Vector::<3>::from(*v)).collect();
         // The distance of an iterate that is not a rotation, or not finite, says nothing.
         let turns = (0..self.tableau.stages()).map(|k| (k, self.rotation(k)));
         let is_rotation =
             |turn: &Quaternion<f64>| (turn.w * turn.w + dot(&turn.v, &turn.v) - 1.0).abs() < 1e-6;
         turns.filter(|(_, turn)| is_rotation(turn)).try_for_each(|(k, turn)| {
-            let u = turn.matrix();
-            body.check_distances_seen(&Mat::from_fn(|i, j| u[i][j]), &seen)
-                .map_err(|failure| Failure { stage: Some(k), ..failure })
+            let checked = match self.motion().filter(|_| body.is_driven()) {
+                Some(motion) => {
+                    let g = motion.quaternion().times(&turn).matrix();
+                    let at_stage = body.at(self.clock.at(h, self.tableau.c(k) * h));
+                    at_stage.check(&Mat::from_fn(|i, j| g[i][j]))
+                }
+                None => {
+                    let u = turn.matrix();
+                    body.check_distances_seen(&Mat::from_fn(|i, j| u[i][j]), &seen)
+                }
+            };
+            checked.map_err(|failure| Failure { stage: Some(k), ..failure })
         })
     }
 
@@ -190,15 +206,26 @@ impl VpdSo3 {
         momentum: Vec3<f64>,
     ) -> Result<Convergence, Failure> {
         let inertia = Inertia::of(body);
-        let Self { tableau, plan, solver, history, level, unknowns, seen, .. } = self;
+        let Self {
+            tableau, plan, solver, history, level, unknowns, seen, drive, drive_seen, ..
+        } = self;
         // If a step is guessed from the preceding ones and turns little, half the passes suffice.
         let calm = history.is_some() && {
             let turn = scaled(&inertia.divides(&momentum), h);
             dot(&turn, &turn) <= CALM_RAD * CALM_RAD
         };
         let passes = if calm { plan.passes.halved() } else { plan.passes };
-        let start =
-            Start { plan, body, inertia, seen, step: h, passes: passes.of_sweep(false), momentum };
+        let start = Start {
+            plan,
+            body,
+            inertia,
+            seen,
+            drive,
+            drive_seen,
+            step: h,
+            passes: passes.of_sweep(false),
+            momentum,
+        };
         let (level, stages) = (*level, tableau.stages());
         let mut equations = InLanes {
             level,
@@ -215,12 +242,15 @@ impl VpdSo3 {
             counted!(finish, &mut equations);
         }
         body.count(equations.torques);
+        if body.is_driven() && solved.is_ok() {
+            counted!(work_and_impulse, &mut equations);
+        }
         solved.map_err(|mut failure| {
             // The state is finite: an iterate that is not has grown without bound.
             if failure.code == FailureCode::NonFinite && failure.iterations > 1 {
                 failure.code = FailureCode::Diverged;
             }
-            failure.explained_by(self.check_distances(body))
+            failure.explained_by(self.check_distances(body, h))
         })
     }
 }
@@ -229,7 +259,7 @@ impl VpdSo3 {
 struct InLanes<'a> {
     level: Option<Level>,
     stages: usize,
-    start: Start<'a, f64>,
+    start: Start<'a, Row, f64>,
     passes: Passes,
     /// Is the next sweep the first after a guess?
     at_first: bool,
@@ -317,6 +347,7 @@ impl Stepper<3> for VpdSo3 {
         if let Some(history) = &mut self.history {
             history.forget();
         }
+        self.clock = Clock::default();
         self.state = match self.state {
             MotionState::Full(_) => MotionState::Full(Motion::of(state)),
             MotionState::Reduced { .. } => {
@@ -327,9 +358,17 @@ impl Stepper<3> for VpdSo3 {
         };
     }
 
+    fn clock(&self) -> Option<&Clock<3>> {
+        Some(&self.clock)
+    }
+
+    fn clock_mut(&mut self) -> Option<&mut Clock<3>> {
+        Some(&mut self.clock)
+    }
+
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let p0 = self.body_momentum();
-        self.update_space_vectors(body);
+        self.update_space_vectors(body, h)?;
         let solved = self.solve(body, h, p0).map_err(|failure| self.with_angle(body, h, failure));
         let made = solved.and_then(|solved| self.accepted(body, h, solved));
         self.or_in_matrices(body, h, made)
@@ -354,12 +393,25 @@ impl Stepper<3> for VpdSo3 {
 }
 
 impl VpdSo3 {
-    /// Updates the space vectors of the potential, as seen from the beginning of the step.
-    fn update_space_vectors(&mut self, body: &RigidBody<3>) {
-        match &self.state {
-            MotionState::Full(motion) => motion.space_vectors(0.0, body, &mut self.seen),
-            MotionState::Reduced { .. } => self.seen.clear(),
+    /// Updates the space vectors of the potential and the drive to the beginning of a step of length `h`.
+    fn update_space_vectors(&mut self, body: &RigidBody<3>, h: f64) -> Result<(), Failure> {
+        let Self { tableau, level, state, clock, seen, drive, drive_seen, .. } = self;
+        match state {
+            MotionState::Full(motion) => {
+                motion.space_vectors(0.0, body, seen);
+                if body.is_driven() {
+                    drive.begin(body, clock.time, h, tableau.nodes())?;
+                    let (level, stages, blank) = (*level, tableau.stages(), Row::splat(0.0));
+                    let attitude = &motion.attitude.value;
+                    in_stage_lanes!(
+                        level, stages, body, sweep::see_drive also DRIVEN,
+                        attitude, drive, drive_seen, blank
+                    );
+                }
+            }
+            MotionState::Reduced { .. } => seen.clear(),
         }
+        Ok(())
     }
 
     /// Checks the solved step and applies it to the state.
@@ -369,7 +421,7 @@ impl VpdSo3 {
         h: f64,
         solved: Convergence,
     ) -> Result<Convergence, Failure> {
-        self.check(body).map_err(|failure| self.with_angle(body, h, failure))?;
+        self.check(body, h).map_err(|failure| self.with_angle(body, h, failure))?;
         // What a user-defined law returns after the last sweep has not been checked yet.
         let Unknowns { impulse, momentum_increment, .. } = &self.unknowns;
         if body.has_user_potential()
@@ -379,7 +431,7 @@ impl VpdSo3 {
             return Err(self.with_angle(body, h, failure));
         }
         let before = self.state;
-        self.advance(self.plan.is_finished.then_some(self.unknowns.momentum_increment));
+        self.advance(body, self.plan.is_finished.then_some(self.unknowns.momentum_increment));
         if solved.rung == Rung::Newton
             && let Some(end) = self.attitude()
         {
@@ -391,7 +443,32 @@ impl VpdSo3 {
                 return Err(self.with_angle(body, h, failure));
             }
         }
+        if body.is_driven() {
+            let Unknowns { work, torque_impulse, .. } = self.unknowns;
+            let put_in = self.put_in(&self.drive, &before, h, work, &torque_impulse);
+            self.clock.advance(h, &put_in);
+        }
         Ok(solved)
+    }
+
+    /// What was put in during a step of length `h` from `before`, given the work, and the impulse of torques in the frame of
+    /// its beginning.
+    fn put_in(
+        &self,
+        drive: &Drive,
+        before: &MotionState,
+        h: f64,
+        work: f64,
+        torque_impulse: &Vec3<f64>,
+    ) -> WorkAndImpulse<3> {
+        let torque = match before {
+            MotionState::Full(motion) if drive.pushes() => {
+                Some(so::hat(&product(&motion.quaternion().matrix(), torque_impulse)))
+            }
+            _ => None,
+        };
+        let tables = h * drive.tables(&self.plan.tableau.weights);
+        WorkAndImpulse { power: work, torque, tables }
     }
 
     /// Makes the step in matrices where it was not solved here: their Newton's method solves steps of a thin body that
@@ -424,6 +501,7 @@ impl VpdSo3 {
             || Box::new(galerkin::StepperState::new(self.tableau.clone(), self.solver.rule()));
         let mut matrices = self.matrices.take().unwrap_or_else(new);
         matrices.start(&state);
+        matrices.clock.time = self.clock.time;
         let solved = matrices.step(h, |carried, h| super::vpd::solve(carried, body, h));
         if solved.is_ok() {
             let galerkin::Solution {
@@ -436,7 +514,10 @@ impl VpdSo3 {
             self.unknowns.impulse = so3::vee(impulse).into();
             let momentum_increment =
                 momentum_increment.map(|momentum_increment| so3::vee(&momentum_increment).into());
-            self.advance(momentum_increment);
+            self.advance(body, momentum_increment);
+            if body.is_driven() {
+                self.clock.advance(h, &matrices.clock.work_and_impulse());
+            }
             self.by_matrices = true;
         }
         self.matrices = Some(matrices);
@@ -448,12 +529,12 @@ impl VpdSo3 {
 
     /// Returns the failure with the angle by which the body would turn.
     fn with_angle(&self, body: &RigidBody<3>, h: f64, failure: Failure) -> Failure {
-        let velocity = body.inverse_inertia() * Vector::<3>::from(self.body_momentum());
+        let velocity = so3::vee(&body.velocity(&self.momentum()));
         Failure { turn_rad: Some(h.abs() * velocity.norm()), ..failure }
     }
 
     /// Applies the solved step to the state: that of the body momentum by its gain, where it is known by itself.
-    fn advance(&mut self, momentum_increment: Option<Vec3<f64>>) {
+    fn advance(&mut self, body: &RigidBody<3>, momentum_increment: Option<Vec3<f64>>) {
         let Unknowns { end, impulse, .. } = &self.unknowns;
         match &mut self.state {
             MotionState::Full(motion) => {
@@ -461,7 +542,7 @@ impl VpdSo3 {
                 // A free body keeps the spatial momentum to the bit, and the sum would drift by
                 // 1e-18 a step.
                 match momentum_increment {
-                    Some(momentum_increment) if !self.seen.is_empty() => {
+                    Some(momentum_increment) if !body.is_free() => {
                         motion.add_momentum_increment(0.0, &momentum_increment)
                     }
                     _ => motion.turn_momentum(0.0),

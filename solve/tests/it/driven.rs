@@ -10,6 +10,7 @@ use vpd_solve::stepper::Stepper;
 use vpd_solve::stepper::rk::Rk;
 use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::system::System;
 use vpd_solve::tableau::Tableau;
 use vpd_solve::trajectory::{Ending, Observables, Sample, Schedule, Sink, integrate};
@@ -33,7 +34,7 @@ fn plain<const N: usize>() -> RigidBody<N> {
 }
 
 /// Every path, every factor, every law.
-fn changing<const N: usize>() -> RigidBody<N> {
+pub(crate) fn changing<const N: usize>() -> RigidBody<N> {
     let mut numbers = Numbers(31);
     let matrix = so::symmetric_part(&numbers.matrix());
     let turning = Path::Turning { plane: [axis(0), axis(1)], rate: 1.3 };
@@ -84,7 +85,7 @@ fn changing<const N: usize>() -> RigidBody<N> {
 }
 
 /// Every torque, in a potential.
-fn pushed<const N: usize>() -> RigidBody<N> {
+pub(crate) fn pushed<const N: usize>() -> RigidBody<N> {
     let mut numbers = Numbers(32);
     let weight = Law::Uniform { weight: 0.7, body_point: numbers.vector() };
     // Straight: a corner within the run would cost the order.
@@ -105,7 +106,7 @@ fn pushed<const N: usize>() -> RigidBody<N> {
     torques.into_iter().fold(plain().with_driven_term(weight), RigidBody::with_torque)
 }
 
-fn with_wheels<const N: usize>() -> RigidBody<N> {
+pub(crate) fn with_wheels<const N: usize>() -> RigidBody<N> {
     let mut numbers = Numbers(33);
     let weight = DrivenTerm {
         term: Term {
@@ -118,7 +119,7 @@ fn with_wheels<const N: usize>() -> RigidBody<N> {
     plain().with_driven_term(weight).with_wheels(numbers.skew())
 }
 
-fn start<const N: usize>() -> State<N> {
+pub(crate) fn start<const N: usize>() -> State<N> {
     let mut numbers = Numbers(34);
     State { attitude: numbers.rotation(), momentum: numbers.skew() * 2.0 }
 }
@@ -220,6 +221,37 @@ fn orders_of_state_and_balance() {
 }
 
 /// A torque `-c mu` slows the free motion down: it is that of `(1 - exp(-c t)) / c`, scaled by `exp(-c t)`.
+/// n = 3 in lanes makes the steps of matrices, with the same input.
+#[test]
+fn lanes_make_the_driven_steps_of_matrices() {
+    let spinning = plain::<3>().with_wheels(Numbers(35).skew());
+    let tableaux = (1..=8).map(gauss).chain([Tableau::rk3(), Tableau::rk4()]);
+    let mut worst = [0.0_f64; 4];
+    for tableau in tableaux {
+        for body in [changing(), pushed(), with_wheels(), spinning.clone()] {
+            let stop = StopRule::default;
+            let mut matrices = Vpd::new(tableau.clone(), stop());
+            let mut lanes = VpdSo3::new(tableau.clone(), stop()).expect("at most 8 stages");
+            let [(a, _), (b, _)] = [
+                after(&mut matrices as &mut dyn Stepper<3>, &body, 25),
+                after(&mut lanes, &body, 25),
+            ];
+            let impulse = |stepper: &dyn Stepper<3>| stepper.impulse().expect("it has a clock");
+            let differences = [
+                distance(&a, &b),
+                (matrices.work() - lanes.work()).abs(),
+                (impulse(&matrices) - impulse(&lanes)).amax(),
+                (matrices.table_impulse() - lanes.table_impulse()).abs(),
+            ];
+            for (worst, difference) in worst.iter_mut().zip(differences) {
+                *worst = worst.max(difference);
+            }
+        }
+    }
+    println!("largest differences of state, work, impulse and impulse of tables: {worst:?}");
+    assert!(worst[0] < 1e-13 && worst[1..].iter().all(|&x| x < 3e-14), "{worst:?}");
+}
+
 #[test]
 fn a_damped_free_body_follows_its_exact_motion() {
     const C: f64 = 0.1;

@@ -71,7 +71,7 @@ impl<const M: usize> Table<M> {
 
     /// The values at a time, and their rates, by the piece that counts ([`Time`]). Before its first time and after its last a
     /// table stays as it is there: see [`Table::check`].
-    pub(super) fn at(&self, t: Time) -> ([f64; M], [f64; M]) {
+    pub(in crate::hamiltonian) fn at(&self, t: Time) -> ([f64; M], [f64; M]) {
         let Piece { begins, coefficients } = self.piece(self.reached(t.piece_at));
         let x = (t.begun - begins) + t.after;
         let value = coefficients.map(|[c, p, q, r]| c + x * (p + x * (q + x * r)));

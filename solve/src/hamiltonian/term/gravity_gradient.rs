@@ -1,6 +1,6 @@
 //! The gradient of gravity: `U = strength / 2 q . M q`.
 
-use super::{BodyVector, Mat, Space, Vector, so};
+use super::{BodyVector, Mat, Space, Vector};
 
 pub(super) const SPACE: Space = Space::Tide;
 
@@ -21,13 +21,9 @@ pub(super) fn slope<V: BodyVector>(
     q.times(m).scaled(q.number(strength))
 }
 
-pub(super) fn change<const N: usize>(
-    strength: f64,
-    m: &Mat<N>,
-    q: &Vector<N>,
-    rate: &Vector<N>,
-) -> f64 {
-    strength * so::dot(so::to_space(m, q).as_slice(), rate.as_slice())
+#[inline(always)]
+pub(super) fn change<V: BodyVector>(strength: f64, m: &[f64], q: &V, rate: &V) -> V::Number {
+    q.times(m).dot(rate) * strength
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Mat<N>) -> Option<&Vector<N>> {

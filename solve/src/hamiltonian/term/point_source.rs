@@ -1,6 +1,6 @@
 //! A charge: `U = strength / r`, `r = |y - q|`.
 
-use super::{BodyVector, Real, Space, Vector, so};
+use super::{BodyVector, Real, Space, Vector};
 
 pub(super) const SPACE: Space = Space::Place;
 
@@ -24,15 +24,11 @@ pub(super) fn slope<V: BodyVector>(
     y.scaled(q.number(strength) / (square * square.sqrt()))
 }
 
-pub(super) fn change<const N: usize>(
-    strength: f64,
-    y: &Vector<N>,
-    q: &Vector<N>,
-    rate: &Vector<N>,
-) -> f64 {
-    let arm = y - q;
-    let distance = so::norm(arm.as_slice());
-    strength * so::dot(arm.as_slice(), rate.as_slice()) / (distance * distance * distance)
+#[inline(always)]
+pub(super) fn change<V: BodyVector>(strength: f64, y: &[f64], q: &V, rate: &V) -> V::Number {
+    let arm = q.vector(y).minus(q);
+    let square = arm.square();
+    arm.dot(rate) * strength / (square * square.sqrt())
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, y: &Vector<N>) -> Option<&Vector<N>> {

@@ -1,6 +1,6 @@
 //! A spring: `U = stiffness / 2 (r - rest_length)^2`, `r = |y - q|`.
 
-use super::{BodyVector, Real, Space, Vector, so};
+use super::{BodyVector, Real, Space, Vector};
 
 pub(super) const SPACE: Space = Space::Place;
 
@@ -35,16 +35,21 @@ pub(super) fn slope<V: BodyVector>(
     y.scaled((ratio + -1.0) * stiffness)
 }
 
-pub(super) fn change<const N: usize>(
+#[inline(always)]
+pub(super) fn change<V: BodyVector>(
     stiffness: f64,
-    rest_length: &f64,
-    y: &Vector<N>,
-    q: &Vector<N>,
-    rate: &Vector<N>,
-) -> f64 {
-    let arm = q - y;
-    let bent = if *rest_length > 0.0 { rest_length / so::norm(arm.as_slice()) } else { 0.0 };
-    stiffness * (1.0 - bent) * so::dot(arm.as_slice(), rate.as_slice())
+    rest_length: f64,
+    y: &[f64],
+    q: &V,
+    rate: &V,
+) -> V::Number {
+    let arm = q.minus(&q.vector(y));
+    let pull = arm.dot(rate) * stiffness;
+    if rest_length == 0.0 {
+        return pull;
+    }
+    let ratio = q.number(rest_length) / arm.square().sqrt();
+    (-ratio + 1.0) * pull
 }
 
 pub(super) fn singular_point<'a, const N: usize>(

@@ -1,6 +1,6 @@
 //! A uniform field: `U = weight y . q`.
 
-use super::{BodyVector, Space, Vector, so};
+use super::{BodyVector, Space, Vector};
 
 pub(super) const SPACE: Space = Space::Direction;
 
@@ -15,13 +15,9 @@ pub(super) fn slope<V: BodyVector>(weight: f64, y: &[f64], q: &V, _: f64, _: &mu
     q.vector(y).scaled(q.number(weight))
 }
 
-pub(super) fn change<const N: usize>(
-    weight: f64,
-    y: &Vector<N>,
-    _: &Vector<N>,
-    rate: &Vector<N>,
-) -> f64 {
-    weight * so::dot(y.as_slice(), rate.as_slice())
+#[inline(always)]
+pub(super) fn change<V: BodyVector>(weight: f64, y: &[f64], q: &V, rate: &V) -> V::Number {
+    q.vector(y).dot(rate) * weight
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Vector<N>) -> Option<&Vector<N>> {

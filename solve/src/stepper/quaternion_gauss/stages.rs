@@ -228,9 +228,9 @@ impl<'a, R: Lanes> StepData<'a, R> {
 
     /// Returns tau, the proximity and 1 / |u|^2 - 1.
     #[inline(always)]
-    fn torque<const USER: bool>(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
+    fn torque<const EXTRAS: u8>(&self, x: &Quaternion<R>) -> (Vec3<R>, R, R) {
         let (u, inverse_square_error) = self.rotation(x);
-        let (torque, proximity) = self.start.body.torque::<R, USER>(&u, self.start.seen);
+        let (torque, proximity) = self.start.body.torque::<R, EXTRAS>(&u, self.start.seen);
         (torque, proximity, inverse_square_error)
     }
 
@@ -262,7 +262,7 @@ impl<'a, R: Lanes> StepData<'a, R> {
 /// for terms of the order of the quadrature. The torque couples weakly: every third sweep evaluates it.
 /// The guess is a function of the state alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
+pub(super) fn guess<R: Lanes, const EXTRAS: u8>(lanes: R, start: &Start<'_>, stages: &mut Stages) {
     let data = StepData::new(lanes, start);
     let TableauInLanes { columns, nodes, .. } = &start.plan.tableau;
     let p = data.momentum;
@@ -271,7 +271,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
     let zero = lanes.constant(0.0);
     let kept_on = Quaternion { w: zero, v: vec3!(i => elapsed * data.velocity(&p)[i]) };
     let (mut x, mut mu) = (kept_on, p);
-    let (mut torque, _, mut inverse_square_error) = data.torque::<USER>(&x);
+    let (mut torque, _, mut inverse_square_error) = data.torque::<EXTRAS>(&x);
     for sweep in 1..=start.plan.guess_sweeps {
         let omega = data.velocity(&mu);
         let turned = cross(&mu, &omega);
@@ -279,7 +279,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
         let half = scaled(&data.velocity(&mu), half_weight);
         x = data.collocated(&data.turning(&x, &half));
         if sweep % TORQUE_EVERY == 0 {
-            (torque, _, inverse_square_error) = data.torque::<USER>(&x);
+            (torque, _, inverse_square_error) = data.torque::<EXTRAS>(&x);
         }
     }
     // d = u mu / |u|^2 - p0 u
@@ -296,7 +296,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
         MOST_NORM_ERROR,
         &Quaternion { w: zero, v: [zero; 3] },
     );
-    let (torque, _, inverse_square_error) = data.torque::<USER>(&x);
+    let (torque, _, inverse_square_error) = data.torque::<EXTRAS>(&x);
     stages.keep(&data, &x, &d, &torque, inverse_square_error);
 }
 
@@ -304,7 +304,7 @@ pub(super) fn guess<R: Lanes, const USER: bool>(lanes: R, start: &Start<'_>, sta
 /// these, and couple the stages by J^-1. Returns the largest change of u, or of d relative to the
 /// momentum; not finite if an unknown is not.
 #[inline(always)]
-pub(super) fn sweep<R: Lanes, const USER: bool>(
+pub(super) fn sweep<R: Lanes, const EXTRAS: u8>(
     lanes: R,
     start: &Start<'_>,
     stages: &mut Stages,
@@ -316,7 +316,7 @@ pub(super) fn sweep<R: Lanes, const USER: bool>(
     for _ in 0..start.plan.passes {
         (x, d) = data.pass(&x, &d, &weighted_torque);
     }
-    let (torque, proximity, inverse_square_error) = data.torque::<USER>(&x);
+    let (torque, proximity, inverse_square_error) = data.torque::<EXTRAS>(&x);
     stages.keep(&data, &x, &d, &torque, inverse_square_error);
     let p = start.momentum[0]
         .abs()
@@ -333,7 +333,7 @@ pub(super) fn sweep<R: Lanes, const USER: bool>(
 /// Computes the end of the step from the newest stages: a last pass brings u and d up to the newest
 /// torques, whose lag would be a bias.
 #[inline(always)]
-pub(super) fn end<R: Lanes, const USER: bool>(
+pub(super) fn end<R: Lanes, const EXTRAS: u8>(
     lanes: R,
     start: &Start<'_>,
     stages: &mut Stages,

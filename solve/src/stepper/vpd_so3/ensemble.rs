@@ -18,33 +18,37 @@ use super::unknowns::{Start, Unknowns};
 use super::{MotionState, VpdSo3};
 use crate::ensemble::Members;
 use crate::failure::Failure;
-use crate::hamiltonian::{CLOSEST_APPROACH, RigidBody};
+use crate::hamiltonian::{CLOSEST_APPROACH, DriveInFrame, RigidBody};
+use crate::lanes::extras::{DRIVEN, USER};
 use crate::lanes::{Real, Row, Rows, StageScalar, StepScalar, WIDTH, aligned_zero};
 use crate::nonlinear::{Convergence, Progress, Rungs, StopRule, Verdict};
 use crate::space::{Quaternion, Vec3, dot};
 use crate::state::State;
-use crate::stepper::Stepper;
 use crate::stepper::motion::Motion;
 use crate::stepper::so3_equations::Inertia;
+use crate::stepper::{Knots, Stepper};
 use crate::tableau::Tableau;
 
 /// Compiles work on members for the instruction sets on which lanes gain, and does it on the widest; `$lanes` is
-/// `$stages` stages in lanes.
+/// `$stages` stages in lanes, and `EXTRAS` the set of extras that it is compiled for.
 macro_rules! in_member_lanes {
-    ($level:ident, $stages:literal, $lanes:ident => $work:expr) => {{
+    ($level:ident, $stages:literal, $extras:ident, $lanes:ident => $work:expr) => {{
         #[cfg(target_arch = "x86_64")]
-        match ($level.as_avx512(), $level.as_avx2()) {
-            (Some(simd), _) => in_member_lanes!(@on simd, $stages, $lanes => $work),
-            (None, Some(simd)) => in_member_lanes!(@on simd, $stages, $lanes => $work),
-            (None, None) => unreachable!("members go by themselves here"),
+        match ($extras, $level.as_avx512(), $level.as_avx2()) {
+            (0, Some(simd), _) => in_member_lanes!(@on simd, $stages, 0, $lanes => $work),
+            (0, None, Some(simd)) => in_member_lanes!(@on simd, $stages, 0, $lanes => $work),
+            (_, _, Some(simd)) => in_member_lanes!(@on simd, $stages, DRIVEN, $lanes => $work),
+            (_, _, None) => unreachable!("members go by themselves here"),
         }
         #[cfg(not(target_arch = "x86_64"))]
         unreachable!("members go by themselves here")
     }};
-    (@on $simd:ident, $stages:literal, $lanes:ident => $work:expr) => {
+    (@on $simd:ident, $stages:literal, $extras:expr, $lanes:ident => $work:expr) => {
         $simd.vectorize(
             #[inline(always)]
             || {
+                #[allow(dead_code, reason = "not all work has extras")]
+                const EXTRAS: u8 = $extras;
                 let zero = f64x8::from_slice($simd, &aligned_zero().0);
                 let $lanes = Rows([zero; $stages]);
                 $work
@@ -64,6 +68,7 @@ pub struct VpdEnsemble {
     stale: [bool; WIDTH],
     motion: Motion<Row>,
     seen: Vec<Vec3<Row>>,
+    knots: Knots,
     iterations: [Progress; WIDTH],
 }
 
@@ -83,13 +88,15 @@ enum Lanes {
 struct LaneState<const K: usize> {
     unknowns: Unknowns<[Row; K], Row>,
     accepted: Unknowns<[Row; K], Row>,
+    drive_seen: DriveInFrame<[Row; K]>,
 }
 
 impl<const K: usize> LaneState<K> {
     fn blank() -> Box<Self> {
         let zero = Row::splat(0.0);
         let blank = Unknowns::blank([zero; K], zero);
-        Box::new(Self { unknowns: blank, accepted: blank })
+        let drive_seen = DriveInFrame::nothing([zero; K]);
+        Box::new(Self { unknowns: blank, accepted: blank, drive_seen })
     }
 }
 
@@ -124,40 +131,57 @@ impl VpdEnsemble {
             stale: [false; WIDTH],
             motion: Motion::blank(Row::splat(0.0), Row::splat(1.0)),
             seen: Vec::new(),
+            knots: Knots::default(),
             iterations: [Progress::new(stop, stop.rungs == Rungs::Both); WIDTH],
         })
     }
 
     /// Makes the step of the members whose sweeps converge, together.
-    fn swept(&mut self, body: &RigidBody<3>, h: f64, going: &[usize]) -> [Swept; WIDTH] {
+    fn swept(
+        &mut self,
+        body: &RigidBody<3>,
+        begun_s: f64,
+        h: f64,
+        going: &[usize],
+    ) -> [Swept; WIDTH] {
         let mut swept = [Swept::Stuck; WIDTH];
-        let Self { blank, lanes, stale, motion, seen, iterations, .. } = self;
-        let VpdSo3 { level: Some(level), plan, tableau, .. } = &*blank else {
+        let Self { members, blank, lanes, stale, motion, seen, iterations, .. } = self;
+        let VpdSo3 { level: Some(level), plan, tableau, drive, .. } = blank else {
             return swept;
         };
-        // User-defined potentials know no lanes.
-        if body.has_user_potential() {
+        let extras = body.extras();
+        // User-defined potentials know no lanes, and a time that the drive refuses is told by each member.
+        let refused = drive.begin(body, begun_s, h, tableau.nodes()).is_err();
+        if refused || extras & USER != 0 {
             return swept;
         }
+        let (is_free, is_driven) = (body.is_free(), body.is_driven());
+        let drive = &*drive;
         let inertia = Inertia::of(body);
         let passes = plan.passes.of_sweep(true);
         let (mut sweeps, mut guesses) = (0, 0);
         macro_rules! step {
             ($side:ident, $stages:literal) => {{
-                let LaneState { unknowns, accepted } = &mut **$side;
-                in_member_lanes!(level, $stages, lanes => motion.space_vectors(lanes.0[0], body, seen));
+                let LaneState { unknowns, accepted, drive_seen } = &mut **$side;
+                in_member_lanes!(level, $stages, extras, lanes => motion.space_vectors(lanes.0[0], body, seen));
+                let (attitude, blank) = (motion.attitude.value, [Row::splat(0.0); $stages]);
+                in_member_lanes!(level, $stages, extras, lanes => {
+                    sweep::see_drive::<_, EXTRAS>(lanes, &attitude, drive, drive_seen, blank)
+                });
                 let momentum = motion.body_momentum.value;
-                let mut start =
-                    Start { plan, body, inertia, seen, step: h, passes, momentum };
-                in_member_lanes!(level, $stages, lanes => sweep::guess::<_, false>(lanes, &start, unknowns));
+                let drive_seen = &*drive_seen;
+                let mut start = Start {
+                    plan, body, inertia, seen, drive, drive_seen, step: h, passes, momentum
+                };
+                in_member_lanes!(level, $stages, extras, lanes => sweep::guess::<_, EXTRAS>(lanes, &start, unknowns));
                 let mut goes_on = [false; WIDTH];
                 for &m in going {
                     iterations[m].restart();
                     goes_on[m] = true;
                 }
                 while goes_on.contains(&true) {
-                    let increments = in_member_lanes!(level, $stages, lanes => {
-                        sweep::sweep_to_row(lanes, &start, unknowns)
+                    let increments = in_member_lanes!(level, $stages, extras, lanes => {
+                        sweep::sweep_to_row::<_, EXTRAS>(lanes, &start, unknowns)
                     });
                     start.passes = plan.passes.of_sweep(false);
                     for &m in going {
@@ -179,13 +203,18 @@ impl VpdEnsemble {
                     }
                 }
                 if plan.is_finished {
-                    in_member_lanes!(level, $stages, lanes => sweep::finish::<_, false>(lanes, &start, accepted));
+                    in_member_lanes!(level, $stages, extras, lanes => sweep::finish::<_, EXTRAS>(lanes, &start, accepted));
+                }
+                if is_driven {
+                    in_member_lanes!(level, $stages, extras, lanes => {
+                        sweep::work_and_impulse::<_, EXTRAS>(lanes, &start, accepted)
+                    });
                 }
                 let before = *motion;
                 let order = tableau.ascending();
-                let doubts = in_member_lanes!(level, $stages, lanes => {
+                let doubts = in_member_lanes!(level, $stages, extras, lanes => {
                     motion.advance(lanes.0[0], &accepted.end, &accepted.impulse);
-                    if plan.is_finished && !seen.is_empty() {
+                    if plan.is_finished && !is_free {
                         motion.add_momentum_increment(lanes.0[0], &accepted.momentum_increment);
                     } else {
                         motion.turn_momentum(lanes.0[0]);
@@ -194,7 +223,17 @@ impl VpdEnsemble {
                 });
                 for lane in 0..WIDTH {
                     match swept[lane] {
-                        Swept::Made(_) if doubts[lane] < 0.0 => continue,
+                        Swept::Made(_) if doubts[lane] < 0.0 => {
+                            if is_driven {
+                                let before = MotionState::Full(before.member(lane));
+                                let impulse = accepted.torque_impulse.map(|row| row[lane]);
+                                let member = &mut members[lane];
+                                let put_in =
+                                    member.put_in(drive, &before, h, accepted.work[lane], &impulse);
+                                member.clock.advance(h, &put_in);
+                            }
+                            continue;
+                        }
                         Swept::Made(convergence) => swept[lane] = Swept::Doubtful(convergence),
                         _ => {}
                     }
@@ -213,6 +252,13 @@ impl VpdEnsemble {
         let torques = sweeps + guesses * ends;
         body.count(torques * tableau.stages() as u64);
         swept
+    }
+
+    /// Brings the lane of member `m` up to date.
+    fn take_in(&mut self, m: usize) {
+        if let Some(own) = self.members[m].motion() {
+            self.motion.take(m, own);
+        }
     }
 
     /// Returns member `m`, brought up to date with its lane.
@@ -286,7 +332,8 @@ fn doubts<R: StageScalar<StepScalar: StepScalar<Storage = Row>>>(
 
 impl Members<3> for VpdEnsemble {
     fn start(&mut self, states: &[State<3>]) {
-        let Self { members, blank, stale, motion, .. } = self;
+        let Self { members, blank, stale, motion, knots, .. } = self;
+        *knots = Knots::default();
         members.resize_with(states.len().min(WIDTH), || blank.clone());
         for (stepper, state) in members.iter_mut().zip(states) {
             stepper.start(state);
@@ -302,16 +349,24 @@ impl Members<3> for VpdEnsemble {
     fn step(
         &mut self,
         body: &RigidBody<3>,
-        _begun_s: f64,
+        begun_s: f64,
         h: f64,
         going: &[usize],
         stepped: &mut dyn FnMut(usize, Result<Convergence, Failure>),
     ) {
-        if matches!(self.lanes, Lanes::None) {
-            going.iter().for_each(|&m| stepped(m, self.members[m].step(body, h)));
+        self.members.iter_mut().for_each(|member| member.set_time(begun_s));
+        let before = self.knots;
+        let in_parts = self.knots.lie_in(body, begun_s, h);
+        if matches!(self.lanes, Lanes::None) || in_parts {
+            for &m in going {
+                let mut knots = before;
+                stepped(m, knots.step(body, self.written(m), begun_s, h));
+                self.knots = knots;
+                self.take_in(m);
+            }
             return;
         }
-        let swept = self.swept(body, h, going);
+        let swept = self.swept(body, begun_s, h, going);
         for &m in going {
             if let Swept::Made(convergence) = swept[m] {
                 stepped(m, Ok(convergence));
@@ -319,15 +374,13 @@ impl Members<3> for VpdEnsemble {
             }
             let stepper = self.written(m);
             let result = if let Swept::Doubtful(convergence) = swept[m] {
-                stepper.update_space_vectors(body);
-                let made = stepper.accepted(body, h, convergence);
+                let updated = stepper.update_space_vectors(body, h);
+                let made = updated.and_then(|()| stepper.accepted(body, h, convergence));
                 stepper.or_in_matrices(body, h, made)
             } else {
                 stepper.step(body, h)
             };
-            if let Some(own) = self.members[m].motion() {
-                self.motion.take(m, own);
-            }
+            self.take_in(m);
             stepped(m, result);
         }
     }
@@ -390,6 +443,8 @@ impl<const K: usize> Unknowns<[Row; K], Row> {
             }
         };
         let Self { attitude, stretch, end, end_stretch, impulse, proximity, .. } = self;
+        own.work = self.work[lane];
+        own.torque_impulse = self.torque_impulse.map(|row| row[lane]);
         stages(&attitude.w, &mut own.attitude.w);
         for i in 0..3 {
             stages(&attitude.v[i], &mut own.attitude.v[i]);

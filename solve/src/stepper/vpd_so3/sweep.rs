@@ -56,6 +56,8 @@
 //! ```
 
 use super::unknowns::{RENEWED_STAGES, Start, TORQUE_EVERY, Unknowns};
+use crate::hamiltonian::{Drive, DriveInFrame};
+use crate::lanes::extras::DRIVEN;
 use crate::lanes::{Real, Row, StageScalar, StepScalar};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::space::{
@@ -73,13 +75,16 @@ const MOST_NORM_ERROR: f64 = 0.1;
 
 /// Runs [`sweep`] for members, and returns the increment of each in memory.
 #[inline(always)]
-pub(super) fn sweep_to_row<R: StageScalar<StepScalar: StepScalar<Storage = Row>>>(
+pub(super) fn sweep_to_row<
+    R: StageScalar<StepScalar: StepScalar<Storage = Row>>,
+    const EXTRAS: u8,
+>(
     lanes: R,
-    start: &Start<'_, Row>,
+    start: &Start<'_, R::Storage, Row>,
     unknowns: &mut Unknowns<R::Storage, Row>,
 ) -> Row {
     let mut increments = Row::splat(0.0);
-    sweep::<R, false>(lanes, start, unknowns).store(&mut increments);
+    sweep::<R, EXTRAS>(lanes, start, unknowns).store(&mut increments);
     increments
 }
 
@@ -96,15 +101,15 @@ pub(super) fn sweep_to_row<R: StageScalar<StepScalar: StepScalar<Storage = Row>>
 /// is evaluated in every third of them, and once more at the end. The guess is a function of the state
 /// alone: a resumed run repeats it to the bit.
 #[inline(always)]
-pub(super) fn guess<R: StageScalar, const USER: bool>(
+pub(super) fn guess<R: StageScalar, const EXTRAS: u8>(
     lanes: R,
-    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) {
     let whole = lanes.stage(0);
     let TableauInLanes { columns, weights, nodes, .. } = &start.plan.tableau;
     let at_start = vec3!(i => whole.load(&start.momentum[i]));
-    let velocity = start.inertia.in_lanes(whole).divides(&at_start);
+    let velocity = start.inertia.in_lanes(whole).velocity::<EXTRAS>(&at_start);
     let inertia = start.inertia.in_lanes(lanes);
     let p0 = vec3!(i => lanes.spread(at_start[i]));
     let weight = lanes.row(weights) * start.step;
@@ -112,19 +117,19 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
     let half = elapsed * 0.5;
     let turned = Quaternion::cayley(&vec3!(i => half * lanes.spread(velocity[i])));
     let u = turned.matrix();
-    let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
+    let (torque, _) = torque_at::<R, EXTRAS>(lanes, start, &u, &p0);
     let guessed_momentum = scaled(&product(&u, &torque), -elapsed);
     let (mut attitude, mut momentum) = (turned, guessed_momentum);
     let mut norm_error = lanes.constant(0.0);
     for sweep in 0..start.plan.guess_sweeps {
         let u = attitude.matrix();
         if sweep % TORQUE_EVERY == TORQUE_EVERY - 1 {
-            let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
+            let (torque, _) = torque_at::<R, EXTRAS>(lanes, start, &u, &plus(&p0, &momentum));
             let impulse = scaled(&product(&u, &torque), weight);
             momentum = vec3!(i => -impulse[i].apply_tableau(columns));
         }
         let mu = transposed_product(&u, &plus(&p0, &momentum));
-        let rate = attitude.rate(&scaled(&inertia.divides(&mu), weight * 0.5));
+        let rate = attitude.rate(&scaled(&inertia.velocity::<EXTRAS>(&mu), weight * 0.5));
         let next = Quaternion {
             w: rate.w.apply_tableau(columns) + 1.0,
             v: vec3!(i => rate.v[i].apply_tableau(columns)),
@@ -137,13 +142,13 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
     let norm_error = lanes.spread(last_norm_error);
     let attitude = attitude.select(norm_error, MOST_NORM_ERROR, &turned);
     let u = attitude.matrix();
-    let (torque, _) = start.body.torque::<R, USER>(&u, start.seen);
+    let (torque, _) = torque_at::<R, EXTRAS>(lanes, start, &u, &plus(&p0, &momentum));
     let impulse = scaled(&product(&u, &torque), weight);
     let collocated: Vec3<R> = vec3!(i => -impulse[i].apply_tableau(columns));
     let momentum =
         vec3!(i => collocated[i].select(norm_error, MOST_NORM_ERROR, guessed_momentum[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
-    let omega = inertia.divides(&mu);
+    let omega = inertia.velocity::<EXTRAS>(&mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Quaternion { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
     let kept_on = Quaternion::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
@@ -168,19 +173,19 @@ pub(super) fn guess<R: StageScalar, const USER: bool>(
 /// Improves the unknowns in place; returns the largest change of a stage momentum, relative to the
 /// largest, or of an attitude in the last pass. The result is NaN or infinite if an unknown is.
 #[inline(always)]
-pub(super) fn sweep<R: StageScalar, const USER: bool>(
+pub(super) fn sweep<R: StageScalar, const EXTRAS: u8>(
     lanes: R,
-    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) -> R::StepScalar {
     let whole = lanes.stage(0);
     let (TableauInLanes { rows, .. }, present) = (&start.plan.tableau, &start.plan.present);
     let [kinematic, linear] = &start.passes;
     let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
-    let stages = kinematics(lanes, start, &momentum, unknowns, *kinematic);
+    let stages = kinematics::<R, EXTRAS>(lanes, start, &momentum, unknowns, *kinematic);
     let u = with_one(&stages.c);
     let end = end_point(lanes, &stages.w, unknowns);
-    let forces = forces::<R, USER>(lanes, start, &u, stages.weight, unknowns);
+    let forces = forces::<R, EXTRAS>(lanes, start, &u, &momentum, stages.weight, unknowns);
     let last = end_momentum(lanes, start, &end, &forces);
     let Kinematics { omega, weight, inverse_k, turned, .. } = &stages;
     let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
@@ -247,16 +252,16 @@ pub(super) fn sweep<R: StageScalar, const USER: bool>(
 /// of x: the rounding error of the constant Omega about that axis is then that of another body, and
 /// symplectic.
 #[inline(always)]
-pub(super) fn finish<R: StageScalar, const USER: bool>(
+pub(super) fn finish<R: StageScalar, const EXTRAS: u8>(
     lanes: R,
-    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) {
     let mut momentum: Vec3<R> = load(lanes, &unknowns.momentum);
-    let mut stages = kinematics(lanes, start, &momentum, unknowns, 1);
+    let mut stages = kinematics::<R, EXTRAS>(lanes, start, &momentum, unknowns, 1);
     let u = with_one(&stages.c);
     let end = end_point(lanes, &stages.w, unknowns);
-    let forces = forces::<R, USER>(lanes, start, &u, stages.weight, unknowns);
+    let forces = forces::<R, EXTRAS>(lanes, start, &u, &momentum, stages.weight, unknowns);
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     if R::STAGES > 2 && start.plan.tableau.stages >= RENEWED_STAGES {
         let last = end_momentum(lanes, start, &end, &forces);
@@ -273,7 +278,7 @@ pub(super) fn finish<R: StageScalar, const USER: bool>(
         let pi = plus(&p0, &momentum);
         let inertia = start.inertia.in_lanes(lanes);
         let turned_by = transposed_product(&stages.c, &pi);
-        stages.omega = plus(&inertia.divides(&pi), &inertia.divides(&turned_by));
+        stages.omega = plus(&inertia.velocity::<EXTRAS>(&pi), &inertia.divides(&turned_by));
         let w = times_hat(&u, &scaled(&stages.omega, stages.weight));
         end_point(lanes, &w, unknowns);
     }
@@ -306,9 +311,9 @@ struct Kinematics<R> {
 
 /// Computes U_k and Omega_k for the momenta p0 + `momentum`.
 #[inline(always)]
-fn kinematics<R: StageScalar>(
+fn kinematics<R: StageScalar, const EXTRAS: u8>(
     lanes: R,
-    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     momentum: &Vec3<R>,
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
     passes: u32,
@@ -323,8 +328,8 @@ fn kinematics<R: StageScalar>(
     }
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     let momentum = plus(&p0, momentum);
-    // J^-1 U^T pi = J^-1 pi + J^-1 (U - I)^T pi
-    let unturned = inertia.divides(&momentum);
+    // J^-1 (U^T pi - wheels) = J^-1 (pi - wheels) + J^-1 (U - I)^T pi
+    let unturned = inertia.velocity::<EXTRAS>(&momentum);
     let mut c = attitude.change();
     let mut u = with_one(&c);
     let mut turned_by = transposed_product(&c, &momentum);
@@ -402,6 +407,64 @@ fn end_point<R: StageScalar>(
     EndPoint { change: end.change(), stretch, inverse }
 }
 
+/// Computes `tau = vee(dH/dg - F)` at the stages, given their spatial momenta in the frame of g0; with it the proximity, as
+/// returned by [`crate::hamiltonian::RigidBody::torque`].
+#[inline(always)]
+fn torque_at<R: StageScalar, const EXTRAS: u8>(
+    lanes: R,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
+    u: &Mat3<R>,
+    pi: &Vec3<R>,
+) -> (Vec3<R>, R) {
+    let of_terms = start.body.torque::<R, EXTRAS>(u, start.seen);
+    if EXTRAS & DRIVEN == 0 {
+        return of_terms;
+    }
+    let mu = transposed_product(u, pi);
+    let omega = start.inertia.in_lanes(lanes).velocity::<EXTRAS>(&mu);
+    start.body.driven_torque(u, [&mu, &omega], start.drive, start.drive_seen, of_terms)
+}
+
+/// Brings what the body sees of its drive up to `attitude`, the quaternion at the beginning of the step; `blank` is anything.
+#[inline(always)]
+pub(super) fn see_drive<R: StageScalar, const EXTRAS: u8>(
+    lanes: R,
+    [w, x, y, z]: &[<R::StepScalar as StepScalar>::Storage; 4],
+    drive: &Drive,
+    seen: &mut DriveInFrame<R::Storage>,
+    blank: R::Storage,
+) {
+    if EXTRAS & DRIVEN != 0 {
+        let whole = lanes.stage(0);
+        let v = [whole.load(x), whole.load(y), whole.load(z)];
+        seen.update(lanes, &Quaternion { w: whole.load(w), v }.matrix(), drive, blank);
+    }
+}
+
+/// Computes what time and torques put in during the solved step: energy, and momentum in the frame of g0.
+#[inline(always)]
+pub(super) fn work_and_impulse<R: StageScalar, const EXTRAS: u8>(
+    lanes: R,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
+    unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
+) {
+    if EXTRAS & DRIVEN == 0 {
+        return;
+    }
+    let u = load_turn(lanes, &unknowns.attitude).matrix();
+    let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
+    let pi = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])) + momentum[i]);
+    let mu = transposed_product(&u, &pi);
+    let omega = start.inertia.in_lanes(lanes).velocity::<EXTRAS>(&mu);
+    let weight = lanes.row(&start.plan.tableau.weights) * start.step;
+    let (work, impulse) =
+        start.body.work_and_impulse(&u, [&mu, &omega], weight, start.drive, start.drive_seen);
+    work.store(&mut unknowns.work);
+    for i in 0..3 {
+        impulse[i].store(&mut unknowns.torque_impulse[i]);
+    }
+}
+
 /// Torques on the body, and their effects.
 struct Forces<R: StageScalar> {
     /// tau
@@ -413,16 +476,18 @@ struct Forces<R: StageScalar> {
     pi1: Vec3<R::StepScalar>,
 }
 
-/// Computes the torques at the stages, and their effects.
+/// Computes the torques at the stages, for the momenta p0 + `momentum`, and their effects.
 #[inline(always)]
-fn forces<R: StageScalar, const USER: bool>(
+fn forces<R: StageScalar, const EXTRAS: u8>(
     lanes: R,
-    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     u: &Mat3<R>,
+    momentum: &Vec3<R>,
     weight: R,
     unknowns: &mut Unknowns<R::Storage, <R::StepScalar as StepScalar>::Storage>,
 ) -> Forces<R> {
-    let (torque, proximity) = start.body.torque::<R, USER>(u, start.seen);
+    let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
+    let (torque, proximity) = torque_at::<R, EXTRAS>(lanes, start, u, &plus(&p0, momentum));
     let impulses = scaled(&product(u, &torque), -weight);
     let impulse: Vec3<R::StepScalar> = vec3!(i => impulses[i].sum());
     for i in 0..3 {
@@ -447,7 +512,7 @@ struct EndMomentum<R: StageScalar> {
 #[inline(always)]
 fn end_momentum<R: StageScalar>(
     lanes: R,
-    start: &Start<'_, <R::StepScalar as StepScalar>::Storage>,
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
     EndPoint { change, inverse, .. }: &EndPoint<R>,
     Forces { impulse, pi1, .. }: &Forces<R>,
 ) -> EndMomentum<R> {

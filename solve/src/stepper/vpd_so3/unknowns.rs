@@ -2,7 +2,7 @@
 //!
 //! Invariant: lanes beyond the stages hold numbers, and have zero weight.
 
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{Drive, DriveInFrame, RigidBody};
 use crate::lanes::Row;
 use crate::space::{Quaternion, Sym3, Vec3, dot, vec3};
 use crate::stepper::so3_equations::Inertia;
@@ -95,13 +95,16 @@ impl SweepPlan {
     }
 }
 
-/// Inputs of a step. `P` holds a number in memory, or one for each member.
-pub(super) struct Start<'a, P> {
+/// Inputs of a step. `S` holds a number for each stage in memory, `P` a number, or one for each member.
+pub(super) struct Start<'a, S, P> {
     pub(super) plan: &'a SweepPlan,
     pub(super) body: &'a RigidBody<3>,
     pub(super) inertia: Inertia<f64>,
     /// The space vectors of the potential, as seen from g0.
     pub(super) seen: &'a [Vec3<P>],
+    pub(super) drive: &'a Drive,
+    /// The drive as it is seen from g0.
+    pub(super) drive_seen: &'a DriveInFrame<S>,
     pub(super) step: f64,
     /// Passes over the kinematics and over the linear system: numbers that the compiler does not
     /// know, or it would unroll their loops into more code than a cache holds.
@@ -133,6 +136,10 @@ pub(super) struct Unknowns<S, P> {
     pub(super) momentum_increment: Vec3<P>,
     /// Largest proximity over the stages, as returned by [`RigidBody::torque`].
     pub(super) proximity: P,
+    /// Energy that time and torques put in.
+    pub(super) work: P,
+    /// Momentum that torques put in, in the frame of g0.
+    pub(super) torque_impulse: Vec3<P>,
 }
 
 impl<S: Copy, P: Copy> Unknowns<S, P> {
@@ -149,6 +156,8 @@ impl<S: Copy, P: Copy> Unknowns<S, P> {
             impulse: [whole; 3],
             momentum_increment: [whole; 3],
             proximity: whole,
+            work: whole,
+            torque_impulse: [whole; 3],
         }
     }
 }
