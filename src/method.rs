@@ -296,7 +296,8 @@ impl Integrator {
         let in_lanes = parts.tableau.stages() <= WIDTH;
         let Parts { tableau, order, stop, carries_attitude, own_steps } = parts;
         Some(match self {
-            Self::Vpd if in_lanes => Box::new(VpdSo3::new(tableau, stop)?),
+            // Of a rigid body the two forms are one map.
+            Self::Vpd | Self::VpdLagrangian if in_lanes => Box::new(VpdSo3::new(tableau, stop)?),
             Self::VpdReduced if in_lanes => {
                 Box::new(VpdSo3::new(tableau, stop)?.reduced(carries_attitude))
             }
@@ -339,7 +340,7 @@ impl Integrator {
     pub fn costs_as(self) -> Self {
         match self {
             Self::VrkmkProjected => Self::Vrkmk,
-            Self::VpdAdaptive => Self::Vpd,
+            Self::VpdAdaptive | Self::VpdLagrangian => Self::Vpd,
             other => other,
         }
     }

@@ -221,8 +221,9 @@ impl Plan {
             Motion::General => 1.0,
         };
         let Scheme { step_ns, sweep_ns, pass_ns, terms } = self.scheme();
-        let gradient_ns = terms * self.terms_cost_ns() + self.driven_ns();
-        let step_ns = step_ns + self.driven_ns() * self.formulation.stages as f64;
+        let [driven_gradient_ns, driven_stage_ns] = self.driven_ns();
+        let gradient_ns = terms * self.terms_cost_ns() + driven_gradient_ns;
+        let step_ns = step_ns + driven_stage_ns * self.formulation.stages as f64;
         let parts = [
             work.steps * step_ns,
             work.sweeps * sweep_ns,
@@ -249,16 +250,29 @@ impl Plan {
         bytes
     }
 
-    /// Returns about what it costs to look at a driven body, or one with wheels, at one stage.
-    fn driven_ns(&self) -> f64 {
+    /// Returns about what a driven body, or one with wheels, costs in addition: in a gradient, and at a stage once a step.
+    fn driven_ns(&self) -> [f64; 2] {
         const STAGE_NS: f64 = 250.0;
         const PART_NS: f64 = 60.0;
+        /// In lanes (`cargo bench -p vpd-solve --bench ratios -- driven`).
+        const GRADIENT_IN_LANES_NS: f64 = 14.0;
         let parts = self.model.driven.len() + self.model.torques.len();
         if parts == 0 && self.model.wheels.is_none() {
-            return 0.0;
+            return [0.0; 2];
+        }
+        if self.is_in_lanes() {
+            return [GRADIENT_IN_LANES_NS, PART_NS * (0.5 + parts as f64)];
         }
         let n = self.dimension as f64;
-        STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n
+        let look = STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n;
+        [look, look]
+    }
+
+    /// Is a step computed in lanes of n = 3? More stages than lanes are computed as for general n.
+    fn is_in_lanes(&self) -> bool {
+        let Formulation { method, stages, .. } = self.formulation;
+        let lanes = method != Integrator::VpdAdaptive && method.costs_as().facts().lanes;
+        lanes && self.dimension == 3 && stages <= WIDTH
     }
 
     /// Returns the pieces of a step of `splitting` beyond the first of each free part, as the body
@@ -307,15 +321,12 @@ impl Plan {
     /// Returns the cost of the method's parts with this number of stages, in this dimension.
     fn scheme(&self) -> Scheme {
         let Formulation { method, stages, .. } = self.formulation;
-        // More stages than lanes are computed as for general n.
-        let alone = self.model.is_driven() || self.model.wheels.is_some();
-        let adapts = method == Integrator::VpdAdaptive;
+        let in_lanes = self.is_in_lanes();
         let method = method.costs_as();
-        let general = method.facts().lanes && (stages > WIDTH || alone || adapts);
+        let general = method.facts().lanes && !in_lanes;
         let tableau = &self.model.tableau;
         let by_sweeps =
             stages > WIDTH || !tableau.is_symplectic() || self.model.stop.rungs == Rungs::Newton;
-        let in_lanes = method.facts().lanes && self.dimension == 3 && !general;
         let of_method = |swept: bool| {
             let row_fits = move |row: &&SchemeRow| {
                 row.method == method && row.swept == swept && !(general && row.n == 3)
