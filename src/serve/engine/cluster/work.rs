@@ -714,13 +714,14 @@ mod tests {
         // A server that answers with a page, a scratch folder with a long name, a field that echoes its value.
         let long = || "é€".repeat(1 << 20);
         let words: Box<String> = Box::new(long());
-        let panicked = tokio::spawn(async move { std::panic::resume_unwind(words) }).await;
+        let panicked: Result<(), _> =
+            tokio::spawn(async move { std::panic::resume_unwind(words) }).await;
         let other = || std::io::Error::other(long());
         for told in [
             Told::of(&Later::Trouble(long())),
             Told::of(&Later::Disk(other())),
             Told::of(&Later::Store(StoreError::reading_a_log(other()))),
-            Told::of(&panicked.map(|()| ()).expect_err("it panicked")),
+            Told::of(&panicked.expect_err("it panicked")),
         ] {
             assert!(told.0.len() > 30, "it says what is wrong: {told}");
             let bytes = sent(told);
