@@ -61,8 +61,8 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// The longest time between two pieces of an unfinished log that go to the bucket.
 const LONGEST_PACE: Duration = Duration::from_secs(5);
 
-/// The shortest time between two signs of life that are sent.
-const THROTTLE: Duration = Duration::from_secs(1);
+/// The shortest time between two signs of life that are sent: of the shortest lease, 2 s, each.
+const THROTTLE: Duration = Duration::from_millis(500);
 
 /// The longest pause before a part of a sweep is given to a worker again: it is given up after some
 /// attempts, which are to take longer than what is wrong for a moment.
@@ -121,14 +121,15 @@ fn handed_out(lease_s: f64, longest_pause: Duration, attempts: u32) -> (Duration
         .maximum_interval(longest_pause)
         .maximum_attempts(attempts)
         .build();
-    (Duration::from_secs_f64(lease_s * SILENCE), pauses)
+    // Temporal counts timeouts in seconds, and rounds up.
+    (Duration::from_secs((lease_s * SILENCE).max(1.0) as u64), pauses)
 }
 
 /// Returns the time in which a worker has to say what the next activity of a workflow is, which
 /// takes it milliseconds: a frozen one does not hold up a new job for longer.
 pub(super) fn task_timeout(lease: Duration) -> Duration {
-    // Temporal's own limit is 10 s; it counts in seconds.
-    (lease / BEATS_IN_A_LEASE).clamp(Duration::from_secs(1), Duration::from_secs(10))
+    // 10 s is Temporal's own timeout.
+    Duration::from_secs((lease / BEATS_IN_A_LEASE).as_secs().clamp(1, 10))
 }
 
 /// The workflow of a job: one activity.
