@@ -80,7 +80,7 @@ pub(super) struct ServeArgs {
     engine: EngineName,
     #[command(flatten)]
     cluster: ClusterArgs,
-    /// Seconds within which a worker gives a sign of life, or its job goes to another one (after four fifths of them); 2 to
+    /// Seconds within which a worker gives a sign of life, or its job goes to another one (after seven tenths of them); 4 to
     /// 3600.
     #[arg(long, env = "VPD_LEASE_S", default_value_t = 30.0, value_parser = lease, hide = !CLUSTER, value_name = "S")]
     lease_s: f64,
@@ -98,8 +98,8 @@ pub(super) enum EngineName {
 
 fn lease(text: &str) -> Result<f64, String> {
     match text.parse() {
-        Ok(seconds @ 2.0..=3600.0) => Ok(seconds),
-        _ => Err(format!("{text:?} given, 2 to 3600 s are allowed")),
+        Ok(seconds @ 4.0..=3600.0) => Ok(seconds),
+        _ => Err(format!("{text:?} given, 4 to 3600 s are allowed")),
     }
 }
 

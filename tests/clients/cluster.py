@@ -477,7 +477,7 @@ def test_refused():
         (["serve", "--engine", "cluster", "--bucket", "file:///tmp/x"], "--temporal"),
         (["serve", "--bucket", "file:///tmp/x"], "--bucket"),
         (["serve", "--engine", "cluster", "--bucket", "ftp://x", "--temporal", "127.0.0.1:1"], "ftp://x"),
-        (["serve", "--lease-s", "1.9"], "--lease-s"),
+        (["serve", "--lease-s", "3.9"], "--lease-s"),
         (["serve", "--engine", "cluster", "--foxglove-listen", "127.0.0.1:0"], "--foxglove-listen"),
         (["worker"], "--bucket"),
         (["worker", "--bucket", "s3://x", "--workers", "0"], "--workers"),

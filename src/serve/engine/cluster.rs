@@ -78,8 +78,8 @@ pub struct ClusterConfig {
     pub temporal: String,
     /// The name of the queue, which service and workers share.
     pub queue: String,
-    /// Time within which a worker gives a sign of life, or its job goes to another one (after four
-    /// fifths of it).
+    /// Time within which a worker gives a sign of life, or its job goes to another one (after seven
+    /// tenths of it).
     pub lease: Duration,
 }
 

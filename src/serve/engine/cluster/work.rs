@@ -52,8 +52,12 @@ const BEATS_IN_A_LEASE: u32 = 4;
 
 /// Part of a lease without a sign of life after which a job goes to another worker. A process that
 /// is frozen, but not dead, may be handed its job once more, by the one request that it left open:
-/// twice this time and the pauses after it stay below two leases.
-const SILENCE: f64 = 0.8;
+/// twice this time, the pauses after it, and the half second by which Temporal is late each time
+/// stay below two leases.
+const SILENCE: f64 = 0.7;
+
+/// Longest pause before a job is given to a worker again, in leases.
+const PAUSE: f64 = 0.1;
 
 /// The first pause before a job is given to a worker again; the next ones are twice as long each.
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
@@ -61,7 +65,7 @@ const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// The longest time between two pieces of an unfinished log that go to the bucket.
 const LONGEST_PACE: Duration = Duration::from_secs(5);
 
-/// The shortest time between two signs of life that are sent: of the shortest lease, 2 s, each.
+/// The shortest time between two signs of life that are sent: less than a quarter of any lease.
 const THROTTLE: Duration = Duration::from_millis(500);
 
 /// The longest pause before a part of a sweep is given to a worker again: it is given up after some
@@ -121,8 +125,7 @@ fn handed_out(lease_s: f64, longest_pause: Duration, attempts: u32) -> (Duration
         .maximum_interval(longest_pause)
         .maximum_attempts(attempts)
         .build();
-    // Temporal counts timeouts in seconds, and rounds up.
-    (Duration::from_secs((lease_s * SILENCE).max(1.0) as u64), pauses)
+    (Duration::from_secs_f64(lease_s * SILENCE), pauses)
 }
 
 /// Returns the time in which a worker has to say what the next activity of a workflow is, which
@@ -143,7 +146,7 @@ impl Flow {
     #[run]
     pub async fn run(ctx: &mut WorkflowContext<Self>, task: Task) -> WorkflowResult<()> {
         let asked = || {
-            let longest_pause = Duration::from_secs_f64(task.lease_s * (1.0 - SILENCE) / 2.0);
+            let longest_pause = Duration::from_secs_f64(task.lease_s * PAUSE);
             let (silence, pauses) = handed_out(task.lease_s, longest_pause, 0);
             ActivityOptions::with_start_to_close_timeout(EVER)
                 .heartbeat_timeout(silence)
