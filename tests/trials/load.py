@@ -27,6 +27,8 @@ ROOT = Path(__file__).resolve().parents[2]
 KEPT = 60
 # Streams that are followed at once.
 FOLLOWED = 8
+# Threads for work on files, which come and go with the moment.
+THREADS = 3
 # What may come and go with the moment, MiB.
 SLACK_MIB = 12.0
 
@@ -231,7 +233,7 @@ def loaded(service, minutes, rate, seed):
     # The first third fills what is kept.
     part = len(rows) // 3
     if part >= 5:
-        for at, name, slack in [(0, "MiB", SLACK_MIB), (1, "threads", 0), (2, "files", FOLLOWED)]:
+        for at, name, slack in [(0, "MiB", SLACK_MIB), (1, "threads", THREADS), (2, "files", FOLLOWED)]:
             middle, last = ([row[at] for row in rows[start:start + part]] for start in (part, 2 * part))
             grew = median(last) - median(middle)
             print(f"{name}: {median(middle):.0f} in the second third, {median(last):.0f} in the last")
