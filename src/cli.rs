@@ -3,6 +3,7 @@
 //! Exit codes: 0 ok, 1 the run failed (its log is kept and finished) or two logs differ, 2 bad input or a file that is not to
 //! be replaced, 130 interrupted. A reader that closes the pipe has read enough: that is no error.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -167,8 +168,21 @@ struct RunArgs {
     force: bool,
 }
 
+/// Checks the names in the path of an output: one that is too long is refused before anything is computed for it.
+fn output_path(path: PathBuf) -> Result<PathBuf, String> {
+    /// File systems take 255 bytes, and `.part` is added while a file is written.
+    const MOST: usize = 250;
+    match path.iter().map(OsStr::len).max().unwrap_or(0) {
+        ..=MOST => Ok(path),
+        bytes => Err(format!(
+            "a file or folder with a name of {bytes} bytes, at most {MOST} are allowed"
+        )),
+    }
+}
+
 /// Checks the path of a log to be written: other programs must not read its name as another format.
 fn log_path(path: PathBuf) -> Result<PathBuf, String> {
+    let path = output_path(path)?;
     let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
     if path == Path::new("-") {
         return Err(
@@ -188,7 +202,7 @@ fn log_path(path: PathBuf) -> Result<PathBuf, String> {
 /// Checks the path of a picture: it may replace another, but not a log or a table.
 #[cfg(feature = "chart")]
 fn picture_path(path: &str) -> Result<PathBuf, String> {
-    let path = PathBuf::from(path);
+    let path = output_path(PathBuf::from(path))?;
     if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("svg")) {
         Ok(path)
     } else {
@@ -331,7 +345,7 @@ impl CliError {
             Self::Tokens(_) | Self::Serve(ServeError::Unguarded { .. }) => ExitCode::from(2),
             #[cfg(feature = "serve")]
             Self::Serve(ServeError::Data { source, .. })
-                if source.kind() == ErrorKind::NotADirectory =>
+                if matches!(source.kind(), ErrorKind::NotADirectory | ErrorKind::InvalidFilename) =>
             {
                 ExitCode::from(2)
             }
@@ -441,14 +455,14 @@ fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
 
 fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     let plan = planned(&args.scenario)?;
-    let log = args.output.clone().unwrap_or_else(|| {
-        if args.scenario.is_stdin() {
+    let log = match &args.output {
+        Some(path) => path.clone(),
+        None if args.scenario.is_stdin() => {
             let plain = |c: char| if c.is_alphanumeric() { c } else { '-' };
-            return format!("{}.mcap", plan.asked.name().chars().map(plain).collect::<String>())
-                .into();
+            format!("{}.mcap", plan.asked.name().chars().map(plain).collect::<String>()).into()
         }
-        PathBuf::from(args.scenario.scenario.file_name().unwrap_or_default()).with_extension("mcap")
-    });
+        None => named_after(&args.scenario.scenario, "mcap")?,
+    };
     // Without a log, it is written where nobody sees it: a run is its samples.
     let unseen = args.no_log.then(tempfile::tempdir).transpose()?;
     let log = unseen.as_ref().map_or(log, |folder| folder.path().join("unseen.mcap"));
@@ -478,6 +492,12 @@ fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
     // The run, its log and its summary stand even if its error cannot be computed.
     found?;
     Ok(exit_code(summary.outcome))
+}
+
+/// Returns the output that is named after an input, in the current directory.
+fn named_after(input: &Path, ending: &str) -> Result<PathBuf, CliError> {
+    let path = PathBuf::from(input.file_name().unwrap_or_default()).with_extension(ending);
+    output_path(path).map_err(|why| CliError::Format(format!("{why}; name the output with -o")))
 }
 
 /// Runs a plan to a log and reports how it ended.

@@ -262,6 +262,16 @@ fn give_way() {
     }
 }
 
+/// Returns the beginning of a text, of at most this many bytes.
+fn shortened(mut text: String, most: usize) -> String {
+    let mut end = text.len().min(most);
+    while !text.is_char_boundary(end) {
+        end -= 1;
+    }
+    text.truncate(end);
+    text
+}
+
 /// Returns an error and its causes in one line.
 fn chain(error: &dyn std::error::Error) -> String {
     let mut text = error.to_string();

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Args;
-use clap::builder::PossibleValuesParser;
+use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 
-use super::{CliError, a_log, enough, may_write, print_json, show};
+use super::{CliError, a_log, enough, may_write, output_path, print_json, show};
 use crate::diff::{self, Comparison, Quantity, Tolerance};
 use crate::export::{self, Choice, ExportError, Format};
 use crate::log::schema::Channel;
@@ -19,7 +19,7 @@ pub(super) struct ExportArgs {
     /// The log, finished or not.
     log: PathBuf,
     /// The table: .csv, .parquet or .arrow; CSV on stdout if absent.
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(output_path))]
     output: Option<PathBuf>,
     /// Channels, separated by commas: any of samples, or /ensemble/members or /ensemble/statistics; all of samples if absent.
     #[arg(long = "channels", value_name = "TOPIC", value_delimiter = ',',

@@ -30,9 +30,18 @@ pub(super) struct ClusterArgs {
     /// Address of Temporal, as 127.0.0.1:7233; namespace, key and certificates are in TEMPORAL_NAMESPACE and its like.
     #[arg(long, env = "TEMPORAL_ADDRESS", hide = !CLUSTER, value_name = "ADDRESS")]
     pub(super) temporal: Option<String>,
-    /// Name of Temporal's task queue, the same for service and workers.
-    #[arg(long, env = "VPD_TASK_QUEUE", default_value = "vpd", hide = !CLUSTER, value_name = "NAME")]
+    /// Name of Temporal's task queue, the same for service and workers; 1 to 200 bytes.
+    #[arg(long, env = "VPD_TASK_QUEUE", default_value = "vpd", value_parser = queue, hide = !CLUSTER, value_name = "NAME")]
     pub(super) task_queue: String,
+}
+
+fn queue(text: &str) -> Result<String, String> {
+    /// Temporal refuses names longer than 1000 bytes, and may be told to refuse shorter ones.
+    const MOST: usize = 200;
+    match text.len() {
+        1..=MOST => Ok(text.to_owned()),
+        bytes => Err(format!("a name of {bytes} bytes given, 1 to {MOST} are allowed")),
+    }
 }
 
 #[cfg(feature = "cluster")]

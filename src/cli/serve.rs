@@ -76,7 +76,8 @@ pub(super) struct ServeArgs {
     engine: EngineName,
     #[command(flatten)]
     cluster: ClusterArgs,
-    /// Seconds without a sign of life after which a job goes to another worker, 1 to 3600.
+    /// Seconds within which a worker gives a sign of life, or its job goes to another one (after seven tenths of them); 4 to
+    /// 3600.
     #[arg(long, env = "VPD_LEASE_S", default_value_t = 30.0, value_parser = lease, hide = !CLUSTER, value_name = "S")]
     lease_s: f64,
     /// How the service's own log is written, on stderr: text, or JSON with one object a line.
@@ -93,8 +94,8 @@ pub(super) enum EngineName {
 
 fn lease(text: &str) -> Result<f64, String> {
     match text.parse() {
-        Ok(seconds @ 1.0..=3600.0) => Ok(seconds),
-        _ => Err(format!("{text:?} given, 1 to 3600 s are allowed")),
+        Ok(seconds @ 4.0..=3600.0) => Ok(seconds),
+        _ => Err(format!("{text:?} given, 4 to 3600 s are allowed")),
     }
 }
 

@@ -9,12 +9,13 @@ use std::thread;
 use std::time::Duration;
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
-use super::{Change, CliError, ScenarioArgs, planned, show};
+use super::{Change, CliError, ScenarioArgs, output_path, planned, show};
 use crate::chart;
 use crate::log::course::LogChart;
 use crate::log::reader::is_log;
@@ -61,7 +62,7 @@ struct StudyArgs {
     #[arg(long = "method", value_name = "NAME[:TABLEAU[:SOLVER]]")]
     methods: Vec<MethodWord>,
     /// Where charts and tables go; of several scenarios each gets a directory below it.
-    #[arg(short, long, value_name = "DIR", default_value = ".")]
+    #[arg(short, long, value_name = "DIR", default_value = ".", value_parser = PathBufValueParser::new().try_map(output_path))]
     output: PathBuf,
 }
 

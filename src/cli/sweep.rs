@@ -20,7 +20,7 @@ use super::may_write;
 use super::process::ClusterArgs;
 #[cfg(feature = "serve")]
 use super::serve::EngineName;
-use super::{CliError, SchemaOf, hinted, log_path, logged, show};
+use super::{CliError, SchemaOf, hinted, log_path, logged, named_after, output_path, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
@@ -38,7 +38,7 @@ pub(super) struct SweepArgs {
     sweep: PathBuf,
     /// The table; by default the sweep's file name with .csv, here (of a shard with .i-of-N.csv). The logs of members that the
     /// sweep keeps go into a folder next to it.
-    #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv")]
+    #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv", value_parser = PathBufValueParser::new().try_map(output_path))]
     output: Option<PathBuf>,
     /// Number of threads; by default one for each core.
     #[arg(long, value_name = "N")]
@@ -79,7 +79,7 @@ pub(super) struct MergeArgs {
     #[arg(required = true, value_name = "PART.csv")]
     parts: Vec<PathBuf>,
     /// The whole table.
-    #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv")]
+    #[arg(short, long, visible_alias = "out", value_name = "TABLE.csv", value_parser = PathBufValueParser::new().try_map(output_path))]
     output: PathBuf,
     /// Replace a table that stands in its place.
     #[arg(long)]
@@ -100,10 +100,14 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     if let Some(member) = args.member {
         return one(args, &sweep, member);
     }
-    let table = args.output.clone().unwrap_or_else(|| {
-        let ending = args.shard.map_or_else(|| "csv".to_owned(), |shard| format!("{shard}.csv"));
-        PathBuf::from(path.file_name().unwrap_or_default()).with_extension(ending)
-    });
+    let table = match &args.output {
+        Some(table) => table.clone(),
+        None => {
+            let ending =
+                args.shard.map_or_else(|| "csv".to_owned(), |shard| format!("{shard}.csv"));
+            named_after(path, &ending)?
+        }
+    };
     #[cfg(feature = "chart")]
     if args.svg.is_some() && !args.force && table.exists() {
         draw(args, &sweep, &table)?;

@@ -15,10 +15,10 @@ use axum::response::{IntoResponse, Response};
 use schemars::JsonSchema;
 use serde::Serialize;
 
-use super::chain;
 use super::config::Scope;
 use super::engine::Refusal;
 use super::studies::StudyRefusal;
+use super::{chain, shortened};
 use crate::scenario::{ScenarioError, ScenarioErrorKind};
 
 pub(super) const MEDIA_TYPE: &str = "application/problem+json";
@@ -212,18 +212,12 @@ impl Problem {
     }
 
     fn body(self) -> Body {
-        let mut detail = self.detail;
-        let mut end = detail.len().min(MAX_DETAIL);
-        while !detail.is_char_boundary(end) {
-            end -= 1;
-        }
-        detail.truncate(end);
         let pointer = self.pointer.map(|pointer| nearest(&pointer).to_owned());
         Body {
             kind: format!("urn:vpd:problem:{}", self.code),
             title: title(self.code),
             status: self.status.as_u16(),
-            detail,
+            detail: shortened(self.detail, MAX_DETAIL),
             code: self.code,
             pointer,
         }

@@ -11,6 +11,7 @@ import os
 import random
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -187,6 +188,51 @@ def test_kill():
         print(f"      {killed} kills in {len(jobs)} jobs: resumed after {waits[len(waits) // 2]:.1f} s, "
               f"at most {waits[-1]:.1f} s, with a lease of {LEASE_S} s")
         assert waits[-1] <= 3 * LEASE_S, waits
+
+
+# Times in which a job has to run on, in leases, with so many slots, workers, and workers that are frozen; the last tells
+# whether one of these holds the job, or all of them are idle. A frozen process leaves one request for jobs open.
+FROZEN = [
+    # With one slot the holder has no request open.
+    (2, 1, 2, 1, True),
+    (2, 3, 2, 1, True),
+    (2, 3, 2, 1, False),
+    (3, 3, 3, 2, True),
+]
+
+
+def test_frozen():
+    """Workers are frozen, not dead, in mid-job or idle: another one runs the job within two leases, or one more for each more."""
+    for leases, slots, workers, number, in_hand in FROZEN:
+        waits = []
+        with cluster(workers=workers, slots=slots) as made:
+            text = scenario(6 * SECOND, every=100)
+            wanted = alone(text, made.folder)
+            for _ in range(20 if LARGE else 5):
+                if in_hand:
+                    id = made.submit(text)
+                    made.durable(id)
+                    sleepers = [made.holder(id)]
+                else:
+                    sleepers = []
+                idle = [worker for worker in made.workers.values() if worker not in sleepers]
+                sleepers += idle[:number - len(sleepers)]
+                for sleeper in sleepers:
+                    sleeper.send(signal.SIGSTOP)
+                begun = time.monotonic()
+                if not in_hand:
+                    id = made.submit(text)
+                wait("another worker", lambda: made.holder(id) not in sleepers)
+                waits.append(time.monotonic() - begun)
+                for sleeper in sleepers:
+                    sleeper.send(signal.SIGCONT)
+                job = made.ended(id)
+                assert (job["state"], job["log"]["sha256"]) == ("succeeded", wanted), job
+                # A sleeper may have been handed the job, and finds that it is not its own any more.
+                time.sleep(LEASE_S)
+        print(f"      {number} of {workers} workers with {slots} slots frozen, {'one in mid-job' if in_hand else 'idle'}: the job ran after "
+              + ", ".join(f"{seconds:.1f}" for seconds in sorted(waits)) + f" s; lease {LEASE_S} s")
+        assert max(waits) <= leases * LEASE_S, waits
 
 
 def test_listed():
@@ -431,10 +477,11 @@ def test_refused():
         (["serve", "--engine", "cluster", "--bucket", "file:///tmp/x"], "--temporal"),
         (["serve", "--bucket", "file:///tmp/x"], "--bucket"),
         (["serve", "--engine", "cluster", "--bucket", "ftp://x", "--temporal", "127.0.0.1:1"], "ftp://x"),
-        (["serve", "--lease-s", "0"], "--lease-s"),
+        (["serve", "--lease-s", "3.9"], "--lease-s"),
         (["serve", "--engine", "cluster", "--foxglove-listen", "127.0.0.1:0"], "--foxglove-listen"),
         (["worker"], "--bucket"),
         (["worker", "--bucket", "s3://x", "--workers", "0"], "--workers"),
+        (["worker", "--bucket", "s3://x", "--task-queue", "q" * 201], "--task-queue"),
         (["sweep", ROOT / "scenarios/sweeps/pendulum-chaos.json", "--engine", "cluster"], "--bucket"),
         (["sweep", ROOT / "scenarios/sweeps/pendulum-chaos.json", "--engine", "cluster", "--shard", "1/2"], "--shard"),
     ]:

@@ -667,6 +667,7 @@ pub(crate) fn table() -> Vec<Bad> {
     // Names and expectations.
     add(with(full(), "/name", "\"\""), "/name");
     add(with(full(), "/name", "\"  \""), "/name");
+    add(with(full(), "/name", &format!("\"{}\"", "n".repeat(304))), "/name");
     add(with(full(), "/name", &format!("\"{}\"", "x".repeat(201))), "/name");
     for raw in ["\"a\\nb\"", "\"a\\r\\nb\"", "\"a\\u0000b\"", "\"a\\u202eb\"", "\"a\\u001b[2J\""] {
         add(with(full(), "/name", raw), "/name");

@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use mcap::records::{MessageHeader, Metadata};
 use serde_json::{Value, json};
@@ -72,6 +73,60 @@ fn a_byte_order_mark_is_read_over_and_wide_text_is_refused() {
     {
         fs::write(at.join("wide.json"), wide).expect("written");
         refused(at, &["run", "wide.json"], &["wide.json", "UTF-16", "UTF-8"]);
+    }
+}
+
+#[test]
+fn names_that_are_too_long_for_files_are_refused_before_anything_is_computed() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    fs::write(at.join("a.json"), free(turning()).to_string()).expect("written");
+    let sweep = json!({
+        "scenario": free(turning()),
+        "vary": [{ "pointer": "/step_s", "values": { "list": [0.1, 0.2] } }]
+    });
+    fs::write(at.join("sweep.json"), sweep.to_string()).expect("written");
+    succeeds(at, &["run", "a.json"]);
+    let named =
+        |bytes: usize, ending: &str| format!("{}{ending}", "n".repeat(bytes - ending.len()));
+    let (log, table, picture) = (named(304, ".mcap"), named(304, ".csv"), named(304, ".svg"));
+    let inner = format!("{}/a.mcap", named(304, ""));
+    let said = ["304 bytes", "at most 250 are allowed"];
+    for arguments in [
+        &["run", "a.json", "-o", &log][..],
+        &["run", "a.json", "-o", &inner],
+        &["export", "a.mcap", "-o", &table],
+        &["diff", "a.mcap", "a.mcap", "--chart", &picture],
+        &["chart", "a.json", "-o", &picture],
+        &["stability", "a.json", "-o", &picture],
+        &["sweep", "sweep.json", "-o", &table],
+        &["sweep", "sweep.json", "--svg", &picture],
+        &["sweep", "sweep.json", "--member", "0", "--log", &log],
+        &["merge", "a.csv", "-o", &table],
+    ] {
+        refused(at, arguments, &said);
+    }
+    // The name of an input can be one that its output cannot have.
+    for bytes in [251, 255] {
+        let long = named(bytes, ".json");
+        fs::copy(at.join("a.json"), at.join(&long)).expect("copied");
+        succeeds(at, &["run", &long, "-o", "b.mcap", "--force"]);
+        refused(at, &["run", &long], &[&format!("{bytes} bytes"), "name the output with -o"]);
+    }
+    let fits = named(250, ".json");
+    fs::copy(at.join("a.json"), at.join(&fits)).expect("copied");
+    succeeds(at, &["run", &fits]);
+    assert!(at.join(named(250, ".mcap")).exists());
+    // The longest name of a scenario is that of a file, too.
+    for name in ["n".repeat(200), "é".repeat(100), "語".repeat(66)] {
+        let mut document = free(turning());
+        document["name"] = json!(name);
+        fs::write(at.join("long.json"), document.to_string()).expect("written");
+        let given = fs::File::open(at.join("long.json")).expect("there");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_vpd"));
+        let ran = command.args(["run", "-"]).current_dir(at).stdin(given).output().expect("runs");
+        assert_eq!(ran.status.code(), Some(0), "{}", text(&ran.stderr));
+        assert!(at.join(format!("{name}.mcap")).exists());
     }
 }
 

@@ -43,7 +43,7 @@ use crate::serve::{Limits, ServeError, chain};
 
 use copies::Copies;
 pub(in crate::serve) use served::Served;
-use work::{Beat, Flow, Task};
+use work::{Beat, Flow, Task, task_timeout};
 
 /// Time for which the last view of a job serves repeated requests.
 const LOOK: Duration = Duration::from_millis(500);
@@ -78,7 +78,8 @@ pub struct ClusterConfig {
     pub temporal: String,
     /// The name of the queue, which service and workers share.
     pub queue: String,
-    /// Time without a sign of life from a worker after which its job goes to another one.
+    /// Time within which a worker gives a sign of life, or its job goes to another one (after seven
+    /// tenths of it).
     pub lease: Duration,
 }
 
@@ -275,6 +276,7 @@ impl Cluster {
     async fn hand_over(&self, id: Uuid) -> bool {
         let task = Task { id, lease_s: self.0.lease.as_secs_f64() };
         let options = WorkflowStartOptions::new(self.0.queue.clone(), flow_id(id))
+            .task_timeout(task_timeout(self.0.lease))
             .id_conflict_policy(WorkflowIdConflictPolicy::UseExisting)
             .build();
         match self.0.client.start_workflow(Flow::run, task, options).await {

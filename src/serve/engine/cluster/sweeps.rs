@@ -17,7 +17,7 @@ use temporalio_client::{
     Client, WorkflowGetResultOptions, WorkflowIdConflictPolicy, WorkflowStartOptions,
 };
 
-use super::work::{Part, part_flow_id};
+use super::work::{Part, part_flow_id, task_timeout};
 use super::{ClusterConfig, ClusterError, connect};
 use crate::serve::chain;
 use crate::serve::store::bucket::Bucket;
@@ -164,6 +164,7 @@ async fn part(
             Err(error) => return Err(SweepOnError::Record(chain(&error))),
         }
         let options = WorkflowStartOptions::new(queue, part_flow_id(task))
+            .task_timeout(task_timeout(Duration::from_secs_f64(task.lease_s)))
             .id_conflict_policy(WorkflowIdConflictPolicy::UseExisting)
             .build();
         match client.start_workflow(Part::run, task.clone(), options).await {

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use temporalio_client::RetryPolicy;
 use temporalio_macros::{activities, workflow, workflow_methods};
 use temporalio_sdk::activities::{ActivityContext, ActivityError};
+use temporalio_sdk::runtime::PollerBehavior;
 use temporalio_sdk::runtime::worker_tuner::{FixedSizeSlotSupplier, TunerHolder};
 use temporalio_sdk::{
     ActivityCancellationType, ActivityOptions, Runtime, Worker, WorkerOptions,
@@ -43,19 +44,32 @@ use crate::serve::errand::{Broken, Done, Errand};
 use crate::serve::job::{Fault, Job, State};
 use crate::serve::store::bucket::{Bucket, Held};
 use crate::serve::store::{DataLock, KeptPlan, LogSum, Record, StoreError};
-use crate::serve::{Limits, ServeError, chain, give_way};
+use crate::serve::{Limits, ServeError, chain, give_way, shortened};
 use crate::study::Watch;
 
 /// Number of signs of life in the time of a lease.
 const BEATS_IN_A_LEASE: u32 = 4;
 
+/// Part of a lease without a sign of life after which a job goes to another worker. A process that
+/// is frozen, but not dead, may be handed its job once more, by the one request that it left open:
+/// twice this time, the pauses after it, and the half second by which Temporal is late each time
+/// stay below two leases.
+const SILENCE: f64 = 0.7;
+
+/// Longest pause before a job is given to a worker again, in leases.
+const PAUSE: f64 = 0.1;
+
+/// The first pause before a job is given to a worker again; the next ones are twice as long each.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
+
 /// The longest time between two pieces of an unfinished log that go to the bucket.
 const LONGEST_PACE: Duration = Duration::from_secs(5);
 
-/// The longest time between two signs of life that are sent.
-const THROTTLE: Duration = Duration::from_secs(2);
+/// The shortest time between two signs of life that are sent: less than a quarter of any lease.
+const THROTTLE: Duration = Duration::from_millis(500);
 
-/// The longest pause before a job is given to a worker again; half a lease, if that is less.
+/// The longest pause before a part of a sweep is given to a worker again: it is given up after some
+/// attempts, which are to take longer than what is wrong for a moment.
 const LONGEST_PAUSE: Duration = Duration::from_secs(10);
 
 /// Limit that no job reaches.
@@ -63,6 +77,10 @@ const EVER: Duration = Duration::from_secs(90 * 86_400);
 
 /// Time that a worker that stops waits for its jobs.
 const DRAIN: Duration = Duration::from_secs(9);
+
+/// Longest text of an error that Temporal is told, bytes. It keeps the text, passes it on with each
+/// attempt, and refuses what is very long; the worker's own log has all of it.
+const MAX_TOLD: usize = 1024;
 
 /// Largest number of own processes that may end while the log of an abandoned job is ended.
 const MAX_GIVING_UP: u32 = 3;
@@ -98,15 +116,23 @@ pub(in crate::serve) struct Beat {
     pub(super) eta_s: Option<f64>,
 }
 
-/// Returns the pauses before failed work is tried again; at most `attempts` times, or without a
-/// limit if that is 0.
-fn pauses(lease_s: f64, attempts: u32) -> RetryPolicy {
-    let longest = Duration::from_secs_f64(lease_s / 2.0).min(LONGEST_PAUSE);
-    RetryPolicy::builder()
-        .initial_interval(longest.min(Duration::from_secs(1)))
-        .maximum_interval(longest)
+/// Returns how work is handed out: how long a worker may be silent, and the pauses before the work
+/// is tried again, at most `attempts` times, or without a limit if that is 0.
+fn handed_out(lease_s: f64, longest_pause: Duration, attempts: u32) -> (Duration, RetryPolicy) {
+    let pauses = RetryPolicy::builder()
+        .initial_interval(FIRST_PAUSE.min(longest_pause))
+        .backoff_coefficient(2.0)
+        .maximum_interval(longest_pause)
         .maximum_attempts(attempts)
-        .build()
+        .build();
+    (Duration::from_secs_f64(lease_s * SILENCE), pauses)
+}
+
+/// Returns the time in which a worker has to say what the next activity of a workflow is, which
+/// takes it milliseconds: a frozen one does not hold up a new job for longer.
+pub(super) fn task_timeout(lease: Duration) -> Duration {
+    // 10 s is Temporal's own timeout.
+    Duration::from_secs((lease / BEATS_IN_A_LEASE).as_secs().clamp(1, 10))
 }
 
 /// The workflow of a job: one activity.
@@ -120,11 +146,13 @@ impl Flow {
     #[run]
     pub async fn run(ctx: &mut WorkflowContext<Self>, task: Task) -> WorkflowResult<()> {
         let asked = || {
+            let longest_pause = Duration::from_secs_f64(task.lease_s * PAUSE);
+            let (silence, pauses) = handed_out(task.lease_s, longest_pause, 0);
             ActivityOptions::with_start_to_close_timeout(EVER)
-                .heartbeat_timeout(Duration::from_secs_f64(task.lease_s))
+                .heartbeat_timeout(silence)
                 // A job that was cancelled still ends in order.
                 .cancellation_type(ActivityCancellationType::WaitCancellationCompleted)
-                .retry_policy(pauses(task.lease_s, 0))
+                .retry_policy(pauses)
         };
         let turn = ctx.execute_activity(Hands::turn, task.clone(), asked().build()).await;
         if turn.is_err() {
@@ -151,10 +179,10 @@ impl Part {
     /// Gives the part to workers until one has made it, or the allowed number has failed.
     #[run]
     pub async fn run(ctx: &mut WorkflowContext<Self>, task: PartTask) -> WorkflowResult<()> {
-        let tries = pauses(task.lease_s, MAX_FRUITLESS);
+        let (silence, pauses) = handed_out(task.lease_s, LONGEST_PAUSE, MAX_FRUITLESS);
         let options = ActivityOptions::with_start_to_close_timeout(EVER)
-            .heartbeat_timeout(Duration::from_secs_f64(task.lease_s))
-            .retry_policy(tries)
+            .heartbeat_timeout(silence)
+            .retry_policy(pauses)
             .build();
         ctx.execute_activity(Hands::part, task, options).await?;
         Ok(())
@@ -172,6 +200,17 @@ enum Later {
     Disk(#[from] std::io::Error),
     #[error("{0}")]
     Trouble(String),
+}
+
+/// What Temporal is told of an error.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Told(String);
+
+impl Told {
+    fn of(error: &dyn std::error::Error) -> Self {
+        Self(shortened(chain(error), MAX_TOLD))
+    }
 }
 
 /// State of a worker; copies are the same worker.
@@ -252,9 +291,12 @@ impl Hands {
             Ok(Ok(())) => Ok(()),
             Ok(Err(later)) => {
                 tracing::warn!(job = %turn.id, error = chain(&later), "job goes back");
-                Err(later.into())
+                Err(Told::of(&later).into())
             }
-            Err(broken) => Err(broken.into()),
+            Err(broken) => {
+                tracing::error!(job = %turn.id, error = chain(&broken), "job goes back");
+                Err(Told::of(&broken).into())
+            }
         }
     }
 
@@ -267,6 +309,7 @@ impl Hands {
     ) -> Result<(), ActivityError> {
         let lease = Duration::from_secs_f64(task.lease_s);
         let watch = Arc::<Watch>::default();
+        let name = task.part.clone();
         let mine = self.0.clone();
         let (working, watched) = (mine.clone(), watch.clone());
         let mut work = tokio::spawn(async move { working.make_part(&task, &watched).await });
@@ -283,8 +326,14 @@ impl Hands {
         };
         match done {
             Ok(Ok(())) => Ok(()),
-            Ok(Err(later)) => Err(later.into()),
-            Err(broken) => Err(broken.into()),
+            Ok(Err(later)) => {
+                tracing::warn!(part = name, error = chain(&later), "part goes back");
+                Err(Told::of(&later).into())
+            }
+            Err(broken) => {
+                tracing::error!(part = name, error = chain(&broken), "part goes back");
+                Err(Told::of(&broken).into())
+            }
         }
     }
 }
@@ -609,6 +658,11 @@ pub async fn work(
         .build();
     let options = WorkerOptions::new(config.cluster.queue.clone())
         .tuner(tuner)
+        // One open request of each kind: a process that is frozen, but not dead, cannot answer what
+        // Temporal hands out to it. Without a cache of workflows there is no third one, for those.
+        .activity_task_poller_behavior(PollerBehavior::SimpleMaximum(1))
+        .workflow_task_poller_behavior(PollerBehavior::SimpleMaximum(1))
+        .max_cached_workflows(0)
         .max_heartbeat_throttle_interval(THROTTLE)
         .graceful_shutdown_period(DRAIN)
         .register_activities(hands.clone())
@@ -632,4 +686,72 @@ pub async fn work(
     worker.run().await.map_err(|error| broke(chain(&error)))?;
     tracing::info!("stopped");
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use prost::Message;
+    use temporalio_common::data_converters::{
+        ActivitySerializationContext, DataConverter, SerializationContextData,
+    };
+    use temporalio_common::error::{OutgoingActivityError, OutgoingError};
+    use temporalio_sdk::activities::ActivityError;
+    use uuid::Uuid;
+
+    use super::{Beat, Later, PartTask, StoreError, Task, Told};
+
+    /// Temporal refuses 2 MB, and repeats each attempt whose result it refused.
+    const FAR_BELOW: usize = 64 << 10;
+
+    /// Returns the number of bytes that Temporal is sent for a failed attempt.
+    fn sent(told: Told) -> usize {
+        let ActivityError::Application(error) = ActivityError::from(told) else {
+            panic!("an attempt that fails is tried again");
+        };
+        let of = SerializationContextData::Activity(ActivitySerializationContext::new());
+        let error = OutgoingError::Activity(OutgoingActivityError::Application(error));
+        DataConverter::default().to_failure(&of, error).encoded_len()
+    }
+
+    #[tokio::test]
+    async fn what_temporal_is_told_stays_far_below_what_it_refuses() {
+        // A server that answers with a page, a scratch folder with a long name, a field that echoes its value.
+        let long = || "é€".repeat(1 << 20);
+        let words: Box<String> = Box::new(long());
+        let panicked: Result<(), _> =
+            tokio::spawn(async move { std::panic::resume_unwind(words) }).await;
+        let other = || std::io::Error::other(long());
+        for told in [
+            Told::of(&Later::Trouble(long())),
+            Told::of(&Later::Disk(other())),
+            Told::of(&Later::Store(StoreError::reading_a_log(other()))),
+            Told::of(&panicked.expect_err("it panicked")),
+        ] {
+            assert!(told.0.len() > 30, "it says what is wrong: {told}");
+            let bytes = sent(told);
+            assert!(bytes < FAR_BELOW, "{bytes} bytes");
+        }
+    }
+
+    #[test]
+    fn tasks_and_signs_of_life_are_small() {
+        let lease_s = -f64::MAX / 3.0;
+        let task = Task { id: Uuid::max(), lease_s };
+        let (most, eta_s) = (u64::MAX, Some(lease_s));
+        let beat = Beat { steps_done: most, durable_step: most, eta_s };
+        let part = PartTask {
+            digest: "f".repeat(64),
+            build: env!("VPD_BUILD").to_owned(),
+            part: format!("{most}/{most}"),
+            lease_s,
+        };
+        let written = [
+            serde_json::to_vec(&task).expect("JSON"),
+            serde_json::to_vec(&beat).expect("JSON"),
+            serde_json::to_vec(&part).expect("JSON"),
+        ];
+        for text in written {
+            assert!(text.len() < FAR_BELOW / 16, "{} bytes", text.len());
+        }
+    }
 }
