@@ -105,10 +105,10 @@ macro_rules! in_stage_lanes {
 
 /// Methods of a type with a method `lanes` whose bodies are compiled for the instruction set of these lanes, each once.
 macro_rules! in_lanes {
-    ($($(#[$attribute:meta])* fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
+    ($($(#[$attribute:meta])* $visible:vis fn $name:ident(&mut $this:ident $(, $argument:ident: $type:ty)*) $(-> $result:ty)? $body:block)*) => {
         $($(#[$attribute])*
         #[inline(never)]
-        fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
+        $visible fn $name(&mut $this $(, $argument: $type)*) $(-> $result)? {
             $this.lanes().vectorized(
                 #[inline(always)]
                 || $body,
