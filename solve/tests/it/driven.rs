@@ -617,7 +617,7 @@ impl Blocks {
 }
 
 /// A shipped satellite on its orbit, and its start, a little turned in a member of a number above zero.
-fn satellite(eccentricity: f64, member: u32) -> (RigidBody<3>, State<3>) {
+pub(crate) fn satellite(eccentricity: f64, member: u32) -> (RigidBody<3>, State<3>) {
     let moments = [2100.0, 2000.0, 200.0];
     let matrix = Mat::<3>::from_fn(|i, j| if i == j { moments[i] } else { 0.0 });
     let law = Law::GravityGradient { strength: 3.68e-6, matrix };

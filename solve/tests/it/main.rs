@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout)]
 
 mod adaptive;
+mod counts;
 mod driven;
 mod encounters;
 mod examples;

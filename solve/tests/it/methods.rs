@@ -20,6 +20,7 @@ use vpd_solve::stepper::vpd::Vpd;
 use vpd_solve::stepper::vpd_adaptive::VpdAdaptive;
 use vpd_solve::stepper::vpd_lagrangian::VpdLagrangian;
 use vpd_solve::stepper::vpd_reduced::VpdReduced;
+use vpd_solve::stepper::vpd_so3::VpdSo3;
 use vpd_solve::stepper::vrkmk::Vrkmk;
 use vpd_solve::tableau::Tableau;
 
@@ -108,6 +109,20 @@ macro_rules! any_n {
     };
 }
 
+/// VPD, for n = 3 in lanes.
+macro_rules! lanes {
+    ($name:expr, $order:expr, $steps:expr, $tableau:expr) => {{
+        let three = || VpdSo3::new($tableau, to_round_off()).expect("8 stages at most");
+        Method {
+            beyond: Some((
+                Box::new(|| Box::new(Vpd::new($tableau, to_round_off()))),
+                Box::new(|| Box::new(Vpd::new($tableau, to_round_off()))),
+            )),
+            ..Method::new($name, $order, $steps, Box::new(move || Box::new(three())))
+        }
+    }};
+}
+
 /// A method for n = 3.
 macro_rules! three {
     ($name:expr, $order:expr, $steps:expr, $make:expr) => {
@@ -132,11 +147,11 @@ fn to_round_off() -> StopRule {
 #[rustfmt::skip]
 pub(crate) fn methods() -> Vec<Method> {
     vec![
-        any_n!("vpd gauss 1", 2, [[32, 256], [10, 80]], Vpd::new(gauss(1), to_round_off())).symmetric(),
-        any_n!("vpd gauss 2", 4, [[8, 128], [10, 40]], Vpd::new(gauss(2), to_round_off())),
-        any_n!("vpd gauss 3", 6, [[4, 16], [6, 24]], Vpd::new(gauss(3), to_round_off())),
-        any_n!("vpd gauss 4", 8, [[2, 8], [6, 12]], Vpd::new(gauss(4), to_round_off())),
-        any_n!("vpd gauss 5", 10, [[2, 4], [4, 7]], Vpd::new(gauss(5), to_round_off())),
+        lanes!("vpd gauss 1", 2, [[32, 256], [10, 80]], gauss(1)).symmetric(),
+        lanes!("vpd gauss 2", 4, [[8, 128], [10, 40]], gauss(2)),
+        lanes!("vpd gauss 3", 6, [[4, 16], [6, 24]], gauss(3)),
+        lanes!("vpd gauss 4", 8, [[2, 8], [6, 12]], gauss(4)),
+        lanes!("vpd gauss 5", 10, [[2, 4], [4, 7]], gauss(5)),
         any_n!("vpd rk3", 3, [[32, 256], [20, 160]], Vpd::new(Tableau::rk3(), to_round_off())),
         any_n!("vpd rk4", 4, [[64, 512], [20, 80]], Vpd::new(Tableau::rk4(), to_round_off())),
         any_n!("vpd_lagrangian gauss 1", 2, [[32, 256], [10, 80]], VpdLagrangian::new(gauss(1), to_round_off())).symmetric(),

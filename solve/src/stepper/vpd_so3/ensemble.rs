@@ -15,7 +15,7 @@ use fearless_simd::{Level, f64x8, prelude::*};
 
 use super::sweep;
 use super::unknowns::{Start, Unknowns};
-use super::{MotionState, VpdSo3};
+use super::{MotionState, VpdSo3, has_own_sum};
 use crate::ensemble::Members;
 use crate::failure::Failure;
 use crate::hamiltonian::{CLOSEST_APPROACH, DriveInFrame, RigidBody};
@@ -155,7 +155,7 @@ impl VpdEnsemble {
         if refused || extras & USER != 0 {
             return swept;
         }
-        let (is_free, is_driven) = (body.is_free(), body.is_driven());
+        let (sums, is_driven) = (plan.is_finished && has_own_sum(body), body.is_driven());
         let drive = &*drive;
         let inertia = Inertia::of(body);
         let passes = plan.passes.of_sweep(true);
@@ -214,7 +214,7 @@ impl VpdEnsemble {
                 let order = tableau.ascending();
                 let doubts = in_member_lanes!(level, $stages, extras, lanes => {
                     motion.advance(lanes.0[0], &accepted.end, &accepted.impulse);
-                    if plan.is_finished && !is_free {
+                    if sums {
                         motion.add_momentum_increment(lanes.0[0], &accepted.momentum_increment);
                     } else {
                         motion.turn_momentum(lanes.0[0]);
