@@ -22,7 +22,7 @@ use super::{Clock, Stepper};
 use crate::compensated::Sum;
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{CLOSEST_APPROACH, Drive, DriveInFrame, RigidBody, WorkAndImpulse};
-use crate::lanes::{Row, Rows, in_stage_lanes, widest};
+use crate::lanes::{Row, Rows, extras, in_stage_lanes, widest};
 use crate::nonlinear::{
     Continued, Convergence, Equations, Rung, Rungs, SMALLEST_SIZE, Solver, StepHistory, StopRule,
 };
@@ -369,7 +369,8 @@ impl Stepper<3> for VpdSo3 {
 
     fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
         let p0 = self.body_momentum();
-        self.update_space_vectors(body, h)?;
+        let updated = self.update_space_vectors(body, h);
+        updated.map_err(|failure| self.with_angle(body, h, failure))?;
         let solved = self.solve(body, h, p0).map_err(|failure| self.with_angle(body, h, failure));
         let made = solved.and_then(|solved| self.accepted(body, h, solved));
         self.or_in_matrices(body, h, made)
@@ -400,7 +401,7 @@ impl VpdSo3 {
         match state {
             MotionState::Full(motion) => {
                 motion.space_vectors(0.0, body, seen);
-                if body.is_driven() {
+                if body.extras() & extras::DRIVEN != 0 {
                     drive.begin(body, clock.time, h, tableau.nodes())?;
                     let (level, stages, blank) = (*level, tableau.stages(), Row::splat(0.0));
                     let attitude = &motion.attitude.value;
