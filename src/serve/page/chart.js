@@ -91,7 +91,8 @@ class Chart {
     const turn = this.turn = (this.turn ?? 0) + 1;
     const channel = this.curve.value;
     const window = this.span ? `&from_s=${Math.max(0, this.span[0])}&to_s=${Math.max(0, this.span[1])}` : "";
-    const found = await Promise.all(this.jobs.map(job => json(`jobs/${job.id}/samples?channel=${channel}&points=800${window}`, { quiet: true }).catch(error => error)));
+    const found = await Promise.all(this.jobs.map(job => readJson(`jobs/${job.id}/samples?channel=${channel}&points=800${window}`).catch(error => error)));
+    await calm();
     if (turn !== this.turn) return;
     this.found = found;
     this.draw();

@@ -16,11 +16,24 @@ class Problem extends Error {
   constructor(body, status) { super(body.detail ?? body.title ?? `status ${status}`); Object.assign(this, { body, status }); }
 }
 
-async function call(path, options = {}) {
+// The longest wait for an answer, of whatever somebody waits for.
+const LIMIT_MS = 10_000;
+
+// Signals that end with the first of them.
+const any = (...signals) => AbortSignal.any(signals.filter(Boolean));
+
+// `patient` waits as long as it takes.
+async function call(path, { patient, ...options } = {}) {
   const headers = { ...options.headers };
   const asked = token;
   if (token) headers.authorization = `Bearer ${token}`;
-  const answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, cache: "no-store" });
+  const limit = patient ? null : AbortSignal.timeout(LIMIT_MS);
+  const signal = any(options.signal, limit);
+  let answer;
+  try { answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, signal, cache: "no-store" }); } catch (error) {
+    if (options.signal?.aborted) throw error;
+    throw new Problem({ detail: limit?.aborted ? `The service has not answered within ${LIMIT_MS / 1000} s.` : "The service cannot be reached." });
+  }
   if (answer.ok) return answer;
   const problem = new Problem(await answer.json().catch(() => ({})), answer.status);
   // A request that was sent before the token was given says nothing about it.
@@ -32,7 +45,24 @@ async function call(path, options = {}) {
 const json = async (path, options) => (await call(path, options)).json();
 
 const send = (path, text, headers = {}) =>
-  json(path, { method: "POST", body: text, headers: { "content-type": "application/json", ...headers } });
+  json(path, { method: "POST", body: text, headers: { "content-type": "application/json", ...headers }, priority: "high" });
+
+// A browser keeps six connections to a place for all its windows. What may take seconds there, reading a log or drawing
+// it, takes two of them at most, the events of jobs one: the others are for presses. Without locks, as on a page without
+// TLS, each window goes its own way.
+const READERS = 2;
+let reads = 0;
+const inTurn = read => navigator.locks ? navigator.locks.request(`vpd read ${reads++ % READERS} ${base}`, read) : read();
+
+// Ends when something else is shown: what was being read for it is not wanted any more.
+let leaving = new AbortController();
+
+// Reads something that may take long.
+function read(path) {
+  const { signal } = leaving;
+  return inTurn(() => { signal.throwIfAborted(); return call(path, { signal, quiet: true, patient: true }); });
+}
+const readJson = async path => (await read(path)).json();
 
 function askToken() {
   if ($("token-dialog").open) return;
@@ -40,42 +70,126 @@ function askToken() {
   $("token-dialog").showModal();
 }
 
-function say(text) { $("news").textContent = text; }
+// For those who hear the page; what went wrong is also shown.
+function say(text, wrong = false) {
+  put($("news"), text);
+  $("news").classList.toggle("wrong", wrong);
+}
 
-// Follows a job by its events until it has ended; where proxies cut the stream, by asking.
-async function follow(id, seen, signal) {
-  const tell = job => { seen(job); return ENDED.includes(job.state); };
-  for (let cuts = 0; cuts < 2 && !signal.aborted; cuts += 1) {
-    try {
-      const answer = await call(`jobs/${id}/events`, { signal, quiet: true });
-      if (!answer.headers.get("content-type")?.startsWith("text/event-stream")) break;
-      const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
-      let job = null;
-      for (let rest = ""; ;) {
-        const { value, done } = await reader.read();
-        if (done) break;
-        const events = (rest + value).split("\n\n");
-        rest = events.pop();
-        for (const event of events) {
-          const field = name => event.split("\n").filter(line => line.startsWith(`${name}:`))
-            .map(line => line.slice(name.length + 1).trim()).join("\n");
-          const data = field("data") && JSON.parse(field("data"));
-          if (field("event") === "state") job = data;
-          else if (field("event") === "progress" && job) job = { ...job, progress: data };
-          else continue;
-          cuts = 0;
-          if (tell(job)) return;
-        }
-      }
-    } catch (error) {
-      if (signal.aborted || error.status === 404 && error.body.code === "unknown_job") return;
-    }
+// A text that stays as it is leaves its node alone.
+function put(node, text) { if (node.textContent !== text) node.textContent = text; }
+
+// ---- presses
+
+// The time within which two clicks are one double click.
+const DOUBLE_MS = 600;
+const busy = new WeakSet();
+
+// Does what a button is for, once at a time: it shows that it waits, and a second press, or one within `again_ms`, is none.
+// Says what went wrong.
+async function press(button, act, again_ms = DOUBLE_MS) {
+  if (busy.has(button)) return;
+  busy.add(button);
+  const doubled = new Promise(later => setTimeout(later, again_ms));
+  button.ariaBusy = "true";
+  say("");
+  try { await act(); } catch (error) { say(error.message, true); } finally {
+    button.ariaBusy = null;
+    await doubled;
+    busy.delete(button);
   }
-  while (!signal.aborted) {
-    try { if (tell(await json(`jobs/${id}`, { signal, quiet: true }))) return; } catch (error) {
-      if (error.status === 404) return;
+}
+
+// Makes a small button for it.
+const pressable = (word, act, props = {}) =>
+  h("button", { type: "button", className: "small", onclick: event => press(event.currentTarget, act), ...props }, word);
+
+// Whether a button of the mouse, a finger or a pen is down, and what waits until it is up.
+let down = false, lifting = 0;
+const waiting = [];
+
+// Ends when nothing is being pressed: what moves or replaces things waits for it, so that a press that began on a button
+// ends on it.
+const calm = () => down ? new Promise(later => waiting.push(later)) : Promise.resolve();
+
+function lift() {
+  down = false;
+  waiting.splice(0).forEach(later => later());
+}
+
+addEventListener("pointerdown", event => { if (event.button === 0) { clearTimeout(lifting); down = true; } }, true);
+// The click comes after the pointer is up.
+const lifted = () => { clearTimeout(lifting); lifting = setTimeout(lift, 60); };
+for (const kind of ["pointerup", "pointercancel", "blur", "dragend"]) addEventListener(kind, lifted, true);
+addEventListener("pointermove", event => { if (down && event.buttons === 0) lifted(); }, true);
+
+// ---- following jobs
+
+// What one window hears of a job, told to the others: its state and its progress.
+const air = new BroadcastChannel(`vpd ${base}`);
+const pass = ({ id, state, progress }) => air.postMessage({ id, state, progress });
+
+const shownAgain = () => document.hidden ? new Promise(later => document.addEventListener("visibilitychange", later, { once: true })) : null;
+
+// Follows a job until it has ended. One window of a browser at a time holds a stream of events, and only while it can be
+// seen; the others hear what it tells, or ask every second.
+async function follow(job, seen, signal) {
+  let told = 0, streams = false;
+  const over = () => signal.aborted || ENDED.includes(job.state);
+  const tell = fresh => { if (over()) return; [job, told] = [fresh, Date.now()]; seen(job); };
+  const ask = async () => { const fresh = await json(`jobs/${job.id}`, { signal, quiet: true }); pass(fresh); tell(fresh); };
+  const listen = ({ data }) => { if (data.id === job.id && data.state === job.state) tell({ ...job, progress: data.progress }); };
+  air.addEventListener("message", listen);
+  const stream = async () => {
+    // Some proxies cut streams.
+    for (let cuts = 0; cuts < 2 && !over(); cuts += 1) {
+      await shownAgain();
+      const stop = new AbortController();
+      const hide = () => { if (document.hidden) stop.abort(); };
+      document.addEventListener("visibilitychange", hide);
+      const either = any(signal, stop.signal);
+      try {
+        await navigator.locks.request(`vpd events ${base}`, { signal: either }, () => events(job.id, fresh => {
+          [cuts, streams] = [0, true];
+          pass(fresh);
+          tell(fresh);
+        }, either));
+      } catch { if (stop.signal.aborted) cuts = -1; } finally {
+        streams = false;
+        document.removeEventListener("visibilitychange", hide);
+      }
     }
-    await new Promise(later => setTimeout(later, 1000));
+  };
+  if (navigator.locks) stream();
+  while (!over()) {
+    await new Promise(later => setTimeout(later, 500));
+    await shownAgain();
+    if (over() || streams || Date.now() - told < 1000) continue;
+    try { await ask(); } catch (error) { if (error.status === 404) break; }
+  }
+  air.removeEventListener("message", listen);
+}
+
+// Reads the events of a job until they end.
+async function events(id, seen, signal) {
+  const answer = await call(`jobs/${id}/events`, { signal, quiet: true, patient: true });
+  if (!answer.headers.get("content-type")?.startsWith("text/event-stream")) return;
+  const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+  let job = null;
+  for (let rest = ""; ;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    const events = (rest + value).split("\n\n");
+    rest = events.pop();
+    for (const event of events) {
+      const field = name => event.split("\n").filter(line => line.startsWith(`${name}:`))
+        .map(line => line.slice(name.length + 1).trim()).join("\n");
+      const data = field("data") && JSON.parse(field("data"));
+      if (field("event") === "state") job = data;
+      else if (field("event") === "progress" && job) job = { ...job, progress: data };
+      else continue;
+      seen(job);
+    }
   }
 }
 

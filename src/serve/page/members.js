@@ -42,7 +42,8 @@ class Members {
   async load() {
     const turn = this.turn = (this.turn ?? 0) + 1;
     const asked = new URLSearchParams({ channel: this.curve.value, order: this.order.value, offset: this.page * ROWS, limit: ROWS, ...this.curve.value === "axis_angle" && { axis: this.axis.value } });
-    const found = await json(`jobs/${this.job.id}/members?${asked}`, { quiet: true }).catch(error => error);
+    const found = await readJson(`jobs/${this.job.id}/members?${asked}`).catch(error => error);
+    await calm();
     if (turn !== this.turn) return;
     this.found = found.rows ? found : null;
     this.draw();
@@ -128,7 +129,7 @@ class Members {
     this.after.disabled = this.page + 1 >= pages;
     this.body.replaceChildren(...(found?.rows ?? []).map((row, k) => h("tr", { className: k === this.shown ? "shown" : "", onpointerenter: () => this.point(k) },
       h("th", { scope: "row" }, String(row.member)), h("td", { className: "figure" }, row.largest == null ? "" : figure(row.largest)),
-      h("td", {}, h("button", { type: "button", className: "small", ariaLabel: `Run member ${row.member} alone`, onclick: () => this.alone(row.member) }, "Run")),
+      h("td", {}, pressable("Run", () => this.alone(row.member), { ariaLabel: `Run member ${row.member} alone` })),
       h("td", {}, row.largest_at_s == null ? "" : figure(row.largest_at_s)),
       h("td", { className: row.outcome === "succeeded" ? "succeeded" : "failed" }, row.outcome === "succeeded" ? row.outcome : `${row.outcome} at step ${count(row.steps + 1)}`))));
     [...this.body.children].forEach((node, k) => node.addEventListener("focusin", () => this.point(k)));
@@ -142,8 +143,8 @@ class Members {
       location.hash = `#/jobs/${job.id}`;
       await refresh();
     } catch (error) {
-      say(error.message);
       put(this.words, `Member ${member} was not run: ${error.message}`);
+      throw error;
     }
   }
 
