@@ -90,7 +90,7 @@ pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, Cha
     let mut charts = LogChart::ALL.map(|which| (which.file(), empty(which)));
     for (color, log) in logs.iter().enumerate() {
         let label = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let style = Style { color, member: color, marked: false };
+        let style = Style { color, shade: color / PALETTE.len(), member: color, marked: false };
         let course = Course::of(log)?;
         for ((_, chart), which) in charts.iter_mut().zip(LogChart::ALL) {
             let points = course.points(which).to_vec();
@@ -135,7 +135,7 @@ pub fn draw_course(course: &Course, which: LogChart) -> Result<String, ChartErro
     if points.is_empty() {
         return Err(ChartError::Empty);
     }
-    let style = Style { color: 0, member: 0, marked: false };
+    let style = Style { color: 0, shade: 0, member: 0, marked: false };
     let mut chart = empty(which);
     chart.lines.push(Line { label: String::new(), points, style });
     chart.draw()
@@ -174,6 +174,7 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
         y,
         lines: Vec::new(),
         points: Vec::new(),
+        rings: Vec::new(),
         guides: Vec::new(),
         guide_label: String::new(),
     }

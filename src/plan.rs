@@ -71,8 +71,8 @@ pub struct Plan {
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved, or changes by the
     /// torques alone.
     pub free_directions: usize,
-    /// Balance that is kept, and logged as the energy error, in a scene that changes with time or
-    /// has torques or wheels.
+    /// Balance that is kept instead of the energy, and logged as the energy error, in a scene that changes with time or
+    /// has torques.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub balance: Option<String>,
     /// Balance of the momentum that is kept, and logged as its drift, in a scene with torques.

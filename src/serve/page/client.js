@@ -213,6 +213,21 @@ function span(seconds) {
   return seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${Math.round(seconds / 86400)} days`;
 }
 
+// A time of a run as a person reads it, in four digits.
+function clock(seconds) {
+  if (seconds < 600) return `${seconds.toPrecision(4)} s`;
+  const whole = Math.round(seconds), [days, hours, minutes] = [Math.floor(whole / 86400), Math.floor(whole / 3600) % 24, Math.floor(whole / 60) % 60];
+  const parts = [days && `${count(days)} d`, (days || hours) && `${hours} h`, `${minutes} min`, !days && `${whole % 60} s`];
+  return parts.filter(Boolean).join(" ");
+}
+
+// Text as nodes: a figure and its unit stay in one line.
+const prose = text => text.split(/([-−]?\d[\d.,]*(?:e[-+]?\d+)?(?:\s(?:J|s|ms|ns|min|h|d|days|rad|%|kg m²\/s|N m s)(?![\p{L}\d]))?)/u)
+  .map((part, k) => k % 2 ? h("span", { className: "whole" }, part) : part);
+
+// Puts a text with figures.
+function putProse(node, text) { if (node.textContent !== text) node.replaceChildren(...prose(text)); }
+
 // The time of today, or the day.
 function when(created) {
   if (!created) return "";
@@ -221,18 +236,27 @@ function when(created) {
   return at.toDateString() === new Date().toDateString() ? time : `${at.toLocaleDateString([], { dateStyle: "medium" })}, ${time}`;
 }
 
-function standing({ state, progress, trouble }) {
+// The ids of the jobs that wait, the next one first; null if it is not known.
+let queue = null;
+
+function inQueue(id) {
+  const at = queue?.indexOf(id) ?? -1;
+  return at < 0 ? "" : at === 0 ? ": next" : `: ${count(at)} before it`;
+}
+
+function standing({ id, state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
-  if (state === "queued") return trouble ? "waiting for the disk" : "waiting for a free worker";
+  if (state === "queued" && trouble) return "waiting for the disk";
+  if (state === "queued") return `waiting for a free worker${inQueue(id)}`;
   if (state === "running" && steps === 0) return "searching for a method and a step";
   if (state !== "running" && steps === 0) return "no steps";
-  if (state !== "running") return `${count(steps_done)} of ${count(steps)} steps`;
+  if (state !== "running") return steps_done === steps ? `${count(steps)} steps` : `${count(steps_done)} of ${count(steps)} steps`;
   return `${percent.toFixed(1)} %, ${eta_s == null ? "starting" : `${span(eta_s)} left`}`;
 }
 
 // Describes the state of a job in plain words.
 function outcome(job) {
-  const { summary, state } = job;
+  const { summary, state, plan } = job;
   if (state === "queued" && job.trouble) return `The job is stored and will be tried again: ${job.trouble.message}.`;
   if (state === "queued") return "The job is stored and waits for a free worker.";
   if (state === "running") return "The job is running. You may close this page: the job continues.";
@@ -245,11 +269,16 @@ function outcome(job) {
     const failed = Object.entries(ensemble.failed ?? {}).map(([code, number]) => `, ${count(number)} ${code}`).join("");
     parts[0] = `${count(ensemble.succeeded)} of ${count(ensemble.members)} members finished${failed}, in ${span(summary.wall_s)}. Member 0:`;
   }
-  if (energy) parts.push(`The energy, ${figure(energy.initial)} J, is constant to ${figure(energy.max_abs_error)} J.`);
+  if (energy && plan?.balance) {
+    const { initial, least, largest, last } = energy;
+    if (last != null) parts.push(`The energy was ${figure(initial)} J at the start and ${figure(last)} J at the end, between ${figure(least)} J and ${figure(largest)} J.`);
+    parts.push(`Its balance, ${plan.balance}, is constant to ${figure(energy.max_abs_error)} J.`);
+  } else if (energy) parts.push(`The energy, ${figure(energy.initial)} J, is constant to ${figure(energy.max_abs_error)} J.`);
   if (orthogonality) parts.push(orthogonality.max < 1e-14
     ? `The attitude stayed a rotation to round-off (${figure(orthogonality.max)}).`
     : `The attitude deviates from a rotation by ${figure(orthogonality.max)}.`);
-  if (momentum) parts.push(`The conserved part of the momentum drifted by ${figure(momentum.max_drift)} kg m²/s.`);
+  const kept = plan?.momentum_balance ? "The spatial momentum less the impulse of the torques" : "The conserved part of the momentum";
+  if (momentum) parts.push(`${kept} drifted by ${figure(momentum.max_drift)} kg m²/s.`);
   if (summary.warning) parts.push(`Warning: ${summary.warning}.`);
   return parts.join(" ");
 }

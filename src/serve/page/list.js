@@ -64,7 +64,8 @@ function jobRow({ id }) {
     box.disabled = !ended;
     box.checked = Boolean(chosen?.has(id));
     progress.value = job.state === "queued" ? 0 : job.progress.percent;
-    put(words, ended ? `${standing(job)} · ${when(job.created)}` : standing(job));
+    // The time first: what does not fit is cut off at the end.
+    put(words, ended ? `${when(job.created)} · ${standing(job)}` : standing(job));
     words.title = [words.textContent, job.created && new Date(job.created).toLocaleString()].filter(Boolean).join(", ");
     for (const [node, what] of [[progress, "Progress of"], [stop, "Cancel"], [remove, "Delete"], [box, "Choose"]]) node.ariaLabel = `${what} ${job.name}`;
   };
@@ -140,6 +141,8 @@ async function refresh(asked = false) {
   try {
     const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
     const list = studies ? (await json("studies", { quiet: true })).studies : null;
+    const waits = page.jobs.some(job => job.state === "queued");
+    queue = waits ? (await json("jobs?state=queued&limit=500", { quiet: true })).jobs.map(job => job.id).reverse() : null;
     await calm();
     // The user has asked for another page since.
     if (turn !== refreshed) return;

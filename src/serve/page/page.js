@@ -31,8 +31,8 @@ function diagnosis(job) {
   }, { className: "main", id: "again" });
   const where = found.step == null ? "" : ` at step ${count(found.step)}, t = ${figure(found.time_s)} s`;
   return h("div", { className: "diagnosis" },
-    h("p", {}, h("strong", {}, "Why: "), found.cause ?? found.message ?? "", ` (${found.code}${where})`),
-    h("p", {}, h("strong", {}, "What to do: "), found.advice ?? ""), again || null);
+    h("p", {}, h("strong", {}, "Why: "), ...prose(`${found.cause ?? found.message ?? ""} (${found.code}${where})`)),
+    h("p", {}, h("strong", {}, "What to do: "), ...prose(found.advice ?? "")), again || null);
 }
 
 const own = path => new URL(path.replace(/^\//, ""), base);
@@ -90,16 +90,17 @@ async function edit(job, change = source => source) {
 
 function facts({ plan, summary, attempts }) {
   const rows = [];
-  const add = (name, value) => value != null && rows.push(h("dt", {}, name), h("dd", {}, value));
+  const add = (name, value) => value != null && rows.push(h("dt", {}, name), h("dd", {}, ...prose(String(value))));
   if (plan) {
     const { formulation } = plan;
     add("body", `SO(${plan.dimension})`);
     add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
     add("reason", formulation.why);
     add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
-    add("energy error", plan.balance);
-    add("momentum drift", plan.momentum_balance);
-    add("Jacobi error", plan.jacobi_integral);
+    const change = what => what && `the change of ${what}`;
+    add("energy error", change(plan.balance));
+    add("momentum drift", change(plan.momentum_balance));
+    add("Jacobi error", change(plan.jacobi_integral));
     (plan.warnings ?? []).forEach(warning => add("warning", warning));
   }
   if (summary) {
@@ -176,7 +177,7 @@ async function viewJob(id) {
       before = key;
       head.replaceChildren(
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
-        h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
+        h("p", { className: "outcome" }, ...prose(outcome(job))), diagnosis(job) ?? "",
         last ? "" : h("div", { className: "row" }, h("progress", { max: 100, ariaLabel: "Progress" }), h("span", { className: "soft", id: "standing" }),
           pressable("Cancel", () => cancel(job))));
       rest.replaceChildren(...(job.state === "running" ? liveLinks(job).filter(Boolean) : []));
@@ -187,6 +188,7 @@ async function viewJob(id) {
       head.querySelector("progress").value = job.progress.percent;
       $("standing").textContent = standing(job);
     }
+    if (!last && !body && !looks.children.length && job.state === "running") looks.append(h("p", { className: "soft" }, "Waiting for the first samples …"));
     if (last ? job.links.log : job.progress.durable_step > 0) {
       await show(job);
       if (!current()) return;
@@ -216,7 +218,7 @@ async function showBody(job, looks, current) {
     looks.replaceChildren(player.root);
     const { scene } = await json(job.links.scenario, { quiet: true });
     player.onframe = t => chart?.follow(t);
-    if (await player.open(load, scene.potential) && current()) { stage = player; return true; }
+    if (await player.open(load, scene) && current()) { stage = player; return true; }
   } catch { /* Nothing to show. */ }
   await calm();
   looks.replaceChildren();
@@ -225,12 +227,17 @@ async function showBody(job, looks, current) {
 
 const CHARTS = { energy: "Energy error over time", orthogonality: "Orthogonality error over time", momentum: "Drift of the conserved momentum over time" };
 
-async function charts(job) {
-  if (!job.summary || job.summary.samples < 2) return [];
-  const drawn = await Promise.all(Object.entries(CHARTS).filter(([key]) => job.links.charts?.[key])
-    .map(([key, alt]) => picture(job.links.charts[key], alt).catch(() => null)));
-  const found = drawn.filter(Boolean);
-  return found.length ? [h("details", {}, h("summary", {}, "Charts of the accuracy as pictures"), h("div", { className: "charts" }, found))] : [];
+// A picture, or in its place why it is not there.
+const pictured = (path, alt) => picture(path, alt).catch(error => h("p", { className: "soft" }, `${alt}: not drawn. ${error.message}`));
+
+async function charts({ links, summary, plan }) {
+  if (!links.charts || !summary) return [];
+  const logged = topic => plan?.channels.some(channel => channel.topic === topic);
+  const why = key => summary.samples < 2 ? "the log holds less than two samples"
+    : key === "momentum" && logged("/momentum") ? "no part of the momentum is conserved" : `/${key} is not logged`;
+  const drawn = await Promise.all(Object.entries(CHARTS).map(([key, alt]) =>
+    summary[key] && summary.samples > 1 ? pictured(links.charts[key], alt) : h("p", { className: "soft" }, `${alt}: not drawn, because ${why(key)}.`)));
+  return [h("details", {}, h("summary", {}, "Charts of the accuracy as pictures"), h("div", { className: "charts" }, drawn))];
 }
 
 // ---- studies
@@ -247,7 +254,7 @@ async function viewStudy(id) {
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
     // A sweep shows the members so far.
     const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
-      .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
+      .map(link => pictured(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`))) : [];
     await calm();
     if (turn !== shown) return;
     if (!card.isConnected) $("view").replaceChildren(card);
@@ -255,7 +262,7 @@ async function viewStudy(id) {
       h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
       h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${count(study.runs_done)} runs${ended ? "" : ` of ${count(study.runs)}`}.`),
       ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
-      h("div", { className: "charts" }, pictures.filter(Boolean)),
+      h("div", { className: "charts" }, pictures),
       h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
         .map(link => h("a", { href: own(link).href, download: `${fileName(study.name)}.csv` }, "Table (CSV)"))),
       ended && study.kind === "sweep" ? memberForm(study) : "");
