@@ -151,6 +151,7 @@ async function refresh(asked = false) {
     sought.next = page.next_cursor;
     if (!jobs.length && sought.cursors.length > 1) { sought.cursors.pop(); return await refresh(asked); }
     if (asked) showAll(); else showLists();
+    dispatchEvent(new Event("listed"));
   } catch (error) {
     if (error.shut) askToken();
     else if (asked) say(error.message, true);

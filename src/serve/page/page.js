@@ -136,7 +136,9 @@ async function viewJob(id) {
   const drawn = h("div", { id: "drawn" });
   const rest = h("div");
   $("view").replaceChildren(h("article", { className: "card" }, head, looks, crowd, drawn, rest));
-  let body = false, ended = false, before = "";
+  let body = false, ended = false, before = "", latest = job;
+  // The place of a job in the queue changes with the others.
+  addEventListener("listed", () => { if (!ended && $("standing")) put($("standing"), standing(latest)); }, { signal });
 
   // Once; what came to nothing while the job ran is tried again when it has ended.
   const show = async job => {
@@ -170,6 +172,7 @@ async function viewJob(id) {
   const update = async job => {
     await calm();
     if (!current() || ended) return;
+    latest = job;
     // While this one waits, the one of the end may come: each goes on with its own job.
     const last = ended = ENDED.includes(job.state);
     const key = job.state;
