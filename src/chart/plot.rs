@@ -330,7 +330,7 @@ impl Plot<'_> {
 impl Style {
     /// Draws a line through pixels, and a mark at each (for a sample in a legend, in its middle).
     fn draw(self, area: &Area<'_>, pixels: Vec<(i32, i32)>) -> Drawn {
-        let color = shaded(PALETTE[self.color % PALETTE.len()], SHADES[self.shade % SHADES.len()]);
+        let color = of_shade(PALETTE[self.color % PALETTE.len()], self.shade);
         let dash = DASHES[self.member % DASHES.len()];
         dashed(area, pixels.clone(), dash, color.stroke_width(2))?;
         if self.marked {
@@ -367,8 +367,9 @@ fn ring(area: &Area<'_>, pixel: (i32, i32)) -> Drawn {
     Ok(())
 }
 
-/// Returns a colour with a part of white in it, or of black if that is negative.
-fn shaded(RGBColor(r, g, b): RGBColor, part: f64) -> RGBColor {
+/// Returns a colour in one of its lightnesses.
+pub(super) fn of_shade(RGBColor(r, g, b): RGBColor, shade: usize) -> RGBColor {
+    let part = SHADES[shade % SHADES.len()];
     let towards = if part > 0.0 { 255.0 } else { 0.0 };
     let mix = |x: u8| (f64::from(x) + part.abs() * (towards - f64::from(x))).round() as u8;
     RGBColor(mix(r), mix(g), mix(b))
