@@ -806,7 +806,7 @@ await checks({
     // The same presses each time.
     let seed = 7;
     const random = () => { seed = (seed * 16807) % 2147483647; return seed / 2147483647; };
-    const presses = Number(process.env.PRESSES ?? 30), wrong = [];
+    const presses = Number(process.env.PRESSES ?? 20), wrong = [];
     let cancels = 0;
     const cancelled = new Set();
     list.on("request", request => { if (request.url().endsWith("/cancel")) cancelled.add(request.url().split("/").at(-2)); });
