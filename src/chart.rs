@@ -331,7 +331,11 @@ mod tests {
             outcome: "succeeded".to_owned(),
             failed_step: None,
         };
-        let cell = |k: usize| Cell { class: classes[k % classes.len()], row: row.clone(), swing_rad: None };
+        let cell = |k: usize| Cell {
+            class: classes[k % classes.len()],
+            row: row.clone(),
+            swing_rad: None,
+        };
         let border = |k: usize| Border {
             label: format!("{label} {k}"),
             usable_step_s: Some(0.1),
@@ -351,7 +355,13 @@ mod tests {
 
     #[test]
     fn texts_of_a_map_lie_apart_whatever_it_shows() {
-        let classes = [Class::Stable, Class::EnergyDrifts, Class::BlewUp, Class::LeftGroup, Class::WrongBranch];
+        let classes = [
+            Class::Stable,
+            Class::EnergyDrifts,
+            Class::BlewUp,
+            Class::LeftGroup,
+            Class::WrongBranch,
+        ];
         for (methods, steps) in [(1, 1), (3, 24), (60, 24), (3, 4)] {
             for label in ["vpd gauss2", LONG] {
                 for classes in [&classes[..1], &classes] {

@@ -62,11 +62,16 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
                     "{initial:.6e} J at the start, from {least:.6e} to {largest:.6e} J, {last:.6e} J at the end"
                 );
                 line("energy", range);
-                line("balance", format!("{balance}: off by at most {max:.2e} J, {end:.2e} J at the end"));
+                line(
+                    "balance",
+                    format!("{balance}: off by at most {max:.2e} J, {end:.2e} J at the end"),
+                );
             }
             _ => line(
                 "energy",
-                format!("{initial:.6e} J at the start, error at most {max:.2e} J, {end:.2e} J at the end"),
+                format!(
+                    "{initial:.6e} J at the start, error at most {max:.2e} J, {end:.2e} J at the end"
+                ),
             ),
         }
     }

@@ -539,3 +539,20 @@ fn the_plan_says_what_the_channels_hold() {
         assert!(met.iter().any(|row| (row.1, row.2) == figures), "{figures:?}");
     }
 }
+
+/// One digit of a coefficient is wrong: the order falls, and the plan says so.
+#[test]
+fn the_plan_warns_of_coefficients_of_a_low_order() {
+    let warned = |a: Value, b: Value| {
+        let mut scenario: Value =
+            serde_json::from_str(include_str!("../../scenarios/heavy-top.json")).expect("JSON");
+        scenario["method"] = json!({ "name": "vpd", "tableau": { "a": a, "b": b } });
+        let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        let warnings = Plan::new(&scenario).expect("a plan").warnings;
+        warnings.iter().any(|warning| warning.contains("check its coefficients"))
+    };
+    let radau = |last: f64| json!([[0.25, -0.25], [0.25, last]]);
+    assert!(!warned(radau(5.0 / 12.0), json!([0.25, 0.75])));
+    assert!(warned(radau(0.45), json!([0.25, 0.75])));
+    assert!(!warned(json!([[0.5]]), json!([1])));
+}
