@@ -84,7 +84,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             let color = families.iter().position(of).unwrap_or(0);
             let before = METHODS.iter().filter(|(name, _)| of(name));
             let member = before.take_while(|(_, tableau)| !label.ends_with(tableau)).count();
-            Line { label, points, style: Style { color, member, marked: true } }
+            Line { label, points, style: Style { color, shade: 0, member, marked: true } }
         };
         let plot = |what: &str, lines: Vec<(String, Vec<(f64, f64)>)>| Plot {
             title: format!("{what}, at an error of {:.0e}", ERRORS[1]),
@@ -92,6 +92,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             y: Axis { label: "time, us", scale: Scale::Log },
             lines: lines.into_iter().map(line).collect(),
             points: Vec::new(),
+            rings: Vec::new(),
             guides: vec![[(3.0, 1.0), (30.0, 316.0)]],
             guide_label: "n^2.5".to_owned(),
         };

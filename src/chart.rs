@@ -90,7 +90,7 @@ pub fn draw_logs(logs: &[PathBuf], directory: &Path) -> Result<Vec<PathBuf>, Cha
     let mut charts = LogChart::ALL.map(|which| (which.file(), empty(which)));
     for (color, log) in logs.iter().enumerate() {
         let label = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let style = Style { color, member: color, marked: false };
+        let style = Style { color, shade: color / PALETTE.len(), member: color, marked: false };
         let course = Course::of(log)?;
         for ((_, chart), which) in charts.iter_mut().zip(LogChart::ALL) {
             let points = course.points(which).to_vec();
@@ -135,7 +135,7 @@ pub fn draw_course(course: &Course, which: LogChart) -> Result<String, ChartErro
     if points.is_empty() {
         return Err(ChartError::Empty);
     }
-    let style = Style { color: 0, member: 0, marked: false };
+    let style = Style { color: 0, shade: 0, member: 0, marked: false };
     let mut chart = empty(which);
     chart.lines.push(Line { label: String::new(), points, style });
     chart.draw()
@@ -174,7 +174,213 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
         y,
         lines: Vec::new(),
         points: Vec::new(),
+        rings: Vec::new(),
         guides: Vec::new(),
         guide_label: String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::study::stability::{Border, Cell, Class, Map};
+    use crate::study::table::Row;
+
+    /// The place of a text: left, top, right, bottom, in pixels.
+    #[derive(Clone, Debug)]
+    struct Words {
+        text: String,
+        edges: [f64; 4],
+    }
+
+    /// Returns the number in an attribute of a tag.
+    fn number(tag: &str, name: &str) -> Option<f64> {
+        attribute(tag, name)?.parse().ok()
+    }
+
+    fn attribute<'a>(tag: &'a str, name: &str) -> Option<&'a str> {
+        tag.split_once(&format!(" {name}=\""))?.1.split('"').next()
+    }
+
+    /// Returns where the texts of a picture are: letters are at most 0.6 of their height wide on average.
+    fn texts(svg: &str) -> Vec<Words> {
+        svg.split("<text")
+            .skip(1)
+            .map(|part| {
+                let (tag, rest) = part.split_once('>').expect("an end of the tag");
+                let text = rest.split('<').next().unwrap_or_default().trim().to_owned();
+                let [x, y, size] =
+                    ["x", "y", "font-size"].map(|name| number(tag, name).expect("a number"));
+                let wide = 0.6 * size * text.chars().count() as f64;
+                let left = match attribute(tag, "text-anchor") {
+                    Some("end") => x - wide,
+                    Some("middle") => x - 0.5 * wide,
+                    _ => x,
+                };
+                let top = match attribute(tag, "dy") {
+                    Some("0.76em") => y,
+                    Some("-0.5ex") => y - size,
+                    _ => y - 0.5 * size,
+                };
+                // The name of the vertical axis is turned about its place.
+                let edges = if tag.contains("rotate(") {
+                    [x, y - 0.5 * wide, x + size, y + 0.5 * wide]
+                } else {
+                    [left, top, left + wide, top + size]
+                };
+                Words { text, edges }
+            })
+            .collect()
+    }
+
+    /// Panics if texts of a picture lie on each other, or beyond its edge.
+    fn check(what: &str, svg: &str) {
+        let [width, height] =
+            ["width", "height"].map(|name| number(svg, name).expect("the size of the picture"));
+        let words = texts(svg);
+        assert!(words.len() > 2, "{what}: {words:?}");
+        for (k, one) in words.iter().enumerate() {
+            let [left, top, right, bottom] = one.edges;
+            let inside = left >= 0.0 && top >= 0.0 && right <= width && bottom <= height;
+            assert!(inside, "{what}: {one:?} is beyond {width} x {height}");
+            for other in &words[k + 1..] {
+                let [l, t, r, b] = other.edges;
+                let apart = right <= l || r <= left || bottom <= t || b <= top;
+                assert!(apart, "{what}: {one:?} lies on {other:?}");
+            }
+        }
+    }
+
+    const LONG: &str = "a name of a scene that is much longer than anybody would write, but that is allowed, because it has \
+                        fewer than two hundred letters, and that therefore has to have its place";
+
+    fn plot(scale: Scale, lines: usize, label: &str, points: &[(f64, f64)]) -> Plot<'static> {
+        let line = |k: usize| Line {
+            label: format!("{label} {k}"),
+            points: points.to_vec(),
+            style: Style { color: k % 7, shade: k / 7, member: k, marked: true },
+        };
+        Plot {
+            title: format!("{label}: error against step"),
+            x: Axis { label: "step in s", scale: Scale::Linear },
+            y: Axis { label: "error at the end: attitude in rad + momentum, relative", scale },
+            lines: (0..lines).map(line).collect(),
+            points: Vec::new(),
+            rings: points.to_vec(),
+            guides: vec![[(0.1, 1.0), (1.0, 2.0)]],
+            guide_label: "slope 2, 4, 6".to_owned(),
+        }
+    }
+
+    #[test]
+    fn texts_of_a_chart_lie_apart_whatever_it_shows() {
+        let shapes: [(&str, &[(f64, f64)]); 7] = [
+            ("usual", &[(0.1, 1e-9), (0.2, 1e-7), (0.4, 1e-5)]),
+            ("one step", &[(0.1, 1e-9)]),
+            ("all equal", &[(0.1, 5.0), (0.2, 5.0), (0.3, 5.0)]),
+            ("all zero", &[(0.0, 0.0), (0.0, 0.0)]),
+            ("tiny", &[(1e-300, 1e-300), (2e-300, 3e-300)]),
+            ("huge", &[(1e9, 1e300), (2e9, 2e300)]),
+            ("close together", &[(1e-8, 1.000_000_1), (3e-8, 1.000_000_4)]),
+        ];
+        for (what, points) in shapes {
+            for scale in [Scale::Linear, Scale::Log] {
+                for (lines, label) in [(1, "vpd gauss2"), (9, LONG), (60, "rk_projected rk8")] {
+                    let svg = plot(scale, lines, label, points).draw().expect("drawn");
+                    check(&format!("{what}, {scale:?}, {lines} lines"), &svg);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_numbers_of_an_axis_differ() {
+        for points in [
+            [(0.0, 0.0), (1.0, 3e-8)],
+            [(0.0, 1.000_000_1), (1.0, 1.000_000_4)],
+            [(0.0, -2e-300), (1.0, 3e-300)],
+            [(0.0, 0.0), (1.0, 123_456_789.0)],
+            [(0.0, 5.0), (1.0, 5.0)],
+        ] {
+            let svg = plot(Scale::Linear, 1, "vpd", &points).draw().expect("drawn");
+            // Those of the vertical axis end at it.
+            let labels: Vec<_> =
+                texts(&svg).into_iter().filter(|words| words.edges[2] == 76.0).collect();
+            assert!(labels.len() > 2, "{points:?}: {labels:?}");
+            for (k, one) in labels.iter().enumerate() {
+                let again = labels[k + 1..].iter().any(|other| other.text == one.text);
+                assert!(!again, "{points:?}: {labels:?}");
+            }
+        }
+    }
+
+    fn map(methods: usize, steps: usize, label: &str, classes: &[Class]) -> Map {
+        let row = Row {
+            method: "vpd".to_owned(),
+            tableau: "gauss2".to_owned(),
+            order: 4,
+            solver: "auto".to_owned(),
+            step_s: 0.1,
+            steps: 4000,
+            error: None,
+            energy_error: Some(1e-9),
+            orthogonality_error: None,
+            iterations_per_step: None,
+            force_evaluations: 0,
+            ns_per_step: None,
+            outcome: "succeeded".to_owned(),
+            failed_step: None,
+        };
+        let cell = |k: usize| Cell {
+            class: classes[k % classes.len()],
+            row: row.clone(),
+            swing_rad: None,
+        };
+        let border = |k: usize| Border {
+            label: format!("{label} {k}"),
+            usable_step_s: Some(0.1),
+            turn_rad: Some(0.1),
+            broken_step_s: None,
+            broken: None,
+            resonances: Vec::new(),
+        };
+        Map {
+            steps_s: (0..steps).map(|k| 0.012 * libm::pow(1.26, k as f64)).collect(),
+            cells: (0..methods).map(|_| (0..steps).map(cell).collect()).collect(),
+            borders: (0..methods).map(border).collect(),
+            energy_scale: 1.0,
+            fastest_rad_s: 2.5,
+        }
+    }
+
+    #[test]
+    fn texts_of_a_map_lie_apart_whatever_it_shows() {
+        let classes = [
+            Class::Stable,
+            Class::EnergyDrifts,
+            Class::BlewUp,
+            Class::LeftGroup,
+            Class::WrongBranch,
+        ];
+        for (methods, steps) in [(1, 1), (3, 24), (60, 24), (3, 4)] {
+            for label in ["vpd gauss2", LONG] {
+                for classes in [&classes[..1], &classes] {
+                    let svg = stability_map(label, &map(methods, steps, label, classes));
+                    check(&format!("{methods} methods, {steps} steps"), &svg.expect("drawn"));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn members_of_a_family_differ_in_grey() {
+        // The light that each of five reflects, by the weights of ITU-R BT.709, lies apart from that of the others.
+        let light = |RGBColor(r, g, b): RGBColor| {
+            0.2126 * f64::from(r) + 0.7152 * f64::from(g) + 0.0722 * f64::from(b)
+        };
+        let blue = PALETTE[0];
+        let mut lights: Vec<f64> = (0..5).map(|shade| light(plot::of_shade(blue, shade))).collect();
+        lights.sort_by(f64::total_cmp);
+        assert!(lights.windows(2).all(|pair| pair[1] - pair[0] > 15.0), "{lights:?}");
     }
 }

@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
-    Adaptive, DrivenTerm, Ensemble, Path, PotentialTerm, Scenario, ScenarioError, Solver,
-    TableauChoice,
+    Adaptive, Coefficients, DrivenTerm, Ensemble, Path, PotentialTerm, Scenario, ScenarioError,
+    Solver, TableauChoice,
 };
 use crate::solve::composition::Composition;
 use crate::solve::failure::two_digits;
@@ -71,8 +71,8 @@ pub struct Plan {
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved, or changes by the
     /// torques alone.
     pub free_directions: usize,
-    /// Balance that is kept, and logged as the energy error, in a scene that changes with time or
-    /// has torques or wheels.
+    /// Balance that is kept instead of the energy, and logged as the energy error, in a scene that changes with time or
+    /// has torques.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub balance: Option<String>,
     /// Balance of the momentum that is kept, and logged as its drift, in a scene with torques.
@@ -407,6 +407,7 @@ impl Plan {
         plan.momentum_balance =
             plan.model.momentum_balance(n, plan.free_directions, plan.formulation.method);
         plan.jacobi_integral = plan.model.jacobi_integral();
+        plan.warnings.extend(plan.low_order());
         plan.warnings.extend(no_body(&inertia));
         plan.warnings.extend(below_parallel_axis(&scenario.scene.potential, &inertia));
         plan.warnings.extend(plan.weak_gradients());
@@ -449,6 +450,25 @@ impl Plan {
             && self.model.wheels.is_none()
             && self.formulation.motion != Motion::AtRest
             && self.model.terms.iter().any(|term| term.as_point_source().is_some())
+    }
+
+    /// Warns of coefficients with an order below what their stages suggest: one is mistyped, most often.
+    fn low_order(&self) -> Option<String> {
+        let TableauChoice::Custom(Coefficients { a, .. }) = self.settled.method.tableau.as_ref()?
+        else {
+            return None;
+        };
+        let is_explicit =
+            a.iter().enumerate().all(|(i, row)| row.iter().skip(i).all(|&a| a == 0.0));
+        // More than four stages do not give an explicit tableau an order of their number (Butcher 1964).
+        let suggested = if is_explicit { a.len().min(4) } else { a.len() };
+        let order = self.formulation.order as usize;
+        (order < suggested).then(|| {
+            format!(
+                "the tableau has {} stages and order {order}; its stages allow {suggested} or more: check its coefficients",
+                a.len()
+            )
+        })
     }
 
     /// Says where adaptive steps would pay, and where they do not, by the least sigma of a pilot

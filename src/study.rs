@@ -115,6 +115,19 @@ fn of_each<T: Send>(
     Ok(made)
 }
 
+/// Returns the results for the methods up to one at which the study was cancelled.
+fn of_those_before<T: Send>(
+    entries: &[Entry],
+    threads: usize,
+    one: impl Fn(&Entry) -> Result<T, StudyError> + Sync,
+) -> Result<Vec<T>, StudyError> {
+    let one = |entry: &Entry| match one(entry) {
+        Err(StudyError::Cancelled) => Ok(None),
+        found => found.map(Some),
+    };
+    Ok(of_each(entries, threads, one)?.into_iter().map_while(|found| found).collect())
+}
+
 /// Returns the number of threads for runs that are not timed: the cost of one may end others, and
 /// then their order counts.
 fn threads(watch: &Watch) -> usize {
@@ -150,7 +163,11 @@ impl Entry {
     /// The errors of planning the scene with the method.
     pub fn new(scene: &Scenario, method: Method) -> Result<Self, ScenarioError> {
         let formulation = measure::variant(scene, &method, 1.0, 1)?.formulation;
-        let tableau = formulation.tableau.unwrap_or_else(|| format!("order {}", formulation.order));
+        let tableau = match (&method.tableau, formulation.tableau) {
+            (Some(TableauChoice::Custom(_)), _) => "given".to_owned(),
+            (_, Some(name)) => name,
+            (_, None) => format!("order {}", formulation.order),
+        };
         let (integrator, order) = (formulation.method, formulation.order);
         let of_parts = integrator.is_composition().then_some(order);
         let method = Method { name: integrator.into(), order: of_parts, ..method };
@@ -207,13 +224,20 @@ fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entr
     methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()
 }
 
-/// Returns the methods of a chart: a few of each family, so that its lines can be distinguished.
+/// Returns the method of the scene itself if its tableau is given by coefficients: it takes part next to the named ones.
+fn given(scene: &Scenario) -> Option<Entry> {
+    let own = matches!(scene.method.tableau, Some(TableauChoice::Custom(_)));
+    own.then(|| Entry::new(scene, scene.method.clone()).ok()).flatten()
+}
+
+/// Returns the methods of a chart: a few of each family, so that its lines can be distinguished, and a tableau given by
+/// coefficients.
 pub fn usual_methods(scene: &Scenario) -> Vec<Entry> {
-    entries(scene, Integrator::charted())
+    given(scene).into_iter().chain(entries(scene, Integrator::charted())).collect()
 }
 
 /// Returns every method and tableau worth a row of the stability map, the VPD methods with each
-/// solver.
+/// solver, and a tableau given by coefficients.
 pub fn all_methods(scene: &Scenario) -> Vec<Entry> {
     let rows = |(integrator, variants, each_solver): (Integrator, &'static [Variant], bool)| {
         let kinds = if each_solver { SOLVERS } else { &[SolverKind::Auto] };
@@ -225,7 +249,7 @@ pub fn all_methods(scene: &Scenario) -> Vec<Entry> {
             })
         })
     };
-    runnable(scene, Integrator::mapped().flat_map(rows))
+    given(scene).into_iter().chain(runnable(scene, Integrator::mapped().flat_map(rows))).collect()
 }
 
 /// A time and a length over which to study a scene.
@@ -317,7 +341,8 @@ fn usual_time(scene: &Scenario) -> Result<f64, ScenarioError> {
 mod tests {
     use super::{Entry, Watch};
     use super::{long_term, precision, stability};
-    use crate::scenario::{SHIPPED, Scenario};
+    use crate::scenario::{Coefficients, SHIPPED, Scenario, TableauChoice};
+    use std::sync::atomic::Ordering;
 
     fn top(steps: u64) -> (Scenario, Vec<Entry>) {
         let (_, text) = SHIPPED.iter().find(|(name, _)| *name == "heavy-top").expect("shipped");
@@ -325,6 +350,41 @@ mod tests {
         (scene.steps, scene.duration_s) = (Some(steps), None);
         let entries = super::usual_methods(&scene).into_iter().take(5).collect();
         (scene, entries)
+    }
+
+    #[test]
+    fn a_tableau_of_the_scene_takes_part() {
+        let (mut scene, _) = top(400);
+        let midpoint = Coefficients { a: vec![vec![0.5]], b: vec![1.0] };
+        scene.method.tableau = Some(TableauChoice::Custom(midpoint));
+        for entries in [super::usual_methods(&scene), super::all_methods(&scene)] {
+            assert_eq!(entries[0].label(), "vpd given");
+            assert!(entries.len() > 5 && entries[1..].iter().all(|entry| entry.tableau != "given"));
+        }
+    }
+
+    #[test]
+    fn a_cancelled_map_keeps_the_methods_that_were_done() {
+        let (scene, entries) = top(400);
+        let whole =
+            stability::on_threads(&scene, &entries, &Watch::default(), 2).expect("a map").cells;
+        let watch = Watch::default();
+        let map = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                // Some of the methods are done by then, at most all of them.
+                while watch.done.load(Ordering::Relaxed) < 2 * 24 + 12 {
+                    std::thread::yield_now();
+                }
+                watch.cancelled.store(true, Ordering::Relaxed);
+            });
+            stability::stability_so_far(&scene, &entries, &watch).expect("a map")
+        });
+        assert!(!map.cells.is_empty() && map.cells.len() == map.borders.len());
+        assert_eq!(map.cells[..], whole[..map.cells.len()]);
+        let stopped = Watch::default();
+        stopped.cancelled.store(true, Ordering::Relaxed);
+        let none = stability::stability_so_far(&scene, &entries, &stopped);
+        assert_eq!(none, Err(super::StudyError::Cancelled));
     }
 
     #[test]

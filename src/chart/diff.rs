@@ -20,7 +20,7 @@ pub fn differences(names: &str, found: &Comparison) -> Result<String, ChartError
         }
         if !points.is_empty() {
             let label = format!("{} in {}", quantity.name(), quantity.unit());
-            let style = Style { color: k, member: k, marked: false };
+            let style = Style { color: k, shade: 0, member: k, marked: false };
             chart.lines.push(Line { label, points, style });
         }
     }

@@ -6,6 +6,7 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
+use super::plot::fitted;
 use super::{Area, ChartError, Drawn, INK};
 use crate::solve::failure::FailureCode as Code;
 use crate::study::stability::{Class, Map};
@@ -13,7 +14,13 @@ use crate::study::stability::{Class, Map};
 const CELL: (i32, i32) = (26, 20);
 const LEFT: i32 = 230;
 const TOP: i32 = 64;
-const RIGHT: i32 = 130;
+const RIGHT: i32 = 30;
+/// Letters of a label that fit to the left of the map, and of a title.
+const LETTERS: (usize, usize) = (28, 80);
+/// The bar of the colours, below the map.
+const BAR: (i32, i32) = (320, 14);
+/// Places next to each other in the legend, and the width of one.
+const LEGEND: (i32, i32) = (3, 290);
 /// Energy errors, in parts of the energy that moves, at the two ends of the colours, as powers of ten.
 const DECADES: (f64, f64) = (-16.0, 0.0);
 /// Cividis (Nunez, Anderton, Renslow 2018) from its bright end, read by eye at five places: even in lightness,
@@ -43,19 +50,23 @@ fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
     let bottom = TOP + rows * CELL.1;
     let resonates = map.borders.iter().any(|border| !border.resonances.is_empty());
     // Places of the legend before those of the classes: the words about resonances are long.
-    let before = if resonates { 3 } else { 1 };
-    let legend_rows = (classes.len() as i32 + 2) / 3;
-    let size = (LEFT + columns * CELL.0 + RIGHT, bottom + 74 + 26 * legend_rows);
+    let before = if resonates { LEGEND.0 } else { 1 };
+    let legend = bottom + 92;
+    let legend_rows = (before + classes.len() as i32 + LEGEND.0 - 1) / LEGEND.0;
+    let width = (LEFT + columns * CELL.0).max(20 + LEGEND.0 * LEGEND.1) + RIGHT;
+    let size = (width, legend + 26 * legend_rows + 14);
     let root = SVGBackend::with_string(svg, (size.0 as u32, size.1 as u32)).into_drawing_area();
     root.fill(&WHITE)?;
     let text = |text: String, at: (i32, i32), size: i32, h: HPos, v: VPos| {
         let font = ("sans-serif", size).into_font().color(&INK).pos(Pos::new(h, v));
         root.draw(&Text::new(text, at, font))
     };
-    text(format!("{name}: where each method is usable"), (20, 14), 19, HPos::Left, VPos::Top)?;
+    let title = format!("{name}: where each method is usable");
+    text(fitted(&title, LETTERS.1), (20, 14), 19, HPos::Left, VPos::Top)?;
     for (row, (cells, border)) in map.cells.iter().zip(&map.borders).enumerate() {
         let y = TOP + row as i32 * CELL.1;
-        text(border.label.clone(), (LEFT - 10, y + CELL.1 / 2), 14, HPos::Right, VPos::Center)?;
+        let label = fitted(&border.label, LETTERS.0);
+        text(label, (LEFT - 10, y + CELL.1 / 2), 14, HPos::Right, VPos::Center)?;
         for (column, cell) in cells.iter().enumerate() {
             let corner = (LEFT + column as i32 * CELL.0, y);
             draw_cell(&root, corner, cell.class, color(map, cell.row.energy_error))?;
@@ -79,22 +90,23 @@ fn draw(svg: &mut String, name: &str, map: &Map) -> Drawn {
         let turn = short(step_s * map.fastest_rad_s);
         text(turn, (x, TOP - 8), 14, HPos::Center, VPos::Bottom)?;
     }
-    let right = LEFT + columns * CELL.0 + 8;
-    text("step in s".to_owned(), (right, bottom + 8), 14, HPos::Left, VPos::Top)?;
-    text("turn in rad".to_owned(), (right, TOP - 8), 14, HPos::Left, VPos::Bottom)?;
-    color_bar(&root, (right + 6, TOP + 44), &text)?;
-    let line = [(24, bottom + 45), (24, bottom + 61)];
+    // Left of half a label of the first step.
+    let axis = LEFT - 16;
+    text("step in s".to_owned(), (axis, bottom + 8), 14, HPos::Right, VPos::Top)?;
+    text("turn in rad".to_owned(), (axis, TOP - 8), 14, HPos::Right, VPos::Bottom)?;
+    color_bar(&root, (LEFT, bottom + 40), &text)?;
+    let line = [(24, legend + 2), (24, legend + 18)];
     root.draw(&PathElement::new(line, RGBColor(213, 94, 0).stroke_width(4)))?;
     let border = "largest usable step, to 5 %".to_owned();
-    text(border, (60, bottom + 53), 14, HPos::Left, VPos::Center)?;
+    text(border, (60, legend + 10), 14, HPos::Left, VPos::Center)?;
     if resonates {
-        draw_window(&root, (310, 330, bottom + 62))?;
+        draw_window(&root, (310, 330, legend + 19))?;
         let words = "step resonance: energy is lost in this window";
-        text(words.to_owned(), (346, bottom + 53), 14, HPos::Left, VPos::Center)?;
+        text(words.to_owned(), (346, legend + 10), 14, HPos::Left, VPos::Center)?;
     }
     for (at, &class) in classes.iter().enumerate() {
         let place = at as i32 + before;
-        let corner = (20 + (place % 3) * 290, bottom + 43 + (place / 3) * 26);
+        let corner = (20 + (place % LEGEND.0) * LEGEND.1, legend + (place / LEGEND.0) * 26);
         draw_cell(&root, corner, class, CIVIDIS_MIDDLE)?;
         let label = (corner.0 + 36, corner.1 + CELL.1 / 2);
         text(words(class), label, 14, HPos::Left, VPos::Center)?;
@@ -141,8 +153,9 @@ fn words(class: Class) -> String {
 /// Returns the place of a step on the axis, in pixels from the left.
 fn column_of(map: &Map, step_s: f64) -> i32 {
     let (first, last) = (map.steps_s[0], map.steps_s[map.steps_s.len() - 1]);
-    let columns =
-        (map.steps_s.len() - 1) as f64 * libm::log(step_s / first) / libm::log(last / first);
+    // A map of one step has one column.
+    let ratio = libm::log(last / first).max(f64::MIN_POSITIVE);
+    let columns = (map.steps_s.len() - 1) as f64 * libm::log(step_s / first) / ratio;
     ((columns + 0.5) * f64::from(CELL.0)) as i32
 }
 
@@ -174,21 +187,19 @@ fn color_bar(
         VPos,
     ) -> Result<(), DrawingAreaErrorKind<std::io::Error>>,
 ) -> Drawn {
-    const HEIGHT: i32 = 240;
     let (low, high) = DECADES;
-    for line in 0..HEIGHT {
-        let place = 1.0 - f64::from(line) / f64::from(HEIGHT);
-        let row = [(x, y + line), (x + 18, y + line + 1)];
-        root.draw(&Rectangle::new(row, shade(place).filled()))?;
+    for line in 0..BAR.0 {
+        let place = f64::from(line) / f64::from(BAR.0);
+        let column = [(x + line, y), (x + line + 1, y + BAR.1)];
+        root.draw(&Rectangle::new(column, shade(place).filled()))?;
     }
     for part in 0..=4 {
-        let at = y + HEIGHT * part / 4;
-        let decade = high - (high - low) * f64::from(part) / 4.0;
-        text(format!("1e{decade}"), (x + 26, at), 14, HPos::Left, VPos::Center)?;
+        let at = x + BAR.0 * part / 4;
+        let decade = low + (high - low) * f64::from(part) / 4.0;
+        text(format!("1e{decade}"), (at, y + BAR.1 + 6), 14, HPos::Center, VPos::Top)?;
     }
-    let top = y - 16;
-    text("energy error".to_owned(), (x - 6, top - 14), 14, HPos::Left, VPos::Center)?;
-    text("/ kinetic energy".to_owned(), (x - 6, top + 2), 14, HPos::Left, VPos::Center)?;
+    let words = "energy error / kinetic energy".to_owned();
+    text(words, (x - 16, y + BAR.1 / 2), 14, HPos::Right, VPos::Center)?;
     Ok(())
 }
 

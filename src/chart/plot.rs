@@ -29,11 +29,13 @@ pub struct Axis<'a> {
     pub scale: Scale,
 }
 
-/// The look of a line: its colour shows the family of the method, dash and marker the member.
+/// The look of a line: its colour shows the family of the method; its lightness, dash and marker the member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Style {
     /// Number of the colour.
     pub color: usize,
+    /// Number of its lightness; 0 is the colour itself.
+    pub shade: usize,
     /// Number of the member in its family.
     pub member: usize,
     /// Whether each point is marked.
@@ -64,6 +66,8 @@ pub struct Plot<'a> {
     pub lines: Vec<Line>,
     /// Points by themselves, behind the lines.
     pub points: Vec<(f64, f64)>,
+    /// Points of lines from which an order is read, with a ring around each.
+    pub rings: Vec<(f64, f64)>,
     /// Dashed lines in black to compare slopes with: two ends each.
     pub guides: Vec<[(f64, f64); 2]>,
     /// Label of the guides in the legend.
@@ -71,6 +75,10 @@ pub struct Plot<'a> {
 }
 
 const SIZE: (u32, u32) = (960, 480);
+/// Space for a line of the legend, in pixels.
+const LEGEND_ROW: i32 = 22;
+/// Letters of a name in the legend, at most.
+const LONGEST_NAME: usize = 40;
 const TITLE_HEIGHT: u32 = 44;
 /// Decades of a logarithmic axis, at most: a tenth of the spacing of numbers as large as the largest. Where all values are
 /// zero, they are drawn this far below one.
@@ -80,6 +88,8 @@ const MAX_POINTS: usize = 800;
 /// Lengths of dash and gap in pixels; a dash of 0 is a whole line.
 const GUIDE: (u32, u32) = (5, 5);
 const DASHES: [(u32, u32); 6] = [(0, 0), (8, 4), (3, 3), (14, 4), (14, 8), (3, 7)];
+/// Parts of white, or of black where negative, in the colours of the members of a family: they differ in grey, too.
+const SHADES: [f64; 6] = [0.0, -0.45, 0.45, -0.75, 0.25, -0.25];
 
 /// An axis with its range and the places that get a number; in decades if logarithmic.
 #[derive(Clone, Debug)]
@@ -115,7 +125,11 @@ impl Scale {
             Self::Linear => {
                 // A range that nearly begins at zero begins there.
                 let low = if low > 0.0 && low < 0.05 * high { 0.0 } else { low };
-                let span = (high - low).max(f64::MIN_POSITIVE);
+                // Equal values stand in the middle of an axis of their size.
+                let alike = high - low <= 1e-12 * high.abs().max(low.abs());
+                let half = 0.5 * if high == 0.0 { 1.0 } else { high.abs() };
+                let (low, high) = if alike { (low - half, high + half) } else { (low, high) };
+                let span = (high - low).clamp(f64::MIN_POSITIVE * 1e20, f64::MAX);
                 let decade = libm::pow(10.0, libm::log10(span / 5.0).floor());
                 let steps = [1.0, 2.0, 5.0, 10.0].map(|factor| factor * decade);
                 let step = steps.into_iter().find(|step| span / step <= 8.0).unwrap_or(span);
@@ -154,11 +168,42 @@ impl ValueFormatter<f64> for Ruler {
         match self.scale {
             Scale::Log => format!("1e{}", place.round()),
             Scale::Linear => {
-                let text = format!("{place:.6}");
-                text.trim_end_matches('0').trim_end_matches('.').to_owned()
+                let step = match self.ticks.as_slice() {
+                    [first, second, ..] => second - first,
+                    _ => self.range.end - self.range.start,
+                };
+                number(*place, step, self.range.start.abs().max(self.range.end.abs()))
             }
         }
     }
+}
+
+/// Returns a number of a linear scale with the digits in which it differs from those a step away; `largest` is the largest
+/// size of the scale.
+pub(super) fn number(place: f64, step: f64, largest: f64) -> String {
+    if place.abs() < 1e-6 * step {
+        return "0".to_owned();
+    }
+    let power = |x: f64| libm::log10(x * (1.0 + 1e-9)).floor() as i32;
+    let finest = power(step);
+    if (1e-3..1e7).contains(&largest) {
+        let digits = usize::try_from(-finest).unwrap_or(0);
+        return format!("{place:.digits$}");
+    }
+    let digits = usize::try_from(power(place.abs()) - finest).unwrap_or(0);
+    format!("{place:.digits$e}")
+}
+
+/// Returns a text of at most so many letters: the middle of a longer one is left out, because names differ at their ends.
+pub(super) fn fitted(text: &str, letters: usize) -> String {
+    let count = text.chars().count();
+    if count <= letters {
+        return text.to_owned();
+    }
+    let kept = letters.saturating_sub(1);
+    let front: String = text.chars().take(kept.div_ceil(2)).collect();
+    let back: String = text.chars().skip(count - kept / 2).collect();
+    format!("{front}…{back}")
 }
 
 impl Plot<'_> {
@@ -183,12 +228,15 @@ impl Plot<'_> {
         let all = || lines.iter().flatten().chain(&points);
         let x = self.x.scale.ruler(all().map(|p| p.0));
         let y = self.y.scale.ruler(all().map(|p| p.1));
-        let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
+        // A long legend makes the picture longer, not the chart.
+        let height = SIZE.1.max(TITLE_HEIGHT + self.legend_height());
+        let root = SVGBackend::with_string(svg, (SIZE.0, height)).into_drawing_area();
         root.fill(&WHITE)?;
         let (head, below) = root.split_vertically(TITLE_HEIGHT);
         let title = ("sans-serif", 19).into_font().color(&INK);
-        head.draw(&Text::new(self.title.clone(), (20, 14), title))?;
+        head.draw(&Text::new(fitted(&self.title, 84), (20, 14), title))?;
         let (body, side) = below.split_horizontally(SIZE.0 - self.legend_width());
+        let (body, _) = body.split_vertically(SIZE.1 - TITLE_HEIGHT);
         let mut chart = ChartBuilder::on(&body)
             .margin(10)
             .margin_right(24)
@@ -200,8 +248,8 @@ impl Plot<'_> {
             .light_line_style(TRANSPARENT)
             .bold_line_style(PALE)
             .axis_style(INK)
-            .x_desc(self.x.label)
-            .y_desc(self.y.label)
+            .x_desc(fitted(self.x.label, 54))
+            .y_desc(fitted(self.y.label, 54))
             .x_label_formatter(&|place| x.format_ext(place))
             .y_label_formatter(&|place| y.format_ext(place))
             .label_style(("sans-serif", 15).into_font().color(&INK))
@@ -223,6 +271,10 @@ impl Plot<'_> {
         for (line, points) in self.lines.iter().zip(&lines) {
             line.style.draw(&root, pixels(points))?;
         }
+        let rings: Vec<(f64, f64)> = self.rings.iter().map(place).collect();
+        for pixel in pixels(&rings) {
+            ring(&root, pixel)?;
+        }
         self.legend(&side)?;
         root.present()?;
         Ok(())
@@ -234,9 +286,18 @@ impl Plot<'_> {
 
     /// Returns the room for the names at the side of the chart, if there is more than one line.
     fn legend_width(&self) -> u32 {
-        let labels = self.lines.iter().map(|line| &line.label).chain([&self.guide_label]);
-        let longest = labels.map(|label| label.chars().count() as u32).max().unwrap_or(0);
-        if self.has_legend() { 56 + 8 * longest } else { 0 }
+        let labels = self.lines.iter().map(|line| line.label.as_str());
+        let rings = if self.rings.is_empty() { "" } else { RINGED };
+        let labels = labels.chain([self.guide_label.as_str(), rings]);
+        let longest = labels.map(|label| label.chars().count().min(LONGEST_NAME)).max();
+        if self.has_legend() { 56 + 8 * longest.unwrap_or(0) as u32 } else { 0 }
+    }
+
+    /// Returns the height of the names at the side.
+    fn legend_height(&self) -> u32 {
+        let rows = self.lines.len() + usize::from(!self.guides.is_empty());
+        let rows = rows + usize::from(!self.rings.is_empty());
+        if self.has_legend() { 24 + LEGEND_ROW as u32 * rows as u32 } else { 0 }
     }
 
     fn legend(&self, side: &Area<'_>) -> Drawn {
@@ -247,13 +308,20 @@ impl Plot<'_> {
             ("sans-serif", 15).into_font().color(&INK).pos(Pos::new(HPos::Left, VPos::Center));
         let mut y = 24;
         for line in &self.lines {
-            side.draw(&Text::new(line.label.clone(), (44, y), font.clone()))?;
+            let name = fitted(&line.label, LONGEST_NAME);
+            side.draw(&Text::new(name, (44, y), font.clone()))?;
             line.style.draw(side, vec![(4, y), (36, y)])?;
-            y += 22;
+            y += LEGEND_ROW;
         }
         if !self.guides.is_empty() {
-            side.draw(&Text::new(self.guide_label.clone(), (44, y), font))?;
+            let name = fitted(&self.guide_label, LONGEST_NAME);
+            side.draw(&Text::new(name, (44, y), font.clone()))?;
             dashed(side, vec![(4, y), (36, y)], GUIDE, BLACK.stroke_width(1))?;
+            y += LEGEND_ROW;
+        }
+        if !self.rings.is_empty() {
+            side.draw(&Text::new(RINGED, (44, y), font))?;
+            ring(side, (20, y))?;
         }
         Ok(())
     }
@@ -262,7 +330,7 @@ impl Plot<'_> {
 impl Style {
     /// Draws a line through pixels, and a mark at each (for a sample in a legend, in its middle).
     fn draw(self, area: &Area<'_>, pixels: Vec<(i32, i32)>) -> Drawn {
-        let color = PALETTE[self.color % PALETTE.len()];
+        let color = of_shade(PALETTE[self.color % PALETTE.len()], self.shade);
         let dash = DASHES[self.member % DASHES.len()];
         dashed(area, pixels.clone(), dash, color.stroke_width(2))?;
         if self.marked {
@@ -289,6 +357,22 @@ impl Style {
         }
         Ok(())
     }
+}
+
+/// What a ring says, in the legend.
+const RINGED: &str = "order read here";
+
+fn ring(area: &Area<'_>, pixel: (i32, i32)) -> Drawn {
+    area.draw(&Circle::new(pixel, 8, INK.stroke_width(1)))?;
+    Ok(())
+}
+
+/// Returns a colour in one of its lightnesses.
+pub(super) fn of_shade(RGBColor(r, g, b): RGBColor, shade: usize) -> RGBColor {
+    let part = SHADES[shade % SHADES.len()];
+    let towards = if part > 0.0 { 255.0 } else { 0.0 };
+    let mix = |x: u8| (f64::from(x) + part.abs() * (towards - f64::from(x))).round() as u8;
+    RGBColor(mix(r), mix(g), mix(b))
 }
 
 fn dashed(

@@ -8,7 +8,9 @@ use crate::study::precision::Precision;
 use crate::study::table::Row;
 
 const STEP: Axis<'static> = Axis { label: "step in s", scale: Scale::Log };
-const ERROR: Axis<'static> = Axis { label: "error at the end", scale: Scale::Log };
+/// The sum of two: see [`crate::study::Reference::distance`].
+const ERROR: Axis<'static> =
+    Axis { label: "error at the end: attitude in rad + momentum, relative", scale: Scale::Log };
 const WORK_TIME: Axis<'static> =
     Axis { label: "computing time for a second of motion, in us", scale: Scale::Log };
 const WORK_FORCES: Axis<'static> =
@@ -44,6 +46,7 @@ pub fn precision(
             y: ERROR,
             lines: lines.filter(|line| !line.points.is_empty()).collect(),
             points: Vec::new(),
+            rings: Vec::new(),
             guides: Vec::new(),
             guide_label: String::new(),
         }
@@ -51,6 +54,7 @@ pub fn precision(
     let per_second = |row: &Row, work: f64| work / (row.steps as f64 * row.step_s);
     let mut order = plot("error against step", STEP, &|row| Some(row.step_s));
     (order.guides, order.guide_label) = slopes(entries, study);
+    order.rings = (0..entries.len()).flat_map(|line| study.asymptotic(line)).collect();
     let time = plot("error against time", WORK_TIME, &|row| {
         row.ns_per_step.map(|ns| 1e-3 * per_second(row, ns * row.steps as f64))
     });
@@ -125,9 +129,13 @@ pub fn long_term(
     ])
 }
 
-/// Returns a colour for each family of methods, a dash and a mark for each member of it.
+/// Returns a colour for each family of methods, a lightness, a dash and a mark for each member of it.
 fn styles(entries: &[Entry], marked: bool) -> Vec<Style> {
     let colors: Vec<usize> = entries.iter().map(|entry| entry.integrator.facts().family).collect();
     let before = |at: usize| colors[..at].iter().filter(|&&color| color == colors[at]).count();
-    (0..colors.len()).map(|at| Style { color: colors[at], member: before(at), marked }).collect()
+    let style = |at: usize| {
+        let member = before(at);
+        Style { color: colors[at], shade: member, member, marked }
+    };
+    (0..colors.len()).map(style).collect()
 }

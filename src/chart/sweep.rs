@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::map::shade;
-use super::plot::{Axis, Plot, Scale};
+use super::plot::{Axis, Plot, Scale, fitted, number};
 use super::{Area, ChartError, Drawn, INK, PALE};
 use crate::sweep::{Cell, Kind, Shown, Side};
 
@@ -17,6 +17,8 @@ const MAP: (i32, i32) = (640, 480);
 const RIGHT: i32 = 190;
 const BELOW: i32 = 90;
 const BAR: i32 = 240;
+/// Least width of the picture: that of a title.
+const WIDTH: i32 = 640;
 
 /// Draws the picture as SVG.
 ///
@@ -62,6 +64,7 @@ fn points(shown: &Shown, x: &str, points: &[(f64, f64)]) -> Result<String, Chart
         y: Axis { label: &shown.column, scale: scale(&of(|point| point.1)) },
         lines: Vec::new(),
         points: points.to_vec(),
+        rings: Vec::new(),
         guides: Vec::new(),
         guide_label: String::new(),
     };
@@ -72,14 +75,15 @@ fn map(svg: &mut String, shown: &Shown, (x, y): (&Side, &Side), cells: &[Cell]) 
     let (columns, rows) = (x.values.len() as i32, y.values.len() as i32);
     let cell = ((MAP.0 / columns).clamp(2, 60), (MAP.1 / rows).clamp(2, 60));
     let (right, bottom) = (LEFT + columns * cell.0, TOP + rows * cell.1);
-    let size = (right + RIGHT, (bottom + BELOW).max(TOP + BAR + BELOW));
+    let size = ((right + RIGHT).max(WIDTH), (bottom + BELOW).max(TOP + BAR + 24 + 4 * 26 + 14));
     let root = SVGBackend::with_string(svg, (size.0 as u32, size.1 as u32)).into_drawing_area();
     root.fill(&WHITE)?;
     let text = |text: &str, at: (i32, i32), size: i32, h: HPos, v: VPos| {
         let font = ("sans-serif", size).into_font().color(&INK).pos(Pos::new(h, v));
         root.draw(&Text::new(text.to_owned(), at, font))
     };
-    text(&title(shown), (20, 14), 19, HPos::Left, VPos::Top)?;
+    let letters = (size.0 - 40) as usize / 11;
+    text(&fitted(&title(shown), letters), (20, 14), 19, HPos::Left, VPos::Top)?;
     let values: Vec<f64> = cells
         .iter()
         .filter_map(|cell| match cell {
@@ -108,19 +112,31 @@ fn map(svg: &mut String, shown: &Shown, (x, y): (&Side, &Side), cells: &[Cell]) 
     for (at, value) in ticks(&x.values, cell.0, 70) {
         let middle = LEFT + at as i32 * cell.0 + cell.0 / 2;
         root.draw(&PathElement::new([(middle, bottom), (middle, bottom + 5)], INK))?;
-        text(value, (middle, bottom + 8), 14, HPos::Center, VPos::Top)?;
+        text(&label(value), (middle, bottom + 8), 14, HPos::Center, VPos::Top)?;
     }
     for (at, value) in ticks(&y.values, cell.1, 30) {
         let middle = bottom - at as i32 * cell.1 - cell.1 / 2;
         root.draw(&PathElement::new([(LEFT - 5, middle), (LEFT, middle)], INK))?;
-        text(value, (LEFT - 8, middle), 14, HPos::Right, VPos::Center)?;
+        text(&label(value), (LEFT - 8, middle), 14, HPos::Right, VPos::Center)?;
     }
-    text(&x.name, ((LEFT + right) / 2, bottom + 30), 16, HPos::Center, VPos::Top)?;
-    text(&y.name, (20, TOP - 10), 16, HPos::Left, VPos::Bottom)?;
+    text(&fitted(&x.name, 40), (LEFT, bottom + 34), 16, HPos::Left, VPos::Top)?;
+    text(&fitted(&y.name, 40), (20, TOP - 6), 16, HPos::Left, VPos::Bottom)?;
     color_bar(&root, right + 24, (low, high), scale, &text)?;
     legend(&root, right + 24, cells, &text)?;
     root.present()?;
     Ok(())
+}
+
+/// Returns a value as a label of an axis: a number in four digits, anything else in as many letters as fit.
+fn label(value: &str) -> String {
+    match value.parse::<f64>() {
+        Ok(x) if value.len() > 8 => {
+            let rounded = format!("{x:.3e}").parse::<f64>().unwrap_or(x);
+            let plain = rounded == 0.0 || (1e-3..1e5).contains(&rounded.abs());
+            if plain { rounded.to_string() } else { format!("{rounded:e}") }
+        }
+        _ => fitted(value, 8),
+    }
 }
 
 /// Returns the values that get a label, with `apart` pixels between them.
@@ -147,14 +163,15 @@ fn color_bar(
         let row = [(x, TOP + line), (x + 18, TOP + line + 1)];
         root.draw(&Rectangle::new(row, shade(f64::from(line) / f64::from(BAR)).filled()))?;
     }
-    for part in 0..=4 {
-        let value = high - (high - low) * f64::from(part) / 4.0;
-        let value = if scale == Scale::Log { libm::pow(10.0, value) } else { value };
-        let word = format!("{value:.2e}").parse::<f64>().unwrap_or(value);
-        let word = if word == 0.0 || (1e-3..1e5).contains(&word.abs()) {
-            word.to_string()
-        } else {
-            format!("{word:e}")
+    let (step, largest) = ((high - low) / 4.0, high.abs().max(low.abs()));
+    // Values that are all the same are one number, in the middle.
+    let parts = if step > 1e-12 * largest { 0..=4 } else { 2..=2 };
+    for part in parts {
+        let value = high - step * f64::from(part);
+        let word = match scale {
+            Scale::Log => format!("{:.1e}", libm::pow(10.0, value)),
+            // A digit more than the steps differ in, which need not be round.
+            Scale::Linear => number(value, 0.1 * step.max(1e-12 * largest), largest),
         };
         text(&word, (x + 26, TOP + BAR * part / 4), 14, HPos::Left, VPos::Center)?;
     }

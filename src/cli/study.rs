@@ -6,7 +6,7 @@ use std::process::ExitCode;
 use std::str::FromStr;
 use std::sync::atomic::Ordering;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
@@ -19,10 +19,12 @@ use super::{Change, CliError, ScenarioArgs, output_path, planned, show};
 use crate::chart;
 use crate::log::course::LogChart;
 use crate::log::reader::is_log;
-use crate::scenario::{Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName};
+use crate::scenario::{
+    Coefficients, Method, MethodName, Scenario, SolverKind, TableauChoice, TableauName,
+};
 use crate::study::long_term::long_term;
 use crate::study::precision::{Precision, precision, timing};
-use crate::study::stability::{Border, Resonance, stability};
+use crate::study::stability::{Border, Resonance, stability_so_far};
 use crate::study::{Entry, StudyError, Watch, all_methods, usual_methods};
 
 #[derive(Debug, Args)]
@@ -58,7 +60,8 @@ struct StudyArgs {
     /// Change a field of the scenario, named by its JSON pointer: --set /step_s=0.02
     #[arg(long = "set", value_name = "POINTER=VALUE")]
     changes: Vec<Change>,
-    /// Study these methods in the place of the usual ones: vpd:gauss2, splitting:4, vpd:gauss4:fixed_point
+    /// Study these methods in the place of the usual ones: vpd:gauss2, splitting:4, vpd:gauss4:fixed_point; coefficients go
+    /// in the place of a tableau: 'vpd:{"a": [[0.5]], "b": [1]}'
     #[arg(long = "method", value_name = "NAME[:TABLEAU[:SOLVER]]")]
     methods: Vec<MethodWord>,
     /// Where charts and tables go; of several scenarios each gets a directory below it.
@@ -87,7 +90,7 @@ impl StudyArgs {
     }
 }
 
-/// A method in one word, as in `vpd:gauss2`.
+/// A method in one word, as in `vpd:gauss2`, or with coefficients for its tableau.
 #[derive(Clone, Debug)]
 struct MethodWord(Method);
 
@@ -100,12 +103,23 @@ impl FromStr for MethodWord {
             let reader: StrDeserializer<'a, WordError> = text.into_deserializer();
             T::deserialize(reader).map_err(|error| error.to_string())
         }
-        let mut parts = text.split(':');
-        let mut method = Method {
-            name: word::<MethodName>(parts.next().unwrap_or_default())?,
-            ..Method::default()
-        };
-        if let Some(part) = parts.next() {
+        let (name, mut rest) =
+            text.split_once(':').map_or((text, None), |(name, rest)| (name, Some(rest)));
+        let mut method = Method { name: word::<MethodName>(name)?, ..Method::default() };
+        if let Some(json) = rest.filter(|rest| rest.starts_with('{')) {
+            let end = json.rfind('}').ok_or("coefficients end with }")? + 1;
+            let found = serde_json::from_slice::<Coefficients>(&json.as_bytes()[..end]);
+            let found = found.map_err(|error| format!("the coefficients: {error}"))?;
+            method.tableau = Some(TableauChoice::Custom(found));
+            rest = match &json[end..] {
+                "" => None,
+                solver => Some(solver.strip_prefix(':').ok_or("a solver stands behind a colon")?),
+            };
+        }
+        let mut parts = rest.into_iter().flat_map(|rest| rest.split(':'));
+        if method.tableau.is_none()
+            && let Some(part) = parts.next()
+        {
             match part.parse() {
                 Ok(order) => method.order = Some(order),
                 Err(_) => method.tableau = Some(TableauChoice::Named(word::<TableauName>(part)?)),
@@ -173,7 +187,12 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
 pub(super) fn map(args: &StabilityArgs) -> Result<ExitCode, CliError> {
     let scene = args.study.scenario(&args.scenario)?;
     let entries = args.study.entries(&args.scenario, &scene, all_methods)?;
-    let map = followed(scene.name(), |watch| stability(&scene, &entries, watch))?;
+    let map = followed(scene.name(), |watch| stability_so_far(&scene, &entries, watch))?;
+    let made = map.borders.len();
+    if made < entries.len() {
+        let all = entries.len();
+        let _ = writeln!(io::stderr(), "stopped: what follows is of {made} of {all} methods");
+    }
     let table = map.table();
     let borders = borders(&map.borders);
     show(&borders)?;
@@ -234,23 +253,49 @@ fn borders(borders: &[Border]) -> String {
     text
 }
 
-/// Runs a study on its own thread while a progress bar follows, on a terminal.
+/// Runs a study on its own thread. On a terminal a progress bar follows; elsewhere a line says how long it will take if that
+/// is more than a minute, and then one a minute how far it is. Ctrl-C cancels it.
 fn followed<T: Send>(
     name: &str,
     study: impl FnOnce(&Watch) -> Result<T, StudyError> + Send,
 ) -> Result<T, CliError> {
+    /// Times between two lines: the first says how long it takes as soon as some runs have shown it.
+    const FIRST_LINE: Duration = Duration::from_secs(3);
+    const LINES: Duration = Duration::from_secs(60);
     let watch = Watch::default();
-    if !io::stderr().is_terminal() {
-        return Ok(study(&watch)?);
-    }
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} runs")
+    let stop = watch.cancelled.clone();
+    // Without a handler, ctrl-c ends the process.
+    let _ = ctrlc::set_handler(move || stop.store(true, Ordering::Relaxed));
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} runs, {eta} left")
         .expect("the template is fixed and valid");
-    let bar = ProgressBar::new(1).with_style(style).with_message(name.to_owned());
+    let bar = if io::stderr().is_terminal() {
+        ProgressBar::new(1).with_style(style).with_message(name.to_owned())
+    } else {
+        ProgressBar::hidden()
+    };
+    let begun = Instant::now();
+    let mut line = FIRST_LINE;
     thread::scope(|scope| {
         let worker = scope.spawn(|| study(&watch));
         while !worker.is_finished() {
-            bar.set_length(watch.total.load(Ordering::Relaxed).max(1));
-            bar.set_position(watch.done.load(Ordering::Relaxed));
+            let (done, total) =
+                (watch.done.load(Ordering::Relaxed), watch.total.load(Ordering::Relaxed).max(1));
+            bar.set_length(total);
+            bar.set_position(done);
+            let passed = begun.elapsed();
+            if passed >= line && done > 0 {
+                let left = passed.mul_f64(total.saturating_sub(done) as f64 / done as f64);
+                if left >= LINES || passed >= LINES {
+                    let text = format!(
+                        "{name}: {done} of {total} runs, about {} min left; ctrl-c stops it",
+                        left.as_secs().div_ceil(60)
+                    );
+                    bar.suspend(|| {
+                        let _ = writeln!(io::stderr(), "{text}");
+                    });
+                }
+                line = passed + LINES;
+            }
             thread::sleep(Duration::from_millis(50));
         }
         bar.finish_and_clear();

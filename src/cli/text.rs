@@ -3,7 +3,10 @@
 use std::fmt::Write;
 
 use crate::plan::{EnsemblePlan, Formulation, Plan};
-use crate::run::Summary;
+use crate::run::{EnergySummary, Summary};
+
+/// What an error at the end counts: see [`crate::study::Reference::distance`].
+const ERROR_IS: &str = "radians of attitude, and the momentum in parts of its largest";
 
 /// Formats a run in a few lines, with what its plan chose and warns of.
 pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
@@ -38,7 +41,7 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
         line("warning", warning.clone());
     }
     if let Some(error) = summary.error {
-        line("error", format!("{error:.2e} at the end, against a reference"));
+        line("error", format!("{error:.2e} at the end, against a reference: {ERROR_IS}"));
     }
     if let Some(bound) = summary.error_below {
         /// Factor with which a bound stays one when it is rounded to three digits.
@@ -46,18 +49,31 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
         let bound = UPWARDS * bound;
         line(
             "error",
-            format!("below {bound:.2e} at the end: the reference itself is no more accurate"),
+            format!(
+                "below {bound:.2e} at the end: {ERROR_IS}; the reference itself is no more accurate"
+            ),
         );
     }
     if let Some(energy) = summary.energy {
-        let max = energy.max_abs_error;
-        line(
-            "energy",
-            format!(
-                "{:.6e} J at the start, error at most {max:.2e} J, {:.2e} J at the end",
-                energy.initial, energy.final_error
+        let EnergySummary { initial, max_abs_error: max, final_error: end, .. } = energy;
+        match (&plan.balance, energy.least, energy.largest, energy.last) {
+            (Some(balance), Some(least), Some(largest), Some(last)) => {
+                let range = format!(
+                    "{initial:.6e} J at the start, from {least:.6e} to {largest:.6e} J, {last:.6e} J at the end"
+                );
+                line("energy", range);
+                line(
+                    "balance",
+                    format!("{balance}: off by at most {max:.2e} J, {end:.2e} J at the end"),
+                );
+            }
+            _ => line(
+                "energy",
+                format!(
+                    "{initial:.6e} J at the start, error at most {max:.2e} J, {end:.2e} J at the end"
+                ),
             ),
-        );
+        }
     }
     if let Some(orthogonality) = summary.orthogonality {
         line(
@@ -208,13 +224,13 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
     };
     match &plan.momentum_balance {
         None => line("conserved", conserved),
-        Some(balance) => line("balance", format!("{balance}: its change is the momentum drift")),
+        Some(balance) => line("balance", format!("{balance}; logged as the momentum drift")),
     }
     if let Some(balance) = &plan.balance {
-        line("balance", format!("{balance}: its change is the energy error"));
+        line("balance", format!("{balance}; logged as the energy error"));
     }
     if let Some(integral) = &plan.jacobi_integral {
-        line("conserved", format!("{integral}: its change is the Jacobi error"));
+        line("conserved", format!("{integral}; its change is logged as the Jacobi error"));
     }
     if !formulation.carries_attitude {
         line("attitude", "not computed: no term and no channel needs it".to_owned());

@@ -321,7 +321,11 @@ impl Figures {
     /// Takes a sample into account.
     pub fn keep<const N: usize>(&mut self, sample: &Sample<N>) {
         if let Some((energy, error)) = sample.energy.zip(sample.energy_error) {
-            self.energy_initial.get_or_insert(energy.total());
+            let total = energy.total();
+            self.energy_initial.get_or_insert(total);
+            self.energy_least = Some(self.energy_least.map_or(total, |least| least.min(total)));
+            self.energy_largest = Some(self.energy_largest.map_or(total, |most| most.max(total)));
+            self.energy_last = Some(total);
             let before = self.energy_max_abs_error.unwrap_or_default();
             self.energy_max_abs_error = Some(error.abs().max(before));
             self.energy_final_error = Some(error);

@@ -85,27 +85,18 @@ impl Model {
         super::free_directions(n, fixed.chain(moving.iter().map(Vec::as_slice)))
     }
 
-    /// Describes what is kept of a scene that changes with time or has torques or wheels; `None`
-    /// for any other, which keeps its energy.
+    /// Describes what is kept instead of the energy in a scene that changes with time or has torques; `None` for any
+    /// other.
     pub(super) fn balance(&self) -> Option<String> {
-        let mut parts = Vec::new();
-        if !self.driven.is_empty() {
-            parts.push("the energy put in by the terms that change with time (H + p_t)");
-        }
-        if !self.torques.is_empty() {
-            parts.push("the work of the torques");
-        }
-        let wheels = "; the momentum is that of body and wheels";
-        let spins = if self.wheels.is_some() { wheels } else { "" };
-        if parts.is_empty() {
-            return self.wheels.as_ref().map(|_| format!("the energy of the body{spins}"));
-        }
-        let structure = if self.torques.is_empty() {
-            "; a symplectic method keeps its error at a level set by the step"
-        } else {
-            "; with torques that do not come from a potential, no method is symplectic"
+        let driven = "what the terms that change with time have put in (H + p_t)";
+        let torques = "the work of the torques";
+        let less = match (self.driven.is_empty(), self.torques.is_empty()) {
+            (true, true) => return None,
+            (false, true) => driven.to_owned(),
+            (true, false) => torques.to_owned(),
+            (false, false) => format!("{driven} and {torques}"),
         };
-        Some(format!("the energy less {}{structure}{spins}", parts.join(" and ")))
+        Some(format!("the energy less {less}"))
     }
 
     /// Describes what is kept of the momentum, and logged as its drift, where torques act and the
@@ -128,7 +119,7 @@ impl Model {
             )
         };
         let kept = if method.facts().symplectic { "rounding" } else { "the order of the method" };
-        Some(format!("{part} less the impulse of the torques, to {kept}"))
+        Some(format!("{part} less the impulse of the torques, kept to {kept}"))
     }
 
     /// Describes the Jacobi integral, where there is one.

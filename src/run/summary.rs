@@ -135,6 +135,16 @@ pub struct EnergySummary {
     pub max_abs_error: f64,
     /// H - H0 at the last sample.
     pub final_error: f64,
+    /// Least H. In a scene that changes with time or has torques the energy itself changes, and the errors are
+    /// those of its balance.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub least: Option<f64>,
+    /// Largest H.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub largest: Option<f64>,
+    /// H at the last sample.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub last: Option<f64>,
 }
 
 /// Distance from the group over the samples.
@@ -213,6 +223,9 @@ pub(super) fn energy(figures: &Figures) -> Option<EnergySummary> {
         initial: figures.energy_initial?,
         max_abs_error: figures.energy_max_abs_error?,
         final_error: figures.energy_final_error?,
+        least: figures.energy_least,
+        largest: figures.energy_largest,
+        last: figures.energy_last,
     })
 }
 

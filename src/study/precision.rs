@@ -107,20 +107,37 @@ pub(super) fn on_threads(
 }
 
 impl Precision {
-    /// Returns the order that the errors of a method show: the slope of a line through the
-    /// logarithms of those that are small enough for it and above round-off; `None` with fewer than
-    /// three.
-    pub fn measured_order(&self, line: usize) -> Option<f64> {
+    /// Returns the steps and errors of a method from which its order is read, the largest step first: those of the
+    /// asymptotic range, in which the errors fall by one power of the step, above round-off. Fewer than three are none.
+    pub fn asymptotic(&self, line: usize) -> Vec<(f64, f64)> {
+        /// Largest difference of the powers of two halvings, in parts of the power.
+        const ALIKE: f64 = 0.1;
         let above = 100.0 * self.reference.error.max(1e-15);
-        let points: Vec<(f64, f64)> = self.table.rows[self.lines[line].clone()]
+        let mut points: Vec<(f64, f64)> = self.table.rows[self.lines[line].clone()]
             .iter()
             .filter_map(|row| row.error.map(|error| (row.step_s, error)))
             .filter(|&(_, error)| error > above && error < 1e-2)
+            .collect();
+        let power = |pair: &[(f64, f64)]| {
+            libm::log(pair[0].1 / pair[1].1) / libm::log(pair[0].0 / pair[1].0)
+        };
+        // The smallest steps show the order best.
+        let Some(last) = points.windows(2).last().map(power) else { return Vec::new() };
+        let alike = points.windows(2).rev().map(power);
+        let alike = alike.take_while(|power| (power - last).abs() <= ALIKE * last.abs()).count();
+        let points = points.split_off(points.len() - (alike + 1));
+        if points.len() < 3 { Vec::new() } else { points }
+    }
+
+    /// Returns the order that the errors of a method show: the slope of a line through the logarithms of those of the
+    /// asymptotic range; `None` if there is no such range.
+    pub fn measured_order(&self, line: usize) -> Option<f64> {
+        let points: Vec<(f64, f64)> = self
+            .asymptotic(line)
+            .into_iter()
             .map(|(step_s, error)| (libm::log(step_s), libm::log(error)))
             .collect();
-        // The smallest steps show the order best.
-        let points = &points[points.len().saturating_sub(4)..];
-        if points.len() < 3 {
+        if points.is_empty() {
             return None;
         }
         let count = points.len() as f64;

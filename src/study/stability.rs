@@ -8,7 +8,9 @@ use serde::Serialize;
 use super::long_term::trend;
 use super::measure::{Begin, End, Measured, Probe, measure};
 use super::table::{Row, Table};
-use super::{Entry, Scales, StudyError, Watch, of_each, threads, usual_time, with_tableau};
+use super::{
+    Entry, Scales, StudyError, Watch, of_each, of_those_before, threads, usual_time, with_tableau,
+};
 use crate::method::Integrator;
 use crate::scenario::{Scenario, TableauName};
 use crate::solve::failure::FailureCode;
@@ -155,6 +157,26 @@ const SWING_SAMPLES: usize = 1024;
 /// If the scene cannot be studied, or the study is cancelled.
 pub fn stability(scene: &Scenario, entries: &[Entry], watch: &Watch) -> Result<Map, StudyError> {
     on_threads(scene, entries, watch, threads(watch))
+}
+
+/// Does the same, and if it is cancelled returns the map of the methods before that; it has fewer rows then.
+///
+/// # Errors
+/// If the scene cannot be studied, or the study is cancelled before its first method is done.
+pub fn stability_so_far(
+    scene: &Scenario,
+    entries: &[Entry],
+    watch: &Watch,
+) -> Result<Map, StudyError> {
+    let mapper = Judge::of(scene, watch)?.0;
+    let steps_s = mapper.sweep();
+    watch.expect((entries.len() * SWEEP) as u64);
+    let along = |entry: &Entry| mapper.along(entry, &steps_s, watch);
+    let methods = of_those_before(entries, threads(watch), along)?;
+    if methods.is_empty() && !entries.is_empty() {
+        return Err(StudyError::Cancelled);
+    }
+    Ok(mapper.map(steps_s, methods))
 }
 
 pub(super) fn on_threads(

@@ -293,7 +293,7 @@ await checks({
     const quantity = name => choose("Quantity of the members", name, `channel=${name}`);
     const found = await quantity("axis_angle");
     assert.match(await words(), /^Angle of an axis in rad of 200 members: .* member \d+\.$/);
-    const sizes = (await column(2)).map(Number);
+    const sizes = (await column(3)).map(Number);
     assert.ok(sizes.length === 10 && sizes.every((size, k) => !k || size <= sizes[k - 1]), `${sizes}`);
     assert.deepEqual(await column(1), found.rows.map(row => String(row.member)));
     // The fan says what the route says, with the mouse and with the keys.
@@ -666,6 +666,8 @@ await checks({
   },
   "a press of a person finds its button while events arrive": async () => {
     const pressed = await open();
+    // Rows come when the pointer is not over the list.
+    const away = () => pressed.mouse.move(2, 2);
     // How often the list has heard of its jobs: no press counts that no event fell into.
     const value = id => pressed.evaluate(id => document.querySelector(`#job-${id} progress`).value, id);
     const ids = [];
@@ -673,6 +675,7 @@ await checks({
       const { id } = await submit(url, await long());
       const other = await submit(url, await long());
       ids.push(id);
+      await away();
       await pressed.waitForFunction(ids => ids.every(id => document.querySelector(`#job-${id} progress`)?.value > 0), [id, other.id]);
       const before = await value(id);
       await press(pressed, `#job-${id} a`);
@@ -681,11 +684,171 @@ await checks({
       await press(pressed, k === 1 ? "#view button:text('Cancel')" : `#job-${id} button:text('Cancel')`);
       await state(pressed, "cancelled");
       await press(pressed, `#job-${other.id} button:text('Cancel')`);
+      await away();
       assert.equal((await ended(url, other.id)).state, "cancelled");
     }
     assert.deepEqual(pressed.wrong, []);
     await pressed.context().close();
     return `${3 * ids.length} presses of 150 ms`;
+  },
+  "eight windows on six active jobs hold one stream, and each press is answered": async () => {
+    const many = await service(["--workers", "2"]);
+    const context = await opened.newContext({ viewport: { width: 1440, height: 1000 } });
+    const scenario = await long();
+    const ids = [];
+    for (let k = 0; k < 6; k += 1) ids.push((await submit(many.url, { ...scenario, name: `long ${k}` })).id);
+    const streams = new Set();
+    const windows = [];
+    for (let k = 0; k < 8; k += 1) {
+      const window = await context.newPage();
+      window.on("request", request => { if (request.url().endsWith("/events")) streams.add(request); });
+      for (const end of ["requestfinished", "requestfailed"]) window.on(end, request => streams.delete(request));
+      await window.goto(`${many.url}/#/jobs/${ids[k % 6]}`);
+      await state(window, k % 6 < 2 ? "running" : "queued");
+      windows.push(window);
+    }
+    // Those of the jobs that run go on to show how far these are; one that waits says for how many.
+    assert.match(await windows[5].textContent("#standing"), /^waiting for a free worker: 3 before it$/);
+    for (const window of windows.filter((_, k) => k % 6 < 2)) {
+      const value = await window.$eval("#view progress", bar => bar.value);
+      await window.waitForFunction(value => document.querySelector("#view progress").value > value, value);
+    }
+    assert.equal(streams.size, 1, [...streams].map(request => request.url()).join(" "));
+    // A window that nobody sees holds none.
+    const hidden = (window, is) => window.evaluate(is => {
+      Object.defineProperty(document, "hidden", { value: is, configurable: true });
+      document.dispatchEvent(new Event("visibilitychange"));
+    }, is);
+    const [holder] = [...streams].map(request => windows.findIndex(window => window === request.frame().page()));
+    await hidden(windows[holder], true);
+    for (let k = 0; k < 100 && [...streams].some(request => request.frame().page() === windows[holder]); k += 1) await windows[0].waitForTimeout(100);
+    assert.ok(![...streams].some(request => request.frame().page() === windows[holder]));
+    await hidden(windows[holder], false);
+    const times = [];
+    for (const [k, window] of windows.entries()) {
+      const begun = Date.now();
+      if (k < 6) {
+        const answer = window.waitForResponse(answer => answer.url().endsWith(`${ids[k]}/cancel`));
+        await press(window, "#view button:text('Cancel')");
+        await answer;
+      } else {
+        await window.bringToFront();
+        await window.selectOption("#shipped", "free-body");
+        await holds(window, '"free-body"');
+        const answer = window.waitForResponse(answer => answer.request().method() === "POST" && answer.url().endsWith("/jobs"));
+        await press(window, "#run");
+        await answer;
+      }
+      times.push(Date.now() - begun - 150);
+    }
+    for (const id of ids) assert.equal((await ended(many.url, id)).state, "cancelled");
+    await context.close();
+    await many.stop();
+    return `answered after ${times.join(", ")} ms`;
+  },
+  "a button that waits says so, is pressed once, and gives up": async () => {
+    const waits = await open();
+    await holds(waits, "heavy-top");
+    await write(waits, JSON.stringify({ ...await shipped(url, "free-body"), name: `once ${Date.now()}`, expect: undefined }));
+    const posts = [];
+    waits.on("request", request => { if (request.method() === "POST" && request.url().endsWith("/jobs")) posts.push(request.headers()["idempotency-key"]); });
+    const named = async () => (await (await fetch(`${url}/jobs?name=once`)).json()).jobs.length;
+    await waits.dblclick("#run", { delay: 20 });
+    await state(waits, "succeeded");
+    await waits.waitForTimeout(700);
+    assert.equal(posts.length, 1);
+    assert.equal(await named(), 1);
+    // The service takes the job, and its answer does not come.
+    await waits.route(/\/jobs$/, async route => { await route.fetch(); });
+    await write(waits, (await written(waits)).replace("once", "once more"));
+    await press(waits, "#run");
+    const begun = Date.now();
+    await waits.waitForSelector("#run[aria-busy=true]");
+    const said = Date.now() - begun;
+    await press(waits, "#run");
+    await waits.waitForFunction(() => /has not answered within 10 s/.test(document.querySelector("#problem").textContent));
+    await waits.unroute(/\/jobs$/);
+    await waits.waitForSelector("#run:not([aria-busy])");
+    await press(waits, "#run");
+    await state(waits, "succeeded");
+    assert.ok(posts.length === 3 && posts[1] === posts[2] && posts[0] !== posts[1], `${posts}`);
+    assert.equal(await named(), 2);
+    // So does a button of a list, and what went wrong is shown.
+    const { id } = await submit(url, await long());
+    await waits.mouse.move(2, 2);
+    await waits.waitForSelector(`#job-${id} .running`);
+    await waits.route(/cancel$/, route => route.abort());
+    await press(waits, `#job-${id} button:text('Cancel')`);
+    await waits.waitForSelector("#news.wrong");
+    assert.match(await waits.textContent("#news"), /cannot be reached/);
+    await waits.unroute(/cancel$/);
+    await waits.waitForTimeout(700);
+    await press(waits, `#job-${id} button:text('Cancel')`);
+    assert.equal((await ended(url, id)).state, "cancelled");
+    await waits.context().close();
+    return `said after ${said} ms`;
+  },
+  "no press is lost while jobs come, go and end": async () => {
+    const many = await service(["--workers", "2"]);
+    const scenario = { ...await shipped(many.url, "free-body"), expect: undefined };
+    const slow = { ...await long(), log: { every: 10_000, channels: ["/state"] } };
+    let going = true, posted = 0;
+    const load = (async () => {
+      for (let k = 0; going; k += 1) {
+        const { id } = await submit(many.url, k % 4 ? { ...scenario, name: `spin ${k}`, duration_s: 1 + 400 * (k % 3) } : { ...slow, name: `long ${k}` });
+        posted += 1;
+        if (k % 4 === 0) setTimeout(() => fetch(`${many.url}/jobs/${id}/cancel`, { method: "POST" }).catch(() => {}), 1500);
+        await new Promise(later => setTimeout(later, 300));
+      }
+    })();
+    const list = await open(many.url);
+    await list.waitForFunction(() => document.querySelectorAll("#jobs li a").length > 8);
+    // The same presses each time.
+    let seed = 7;
+    const random = () => { seed = (seed * 16807) % 2147483647; return seed / 2147483647; };
+    const presses = Number(process.env.PRESSES ?? 20), wrong = [];
+    let cancels = 0;
+    const cancelled = new Set();
+    list.on("request", request => { if (request.url().endsWith("/cancel")) cancelled.add(request.url().split("/").at(-2)); });
+    for (let k = 0; k < presses; k += 1) {
+      const rows = await list.$$eval("#jobs li", rows => rows.map(row => row.id));
+      const row = rows[Math.floor(random() * rows.length)];
+      // A person comes to the list, sees where the row is, and presses.
+      await list.hover("#jobs-title");
+      const stop = k % 3 === 2 && await list.isVisible(`#${row} button:text('Cancel')`) && await list.isEnabled(`#${row} button:text('Cancel')`);
+      const target = list.locator(stop ? `#${row} button:text('Cancel')` : `#${row} a`);
+      const id = row.slice(4);
+      const box = await target.boundingBox({ timeout: 1000 }).catch(() => null);
+      if (!box) { k -= 1; continue; }
+      await list.mouse.move(box.x + Math.min(20, box.width / 2), box.y + box.height / 2);
+      await list.mouse.down();
+      await list.waitForTimeout(120 + Math.round(1380 * random()));
+      await list.mouse.up();
+      if (stop) {
+        cancels += 1;
+        for (let wait = 0; wait < 50 && !cancelled.has(id); wait += 1) await list.waitForTimeout(20);
+        if (!cancelled.has(id)) wrong.push(`${k}: cancel of ${row} was lost`);
+      } else {
+        const found = await list.waitForFunction(id => location.hash.endsWith(id), id, { timeout: 3000 }).catch(() => null);
+        if (!found) wrong.push(`${k}: ${row} was pressed, ${await list.evaluate(() => location.hash)} came`);
+      }
+      if (k % 2) { await list.mouse.move(2, 2); await list.waitForTimeout(100); }
+    }
+    // What waits is counted, and shown when somebody asks for it, or leaves.
+    await list.hover("#jobs-title");
+    await list.waitForSelector("#jobs-new:not([hidden])");
+    assert.match(await list.textContent("#jobs-new"), /^\d+ new$/);
+    const first = () => list.getAttribute("#jobs li", "id");
+    const before = await first();
+    await press(list, "#jobs-new");
+    assert.notEqual(await first(), before);
+    going = false;
+    await load;
+    assert.deepEqual(wrong, []);
+    assert.deepEqual(list.wrong, []);
+    await list.context().close();
+    await many.stop();
+    return `${presses} presses, ${cancels} of them Cancel, while ${posted} jobs came`;
   },
   "a running job is linked to the live view": async () => {
     const live = await open(shown.url);
@@ -779,9 +942,9 @@ await checks({
     for (let i = 0; i < 30; i += 1) {
       await keyed.keyboard.press("Tab");
       reached.push(await keyed.evaluate(() => document.activeElement.id || document.activeElement.className || document.activeElement.textContent));
-      if (reached.at(-1) === "main") break;
+      if (reached.at(-1) === "run") break;
     }
-    for (const stop of ["skip", "token-open", "shipped", "text", "main"]) assert.ok(reached.includes(stop), `${stop} of ${reached}`);
+    for (const stop of ["skip", "token-open", "shipped", "text", "run"]) assert.ok(reached.includes(stop), `${stop} of ${reached}`);
     await keyed.keyboard.press("Enter");
     await state(keyed, "succeeded");
     await keyed.focus(".stage");

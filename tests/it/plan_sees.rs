@@ -478,7 +478,7 @@ fn the_plan_says_what_is_kept() {
     let damped = json!([{ "viscous": { "coefficient": 1e-3 } }]);
     let pushed = plan(top, &[("torques", damped.clone())]);
     assert_eq!(pushed.free_directions, 2);
-    assert!(pushed.balance.expect("pushed").contains("no method is symplectic"));
+    assert_eq!(pushed.balance.expect("pushed"), "the energy less the work of the torques");
     let momentum = pushed.momentum_balance.expect("the weight leaves two directions");
     assert!(momentum.contains("2 directions") && momentum.contains("impulse"), "{momentum}");
     assert_eq!(pushed.jacobi_integral, None);
@@ -538,4 +538,21 @@ fn the_plan_says_what_the_channels_hold() {
     for figures in [(true, true), (true, false), (false, true), (false, false)] {
         assert!(met.iter().any(|row| (row.1, row.2) == figures), "{figures:?}");
     }
+}
+
+/// One digit of a coefficient is wrong: the order falls, and the plan says so.
+#[test]
+fn the_plan_warns_of_coefficients_of_a_low_order() {
+    let warned = |a: Value, b: Value| {
+        let mut scenario: Value =
+            serde_json::from_str(include_str!("../../scenarios/heavy-top.json")).expect("JSON");
+        scenario["method"] = json!({ "name": "vpd", "tableau": { "a": a, "b": b } });
+        let scenario = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        let warnings = Plan::new(&scenario).expect("a plan").warnings;
+        warnings.iter().any(|warning| warning.contains("check its coefficients"))
+    };
+    let radau = |last: f64| json!([[0.25, -0.25], [0.25, last]]);
+    assert!(!warned(radau(5.0 / 12.0), json!([0.25, 0.75])));
+    assert!(warned(radau(0.45), json!([0.25, 0.75])));
+    assert!(!warned(json!([[0.5]]), json!([1])));
 }

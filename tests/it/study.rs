@@ -132,6 +132,8 @@ fn chart_studies_a_scenario() {
         "vpd:gauss2",
         "--method",
         "splitting:4",
+        "--method",
+        "vpd:{\"a\": [[0.5]], \"b\": [1]}",
         "--until",
         "0.1",
         "--set",
@@ -143,7 +145,9 @@ fn chart_studies_a_scenario() {
     assert!(said.starts_with("reference: t = 0.1 s"), "{said}");
     for name in ["order", "time", "forces", "energy", "orthogonality"] {
         let svg = std::fs::read_to_string(at.join(format!("study/{name}.svg"))).expect("a chart");
-        assert!(svg.contains("vpd gauss2") && svg.contains("splitting order 4"), "{name}");
+        for method in ["vpd gauss2", "splitting order 4", "vpd given"] {
+            assert!(svg.contains(method), "{name}: {method}");
+        }
         assert!(svg.matches("<polyline").count() >= 2, "{name}");
     }
     let table = std::fs::read_to_string(at.join("study/table.csv")).expect("a table");
@@ -187,6 +191,9 @@ fn studies_refuse_what_makes_none() {
         (vec!["chart", &dipole, "--until", "1e-300"], 2),
         (vec!["chart", &dipole, "--until", "nan"], 2),
         (vec!["stability", &dipole, "--method", "euler"], 2),
+        (vec!["stability", &dipole, "--method", "vpd:{\"a\": [[0.5]]}"], 2),
+        (vec!["stability", &dipole, "--method", "vpd:{\"a\": [[0.5]], \"b\": [1]"], 2),
+        (vec!["stability", &dipole, "--method", "vpd:{\"a\": [[0.5]], \"b\": [1]}newton"], 2),
         (vec!["stability", &dipole, "--method", "vpd:gauss2:newton:more"], 2),
         // No reference can be trusted there.
         (vec!["chart", &dipole, "--until", "300"], 1),

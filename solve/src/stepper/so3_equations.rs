@@ -116,15 +116,15 @@ pub(super) fn stretch_of<T: Real>(attitude: &Quaternion<T>, u: &Mat3<T>, d: &Mat
     ]
 }
 
-/// `K(P)^-1 - I / 2` for `P = I + E`: K(P) = 2 I + tr(E) I - E.
+/// `Q(P)^-1 - I / 2` for `P = I + E`: Q(P) = 2 I + tr(E) I - E.
 #[inline(always)]
-pub(super) fn inverse_of_k<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
+pub(super) fn inverse_of_q<T: Real>([xx, yy, zz, yz, xz, xy]: &Sym3<T>) -> Sym3<T> {
     inverse_less_half(&[*yy + *zz, *xx + *zz, *xx + *yy, -*yz, -*xz, -*xy])
 }
 
-/// Returns `K(P)^-1 v`, given `K(P)^-1 - I / 2`.
+/// Returns `Q(P)^-1 v`, given `Q(P)^-1 - I / 2`.
 #[inline(always)]
-pub(super) fn over_k<T: Real>(inverse: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+pub(super) fn over_q<T: Real>(inverse: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
     let rest = symmetric_product(inverse, v);
     vec3!(i => v[i] * 0.5 + rest[i])
 }

@@ -291,7 +291,7 @@ impl Equations for InLanes<'_> {
         Ok(())
     }
 
-    /// Makes one sweep: x and K^-1 of the guess are far from those of a sweep.
+    /// Makes one sweep: x and Q^-1 of the guess are far from those of a sweep.
     fn prime(&mut self) -> Result<(), Failure> {
         if !self.sweep()?.is_finite() {
             self.guess()?;

@@ -58,13 +58,13 @@ class Stage {
     }, { passive: false });
   }
 
-  // `load(from_s, every_s)` gives attitudes from a time on; `terms` are those of the potential, for their labels.
-  async open(load, terms = []) {
+  // `load(from_s, every_s)` gives attitudes from a time on; `scene` is that of the scenario, for labels and for what moves.
+  async open(load, scene) {
     this.load = load;
     await this.fetch(0);
     if (this.frames.time_s.length === 0) return false;
     this.draw(this.first.scene);
-    this.name(terms);
+    this.name(scene);
     this.choosePace();
     await this.go(0);
     this.run(!matchMedia("(prefers-reduced-motion: reduce)").matches);
@@ -81,8 +81,12 @@ class Stage {
     const slow = turns > 1 ? nice.find(x => x >= turns) ?? 1e6 : 1;
     const fast = turns > 0 && turns < 1 / 120 ? nice.findLast(x => x * turns <= 1 / 15) ?? 1 : 1;
     this.chosen = fast / slow;
-    const speeds = [...new Set([0.01, 0.1, 0.25, 0.5, 1, 2, 4, 10, 100, this.chosen, this.chosen / 2, this.chosen / 4, this.chosen * 2, this.chosen * 4])].sort((a, b) => a - b);
-    this.rate.replaceChildren(...speeds.map(speed => h("option", { value: speed }, speed === 1 ? "1 (real time)" : speed < 1 ? `1/${figure(1 / speed)}` : figure(speed))));
+    // At the fastest the whole run takes 20 s.
+    const whole = Number((this.end / 20).toPrecision(2));
+    const speeds = [...new Set([0.01, 0.1, 0.25, 0.5, 1, 2, 4, 10, 100, 1e3, 1e4, 1e5, 1e6].filter(x => x <= 4 || x < whole)
+      .concat(this.chosen, this.chosen / 2, this.chosen / 4, this.chosen * 2, this.chosen * 4, whole > 1 ? whole : 1))].sort((a, b) => a - b);
+    const word = speed => speed === 1 ? "1 (real time)" : speed < 1 ? `1/${figure(1 / speed)}` : figure(speed);
+    this.rate.replaceChildren(...speeds.map(speed => h("option", { value: speed }, speed === whole && whole > 1 ? `${word(speed)} (all in 20 s)` : word(speed))));
     this.setSpeed(this.chosen);
   }
 
@@ -191,8 +195,13 @@ class Stage {
     this.show();
   }
 
-  // Labels the points of the body and what acts on them.
-  name(terms) {
+  // Labels the axes and points of the body, and what acts on them. Drawings count in a length of their own.
+  name({ potential = [], driven = [] }) {
+    this.moving = driven.filter(({ path }) => path);
+    const acting = [...potential.map(term => ({ term })), ...driven];
+    const farthest = points => Math.max(0, ...points.map(at => Math.hypot(...at)));
+    const drawn = farthest(this.parts.filter(part => part.frame === "body" && part.radius !== undefined).map(part => part.points[0]));
+    this.unit = drawn > 0 ? farthest(acting.map(({ term }) => term.body_point ?? [0])) / drawn : 1;
     const add = (frame, at, text) => {
       if (!at || at.length !== 3) return;
       const same = this.labels.find(label => label.frame === frame && label.at.every((x, i) => Math.abs(x - at[i]) < 1e-9));
@@ -200,12 +209,31 @@ class Stage {
       else if (!same.texts.includes(text)) same.texts.push(text);
     };
     const signed = x => `${x < 0 ? "−" : "+"}${figure(Math.abs(x))}`;
-    for (const { kind, weight, strength, stiffness, body_point: point, position } of terms) {
-      if (kind === "uniform") add("body", point, `weight ${figure(weight)} N`);
-      if (kind === "point_source") { add("body", point, `charge ${signed(strength)}`); add("space", position, "source"); }
-      if (kind === "spring") { add("body", point, `spring ${figure(stiffness)} N/m`); add("space", position, "anchor"); }
+    for (const { term, path } of acting) {
+      const { kind, weight, strength, stiffness, body_point, position, direction } = term;
+      const source = path && `source/${this.moving.findIndex(one => one.term === term)}`;
+      const here = body_point?.map(x => x / this.unit);
+      const there = text => source ? add(source, [0, 0, 0], text) : add("space", position?.map(x => x / this.unit), text);
+      const tip = text => source ? add(source, [1.5, 0, 0], text) : add("space", direction?.map(x => 1.5 * x / Math.hypot(...direction)), text);
+      // The force on the point is against the direction.
+      if (kind === "uniform") { add("body", here, `weight ${figure(weight)} N`); tip(weight < 0 ? "down" : "up"); }
+      if (kind === "point_source") { add("body", here, `charge ${signed(strength)}`); there("source"); }
+      if (kind === "spring") { add("body", here, `spring ${figure(stiffness)} N/m`); there("anchor"); }
+      if (kind === "gravity_gradient") tip("vertical");
     }
-    add("space", [0, 0, 0], "pivot");
+    // A free body, and one in orbit, turns about its centre of mass; nothing holds it there.
+    if (acting.some(({ term }) => term.body_point)) add("space", [0, 0, 0], "fixed point");
+    ["x", "y", "z"].forEach((name, k) => add("body", [0, 1, 2].map(i => i === k ? 1.38 : 0), name));
+  }
+
+  // Where a point of a frame is in space at the time that is shown. A frame of something that moves has it at its origin,
+  // or its direction along its first axis.
+  place(frame, at, g) {
+    if (frame === "body") return times(g, at);
+    const mover = this.moving?.[Number(/^source\/(\d+)$/.exec(frame)?.[1])];
+    if (!mover) return at;
+    const now = along(mover, this.t);
+    return mover.term.position ? at.map((x, i) => x + now[i] / this.unit) : now.map(x => x / Math.hypot(...now) * at[0]);
   }
 
   // The attitude at the time that is shown: between two samples turned about one axis, as far as the velocity says.
@@ -244,7 +272,7 @@ class Stage {
     this.g = g;
     this.paint(view, g, k);
     const shown = time_s[k + 1] === undefined ? time_s[k] : Math.max(this.t, time_s[k]);
-    this.time.textContent = `t = ${shown.toPrecision(4)} s`;
+    put(this.time, `t = ${clock(shown)}`);
     if (document.activeElement !== this.seek) this.seek.value = shown;
     this.onframe?.(shown);
   }
@@ -284,7 +312,7 @@ class Stage {
       pen.restore();
     };
     const parts = this.parts.map(part => {
-      const points = part.points.map(at => seen(part.frame === "body" ? times(g, at) : at));
+      const points = part.points.map(at => seen(this.place(part.frame, at, g)));
       return { ...part, points, depth: points.reduce((sum, at) => sum + at[2], 0) / points.length };
     });
     for (const { points, color: [r, g, b, a], radius, thick, tone = 1 } of parts.sort((a, b) => a.depth - b.depth)) {
@@ -338,7 +366,7 @@ class Stage {
     if (this.drawn.velocity.checked) arrow(velocity[k], this.fastest, "--velocity", "ω");
     if (this.drawn.momentum.checked && n === 3) arrow(momentum[k], this.most, "--momentum", "L");
     if (this.drawn.labels.checked && n === 3) {
-      for (const { frame, at, texts } of this.labels) words.push([texts.join(", "), ...spot(frame === "body" ? times(g, at) : at), shade("--ink")]);
+      for (const { frame, at, texts } of this.labels) words.push([texts.join(", "), ...spot(this.place(frame, at, g)), shade("--ink")]);
     }
     pen.font = "600 13px system-ui, sans-serif";
     pen.textBaseline = "middle";
@@ -372,6 +400,28 @@ class Stage {
     this.run(false);
     this.sizes.disconnect();
   }
+}
+
+// The direction or position of a term that moves, at a time.
+function along({ term, path }, t) {
+  const start = term.position ?? term.direction;
+  const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0);
+  const unit = v => v.map(x => x / Math.hypot(...v));
+  const beside = (v, u) => unit(v.map((x, i) => x - dot(v, u) * u[i]));
+  const mix = (a, u, b, v) => u.map((x, i) => a * x + b * v[i]);
+  if (path.turning) {
+    const { from, towards, rate_rad_s } = path.turning;
+    const u = unit(from), v = beside(towards, u), [c, s] = [Math.cos(rate_rad_s * t), Math.sin(rate_rad_s * t)];
+    const [a, b] = [dot(start, u), dot(start, v)];
+    return mix(1, start, 1, mix(a * (c - 1) - b * s, u, a * s + b * (c - 1), v));
+  }
+  const { towards, mean_motion_rad_s, eccentricity: e = 0, mean_anomaly_rad = 0 } = path.orbit;
+  const u = unit(start), v = beside(towards, u), far = Math.hypot(...start);
+  // Kepler's equation E - e sin E = M, by Newton's method from a start for which it converges.
+  const M = (mean_anomaly_rad + mean_motion_rad_s * t) % (2 * Math.PI);
+  let E = M + Math.sign(Math.sin(M)) * 0.85 * e;
+  for (let k = 0; k < 20; k += 1) E -= (E - e * Math.sin(E) - M) / (1 - e * Math.cos(E));
+  return mix(far * (Math.cos(E) - e), u, far * Math.sqrt(1 - e * e) * Math.sin(E), v);
 }
 
 // Distance of the eye from the middle of the scene, in pixels.

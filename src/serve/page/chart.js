@@ -91,7 +91,8 @@ class Chart {
     const turn = this.turn = (this.turn ?? 0) + 1;
     const channel = this.curve.value;
     const window = this.span ? `&from_s=${Math.max(0, this.span[0])}&to_s=${Math.max(0, this.span[1])}` : "";
-    const found = await Promise.all(this.jobs.map(job => json(`jobs/${job.id}/samples?channel=${channel}&points=800${window}`, { quiet: true }).catch(error => error)));
+    const found = await Promise.all(this.jobs.map(job => readJson(`jobs/${job.id}/samples?channel=${channel}&points=800${window}`).catch(error => error)));
+    await calm();
     if (turn !== this.turn) return;
     this.found = found;
     this.draw();
@@ -106,7 +107,7 @@ class Chart {
     const good = found.map((samples, k) => ({ samples, job: this.jobs[k] })).filter(({ samples }) => samples?.time_s?.length);
     if (!good.length) {
       this.plot.append(h("p", { className: "soft none" }, found.some(x => x.status === 404) ? "The log of this job does not hold this quantity." : "Nothing is logged yet."));
-      put(this.words, "");
+      putProse(this.words, "");
       this.legend.replaceChildren();
       return;
     }
@@ -121,7 +122,7 @@ class Chart {
         const many = samples.low.length > 1;
         const name = [many ? (PARTS[samples.channel] ?? (k => samples.low.length === 3 ? "xyz"[k] : String(k + 1)))(part) : "", good.length > 1 ? job.name : ""].filter(Boolean).join(" · ") || CURVES[samples.channel];
         const stroke = hues[(good.length > 1 && !many ? k : part) % hues.length];
-        const line = { label: name, stroke, width: 1.5, spanGaps: true, points: { show: samples.time_s.length < 40 }, dash: many && k ? [6, 3 * k] : [] };
+        const line = { label: name, stroke, width: 1.5, spanGaps: true, points: { show: samples.time_s.length < 40 }, dash: many ? [[], [9, 5], [2, 4]][(k || part) % 3] : [] };
         this.lines.push({ name, stroke, dashed: line.dash.length > 0, low, high: samples.high[part], time: samples.time_s, end: samples.end_s ?? samples.time_s.at(-1) });
         if (log) {
           lines.push(low.map((x, i) => Math.max(Math.abs(x), Math.abs(samples.high[part][i])) || null));
@@ -164,11 +165,11 @@ class Chart {
     this.reading = t;
     if (t === null) {
       const each = Math.max(...this.found.map(x => x.each ?? 1));
-      put(this.words, `${CURVES[this.curve.value]}${this.unit ? ` in ${this.unit}` : ""}${each > 1 ? `; each point spans up to ${count(each)} samples, from the smallest to the largest` : ""}. Point at the chart to read values, drag to zoom, click to move the body there.`);
+      putProse(this.words, `${CURVES[this.curve.value]}${this.unit ? ` in ${this.unit}` : ""}${each > 1 ? `; each point spans up to ${count(each)} samples, from the smallest to the largest` : ""}. Point at the chart to read values, drag to zoom, click to move the body there.`);
       return;
     }
     const value = line => { const k = latest(line.time, t); const [low, high] = [line.low[k], line.high[k]]; if (t > line.end) return `${line.name} has ended`; return `${line.name} ${low === high ? figure(low) : `${figure(low)} … ${figure(high)}`}`; };
-    put(this.words, `t = ${figure(t)} s: ${this.lines.map(value).join(", ")}${this.unit ? ` ${this.unit}` : ""}`);
+    putProse(this.words, `t = ${figure(t)} s: ${this.lines.map(value).join(", ")}${this.unit ? ` ${this.unit}` : ""}`);
   }
 
   // Shows a part of the time; all of it if there is none.

@@ -16,11 +16,24 @@ class Problem extends Error {
   constructor(body, status) { super(body.detail ?? body.title ?? `status ${status}`); Object.assign(this, { body, status }); }
 }
 
-async function call(path, options = {}) {
+// The longest wait for an answer, of whatever somebody waits for.
+const LIMIT_MS = 10_000;
+
+// Signals that end with the first of them.
+const any = (...signals) => AbortSignal.any(signals.filter(Boolean));
+
+// `patient` waits as long as it takes.
+async function call(path, { patient, ...options } = {}) {
   const headers = { ...options.headers };
   const asked = token;
   if (token) headers.authorization = `Bearer ${token}`;
-  const answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, cache: "no-store" });
+  const limit = patient ? null : AbortSignal.timeout(LIMIT_MS);
+  const signal = any(options.signal, limit);
+  let answer;
+  try { answer = await fetch(new URL(path.replace(/^\//, ""), base), { ...options, headers, signal, cache: "no-store" }); } catch (error) {
+    if (options.signal?.aborted) throw error;
+    throw new Problem({ detail: limit?.aborted ? `The service has not answered within ${LIMIT_MS / 1000} s.` : "The service cannot be reached." });
+  }
   if (answer.ok) return answer;
   const problem = new Problem(await answer.json().catch(() => ({})), answer.status);
   // A request that was sent before the token was given says nothing about it.
@@ -32,7 +45,24 @@ async function call(path, options = {}) {
 const json = async (path, options) => (await call(path, options)).json();
 
 const send = (path, text, headers = {}) =>
-  json(path, { method: "POST", body: text, headers: { "content-type": "application/json", ...headers } });
+  json(path, { method: "POST", body: text, headers: { "content-type": "application/json", ...headers }, priority: "high" });
+
+// A browser keeps six connections to a place for all its windows. What may take seconds there, reading a log or drawing
+// it, takes two of them at most, the events of jobs one: the others are for presses. Without locks, as on a page without
+// TLS, each window goes its own way.
+const READERS = 2;
+let reads = 0;
+const inTurn = read => navigator.locks ? navigator.locks.request(`vpd read ${reads++ % READERS} ${base}`, read) : read();
+
+// Ends when something else is shown: what was being read for it is not wanted any more.
+let leaving = new AbortController();
+
+// Reads something that may take long.
+function read(path) {
+  const { signal } = leaving;
+  return inTurn(() => { signal.throwIfAborted(); return call(path, { signal, quiet: true, patient: true }); });
+}
+const readJson = async path => (await read(path)).json();
 
 function askToken() {
   if ($("token-dialog").open) return;
@@ -40,42 +70,126 @@ function askToken() {
   $("token-dialog").showModal();
 }
 
-function say(text) { $("news").textContent = text; }
+// For those who hear the page; what went wrong is also shown.
+function say(text, wrong = false) {
+  put($("news"), text);
+  $("news").classList.toggle("wrong", wrong);
+}
 
-// Follows a job by its events until it has ended; where proxies cut the stream, by asking.
-async function follow(id, seen, signal) {
-  const tell = job => { seen(job); return ENDED.includes(job.state); };
-  for (let cuts = 0; cuts < 2 && !signal.aborted; cuts += 1) {
-    try {
-      const answer = await call(`jobs/${id}/events`, { signal, quiet: true });
-      if (!answer.headers.get("content-type")?.startsWith("text/event-stream")) break;
-      const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
-      let job = null;
-      for (let rest = ""; ;) {
-        const { value, done } = await reader.read();
-        if (done) break;
-        const events = (rest + value).split("\n\n");
-        rest = events.pop();
-        for (const event of events) {
-          const field = name => event.split("\n").filter(line => line.startsWith(`${name}:`))
-            .map(line => line.slice(name.length + 1).trim()).join("\n");
-          const data = field("data") && JSON.parse(field("data"));
-          if (field("event") === "state") job = data;
-          else if (field("event") === "progress" && job) job = { ...job, progress: data };
-          else continue;
-          cuts = 0;
-          if (tell(job)) return;
-        }
-      }
-    } catch (error) {
-      if (signal.aborted || error.status === 404 && error.body.code === "unknown_job") return;
-    }
+// A text that stays as it is leaves its node alone.
+function put(node, text) { if (node.textContent !== text) node.textContent = text; }
+
+// ---- presses
+
+// The time within which two clicks are one double click.
+const DOUBLE_MS = 600;
+const busy = new WeakSet();
+
+// Does what a button is for, once at a time: it shows that it waits, and a second press, or one within `again_ms`, is none.
+// Says what went wrong.
+async function press(button, act, again_ms = DOUBLE_MS) {
+  if (busy.has(button)) return;
+  busy.add(button);
+  const doubled = new Promise(later => setTimeout(later, again_ms));
+  button.ariaBusy = "true";
+  say("");
+  try { await act(); } catch (error) { say(error.message, true); } finally {
+    button.ariaBusy = null;
+    await doubled;
+    busy.delete(button);
   }
-  while (!signal.aborted) {
-    try { if (tell(await json(`jobs/${id}`, { signal, quiet: true }))) return; } catch (error) {
-      if (error.status === 404) return;
+}
+
+// Makes a small button for it.
+const pressable = (word, act, props = {}) =>
+  h("button", { type: "button", className: "small", onclick: event => press(event.currentTarget, act), ...props }, word);
+
+// Whether a button of the mouse, a finger or a pen is down, and what waits until it is up.
+let down = false, lifting = 0;
+const waiting = [];
+
+// Ends when nothing is being pressed: what moves or replaces things waits for it, so that a press that began on a button
+// ends on it.
+const calm = () => down ? new Promise(later => waiting.push(later)) : Promise.resolve();
+
+function lift() {
+  down = false;
+  waiting.splice(0).forEach(later => later());
+}
+
+addEventListener("pointerdown", event => { if (event.button === 0) { clearTimeout(lifting); down = true; } }, true);
+// The click comes after the pointer is up.
+const lifted = () => { clearTimeout(lifting); lifting = setTimeout(lift, 60); };
+for (const kind of ["pointerup", "pointercancel", "blur", "dragend"]) addEventListener(kind, lifted, true);
+addEventListener("pointermove", event => { if (down && event.buttons === 0) lifted(); }, true);
+
+// ---- following jobs
+
+// What one window hears of a job, told to the others: its state and its progress.
+const air = new BroadcastChannel(`vpd ${base}`);
+const pass = ({ id, state, progress }) => air.postMessage({ id, state, progress });
+
+const shownAgain = () => document.hidden ? new Promise(later => document.addEventListener("visibilitychange", later, { once: true })) : null;
+
+// Follows a job until it has ended. One window of a browser at a time holds a stream of events, and only while it can be
+// seen; the others hear what it tells, or ask every second.
+async function follow(job, seen, signal) {
+  let told = 0, streams = false;
+  const over = () => signal.aborted || ENDED.includes(job.state);
+  const tell = fresh => { if (over()) return; [job, told] = [fresh, Date.now()]; seen(job); };
+  const ask = async () => { const fresh = await json(`jobs/${job.id}`, { signal, quiet: true }); pass(fresh); tell(fresh); };
+  const listen = ({ data }) => { if (data.id === job.id && data.state === job.state) tell({ ...job, progress: data.progress }); };
+  air.addEventListener("message", listen);
+  const stream = async () => {
+    // Some proxies cut streams.
+    for (let cuts = 0; cuts < 2 && !over(); cuts += 1) {
+      await shownAgain();
+      const stop = new AbortController();
+      const hide = () => { if (document.hidden) stop.abort(); };
+      document.addEventListener("visibilitychange", hide);
+      const either = any(signal, stop.signal);
+      try {
+        await navigator.locks.request(`vpd events ${base}`, { signal: either }, () => events(job.id, fresh => {
+          [cuts, streams] = [0, true];
+          pass(fresh);
+          tell(fresh);
+        }, either));
+      } catch { if (stop.signal.aborted) cuts = -1; } finally {
+        streams = false;
+        document.removeEventListener("visibilitychange", hide);
+      }
     }
-    await new Promise(later => setTimeout(later, 1000));
+  };
+  if (navigator.locks) stream();
+  while (!over()) {
+    await new Promise(later => setTimeout(later, 500));
+    await shownAgain();
+    if (over() || streams || Date.now() - told < 1000) continue;
+    try { await ask(); } catch (error) { if (error.status === 404) break; }
+  }
+  air.removeEventListener("message", listen);
+}
+
+// Reads the events of a job until they end.
+async function events(id, seen, signal) {
+  const answer = await call(`jobs/${id}/events`, { signal, quiet: true, patient: true });
+  if (!answer.headers.get("content-type")?.startsWith("text/event-stream")) return;
+  const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+  let job = null;
+  for (let rest = ""; ;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    const events = (rest + value).split("\n\n");
+    rest = events.pop();
+    for (const event of events) {
+      const field = name => event.split("\n").filter(line => line.startsWith(`${name}:`))
+        .map(line => line.slice(name.length + 1).trim()).join("\n");
+      const data = field("data") && JSON.parse(field("data"));
+      if (field("event") === "state") job = data;
+      else if (field("event") === "progress" && job) job = { ...job, progress: data };
+      else continue;
+      seen(job);
+    }
   }
 }
 
@@ -99,6 +213,21 @@ function span(seconds) {
   return seconds < 172800 ? `${(seconds / 3600).toFixed(1)} h` : `${Math.round(seconds / 86400)} days`;
 }
 
+// A time of a run as a person reads it, in four digits.
+function clock(seconds) {
+  if (seconds < 600) return `${seconds.toPrecision(4)} s`;
+  const whole = Math.round(seconds), [days, hours, minutes] = [Math.floor(whole / 86400), Math.floor(whole / 3600) % 24, Math.floor(whole / 60) % 60];
+  const parts = [days && `${count(days)} d`, (days || hours) && `${hours} h`, `${minutes} min`, !days && `${whole % 60} s`];
+  return parts.filter(Boolean).join(" ");
+}
+
+// Text as nodes: a figure and its unit stay in one line.
+const prose = text => text.split(/([-−]?\d[\d.,]*(?:e[-+]?\d+)?(?:\s(?:J|s|ms|ns|min|h|d|days|rad|%|kg m²\/s|N m s)(?![\p{L}\d]))?)/u)
+  .map((part, k) => k % 2 ? h("span", { className: "whole" }, part) : part);
+
+// Puts a text with figures.
+function putProse(node, text) { if (node.textContent !== text) node.replaceChildren(...prose(text)); }
+
 // The time of today, or the day.
 function when(created) {
   if (!created) return "";
@@ -107,18 +236,27 @@ function when(created) {
   return at.toDateString() === new Date().toDateString() ? time : `${at.toLocaleDateString([], { dateStyle: "medium" })}, ${time}`;
 }
 
-function standing({ state, progress, trouble }) {
+// The ids of the jobs that wait, the next one first; null if it is not known.
+let queue = null;
+
+function inQueue(id) {
+  const at = queue?.indexOf(id) ?? -1;
+  return at < 0 ? "" : at === 0 ? ": next" : `: ${count(at)} before it`;
+}
+
+function standing({ id, state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
-  if (state === "queued") return trouble ? "waiting for the disk" : "waiting for a free worker";
+  if (state === "queued" && trouble) return "waiting for the disk";
+  if (state === "queued") return `waiting for a free worker${inQueue(id)}`;
   if (state === "running" && steps === 0) return "searching for a method and a step";
   if (state !== "running" && steps === 0) return "no steps";
-  if (state !== "running") return `${count(steps_done)} of ${count(steps)} steps`;
+  if (state !== "running") return steps_done === steps ? `${count(steps)} steps` : `${count(steps_done)} of ${count(steps)} steps`;
   return `${percent.toFixed(1)} %, ${eta_s == null ? "starting" : `${span(eta_s)} left`}`;
 }
 
 // Describes the state of a job in plain words.
 function outcome(job) {
-  const { summary, state } = job;
+  const { summary, state, plan } = job;
   if (state === "queued" && job.trouble) return `The job is stored and will be tried again: ${job.trouble.message}.`;
   if (state === "queued") return "The job is stored and waits for a free worker.";
   if (state === "running") return "The job is running. You may close this page: the job continues.";
@@ -131,11 +269,16 @@ function outcome(job) {
     const failed = Object.entries(ensemble.failed ?? {}).map(([code, number]) => `, ${count(number)} ${code}`).join("");
     parts[0] = `${count(ensemble.succeeded)} of ${count(ensemble.members)} members finished${failed}, in ${span(summary.wall_s)}. Member 0:`;
   }
-  if (energy) parts.push(`The energy, ${figure(energy.initial)} J, is constant to ${figure(energy.max_abs_error)} J.`);
+  if (energy && plan?.balance) {
+    const { initial, least, largest, last } = energy;
+    if (last != null) parts.push(`The energy was ${figure(initial)} J at the start and ${figure(last)} J at the end, between ${figure(least)} J and ${figure(largest)} J.`);
+    parts.push(`Its balance, ${plan.balance}, is constant to ${figure(energy.max_abs_error)} J.`);
+  } else if (energy) parts.push(`The energy, ${figure(energy.initial)} J, is constant to ${figure(energy.max_abs_error)} J.`);
   if (orthogonality) parts.push(orthogonality.max < 1e-14
     ? `The attitude stayed a rotation to round-off (${figure(orthogonality.max)}).`
     : `The attitude deviates from a rotation by ${figure(orthogonality.max)}.`);
-  if (momentum) parts.push(`The conserved part of the momentum drifted by ${figure(momentum.max_drift)} kg m²/s.`);
+  const kept = plan?.momentum_balance ? "The spatial momentum less the impulse of the torques" : "The conserved part of the momentum";
+  if (momentum) parts.push(`${kept} drifted by ${figure(momentum.max_drift)} kg m²/s.`);
   if (summary.warning) parts.push(`Warning: ${summary.warning}.`);
   return parts.join(" ");
 }

@@ -139,7 +139,7 @@ function unmark() {
   $("problem").replaceChildren();
   view.contentDOM.removeAttribute("aria-invalid");
   clearTimeout(checking);
-  checking = setTimeout(check, 300);
+  checking = setTimeout(() => calm().then(check), 300);
 }
 
 // Marks what is wrong at its place, and says what is wrong first.
@@ -153,14 +153,14 @@ function check() {
 }
 
 // Shows what the service says is wrong with the text, at the field.
-function complain({ body, message }) {
+function complain({ body, message, status }) {
   unmark();
   view.contentDOM.setAttribute("aria-invalid", "true");
   // The scenario of a study is the text itself; that of a sweep is in the text.
   const pointer = isSweep(text.value) ? body?.pointer : body?.pointer?.replace(/^\/scenario(?=\/|$)/, "");
   const spot = pointer != null ? place(text.value, pointer) : null;
   const line = spot && view.state.doc.lineAt(spot[0]).number;
-  $("problem").append(h("strong", {}, line ? `Line ${line}` : "Rejected"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
+  $("problem").append(h("strong", {}, line ? `Line ${line}` : status ? "Rejected" : "Not sent"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
   if (spot) {
     const [from, end] = spot;
     refused = [{ from, to: Math.min(end, from + 200), message }];
@@ -170,9 +170,26 @@ function complain({ body, message }) {
   check();
 }
 
+// What was sent last without an answer, and its key: the service makes one job of it, however often it is sent.
+let unanswered = null;
+
 async function submit(path, body) {
   unmark();
-  try { return await send(path, body); } catch (error) { complain(error); return null; }
+  if (unanswered?.body !== body) {
+    const key = Array.from(crypto.getRandomValues(new Uint8Array(16)), byte => byte.toString(16).padStart(2, "0")).join("");
+    unanswered = { body, key };
+  }
+  try {
+    const made = await send(path, body, { "idempotency-key": unanswered.key });
+    unanswered = null;
+    return made;
+  } catch (error) {
+    if (error.status) unanswered = null;
+    else error.message += path === "jobs" ? " Press again: one job is made of it, also if this one has come." : " Look in the list before you press again.";
+    await calm();
+    complain(error);
+    return null;
+  }
 }
 
 // Whether a text is a sweep: a scenario has no fields to vary.
@@ -195,18 +212,25 @@ async function runJob(scenario) {
   await refresh();
 }
 
-$("editor").onsubmit = event => { event.preventDefault(); isSweep(text.value) ? runSweep(text.value) : runJob(text.value); };
-$("study").onclick = async () => {
+$("editor").onsubmit = event => {
+  event.preventDefault();
+  press($("run"), () => isSweep(text.value) ? runSweep(text.value) : runJob(text.value));
+};
+$("study").onclick = () => press($("study"), async () => {
   let scenario;
   try { scenario = JSON.parse(text.value); } catch (error) { complain(error); return; }
   const study = await submit("studies", JSON.stringify({ kind: $("kind").value, scenario }));
   if (!study) return;
   location.hash = `#/studies/${study.id}`;
   await refresh();
-};
+});
 $("shipped").onchange = async () => {
   const chosen = $("shipped").value;
-  if (chosen) replaceText(await (await call(`scenarios/${chosen}`)).text(), chosen, chosen);
+  if (!chosen) return;
+  try { replaceText(await (await call(`scenarios/${chosen}`)).text(), chosen, chosen); } catch (error) {
+    say(error.message, true);
+    showPlaced();
+  }
 };
 
 // ---- an address that holds the text

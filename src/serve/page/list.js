@@ -7,8 +7,16 @@ const sought = { name: "", state: "", cursors: [null], next: null };
 // Jobs that are chosen to be deleted; null if none are being chosen.
 let chosen = null;
 
+// Whether the pointer is over a list. Then rows keep their places, and what has changed waits.
+let over = false;
+for (const card of ["jobs-card", "studies-card"]) {
+  $(card).onpointerenter = () => { over = true; };
+  $(card).onpointerleave = () => { over = false; showLists(); };
+}
+
 async function act(path, options, word) {
-  try { await call(path, options); say(word); } catch (error) { say(error.message); }
+  await call(path, { ...options, priority: "high" });
+  say(word);
   await refresh();
 }
 
@@ -17,35 +25,48 @@ const cancel = job => act(`jobs/${job.id}/cancel`, { method: "POST" }, "Job canc
 async function forgetJob(job) {
   if (!confirm(`Delete the job ${job.name} and its log?`)) return;
   await act(`jobs/${job.id}`, { method: "DELETE" }, "Job deleted");
-  if (location.hash.endsWith(job.id)) location.hash = "#/";
+  forgotten("jobs", job.id);
+}
+
+// A row whose pointer is still over it stays where it is.
+function forgotten(list, id) {
+  const node = lists.get(list)?.get(id)?.node;
+  if (node) [node.inert, node.className] = [true, "gone"];
+  if (location.hash.endsWith(id)) location.hash = "#/";
 }
 
 // A row of a list, made once: `update` puts what is new into it, so that a press that begins on a button ends on it.
+// A row that is to stay as it is keeps its height and its buttons.
 function jobRow({ id }) {
   const name = h("a", { href: `#/jobs/${id}` });
   const state = h("span"), progress = h("progress", { max: 100 }), words = h("span");
   let job;
   const box = h("input", { type: "checkbox", onchange: () => { chosen?.[box.checked ? "add" : "delete"](id); showChosen(); } });
-  const stop = h("button", { type: "button", className: "small", onclick: () => cancel(job) }, "Cancel");
-  const remove = h("button", { type: "button", className: "small", onclick: () => forgetJob(job) }, "Delete");
+  const stop = pressable("Cancel", () => cancel(job));
+  const remove = pressable("Delete", () => forgetJob(job));
   const node = h("li", { id: `job-${id}` }, h("div", { className: "row" }, h("span", { className: "named" }, box, name), state), progress,
     h("div", { className: "row soft" }, words, stop, remove));
-  const update = fresh => {
+  const update = (fresh, stays) => {
+    const began = !job;
     job = fresh;
     const ended = ENDED.includes(job.state);
     point(node, name);
     put(name, job.name || "unnamed");
     put(state, job.state);
     state.className = `state ${job.state}`;
-    progress.hidden = stop.hidden = ended;
-    stop.hidden ||= Boolean(chosen);
-    remove.hidden = !ended || Boolean(chosen);
+    if (!stays || began) {
+      progress.hidden = stop.hidden = ended;
+      stop.hidden ||= Boolean(chosen);
+      remove.hidden = !ended || Boolean(chosen);
+    }
+    stop.disabled = ended;
     box.hidden = !chosen;
     box.disabled = !ended;
     box.checked = Boolean(chosen?.has(id));
     progress.value = job.state === "queued" ? 0 : job.progress.percent;
-    put(words, ended ? `${standing(job)} · ${when(job.created)}` : standing(job));
-    words.title = job.created ? new Date(job.created).toLocaleString() : "";
+    // The time first: what does not fit is cut off at the end.
+    put(words, ended ? `${when(job.created)} · ${standing(job)}` : standing(job));
+    words.title = [words.textContent, job.created && new Date(job.created).toLocaleString()].filter(Boolean).join(", ");
     for (const [node, what] of [[progress, "Progress of"], [stop, "Cancel"], [remove, "Delete"], [box, "Choose"]]) node.ariaLabel = `${what} ${job.name}`;
   };
   return { node, update };
@@ -58,16 +79,19 @@ function point(node, link) {
   if (here) link.setAttribute("aria-current", "page"); else link.removeAttribute("aria-current");
 }
 
-// A text that stays as it is leaves its node alone.
-function put(node, text) { if (node.textContent !== text) node.textContent = text; }
-
 const lists = new Map();
 
-// Shows a row for each item by its id: rows stay, and move only if others come between.
+// Shows a row for each item by its id: rows stay, and move only if others come between. Under the pointer none of them
+// moves, comes or goes; a line says how many wait.
 function fill(list, items, make, empty) {
   const old = lists.get(list) ?? new Map();
-  const rows = new Map(items.map(item => [item.id, old.get(item.id) ?? make(item)]));
-  items.forEach(item => rows.get(item.id).update(item));
+  const stays = over && old.size > 0;
+  const fresh = items.filter(item => !old.has(item.id));
+  $(`${list}-new`).hidden = !(stays && fresh.length);
+  put($(`${list}-new`), `${fresh.length} new`);
+  const rows = stays ? old : new Map(items.map(item => [item.id, old.get(item.id) ?? make(item)]));
+  items.forEach(item => rows.get(item.id)?.update(item, stays));
+  if (stays) return;
   lists.set(list, rows);
   const nodes = rows.size ? [...rows.values()].map(row => row.node) : [h("li", { className: "soft" }, empty)];
   const wanted = new Set(nodes);
@@ -75,25 +99,34 @@ function fill(list, items, make, empty) {
   nodes.forEach((node, at) => { if ($(list).children[at] !== node) $(list).insertBefore(node, $(list).children[at] ?? null); });
 }
 
-const showJobs = () => fill("jobs", jobs, jobRow, sought.name || sought.state || sought.cursors[0] || $("find-from").value ? "No job matches." : "No jobs yet.");
+function showJobs() {
+  fill("jobs", jobs, jobRow, sought.name || sought.state || sought.cursors[0] || $("find-from").value ? "No job matches." : "No jobs yet.");
+  if (!over) showPages();
+}
 
-function heard(job) {
-  jobs = jobs.map(known => known.id === job.id ? { ...known, ...job, plan: job.plan ?? known.plan } : known);
+const showStudies = () => fill("studies", studies, studyRow, "No studies yet.");
+
+function showLists() {
+  showJobs();
+  if (studies) showStudies();
+}
+
+// Shows the rows that wait: somebody asks for them.
+function showAll() {
+  const before = over;
+  over = false;
+  showLists();
+  over = before;
+}
+$("jobs-new").onclick = $("studies-new").onclick = showAll;
+
+function heard({ id, state, progress }) {
+  jobs = jobs.map(known => known.id === id ? { ...known, state, progress } : known);
   // Only the row of the job: events are many, and dates are slow to write.
-  lists.get("jobs")?.get(job.id)?.update(jobs.find(known => known.id === job.id));
+  const known = jobs.find(known => known.id === id);
+  if (known && !down) lists.get("jobs")?.get(id)?.update(known, over);
 }
-
-const followed = new Map();
-
-// Streams are few: a browser keeps six connections to a place.
-function followSome() {
-  for (const job of jobs.filter(job => !ENDED.includes(job.state)))
-    if (followed.size < 2 && !followed.has(job.id) && !document.hidden) {
-      const stop = new AbortController();
-      followed.set(job.id, stop);
-      follow(job.id, heard, stop.signal).finally(() => { followed.delete(job.id); });
-    }
-}
+air.addEventListener("message", ({ data }) => heard(data));
 
 function question(limit, cursor) {
   const { name, state } = sought;
@@ -102,20 +135,27 @@ function question(limit, cursor) {
 
 let refreshed = 0;
 
-async function refresh() {
+// Asks for the lists; `asked` is whether a person asks for other rows.
+async function refresh(asked = false) {
   const turn = ++refreshed;
   try {
     const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
+    const list = studies ? (await json("studies", { quiet: true })).studies : null;
+    const waits = page.jobs.some(job => job.state === "queued");
+    queue = waits ? (await json("jobs?state=queued&limit=500", { quiet: true })).jobs.map(job => job.id).reverse() : null;
+    await calm();
     // The user has asked for another page since.
     if (turn !== refreshed) return;
     jobs = page.jobs;
+    if (studies) studies = list;
     sought.next = page.next_cursor;
-    if (!jobs.length && sought.cursors.length > 1) { sought.cursors.pop(); return await refresh(); }
-    showPages();
-    showJobs();
-    followSome();
-    if (studies) await refreshStudies();
-  } catch (error) { if (error.shut) askToken(); }
+    if (!jobs.length && sought.cursors.length > 1) { sought.cursors.pop(); return await refresh(asked); }
+    if (asked) showAll(); else showLists();
+    dispatchEvent(new Event("listed"));
+  } catch (error) {
+    if (error.shut) askToken();
+    else if (asked) say(error.message, true);
+  }
 }
 
 function showPages() {
@@ -124,11 +164,6 @@ function showPages() {
   $("newer").disabled = page === 1;
   $("older").disabled = !sought.next;
   put($("page-number"), `Page ${page}`);
-}
-
-async function refreshStudies() {
-  ({ studies } = await json("studies", { quiet: true }));
-  fill("studies", studies, studyRow, "No studies yet.");
 }
 
 // ---- looking for jobs
@@ -156,39 +191,37 @@ async function seek(change) {
   Object.assign(sought, { cursors: [upTo($("find-until").value)] }, change);
   chosen?.clear();
   showChosen();
-  await refresh();
+  await refresh(true);
 }
 
 let typing = 0;
 $("find").oninput = () => { clearTimeout(typing); typing = setTimeout(() => seek({ name: $("find").value.trim() }), 200); };
 $("find-state").onchange = () => seek({ state: $("find-state").value });
 $("find-from").onchange = $("find-until").onchange = () => seek({});
-$("older").onclick = () => { if (sought.next) { sought.cursors.push(sought.next); refresh(); } };
-$("newer").onclick = () => { if (sought.cursors.length > 1) { sought.cursors.pop(); refresh(); } };
+$("older").onclick = event => press(event.currentTarget, async () => { if (sought.next) { sought.cursors.push(sought.next); await refresh(true); } }, 0);
+$("newer").onclick = event => press(event.currentTarget, async () => { if (sought.cursors.length > 1) { sought.cursors.pop(); await refresh(true); } }, 0);
 
 // ---- many at once
 
-function showChosen() {
+function showChosen(show = showJobs) {
   $("choose").hidden = Boolean(chosen);
   $("chosen").hidden = !chosen;
   put($("delete-chosen"), chosen?.size === 1 ? "Delete 1 job" : `Delete ${count(chosen?.size ?? 0)} jobs`);
   $("delete-chosen").disabled = !chosen?.size;
-  showJobs();
+  show();
 }
 
-$("choose").onclick = () => { chosen = new Set(); showChosen(); $("choose-all").focus(); };
-$("choose-end").onclick = () => { chosen = null; showChosen(); $("choose").focus(); };
-$("choose-all").onclick = async () => {
-  try {
-    for (let cursor = sought.cursors[0]; ;) {
-      const page = since($("find-from").value, await json(question(500, cursor)));
-      page.jobs.filter(job => ENDED.includes(job.state)).forEach(job => chosen?.add(job.id));
-      cursor = page.next_cursor;
-      if (!cursor || !chosen) break;
-    }
-  } catch (error) { say(error.message); }
+$("choose").onclick = () => { chosen = new Set(); showChosen(showAll); $("choose-all").focus(); };
+$("choose-end").onclick = () => { chosen = null; showChosen(showAll); $("choose").focus(); };
+$("choose-all").onclick = event => press(event.currentTarget, async () => {
+  for (let cursor = sought.cursors[0]; ;) {
+    const page = since($("find-from").value, await json(question(500, cursor)));
+    page.jobs.filter(job => ENDED.includes(job.state)).forEach(job => chosen?.add(job.id));
+    cursor = page.next_cursor;
+    if (!cursor || !chosen) break;
+  }
   showChosen();
-};
+});
 
 // Deletes one job, however often the answer is to wait.
 async function deleted(id) {
@@ -213,7 +246,7 @@ $("delete-chosen").onclick = async () => {
         await deleted(id);
         done += 1;
         put($("delete-chosen"), `${count(done)} deleted`);
-        if (location.hash.endsWith(id)) location.hash = "#/";
+        forgotten("jobs", id);
       }
     };
     await Promise.all([next(), next(), next()]);
@@ -226,7 +259,7 @@ $("delete-chosen").onclick = async () => {
   $("chosen").inert = false;
   chosen = null;
   showChosen();
-  await refresh();
+  await refresh(true);
 };
 
 // ---- studies
@@ -236,7 +269,7 @@ const KINDS = { precision: "speed against accuracy", stability: "stability map",
 async function forgetStudy(study) {
   if (!confirm(`Delete the study of ${study.name}?`)) return;
   await act(`studies/${study.id}`, { method: "DELETE" }, "Study deleted");
-  if (location.hash.endsWith(study.id)) location.hash = "#/";
+  forgotten("studies", study.id);
 }
 
 function studyRow({ id, name, kind }) {
@@ -244,20 +277,22 @@ function studyRow({ id, name, kind }) {
   const state = h("span"), words = h("span");
   let study;
   const progress = h("progress", { ariaLabel: `Progress of ${name}` });
-  const stop = h("button", { type: "button", className: "small", ariaLabel: `Cancel the study of ${name}`,
-    onclick: () => act(`studies/${id}/cancel`, { method: "POST" }, "Study cancelled") }, "Cancel");
-  const remove = h("button", { type: "button", className: "small", ariaLabel: `Delete the study of ${name}`,
-    onclick: () => forgetStudy(study) }, "Delete");
+  const stop = pressable("Cancel", () => act(`studies/${id}/cancel`, { method: "POST" }, "Study cancelled"), { ariaLabel: `Cancel the study of ${name}` });
+  const remove = pressable("Delete", () => forgetStudy(study), { ariaLabel: `Delete the study of ${name}` });
   const node = h("li", { id: `study-${id}` }, h("div", { className: "row" }, link, state), progress,
     h("div", { className: "row soft" }, words, stop, remove));
-  const update = fresh => {
+  const update = (fresh, stays) => {
+    const began = !study;
     study = fresh;
     const ended = ENDED.includes(study.state);
     point(node, link);
     put(state, study.state);
     state.className = `state ${study.state}`;
-    progress.hidden = stop.hidden = ended;
-    remove.hidden = !ended;
+    if (!stays || began) {
+      progress.hidden = stop.hidden = ended;
+      remove.hidden = !ended;
+    }
+    stop.disabled = ended;
     progress.max = study.runs || 1;
     progress.value = study.runs_done;
     put(words, `${count(study.runs_done)}${ended ? "" : ` of ${count(study.runs)}`} runs`);

@@ -29,7 +29,7 @@ class Members {
     this.root = h("section", { className: "chart members", ariaLabel: "All members" }, h("h3", {}, "All members"),
       h("div", { className: "row" }, this.curve, this.axis, h("label", { className: "check" }, this.log, "Logarithmic")), this.plot, this.words,
       h("div", { className: "row" }, this.order, h("span", { className: "row push" }, this.before, this.pages, this.after)),
-      h("div", { className: "table" }, h("table", {}, h("thead", {}, h("tr", {}, head("Member"), this.largest, head("Alone"), head("at t in s"), head("Outcome"))), this.body)));
+      h("div", { className: "table" }, h("table", {}, h("thead", {}, h("tr", {}, head("Member"), head("Outcome"), this.largest, h("th", { className: "figure", scope: "col" }, "at t in s"), head("Run alone"))), this.body)));
     this.sizes = new ResizeObserver(() => this.u?.setSize(this.size()));
     this.sizes.observe(this.plot);
     this.theme = () => this.root.isConnected && this.draw();
@@ -42,7 +42,8 @@ class Members {
   async load() {
     const turn = this.turn = (this.turn ?? 0) + 1;
     const asked = new URLSearchParams({ channel: this.curve.value, order: this.order.value, offset: this.page * ROWS, limit: ROWS, ...this.curve.value === "axis_angle" && { axis: this.axis.value } });
-    const found = await json(`jobs/${this.job.id}/members?${asked}`, { quiet: true }).catch(error => error);
+    const found = await readJson(`jobs/${this.job.id}/members?${asked}`).catch(error => error);
+    await calm();
     if (turn !== this.turn) return;
     this.found = found.rows ? found : null;
     this.draw();
@@ -56,7 +57,7 @@ class Members {
     this.plot.replaceChildren();
     if (!found?.time_s.length) {
       this.plot.append(h("p", { className: "soft none" }, found ? "No member has ended yet." : "The log does not hold this quantity for its members."));
-      put(this.words, "");
+      putProse(this.words, "");
       return;
     }
     const log = this.log.checked;
@@ -100,12 +101,12 @@ class Members {
     const row = found.rows[this.shown];
     if (t === null) {
       const failed = Object.values(found.failed).reduce((sum, count) => sum + count, 0);
-      put(this.words, `${SPREADS[found.channel]}${found.unit ? ` in ${found.unit}` : ""} of ${count(found.members)} members${failed ? `, ${count(failed)} of them failed` : ""}: the bands hold all, nine tenths and half of them; the line in the middle is the median${row ? `, the other line is member ${row.member}` : ""}.`);
+      putProse(this.words, `${SPREADS[found.channel]}${found.unit ? ` in ${found.unit}` : ""} of ${count(found.members)} members${failed ? `, ${count(failed)} of them failed` : ""}: the bands hold all, nine tenths and half of them; the line in the middle is the median${row ? `, the other line is member ${row.member}` : ""}.`);
       return;
     }
     const k = latest(found.time_s, t);
     const [least, , quarter, median, most, , largest] = found.quantiles.map(({ values }) => figure(values[k]));
-    put(this.words, `t = ${figure(found.time_s[k])} s: median ${median}, half of them ${quarter} … ${most}, all ${least} … ${largest}${unit}${row?.values[k] === undefined ? "" : `; member ${row.member} ${figure(row.values[k])}`}${found.count[k] < found.members ? `; ${count(found.count[k])} members reached this time` : ""}`);
+    putProse(this.words, `t = ${figure(found.time_s[k])} s: median ${median}, half of them ${quarter} … ${most}, all ${least} … ${largest}${unit}${row?.values[k] === undefined ? "" : `; member ${row.member} ${figure(row.values[k])}`}${found.count[k] < found.members ? `; ${count(found.count[k])} members reached this time` : ""}`);
   }
 
   key(event) {
@@ -127,10 +128,11 @@ class Members {
     this.before.disabled = this.page === 0;
     this.after.disabled = this.page + 1 >= pages;
     this.body.replaceChildren(...(found?.rows ?? []).map((row, k) => h("tr", { className: k === this.shown ? "shown" : "", onpointerenter: () => this.point(k) },
-      h("th", { scope: "row" }, String(row.member)), h("td", { className: "figure" }, row.largest == null ? "" : figure(row.largest)),
-      h("td", {}, h("button", { type: "button", className: "small", ariaLabel: `Run member ${row.member} alone`, onclick: () => this.alone(row.member) }, "Run")),
-      h("td", {}, row.largest_at_s == null ? "" : figure(row.largest_at_s)),
-      h("td", { className: row.outcome === "succeeded" ? "succeeded" : "failed" }, row.outcome === "succeeded" ? row.outcome : `${row.outcome} at step ${count(row.steps + 1)}`))));
+      h("th", { scope: "row" }, String(row.member)),
+      h("td", { className: row.outcome === "succeeded" ? "succeeded" : "failed" }, row.outcome === "succeeded" ? row.outcome : `${row.outcome} at step ${count(row.steps + 1)}`),
+      h("td", { className: "figure" }, row.largest == null ? "" : figure(row.largest)),
+      h("td", { className: "figure" }, row.largest_at_s == null ? "" : figure(row.largest_at_s)),
+      h("td", {}, pressable("Run", () => this.alone(row.member), { ariaLabel: `Run member ${row.member} alone` })))));
     [...this.body.children].forEach((node, k) => node.addEventListener("focusin", () => this.point(k)));
   }
 
@@ -142,8 +144,8 @@ class Members {
       location.hash = `#/jobs/${job.id}`;
       await refresh();
     } catch (error) {
-      say(error.message);
-      put(this.words, `Member ${member} was not run: ${error.message}`);
+      putProse(this.words, `Member ${member} was not run: ${error.message}`);
+      throw error;
     }
   }
 

@@ -3,7 +3,7 @@ let stage = null, chart = null, members = null;
 // ---- one job
 
 async function picture(path, alt) {
-  const link = URL.createObjectURL(await (await call(path, { quiet: true })).blob());
+  const link = URL.createObjectURL(await (await read(path)).blob());
   return h("img", { src: link, alt, onload: () => URL.revokeObjectURL(link) });
 }
 
@@ -22,17 +22,17 @@ function diagnosis(job) {
   const found = job.diagnosis;
   if (!found) return null;
   const step = found.advised_step_s;
-  const again = step && h("button", { type: "button", className: "main", id: "again", onclick: async () => {
+  const again = step && pressable(`Run again with a step of ${step} s`, async () => {
     // The run is to reach the same time.
     const steps = Math.ceil(job.plan.steps * job.plan.step_s / step);
     await edit(job, source => ["duration_s", "accuracy"].reduce((source, key) => altered(source, [key], null),
       altered(altered(source, ["step_s"], String(step)), ["steps"], String(steps))));
     await runJob(text.value);
-  } }, `Run again with a step of ${step} s`);
+  }, { className: "main", id: "again" });
   const where = found.step == null ? "" : ` at step ${count(found.step)}, t = ${figure(found.time_s)} s`;
   return h("div", { className: "diagnosis" },
-    h("p", {}, h("strong", {}, "Why: "), found.cause ?? found.message ?? "", ` (${found.code}${where})`),
-    h("p", {}, h("strong", {}, "What to do: "), found.advice ?? ""), again || null);
+    h("p", {}, h("strong", {}, "Why: "), ...prose(`${found.cause ?? found.message ?? ""} (${found.code}${where})`)),
+    h("p", {}, h("strong", {}, "What to do: "), ...prose(found.advice ?? "")), again || null);
 }
 
 const own = path => new URL(path.replace(/^\//, ""), base);
@@ -60,7 +60,7 @@ function links(job) {
       to("Lichtblick layout", own("layouts/lichtblick.json").href, { download: "vpd-lichtblick.json" })),
     shell(fetching(log, "-o", `${fileName(job.name)}.mcap`)),
     h("div", { className: "row" }, h("span", { className: "soft" }, "Run the same scenario again:"),
-      h("button", { type: "button", className: "small", id: "edit", onclick: () => edit(job) }, "Edit a copy")),
+      pressable("Edit a copy", () => edit(job), { id: "edit" })),
     shell(`${fetching(job.links.scenario, "-o", "scenario.json")}\nvpd run scenario.json`),
   ];
 }
@@ -90,16 +90,17 @@ async function edit(job, change = source => source) {
 
 function facts({ plan, summary, attempts }) {
   const rows = [];
-  const add = (name, value) => value != null && rows.push(h("dt", {}, name), h("dd", {}, value));
+  const add = (name, value) => value != null && rows.push(h("dt", {}, name), h("dd", {}, ...prose(String(value))));
   if (plan) {
     const { formulation } = plan;
     add("body", `SO(${plan.dimension})`);
     add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
     add("reason", formulation.why);
     add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
-    add("energy error", plan.balance);
-    add("momentum drift", plan.momentum_balance);
-    add("Jacobi error", plan.jacobi_integral);
+    const change = what => what && `the change of ${what}`;
+    add("energy error", change(plan.balance));
+    add("momentum drift", change(plan.momentum_balance));
+    add("Jacobi error", change(plan.jacobi_integral));
     (plan.warnings ?? []).forEach(warning => add("warning", warning));
   }
   if (summary) {
@@ -116,12 +117,18 @@ function title(name, state) { document.title = name ? `${name}: ${state} – vpd
 
 let shown = 0;
 
+// Asks for what is to be shown; until it comes, the page says that it waits.
+async function shownSoon(path) {
+  const turn = shown;
+  const late = setTimeout(() => { if (turn === shown) $("view").replaceChildren(h("div", { className: "card soft" }, "Waiting for the service …")); }, 150);
+  try { return await json(path); } finally { clearTimeout(late); }
+}
+
 async function viewJob(id) {
   const turn = ++shown;
-  const stop = new AbortController();
-  addEventListener("hashchange", () => stop.abort(), { once: true });
-  const current = () => turn === shown && !stop.signal.aborted;
-  const job = await json(`jobs/${id}`);
+  const { signal } = leaving;
+  const current = () => turn === shown && !signal.aborted;
+  const job = await shownSoon(`jobs/${id}`);
   if (!current()) return;
   const head = h("div");
   const looks = h("div", { id: "looks" });
@@ -129,7 +136,9 @@ async function viewJob(id) {
   const drawn = h("div", { id: "drawn" });
   const rest = h("div");
   $("view").replaceChildren(h("article", { className: "card" }, head, looks, crowd, drawn, rest));
-  let body = false, ended = false, before = "";
+  let body = false, ended = false, before = "", latest = job;
+  // The place of a job in the queue changes with the others.
+  addEventListener("listed", () => { if (!ended && $("standing")) put($("standing"), standing(latest)); }, { signal });
 
   // Once; what came to nothing while the job ran is tried again when it has ended.
   const show = async job => {
@@ -154,13 +163,16 @@ async function viewJob(id) {
       members = new Members(job, job.plan.dimension);
       crowd.replaceChildren(members.root);
     }
-    await members?.load();
+    // Not under the pointer.
+    if (members && (ended || !members.body.matches(":hover"))) await members.load();
     if (ended || !chart.span) await chart.load();
     asked = ended ? Infinity : Date.now() + Math.max(3000, 5 * (Date.now() - begun));
   };
 
   const update = async job => {
+    await calm();
     if (!current() || ended) return;
+    latest = job;
     // While this one waits, the one of the end may come: each goes on with its own job.
     const last = ended = ENDED.includes(job.state);
     const key = job.state;
@@ -168,9 +180,9 @@ async function viewJob(id) {
       before = key;
       head.replaceChildren(
         h("div", { className: "row" }, h("h1", {}, job.name || "unnamed"), h("span", { className: `state ${job.state}`, id: "state" }, job.state)),
-        h("p", { className: "outcome" }, outcome(job)), diagnosis(job) ?? "",
+        h("p", { className: "outcome" }, ...prose(outcome(job))), diagnosis(job) ?? "",
         last ? "" : h("div", { className: "row" }, h("progress", { max: 100, ariaLabel: "Progress" }), h("span", { className: "soft", id: "standing" }),
-          h("button", { type: "button", className: "small", onclick: () => cancel(job) }, "Cancel")));
+          pressable("Cancel", () => cancel(job))));
       rest.replaceChildren(...(job.state === "running" ? liveLinks(job).filter(Boolean) : []));
       if (last) say(`Job ${job.name} ${job.state}`);
     }
@@ -179,6 +191,7 @@ async function viewJob(id) {
       head.querySelector("progress").value = job.progress.percent;
       $("standing").textContent = standing(job);
     }
+    if (!last && !body && !looks.children.length && job.state === "running") looks.append(h("p", { className: "soft" }, "Waiting for the first samples …"));
     if (last ? job.links.log : job.progress.durable_step > 0) {
       await show(job);
       if (!current()) return;
@@ -188,36 +201,46 @@ async function viewJob(id) {
     }
     if (last) {
       if (!current()) return;
-      rest.replaceChildren(...await charts(job), ...(job.links.log ? links(job) : []),
-        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, h("button", { type: "button", className: "small", onclick: () => forgetJob(job) }, "Delete")));
+      const pictures = await charts(job);
+      await calm();
+      if (!current()) return;
+      rest.replaceChildren(...pictures, ...(job.links.log ? links(job) : []),
+        job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, pressable("Delete", () => forgetJob(job))));
     }
   };
   const first = update(job);
-  if (!ended) follow(id, async seen => update(ENDED.includes(seen.state) ? await json(`jobs/${id}`) : seen), stop.signal);
+  if (!ENDED.includes(job.state)) follow(job, async seen => { heard(seen); await update(ENDED.includes(seen.state) ? await json(`jobs/${id}`) : seen); }, signal);
   await first;
 }
 
 async function showBody(job, looks, current) {
   try {
     const player = new Stage($("stage"));
-    const load = (from, every) => json(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}&every_s=${every}`, { quiet: true });
+    const load = (from, every) => readJson(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}&every_s=${every}`);
+    await calm();
     looks.replaceChildren(player.root);
     const { scene } = await json(job.links.scenario, { quiet: true });
     player.onframe = t => chart?.follow(t);
-    if (await player.open(load, scene.potential) && current()) { stage = player; return true; }
+    if (await player.open(load, scene) && current()) { stage = player; return true; }
   } catch { /* Nothing to show. */ }
+  await calm();
   looks.replaceChildren();
   return false;
 }
 
 const CHARTS = { energy: "Energy error over time", orthogonality: "Orthogonality error over time", momentum: "Drift of the conserved momentum over time" };
 
-async function charts(job) {
-  if (!job.summary || job.summary.samples < 2) return [];
-  const drawn = await Promise.all(Object.entries(CHARTS).filter(([key]) => job.links.charts?.[key])
-    .map(([key, alt]) => picture(job.links.charts[key], alt).catch(() => null)));
-  const found = drawn.filter(Boolean);
-  return found.length ? [h("details", {}, h("summary", {}, "Charts of the accuracy as pictures"), h("div", { className: "charts" }, found))] : [];
+// A picture, or in its place why it is not there.
+const pictured = (path, alt) => picture(path, alt).catch(error => h("p", { className: "soft" }, `${alt}: not drawn. ${error.message}`));
+
+async function charts({ links, summary, plan }) {
+  if (!links.charts || !summary) return [];
+  const logged = topic => plan?.channels.some(channel => channel.topic === topic);
+  const why = key => summary.samples < 2 ? "the log holds less than two samples"
+    : key === "momentum" && logged("/momentum") ? "no part of the momentum is conserved" : `/${key} is not logged`;
+  const drawn = await Promise.all(Object.entries(CHARTS).map(([key, alt]) =>
+    summary[key] && summary.samples > 1 ? pictured(links.charts[key], alt) : h("p", { className: "soft" }, `${alt}: not drawn, because ${why(key)}.`)));
+  return [h("details", {}, h("summary", {}, "Charts of the accuracy as pictures"), h("div", { className: "charts" }, drawn))];
 }
 
 // ---- studies
@@ -225,21 +248,24 @@ async function charts(job) {
 async function viewStudy(id) {
   const turn = ++shown;
   const card = h("article", { className: "card" });
-  $("view").replaceChildren(card);
   while (turn === shown) {
-    const study = await json(`studies/${id}`);
+    const study = await (card.isConnected ? json(`studies/${id}`).catch(() => null) : shownSoon(`studies/${id}`));
     if (turn !== shown) return;
+    if (!study) { await new Promise(later => setTimeout(later, 1000)); continue; }
     const ended = ENDED.includes(study.state);
     title(study.name, study.state);
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
     // A sweep shows the members so far.
     const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
-      .map(link => picture(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`).catch(() => null))) : [];
+      .map(link => pictured(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`))) : [];
+    await calm();
+    if (turn !== shown) return;
+    if (!card.isConnected) $("view").replaceChildren(card);
     card.replaceChildren(
       h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
       h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${count(study.runs_done)} runs${ended ? "" : ` of ${count(study.runs)}`}.`),
       ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
-      h("div", { className: "charts" }, pictures.filter(Boolean)),
+      h("div", { className: "charts" }, pictures),
       h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
         .map(link => h("a", { href: own(link).href, download: `${fileName(study.name)}.csv` }, "Table (CSV)"))),
       ended && study.kind === "sweep" ? memberForm(study) : "");
@@ -251,14 +277,14 @@ async function viewStudy(id) {
 // A member of a sweep, by its number in the table.
 function memberForm(study) {
   const number = h("input", { type: "number", id: "member", min: 0, max: study.runs - 1, value: 0 });
-  return h("form", { className: "row", onsubmit: async event => {
+  return h("form", { className: "row", onsubmit: event => {
     event.preventDefault();
-    try {
+    press(event.submitter, async () => {
       const scenario = await (await call(`studies/${study.id}/members/${number.value}.json`)).text();
       replaceText(scenario, "", `member ${number.value} of ${study.name}`);
-    } catch (error) { say(error.message); return; }
-    location.hash = "#/";
-    text.focus();
+      location.hash = "#/";
+      text.focus();
+    });
   } }, h("label", { htmlFor: "member" }, "Member"), number, h("button", { className: "small" }, "Open in the editor"));
 }
 
@@ -268,13 +294,15 @@ let ready = false;
 
 async function route() {
   if (!ready) return;
+  leaving.abort();
+  leaving = new AbortController();
   stage?.close();
   chart?.close();
   members?.close();
   stage = chart = members = null;
   const [, kind, id] = location.hash.split("/");
   document.body.classList.toggle("open", Boolean(id) && kind !== "draft");
-  showJobs();
+  showLists();
   try {
     if (kind === "draft" && id) await openDraft(id);
     else if (kind === "jobs" && id) await viewJob(id);
@@ -331,15 +359,18 @@ $("token-open").onclick = askToken;
 $("token-form").onsubmit = ({ submitter }) => {
   token = submitter.value === "save" ? $("token").value.trim() : "";
   if (token) sessionStorage.setItem("vpd-token", token); else sessionStorage.removeItem("vpd-token");
-  start().catch(error => say(error.message));
+  begin();
 };
 addEventListener("hashchange", route);
-document.addEventListener("visibilitychange", () => {
-  if (document.hidden) for (const stop of followed.values()) stop.abort();
-  else refresh();
-});
+document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
 setInterval(() => {
   const active = jobs.some(job => !ENDED.includes(job.state)) || studies?.some(study => !ENDED.includes(study.state));
   if (!document.hidden && (active || Date.now() % 10000 < 2000)) refresh();
 }, 2000);
-start().catch(error => say(error.message));
+
+// A service that does not answer at first is asked again by a press.
+function begin() {
+  start().catch(error => error.shut || $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "The page could not be filled"),
+    h("p", {}, error.message), h("p", {}, h("button", { type: "button", className: "main", onclick: begin }, "Try again")))));
+}
+begin();

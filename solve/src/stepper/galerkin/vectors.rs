@@ -41,7 +41,7 @@ use crate::space::{
 };
 use crate::stepper::motion::unsigned_zeros;
 use crate::stepper::so3_equations::{
-    Inertia, defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
+    Inertia, defect, embedded, inverse_of_q, over_q, residual, store, stretch_of,
 };
 use crate::tableau::{Tableau, TableauInLanes};
 
@@ -242,7 +242,7 @@ struct Step<'a, R> {
     y: Mat3<R>,
     w: Mat3<R>,
     d: Mat3<R>,
-    /// P - I and K(P)^-1 - I / 2.
+    /// P - I and Q(P)^-1 - I / 2.
     stretch: Sym3<R>,
     inverse: Sym3<R>,
     f: Quaternion<f64>,
@@ -510,8 +510,8 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
         let w = times_hat(&u, &scaled(&self.omega, self.weight));
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
         self.stretch = stretch_of(&self.attitude, &u, &d);
-        self.inverse = inverse_of_k(&self.stretch);
-        let half = over_k(&self.inverse, &residual(&self.attitude, &u, &d));
+        self.inverse = inverse_of_q(&self.stretch);
+        let half = over_q(&self.inverse, &residual(&self.attitude, &u, &d));
         let polar = self.attitude.turned(&scaled(&half, self.lanes.constant(0.5)));
         let Quaternion { w: along, v } = self.collocated();
         let theta = Quaternion { w: (polar.w + -1.0) - along, v: minus(&polar.v, &v) };
@@ -557,17 +557,17 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
             let trace = s[0] + s[1] + s[2];
             let stretched = symmetric_product(&s, omega);
             let load: Vec3<R> = vec3!(i => (stretched[i] - trace * omega[i]) - known[i]);
-            self.x = over_k(&self.inverse, &scaled(&load, self.weight));
+            self.x = over_q(&self.inverse, &scaled(&load, self.weight));
             [_, self.y] = embedded(&u, &self.x, rows);
         }
-        // K(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of
+        // Q(P) x = -h b (vee(asym(S hat(Omega))) - vee([mu, Omega]) / 2 + vee(dH/dg)) with [S] of
         // the previous Y
         let m: Mat3<R> = mat3!(i, j => f_lambda[i][j] + self.y[i][j]);
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
         let one = transposed_product(&m, &product(&u, omega));
         let other = transposed_product(&u, &product(&m, omega));
         let load: Vec3<R> = vec3!(i => ((one[i] + other[i]) * 0.5 - trace * omega[i]) - known[i]);
-        self.x = over_k(&self.inverse, &scaled(&load, self.weight));
+        self.x = over_q(&self.inverse, &scaled(&load, self.weight));
         // [T], [Y] and [defect]
         let [t, y] = embedded(&u, &self.x, rows);
         let delta = defect(&f_lambda, [&c, &self.d, &k], &self.w, [&t, &y], columns);
@@ -579,7 +579,7 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
         largest(&change) / largest(&self.mu).max(SMALLEST_SIZE)
     }
 
-    /// [end]: f and the multiplier, `K(P_e) lambda = -f^T pi1`, with P_e = I unless `is_stretched`.
+    /// [end]: f and the multiplier, `Q(P_e) lambda = -f^T pi1`, with P_e = I unless `is_stretched`.
     fn end(&mut self, is_stretched: bool) {
         if self.evaluations <= 1 {
             let Quaternion { w, v } =
@@ -594,19 +594,19 @@ impl<'a, R: StageScalar<StepScalar = f64, Storage = Row>> Step<'a, R> {
         }
         let f = self.f.matrix();
         let pi1: Vec3<f64> = vec3!(i => self.data.start.momentum[i] - self.kappa[i].sum());
-        let lambda = over_k(&inverse, &scaled(&transposed_product(&f, &pi1), -1.0));
+        let lambda = over_q(&inverse, &scaled(&transposed_product(&f, &pi1), -1.0));
         self.f_lambda = times_hat(&f, &lambda);
     }
 
-    /// Computes the polar factor of the end in `passes` passes; returns K(P_e)^-1 - I / 2.
+    /// Computes the polar factor of the end in `passes` passes; returns Q(P_e)^-1 - I / 2.
     fn turn_end(&mut self, passes: u32) -> Sym3<f64> {
         let d: Mat3<f64> = mat3!(i, j => self.w[i][j].sum());
         let mut inverse = [0.0; 6];
         for _ in 0..passes {
             let f = self.f.matrix();
             self.end_stretch = stretch_of(&self.f, &f, &d);
-            inverse = inverse_of_k(&self.end_stretch);
-            let half = over_k(&inverse, &residual(&self.f, &f, &d));
+            inverse = inverse_of_q(&self.end_stretch);
+            let half = over_q(&inverse, &residual(&self.f, &f, &d));
             self.f = self.f.turned(&scaled(&half, 0.5));
         }
         inverse

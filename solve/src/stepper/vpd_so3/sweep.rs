@@ -1,14 +1,14 @@
 //! One sweep over the equations of a VPD step for n = 3, the stages side by side in lanes.
 //!
 //! The equations are those of [`crate::stepper::galerkin`] in the vectors of so(3). With
-//! `w_j = h b_j U_j hat(Omega_j)`, `e_ij = a_ij / b_j` and `K(P) = tr(P) I - P`:
+//! `w_j = h b_j U_j hat(Omega_j)`, `e_ij = a_ij / b_j` and `Q(P) = tr(P) I - P`:
 //!
 //! ```text
 //! U_i P_i = I + sum_j e_ij w_j                      f P_e = I + sum_j w_j
 //! pi1 = p0 - h sum_k b_k U_k tau_k                  tau = vee(dH/dg)
-//! K(P_e) lambda = -f^T pi1
+//! Q(P_e) lambda = -f^T pi1
 //! W_k = f hat(lambda) + sum_i e_ik U_i hat(x_i)
-//! K(P_k) x_k = -h b_k ((tr(N_k) I - N_k^T) Omega_k + tau_k)                  N_k = U_k^T W_k
+//! Q(P_k) x_k = -h b_k ((tr(N_k) I - N_k^T) Omega_k + tau_k)                  N_k = U_k^T W_k
 //! pi_k = -vee asym(W_k U_k^T)                       Omega_k = J^-1 U_k^T pi_k
 //! ```
 //!
@@ -25,7 +25,7 @@
 //! minus p0, and rotations are used minus I. With `C_k = U_k - I`, `C_f = f - I` and
 //! `Y_k = W_k - f hat(lambda)`, one or two stages have
 //! ```text
-//! pi_k - p0 = (pi1 - p0) + C_f^T pi1 - K(P_e)^-1 (K(P_e) - 2) p1 - vee asym(C_f hat(lambda) + W_k C_k^T + Y_k)
+//! pi_k - p0 = (pi1 - p0) + C_f^T pi1 - Q(P_e)^-1 (Q(P_e) - 2) p1 - vee asym(C_f hat(lambda) + W_k C_k^T + Y_k)
 //! ```
 //!
 //! There terms as large as the momentum times the turn cancel. Their rounding left 1e-17 of the
@@ -42,9 +42,9 @@
 //! This is the same momentum where the equations are solved. Before that, one or two stages need a
 //! tenth more sweeps with it; many stages need fewer, and converge at steps a tenth longer.
 //!
-//! For the same reason K(P)^-1 is kept minus I / 2 (docs/derivation.md, section 4).
+//! For the same reason Q(P)^-1 is kept minus I / 2 (docs/derivation.md, section 4).
 //!
-//! Each pass corrects U_k rather than computing a polar factor: `theta = K^-1 vee asym(U^T A)` and
+//! Each pass corrects U_k rather than computing a polar factor: `theta = Q^-1 vee asym(U^T A)` and
 //! `U <- U (1 + theta / 2)` normalised, with the K of the previous sweep. At the end U^T A is
 //! symmetric, and P its polar factor. What a correction itself causes at the other stages is added
 //! to first order, with all turns and stretches replaced by the identity, in vectors where a pass
@@ -65,7 +65,7 @@ use crate::space::{
     symmetric_product, times_hat, transposed_product, vec3, vee_asym, with_one,
 };
 use crate::stepper::so3_equations::{
-    defect, embedded, inverse_of_k, over_k, residual, store, stretch_of,
+    defect, embedded, inverse_of_q, over_q, residual, store, stretch_of,
 };
 use crate::tableau::TableauInLanes;
 
@@ -160,7 +160,7 @@ pub(super) fn guess<R: StageScalar, const EXTRAS: u8>(
     store_turn(&attitude, &mut unknowns.attitude);
     store(&momentum, &mut unknowns.momentum);
     store(&x, &mut unknowns.x);
-    // The inverse of K(I), kept minus I / 2.
+    // The inverse of Q(I), kept minus I / 2.
     for entry in &mut unknowns.inverse {
         lanes.constant(0.0).store(entry);
     }
@@ -187,7 +187,7 @@ pub(super) fn sweep<R: StageScalar, const EXTRAS: u8>(
     let end = end_point(lanes, &stages.w, unknowns);
     let forces = forces::<R, EXTRAS>(lanes, start, &u, &momentum, stages.weight, unknowns);
     let last = end_momentum(lanes, start, &end, &forces);
-    let Kinematics { omega, weight, inverse_k, turned, .. } = &stages;
+    let Kinematics { omega, weight, inverse_q, turned, .. } = &stages;
     let f_lambda: Mat3<R> = mat3!(i, j => lanes.spread(last.f_lambda[i][j]));
 
     // The embedded momenta W_k.
@@ -204,7 +204,7 @@ pub(super) fn sweep<R: StageScalar, const EXTRAS: u8>(
         let trace = dot(&u[0], &m[0]) + dot(&u[1], &m[1]) + dot(&u[2], &m[2]);
         let turned = transposed_product(&m, &turned_out);
         let load: Vec3<R> = vec3!(i => -((trace * turning[i] - turned[i]) + weighted_torque[i]));
-        let next = over_k(inverse_k, &load);
+        let next = over_q(inverse_q, &load);
         // What the change itself causes.
         let change: Vec3<R> = vec3!(i => (next[i] - x[i]).apply_tableau(rows));
         let follows = cross(omega, &change);
@@ -302,7 +302,7 @@ struct Kinematics<R> {
     weight: R,
     /// P - I
     stretch: Sym3<R>,
-    inverse_k: Sym3<R>,
+    inverse_q: Sym3<R>,
     /// The largest change of an attitude in the last pass.
     turned: R,
     /// [w]: h b U hat(Omega)
@@ -322,9 +322,9 @@ fn kinematics<R: StageScalar, const EXTRAS: u8>(
     let weight = lanes.row(weights) * start.step;
     let inertia = start.inertia.in_lanes(lanes);
     let mut attitude = load_turn(lanes, &unknowns.attitude);
-    let mut inverse_k: Sym3<R> = [lanes; 6];
+    let mut inverse_q: Sym3<R> = [lanes; 6];
     for i in 0..6 {
-        inverse_k[i] = lanes.load(&unknowns.inverse[i]);
+        inverse_q[i] = lanes.load(&unknowns.inverse[i]);
     }
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     let momentum = plus(&p0, momentum);
@@ -336,10 +336,10 @@ fn kinematics<R: StageScalar, const EXTRAS: u8>(
     let mut omega = plus(&unturned, &inertia.divides(&turned_by));
     let mut w = times_hat(&u, &scaled(&omega, weight));
     let mut turned = lanes.constant(0.0);
-    let mut stretch = inverse_k;
+    let mut stretch = inverse_q;
     for pass in 1..=passes {
         let d: Mat3<R> = mat3!(i, j => w[i][j].apply_tableau(columns));
-        let half = over_k(&inverse_k, &residual(&attitude, &u, &d));
+        let half = over_q(&inverse_q, &residual(&attitude, &u, &d));
         let half = scaled(&half, lanes.constant(0.5));
         // What the correction itself causes, through the velocities.
         let faster = inertia.divides(&cross(&plus(&momentum, &turned_by), &half));
@@ -350,7 +350,7 @@ fn kinematics<R: StageScalar, const EXTRAS: u8>(
         // sweep.
         if pass == passes {
             stretch = stretch_of(&attitude, &u, &d);
-            inverse_k = inverse_of_k(&stretch);
+            inverse_q = inverse_of_q(&stretch);
         }
         attitude = attitude.turned(&half);
         turned = half[0].abs().max_or_nan(half[1].abs()).max_or_nan(half[2].abs());
@@ -362,10 +362,10 @@ fn kinematics<R: StageScalar, const EXTRAS: u8>(
     }
     store_turn(&attitude, &mut unknowns.attitude);
     for i in 0..6 {
-        inverse_k[i].store(&mut unknowns.inverse[i]);
+        inverse_q[i].store(&mut unknowns.inverse[i]);
         stretch[i].store(&mut unknowns.stretch[i]);
     }
-    Kinematics { c, omega, weight, stretch, inverse_k, turned, w }
+    Kinematics { c, omega, weight, stretch, inverse_q, turned, w }
 }
 
 /// The end point, to which the stages lead.
@@ -374,7 +374,7 @@ struct EndPoint<R: StageScalar> {
     change: Mat3<R::StepScalar>,
     /// P_e - I.
     stretch: Sym3<R::StepScalar>,
-    /// K(P_e)^-1 - I / 2.
+    /// Q(P_e)^-1 - I / 2.
     inverse: Sym3<R::StepScalar>,
 }
 
@@ -393,8 +393,8 @@ fn end_point<R: StageScalar>(
     };
     let f = end.matrix();
     let stretch = stretch_of(&end, &f, &d);
-    let inverse = inverse_of_k(&stretch);
-    let half = over_k(&inverse, &residual(&end, &f, &d));
+    let inverse = inverse_of_q(&stretch);
+    let half = over_q(&inverse, &residual(&end, &f, &d));
     let half = scaled(&half, whole.constant(0.5));
     let end = end.turned(&half);
     for i in 0..6 {
@@ -508,7 +508,7 @@ struct EndMomentum<R: StageScalar> {
     f_lambda: Mat3<R::StepScalar>,
 }
 
-/// Computes `p1 = f^T pi1` and [Lambda]: `K(P_e) lambda = -p1`.
+/// Computes `p1 = f^T pi1` and [Lambda]: `Q(P_e) lambda = -p1`.
 #[inline(always)]
 fn end_momentum<R: StageScalar>(
     lanes: R,
@@ -518,7 +518,7 @@ fn end_momentum<R: StageScalar>(
 ) -> EndMomentum<R> {
     let momentum_increment = plus(impulse, &transposed_product(change, pi1));
     let p1 = vec3!(i => lanes.stage(0).load(&start.momentum[i]) + momentum_increment[i]);
-    let lambda = over_k(inverse, &vec3!(i => -p1[i]));
+    let lambda = over_q(inverse, &vec3!(i => -p1[i]));
     let f_lambda = times_hat(&with_one(change), &lambda);
     EndMomentum { momentum_increment, p1, lambda, f_lambda }
 }
@@ -534,7 +534,7 @@ fn embedded_momenta<R: StageScalar>(
     y: &Mat3<R>,
 ) -> Vec3<R> {
     // -vee asym(f hat(lambda)) - p0
-    let stretched = over_k(inverse, &k_less_two(stretch, p1));
+    let stretched = over_q(inverse, &q_less_two(stretch, p1));
     let beyond = vee_asym(&times_hat(change, lambda));
     let common: Vec3<R> =
         vec3!(i => lanes.spread(momentum_increment[i] - (stretched[i] + beyond[i])));
@@ -567,9 +567,9 @@ fn transported_momenta<R: StageScalar>(
     vec3!(i => delta[i] + impulses[i].apply_tableau(conjugate))
 }
 
-/// `(K(P) - 2) v` for `P = I + E`.
+/// `(Q(P) - 2) v` for `P = I + E`.
 #[inline(always)]
-fn k_less_two<T: Real>(stretch: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
+fn q_less_two<T: Real>(stretch: &Sym3<T>, v: &Vec3<T>) -> Vec3<T> {
     let trace = stretch[0] + stretch[1] + stretch[2];
     let stretched = symmetric_product(stretch, v);
     vec3!(i => trace * v[i] - stretched[i])

@@ -124,7 +124,7 @@ pub(super) struct Unknowns<S, P> {
     pub(super) x: Vec3<S>,
     /// f.
     pub(super) end: Quaternion<P>,
-    /// K(P_k)^-1.
+    /// Q(P_k)^-1.
     pub(super) inverse: Sym3<S>,
     /// E_k = P_k - I.
     pub(super) stretch: Sym3<S>,
