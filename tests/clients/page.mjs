@@ -420,6 +420,59 @@ await checks({
     const [download] = await Promise.all([page.waitForEvent("download"), page.click("#download")]);
     assert.match(download.suggestedFilename(), /^vpd-.*\.mcap$/);
   },
+  "what the page says of a job is true": async () => {
+    const told = await open(url, { viewport: { width: 360, height: 780 } });
+    const show = async scenario => {
+      const { id } = await submit(url, { ...scenario, expect: undefined });
+      await ended(url, id);
+      await told.goto(`${url}/#/jobs/${id}`);
+      await told.waitForFunction(id => stage?.g && document.querySelector("#download")?.href.includes(id), id);
+      return told.textContent(".outcome");
+    };
+    const labels = () => told.evaluate(() => stage.labels.flatMap(label => label.texts));
+    // The energy of a damped body falls; what is constant is its balance.
+    const damped = await shipped(url, "dual-spin");
+    const words = await show({ ...damped, log: { every: 5, channels: ["/state", "/energy", "/tf", "/scene/body"] } });
+    const [, first, last, least, largest] = words.match(/The energy was (\S+) J at the start and (\S+) J at the end, between (\S+) J and (\S+) J\. Its balance, the energy less the work of the torques, is constant to \S+ J\./).map(Number);
+    assert.ok(least <= last && last < first && first <= largest, words);
+    assert.ok(!/no method is symplectic/.test(await told.textContent("#view")));
+    // Charts that are not there are not asked for, and the page says why.
+    const pictures = await told.$$eval(".charts > *", nodes => nodes.map(node => node.alt ?? node.textContent));
+    assert.deepEqual(pictures, ["Energy error over time", "Orthogonality error over time: not drawn, because /orthogonality is not logged.",
+      "Drift of the conserved momentum over time: not drawn, because /momentum is not logged."]);
+    assert.ok(!told.asked.some(to => /orthogonality\.svg|momentum\.svg/.test(to)));
+    assert.ok(!(await labels()).includes("fixed point"));
+    // No figure is broken over lines, and its unit stays with it.
+    const broken = await told.$$eval(".outcome .whole, dd .whole, .readout .whole", parts => parts.filter(part => part.getClientRects().length > 1).map(part => part.textContent));
+    assert.deepEqual(broken, []);
+    assert.ok(await told.evaluate(() => document.scrollingElement.scrollWidth <= innerWidth));
+    // Labels stand at what they name, in the length of the drawing.
+    await show(await shipped(url, "heavy-top"));
+    const named = await told.evaluate(() => {
+      const ball = stage.parts.find(part => part.frame === "body" && part.radius !== undefined).points[0];
+      const weight = stage.labels.find(label => /weight/.test(label.texts));
+      return Math.max(...ball.map((x, i) => Math.abs(x - weight.at[i])));
+    });
+    assert.ok(named < 1e-6, `${named}`);
+    const top = await labels();
+    for (const label of ["fixed point", "up", "x", "y", "z"]) assert.ok(top.includes(label), `${label} of ${top}`);
+    // What moves is drawn where it is: the vertical of the satellite goes round with its orbit.
+    await show(await shipped(url, "satellite"));
+    await told.click(".play");
+    const vertical = async t => {
+      await told.evaluate(t => stage.go(t), t);
+      return told.evaluate(() => stage.place("source/0", [1, 0, 0], stage.now(stage.index())));
+    };
+    const turn = 2 * Math.PI / 0.001107549848;
+    const near = (a, b) => assert.ok(Math.max(...a.map((x, i) => Math.abs(x - b[i]))) < 0.02, `${a} and ${b}`);
+    near(await vertical(0), [0, 0, 1]);
+    near(await vertical(turn / 4), [0, -1, 0]);
+    assert.match(await told.textContent(".time"), /^t = 23 min \d+ s$/);
+    assert.ok((await told.$$eval(".rate option", options => options.map(option => option.textContent))).includes("3000 (all in 20 s)"));
+    assert.deepEqual(told.wrong, []);
+    await told.context().close();
+    return words;
+  },
   "a command is safe to paste, whatever the name of the job": async () => {
     const names = ["$(touch pwned)", "`touch pwned`; touch pwned #", "a'b\"; touch pwned; '", "-rf ../../x & touch pwned", "..", "Kreisel, schräg"];
     const shown = [];
@@ -489,6 +542,12 @@ await checks({
     // The number is chosen, to be written over; what the field means stands below.
     await editor.keyboard.type("20");
     await editor.waitForFunction(() => /^members integer.*Number of members, 2 to 100,000/s.test(document.querySelector("#field").textContent));
+    // What is typed over a selection, too, makes the browser complain of nothing: see the end of this check.
+    await editor.keyboard.press("Shift+ArrowUp");
+    await editor.keyboard.press("Shift+ArrowUp");
+    await editor.keyboard.type("x");
+    await editor.keyboard.press("Control+z");
+    await holds(editor, '"ensemble": { "members": 20');
     // Values that are words.
     await line('"method"').click();
     const method = /"name": "vpd"/.exec(await written(editor)).index + 9;

@@ -92,6 +92,13 @@ fn what_is_put_in_is_logged() {
     println!("the damper took {lost} J, turned the momentum by {pushed} N m s");
     assert!(lost > 0.1 && pushed > 1.0, "{lost}, {pushed}");
     assert!(summary.momentum.expect("logged").max_drift <= 1e-11);
+    // The energy itself changes, and the summary says how far.
+    let (seen, totals) = (summary.energy.expect("logged"), || energies.iter().map(|e| e.total));
+    assert_eq!(
+        [seen.least, seen.largest, seen.last],
+        [totals().reduce(f64::min), totals().reduce(f64::max), totals().last()]
+    );
+    assert!(seen.largest.expect("seen") - seen.least.expect("seen") > 0.1);
     let found = vpd::log::inspect::inspect(&log).expect("a log");
     let job = found.job.expect("the record");
     assert!(job["energy_balance"].contains("work") && job["momentum_balance"].contains("impulse"));

@@ -619,7 +619,7 @@ figures that are above one.
 ";
 
 /// Heading of the part of the page that is written by hand.
-const BY_HAND: &str = "\n## Next to another simulator\n";
+const BY_HAND: &str = "\n## Next to other simulators\n";
 
 fn file() -> std::path::PathBuf {
     File::new(env!("CARGO_MANIFEST_DIR")).join("../docs/cross-checks.md")

@@ -48,11 +48,21 @@ const send = (path, text, headers = {}) =>
   json(path, { method: "POST", body: text, headers: { "content-type": "application/json", ...headers }, priority: "high" });
 
 // A browser keeps six connections to a place for all its windows. What may take seconds there, reading a log or drawing
-// it, takes two of them at most, the events of jobs one: the others are for presses. Without locks, as on a page without
-// TLS, each window goes its own way.
-const READERS = 2;
-let reads = 0;
-const inTurn = read => navigator.locks ? navigator.locks.request(`vpd read ${reads++ % READERS} ${base}`, read) : read();
+// it, takes three of them at most, the events of jobs one: the others are for presses. Without locks, as on a page
+// without TLS, each window goes its own way.
+const READERS = 3;
+
+// Reads something as soon as one of the places for readers is free.
+const inTurn = read => !navigator.locks ? read() : new Promise((done, failed) => {
+  const taken = new AbortController();
+  for (let place = 0; place < READERS; place += 1) {
+    navigator.locks.request(`vpd read ${place} ${base}`, { signal: taken.signal }, async () => {
+      if (taken.signal.aborted) return;
+      taken.abort();
+      try { done(await read()); } catch (error) { failed(error); }
+    }).catch(() => { /* Another one was free before. */ });
+  }
+});
 
 // Ends when something else is shown: what was being read for it is not wanted any more.
 let leaving = new AbortController();

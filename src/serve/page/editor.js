@@ -33,6 +33,16 @@ const view = new EditorView({
     }),
     // Tab leaves the editor, as it leaves any other field.
     codemirror.keymap.of([...codemirror.closeBracketsKeymap, ...codemirror.defaultKeymap, ...codemirror.historyKeymap, ...codemirror.completionKeymap, ...codemirror.lintKeymap]),
+    // Typed text is put in here: a browser that does it gives what it writes over a selection styles of its own, and complains
+    // that the policy of the page forbids them.
+    EditorView.domEventHandlers({ beforeinput: (event, view) => {
+      if (event.inputType !== "insertText" || event.isComposing || !event.data) return false;
+      const { from, to } = view.state.selection.main;
+      const insert = () => view.state.update(view.state.replaceSelection(event.data), { userEvent: "input.type", scrollIntoView: true });
+      event.preventDefault();
+      if (!view.state.facet(EditorView.inputHandler).some(handle => handle(view, from, to, event.data, insert))) view.dispatch(insert());
+      return true;
+    } }),
     EditorView.contentAttributes.of({ id: "text", "aria-labelledby": "text-label", "aria-describedby": "keys problem", autocapitalize: "off" }),
     EditorView.updateListener.of(update => {
       if (update.docChanged) {

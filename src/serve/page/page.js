@@ -314,7 +314,8 @@ async function route() {
         h("p", { className: "soft" }, "You will see the body turn, charts of the energy and momentum errors, and links that open the log in a viewer.")));
     }
   } catch (error) {
-    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message)));
+    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message),
+      error.status === 404 ? "" : h("button", { type: "button", onclick: route }, "Try again")));
   }
   if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
 }
@@ -368,9 +369,12 @@ setInterval(() => {
   if (!document.hidden && (active || Date.now() % 10000 < 2000)) refresh();
 }, 2000);
 
-// A service that does not answer at first is asked again by a press.
-function begin() {
-  start().catch(error => error.shut || $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "The page could not be filled"),
-    h("p", {}, error.message), h("p", {}, h("button", { type: "button", className: "main", onclick: begin }, "Try again")))));
+// A service that does not answer at first is asked again.
+async function begin() {
+  try { await start(); } catch (error) {
+    if (error.shut) return;
+    $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Waiting for the service"), h("p", {}, error.message)));
+    setTimeout(begin, 2000);
+  }
 }
 begin();
