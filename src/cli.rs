@@ -324,7 +324,7 @@ impl CliError {
             | Self::NoFile { .. }
             | Self::Format(_)
             | Self::Log(_)
-            | Self::Export(ExportError::Log(_) | ExportError::Channel { .. } | ExportError::Empty { .. })
+            | Self::Export(ExportError::Log(_) | ExportError::Channel { .. } | ExportError::Empty { .. } | ExportError::Time { .. })
             // 1 says that they differ.
             | Self::Diff(_)
             | Self::Study(StudyError::Scenario(_)) => ExitCode::from(2),

@@ -1,4 +1,4 @@
-//! 6 · Tables of what a log holds, for programs that cannot read MCAP.
+//! 6 · Tables of what a log holds, for programs that cannot read MCAP, and bags for those of ROS 2 ([`ros2()`]).
 //!
 //! Invariant: every number reads back to the bit; one row per sample, one column per number, in any
 //! format.
@@ -20,6 +20,9 @@ use crate::log::schema::Channel;
 
 #[cfg(feature = "parquet")]
 mod columnar;
+mod ros2;
+
+pub use ros2::{Bag, ros2};
 
 /// The columns of every table of samples.
 const TIMES: [&str; 2] = ["log_time_ns", "time_s"];
@@ -48,6 +51,14 @@ pub enum ExportError {
         channel: &'static str,
         /// The other requested channels.
         with: &'static str,
+    },
+    /// Its times are beyond those of ROS.
+    #[error(
+        "{log} has times after 2038-01-19, which the messages of ROS 2 cannot hold; give it an earlier /log/epoch"
+    )]
+    Time {
+        /// The log.
+        log: String,
     },
     /// The table could not be written.
     #[error("cannot write the table: {0}")]

@@ -125,7 +125,11 @@ impl Show {
                     let sources = self.scene.frames(sample.time_s, time_ns);
                     messages::frames(turn?, time_ns, BODY_FRAME, sources).encode_to_vec()
                 }
-                _ => Message::of_sample(channel, sample, turn)?.encode(),
+                _ => {
+                    let mut bytes = Vec::new();
+                    Message::of_sample(channel, sample, turn)?.encode(&mut bytes);
+                    bytes
+                }
             };
             Some((channel, bytes))
         }));

@@ -13,6 +13,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use crate::advise;
+use crate::log::order::{is_foreign_log, read_sorted};
 use crate::log::reader::{self, Item};
 use crate::log::schema::Channel;
 use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT, shown};
@@ -150,12 +151,14 @@ struct Entry {
 /// Compares two logs message by message: returns how many are the same from the start, and the
 /// first difference.
 fn compare(log: &Path, again: &Path) -> Result<(u64, Option<Difference>), LogError> {
+    // Both in the same order: another program may have put the messages of the log in one of its own.
+    let sorted = is_foreign_log(log)?;
     thread::scope(|scope| {
         let (send, kept) = sync_channel(4);
         let (send_again, made) = sync_channel(4);
         let readers = [
-            scope.spawn(move || send_all(log, &send)),
-            scope.spawn(move || send_all(again, &send_again)),
+            scope.spawn(move || send_all(log, sorted, &send)),
+            scope.spawn(move || send_all(again, sorted, &send_again)),
         ];
         let compared = meet(kept.iter().flatten(), made.iter().flatten());
         // A reader without a receiver stops.
@@ -197,9 +200,9 @@ fn meet(
 }
 
 /// Sends the messages of a log, but for its lines about the job.
-fn send_all(log: &Path, out: &SyncSender<Vec<Entry>>) -> Result<(), LogError> {
+fn send_all(log: &Path, sorted: bool, out: &SyncSender<Vec<Entry>>) -> Result<(), LogError> {
     let mut batch = Vec::with_capacity(BATCH);
-    reader::read(log, |item| {
+    let mut visit = |item: Item<'_>| {
         let Item::Message { topic, time_ns, data, .. } = item else {
             return ControlFlow::Continue(());
         };
@@ -212,7 +215,12 @@ fn send_all(log: &Path, out: &SyncSender<Vec<Entry>>) -> Result<(), LogError> {
         } else {
             ControlFlow::Break(())
         }
-    })?;
+    };
+    if sorted {
+        read_sorted(log, &mut visit)?
+    } else {
+        reader::read(log, &mut visit)?
+    };
     // The receiver is gone once a difference was found.
     let _ = out.send(batch);
     Ok(())

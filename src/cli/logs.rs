@@ -28,6 +28,9 @@ pub(super) struct ExportArgs {
     /// The member of an ensemble whose samples are meant.
     #[arg(long, value_name = "K", default_value_t = 0)]
     member: u64,
+    /// Write a bag of ROS 2 (.mcap): Imu, QuaternionStamped, TFMessage and Float64, n = 3.
+    #[arg(long, requires = "output", conflicts_with = "channels")]
+    ros2: bool,
     /// Replace a file that stands in its place.
     #[arg(long)]
     force: bool,
@@ -63,20 +66,33 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
     let log = a_log(&args.log)?;
     let channels = args.channels.iter().filter_map(|topic| Channel::from_topic(topic)).collect();
     let choice = Choice { channels, member: args.member };
-    let exported = match &args.output {
+    let ending = match &args.output {
         None => match export::export(log, &choice, Format::Csv, BufWriter::new(io::stdout())) {
             Err(ExportError::Write(error)) => {
                 return Ok(enough(Err(error)).map(|()| ExitCode::SUCCESS)?);
             }
-            exported => exported?,
+            exported => exported?.ending,
         },
         Some(path) => {
             may_write(path)?;
             let ending = path.extension().unwrap_or_default().to_string_lossy();
-            let format = ending.parse::<Format>().map_err(CliError::Format)?;
+            let format = if args.ros2 {
+                let is_bag = ending == "mcap";
+                let wrong = || format!("{ending:?} is not the ending of a bag of ROS 2: use .mcap");
+                is_bag.then_some(None).ok_or_else(wrong).map_err(CliError::Format)?
+            } else {
+                Some(ending.parse::<Format>().map_err(CliError::Format)?)
+            };
             if !args.force && path.symlink_metadata().is_ok() {
                 return Err(CliError::Exists(path.clone()));
             }
+            let Some(format) = format else {
+                let bag = to_file(path, |out| Ok(export::ros2(log, args.member, out)?))?;
+                let topics = bag.topics.iter().map(|(topic, count)| format!("{count} of {topic}"));
+                let topics = topics.collect::<Vec<_>>().join(", ");
+                show(format!("bag             {}, messages: {topics}\n", path.display()))?;
+                return Ok(reported(log, bag.ending.damage));
+            };
             let exported = to_file(path, |out| Ok(export::export(log, &choice, format, out)?))?;
             let columns = exported.columns.len();
             show(format!(
@@ -84,11 +100,15 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
                 path.display(),
                 exported.rows
             ))?;
-            exported
+            exported.ending
         }
     };
-    if let Some(damage) = exported.ending.damage {
-        // Reported on stderr: the table may be on stdout.
+    Ok(reported(log, ending.damage))
+}
+
+/// Reports damage of a log on stderr: the table may be on stdout.
+fn reported(log: &Path, damage: Option<String>) -> ExitCode {
+    if let Some(damage) = damage {
         let _ = writeln!(
             io::stderr(),
             "vpd: {}: {}; everything before that is exported",
@@ -96,7 +116,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
             shown(&damage)
         );
     }
-    Ok(ExitCode::SUCCESS)
+    ExitCode::SUCCESS
 }
 
 /// Writes a file under another name first, so that whatever is at `path` is whole.

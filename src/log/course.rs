@@ -2,10 +2,12 @@
 //!
 //! Invariant: memory is bounded, every extreme is kept, and a log and its writer give the same points.
 
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use super::LogError;
-use super::reader::{Message, read_samples};
+use super::order::read_by_time;
+use super::reader::{Item, Message};
 use super::resume::Seen;
 
 /// Chart of a log over time.
@@ -52,7 +54,14 @@ impl Course {
     /// If the log cannot be read.
     pub fn of(log: &Path) -> Result<Self, LogError> {
         let mut course = Self::default();
-        read_samples(log, |time_ns, message| course.note_message(time_ns, &message))?;
+        read_by_time(log, |item| {
+            if let Item::Message { topic, schema, time_ns, data, .. } = item
+                && let Some(message) = Message::decode(topic, schema, data)
+            {
+                course.note_message(time_ns, &message);
+            }
+            ControlFlow::Continue(())
+        })?;
         Ok(course)
     }
 

@@ -14,7 +14,7 @@ use mcap::read::LinearReader;
 use mcap::records::{AttachmentIndex, ChunkIndex, Footer, MetadataIndex, Record, Statistics, op};
 
 use super::MAX_CHUNK_BYTES;
-use super::reader::{Chunks, Item};
+use super::reader::{Chunks, Item, is_foreign, parse};
 
 /// Bytes of the opcode and of the length before what a record says.
 const HEAD: usize = 1 + 8;
@@ -36,14 +36,17 @@ pub(super) struct End {
 
 impl End {
     /// Reads the end; `None` if the log has none or a damaged one, like a growing log, whose last
-    /// bytes mean nothing.
+    /// bytes mean nothing, or if another program wrote it: such an index may leave messages out.
     pub(super) fn read(file: &mut File) -> Option<Self> {
+        if is_foreign(file) {
+            return None;
+        }
         let footer_bytes = HEAD + 20;
         let length = file.seek(SeekFrom::End(0)).ok()?;
         let footer_at = length.checked_sub((footer_bytes + mcap::MAGIC.len()) as u64)?;
         let last = bytes_at(file, footer_at..length)?;
         let (footer, magic) = last.split_at(footer_bytes);
-        let Ok(Record::Footer(footer)) = mcap::parse_record(footer[0], &footer[HEAD..]) else {
+        let Ok(Record::Footer(footer)) = parse(footer[0], &footer[HEAD..]) else {
             return None;
         };
         let Footer { summary_offset_start: groups_at, .. } = footer;
@@ -171,7 +174,7 @@ impl End {
             };
             if time(0) < stretch.end
                 && time(8) >= stretch.start
-                && let Record::ChunkIndex(index) = mcap::parse_record(opcode, &place)?
+                && let Record::ChunkIndex(index) = parse(opcode, &place)?
                 && channels.iter().any(|id| index.message_index_offsets.contains_key(id))
             {
                 found.push(index);
@@ -185,7 +188,7 @@ impl End {
 pub(super) fn attachment(file: &mut File, index: &AttachmentIndex) -> Option<Vec<u8>> {
     let record = bytes_at(file, index.offset..index.offset.checked_add(index.length)?)?;
     let (head, body) = record.split_at_checked(HEAD)?;
-    let Ok(Record::Attachment { data, crc, .. }) = mcap::parse_record(op::ATTACHMENT, body) else {
+    let Ok(Record::Attachment { data, crc, .. }) = parse(op::ATTACHMENT, body) else {
         return None;
     };
     let covered = body.get(..body.len().checked_sub(4)?)?;

@@ -19,6 +19,9 @@ pub struct Inspection {
     pub finished: bool,
     /// Damage that keeps it from being whole.
     pub damage: Option<String>,
+    /// What no checksum covers, in a log that another program wrote anew.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unchecked: Option<String>,
     /// Entries of the outcome; `state` is `succeeded`, `failed` or `cancelled`.
     pub outcome: Option<BTreeMap<String, String>>,
     /// The job that was run: scenario, plan, versions.
@@ -112,6 +115,7 @@ pub fn inspect(path: &Path) -> Result<Inspection, LogError> {
     sum.extremes.solver_iterations_mean = sweeps.mean();
     sum.finished = ending.finished;
     sum.damage = ending.damage;
+    sum.unchecked = ending.unchecked;
     sum.chunks = ending.chunks;
     sum.bytes = ending.bytes;
     Ok(sum)
@@ -201,6 +205,9 @@ impl fmt::Display for Inspection {
                     shown(self.damage.as_deref().unwrap_or("unknown reason"))
                 )?;
             }
+        }
+        if let Some(unchecked) = &self.unchecked {
+            writeln!(f, "not checked: {unchecked}")?;
         }
         let duration_s = self.span.map_or(0.0, |span| span.duration_s);
         writeln!(

@@ -81,6 +81,13 @@ macro_rules! messages_of_samples {
                 }
             }
 
+            /// Returns whether it has a message of the same channel.
+            pub(super) fn holds(&self, message: &Message) -> bool {
+                match message {
+                    $(Message::$message(_) => self.$field.is_some(),)*
+                }
+            }
+
             pub(super) fn take_in(&mut self, message: Message) {
                 match message {
                     $(Message::$message(message) => self.$field = Some(message),)*
@@ -106,10 +113,10 @@ macro_rules! messages_of_samples {
                 message
             }
 
-            /// Returns its bytes in a log.
-            pub fn encode(&self) -> Vec<u8> {
+            /// Adds its bytes in a log.
+            pub fn encode(&self, out: &mut Vec<u8>) {
                 match self {
-                    $(Self::$message(message) => message.encode_to_vec(),)*
+                    $(Self::$message(message) => message.encode(out).expect("a vector has room"),)*
                 }
             }
         }

@@ -15,7 +15,7 @@ use std::thread::JoinHandle;
 /// Bytes compared at once when a log is resumed.
 const COMPARED: usize = 64 << 10;
 
-/// A handle on the file; the MCAP layer writes through a copy of it.
+/// A handle on the file; the container writes through a copy of it.
 #[derive(Clone)]
 pub(super) struct Part(Arc<Mutex<Inner>>);
 
@@ -75,7 +75,7 @@ impl Part {
         self.inner().differs
     }
 
-    /// Leaves the file as it is: what the MCAP layer writes when it is dropped goes nowhere.
+    /// Leaves the file as it is: what is written from now on goes nowhere.
     pub(super) fn leave(&self) {
         if let Mode::Writing(buffer) = std::mem::replace(&mut self.inner().mode, Mode::Left) {
             // Not flushed: only whole chunks count, and those were.
@@ -157,16 +157,6 @@ impl Write for Part {
         match &mut self.inner().mode {
             Mode::Writing(buffer) => buffer.flush(),
             Mode::Comparing(_) | Mode::Left => Ok(()),
-        }
-    }
-}
-
-impl Seek for Part {
-    /// Returns the position; the MCAP layer is set up to go nowhere else.
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        match to {
-            SeekFrom::Current(0) => Ok(self.inner().position),
-            _ => Err(io::Error::from(io::ErrorKind::NotSeekable)),
         }
     }
 }
@@ -261,12 +251,21 @@ type Place = (u64, u64);
 
 /// Extent to which the file is on the disk.
 #[derive(Debug, Default)]
-struct Durable {
+pub(super) struct Durable {
     step: AtomicU64,
     bytes: AtomicU64,
 }
 
 impl Durable {
+    pub(super) fn step(&self) -> u64 {
+        self.step.load(Ordering::Acquire)
+    }
+
+    /// Returns the number of bytes of the file that are known to be on the disk.
+    pub(super) fn bytes(&self) -> u64 {
+        self.bytes.load(Ordering::Acquire)
+    }
+
     fn reach(&self, (step, bytes): Place) {
         // A reader of the step finds at least its bytes.
         self.bytes.store(bytes, Ordering::Release);
@@ -316,13 +315,8 @@ impl Syncer {
         self.durable.reach((step, self.part.position()));
     }
 
-    pub(super) fn durable_step(&self) -> u64 {
-        self.durable.step.load(Ordering::Acquire)
-    }
-
-    /// Returns the number of bytes of the file that are known to be on the disk.
-    pub(super) fn durable_bytes(&self) -> u64 {
-        self.durable.bytes.load(Ordering::Acquire)
+    pub(super) fn durable(&self) -> Arc<Durable> {
+        self.durable.clone()
     }
 
     /// Waits for the requested syncs.

@@ -1,13 +1,13 @@
-//! Reads a log: a finished one, one that is being written, or what a crash or a bad disk left of
-//! it.
+//! Reads a log: a finished one, one that is being written, what a crash or a bad disk left of it, or what another
+//! program made of it.
 //!
-//! Invariant: whatever the bytes are, reading ends without a panic and within the memory of
-//! [`MAX_CHUNK_BYTES`] a piece; a chunk is handed out only after its checksum agreed; and every
-//! file that is not a finished log is reported as such.
+//! Invariant: whatever the bytes are, reading ends without a panic and within the memory of [`MAX_CHUNK_BYTES`] a piece
+//! ([`FOREIGN_CHUNK_BYTES`] of another program); what a checksum covers is handed out only after it agreed, and what none
+//! covers, which only other programs write, is reported; and so is every file that is not a finished log.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read, Seek};
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -23,9 +23,8 @@ use super::{
 /// Bytes asked of the file at once: a damaged length must not become an allocation.
 const READ_AT_ONCE: usize = 64 << 10;
 
-/// No record may be longer. Not the length of the file: a chunk of a body at rest is longer than
-/// its file, and the length of a big file is no bound at all.
-const RECORD_LIMIT: usize = MAX_CHUNK_BYTES as usize;
+/// The most bytes of a record that another program wrote: some put a whole log into one chunk.
+pub const FOREIGN_CHUNK_BYTES: u64 = 256 << 20;
 
 /// A part of a log, in the order of the file.
 #[derive(Debug)]
@@ -71,6 +70,8 @@ pub struct Ending {
     pub finished: bool,
     /// Reason why it is not, for a person. `None` also if the visitor stopped the reading.
     pub damage: Option<String>,
+    /// What no checksum covers, for a person: only logs that another program wrote anew have such parts.
+    pub unchecked: Option<String>,
     /// Chunks seen.
     pub chunks: u64,
     /// Bytes of the file.
@@ -110,18 +111,16 @@ pub fn read(
 /// Does the same, compiled once for all visitors.
 fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
     let failed = |source| LogError::io(path, "read", source);
-    let file = File::open(path).map_err(failed)?;
+    let mut file = File::open(path).map_err(failed)?;
     let bytes = file.metadata().map_err(failed)?.len();
+    let foreign = is_foreign(&mut file);
+    let cover = if foreign { Cover::of(&mut file).map_err(failed)? } else { Cover::default() };
+    file.rewind().map_err(failed)?;
     let mut file = BufReader::with_capacity(READ_AT_ONCE, file);
 
-    let options = LinearReaderOptions::default()
-        .with_check_finishes_after_end_magic(true)
-        .with_emit_chunks(true)
-        .with_validate_data_section_crc(true)
-        .with_validate_summary_section_crc(true)
-        .with_record_length_limit(RECORD_LIMIT);
+    let options = options(foreign).with_validate_summary_section_crc(true);
     let mut reader = LinearReader::new_with_options(options);
-    let mut walk = Walk::default();
+    let mut walk = Walk { foreign, cover, ..Walk::default() };
     let damage = loop {
         match reader.next_event() {
             None => break walk.missing(),
@@ -144,10 +143,101 @@ fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
         }
     };
     // What another program wrote is not a damaged log of ours.
-    if let Some(library) = walk.library.filter(|_| !walk.ours) {
-        return Err(LogError::Foreign { path: path.to_owned(), library });
+    if let Some(library) = walk.library.as_ref().filter(|_| !walk.ours) {
+        return Err(LogError::Foreign { path: path.to_owned(), library: library.clone() });
     }
-    Ok(Ending { finished: damage.is_none(), damage, chunks: walk.chunks, bytes })
+    let unchecked = walk.unchecked();
+    Ok(Ending { finished: damage.is_none(), damage, unchecked, chunks: walk.chunks, bytes })
+}
+
+fn options(foreign: bool) -> LinearReaderOptions {
+    LinearReaderOptions::default()
+        .with_check_finishes_after_end_magic(true)
+        .with_emit_chunks(true)
+        .with_validate_data_section_crc(true)
+        .with_record_length_limit(record_limit(foreign))
+}
+
+/// The most bytes of a record. Not the length of the file: a chunk of a body at rest is longer than
+/// its file, and the length of a big file is no bound at all.
+fn record_limit(foreign: bool) -> usize {
+    if foreign { FOREIGN_CHUNK_BYTES as usize } else { MAX_CHUNK_BYTES as usize }
+}
+
+/// Returns whether another program wrote the file, by its header; not if it has none. Every program names itself there, so
+/// a log that went through one is known by it.
+pub(super) fn is_foreign(file: &mut File) -> bool {
+    const LONGEST: u64 = 64 << 10;
+    let mut library = || {
+        file.rewind().ok()?;
+        let mut start = [0; mcap::MAGIC.len() + 1 + 8];
+        file.read_exact(&mut start).ok()?;
+        let (magic, [opcode, length @ ..]) = start.split_first_chunk::<{ mcap::MAGIC.len() }>()?
+        else {
+            return None;
+        };
+        let length = u64::from_le_bytes(length.try_into().ok()?);
+        if magic != mcap::MAGIC || *opcode != op::HEADER || length > LONGEST {
+            return None;
+        }
+        let mut header = vec![0; length as usize];
+        file.read_exact(&mut header).ok()?;
+        match parse(op::HEADER, &header).ok()? {
+            Record::Header(header) => Some(header.library),
+            _ => None,
+        }
+    };
+    library().is_some_and(|library| !library.starts_with(LIBRARY_NAME))
+}
+
+/// Parses a record. (`mcap` 0.26 panics at an attachment that ends within its own head.)
+pub(super) fn parse(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
+    if opcode == op::ATTACHMENT {
+        // Two times, two texts, the length of the data, and the checksum behind it.
+        let text = |at: usize| {
+            let length = data.get(at..at.checked_add(4)?)?.try_into().ok()?;
+            at.checked_add(4)?.checked_add(u32::from_le_bytes(length) as usize)
+        };
+        let head = text(16).and_then(text).and_then(|at| at.checked_add(8 + 4));
+        if head.is_none_or(|head| head > data.len()) {
+            return Err(McapError::UnexpectedEof);
+        }
+    }
+    parse_record(opcode, data)
+}
+
+/// What the checksum of the data section says of a log that another program wrote.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Cover {
+    /// It agrees.
+    Agrees,
+    /// It does not agree.
+    Differs,
+    /// There is none, or the data has no end.
+    #[default]
+    None,
+}
+
+impl Cover {
+    fn of(file: &mut File) -> io::Result<Self> {
+        file.rewind()?;
+        let mut file = BufReader::with_capacity(READ_AT_ONCE, file);
+        let mut reader = LinearReader::new_with_options(options(true));
+        loop {
+            match reader.next_event() {
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    let got = file.read(reader.insert(wanted.clamp(1, READ_AT_ONCE)))?;
+                    reader.notify_read(got);
+                }
+                Some(Ok(LinearReadEvent::Record { opcode: op::DATA_END, data })) => {
+                    return Ok(if data == [0; 4] { Self::None } else { Self::Agrees });
+                }
+                Some(Ok(LinearReadEvent::Record { .. })) => {}
+                Some(Err(McapError::BadDataCrc { .. })) => return Ok(Self::Differs),
+                Some(Err(_)) | None => return Ok(Self::None),
+            }
+        }
+    }
 }
 
 /// Reads the samples of `path`: every message of `/state`, `/energy`, `/orthogonality`, `/momentum`, `/solver`
@@ -185,7 +275,10 @@ impl Chunks {
         chunk: &[u8],
         visit: &mut Visit<'_>,
     ) -> Result<ControlFlow<()>, String> {
-        Walk::check_sum(chunk)?;
+        match parse(op::CHUNK, chunk).map_err(damaged)? {
+            Record::Chunk { header, .. } if header.uncompressed_crc != 0 => {}
+            _ => return Err(damaged("a chunk without a checksum")),
+        }
         self.0.chunk(chunk, visit)
     }
 }
@@ -202,8 +295,15 @@ struct Walk {
     /// Whether anything shows that it is a log of ours, which other tools may have written anew.
     ours: bool,
     data_ended: bool,
-    /// Whether the last record of the data is the outcome.
-    outcome_last: bool,
+    /// Whether the outcome was seen; in a log of ours, whether it is the last record of the data.
+    outcome: bool,
+    /// Whether another program wrote the file: it may put records anywhere, and leave checksums out.
+    foreign: bool,
+    cover: Cover,
+    /// Records outside chunks that no checksum covers.
+    unchecked_records: u64,
+    /// Chunks that no checksum covers.
+    unchecked_chunks: u64,
 }
 
 impl Walk {
@@ -214,7 +314,7 @@ impl Walk {
         data: &[u8],
         visit: &mut Visit<'_>,
     ) -> Result<ControlFlow<()>, String> {
-        let record = parse_record(opcode, data).map_err(damaged)?;
+        let record = parse(opcode, data).map_err(damaged)?;
         if self.data_ended {
             // The summary repeats what was read. Its checksum does not cover the length of the
             // footer.
@@ -223,12 +323,14 @@ impl Walk {
                 _ => Ok(ControlFlow::Continue(())),
             };
         }
-        if opcode != op::DATA_END {
-            self.outcome_last = false;
+        if opcode != op::DATA_END && !self.foreign {
+            self.outcome = false;
         }
         match record {
-            Record::Chunk { .. } => {
-                Self::check_sum(data)?;
+            Record::Chunk { header, .. } => {
+                if header.uncompressed_crc == 0 {
+                    self.unchecked_chunks += self.without_checksum("a chunk without a checksum")?;
+                }
                 self.chunks += 1;
                 return self.chunk(data, visit);
             }
@@ -238,7 +340,7 @@ impl Walk {
             }
             Record::Metadata(metadata) => {
                 self.ours |= metadata.name == JOB_RECORD;
-                self.outcome_last = metadata.name == OUTCOME_RECORD;
+                self.outcome |= metadata.name == OUTCOME_RECORD;
                 return Ok(visit(Item::Metadata {
                     name: &metadata.name,
                     entries: &metadata.metadata,
@@ -253,24 +355,39 @@ impl Walk {
                 }
                 self.data_ended = true;
             }
-            // Outside a chunk no checksum vouches for them; one flipped bit makes an index a
-            // message.
-            Record::Schema { header, .. } => {
-                self.ours |= is_own(&header.name);
-                return Err(damaged(OUTSIDE));
+            Record::Schema { .. } | Record::Channel(_) | Record::Message { .. } => {
+                if let Record::Schema { header, .. } = &record {
+                    self.ours |= is_own(&header.name);
+                }
+                self.unchecked_records += self.without_checksum(OUTSIDE)?;
+                return self.entry(record, visit);
             }
-            Record::Channel(_) | Record::Message { .. } => return Err(damaged(OUTSIDE)),
             _ => {}
         }
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Refuses a chunk without a checksum.
-    fn check_sum(chunk: &[u8]) -> Result<(), String> {
-        match parse_record(op::CHUNK, chunk).map_err(damaged)? {
-            Record::Chunk { header, .. } if header.uncompressed_crc != 0 => Ok(()),
-            _ => Err(damaged("a chunk without a checksum")),
+    /// Takes note of a part that has no checksum of its own: one flipped bit makes an index a message. Returns 1 if nothing
+    /// else covers it.
+    ///
+    /// # Errors
+    /// If our writer does not write such a part, or the checksum of the data differs.
+    fn without_checksum(&self, what: &str) -> Result<u64, String> {
+        match self.cover {
+            _ if !self.foreign => Err(damaged(what)),
+            Cover::Differs => Err(damaged("the checksum of its data does not agree")),
+            cover => Ok(u64::from(cover == Cover::None)),
         }
+    }
+
+    /// Returns what no checksum covers.
+    fn unchecked(&self) -> Option<String> {
+        let counts = [(self.unchecked_chunks, "chunk"), (self.unchecked_records, "record")];
+        let some = counts.into_iter().filter(|(count, _)| *count > 0);
+        let words = some
+            .map(|(count, what)| format!("{count} {what}{}", if count == 1 { "" } else { "s" }));
+        let words: Vec<String> = words.collect();
+        (!words.is_empty()).then(|| format!("no checksum covers {}", words.join(" and ")))
     }
 
     /// Takes a chunk apart, after its checksum agreed.
@@ -279,7 +396,7 @@ impl Walk {
             .with_skip_start_magic(true)
             .with_skip_end_magic(true)
             .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(RECORD_LIMIT);
+            .with_record_length_limit(record_limit(self.foreign));
         let mut reader = LinearReader::new_with_options(options);
         // The record as it stood in the file: opcode, length, body.
         let head = std::iter::once(op::CHUNK).chain((chunk.len() as u64).to_le_bytes());
@@ -293,7 +410,7 @@ impl Walk {
                     reader.notify_read(got);
                 }
                 LinearReadEvent::Record { opcode, data } => {
-                    let record = parse_record(opcode, data).map_err(damaged)?;
+                    let record = parse(opcode, data).map_err(damaged)?;
                     if self.entry(record, visit)?.is_break() {
                         return Ok(ControlFlow::Break(()));
                     }
@@ -337,7 +454,7 @@ impl Walk {
     fn missing(&self) -> Option<String> {
         if !self.data_ended {
             Some(damaged("its data has no end record"))
-        } else if !self.outcome_last {
+        } else if !self.outcome {
             Some("the log does not say how the job ended".to_owned())
         } else {
             None
@@ -345,7 +462,7 @@ impl Walk {
     }
 
     fn cut(&self) -> String {
-        match (self.data_ended, self.outcome_last) {
+        match (self.data_ended, self.outcome) {
             (true, _) => "the log breaks off within its index".to_owned(),
             (false, true) => "the log breaks off after the outcome, before its index".to_owned(),
             (false, false) => {
@@ -355,6 +472,7 @@ impl Walk {
     }
 }
 
+/// What our writer does not write.
 const OUTSIDE: &str = "a schema, a channel or a message outside a chunk";
 
 /// Returns whether a message type is one of ours.

@@ -11,7 +11,6 @@ use std::ops::ControlFlow;
 use std::path::Path;
 
 use foxglove::messages::FrameTransforms;
-use mcap::records::MessageHeader;
 use prost::Message as _;
 
 use super::messages::{Checkpoint, Member, State};
@@ -95,7 +94,7 @@ impl LogWriter {
                             seen(Seen::Message(*time_ns, &message));
                         }
                     }
-                    fed = log.feed(std::mem::take(&mut pending), data, checkpoint.samples);
+                    fed = log.feed(std::mem::take(&mut pending), data, &checkpoint);
                     if fed.is_err() {
                         return ControlFlow::Break(());
                     }
@@ -113,7 +112,7 @@ impl LogWriter {
             (Ok(()), Some(checkpoint)) => {
                 file.go_on().map_err(failed)?;
                 log.part = part;
-                log.syncer.settled(checkpoint.step);
+                log.settled(checkpoint.step);
                 Ok(Some((log, checkpoint)))
             }
             _ => Ok(None),
@@ -125,7 +124,7 @@ impl LogWriter {
         &mut self,
         messages: Vec<Pending>,
         record: &[u8],
-        samples: u64,
+        checkpoint: &Checkpoint,
     ) -> Result<(), LogError> {
         for Pending { topic, time_ns, sequence, data } in messages {
             self.turns.extend(turn(topic.channel, &data).map(|turn| (topic.member, turn)));
@@ -137,13 +136,10 @@ impl LogWriter {
             {
                 self.curves.note(topic, since_ns, &message);
             }
-            let channel_id = self.id(topic)?;
-            let header =
-                MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
-            self.write(&header, &data)?;
+            self.put_again(topic, time_ns, sequence, &data)?;
         }
-        self.samples = samples;
-        self.close_chunk(Some(record))
+        self.samples = checkpoint.samples;
+        self.close_chunk_again(record)
     }
 }
 

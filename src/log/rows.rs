@@ -1,13 +1,14 @@
 //! The samples of a log one after another, each with all that its channels say of it: for tables and comparisons.
 //!
-//! Invariant: one row a sample, in the order of the file; memory for one at a time.
+//! Invariant: one row a sample, in the order of time; memory for one at a time.
 
 use std::ops::ControlFlow;
 use std::path::Path;
 
 use super::LogError;
 pub use super::messages::Row;
-use super::reader::{self, Ending, Item, Message};
+use super::order::read_by_time;
+use super::reader::{Ending, Item, Message};
 use super::schema::Topic;
 
 /// Shows the samples of a run, or of a member of an ensemble (a run is member 0), to `visit`, until that breaks off.
@@ -23,7 +24,7 @@ pub fn read_rows(
 ) -> Result<Ending, LogError> {
     let mut open: Option<(u32, Row)> = None;
     let mut stopped = false;
-    let ending = reader::read(path, |item| {
+    let ending = read_by_time(path, |item| {
         let Item::Message { topic, schema, time_ns, sequence, data } = item else {
             return ControlFlow::Continue(());
         };
@@ -31,8 +32,10 @@ pub fn read_rows(
             .filter(|topic| topic.member == member)
             .and_then(|topic| Message::decode(topic.channel.topic(), schema, data));
         let Some(message) = message else { return ControlFlow::Continue(()) };
+        // Some programs number messages anew, each topic by itself.
         if let Some((number, row)) = &mut open
-            && (*number, row.time_ns) == (sequence, time_ns)
+            && row.time_ns == time_ns
+            && (*number == sequence || !row.holds(&message))
         {
             row.take_in(message);
             return ControlFlow::Continue(());

@@ -15,8 +15,9 @@ use super::LogError;
 pub use super::curve::{Curve, Velocity};
 use super::end::End;
 use super::messages::Message;
+use super::order::read_by_time;
 use super::overview::{self, Points};
-use super::reader::{self, Item};
+use super::reader::Item;
 
 /// Part of a log in time, and the number of points for it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,8 +55,8 @@ const LONG: u64 = 50_000;
 /// Largest number of threads that read one log.
 const MOST_THREADS: usize = 4;
 
-/// Reads the course of a quantity, for an ensemble that of member 0. Of an unfinished log the whole
-/// chunks are read. Returns `None` if `stopped` said so on the way.
+/// Reads the course of a quantity, for an ensemble that of member 0. A log without an index of ours is read from its start;
+/// of an unfinished one the whole chunks are. Returns `None` if `stopped` said so on the way.
 ///
 /// # Errors
 /// If the file cannot be read, or its index is damaged.
@@ -83,7 +84,7 @@ pub fn read_course(
     let Some(end) = End::read(&mut file) else {
         let mut reading = reading(whole, window.points);
         let (mut start_ns, mut stop) = (None, Ok(()));
-        reader::read(path, |item| {
+        read_by_time(path, |item| {
             let Item::Message { topic, time_ns, data, .. } = item else {
                 return ControlFlow::Continue(());
             };

@@ -1,7 +1,7 @@
 //! A stretch of a log for drawing: attitudes one after another, and the objects of the scene.
 //!
-//! Invariant: what is read and kept is bounded by what is asked for, however long a finished log is; of an
-//! unfinished one only the beginning is read.
+//! Invariant: what is kept is bounded by what is asked for, and so is what is read of a finished log of ours; of an unfinished
+//! one only the beginning is read.
 
 use std::fs::File;
 use std::ops::ControlFlow;
@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::LogError;
 use super::end::End;
 use super::messages::State;
-use super::reader::{self, Item};
+use super::reader::{self, Item, is_foreign};
 use super::schema::Channel;
 
 /// Attitudes one after another, and the drawings of the scene.
@@ -83,6 +83,7 @@ pub fn read_stretch(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
     let damaged = |source| LogError::mcap(path, "read", source);
     match End::read(&mut file) {
         Some(end) => finished(&mut file, &end, wanted).map_err(damaged),
+        None if is_foreign(&mut file) => rewritten(path, wanted),
         None => beginning(path, wanted),
     }
 }
@@ -100,6 +101,30 @@ fn finished(file: &mut File, end: &End, wanted: Wanted) -> Result<Stretch, McapE
     let from_ns = start_ns.saturating_add((wanted.from_s.max(0.0) * 1e9) as u64);
     let topic = [Channel::State.topic()];
     end.messages(file, &topic, from_ns..u64::MAX, |_, data| stretch.add(data, wanted))?;
+    Ok(stretch)
+}
+
+/// Reads a log that another program wrote anew.
+fn rewritten(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
+    let mut stretch = Stretch::default();
+    let mut last_s = 0.0_f64;
+    let ending = reader::read(path, |item| {
+        let Item::Message { topic, data, .. } = item else { return ControlFlow::Continue(()) };
+        match Channel::from_topic(topic) {
+            Some(Channel::State) => {
+                let time_s = State::decode(data).map_or(0.0, |state| state.time_s);
+                last_s = last_s.max(time_s);
+                if time_s >= wanted.from_s {
+                    // The scene may come behind, and so does the end.
+                    let _ = stretch.add(data, wanted);
+                }
+            }
+            Some(Channel::SceneBody | Channel::SceneSources) => stretch.draw(data),
+            _ => {}
+        }
+        ControlFlow::Continue(())
+    })?;
+    stretch.end_s = ending.finished.then_some(last_s);
     Ok(stretch)
 }
 

@@ -6,25 +6,24 @@
 //! later; that, [`LogWriter::leave`] and a killed process leave one behind. Every chunk but the last ends with a
 //! checkpoint, from which such a file can be resumed ([`LogWriter::resume`]).
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use foxglove::messages::Log;
 use foxglove::messages::log::Level as FoxgloveLevel;
-use mcap::records::{MessageHeader, Metadata};
-use mcap::write::PrivateRecordOptions;
-use mcap::{Attachment, McapResult, WriteOptions};
 use prost::Message;
 
+use super::background::{ChunkWriter, Refusal, WriterThread};
+use super::container::{Catalog, Chunk, Container};
 use super::end::End;
 use super::messages::{self, EnsembleStatistics, Figures, Member, Message as SampleMessage};
 use super::overview::Curves;
-use super::part::{Part, Syncer, folder, irreplaceable, sync_folder};
+use super::part::{Durable, Part, Syncer, folder, irreplaceable, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
-use super::schema::{Channel, Compression, ENCODING, Topic, timestamp};
+use super::schema::{Channel, Compression, Topic, timestamp};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
     is_transient,
@@ -83,17 +82,22 @@ pub enum Level {
 
 /// Writes the log of one job.
 ///
-/// A closed chunk is with the operating system at once, where it survives a kill of the process, and on
-/// the disk soon after: [`LogWriter::durable_step`] says how far.
+/// Messages are encoded into a chunk in memory. From the second chunk on a thread compresses and writes closed ones: a closed
+/// chunk is with the operating system soon, where it survives a kill of the process, and on the disk soon after:
+/// [`LogWriter::durable_step`] says how far.
 pub struct LogWriter {
     path: PathBuf,
     /// n of SO(n).
     pub(super) dimension: usize,
     /// Empty once the file is no longer ours to remove.
     pub(super) part: PathBuf,
-    file: mcap::Writer<Part>,
+    /// The open chunk.
+    chunk: Chunk,
+    catalog: Catalog,
+    place: Place,
     part_file: Part,
-    pub(super) syncer: Syncer,
+    /// How far the file is on the disk.
+    durable: Arc<Durable>,
     given_up: bool,
     /// Fate of the file when the writer is dropped.
     rest: Rest,
@@ -102,18 +106,28 @@ pub struct LogWriter {
     samples_per_chunk: u64,
     /// Topics to be written, in the order of the channel ids.
     topics: Vec<Topic>,
-    /// Ids by topic, once registered.
-    ids: Option<BTreeMap<Topic, u16>>,
+    /// Their ids, once registered.
+    ids: Vec<u16>,
+    /// Whether a message shows a quaternion.
+    shows_turns: bool,
     pub(super) samples: u64,
     /// Number of samples when the last chunk was closed.
     closed_at: u64,
-    /// Whether the open chunk holds messages; one without would start in 1970.
-    chunk_has_messages: bool,
     last_ns: u64,
     /// The last quaternion of each member: the next has the nearer sign.
     pub(super) turns: BTreeMap<u64, [f64; 4]>,
     /// Chart data of a long log.
     pub(super) curves: Curves,
+}
+
+/// What writes closed chunks.
+enum Place {
+    /// This thread, which waits: most logs end within their first chunk.
+    Here(Box<ChunkWriter>),
+    /// A thread of its own.
+    There(WriterThread),
+    /// Nothing: something failed.
+    Lost,
 }
 
 /// Fate of an unfinished file.
@@ -207,23 +221,8 @@ impl LogWriter {
         part_file: Part,
     ) -> Result<Self, LogError> {
         may_write(path)?;
-        let compression = match header.compression {
-            Compression::Zstd => Some(mcap::Compression::Zstd),
-            Compression::Lz4 => Some(mcap::Compression::Lz4),
-            Compression::None => None,
-        };
-        let file = WriteOptions::new()
-            .profile("")
-            .library(LIBRARY)
-            .compression(compression)
-            // Other numbers give other bytes.
-            .compression_threads(0)
-            // A chunk goes to the file in one piece: a kill leaves whole records.
-            .disable_seeking(true)
-            // Chunks end by the count of samples alone.
-            .chunk_size(None)
-            .create(part_file.clone())
-            .map_err(|source| LogError::mcap(path, "create", source))?;
+        let file = Container::begin(part_file.clone(), LIBRARY, header.compression)
+            .map_err(|source| LogError::io(path, "create", source))?;
         let wanted = |channel: &Channel| {
             header.channels.contains(channel)
                 && channel.exists(header.dimension == 3, header.scene.has_sources(), true, true)
@@ -236,13 +235,17 @@ impl LogWriter {
                 channels.iter().filter(move |channel| member == 0 || channel.is_sampled());
             sampled.map(move |&channel| Topic { member, channel })
         });
-        let topics = of_members.collect();
+        let topics: Vec<Topic> = of_members.collect();
+        let syncer = Syncer::new(part_file.clone(), path);
+        let turns = |topic: &Topic| matches!(topic.channel, Channel::State | Channel::Tf);
         let mut log = Self {
             path: path.to_owned(),
             dimension: header.dimension,
             part: PathBuf::new(),
-            file,
-            syncer: Syncer::new(part_file.clone(), path),
+            chunk: Chunk::default(),
+            catalog: Catalog::default(),
+            durable: syncer.durable(),
+            place: Place::Here(Box::new(ChunkWriter::new(file, syncer))),
             part_file,
             given_up: false,
             rest: Rest::Removed,
@@ -252,18 +255,17 @@ impl LogWriter {
                 .samples_per_chunk
                 .min(MAX_CHUNK_BYTES / 2 / sample_bytes.max(1))
                 .max(1),
+            shows_turns: topics.iter().any(turns),
             topics,
-            ids: None,
+            ids: Vec::new(),
             samples: 0,
             closed_at: 0,
-            chunk_has_messages: false,
             last_ns: header.epoch_ns,
             turns: BTreeMap::new(),
             curves: Curves::default(),
         };
         let start = log.time(0.0)?;
-        let job = Metadata { name: JOB_RECORD.to_owned(), metadata: header.job.clone() };
-        log.attempt(|file| file.write_metadata(&job))?;
+        log.attempt(|writer| writer.container().metadata(JOB_RECORD, &header.job))?;
         if let Some(scenario) = &header.scenario_json {
             log.attach(start, SCENARIO_ATTACHMENT, "application/json", scenario)?;
         }
@@ -277,16 +279,7 @@ impl LogWriter {
         media_type: &str,
         data: &[u8],
     ) -> Result<(), LogError> {
-        self.attempt(|file| {
-            file.attach(&Attachment {
-                log_time: time_ns,
-                // No clock: the same job gives the same bytes.
-                create_time: time_ns,
-                name: name.to_owned(),
-                media_type: media_type.to_owned(),
-                data: Cow::Borrowed(data),
-            })
-        })
+        self.attempt(|writer| writer.container().attach(time_ns, name, media_type, data))
     }
 
     /// Adds a line to `/log`, if that is written; its time is never before that of the last
@@ -318,12 +311,12 @@ impl LogWriter {
 
     /// Returns the step up to which the log is on the disk: what a reader finds after a power cut.
     pub fn durable_step(&self) -> u64 {
-        self.syncer.durable_step()
+        self.durable.step()
     }
 
     /// Returns the number of bytes of the unfinished log that are on the disk.
     pub fn durable_bytes(&self) -> u64 {
-        self.syncer.durable_bytes()
+        self.durable.bytes()
     }
 
     /// Writes a checkpoint and closes the chunk with it.
@@ -331,16 +324,25 @@ impl LogWriter {
     /// # Errors
     /// If the file cannot be written, or an earlier write or sync failed.
     pub fn checkpoint(&mut self, checkpoint: &messages::Checkpoint) -> Result<(), LogError> {
-        if !self.chunk_has_messages {
+        if !self.chunk.has_messages() {
             return self.close_chunk(None);
         }
-        self.close_chunk(Some(&checkpoint.encode_to_vec()))?;
-        let requested = self.syncer.request(checkpoint.step);
-        requested.map_err(|source| self.refused("sync", source))
+        self.close_chunk(Some((&checkpoint.encode_to_vec(), checkpoint.step)))?;
+        // The samples that follow need not wait for it.
+        if let Place::Here(_) = &self.place
+            && let Place::Here(writer) = std::mem::replace(&mut self.place, Place::Lost)
+        {
+            let thread =
+                WriterThread::start(writer).map_err(|source| self.refused(("write", source)))?;
+            self.place = Place::There(thread);
+        }
+        Ok(())
     }
 
     /// Leaves the log unfinished, to be resumed by [`LogWriter::resume`].
     pub fn leave(mut self) {
+        // What fails now is as if it had not been tried.
+        let _ = self.recall();
         self.part_file.leave();
         self.part = PathBuf::new();
     }
@@ -360,15 +362,19 @@ impl LogWriter {
         let mut metadata = outcome.entries;
         metadata.insert("state".to_owned(), outcome.state);
         metadata.insert("samples".to_owned(), self.samples.to_string());
-        let record = Metadata { name: OUTCOME_RECORD.to_owned(), metadata };
-        self.attempt(|file| file.write_metadata(&record))?;
-        self.attempt(|file| file.finish().map(drop))?;
+        self.attempt(|writer| writer.container().metadata(OUTCOME_RECORD, &metadata))?;
+        let Place::Here(writer) = std::mem::replace(&mut self.place, Place::Lost) else {
+            return Err(LogError::GivenUp { path: self.path.clone() });
+        };
+        let (container, mut syncer) = writer.into_parts();
+        let ended = container.finish(&self.catalog);
+        ended.map_err(|source| self.refused(("write", source)))?;
 
-        let synced = self.syncer.settle().and_then(|()| self.part_file.close());
+        let synced = syncer.settle().and_then(|()| self.part_file.close());
         // The file stays locked until it has its name.
-        let _file = synced.map_err(|source| self.refused("sync", source))?;
+        let _file = synced.map_err(|source| self.refused(("sync", source)))?;
         let renamed = fs::rename(&self.part, &self.path);
-        renamed.map_err(|source| self.refused("rename", source))?;
+        renamed.map_err(|source| self.refused(("rename", source)))?;
         self.part = PathBuf::new();
         // The rename is durable with its directory.
         sync_folder(folder(&self.path)).map_err(|source| LogError::io(&self.path, "sync", source))
@@ -376,7 +382,7 @@ impl LogWriter {
 
     /// Takes note that the file system refused something: no more is written, and the file stays if
     /// that may succeed later.
-    fn refused(&mut self, action: &'static str, source: std::io::Error) -> LogError {
+    fn refused(&mut self, (action, source): Refusal) -> LogError {
         self.given_up = true;
         self.rest = match (is_transient(&source), action) {
             (false, _) => self.rest,
@@ -398,81 +404,123 @@ impl LogWriter {
         time_ns: u64,
         message: &impl Message,
     ) -> Result<(), LogError> {
-        let topic = channel.into();
-        if self.topics.contains(&topic) {
-            self.put_encoded(topic, time_ns, &message.encode_to_vec())?;
+        let topic = Topic::from(channel);
+        if let Some(at) = self.topics.iter().position(|of| *of == topic) {
+            self.put_at(at, time_ns, self.samples as u32, |out| encode(message, out))?;
         }
         Ok(())
     }
 
-    fn put_encoded(&mut self, topic: Topic, time_ns: u64, payload: &[u8]) -> Result<(), LogError> {
-        let header = MessageHeader {
-            channel_id: self.id(topic)?,
-            // The sample's number; it wraps, as the format's counter does.
-            sequence: self.samples as u32,
-            log_time: time_ns,
-            publish_time: time_ns,
-        };
-        self.write(&header, payload)
-    }
-
-    /// Returns the id of a topic that is to be written.
-    pub(super) fn id(&mut self, topic: Topic) -> Result<u16, LogError> {
-        // Registered only now, with a message at hand: channels without one leave an empty chunk
-        // that starts in 1970, and viewers with it.
-        if self.ids.is_none() {
-            self.register()?;
-        }
-        let id = self.ids.as_ref().and_then(|ids| ids.get(&topic)).copied();
-        id.ok_or_else(|| LogError::GivenUp { path: self.path.clone() })
-    }
-
-    fn register(&mut self) -> Result<(), LogError> {
-        let mut ids = BTreeMap::new();
-        for topic in self.topics.clone() {
-            let schema = topic.channel.schema();
-            let id = self.attempt(|file| {
-                let schema = file.add_schema(schema.name, ENCODING, &schema.descriptors)?;
-                file.add_channel(schema, &topic.name(), ENCODING, &BTreeMap::new())
-            })?;
-            ids.insert(topic, id);
-        }
-        self.ids = Some(ids);
-        Ok(())
-    }
-
-    pub(super) fn write(&mut self, header: &MessageHeader, payload: &[u8]) -> Result<(), LogError> {
-        self.last_ns = header.log_time;
-        self.chunk_has_messages = true;
-        self.attempt(|file| file.write_to_known_channel(header, payload))
-    }
-
-    /// Ends the chunk, with the record of a checkpoint if there is one.
-    pub(super) fn close_chunk(&mut self, checkpoint: Option<&[u8]>) -> Result<(), LogError> {
-        self.closed_at = self.samples;
-        self.chunk_has_messages = false;
-        if let Some(record) = checkpoint {
-            let place = PrivateRecordOptions::IncludeInChunks.into();
-            self.attempt(|file| file.write_private_record(CHECKPOINT_OPCODE, record, place))?;
-        }
-        self.attempt(mcap::Writer::flush)
-    }
-
-    /// Does something to the file, unless an earlier attempt failed.
-    fn attempt<T>(
+    /// Writes a message of the topic at a place in their list, which `encode` puts into bytes.
+    fn put_at(
         &mut self,
-        action: impl FnOnce(&mut mcap::Writer<Part>) -> McapResult<T>,
-    ) -> Result<T, LogError> {
+        at: usize,
+        time_ns: u64,
+        sequence: u32,
+        encode: impl FnOnce(&mut Vec<u8>),
+    ) -> Result<(), LogError> {
         if self.given_up {
             return Err(LogError::GivenUp { path: self.path.clone() });
         }
-        action(&mut self.file).map_err(|source| {
-            self.given_up = true;
-            match source {
-                mcap::McapError::Io(source) => self.refused("write", source),
-                source => LogError::mcap(&self.path, "write", source),
+        self.last_ns = time_ns;
+        // Registered only now, with a message at hand: channels without one leave an empty chunk
+        // that starts in 1970, and viewers with it.
+        if self.ids.is_empty() {
+            for topic in &self.topics {
+                let schema = topic.channel.schema();
+                let schema = (schema.name, &*schema.descriptors);
+                self.ids.push(self.chunk.channel(&mut self.catalog, topic.name(), schema));
             }
+        }
+        self.chunk.message(self.ids[at], sequence, time_ns, encode);
+        Ok(())
+    }
+
+    /// Writes a message of an earlier run again; nothing if its topic is not written.
+    pub(super) fn put_again(
+        &mut self,
+        topic: Topic,
+        time_ns: u64,
+        sequence: u32,
+        data: &[u8],
+    ) -> Result<(), LogError> {
+        let at = self.topics.iter().position(|of| *of == topic);
+        at.map_or(Ok(()), |at| {
+            self.put_at(at, time_ns, sequence, |out| out.extend_from_slice(data))
         })
+    }
+
+    /// Ends a chunk of an earlier run, which is on the disk or soon will be.
+    pub(super) fn close_chunk_again(&mut self, record: &[u8]) -> Result<(), LogError> {
+        self.chunk.private(CHECKPOINT_OPCODE, record);
+        self.close_chunk(None)
+    }
+
+    /// Takes note that the file is on the disk up to `step`.
+    pub(super) fn settled(&self, step: u64) {
+        if let Place::Here(writer) = &self.place {
+            writer.syncer().settled(step);
+        }
+    }
+
+    /// Ends the chunk, with the record of a checkpoint and its step if there is one.
+    fn close_chunk(&mut self, checkpoint: Option<(&[u8], u64)>) -> Result<(), LogError> {
+        self.closed_at = self.samples;
+        if let Some((record, _)) = checkpoint {
+            self.chunk.private(CHECKPOINT_OPCODE, record);
+        }
+        let step = checkpoint.map(|(_, step)| step);
+        if self.given_up {
+            return Err(LogError::GivenUp { path: self.path.clone() });
+        }
+        let done = match &mut self.place {
+            Place::Here(writer) => {
+                let done = writer.write(&self.chunk, step);
+                self.chunk.clear();
+                done
+            }
+            Place::There(thread) => match thread.hand_over(std::mem::take(&mut self.chunk), step) {
+                Some(chunk) => {
+                    self.chunk = chunk;
+                    Ok(())
+                }
+                None => return self.recall(),
+            },
+            Place::Lost => return Err(LogError::GivenUp { path: self.path.clone() }),
+        };
+        done.map_err(|refusal| self.refused(refusal))
+    }
+
+    /// Waits until all chunks are written, and takes back what writes them.
+    fn recall(&mut self) -> Result<(), LogError> {
+        if let Place::There(_) = &self.place
+            && let Place::There(thread) = std::mem::replace(&mut self.place, Place::Lost)
+        {
+            let (writer, done) = thread.stop();
+            if let Some(writer) = writer {
+                self.place = Place::Here(writer);
+            }
+            done.map_err(|refusal| self.refused(refusal))?;
+        }
+        Ok(())
+    }
+
+    /// Writes something behind the open chunk, unless an earlier attempt failed.
+    fn attempt(
+        &mut self,
+        action: impl FnOnce(&mut ChunkWriter) -> std::io::Result<()>,
+    ) -> Result<(), LogError> {
+        if self.given_up {
+            return Err(LogError::GivenUp { path: self.path.clone() });
+        }
+        if self.chunk.has_messages() {
+            self.close_chunk(None)?;
+        }
+        self.recall()?;
+        let Place::Here(writer) = &mut self.place else {
+            return Err(LogError::GivenUp { path: self.path.clone() });
+        };
+        action(writer).map_err(|source| self.refused(("write", source)))
     }
 
     /// Takes a sample of a member of an ensemble.
@@ -492,7 +540,11 @@ impl LogWriter {
             step: sample.step,
             time_s: sample.time_s,
             finite: sample.is_finite(),
-            quaternion: sample.attitude.as_ref().and_then(messages::quaternion),
+            quaternion: sample
+                .attitude
+                .as_ref()
+                .filter(|_| self.shows_turns)
+                .and_then(messages::quaternion),
         };
         let message = |channel, turn| SampleMessage::of_sample(channel, sample, turn);
         self.record_seen(member, seen, &message)
@@ -516,6 +568,8 @@ impl LogWriter {
             // No checkpoint was offered.
             self.close_chunk(None)?;
         }
+        // The sample's number; it wraps, as the format's counter does.
+        let sequence = self.samples as u32;
         let before = self.turns.get(&member).copied();
         let turn = sample.quaternion.map(|found| messages::nearer_sign(before, found));
         self.turns.extend(turn.map(|turn| (member, turn)));
@@ -533,11 +587,11 @@ impl LogWriter {
                         Vec::new()
                     };
                     let frames = messages::frames(turn, time_ns, &body_frame(member), sources);
-                    self.put_encoded(topic, time_ns, &frames.encode_to_vec())?;
+                    self.put_at(i, time_ns, sequence, |out| encode(&frames, out))?;
                 }
             } else if let Some(message) = message(topic.channel, turn) {
                 self.curves.note(topic, time_ns - self.epoch_ns, &message);
-                self.put_encoded(topic, time_ns, &message.encode())?;
+                self.put_at(i, time_ns, sequence, |out| message.encode(out))?;
             }
         }
         self.samples += 1;
@@ -568,6 +622,11 @@ impl LogWriter {
     }
 }
 
+/// Adds the bytes of a message.
+fn encode(message: &impl Message, out: &mut Vec<u8>) {
+    message.encode(out).expect("a vector has room");
+}
+
 /// Parts of a sample that the writer looks at.
 struct SampleSeen {
     step: u64,
@@ -594,9 +653,12 @@ impl<const N: usize> Sink<N> for LogWriter {
 
 impl Drop for LogWriter {
     fn drop(&mut self) {
-        // The MCAP writer completes its file when it is dropped: that must not reach the file.
+        // Chunks that wait are not needed: no run resumes from them, or they failed.
         self.part_file.leave();
-        let _ = self.syncer.settle();
+        let _ = self.recall();
+        if let Place::Here(writer) = std::mem::replace(&mut self.place, Place::Lost) {
+            let _ = writer.into_parts().1.settle();
+        }
         if self.part.as_os_str().is_empty() {
             return;
         }
@@ -607,7 +669,7 @@ impl Drop for LogWriter {
             Rest::KeptWhereSynced => fs::File::options()
                 .write(true)
                 .open(&self.part)
-                .and_then(|file| file.set_len(self.syncer.durable_bytes())),
+                .and_then(|file| file.set_len(self.durable.bytes())),
         };
     }
 }

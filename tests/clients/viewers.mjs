@@ -2,8 +2,10 @@
 //
 //     node viewers.mjs [SCREENSHOT.png]
 import assert from "node:assert/strict";
-import { spawn } from "node:child_process";
+import { spawn, spawnSync } from "node:child_process";
+import { mkdtempSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
+import { tmpdir } from "node:os";
 import { browser, checks, ended, service, shipped, submit } from "./service.mjs";
 
 const RERUN = process.env.RERUN ?? "target/clients/bin/rerun";
@@ -19,6 +21,45 @@ const port = async () => {
   const { port } = server.address();
   await new Promise(closed => server.close(closed));
   return port;
+};
+
+// What Rerun shows of an address: the picture once it stays, and the number of colours in it and where the body is.
+const inRerun = async (files, address, loaded) => {
+  const [grpc, web] = [await port(), await port()];
+  const rerun = spawn(RERUN, [...files, "--serve-web", "--bind", "127.0.0.1", "--port", String(grpc), "--web-viewer-port", String(web)],
+    { stdio: "ignore", detached: true, env: { ...process.env, RERUN_ANALYTICS: "0" } });
+  try {
+    const viewer = await chromium.newPage({ viewport: { width: 1200, height: 760 } });
+    const requested = loaded?.(viewer);
+    for (let tries = 0; ; tries += 1) {
+      try { await viewer.goto(`http://127.0.0.1:${web}/?url=${encodeURIComponent(address(grpc))}`); break; } catch (error) {
+        if (tries === 40) throw error;
+        await new Promise(later => setTimeout(later, 250));
+      }
+    }
+    const request = await requested;
+    const count = (shot, [x, y, width, height]) => viewer.evaluate(async ({ bytes, x, y, width, height }) => {
+      const picture = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: "image/png" }));
+      const canvas = new OffscreenCanvas(picture.width, picture.height);
+      const pen = canvas.getContext("2d");
+      pen.drawImage(picture, 0, 0);
+      const { data } = pen.getImageData(x, y, width, height);
+      const seen = new Set();
+      for (let i = 0; i < data.length; i += 4) seen.add(data[i] << 16 | data[i + 1] << 8 | data[i + 2]);
+      return seen.size;
+    }, { bytes: [...shot], x, y, width, height });
+    // The viewer draws on a canvas: it has drawn the log once there are colours and they stay, which takes moments.
+    let [shot, colors] = [await viewer.screenshot(), 0];
+    for (let same = 0, tries = 0; (same < 2 || colors <= 100) && tries < 120; tries += 1) {
+      await viewer.waitForTimeout(500);
+      const next = await viewer.screenshot();
+      same = next.equals(shot) ? same + 1 : 0;
+      shot = next;
+      colors = await count(shot, [0, 0, 1200, 760]);
+    }
+    assert.ok(colors > 100, `${colors} colours: nothing was drawn`);
+    return { request, shot, colors, middle: await count(shot, [250, 280, 100, 100]) };
+  } finally { process.kill(-rerun.pid); } // the viewer is a child of what was started
 };
 
 const page = await chromium.newPage();
@@ -62,42 +103,23 @@ await checks({
     assert.equal(status, 409);
   },
   "the Rerun web viewer opens our address": async () => {
-    const [grpc, web] = [await port(), await port()];
-    const rerun = spawn(RERUN, ["--serve-web", "--bind", "127.0.0.1", "--port", String(grpc), "--web-viewer-port", String(web)],
-      { stdio: "ignore", detached: true, env: { ...process.env, RERUN_ANALYTICS: "0" } });
-    try {
-      const viewer = await chromium.newPage({ viewport: { width: 1100, height: 700 } });
-      const loaded = viewer.waitForEvent("requestfinished", { predicate: request => request.url().startsWith(log), timeout: 60_000 });
-      for (let tries = 0; ; tries += 1) {
-        try { await viewer.goto(`http://127.0.0.1:${web}/?url=${encodeURIComponent(log)}`); break; } catch (error) {
-          if (tries === 40) throw error;
-          await new Promise(later => setTimeout(later, 250));
-        }
-      }
-      const answer = await (await loaded).response();
-      assert.equal(answer.status(), 200);
-      // The viewer draws on a canvas: it has drawn the log once it no longer says that it loads, which takes moments.
-      let shot = await viewer.screenshot();
-      for (let same = 0, tries = 0; same < 2 && tries < 8; tries += 1) {
-        await viewer.waitForTimeout(500);
-        const next = await viewer.screenshot();
-        same = next.equals(shot) ? same + 1 : 0;
-        shot = next;
-      }
-      const colors = await viewer.evaluate(async bytes => {
-        const picture = await createImageBitmap(new Blob([new Uint8Array(bytes)], { type: "image/png" }));
-        const canvas = new OffscreenCanvas(picture.width, picture.height);
-        const pen = canvas.getContext("2d");
-        pen.drawImage(picture, 0, 0);
-        const { data } = pen.getImageData(0, 0, picture.width, picture.height);
-        const seen = new Set();
-        for (let i = 0; i < data.length; i += 4) seen.add(data[i] << 16 | data[i + 1] << 8 | data[i + 2]);
-        return seen.size;
-      }, [...shot]);
-      assert.ok(colors > 100, `${colors} colours: nothing was drawn`);
-      if (process.argv[2]) (await import("node:fs")).writeFileSync(process.argv[2], shot);
-      return `${answer.request().method()} ${answer.status()}, ${colors} colours`;
-    } finally { process.kill(-rerun.pid); } // the viewer is a child of what was started
+    const { request, colors } = await inRerun([], () => log, page => page.waitForEvent("requestfinished",
+      { predicate: request => request.url().startsWith(log), timeout: 60_000 }));
+    const answer = await request.response();
+    assert.equal(answer.status(), 200);
+    return `${request.method()} ${answer.status()}, ${colors} colours`;
+  },
+  "a recording of it shows the body": async () => {
+    const folder = mkdtempSync(`${tmpdir()}/vpd-`);
+    const [file, recording] = [`${folder}/heavy-top.mcap`, `${folder}/heavy-top.rrd`];
+    writeFileSync(file, Buffer.from(await (await fetch(log)).arrayBuffer()));
+    const done = spawnSync(RERUN.replace(/rerun$/, "python"), ["docs/rerun_log.py", file, recording], { encoding: "utf8" });
+    assert.equal(done.status, 0, done.stderr);
+    const { colors, shot, middle } = await inRerun([recording], grpc => `rerun+http://127.0.0.1:${grpc}/proxy`);
+    // The box is in the middle of the left half, shaded: an empty view is of one colour there.
+    assert.ok(middle > 20, `${middle} colours where the body is`);
+    if (process.argv[2]) writeFileSync(process.argv[2], shot);
+    return `${colors} colours, ${middle} where the body is`;
   },
 });
 await chromium.close();

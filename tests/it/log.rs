@@ -3,6 +3,7 @@
 mod damage;
 mod fixture;
 mod overview;
+mod rewritten;
 mod viewing;
 
 use std::collections::BTreeSet;

@@ -96,7 +96,7 @@ fn what_is_put_in_is_logged() {
     let (seen, totals) = (summary.energy.expect("logged"), || energies.iter().map(|e| e.total));
     assert_eq!(
         [seen.least, seen.largest, seen.last],
-        [totals().reduce(f64::min), totals().reduce(f64::max), totals().last()]
+        [totals().reduce(f64::min), totals().reduce(f64::max), totals().next_back()]
     );
     assert!(seen.largest.expect("seen") - seen.least.expect("seen") > 0.1);
     let found = vpd::log::inspect::inspect(&log).expect("a log");

@@ -1,6 +1,6 @@
 //! Laws of the group, the potential and the step, for n = 2 to 8.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Vector3};
 use vpd_solve::hamiltonian::{DrivenTerm, Factor, Kinetic, Law, Path, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
@@ -135,6 +135,46 @@ fn the_smallest_eigenvalue_of_a_symmetric_matrix() {
                 assert!(error <= 1e-11 * p.amax(), "n = {N}, {gap:e}, {size:e}: {error:e}");
             }
         }
+    }
+    for_sizes!(law);
+}
+
+#[test]
+fn the_distance_from_the_group_is_the_spectral_norm() {
+    fn law<const N: usize>() {
+        let mut numbers = Numbers(13);
+        for size in [0.0, 1e-15, 1e-9, 1e-3, 1.0, 1e3] {
+            // A stretch along every axis, along all alike, along one, and none.
+            for kind in 0..4 {
+                let q = numbers.rotation::<N>();
+                let stretched = match kind {
+                    0 => Mat::identity() + numbers.matrix() * size,
+                    1 => Mat::identity() * (1.0 + size),
+                    2 => Mat::from_fn(|i, j| {
+                        if i != j {
+                            0.0
+                        } else if i == 0 {
+                            1.0 - size
+                        } else {
+                            1.0
+                        }
+                    }),
+                    _ => Mat::identity(),
+                };
+                let g = so::product(&q, &stretched);
+                let defect = so::product(&g, &g.transpose()) - Mat::<N>::identity();
+                let defect = DMatrix::from_column_slice(N, N, defect.as_slice());
+                let wanted = defect.symmetric_eigen().eigenvalues.amax();
+                let found = so::orthogonality_error(&g);
+                assert!(
+                    (found - wanted).abs() <= 1e-14 * wanted,
+                    "n = {N}, {size:e}, {kind}: {found:e}, not {wanted:e}"
+                );
+            }
+        }
+        assert_eq!(so::orthogonality_error(&Mat::<N>::identity()), 0.0);
+        assert!(so::orthogonality_error(&(Mat::<N>::identity() * f64::NAN)).is_nan());
+        assert!(so::orthogonality_error(&(Mat::<N>::identity() * 1e200)).is_nan());
     }
     for_sizes!(law);
 }
