@@ -68,6 +68,9 @@ def pieces(table):
     found = []
     for first, last in zip(ends, ends[1:]):
         t, v = times[first:last], values[first:last]
+        # A jump at the first time of a table, or the last.
+        if len(t) == 1:
+            continue
         if kind == "monotone":
             cubics = PchipInterpolator(t, v).c[::-1].T
         elif kind == "linear":
