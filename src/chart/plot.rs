@@ -237,19 +237,22 @@ impl Plot<'_> {
         head.draw(&Text::new(fitted(&self.title, 84), (20, 14), title))?;
         let (body, side) = below.split_horizontally(SIZE.0 - self.legend_width());
         let (body, _) = body.split_vertically(SIZE.1 - TITLE_HEIGHT);
+        // Space for the widest number of the vertical axis, next to its name.
+        let widest = y.ticks.iter().map(|tick| y.format_ext(tick).chars().count()).max();
+        let numbers = (30 + 8 * widest.unwrap_or(0) as u32).max(76);
         let mut chart = ChartBuilder::on(&body)
             .margin(10)
-            .margin_right(24)
+            .margin_right(36)
             .x_label_area_size(48)
-            .y_label_area_size(76)
+            .y_label_area_size(numbers)
             .build_cartesian_2d(x.clone(), y.clone())?;
         chart
             .configure_mesh()
             .light_line_style(TRANSPARENT)
             .bold_line_style(PALE)
             .axis_style(INK)
-            .x_desc(fitted(self.x.label, 54))
-            .y_desc(fitted(self.y.label, 54))
+            .x_desc(fitted(self.x.label, 50))
+            .y_desc(fitted(self.y.label, 50))
             .x_label_formatter(&|place| x.format_ext(place))
             .y_label_formatter(&|place| y.format_ext(place))
             .label_style(("sans-serif", 15).into_font().color(&INK))

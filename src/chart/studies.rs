@@ -10,7 +10,7 @@ use crate::study::table::Row;
 const STEP: Axis<'static> = Axis { label: "step in s", scale: Scale::Log };
 /// The sum of two: see [`crate::study::Reference::distance`].
 const ERROR: Axis<'static> =
-    Axis { label: "error at the end: attitude in rad + momentum, relative", scale: Scale::Log };
+    Axis { label: "error: attitude in rad + momentum, relative", scale: Scale::Log };
 const WORK_TIME: Axis<'static> =
     Axis { label: "computing time for a second of motion, in us", scale: Scale::Log };
 const WORK_FORCES: Axis<'static> =

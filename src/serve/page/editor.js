@@ -159,7 +159,7 @@ function check() {
   const marks = [...refused, ...found].sort((a, b) => a.from - b.from).map(mark => ({ severity: "error", ...mark }));
   view.dispatch(codemirror.setDiagnostics(view.state, marks));
   const [first] = found;
-  put($("check"), refused.length || !first ? "" : `Line ${view.state.doc.lineAt(first.from).number}: ${first.message}${found.length > 1 ? ` (and ${found.length - 1} more)` : ""}`);
+  putProse($("check"), refused.length || !first ? "" : `Line ${view.state.doc.lineAt(first.from).number}: ${first.message}${found.length > 1 ? ` (and ${found.length - 1} more)` : ""}`);
 }
 
 // Shows what the service says is wrong with the text, at the field.
@@ -170,7 +170,7 @@ function complain({ body, message, status }) {
   const pointer = isSweep(text.value) ? body?.pointer : body?.pointer?.replace(/^\/scenario(?=\/|$)/, "");
   const spot = pointer != null ? place(text.value, pointer) : null;
   const line = spot && view.state.doc.lineAt(spot[0]).number;
-  $("problem").append(h("strong", {}, line ? `Line ${line}` : status ? "Rejected" : "Not sent"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", `: ${message}`);
+  $("problem").append(h("strong", {}, line ? `Line ${line}` : status ? "Rejected" : "Not sent"), body?.pointer ? h("code", {}, ` ${body.pointer}`) : "", ...prose(`: ${message}`));
   if (spot) {
     const [from, end] = spot;
     refused = [{ from, to: Math.min(end, from + 200), message }];

@@ -11,7 +11,7 @@ function schemes(method) {
 
 // Methods and channels as the schema lists them.
 async function makeForm() {
-  schema = await json("scenario.schema.json");
+  schema = await json("scenario.schema.json", { patient: true });
   const { $defs } = schema;
   const options = $defs.MethodName.oneOf.map(({ const: name, description }) => h("option", { value: name, title: description }, name));
   $("method").replaceChildren(...options);

@@ -337,8 +337,10 @@ async function firstText() {
 }
 
 async function start() {
-  const described = json("openapi.json").catch(() => ({ paths: {} }));
-  const [{ scenarios }] = await Promise.all([json("scenarios"), makeForm()]);
+  // These are no presses: they may take long on a busy machine.
+  const patient = true;
+  const described = json("openapi.json", { patient }).catch(() => ({ paths: {} }));
+  const [{ scenarios }] = await Promise.all([json("scenarios", { patient }), makeForm()]);
   const options = scenarios.map(({ name, description }) => {
     const option = h("option", { value: name }, name);
     option.dataset.about = description ?? "";
