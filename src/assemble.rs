@@ -2,10 +2,11 @@
 //!
 //! Invariant: the only place that turns runtime n into const N.
 
-use crate::method::Parts;
+use crate::method::{Integrator, Parts};
 use crate::plan::{Motion, Plan};
 use crate::solve::ensemble::{Members, Sequential};
 use crate::solve::hamiltonian::RigidBody;
+use crate::solve::nonlinear::Rungs;
 use crate::solve::state::State;
 use crate::solve::stepper::Stepper;
 use crate::solve::stepper::at_rest::AtRest;
@@ -95,7 +96,14 @@ fn in_any_dimension<const N: usize>(plan: &Plan) -> Option<Box<dyn Stepper<N>>> 
 
 /// Returns the stepper that the plan chose, for n = 3.
 fn in_three_dimensions(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
-    let stepper = plan.formulation.method.in_three_dimensions(parts(plan))?;
+    let method = plan.formulation.method;
+    // The reduced form has wheels in matrices alone; Newton's method for a driven body goes farther there.
+    let model = &plan.model;
+    let wheels = method == Integrator::VpdReduced && model.wheels.is_some();
+    if wheels || model.is_driven() && model.stop.rungs == Rungs::Newton {
+        return method.in_any_dimension(parts(plan));
+    }
+    let stepper = method.in_three_dimensions(parts(plan))?;
     let (body, start) = plan.model.problem::<3>();
     let plane = Plane::of(&body, &start).filter(|_| plan.formulation.motion == Motion::InPlane);
     let (tableau, stop) = (&plan.model.tableau, plan.model.stop);

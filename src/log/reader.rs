@@ -99,8 +99,8 @@ pub fn is_log(path: &Path) -> Result<bool, LogError> {
 /// before it is sound.
 ///
 /// # Errors
-/// If the file cannot be opened or read; [`LogError::Foreign`] if another program wrote it and nothing in it is of a log of
-/// ours, unless `visit` broke off.
+/// If the file cannot be opened or read; [`LogError::Foreign`] if another program wrote it to its end and nothing in it is of
+/// a log of ours, unless `visit` broke off.
 pub fn read(
     path: &Path,
     mut visit: impl FnMut(Item<'_>) -> ControlFlow<()>,
@@ -118,32 +118,12 @@ fn read_for(path: &Path, visit: &mut Visit<'_>) -> Result<Ending, LogError> {
     file.rewind().map_err(failed)?;
     let mut file = BufReader::with_capacity(READ_AT_ONCE, file);
 
-    let options = options(foreign).with_validate_summary_section_crc(true);
-    let mut reader = LinearReader::new_with_options(options);
     let mut walk = Walk { foreign, cover, ..Walk::default() };
-    let damage = loop {
-        match reader.next_event() {
-            None => break walk.missing(),
-            Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
-                let space = reader.insert(wanted.clamp(1, READ_AT_ONCE));
-                let got = file.read(space).map_err(failed)?;
-                reader.notify_read(got);
-            }
-            Some(Ok(LinearReadEvent::Record { opcode, data })) => {
-                match walk.step(opcode, data, visit) {
-                    Ok(ControlFlow::Continue(())) => {}
-                    Ok(ControlFlow::Break(())) => {
-                        return Ok(Ending { chunks: walk.chunks, bytes, ..Ending::default() });
-                    }
-                    Err(damage) => break Some(damage),
-                }
-            }
-            Some(Err(McapError::UnexpectedEof)) => break Some(walk.cut()),
-            Some(Err(error)) => break Some(damaged(error)),
-        }
+    let ControlFlow::Continue(damage) = walk.over(&mut file, visit).map_err(failed)? else {
+        return Ok(Ending { chunks: walk.chunks, bytes, ..Ending::default() });
     };
-    // What another program wrote is not a damaged log of ours.
-    if let Some(library) = walk.library.as_ref().filter(|_| !walk.ours) {
+    // What another program wrote is not a damaged log of ours. Of a damaged file, what shows whose it is may stand behind the damage.
+    if let Some(library) = walk.library.as_ref().filter(|_| !walk.ours && walk.data_ended) {
         return Err(LogError::Foreign { path: path.to_owned(), library: library.clone() });
     }
     let unchecked = walk.unchecked();
@@ -307,6 +287,36 @@ struct Walk {
 }
 
 impl Walk {
+    /// Walks over a file from its beginning; returns its damage, unless `visit` breaks off.
+    fn over(
+        &mut self,
+        file: &mut impl Read,
+        visit: &mut Visit<'_>,
+    ) -> io::Result<ControlFlow<(), Option<String>>> {
+        let options = options(self.foreign).with_validate_summary_section_crc(true);
+        let mut reader = LinearReader::new_with_options(options);
+        let damage = loop {
+            match reader.next_event() {
+                None => break self.missing(),
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    let space = reader.insert(wanted.clamp(1, READ_AT_ONCE));
+                    let got = file.read(space)?;
+                    reader.notify_read(got);
+                }
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                    match self.step(opcode, data, visit) {
+                        Ok(ControlFlow::Continue(())) => {}
+                        Ok(ControlFlow::Break(())) => return Ok(ControlFlow::Break(())),
+                        Err(damage) => break Some(damage),
+                    }
+                }
+                Some(Err(McapError::UnexpectedEof)) => break Some(self.cut()),
+                Some(Err(error)) => break Some(damaged(error)),
+            }
+        };
+        Ok(ControlFlow::Continue(damage))
+    }
+
     /// Takes one record of the file.
     fn step(
         &mut self,

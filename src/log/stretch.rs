@@ -16,6 +16,7 @@ use serde::Serialize;
 use super::LogError;
 use super::end::End;
 use super::messages::State;
+use super::order::read_by_time;
 use super::reader::{self, Item, is_foreign};
 use super::schema::Channel;
 
@@ -108,7 +109,7 @@ fn finished(file: &mut File, end: &End, wanted: Wanted) -> Result<Stretch, McapE
 fn rewritten(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
     let mut stretch = Stretch::default();
     let mut last_s = 0.0_f64;
-    let ending = reader::read(path, |item| {
+    let ending = read_by_time(path, |item| {
         let Item::Message { topic, data, .. } = item else { return ControlFlow::Continue(()) };
         match Channel::from_topic(topic) {
             Some(Channel::State) => {
@@ -124,6 +125,8 @@ fn rewritten(path: &Path, wanted: Wanted) -> Result<Stretch, LogError> {
         }
         ControlFlow::Continue(())
     })?;
+    // As a log of ours has them.
+    stretch.scene.sort_by(|a, b| a.frame.cmp(&b.frame));
     stretch.end_s = ending.finished.then_some(last_s);
     Ok(stretch)
 }
