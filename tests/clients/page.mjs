@@ -812,22 +812,22 @@ await checks({
     const posts = [];
     waits.on("request", request => { if (request.method() === "POST" && request.url().endsWith("/jobs")) posts.push(request.headers()["idempotency-key"]); });
     const named = async () => (await (await fetch(`${url}/jobs?name=once`)).json()).jobs.length;
-    await waits.dblclick("#run", { delay: 20 });
+    // Both clicks of a double click, however slow this machine is; whether it says at once that it waits.
+    const twice = () => waits.evaluate(() => { $("run").click(); $("run").click(); return $("run").ariaBusy; });
+    assert.equal(await twice(), "true");
     await state(waits, "succeeded");
-    await waits.waitForTimeout(700);
+    await waits.waitForSelector("#run:not([aria-busy])");
     assert.equal(posts.length, 1);
     assert.equal(await named(), 1);
     // The service takes the job, and its answer does not come.
     await waits.route(/\/jobs$/, async route => { await route.fetch(); });
     await write(waits, (await written(waits)).replace("once", "once more"));
-    await press(waits, "#run");
-    const begun = Date.now();
-    await waits.waitForSelector("#run[aria-busy=true]");
-    const said = Date.now() - begun;
-    await press(waits, "#run");
+    await waits.waitForTimeout(700);
+    assert.equal(await twice(), "true");
     await waits.waitForFunction(() => /has not answered within 10 s/.test(document.querySelector("#problem").textContent));
     await waits.unroute(/\/jobs$/);
     await waits.waitForSelector("#run:not([aria-busy])");
+    await waits.waitForTimeout(700);
     await press(waits, "#run");
     await state(waits, "succeeded");
     assert.ok(posts.length === 3 && posts[1] === posts[2] && posts[0] !== posts[1], `${posts}`);
@@ -845,7 +845,7 @@ await checks({
     await press(waits, `#job-${id} button:text('Cancel')`);
     assert.equal((await ended(url, id)).state, "cancelled");
     await waits.context().close();
-    return `said after ${said} ms`;
+    return `${posts.length} requests`;
   },
   "no press is lost while jobs come, go and end": async () => {
     const many = await service(["--workers", "2"]);
