@@ -109,10 +109,11 @@ fn file() -> PathBuf {
 
 #[test]
 fn the_work_of_a_step_is_as_reviewed() {
-    let kept = fs::read_to_string(file()).expect("the file");
-    for (line, kept) in page().lines().zip(kept.lines()) {
+    let (page, kept) = (page(), fs::read_to_string(file()).expect("the file"));
+    for (line, kept) in page.lines().zip(kept.lines()) {
         assert_eq!(line, kept, "see rewrite_the_counts");
     }
+    assert_eq!(page.len(), kept.len(), "see rewrite_the_counts");
 }
 
 /// Writes what the steps take; look at the difference before it is kept.
