@@ -159,7 +159,6 @@ fn what_another_program_wrote_anew_has_the_same_samples() {
         ("no chunks, the outcome first", none().use_chunks(false), true, false),
         ("no chunks, no checksums", no_sums().use_chunks(false), false, true),
         ("chunks without checksums", no_sums(), false, true),
-        ("chunks under the checksum of the data", none().calculate_chunk_crcs(false), false, false),
         (
             "no summary",
             WriteOptions::new().emit_summary_records(false).emit_summary_offsets(false),
