@@ -210,9 +210,10 @@ fn any_number_of_workers_gives_the_same_bytes() {
 fn poison(can_end: bool) -> Option<i64> {
     let folder = tempfile::tempdir().expect("a folder");
     let mut faults = Faults::new(folder.path())?;
-    // Queued behind two long runs, so that its id is known before it begins.
-    let mut blocker = dipole(300_000);
+    // Queued behind two runs that last until they are cancelled, so that its id is known before it begins.
+    let mut blocker = dipole(100_000_000);
     blocker["name"] = "blocker".into();
+    blocker["log"]["every"] = 1_000_000.into();
     let service = Service::start(folder.path(), &["--workers", "2"]);
     let blockers = [service.submit(&blocker), service.submit(&blocker)];
     let poison = service.submit(&dipole(20_000));
