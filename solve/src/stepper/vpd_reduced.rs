@@ -5,7 +5,7 @@
 //! drops out of it. (The paper's (27b, nnf2) has a wrong index: the reduced phi~ map has weight 1,
 //! as in (19b, fff2).) The body momentum is the whole state; the attitude is composed of the
 //! rotations of the steps, g_{k+1} = g_k f_k, only on request. There are no forces, so sweeps start
-//! from a guess by the preceding steps ([`crate::nonlinear::Past`]).
+//! from a guess by the preceding steps ([`crate::nonlinear::StepHistory`]).
 //!
 //! Invariant: the momentum stays on its coadjoint orbit to round-off.
 
