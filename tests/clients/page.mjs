@@ -847,68 +847,6 @@ await checks({
     await waits.context().close();
     return `${posts.length} requests`;
   },
-  "no press is lost while jobs come, go and end": async () => {
-    const many = await service(["--workers", "2"]);
-    const scenario = { ...await shipped(many.url, "free-body"), expect: undefined };
-    const slow = { ...await long(), log: { every: 10_000, channels: ["/state"] } };
-    let going = true, posted = 0;
-    const load = (async () => {
-      for (let k = 0; going; k += 1) {
-        const { id } = await submit(many.url, k % 4 ? { ...scenario, name: `spin ${k}`, duration_s: 1 + 400 * (k % 3) } : { ...slow, name: `long ${k}` });
-        posted += 1;
-        if (k % 4 === 0) setTimeout(() => fetch(`${many.url}/jobs/${id}/cancel`, { method: "POST" }).catch(() => {}), 1500);
-        await new Promise(later => setTimeout(later, 300));
-      }
-    })();
-    const list = await open(many.url);
-    await list.waitForFunction(() => document.querySelectorAll("#jobs li a").length > 8);
-    // The same presses each time.
-    let seed = 7;
-    const random = () => { seed = (seed * 16807) % 2147483647; return seed / 2147483647; };
-    const presses = Number(process.env.PRESSES ?? 20), wrong = [];
-    let cancels = 0;
-    const cancelled = new Set();
-    list.on("request", request => { if (request.url().endsWith("/cancel")) cancelled.add(request.url().split("/").at(-2)); });
-    for (let k = 0; k < presses; k += 1) {
-      const rows = await list.$$eval("#jobs li", rows => rows.map(row => row.id));
-      const row = rows[Math.floor(random() * rows.length)];
-      // A person comes to the list, sees where the row is, and presses.
-      await list.hover("#jobs-title");
-      const stop = k % 3 === 2 && await list.isVisible(`#${row} button:text('Cancel')`) && await list.isEnabled(`#${row} button:text('Cancel')`);
-      const target = list.locator(stop ? `#${row} button:text('Cancel')` : `#${row} a`);
-      const id = row.slice(4);
-      const box = await target.boundingBox({ timeout: 1000 }).catch(() => null);
-      if (!box) { k -= 1; continue; }
-      await list.mouse.move(box.x + Math.min(20, box.width / 2), box.y + box.height / 2);
-      await list.mouse.down();
-      await list.waitForTimeout(120 + Math.round(1380 * random()));
-      await list.mouse.up();
-      if (stop) {
-        cancels += 1;
-        for (let wait = 0; wait < 50 && !cancelled.has(id); wait += 1) await list.waitForTimeout(20);
-        if (!cancelled.has(id)) wrong.push(`${k}: cancel of ${row} was lost`);
-      } else {
-        const found = await list.waitForFunction(id => location.hash.endsWith(id), id, { timeout: 3000 }).catch(() => null);
-        if (!found) wrong.push(`${k}: ${row} was pressed, ${await list.evaluate(() => location.hash)} came`);
-      }
-      if (k % 2) { await list.mouse.move(2, 2); await list.waitForTimeout(100); }
-    }
-    // What waits is counted, and shown when somebody asks for it, or leaves.
-    await list.hover("#jobs-title");
-    await list.waitForSelector("#jobs-new:not([hidden])");
-    assert.match(await list.textContent("#jobs-new"), /^\d+ new$/);
-    const first = () => list.getAttribute("#jobs li", "id");
-    const before = await first();
-    await press(list, "#jobs-new");
-    assert.notEqual(await first(), before);
-    going = false;
-    await load;
-    assert.deepEqual(wrong, []);
-    assert.deepEqual(list.wrong, []);
-    await list.context().close();
-    await many.stop();
-    return `${presses} presses, ${cancels} of them Cancel, while ${posted} jobs came`;
-  },
   "a running job is linked to the live view": async () => {
     const live = await open(shown.url);
     const { id } = await submit(shown.url, await long());
