@@ -10,6 +10,7 @@ use crate::solve::nonlinear::Rungs;
 use crate::solve::state::State;
 use crate::solve::stepper::Stepper;
 use crate::solve::stepper::at_rest::AtRest;
+use crate::solve::stepper::controlled::Controlled;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 
 /// Parts that are made from a plan once its size is known.
@@ -58,20 +59,23 @@ fn assembly<const N: usize>(
     together: fn(&Plan) -> Option<Box<dyn Members<N>>>,
     shadow: bool,
 ) -> Assembly<N> {
-    let stepper = || {
+    let (body, initial) = plan.model.problem::<N>();
+    let stepper = || -> Box<dyn Stepper<N>> {
         let stepper = stepper(plan).expect("the plan refuses a method that cannot run the scene");
         match plan.formulation.motion {
             Motion::AtRest => Box::new(AtRest::new(stepper)),
+            _ if body.control().is_some() => Box::new(Controlled::new(stepper, body.clone())),
             Motion::General | Motion::InPlane => stepper,
         }
     };
+    let together = |plan: &Plan| together(plan).filter(|_| body.control().is_none());
     let members = plan.ensemble.is_some().then(|| {
         together(plan)
             .unwrap_or_else(|| Box::new(Sequential::new(std::array::from_fn(|_| stepper()))))
     });
-    let (body, initial) = plan.model.problem::<N>();
     let shadow = shadow.then(stepper);
-    Assembly { body, stepper: stepper(), initial, members, shadow }
+    let stepper = stepper();
+    Assembly { body, stepper, initial, members, shadow }
 }
 
 /// Returns the parts from which the stepper of the plan's method is made.
@@ -99,7 +103,8 @@ fn in_three_dimensions(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
     let method = plan.formulation.method;
     // The reduced form has wheels in matrices alone; Newton's method for a driven body goes farther there.
     let model = &plan.model;
-    let wheels = method == Integrator::VpdReduced && model.wheels.is_some();
+    let spins = model.wheels.is_some() || model.control.has_wheels();
+    let wheels = method == Integrator::VpdReduced && spins;
     if wheels || model.is_driven() && model.stop.rungs == Rungs::Newton {
         return method.in_any_dimension(parts(plan));
     }

@@ -240,7 +240,11 @@ fn names(field: &str, width: usize) -> Vec<String> {
             | "momentum_impulse"
             | "angular_velocity"
             | "mean_body_momentum"
-            | "body_momentum_deviation",
+            | "body_momentum_deviation"
+            | "control_wanted"
+            | "attitude_error"
+            | "rate_error"
+            | "control_field",
             _,
         ) => {
             if width == 3 {
@@ -250,6 +254,10 @@ fn names(field: &str, width: usize) -> Vec<String> {
             let n = (8 * width + 1).isqrt().div_ceil(2);
             let above = pairs(n).filter(|(i, j)| i < j);
             above.map(|(i, j)| format!("{field}_{i}_{j}")).collect()
+        }
+        // Of an actuator or a wheel each.
+        ("control_command" | "wheel_momenta" | "wheel_speeds", _) => {
+            (1..=width).map(|number| format!("{field}_{number}")).collect()
         }
         _ => vec![field.to_owned()],
     }

@@ -11,11 +11,11 @@ use nalgebra::{DMatrix, DVector};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::log::schema::Channel;
+use crate::log::schema::{Channel, Scenery};
 use crate::method::Integrator;
 use crate::scenario::{
     Adaptive, Coefficients, DrivenTerm, Ensemble, Path, PotentialTerm, Scenario, ScenarioError,
-    Solver, TableauChoice,
+    Solver, TableauChoice, Through,
 };
 use crate::solve::composition::Composition;
 use crate::solve::failure::two_digits;
@@ -25,12 +25,14 @@ use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::trajectory::Observables;
 
 mod adaptive;
+mod control;
 mod cost;
 mod model;
 mod problem;
 mod terms;
 
 pub use adaptive::OwnSteps;
+use control::{ModelControl, ModelWheels};
 pub(crate) use cost::Fails;
 pub use cost::{Counts, FirstSteps};
 pub(crate) use model::{MOST_DEFECT, Model, ModelKinetic};
@@ -318,14 +320,22 @@ impl Plan {
             }
         };
         let inertia = inertia_matrix(&scenario.scene.inertia);
-        let kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
+        let mut kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
         let mut attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
         let frame = scenario.scene.initial.orbit_frame;
         let orbit = frame.and_then(|index| scenario.scene.driven.get(index as usize));
         if let Some(axes) = orbit.and_then(|driven| problem::orbit_axes(driven, &inertia)) {
             attitude = axes * attitude;
         }
-        let momentum = momentum(scenario, &kinetic, &attitude);
+        let wheels = match scenario.scene.control.as_ref().map(|control| &control.through) {
+            Some(Through::Wheels(given)) => {
+                let initial = &scenario.scene.initial;
+                Some(ModelWheels::new(given, initial, &attitude, &inertia, &mut kinetic)?)
+            }
+            _ => None,
+        };
+        let momentum = momentum(scenario, &kinetic, &attitude, wheels.as_ref());
+        let control = ModelControl::new(scenario, wheels, &attitude)?;
         let choice = tableau_choice(&scenario.method);
         let tableau = tableau(&choice, &scenario.method)?;
         let Solver { kind, tolerance, max_iterations } = scenario.method.solver;
@@ -364,6 +374,7 @@ impl Plan {
                 driven: scenario.scene.driven.clone(),
                 torques: scenario.scene.torques.clone(),
                 wheels: scenario.scene.wheels.as_deref().map(skew),
+                control,
                 attitude,
                 momentum,
                 tableau,
@@ -644,6 +655,10 @@ impl Plan {
             let why = "a torque that does not come from a potential".to_owned();
             self.potential.push(TermPlan { pointer, kept: true, why });
         }
+        for (pointer, kept, why) in self.model.control.parts() {
+            let (pointer, why) = (pointer.to_owned(), why.to_owned());
+            self.potential.push(TermPlan { pointer, kept, why });
+        }
     }
 
     /// Chooses the integrator.
@@ -664,7 +679,7 @@ impl Plan {
         if let Some(method) = asked {
             self.model.allows(method)?;
         }
-        let spins = self.model.wheels.is_some();
+        let spins = self.model.wheels.is_some() || self.model.control.has_wheels();
         let (method, why) = match asked {
             Some(method) => (method, "asked for"),
             // A named tableau asks for its scheme.
@@ -684,6 +699,7 @@ impl Plan {
         // Members are compared by where they end, attitude included.
         let carries_attitude = !method.facts().free
             || self.channels.iter().any(|plan| plan.topic.shows_attitude())
+            || self.model.control.has_stops()
             || self.ensemble.is_some();
         let tableau = &self.model.tableau;
         // A free body needs no more than one part.
@@ -739,8 +755,13 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     let three = scenario.dimension() == 3;
     let potential = !(scenario.scene.potential.is_empty() && scenario.scene.driven.is_empty());
     let has = |channel: &Channel| {
-        let ensemble = scenario.ensemble.is_some();
-        channel.exists(three, potential, ensemble, scenario.adaptive().is_some())
+        channel.exists(Scenery {
+            three,
+            sources: potential,
+            ensemble: scenario.ensemble.is_some(),
+            own_steps: scenario.adaptive().is_some(),
+            controlled: scenario.scene.control.is_some(),
+        })
     };
     let asked = |channel: &Channel| {
         scenario.log.channels.as_ref().is_none_or(|asked| asked.contains(channel))

@@ -235,7 +235,7 @@ fn run<const N: usize>(
     let steps_done = reached.step;
     control.steps_done.store(steps_done, Ordering::Relaxed);
     let (outcome, diagnosis) = match &ending {
-        Ending::Completed => (Outcome::Succeeded, None),
+        Ending::Completed | Ending::Stopped(_) => (Outcome::Succeeded, None),
         Ending::Cancelled => (Outcome::Cancelled, None),
         Ending::Failed(failure) => {
             let asked = Some(&plan.asked);
@@ -259,7 +259,14 @@ fn run<const N: usize>(
     let Recorder { writer, figures, course, .. } = recorder;
     let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
     let reached = Reached::from(&reached);
-    let end = End { outcome, reached, diagnosis, ensemble: None, energy };
+    let stopped = match ending {
+        Ending::Stopped(number) => plan.asked.until.get(number).map(|stop| {
+            let time_s = steps_done as f64 * plan.step_s;
+            format!("{stop} at t = {time_s:.9} s (/until/{number})")
+        }),
+        _ => None,
+    };
+    let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy };
     let summary = finish(Asked::of(plan), context.log, writer, (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,

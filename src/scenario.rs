@@ -12,6 +12,7 @@
 
 mod change;
 mod check;
+mod control;
 mod driven;
 mod ensemble;
 mod parse;
@@ -24,6 +25,10 @@ pub(crate) use change::set;
 pub(crate) use check::dividing;
 #[cfg(feature = "serve")]
 pub(crate) use check::twelve_digits;
+pub use control::{
+    AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, FieldOrbit, Law,
+    Magnetorquers, OrbitTarget, Stop, Target, Through, TurningTarget, Wheels,
+};
 pub use driven::{
     DrivenTerm, Factor, Harmonic, Interpolation, OfMomentum, Orbit, Path, Table, Torque,
     TorqueTable, Turning, Viscous,
@@ -78,6 +83,9 @@ pub struct Scenario {
     /// Many runs of the scene, from starts that are spread about the given one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<Ensemble>,
+    /// Conditions that end the run before its time, looked at after each step: the first that holds does.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub until: Vec<Stop>,
     /// Contents of the log.
     #[serde(default)]
     pub log: LogOptions,
@@ -128,6 +136,12 @@ pub struct Scene {
     /// that of the body plus this. 3 numbers or a skew matrix.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wheels: Option<Vec<Entry>>,
+    /// Control by samples.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control: Option<Control>,
+    /// The magnetic field.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub field: Option<Field>,
     /// Attitude and momentum at the start.
     #[serde(default)]
     pub initial: Initial,
@@ -137,7 +151,11 @@ impl Scene {
     /// Returns whether nothing changes with time, applies a torque without being a potential, or
     /// spins in the body.
     pub(crate) fn is_plain(&self) -> bool {
-        self.driven.is_empty() && self.torques.is_empty() && self.wheels.is_none()
+        self.driven.is_empty()
+            && self.torques.is_empty()
+            && self.wheels.is_none()
+            && self.control.is_none()
+            && self.field.is_none()
     }
 
     /// Returns a free body with an inertia, at rest in the attitude of the identity.
@@ -148,6 +166,8 @@ impl Scene {
             driven: Vec::new(),
             torques: Vec::new(),
             wheels: None,
+            control: None,
+            field: None,
             initial: Initial::default(),
         }
     }
@@ -597,6 +617,7 @@ impl Scenario {
             accuracy: None,
             steps: None,
             duration_s: None,
+            until: Vec::new(),
             ensemble: None,
             log: LogOptions::default(),
             expect: None,

@@ -61,7 +61,7 @@ pub(crate) fn run() -> Result<Largest, Box<dyn Error>> {
         integrate(&body, &mut stepper, &start, schedule, observables, &mut largest, |_| true)?;
     match end.ending {
         Ending::Failed(failure) => Err(failure.into()),
-        Ending::Completed | Ending::Cancelled => Ok(largest),
+        Ending::Completed | Ending::Stopped(_) | Ending::Cancelled => Ok(largest),
     }
 }
 

@@ -11,9 +11,12 @@ use nalgebra::{Matrix3, Vector3};
 use super::failure::{Failure, FailureCode};
 use super::lanes::extras;
 use super::so::{self, Mat, Vector};
+use super::stop::Stop;
 use super::system::{Energy, System, free_directions};
+use super::time::Time;
 use super::work::Work;
 
+mod control;
 mod drive;
 mod driven;
 mod frequency;
@@ -23,10 +26,11 @@ mod rescaled;
 mod term;
 mod torque;
 
+pub use control::{Actuator, Control, ReactionWheels, magnetic_term};
 pub(crate) use drive::{Drive, DriveInFrame};
 use driven::Driven;
-pub(crate) use driven::{BodyAtTime, Time, WorkAndImpulse, rounding_s};
-pub use driven::{DrivenTerm, Factor, Interpolation, Path, Table, Torque};
+pub(crate) use driven::{BodyAtTime, WorkAndImpulse};
+pub use driven::{DipoleField, DrivenTerm, Factor, Interpolation, Path, Table, Torque};
 use potential::UserPotentials;
 pub use potential::{Potential, gradient_error};
 pub(crate) use rescaled::{AtStages, Scale, StageForces};
@@ -124,8 +128,10 @@ pub struct RigidBody<const N: usize> {
     /// Potentials that are no terms.
     user: UserPotentials<N>,
     driven: Driven<N>,
-    /// The constant angular momentum of wheels relative to the body.
+    /// The angular momentum of wheels relative to the body; if they are driven, at the time that `driven` names.
     wheels: Option<Mat<N>>,
+    control: Option<Box<Control<N>>>,
+    stops: Vec<Stop<N>>,
     work: Work,
 }
 
@@ -149,6 +155,8 @@ impl<const N: usize> RigidBody<N> {
             user: UserPotentials::default(),
             driven: Driven::default(),
             wheels: None,
+            control: None,
+            stops: Vec::new(),
             work: Work::default(),
         }
     }
@@ -220,6 +228,21 @@ impl<const N: usize> RigidBody<N> {
     /// Lets `work` count the work for the body, and end it.
     pub fn with_work(self, work: Work) -> Self {
         Self { work, ..self }
+    }
+
+    /// Ends runs early where one of the conditions holds.
+    pub fn with_stops(self, stops: Vec<Stop<N>>) -> Self {
+        Self { stops, ..self }
+    }
+
+    /// Takes over the counts of a body that made steps in its place.
+    pub(crate) fn count_as(&self, other: &Self) {
+        self.work.take_over(&other.work);
+    }
+
+    /// Goes on with the counts and limits of another body.
+    pub(crate) fn work_as(&mut self, other: &Self) {
+        self.work.clone_from(&other.work);
     }
 
     /// Returns the work done for the body since it was made. No gradients are counted for a free
@@ -383,11 +406,16 @@ impl<const N: usize> System<N> for RigidBody<N> {
     }
 
     fn next_knot(&self, after_s: f64) -> f64 {
-        self.driven.next_knot(after_s)
+        let of_control = self.control.as_ref().map(|control| control.next_knot(after_s));
+        self.driven.next_knot(after_s).min(of_control.unwrap_or(f64::INFINITY))
     }
 
     fn jump(&self, knot_s: f64, g: &Mat<N>) -> f64 {
         self.jump(knot_s, g)
+    }
+
+    fn stops(&self) -> &[Stop<N>] {
+        &self.stops
     }
 
     fn table_impulse(&self, time_s: f64) -> Option<f64> {
@@ -425,7 +453,7 @@ impl RigidBody<3> {
         user | if driven { extras::DRIVEN } else { 0 }
     }
 
-    /// The wheels as a vector, in kg m^2/s.
+    /// Constant wheels as a vector, in kg m^2/s.
     pub(crate) fn wheels(&self) -> Option<[f64; 3]> {
         self.wheels.as_ref().map(|wheels| super::so3::vee(wheels).into())
     }

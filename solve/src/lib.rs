@@ -12,6 +12,7 @@
 
 pub mod compensated;
 pub mod composition;
+pub mod control;
 pub mod ensemble;
 pub mod failure;
 pub mod free_top;
@@ -25,7 +26,9 @@ pub mod space;
 pub mod stack;
 pub mod state;
 pub mod stepper;
+pub mod stop;
 pub mod system;
 pub mod tableau;
+mod time;
 pub mod trajectory;
 pub mod work;

@@ -169,6 +169,40 @@ fn coordinate_places<const N: usize>() -> impl Iterator<Item = (usize, usize, f6
     three.into_iter().chain(above.filter(|_| N != 3))
 }
 
+/// Returns the unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; `None` unless n = 3.
+///
+/// The largest of the four squared components gives the first one and the others follow by division
+/// (Shepperd 1978): no cancellation and no trigonometry. A matrix that is not quite a rotation, as
+/// some baseline methods leave it, gives the normalised result of the same formulas.
+pub fn quaternion<const N: usize>(r: &Mat<N>) -> Option<[f64; 4]> {
+    if N != 3 {
+        return None;
+    }
+    let trace = r[(0, 0)] + r[(1, 1)] + r[(2, 2)];
+    // Numbered as the components: 4 q_k^2 = 1 + 2 pivot_k - trace, and 1 + trace for w.
+    let pivots = [trace, r[(0, 0)], r[(1, 1)], r[(2, 2)]];
+    let largest = (1..4).fold(0, |best, k| if pivots[k] > pivots[best] { k } else { best });
+    // Each is four times the product of q_largest with the component in its place.
+    let difference = |i: usize, j: usize| r[(i, j)] - r[(j, i)];
+    let sum = |i: usize, j: usize| r[(i, j)] + r[(j, i)];
+    let mut q = match largest {
+        0 => [1.0 + trace, difference(2, 1), difference(0, 2), difference(1, 0)],
+        1 => [difference(2, 1), 1.0 + 2.0 * r[(0, 0)] - trace, sum(0, 1), sum(0, 2)],
+        2 => [difference(0, 2), sum(0, 1), 1.0 + 2.0 * r[(1, 1)] - trace, sum(1, 2)],
+        _ => [difference(1, 0), sum(0, 2), sum(1, 2), 1.0 + 2.0 * r[(2, 2)] - trace],
+    };
+    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if !norm.is_finite() {
+        // A baseline that blew up: no direction is left in such a matrix.
+        return Some([1.0, 0.0, 0.0, 0.0]);
+    }
+    let sign = if q[0] < 0.0 { -1.0 } else { 1.0 };
+    for x in &mut q {
+        *x *= sign / norm;
+    }
+    Some(q)
+}
+
 /// The orthogonal polar factor `U` of `A = U P`, by Newton's iteration (4, newtoniterate)
 /// `U <- (U + U^-T) / 2` from `U = A`.
 ///

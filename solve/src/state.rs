@@ -2,6 +2,7 @@
 
 use nalgebra::DMatrix;
 
+use super::control::ControlState;
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
 
@@ -96,6 +97,10 @@ pub struct Checkpoint<const N: usize> {
     pub table_impulse: f64,
     /// Own time of a scheme that has one.
     pub own_time: Option<OwnTime<N>>,
+    /// What a controller knows.
+    pub control: Option<ControlState>,
+    /// Since when each of the conditions that end the run holds, in seconds.
+    pub holds_since_s: Vec<Option<f64>>,
 }
 
 impl<const N: usize> Checkpoint<N> {
@@ -118,6 +123,8 @@ impl<const N: usize> Checkpoint<N> {
             impulse: Mat::zeros(),
             table_impulse: 0.0,
             own_time: None,
+            control: None,
+            holds_since_s: Vec::new(),
         }
     }
 }

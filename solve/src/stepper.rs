@@ -3,6 +3,7 @@
 //! Invariant: a stepper owns the state it carries, in the variables of its scheme, and gives attitude and
 //! body momentum out on demand; a step that fails leaves that state as it was.
 
+use super::control::{ControlSample, ControlState};
 use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::nonlinear::Convergence;
@@ -13,6 +14,7 @@ pub use knots::Knots;
 
 mod checks;
 mod clock;
+pub mod controlled;
 mod galerkin;
 mod knots;
 mod motion;
@@ -74,6 +76,24 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
     /// Returns the pace of time for the scheme at the state that was read last; `None` for one
     /// with no time of its own.
     fn pace(&self) -> Option<Pace> {
+        None
+    }
+
+    /// Returns the system with the command that acts now; `None` if it is not controlled.
+    fn acting(&self) -> Option<&S> {
+        None
+    }
+
+    /// Returns what the controller of the system knows; `None` if it is not controlled.
+    fn control(&self) -> Option<&ControlState> {
+        None
+    }
+
+    /// Sets that, for a system that is controlled.
+    fn set_control(&mut self, _control: &ControlState) {}
+
+    /// Returns the last sample of the control since [`Stepper::start`] or [`Stepper::resume`].
+    fn control_sample(&self) -> Option<&ControlSample> {
         None
     }
 

@@ -5,6 +5,7 @@
 
 use super::failure::Failure;
 use super::so::{self, Mat, Vector};
+use super::stop::Stop;
 
 /// Kinetic and potential energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,6 +82,11 @@ pub trait System<const N: usize> {
     /// none, or none is known.
     fn turning_frame(&self) -> Option<Mat<N>> {
         None
+    }
+
+    /// Conditions that end a run early, looked at after each step.
+    fn stops(&self) -> &[Stop<N>] {
+        &[]
     }
 
     /// Refuses an attitude at which the law has lost its meaning.

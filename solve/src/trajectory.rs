@@ -5,6 +5,7 @@
 //! time; time is `k h`, never a sum. At a checkpoint the stepper starts anew from what the checkpoint
 //! holds, so that a trajectory which is resumed there is, to the bit, the one that was not interrupted.
 
+use super::control::ControlSample;
 use super::failure::{Failure, FailureCode};
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
@@ -36,6 +37,8 @@ pub struct Observables {
     pub sigma_min: bool,
     /// Pace of time, for a scheme with a time of its own.
     pub pace: bool,
+    /// Samples of the control.
+    pub control: bool,
 }
 
 impl std::ops::BitOr for Observables {
@@ -43,13 +46,14 @@ impl std::ops::BitOr for Observables {
 
     /// Returns the observables that either of the two asks for.
     fn bitor(self, other: Self) -> Self {
-        let Self { energy, orthogonality, momentum, sigma_min, pace } = other;
+        let Self { energy, orthogonality, momentum, sigma_min, pace, control } = other;
         Self {
             energy: self.energy | energy,
             orthogonality: self.orthogonality | orthogonality,
             momentum: self.momentum | momentum,
             sigma_min: self.sigma_min | sigma_min,
             pace: self.pace | pace,
+            control: self.control | control,
         }
     }
 }
@@ -96,6 +100,8 @@ pub struct Sample<const N: usize> {
     pub sigma_min: Option<f64>,
     /// Pace of time for the scheme; `None` for one with no time of its own.
     pub pace: Option<Pace>,
+    /// Sample of the control at this time; `None` also if there is none then.
+    pub control: Option<ControlSample>,
 }
 
 impl<const N: usize> Sample<N> {
@@ -119,6 +125,7 @@ impl<const N: usize> Sample<N> {
             convergence,
             sigma_min,
             pace,
+            ref control,
         } = self;
         let figures = [
             Some(time_s),
@@ -143,6 +150,7 @@ impl<const N: usize> Sample<N> {
         ];
         figures.into_iter().flatten().all(f64::is_finite)
             && pace.is_none_or(|pace| pace.is_finite())
+            && control.as_ref().is_none_or(ControlSample::is_finite)
             && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
     }
 }
@@ -201,6 +209,8 @@ impl<'a, const N: usize> From<&'a State<N>> for Origin<'a, N> {
 pub enum Ending {
     /// All steps were made.
     Completed,
+    /// One of the conditions that end the run held: its number in [`System::stops`].
+    Stopped(usize),
     /// The caller asked to stop.
     Cancelled,
     /// The step after the last one reached failed.
@@ -256,6 +266,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
                 bookkeeping.reached.impulse += stepper.impulse().unwrap_or_else(Mat::zeros);
                 bookkeeping.reached.table_impulse += stepper.table_impulse();
                 bookkeeping.reached.own_time = stepper.own_time();
+                bookkeeping.reached.control = stepper.control().cloned();
                 sink.checkpoint(&bookkeeping.reached)?;
                 stepper.resume(&bookkeeping.reached);
             }
@@ -265,6 +276,7 @@ pub fn integrate<'a, const N: usize, Y: System<N> + ?Sized, S: Sink<N>>(
         }
         if go_on(step) {
             bookkeeping.stepped(knots.step(system, stepper, step as f64 * step_s, step_s));
+            bookkeeping.look_for_a_stop(system, stepper);
         } else {
             bookkeeping.cancelled();
         }
@@ -318,6 +330,38 @@ impl<const N: usize> Bookkeeping<N> {
             }
             Err(Failure { code: FailureCode::Stopped, .. }) => self.cancelled(),
             Err(failure) => self.ending = Ending::Failed(failure),
+        }
+    }
+
+    /// Ends the trajectory after a step if one of the conditions of the system has held for as long as it asks.
+    fn look_for_a_stop<Y: System<N> + ?Sized>(&mut self, system: &Y, stepper: &dyn Stepper<N, Y>) {
+        let stops = system.stops();
+        if stops.is_empty() || !self.goes_on() {
+            return;
+        }
+        let system = stepper.acting().unwrap_or(system);
+        let time_s = self.reached.step as f64 * self.step_s;
+        let g = stepper.attitude().unwrap_or_else(Mat::identity);
+        let mu = stepper.momentum();
+        let energy_error = || {
+            let work = self.reached.work + stepper.work();
+            system.energy_at(time_s, &g, &mu).total() - self.observer.initial_energy - work
+        };
+        let holds: Vec<bool> = stops
+            .iter()
+            .map(|stop| stop.holds(time_s, &g, system.observed_velocity(&g, &mu), energy_error))
+            .collect();
+        let since = &mut self.reached.holds_since_s;
+        since.resize(stops.len(), None);
+        for (number, (stop, holds)) in stops.iter().zip(holds).enumerate() {
+            since[number] = if holds { since[number].or(Some(time_s)) } else { None };
+            let is_over = since[number].is_some_and(|since_s| {
+                time_s - since_s >= stop.for_s - super::time::rounding_s(time_s)
+            });
+            if is_over {
+                self.ending = Ending::Stopped(number);
+                return;
+            }
         }
     }
 
@@ -381,6 +425,11 @@ impl<const N: usize> Bookkeeping<N> {
     }
 }
 
+/// Are two times of a run the same, but for rounding?
+fn is_at(a_s: f64, b_s: f64) -> bool {
+    (a_s - b_s).abs() <= super::time::rounding_s(b_s)
+}
+
 /// Input to a driven system since the start.
 struct TotalInput<const N: usize> {
     work: f64,
@@ -433,6 +482,7 @@ impl<const N: usize> Observer<N> {
     ) -> Result<Sample<N>, Failure> {
         let asked = self.observables;
         let &TotalInput { work, impulse, table_impulse } = work_and_impulse;
+        let system = stepper.acting().unwrap_or(system);
         let impulse = impulse.filter(|_| self.pushed);
         let (attitude, momentum) = (stepper.attitude(), stepper.momentum());
         // A scheme without an attitude serves free bodies, whose energy needs none.
@@ -471,6 +521,10 @@ impl<const N: usize> Observer<N> {
             convergence,
             sigma_min: if asked.sigma_min && step > 0 { stepper.sigma_min() } else { None },
             pace: if asked.pace { stepper.pace() } else { None },
+            control: stepper
+                .control_sample()
+                .filter(|sample| asked.control && is_at(sample.time_s, time_s))
+                .cloned(),
         };
         if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
     }

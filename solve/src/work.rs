@@ -41,6 +41,14 @@ impl Work {
         }
     }
 
+    /// Takes over the counts of another.
+    pub(super) fn take_over(&self, other: &Self) {
+        self.gradients.set(other.gradients());
+        self.sweeps.set(other.sweeps());
+        self.passes.set(other.passes());
+        self.pieces.set(other.pieces());
+    }
+
     /// Gradients of the potential taken so far.
     pub fn gradients(&self) -> u64 {
         self.gradients.get()

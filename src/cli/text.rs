@@ -27,6 +27,9 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
     if let Some(start) = &plan.start {
         line("start", start.to_string());
     }
+    if let Some(stopped) = &summary.stopped {
+        line("stopped", stopped.clone());
+    }
     if let Some(diagnosis) = &summary.diagnosis {
         line("diagnosis", diagnosis.to_string());
     }

@@ -9,7 +9,9 @@ use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Vector3};
 
 use super::field::Field;
 use super::schema::{Channel, timestamp};
+use crate::solve::control;
 use crate::solve::nonlinear::{Convergence, Rung};
+pub use crate::solve::so::quaternion;
 use crate::solve::so::{self, Mat};
 use crate::solve::state;
 use crate::solve::trajectory::Sample;
@@ -153,6 +155,14 @@ messages_of_samples! {
         pace_sigma: number(sigma), pace_step_s: number(step_s), pace_own_steps: count(own_steps),
         pace_least_sigma: number(least_sigma), pace_time_error_s: number(time_error_s)
     },
+    /// A sample of the control.
+    control: Control {
+        control_wanted: numbers(wanted), control_command: numbers(command),
+        control_saturated: count(saturated), pointing_error_rad: number(pointing_error_rad),
+        attitude_error: numbers(attitude_error), rate_error: numbers(rate_error),
+        wheel_momenta: numbers(wheel_momenta), wheel_speeds: numbers(wheel_speeds),
+        control_field: numbers(field)
+    },
 }
 
 impl State {
@@ -259,6 +269,41 @@ impl Pace {
     }
 }
 
+impl Control {
+    /// Returns the sample of the control at the time of a sample, if there is one.
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
+        let seen = sample.control.as_ref()?;
+        Some(Self {
+            time_s: seen.time_s,
+            wanted: seen.wanted.clone(),
+            command: seen.command.clone(),
+            saturated: seen.is_saturated,
+            pointing_error_rad: seen.pointing_error_rad,
+            attitude_error: seen.attitude_error.clone(),
+            rate_error: seen.rate_error.clone(),
+            wheel_momenta: seen.wheel_momenta.clone(),
+            wheel_speeds: seen.wheel_speeds.clone(),
+            field: seen.field.clone(),
+        })
+    }
+}
+
+impl From<&control::ControlState> for ControlState {
+    fn from(state: &control::ControlState) -> Self {
+        let control::ControlState { samples, acting, since_s, waiting, momenta, integral, field } =
+            state.clone();
+        Self { samples, acting, since_s, waiting, momenta, integral, field }
+    }
+}
+
+impl From<&ControlState> for control::ControlState {
+    fn from(state: &ControlState) -> Self {
+        let ControlState { samples, acting, since_s, waiting, momenta, integral, field } =
+            state.clone();
+        Self { samples, acting, since_s, waiting, momenta, integral, field }
+    }
+}
+
 impl Checkpoint {
     /// Returns the place of a trajectory, and the figures of its samples so far.
     pub fn of<const N: usize>(checkpoint: &state::Checkpoint<N>, figures: Figures) -> Self {
@@ -283,6 +328,8 @@ impl Checkpoint {
                 carry_s: own.carry_s,
                 steps: own.steps,
             }),
+            control: checkpoint.control.as_ref().map(Into::into),
+            held: checkpoint.holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
         }
     }
 
@@ -320,6 +367,8 @@ impl Checkpoint {
                 carry_s: own.carry_s,
                 steps: own.steps,
             }),
+            control: self.control.as_ref().map(Into::into),
+            holds_since_s: self.held.iter().map(|held| held.since_s).collect(),
         })
     }
 }
@@ -378,38 +427,4 @@ pub fn nearer_sign(before: Option<[f64; 4]>, found: [f64; 4]) -> [f64; 4] {
     let along = |before: [f64; 4]| before.iter().zip(found).map(|(a, b)| a * b).sum::<f64>();
     let turned = before.is_some_and(|before| along(before) < 0.0);
     if turned { found.map(|x| -x) } else { found }
-}
-
-/// Returns the unit quaternion (w, x, y, z), w >= 0, of a rotation matrix; `None` unless n = 3.
-///
-/// The largest of the four squared components gives the first one and the others follow by division
-/// (Shepperd 1978): no cancellation and no trigonometry. A matrix that is not quite a rotation, as
-/// some baseline methods leave it, gives the normalised result of the same formulas.
-pub fn quaternion<const N: usize>(r: &Mat<N>) -> Option<[f64; 4]> {
-    if N != 3 {
-        return None;
-    }
-    let trace = r[(0, 0)] + r[(1, 1)] + r[(2, 2)];
-    // Numbered as the components: 4 q_k^2 = 1 + 2 pivot_k - trace, and 1 + trace for w.
-    let pivots = [trace, r[(0, 0)], r[(1, 1)], r[(2, 2)]];
-    let largest = (1..4).fold(0, |best, k| if pivots[k] > pivots[best] { k } else { best });
-    // Each is four times the product of q_largest with the component in its place.
-    let difference = |i: usize, j: usize| r[(i, j)] - r[(j, i)];
-    let sum = |i: usize, j: usize| r[(i, j)] + r[(j, i)];
-    let mut q = match largest {
-        0 => [1.0 + trace, difference(2, 1), difference(0, 2), difference(1, 0)],
-        1 => [difference(2, 1), 1.0 + 2.0 * r[(0, 0)] - trace, sum(0, 1), sum(0, 2)],
-        2 => [difference(0, 2), sum(0, 1), 1.0 + 2.0 * r[(1, 1)] - trace, sum(1, 2)],
-        _ => [difference(1, 0), sum(0, 2), sum(1, 2), 1.0 + 2.0 * r[(2, 2)] - trace],
-    };
-    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-    if !norm.is_finite() {
-        // A baseline that blew up: no direction is left in such a matrix.
-        return Some([1.0, 0.0, 0.0, 0.0]);
-    }
-    let sign = if q[0] < 0.0 { -1.0 } else { 1.0 };
-    for x in &mut q {
-        *x *= sign / norm;
-    }
-    Some(q)
 }

@@ -73,6 +73,8 @@ channels! {
     Solver = "/solver",
     /// Rate of time for adaptive steps.
     Pace = "/pace",
+    /// Samples of the control.
+    Control = "/control",
     /// The body's frame for viewers; n = 3.
     Tf = "/tf",
     /// The body's box of inertia and its points, once; n = 3.
@@ -98,6 +100,26 @@ enum Scope {
     Ensembles,
     /// Steps that adapt.
     OwnSteps,
+    Controlled,
+}
+
+/// What a scene is, as far as channels depend on it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Scenery {
+    /// n = 3.
+    pub(crate) three: bool,
+    /// There is something in space to draw.
+    pub(crate) sources: bool,
+    pub(crate) ensemble: bool,
+    /// Steps adapt.
+    pub(crate) own_steps: bool,
+    pub(crate) controlled: bool,
+}
+
+impl Scenery {
+    /// Of a scene that has all there is.
+    pub(crate) const ALL: Self =
+        Self { three: true, sources: true, ensemble: true, own_steps: true, controlled: true };
 }
 
 /// Bytes of a message before compression.
@@ -189,6 +211,12 @@ impl Channel {
                 sample: sample(0, 4 * DOUBLE + 6),
                 ..plain("vpd.Pace", "the length and number of the adaptive steps")
             },
+            Self::Control => Row {
+                needs: Observables { control: true, ..nothing },
+                scope: Scope::Controlled,
+                sample: sample(6 * momentum, 7 * LIST + 2 * DOUBLE),
+                ..plain("vpd.Control", "the errors and commands of the control")
+            },
             Self::Tf => Row {
                 descriptors: well_known::<FrameTransforms>,
                 scope: Scope::ThreeDimensions,
@@ -236,37 +264,36 @@ impl Channel {
         Self::all().into_iter().find(|channel| channel.topic() == topic)
     }
 
-    /// Returns whether a scene has the channel: for n = 3 or not, with or without something there
-    /// to draw, an ensemble or one run, in adaptive steps or not.
-    pub(crate) fn exists(
-        self,
-        three: bool,
-        sources: bool,
-        ensemble: bool,
-        own_steps: bool,
-    ) -> bool {
+    /// Returns whether a scene has the channel.
+    pub(crate) fn exists(self, scene: Scenery) -> bool {
         match self.row(3).scope {
             Scope::All => true,
-            Scope::ThreeDimensions => three,
-            Scope::WithSources => three && sources,
-            Scope::Ensembles => ensemble,
-            Scope::OwnSteps => own_steps,
+            Scope::ThreeDimensions => scene.three,
+            Scope::WithSources => scene.three && scene.sources,
+            Scope::Ensembles => scene.ensemble,
+            Scope::OwnSteps => scene.own_steps,
+            Scope::Controlled => scene.controlled,
         }
     }
 
     /// Returns whether the channel is for n = 3 only.
     pub fn needs_three(self) -> bool {
-        !self.exists(false, true, true, true)
+        !self.exists(Scenery { three: false, ..Scenery::ALL })
     }
 
     /// Returns whether the channel is for ensembles only.
     pub fn needs_ensemble(self) -> bool {
-        !self.exists(true, true, false, true)
+        !self.exists(Scenery { ensemble: false, ..Scenery::ALL })
     }
 
     /// Returns whether the channel is for adaptive steps only.
     pub fn needs_own_steps(self) -> bool {
-        !self.exists(true, true, true, false)
+        !self.exists(Scenery { own_steps: false, ..Scenery::ALL })
+    }
+
+    /// Returns whether the channel is for scenes with control only.
+    pub fn needs_control(self) -> bool {
+        !self.exists(Scenery { controlled: false, ..Scenery::ALL })
     }
 
     /// Returns a description of what is computed for it.

@@ -23,7 +23,7 @@ use super::messages::{self, EnsembleStatistics, Figures, Member, Message as Samp
 use super::overview::Curves;
 use super::part::{Durable, Part, Syncer, folder, irreplaceable, sync_folder};
 use super::scene::{SceneGeometry, body_frame};
-use super::schema::{Channel, Compression, Topic, timestamp};
+use super::schema::{Channel, Compression, Scenery, Topic, timestamp};
 use super::{
     CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
     is_transient,
@@ -225,7 +225,11 @@ impl LogWriter {
             .map_err(|source| LogError::io(path, "create", source))?;
         let wanted = |channel: &Channel| {
             header.channels.contains(channel)
-                && channel.exists(header.dimension == 3, header.scene.has_sources(), true, true)
+                && channel.exists(Scenery {
+                    three: header.dimension == 3,
+                    sources: header.scene.has_sources(),
+                    ..Scenery::ALL
+                })
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
         let sample_bytes: u64 =

@@ -169,7 +169,8 @@ impl Plan {
         let (sample_ns, written_ns) = (self.sample_cost_ns(raw), self.written_ns(raw));
         let samples_ns = self.samples as f64 * sample_ns;
         // A knot of a table ends a step, and makes two of it.
-        let steps = self.steps as f64 + self.model.knots_within(self.steps as f64 * self.step_s);
+        let steps = self.steps as f64
+            + self.model.knots_within(self.steps as f64 * self.step_s, self.step_s);
         let run_ns = |step_ns: f64| START_NS + steps * step_ns + samples_ns;
         self.work_s = 1e-9 * run_ns(step_ns);
         self.run_s = 1e-9 * (part * failing_ns + (1.0 - part) * run_ns(self.step_ns));
@@ -390,7 +391,7 @@ impl Plan {
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let matrix_ns = if self.dimension == 3 { 200.0 } else { 50.0 * n * n };
-        let Observables { energy, orthogonality, momentum: _, sigma_min, pace: _ } =
+        let Observables { energy, orthogonality, momentum: _, sigma_min, pace: _, control: _ } =
             self.observables();
         let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
         let Formulation { method, stages, .. } = self.formulation;

@@ -3,6 +3,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Quaternion, UnitQuaternion, Vector3};
 
+use super::control::{ModelControl, ModelWheels};
 use crate::method::{Integrator, Takes};
 use crate::scenario::{
     Attitude, DrivenTerm, Entry, Framed, Inertia, Method, Path, PotentialTerm, Scenario,
@@ -29,6 +30,7 @@ pub(crate) struct Model {
     pub(crate) torques: Vec<Torque>,
     /// Angular momentum of wheels, skew, in the body frame.
     pub(crate) wheels: Option<DMatrix<f64>>,
+    pub(crate) control: ModelControl,
     /// Attitude at the start, n x n, a rotation to 1e-8.
     pub(crate) attitude: DMatrix<f64>,
     /// Momentum at the start, n x n, skew, in the body frame.
@@ -82,19 +84,30 @@ impl Model {
         };
         let moving: Vec<Vec<f64>> = self.driven.iter().flat_map(of_path).collect();
         let fixed = self.terms.iter().map(|term| term.law().space_vector());
+        if self.control.is_magnetic() {
+            return 0;
+        }
         super::free_directions(n, fixed.chain(moving.iter().map(Vec::as_slice)))
     }
 
     /// Describes what is kept instead of the energy in a scene that changes with time or has torques; `None` for any
     /// other.
     pub(super) fn balance(&self) -> Option<String> {
-        let driven = "what the terms that change with time have put in (H + p_t)";
-        let torques = "the work of the torques";
-        let less = match (self.driven.is_empty(), self.torques.is_empty()) {
-            (true, true) => return None,
-            (false, true) => driven.to_owned(),
-            (true, false) => torques.to_owned(),
-            (false, false) => format!("{driven} and {torques}"),
+        let control = &self.control;
+        let parts = [
+            (!self.driven.is_empty(), "what the terms that change with time have put in (H + p_t)"),
+            (!self.torques.is_empty(), "the work of the torques"),
+            (control.has_wheels(), "the work of the motors of the wheels"),
+            (control.is_pushed(), "the work of the control"),
+            (control.is_magnetic(), "what the magnetic field and its moments have put in"),
+        ];
+        let parts: Vec<&str> =
+            parts.into_iter().filter(|(is, _)| *is).map(|(_, part)| part).collect();
+        let (last, others) = parts.split_last()?;
+        let less = if others.is_empty() {
+            (*last).to_owned()
+        } else {
+            format!("{} and {last}", others.join(", "))
         };
         Some(format!("the energy less {less}"))
     }
@@ -108,7 +121,8 @@ impl Model {
         free: usize,
         method: Integrator,
     ) -> Option<String> {
-        if self.torques.is_empty() || free < 2 {
+        let pushed = !self.torques.is_empty() || self.control.is_pushed();
+        if !pushed || free < 2 {
             return None;
         }
         let part = if free == n {
@@ -143,7 +157,7 @@ impl Model {
                 Integrator::names(|method| method.facts().driven),
             );
         }
-        if self.wheels.is_some() && !facts.wheels {
+        if (self.wheels.is_some() || self.control.has_wheels()) && !facts.wheels {
             return refused(
                 "bodies with wheels",
                 Integrator::names(|method| method.facts().wheels),
@@ -358,6 +372,7 @@ pub(super) fn momentum(
     scenario: &Scenario,
     kinetic: &ModelKinetic,
     attitude: &DMatrix<f64>,
+    driven_wheels: Option<&ModelWheels>,
 ) -> DMatrix<f64> {
     let in_body = |framed: &Framed| match framed {
         Framed::Body(entries) => skew(entries),
@@ -365,7 +380,8 @@ pub(super) fn momentum(
     };
     let initial = &scenario.scene.initial;
     let zero = || DMatrix::zeros(attitude.nrows(), attitude.nrows());
-    let wheels = scenario.scene.wheels.as_deref().map_or_else(zero, skew);
+    let wheels = scenario.scene.wheels.as_deref().map(skew);
+    let wheels = wheels.or_else(|| Some(driven_wheels?.momentum())).unwrap_or_else(zero);
     match (&initial.momentum, &initial.angular_velocity) {
         (Some(momentum), _) => in_body(momentum),
         (None, Some(velocity)) => {

@@ -38,13 +38,13 @@ impl Model {
         if let Some(wheels) = &self.wheels {
             body = body.with_wheels(Mat::from_fn(|i, j| wheels[(i, j)]));
         }
-        (body, state)
+        (self.control.put_on(body), state)
     }
 
     /// Returns whether anything changes with time, applies a torque without being a potential, or
     /// spins.
     pub(crate) fn is_driven(&self) -> bool {
-        !(self.driven.is_empty() && self.torques.is_empty())
+        !(self.driven.is_empty() && self.torques.is_empty() && self.control.is_empty())
     }
 
     fn torque<const N: usize>(&self, given: &Torque) -> body::Torque<N> {
@@ -112,10 +112,10 @@ impl Model {
     }
 
     /// Returns how many knots of tables there are within a run: a step ends at each.
-    pub(super) fn knots_within(&self, duration_s: f64) -> f64 {
+    pub(super) fn knots_within(&self, duration_s: f64, step_s: f64) -> f64 {
         let inside = |&&time: &&f64| time > 0.0 && time < duration_s;
         let of = |table: &Table| over_time(table).knots().iter().filter(inside).count();
-        self.tables().map(of).sum::<usize>() as f64
+        self.tables().map(of).sum::<usize>() as f64 + self.control.knots_within(duration_s, step_s)
     }
 
     /// Returns the fastest rate in rad/s at which a driven term changes, with its index: that of its factor, or of its path
@@ -146,7 +146,7 @@ impl Model {
 
     /// Returns whether everything that changes turns at one constant rate, and no torque acts.
     pub(super) fn turns_alike(&self) -> bool {
-        if !self.torques.is_empty() {
+        if !(self.torques.is_empty() && self.control.is_empty()) {
             return false;
         }
         let moving = self.driven.iter().map(driven_term);
@@ -171,12 +171,12 @@ fn over_time(given: &Table) -> body::Table<1> {
     body::Table::new(given.times_s.clone(), values, interpolation)
 }
 
-fn unit_vector(v: &[f64]) -> DVector<f64> {
+pub(super) fn unit_vector(v: &[f64]) -> DVector<f64> {
     DVector::from_column_slice(v).normalize()
 }
 
 /// Returns the part of a vector across a unit vector, of length one.
-fn across(v: &[f64], unit: &DVector<f64>) -> DVector<f64> {
+pub(super) fn across(v: &[f64], unit: &DVector<f64>) -> DVector<f64> {
     let v = unit_vector(v);
     let rest = &v - unit * unit.dot(&v);
     (&rest - unit * unit.dot(&rest)).normalize()

@@ -46,6 +46,8 @@ pub(super) struct End {
     /// State that it reached; for an ensemble, that of member 0.
     pub(super) reached: Reached,
     pub(super) diagnosis: Option<Diagnosis>,
+    /// The condition that ended it before its time, in words.
+    pub(super) stopped: Option<String>,
     pub(super) ensemble: Option<EnsembleSummary>,
     /// Energy of a run whose log does not show it; `None` if it is unknown how much of the energy
     /// moves.
@@ -89,7 +91,7 @@ pub(super) fn finish(
     (figures, course): (&Figures, &Course),
     end: End,
 ) -> Result<Summary, RunError> {
-    let End { outcome, reached, diagnosis, ensemble, energy } = end;
+    let End { outcome, reached, diagnosis, stopped, ensemble, energy } = end;
     let time_s = reached.step as f64 * asked.step_s;
     // Member 0 may have failed long before the others came to the end.
     let last_s = if ensemble.is_some() { asked.steps as f64 * asked.step_s } else { time_s };
@@ -108,7 +110,10 @@ pub(super) fn finish(
             format!("{word}: {} of {members} members succeeded", ends.succeeded),
         ),
         (None, Some(diagnosis)) => (Level::Error, diagnosis.to_string()),
-        (None, None) => (Level::Info, format!("{word}: step {}", reached.step)),
+        (None, None) => {
+            let stopped = stopped.as_ref().map_or_else(String::new, |why| format!(", {why}"));
+            (Level::Info, format!("{word}: step {}{stopped}", reached.step))
+        }
     };
     writer.message(level, last_s, &text)?;
     let mut summary = Summary {
@@ -132,6 +137,7 @@ pub(super) fn finish(
         ns_per_step: 0.0,
         log: log.display().to_string(),
         diagnosis,
+        stopped,
         ensemble,
         warning,
         unmet: Vec::new(),
@@ -168,6 +174,9 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     if let Some(diagnosis) = &summary.diagnosis {
         entries.insert("code".to_owned(), diagnosis.code.clone());
         entries.insert("diagnosis".to_owned(), json(diagnosis));
+    }
+    if let Some(stopped) = &summary.stopped {
+        entries.insert("stopped".to_owned(), stopped.clone());
     }
     if let Some(warning) = &summary.warning {
         entries.insert("warning".to_owned(), warning.clone());

@@ -102,6 +102,7 @@ impl Ensemble<'_> {
         let first = nominal.and_then(|end| end.initial.as_ref()?.point());
         let first = first.unwrap_or_else(|| reached.state());
         let end = End {
+            stopped: None,
             outcome,
             energy: Some(EnergySeen::at_the_ends(&assembly.body, &first, &reached.state())),
             reached: Reached::from(&reached),
@@ -370,5 +371,7 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         impulse: Mat::zeros(),
         table_impulse: 0.0,
         own_time: None,
+        control: None,
+        holds_since_s: Vec::new(),
     }
 }

@@ -64,6 +64,7 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
     let resumed_step = reached.step;
     let figures = checkpoint.and_then(|found| found.figures).unwrap_or_default();
     let end = End {
+        stopped: None,
         outcome: Outcome::Failed,
         reached,
         diagnosis: Some(diagnosis),

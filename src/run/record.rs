@@ -153,7 +153,7 @@ impl Recording {
         control.steps_done.store(reached.step, Ordering::Relaxed);
         let Schedule { step_s, steps, .. } = schedule;
         let (outcome, diagnosis) = match &ending {
-            Ending::Completed => (Outcome::Succeeded, None),
+            Ending::Completed | Ending::Stopped(_) => (Outcome::Succeeded, None),
             Ending::Cancelled if !control.cancelled.load(Ordering::Relaxed) => {
                 return Err(RunError::Interrupted);
             }
@@ -167,7 +167,14 @@ impl Recording {
         let steps_done = reached.step;
         let Recorder { writer, figures, course, .. } = recorder;
         let reached = Reached::from(&reached);
-        let end = End { outcome, reached, diagnosis, ensemble: None, energy: None };
+        let stopped = match ending {
+            Ending::Stopped(number) => Some(format!(
+                "condition {number} of the system at t = {} s",
+                steps_done as f64 * step_s
+            )),
+            _ => None,
+        };
+        let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy: None };
         let asked = Asked::steps(step_s, steps);
         let summary = finish(asked, log, writer, (&figures, &course), end)?;
         Ok(Summary {

@@ -81,6 +81,9 @@ pub struct Summary {
     /// Reason why the run failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
+    /// The condition of `until` that ended the run before its time, and when.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<String>,
     /// Outcome of the members of an ensemble; all else here is of member 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ensemble: Option<EnsembleSummary>,

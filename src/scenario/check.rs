@@ -48,6 +48,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
         term.law().check(&format!("/scene/potential/{index}"), n)?;
     }
     driven(scenario, n)?;
+    control(scenario, n)?;
     initial(scenario, n)?;
     method(scenario, n)?;
     super::steps::check(scenario)?;
@@ -55,8 +56,23 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     if let Some(given) = &scenario.ensemble {
         given.check(scenario.step_count())?;
     }
+    super::control::stops(scenario, n)?;
     log(scenario, n)?;
     expect(scenario, n)
+}
+
+/// Checks the control and the field, and what stands next to them.
+fn control(scenario: &Scenario, n: usize) -> Check {
+    let Scene { control, field, wheels, .. } = &scenario.scene;
+    if let Some(field) = field {
+        field.check(n)?;
+    }
+    let Some(control) = control else { return Ok(()) };
+    control.check(n, field.is_some())?;
+    let driven = matches!(control.through, super::Through::Wheels(_));
+    ensure(wheels.is_none() || !driven, "/scene/wheels", || {
+        "is given together with driven wheels; give their momenta in /scene/control/through/wheels/momenta".into()
+    })
 }
 
 /// Checks the terms that change with time, the torques and the wheels.
@@ -159,9 +175,6 @@ fn inertia(given: &Inertia) -> Check {
 fn initial(scenario: &Scenario, n: usize) -> Check {
     let initial = &scenario.scene.initial;
     let at = "/scene/initial";
-    let only_three = |pointer: String| {
-        ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"))
-    };
     if let Some(index) = initial.orbit_frame {
         let pointer = format!("{at}/orbit_frame");
         ensure(n == 3, &pointer, || format!("is for n = 3, this body has n = {n}"))?;
@@ -175,44 +188,8 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
             )
         })?;
     }
-    match &initial.attitude {
-        None => {}
-        Some(Attitude::Matrix(rows)) => matrix(&format!("{at}/attitude/matrix"), rows, n)?,
-        Some(Attitude::Quaternion(q)) => {
-            let pointer = format!("{at}/attitude/quaternion");
-            only_three(pointer.clone())?;
-            vector(&pointer, q, 4)?;
-            let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            ensure((norm - 1.0).abs() <= 0.01, pointer, || {
-                format!("has the norm {norm}, it must be within 1 % of 1")
-            })?;
-        }
-        Some(Attitude::AxisAngle(turn)) => {
-            let pointer = format!("{at}/attitude/axis_angle");
-            only_three(pointer.clone())?;
-            direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
-            let given = [turn.angle_rad, turn.angle_deg];
-            angles(&pointer, "angle", given.map(|angle| angle.map(|angle| [angle])))?;
-        }
-        Some(Attitude::Euler(euler)) => {
-            let pointer = format!("{at}/attitude/euler");
-            only_three(pointer.clone())?;
-            angles(&pointer, "angles", [euler.angles_rad, euler.angles_deg])?;
-        }
-        Some(Attitude::RollPitchYaw(turns)) => {
-            let pointer = format!("{at}/attitude/roll_pitch_yaw");
-            only_three(pointer.clone())?;
-            angles(&pointer, "angles", [turns.angles_rad, turns.angles_deg])?;
-        }
-        Some(Attitude::Mrp(mrp)) => {
-            let pointer = format!("{at}/attitude/mrp");
-            only_three(pointer.clone())?;
-            mrp.iter().enumerate().try_for_each(|(i, &x)| {
-                ensure(x.abs() <= MOST_MRP, format!("{pointer}/{i}"), || {
-                    format!("{x:?} given, the size of a modified Rodrigues parameter is at most {MOST_MRP:e}")
-                })
-            })?;
-        }
+    if let Some(given) = &initial.attitude {
+        attitude(&format!("{at}/attitude"), given, n)?;
     }
     ensure(
         initial.momentum.is_none() || initial.angular_velocity.is_none(),
@@ -224,6 +201,52 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
     }
     if let Some(velocity) = &initial.angular_velocity {
         framed(&format!("{at}/angular_velocity"), velocity, n)?;
+    }
+    Ok(())
+}
+
+/// Checks an attitude that stands at `at`.
+pub(super) fn attitude(at: &str, given: &Attitude, n: usize) -> Check {
+    let only_three = |pointer: String| {
+        ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"))
+    };
+    match given {
+        Attitude::Matrix(rows) => matrix(&format!("{at}/matrix"), rows, n)?,
+        Attitude::Quaternion(q) => {
+            let pointer = format!("{at}/quaternion");
+            only_three(pointer.clone())?;
+            vector(&pointer, q, 4)?;
+            let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+            ensure((norm - 1.0).abs() <= 0.01, pointer, || {
+                format!("has the norm {norm}, it must be within 1 % of 1")
+            })?;
+        }
+        Attitude::AxisAngle(turn) => {
+            let pointer = format!("{at}/axis_angle");
+            only_three(pointer.clone())?;
+            direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
+            let given = [turn.angle_rad, turn.angle_deg];
+            angles(&pointer, "angle", given.map(|angle| angle.map(|angle| [angle])))?;
+        }
+        Attitude::Euler(euler) => {
+            let pointer = format!("{at}/euler");
+            only_three(pointer.clone())?;
+            angles(&pointer, "angles", [euler.angles_rad, euler.angles_deg])?;
+        }
+        Attitude::RollPitchYaw(turns) => {
+            let pointer = format!("{at}/roll_pitch_yaw");
+            only_three(pointer.clone())?;
+            angles(&pointer, "angles", [turns.angles_rad, turns.angles_deg])?;
+        }
+        Attitude::Mrp(mrp) => {
+            let pointer = format!("{at}/mrp");
+            only_three(pointer.clone())?;
+            mrp.iter().enumerate().try_for_each(|(i, &x)| {
+                ensure(x.abs() <= MOST_MRP, format!("{pointer}/{i}"), || {
+                    format!("{x:?} given, the size of a modified Rodrigues parameter is at most {MOST_MRP:e}")
+                })
+            })?;
+        }
     }
     Ok(())
 }
@@ -474,8 +497,13 @@ fn log(scenario: &Scenario, n: usize) -> Check {
                 pointer.clone(),
                 || "is for ensembles, this scenario has none".into(),
             )?;
-            ensure(!channel.needs_own_steps() || scenario.adaptive().is_some(), pointer, || {
-                "is for steps that adapt, this scenario has none".into()
+            ensure(
+                !channel.needs_own_steps() || scenario.adaptive().is_some(),
+                pointer.clone(),
+                || "is for steps that adapt, this scenario has none".into(),
+            )?;
+            ensure(!channel.needs_control() || scenario.scene.control.is_some(), pointer, || {
+                "is for scenes with control, this one has none".into()
             })?;
         }
     }

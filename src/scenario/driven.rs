@@ -203,18 +203,21 @@ pub struct OfMomentum {
     pub rate_per_s: f64,
 }
 
+impl Turning {
+    pub(super) fn check(&self, at: &str, n: usize) -> Check {
+        direction(&format!("{at}/from"), &self.from, n)?;
+        direction(&format!("{at}/towards"), &self.towards, n)?;
+        apart(&format!("{at}/towards"), &self.from, &self.towards, "`from`")?;
+        strength(&format!("{at}/rate_rad_s"), self.rate_rad_s)
+    }
+}
+
 impl DrivenTerm {
     pub(super) fn check(&self, at: &str, n: usize, duration_s: Option<f64>) -> Check {
         self.term.law().check(&format!("{at}/term"), n)?;
         match &self.path {
             None => {}
-            Some(Path::Turning(turning)) => {
-                let at = format!("{at}/path/turning");
-                direction(&format!("{at}/from"), &turning.from, n)?;
-                direction(&format!("{at}/towards"), &turning.towards, n)?;
-                apart(&format!("{at}/towards"), &turning.from, &turning.towards, "`from`")?;
-                strength(&format!("{at}/rate_rad_s"), turning.rate_rad_s)?;
-            }
+            Some(Path::Turning(turning)) => turning.check(&format!("{at}/path/turning"), n)?,
             Some(Path::Orbit(orbit)) => {
                 let at = format!("{at}/path/orbit");
                 let own = self.term.law().space_vector();
@@ -360,7 +363,7 @@ pub(super) fn wheels(entries: &[Entry], n: usize) -> Check {
 }
 
 /// Refuses two vectors along one line.
-fn apart(pointer: &str, a: &[f64], b: &[f64], name: &str) -> Check {
+pub(super) fn apart(pointer: &str, a: &[f64], b: &[f64], name: &str) -> Check {
     let (a_size, b_size) = (largest(a), largest(b));
     let unit = |v: &[f64], size: f64| -> Vec<f64> { v.iter().map(|x| x / size).collect() };
     let (a, b) = (unit(a, a_size), unit(b, b_size));

@@ -332,9 +332,10 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
     let State { attitude, momentum: last } = reached.state();
     Measured {
         end: match ending {
-            Ending::Completed if blown.get() => End::BlewUp,
-            Ending::Cancelled if blown.get() => End::BlewUp,
-            Ending::Completed => End::Completed,
+            Ending::Completed | Ending::Stopped(_) | Ending::Cancelled if blown.get() => {
+                End::BlewUp
+            }
+            Ending::Completed | Ending::Stopped(_) => End::Completed,
             Ending::Cancelled => End::Cancelled,
             Ending::Failed(failure) => End::Failed(failure),
         },

@@ -301,6 +301,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         momentum: false,
         sigma_min: false,
         pace: false,
+        control: false,
     };
     let mut largest = Largest::default();
     let Ok(end) = trajectory::integrate(
@@ -314,7 +315,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
     );
     watch.advance(1)?;
     let outcome = match &end.ending {
-        Ending::Completed => "succeeded",
+        Ending::Completed | Ending::Stopped(_) => "succeeded",
         Ending::Cancelled => "cancelled",
         Ending::Failed(failure) => failure.code.as_str(),
     };

@@ -103,6 +103,7 @@ impl Task for Member<'_> {
             momentum: true,
             sigma_min: false,
             pace: false,
+            control: false,
         };
         let Ok(Trajectory { ending, reached }) = trajectory::integrate(
             &body,
@@ -114,7 +115,7 @@ impl Task for Member<'_> {
             |_| !stop.load(Ordering::Relaxed),
         );
         let Checkpoint { step, attitude, momentum, .. } = reached;
-        let completed = ending == Ending::Completed;
+        let completed = matches!(ending, Ending::Completed | Ending::Stopped(_));
         let entries = |g: &so::Mat<N>| match quaternion(g) {
             Some(q) => q.to_vec(),
             None => g.transpose().as_slice().to_vec(),
@@ -127,7 +128,7 @@ impl Task for Member<'_> {
             scores: seen.tallies.iter().map(|tally| tally.value(completed)).collect(),
         };
         match ending {
-            Ending::Completed => Some(Outcome::Succeeded(row)),
+            Ending::Completed | Ending::Stopped(_) => Some(Outcome::Succeeded(row)),
             Ending::Failed(failure) => Some(Outcome::Failed(failure.code.as_str(), row)),
             Ending::Cancelled => None,
         }

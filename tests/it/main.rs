@@ -9,6 +9,7 @@ mod advise;
 mod bad_scenarios;
 mod cases;
 mod cli;
+mod control;
 mod ensemble;
 mod extreme;
 mod failing;

@@ -13,7 +13,7 @@
 //! Invariant: the same motion and the same input as [`super::driven::BodyAtTime`] gives, up to rounding.
 
 use super::RigidBody;
-use super::driven::{Driving, Time, Torque};
+use super::driven::{Driving, Torque};
 use super::term::Lanes;
 use crate::failure::Failure;
 use crate::lanes::{Row, StageScalar, WIDTH};
@@ -23,12 +23,33 @@ use crate::space::{
     Mat3, Vec3, cross, dot, mat3, minus, plus, product, scaled, transposed_product, vec3,
 };
 use crate::stack::Known;
+use crate::time::Time;
 
 /// The drive during a step; empty for a body that is not driven.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Drive {
     terms: Vec<TermAtStages>,
     push: Option<PushAtStages>,
+    /// Momentum of wheels relative to the body.
+    pub(crate) wheels: WheelsAtStages,
+}
+
+/// The momentum of wheels relative to the body, in body coordinates.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct WheelsAtStages {
+    /// Where the step begins.
+    pub(crate) at_start: Vec3<f64>,
+    pub(crate) at_stages: Vec3<Row>,
+    /// Its rate, by motors.
+    rate: Option<Vec3<f64>>,
+}
+
+impl Default for Drive {
+    fn default() -> Self {
+        let wheels =
+            WheelsAtStages { at_start: [0.0; 3], at_stages: [Row::splat(0.0); 3], rate: None };
+        Self { terms: Vec::new(), push: None, wheels }
+    }
 }
 
 /// A driven term at the stages, in space coordinates.
@@ -126,16 +147,29 @@ impl Drive {
     ) -> Result<(), Failure> {
         self.terms.clear();
         self.push = None;
+        let times = |k: usize| Time::in_step(begun, h, nodes[k] * h);
+        // Lanes without a stage repeat the last one.
+        let stage = |lane: usize| lane.min(nodes.len() - 1);
+        let vector = |wheels: Option<Mat<3>>| -> Vec3<f64> {
+            wheels.map_or([0.0; 3], |wheels| so3::vee(&wheels).into())
+        };
+        let spin = body.driven.spin.as_ref();
+        self.wheels.at_start = vector(body.wheels_at(Time::in_step(begun, h, 0.0)));
+        self.wheels.rate = spin.map(|spin| so3::vee(&spin.rate).into());
+        for lane in 0..WIDTH {
+            let wheels = match spin {
+                Some(_) => vector(body.wheels_at(times(stage(lane)))),
+                None => self.wheels.at_start,
+            };
+            (0..3).for_each(|i| self.wheels.at_stages[i][lane] = wheels[i]);
+        }
         if !body.is_driven() {
             return Ok(());
         }
-        let times = |k: usize| Time::in_step(begun, h, nodes[k] * h);
         for k in 0..nodes.len() {
             let at_stage = |failure| Failure { stage: Some(k), ..failure };
             body.driven.check(times(k)).map_err(at_stage)?;
         }
-        // Lanes without a stage repeat the last one.
-        let stage = |lane: usize| lane.min(nodes.len() - 1);
         for driven in &body.driven.terms {
             let zero = Row::splat(0.0);
             let mut term = TermAtStages {
@@ -283,6 +317,9 @@ impl RigidBody<3> {
             let part = lanes.row(&term.strengthening) * law.value(&q)
                 + lanes.row(&term.factor) * law.change(&q, &rate);
             power = power + part;
+        }
+        if let Some(rate) = &drive.wheels.rate {
+            power = power - (omega[0] * rate[0] + omega[1] * rate[1] + omega[2] * rate[2]);
         }
         let mut impulse = [lanes.constant(0.0); 3];
         if let Some(push) = &drive.push {

@@ -21,6 +21,7 @@ use super::term::{Law, Space, Term};
 use crate::failure::{Failure, FailureCode};
 use crate::so::{self, Mat, Vector};
 use crate::system::Energy;
+use crate::time::Time;
 
 /// Motion of the space vector of a term.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,6 +50,78 @@ pub enum Path<const N: usize> {
         /// Mean anomaly at t = 0, in rad.
         mean_anomaly: f64,
     },
+    /// The vector is a magnetic field along an orbit, in T; the term's own vector plays no part. n = 3.
+    Dipole(Box<DipoleField>),
+}
+
+/// The magnetic field of a dipole along a circular or elliptic orbit about it; n = 3, in space coordinates.
+///
+/// ```text
+/// B = moment / r^3 (3 (d . x) x - d),    x the direction of the orbit's place, r its distance
+/// ```
+///
+/// d is `-z`, tilted: for the Earth, whose field points north at the equator.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DipoleField {
+    /// Strength of the dipole, in T m^3 (7.96e15 for the Earth).
+    pub moment_t_m3: f64,
+    /// Angle of the dipole from the z axis, towards x at t = 0, in rad.
+    pub tilt_rad: f64,
+    /// Rate at which the dipole turns about z, in rad/s.
+    pub rotation_rad_s: f64,
+    /// Unit vectors of space: to the pericentre, and across it in the plane of the orbit in the direction of flight.
+    pub plane: [[f64; 3]; 2],
+    /// Semi-major axis, in m.
+    pub semi_major_axis_m: f64,
+    /// Mean motion, in rad/s.
+    pub mean_motion_rad_s: f64,
+    /// Eccentricity, from 0 to less than 1.
+    pub eccentricity: f64,
+    /// Mean anomaly at t = 0, in rad.
+    pub mean_anomaly_rad: f64,
+}
+
+impl DipoleField {
+    /// The field at a time, in T, and its rate, in T/s, in space coordinates.
+    pub(super) fn at<const N: usize>(&self, t: Time) -> (Vector<N>, Vector<N>) {
+        let e = self.eccentricity;
+        let (sin, cos) =
+            eccentric_anomaly(t.angle(self.mean_motion_rad_s, self.mean_anomaly_rad), e);
+        // r / a, the direction by the true anomaly, and their rates.
+        let (r, root) = (1.0 - e * cos, (1.0 - e * e).sqrt());
+        let (x, y) = ((cos - e) / r, root * sin / r);
+        let turning = self.mean_motion_rad_s * root / (r * r);
+        let receding = self.mean_motion_rad_s * e * sin / r;
+        let [p, q] = self.plane;
+        let (sin, cos) = libm::sincos(self.tilt_rad);
+        let (turned_sin, turned_cos) = libm::sincos(t.angle(self.rotation_rad_s, 0.0));
+        let d = [-sin * turned_cos, -sin * turned_sin, -cos];
+        let d_rate = [-d[1] * self.rotation_rad_s, d[0] * self.rotation_rad_s, 0.0];
+        let at: [f64; 3] = std::array::from_fn(|i| p[i] * x + q[i] * y);
+        let at_rate: [f64; 3] = std::array::from_fn(|i| (q[i] * x - p[i] * y) * turning);
+        let distance_m = self.semi_major_axis_m * r;
+        let size = self.moment_t_m3 / (distance_m * distance_m * distance_m);
+        let dot = |a: &[f64; 3], b: &[f64; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+        let along = dot(&d, &at);
+        let along_rate = dot(&d_rate, &at) + dot(&d, &at_rate);
+        let field = |i: usize| size * (3.0 * along * at[i] - d[i]);
+        let rate = |i: usize| {
+            size * (3.0 * (along_rate * at[i] + along * at_rate[i]) - d_rate[i])
+                - 3.0 * receding / r * field(i)
+        };
+        let vector =
+            |f: &dyn Fn(usize) -> f64| Vector::from_fn(|i, _| if i < 3 { f(i) } else { 0.0 });
+        (vector(&field), vector(&rate))
+    }
+}
+
+/// Driven wheels: how fast the momentum of all of them changes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Spin<const N: usize> {
+    /// Motor torques along their axes, added up: skew, in N m.
+    pub(super) rate: Mat<N>,
+    /// The time at which the wheels have the momentum of the body's `wheels`, in s.
+    pub(super) since_s: f64,
 }
 
 /// Factor by which the strength of a term is multiplied.
@@ -109,11 +182,12 @@ pub enum Torque<const N: usize> {
 pub(super) struct Driven<const N: usize> {
     pub(super) terms: Vec<DrivenTerm<N>>,
     pub(super) torques: Vec<Torque<N>>,
+    pub(super) spin: Option<Spin<N>>,
 }
 
 impl<const N: usize> Driven<N> {
     pub(super) fn is_empty(&self) -> bool {
-        self.terms.is_empty() && self.torques.is_empty()
+        self.terms.is_empty() && self.torques.is_empty() && self.spin.is_none()
     }
 
     /// Refuses a time that a table does not cover, and orbits that do not close.
@@ -181,6 +255,10 @@ impl<const N: usize> Driven<N> {
                 Path::Fixed => vec![own],
                 Path::Turning { plane: [a, b], .. } => vec![own, *a, *b],
                 Path::Orbit { across, .. } => vec![own, *across],
+                // It has no direction that stays in a plane.
+                Path::Dipole(_) => {
+                    (0..N).map(|axis| Vector::from_fn(|i, _| f64::from(i == axis))).collect()
+                }
             }
         };
         self.terms.iter().flat_map(of).collect()
@@ -197,7 +275,7 @@ impl<const N: usize> Driven<N> {
         /// Relative to the rate: rounding of the numbers in a scenario.
         const NEAR: f64 = 1e-12;
         let rates: Option<Vec<Mat<N>>> = self.terms.iter().map(DrivenTerm::turning).collect();
-        let rates = rates.filter(|_| self.torques.is_empty())?;
+        let rates = rates.filter(|_| self.torques.is_empty() && self.spin.is_none())?;
         let rate = *rates.first()?;
         let norm = |x: &Mat<N>| so::inner(x, x).sqrt();
         let near = NEAR * norm(&rate);
@@ -216,6 +294,8 @@ pub(crate) struct BodyAtTime<const N: usize> {
     torques: Vec<Torque<N>>,
     /// Strengths of the torques by tables, added up.
     tables: f64,
+    /// Rate of the momentum of driven wheels.
+    spin: Option<Mat<N>>,
     changing: Vec<Changing<N>>,
     /// Failure, if there is no such moment.
     refused: Option<Failure>,
@@ -267,56 +347,6 @@ pub(super) struct Driving<const N: usize> {
     pub(super) moving: Vector<N>,
 }
 
-/// A time: the beginning of a step, and the time since. Their sum would be rounded to the
-/// resolution of a clock late in a run, which is a noise in every phase.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Time {
-    begun: f64,
-    after: f64,
-    /// Time whose piece of a table counts. In a step it is the middle: at its two ends the polynomial of the step counts, and
-    /// not the one before or after it.
-    piece_at: f64,
-}
-
-/// Times that differ by no more than this are the same: `k h` is a rounding away from what was meant.
-pub(crate) fn rounding_s(t: f64) -> f64 {
-    8.0 * f64::EPSILON * t.abs()
-}
-
-impl Time {
-    /// A time as an observer sees it: at a knot, what comes after it.
-    pub(crate) fn of(t: f64) -> Self {
-        Self { begun: t, after: 0.0, piece_at: t + rounding_s(t) }
-    }
-
-    /// The time just before a knot, as it is seen from there.
-    fn before(knot: f64) -> Self {
-        Self { piece_at: knot - rounding_s(knot), ..Self::of(knot) }
-    }
-
-    /// The time `after` seconds from the beginning of a step of length `h`.
-    pub(crate) fn in_step(begun: f64, h: f64, after: f64) -> Self {
-        Self { begun, after, piece_at: begun + 0.5 * h }
-    }
-
-    fn seconds(self) -> f64 {
-        self.begun + self.after
-    }
-
-    /// `rate t + phase` less whole turns, to round-off of a turn however late it is.
-    fn angle(self, rate: f64, phase: f64) -> f64 {
-        /// 2 pi in three parts (Cody and Waite 1980): the first has 24 bits, and its product with the turns is exact.
-        const HIGH: f64 = 6.283_185_482_025_146_5;
-        const LOW: f64 = std::f64::consts::TAU - HIGH;
-        const LOWEST: f64 = 2.449_293_598_294_706_4e-16;
-        let angle = rate * self.begun;
-        let rounded_off = libm::fma(rate, self.begun, -angle);
-        let turns = libm::round(angle / std::f64::consts::TAU);
-        let rest = ((angle - turns * HIGH) - turns * LOW) - turns * LOWEST;
-        rest + (rounded_off + rate * self.after) + phase
-    }
-}
-
 impl<const N: usize> DrivenTerm<N> {
     /// Its space vector at a time in seconds.
     pub fn space_at(&self, t: f64) -> Vector<N> {
@@ -362,6 +392,7 @@ impl<const N: usize> DrivenTerm<N> {
         };
         let (space, moving) = match &self.path {
             Path::Fixed => (own, Vector::zeros()),
+            Path::Dipole(field) => field.at(t),
             Path::Turning { plane: [a, b], rate } => {
                 let part = |v: &Vector<N>| so::dot(v.as_slice(), own.as_slice());
                 let (x, y) = (part(a), part(b));
@@ -463,6 +494,9 @@ impl<const N: usize> BodyAtTime<N> {
     pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> WorkAndImpulse<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));
+        if let Some(spin) = &self.spin {
+            power -= so::inner(spin, omega);
+        }
         for Changing { strengthening, law, space, moving } in &self.changing {
             let q = so::to_body(g, space);
             power += strengthening.value(&q) + law.numbers().change(&q, &so::to_body(g, moving));
@@ -524,7 +558,9 @@ impl<const N: usize> RigidBody<N> {
             constant: self.constant,
             user: self.user.clone(),
             driven: Driven::default(),
-            wheels: self.wheels,
+            wheels: self.wheels_at(t),
+            control: None,
+            stops: Vec::new(),
             work: self.work.clone(),
         };
         for Changing { law, space, .. } in &changing {
@@ -540,7 +576,16 @@ impl<const N: usize> RigidBody<N> {
         let refused = self.driven.check(t).err();
         let torques = self.driven.torques.iter().map(now).collect();
         let tables = self.driven.torque_tables().map(|(size, table)| size * table.at(t).0[0]).sum();
-        BodyAtTime { body, torques, tables, changing, refused }
+        let spin = self.driven.spin.map(|spin| spin.rate);
+        BodyAtTime { body, torques, tables, spin, changing, refused }
+    }
+
+    /// The momentum of the wheels at a time.
+    pub(super) fn wheels_at(&self, t: Time) -> Option<Mat<N>> {
+        match (&self.wheels, &self.driven.spin) {
+            (Some(wheels), Some(Spin { rate, since_s })) => Some(wheels + rate * t.since(*since_s)),
+            (wheels, _) => *wheels,
+        }
     }
 
     /// The energy by which the potential jumps at a knot.

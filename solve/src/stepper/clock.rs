@@ -3,8 +3,9 @@
 //! Invariant: each input is a sum with its lost part, by the weights of the scheme that made the steps.
 
 use crate::compensated::Sum;
-use crate::hamiltonian::{Time, WorkAndImpulse};
+use crate::hamiltonian::WorkAndImpulse;
 use crate::so::Mat;
+use crate::time::Time;
 
 /// The time at which the next step begins, and the input since [`super::Stepper::start`].
 #[derive(Clone, Debug)]

@@ -4,11 +4,11 @@
 
 use super::Stepper;
 use crate::failure::Failure;
-use crate::hamiltonian::rounding_s;
 use crate::nonlinear::{Convergence, Rung};
 use crate::so::Mat;
 use crate::state::State;
 use crate::system::System;
+use crate::time::rounding_s;
 
 /// The knots of a system along a run.
 #[derive(Clone, Copy, Debug)]
@@ -64,8 +64,12 @@ impl Knots {
         let attitude = stepper.attitude().unwrap_or_else(Mat::identity);
         let state = State { attitude, momentum: stepper.momentum() };
         let clock = stepper.clock().cloned();
+        let control = stepper.control().cloned();
         self.parts(system, stepper, begun_s, h).inspect_err(|_| {
             stepper.start(&state);
+            if let Some(then) = &control {
+                stepper.set_control(then);
+            }
             if let (Some(now), Some(then)) = (stepper.clock_mut(), clock) {
                 *now = then;
             }

@@ -2,22 +2,19 @@
 //! docs/derivation.md.
 
 use crate::hamiltonian::RigidBody;
-use crate::lanes::extras::DRIVEN;
 use crate::lanes::{Real, Row, StageScalar, WIDTH};
 use crate::space::{
     Mat3, Quaternion, Sym3, Vec3, asym_of_product, dot, inverse_less_half, mat3, minus,
     symmetric_product, times_hat, transposed, transposed_matrix_product, vec3,
 };
 
-/// The inertia J of the body, in the form in which it divides a momentum, and its wheels.
+/// The inertia J of the body, in the form in which it divides a momentum.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inertia<T> {
     /// J^-1.
     inverse: Sym3<T>,
     /// Is it diagonal, as in principal axes?
     principal: bool,
-    /// Momentum of wheels relative to the body.
-    wheels: [f64; 3],
 }
 
 impl Inertia<f64> {
@@ -25,8 +22,7 @@ impl Inertia<f64> {
     pub(super) fn of(body: &RigidBody<3>) -> Self {
         let m = body.inverse_inertia();
         let inverse = [m.m11, m.m22, m.m33, m.m23, m.m13, m.m12];
-        let wheels = body.wheels().unwrap_or_default();
-        Self { inverse, principal: inverse[3..] == [0.0; 3], wheels }
+        Self { inverse, principal: inverse[3..] == [0.0; 3] }
     }
 
     /// Returns the same for all lanes.
@@ -36,21 +32,11 @@ impl Inertia<f64> {
         for i in 0..6 {
             inverse[i] = lanes.constant(self.inverse[i]);
         }
-        Inertia { inverse, principal: self.principal, wheels: self.wheels }
+        Inertia { inverse, principal: self.principal }
     }
 }
 
 impl<R: Real> Inertia<R> {
-    /// The velocity of a body momentum, `J^-1 (mu - wheels)`.
-    #[inline(always)]
-    pub(super) fn velocity<const EXTRAS: u8>(&self, mu: &Vec3<R>) -> Vec3<R> {
-        if EXTRAS & DRIVEN != 0 {
-            self.divides(&vec3!(i => mu[i] + -self.wheels[i]))
-        } else {
-            self.divides(mu)
-        }
-    }
-
     /// `J^-1 v`
     #[inline(always)]
     pub(super) fn divides(&self, v: &Vec3<R>) -> Vec3<R> {

@@ -411,7 +411,11 @@ impl VpdSo3 {
                     );
                 }
             }
-            MotionState::Reduced { .. } => seen.clear(),
+            MotionState::Reduced { .. } => {
+                seen.clear();
+                // Wheels alone, which need no frame.
+                drive.begin(body, clock.time, h, tableau.nodes())?;
+            }
         }
         Ok(())
     }

@@ -340,8 +340,14 @@ impl<const N: usize> Sink<N> for Kept<N> {
     }
 }
 
-const ALL: Observables =
-    Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true, pace: true };
+const ALL: Observables = Observables {
+    energy: true,
+    orthogonality: true,
+    momentum: true,
+    sigma_min: true,
+    pace: true,
+    control: false,
+};
 
 fn adaptive(scene: &Scene, stages: usize, largest_step_s: f64) -> VpdAdaptive<3> {
     VpdAdaptive::new(gauss(stages), StopRule::default(), scene.scale.clone())

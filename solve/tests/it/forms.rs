@@ -229,6 +229,7 @@ fn without_need_no_attitude_is_computed() {
         momentum: true,
         sigma_min: false,
         pace: false,
+        control: false,
     };
     let count = |with_attitude| {
         let gauss = Tableau::gauss(3).expect("3 stages");

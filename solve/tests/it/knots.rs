@@ -27,6 +27,7 @@ const ALL: Observables = Observables {
     momentum: true,
     sigma_min: false,
     pace: false,
+    control: false,
 };
 
 fn table(times: &[f64], values: &[f64], interpolation: Interpolation) -> Table<1> {

@@ -156,6 +156,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         momentum: true,
         sigma_min: true,
         pace: false,
+        control: false,
     };
     let Ok(end) = integrate(system, stepper, start, schedule, observables, &mut kept, |_| true);
     (end, kept)
@@ -616,6 +617,7 @@ fn a_lagrangian_that_is_not_hyperregular_is_refused() {
         momentum: false,
         sigma_min: false,
         pace: false,
+        control: false,
     };
     let mut kept = Vec::new();
     let Ok(end) = trajectory::integrate(

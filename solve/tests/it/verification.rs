@@ -256,6 +256,7 @@ fn invariants_are_kept(
         momentum: true,
         sigma_min: false,
         pace: false,
+        control: false,
     };
     let mut seen = Invariants::default();
     let mut stepper = Vpd::new(tableau.clone(), StopRule::default());
@@ -312,6 +313,7 @@ fn a_run_stops_when_asked() {
         momentum: true,
         sigma_min: false,
         pace: false,
+        control: false,
     };
     let mut seen = Invariants::default();
     let run =

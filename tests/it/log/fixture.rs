@@ -22,8 +22,14 @@ use vpd::solve::tableau::Tableau;
 use vpd::solve::trajectory::{Observables, Sample, Schedule, Sink, integrate};
 
 pub(super) const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
-pub(super) const EVERYTHING: Observables =
-    Observables { energy: true, orthogonality: true, momentum: true, sigma_min: true, pace: false };
+pub(super) const EVERYTHING: Observables = Observables {
+    energy: true,
+    orthogonality: true,
+    momentum: true,
+    sigma_min: true,
+    pace: false,
+    control: false,
+};
 
 /// The channels that tests call by name: those of a single run. A log may have others in addition.
 pub(crate) const NAMED: [&str; 10] = [
@@ -149,6 +155,7 @@ pub(super) fn sample(state: &state::State<3>, time_s: f64) -> Sample<3> {
         convergence: None,
         sigma_min: None,
         pace: None,
+        control: None,
     }
 }
 

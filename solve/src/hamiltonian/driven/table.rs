@@ -73,7 +73,7 @@ impl<const M: usize> Table<M> {
     /// table stays as it is there: see [`Table::check`].
     pub(in crate::hamiltonian) fn at(&self, t: Time) -> ([f64; M], [f64; M]) {
         let Piece { begins, coefficients } = self.piece(self.reached(t.piece_at));
-        let x = (t.begun - begins) + t.after;
+        let x = t.since(begins);
         let value = coefficients.map(|[c, p, q, r]| c + x * (p + x * (q + x * r)));
         let rate = coefficients.map(|[_, p, q, r]| p + x * (2.0 * q + x * (3.0 * r)));
         (value, rate)

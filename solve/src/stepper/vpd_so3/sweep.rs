@@ -65,7 +65,7 @@ use crate::space::{
     symmetric_product, times_hat, transposed_product, vec3, vee_asym, with_one,
 };
 use crate::stepper::so3_equations::{
-    defect, embedded, inverse_of_q, over_q, residual, store, stretch_of,
+    Inertia, defect, embedded, inverse_of_q, over_q, residual, store, stretch_of,
 };
 use crate::tableau::TableauInLanes;
 
@@ -86,6 +86,36 @@ pub(super) fn sweep_to_row<
     let mut increments = Row::splat(0.0);
     sweep::<R, EXTRAS>(lanes, start, unknowns).store(&mut increments);
     increments
+}
+
+/// The velocity of a body momentum at the stages, `J^-1 (mu - wheels)`.
+#[inline(always)]
+fn velocity_of<R: StageScalar, const EXTRAS: u8>(
+    start: &Start<'_, R::Storage, <R::StepScalar as StepScalar>::Storage>,
+    inertia: &Inertia<R>,
+    mu: &Vec3<R>,
+) -> Vec3<R> {
+    if EXTRAS & DRIVEN != 0 {
+        let (lanes, wheels) = (mu[0], &start.drive.wheels.at_stages);
+        inertia.divides(&vec3!(i => mu[i] - lanes.row(&wheels[i])))
+    } else {
+        inertia.divides(mu)
+    }
+}
+
+/// The same where the step begins.
+#[inline(always)]
+fn velocity_at_start<T: StepScalar, const EXTRAS: u8>(
+    inertia: &Inertia<f64>,
+    drive: &Drive,
+    mu: &Vec3<T>,
+) -> Vec3<T> {
+    let inertia = inertia.in_lanes(mu[0]);
+    if EXTRAS & DRIVEN != 0 {
+        inertia.divides(&vec3!(i => mu[i] + -drive.wheels.at_start[i]))
+    } else {
+        inertia.divides(mu)
+    }
 }
 
 /// Makes the first guess: from the velocity at the beginning, kept constant, and the torque along
@@ -109,7 +139,7 @@ pub(super) fn guess<R: StageScalar, const EXTRAS: u8>(
     let whole = lanes.stage(0);
     let TableauInLanes { columns, weights, nodes, .. } = &start.plan.tableau;
     let at_start = vec3!(i => whole.load(&start.momentum[i]));
-    let velocity = start.inertia.in_lanes(whole).velocity::<EXTRAS>(&at_start);
+    let velocity = velocity_at_start::<_, EXTRAS>(&start.inertia, start.drive, &at_start);
     let inertia = start.inertia.in_lanes(lanes);
     let p0 = vec3!(i => lanes.spread(at_start[i]));
     let weight = lanes.row(weights) * start.step;
@@ -129,7 +159,8 @@ pub(super) fn guess<R: StageScalar, const EXTRAS: u8>(
             momentum = vec3!(i => -impulse[i].apply_tableau(columns));
         }
         let mu = transposed_product(&u, &plus(&p0, &momentum));
-        let rate = attitude.rate(&scaled(&inertia.velocity::<EXTRAS>(&mu), weight * 0.5));
+        let rate =
+            attitude.rate(&scaled(&velocity_of::<R, EXTRAS>(start, &inertia, &mu), weight * 0.5));
         let next = Quaternion {
             w: rate.w.apply_tableau(columns) + 1.0,
             v: vec3!(i => rate.v[i].apply_tableau(columns)),
@@ -148,7 +179,7 @@ pub(super) fn guess<R: StageScalar, const EXTRAS: u8>(
     let momentum =
         vec3!(i => collocated[i].select(norm_error, MOST_NORM_ERROR, guessed_momentum[i]));
     let mu = transposed_product(&u, &plus(&p0, &momentum));
-    let omega = inertia.velocity::<EXTRAS>(&mu);
+    let omega = velocity_of::<R, EXTRAS>(start, &inertia, &mu);
     let rate = attitude.rate(&scaled(&omega, weight * 0.5));
     let end = Quaternion { w: rate.w.sum() + 1.0, v: vec3!(i => rate.v[i].sum()) };
     let kept_on = Quaternion::cayley(&scaled(&velocity, whole.constant(0.5 * start.step)));
@@ -278,7 +309,8 @@ pub(super) fn finish<R: StageScalar, const EXTRAS: u8>(
         let pi = plus(&p0, &momentum);
         let inertia = start.inertia.in_lanes(lanes);
         let turned_by = transposed_product(&stages.c, &pi);
-        stages.omega = plus(&inertia.velocity::<EXTRAS>(&pi), &inertia.divides(&turned_by));
+        stages.omega =
+            plus(&velocity_of::<R, EXTRAS>(start, &inertia, &pi), &inertia.divides(&turned_by));
         let w = times_hat(&u, &scaled(&stages.omega, stages.weight));
         end_point(lanes, &w, unknowns);
     }
@@ -329,7 +361,7 @@ fn kinematics<R: StageScalar, const EXTRAS: u8>(
     let p0 = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])));
     let momentum = plus(&p0, momentum);
     // J^-1 (U^T pi - wheels) = J^-1 (pi - wheels) + J^-1 (U - I)^T pi
-    let unturned = inertia.velocity::<EXTRAS>(&momentum);
+    let unturned = velocity_of::<R, EXTRAS>(start, &inertia, &momentum);
     let mut c = attitude.change();
     let mut u = with_one(&c);
     let mut turned_by = transposed_product(&c, &momentum);
@@ -421,7 +453,7 @@ fn torque_at<R: StageScalar, const EXTRAS: u8>(
         return of_terms;
     }
     let mu = transposed_product(u, pi);
-    let omega = start.inertia.in_lanes(lanes).velocity::<EXTRAS>(&mu);
+    let omega = velocity_of::<R, EXTRAS>(start, &start.inertia.in_lanes(lanes), &mu);
     start.body.driven_torque(u, [&mu, &omega], start.drive, start.drive_seen, of_terms)
 }
 
@@ -455,7 +487,7 @@ pub(super) fn work_and_impulse<R: StageScalar, const EXTRAS: u8>(
     let momentum: Vec3<R> = load(lanes, &unknowns.momentum);
     let pi = vec3!(i => lanes.spread(lanes.stage(0).load(&start.momentum[i])) + momentum[i]);
     let mu = transposed_product(&u, &pi);
-    let omega = start.inertia.in_lanes(lanes).velocity::<EXTRAS>(&mu);
+    let omega = velocity_of::<R, EXTRAS>(start, &start.inertia.in_lanes(lanes), &mu);
     let weight = lanes.row(&start.plan.tableau.weights) * start.step;
     let (work, impulse) =
         start.body.work_and_impulse(&u, [&mu, &omega], weight, start.drive, start.drive_seen);

@@ -1,0 +1,125 @@
+//! A body under control, with the stepper of its method: see [`crate::hamiltonian::Control`].
+//!
+//! Invariant: a command changes only between two steps, at the times that [`super::Knots`] ends them.
+
+use super::{Clock, Stepper};
+use crate::control::{ControlSample, ControlState};
+use crate::failure::Failure;
+use crate::hamiltonian::RigidBody;
+use crate::nonlinear::Convergence;
+use crate::so::Mat;
+use crate::state::{Checkpoint, State};
+
+/// The stepper: that of the method, the body with the command that acts, and what the controller knows.
+pub struct Controlled<const N: usize> {
+    method: Box<dyn Stepper<N>>,
+    body: RigidBody<N>,
+    control: ControlState,
+    /// The last sample.
+    sample: Option<ControlSample>,
+    /// The time at which the next step begins, in s.
+    time_s: f64,
+}
+
+impl<const N: usize> Controlled<N> {
+    /// Creates a stepper of a body that has a control ([`RigidBody::with_control`]), which is stepped by `method`.
+    pub fn new(method: Box<dyn Stepper<N>>, body: RigidBody<N>) -> Self {
+        Self { method, body, control: ControlState::default(), sample: None, time_s: 0.0 }
+    }
+
+    /// Lets the control do what is due.
+    fn advance(&mut self) {
+        let Some(control) = self.body.control().cloned() else { return };
+        let g = self.method.attitude().unwrap_or_else(Mat::identity);
+        let mu = self.method.momentum();
+        let (sample, jump) =
+            control.advance(&mut self.control, &mut self.body, self.time_s, &g, &mu);
+        if sample.is_some() {
+            self.sample = sample;
+        }
+        if let Some(clock) = self.method.clock_mut() {
+            clock.add_jump(jump);
+        }
+    }
+}
+
+impl<const N: usize> Stepper<N> for Controlled<N> {
+    fn order(&self) -> u32 {
+        self.method.order()
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.method.start(state);
+        self.time_s = 0.0;
+        if let Some(control) = self.body.control().cloned() {
+            self.control = control.start();
+            control.hold(&self.control, &mut self.body);
+        }
+        self.advance();
+    }
+
+    fn resume(&mut self, checkpoint: &Checkpoint<N>) {
+        match &checkpoint.control {
+            Some(control) => {
+                self.method.resume(checkpoint);
+                self.set_control(control);
+            }
+            None => self.start(&checkpoint.state()),
+        }
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        self.body.work_as(body);
+        let solved = self.method.step(&self.body, h);
+        body.count_as(&self.body);
+        let solved = solved?;
+        self.time_s += h;
+        self.advance();
+        Ok(solved)
+    }
+
+    fn acting(&self) -> Option<&RigidBody<N>> {
+        Some(&self.body)
+    }
+
+    fn control(&self) -> Option<&ControlState> {
+        Some(&self.control)
+    }
+
+    fn set_control(&mut self, control: &ControlState) {
+        self.control.clone_from(control);
+        self.sample = None;
+        if let Some(law) = self.body.control().cloned() {
+            law.hold(&self.control, &mut self.body);
+        }
+    }
+
+    fn control_sample(&self) -> Option<&ControlSample> {
+        self.sample.as_ref()
+    }
+
+    fn set_time(&mut self, time_s: f64) {
+        self.time_s = time_s;
+        self.method.set_time(time_s);
+    }
+
+    fn clock(&self) -> Option<&Clock<N>> {
+        self.method.clock()
+    }
+
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        self.method.clock_mut()
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        self.method.attitude()
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.method.momentum()
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        self.method.sigma_min()
+    }
+}

@@ -1,0 +1,414 @@
+//! The control of a scene with its numbers, its magnetic field, and the conditions that end a run.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use super::ModelKinetic;
+use super::model::{attitude, skew};
+use super::problem::{across, unit_vector};
+use crate::scenario::{
+    Control, Dipole, Field, Framed, Initial, Law, OrbitTarget, Scenario, ScenarioError, Target,
+    Through, TurningTarget, Wheels, vector,
+};
+use crate::solve::control::{self, ControlLaw};
+use crate::solve::hamiltonian::{self as body, Actuator, DipoleField, ReactionWheels, RigidBody};
+use crate::solve::so::Mat;
+use crate::solve::stop::{Condition, Stop};
+
+/// What a scene has of control, a field and conditions.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ModelControl {
+    control: Option<Control>,
+    target: Option<ModelTarget>,
+    wheels: Option<ModelWheels>,
+    field: Option<DipoleField>,
+    /// A permanent moment of the body, in A m^2.
+    moment: Option<[f64; 3]>,
+    stops: Vec<ModelStop>,
+}
+
+/// An attitude to aim at.
+#[derive(Clone, Debug)]
+struct ModelTarget {
+    start: DMatrix<f64>,
+    /// Two orthonormal vectors, of which the first turns towards the second.
+    plane: [Vec<f64>; 2],
+    rate: f64,
+}
+
+/// Driven wheels.
+#[derive(Clone, Debug)]
+pub(super) struct ModelWheels {
+    axes: Vec<[f64; 3]>,
+    moments: Vec<f64>,
+    momenta: Vec<f64>,
+    limits: [f64; 2],
+}
+
+/// A condition that ends a run.
+#[derive(Clone, Debug)]
+enum ModelCondition {
+    PointingErrorBelow(f64),
+    RateBelow(f64),
+    AngleAbove(DMatrix<f64>, f64),
+    EnergyErrorAbove(f64),
+}
+
+#[derive(Clone, Debug)]
+struct ModelStop {
+    condition: ModelCondition,
+    for_s: f64,
+}
+
+impl ModelWheels {
+    /// Reads the wheels of a body whose inertia includes them, at rest in the body unless their momenta are given; `kinetic` is
+    /// that of the body with wheels that do not turn, and becomes that without them about their axes.
+    pub(super) fn new(
+        given: &Wheels,
+        initial: &Initial,
+        attitude: &DMatrix<f64>,
+        inertia: &DMatrix<f64>,
+        kinetic: &mut ModelKinetic,
+    ) -> Result<Self, ScenarioError> {
+        let at = "/scene/control/through/wheels";
+        let axes: Vec<[f64; 3]> =
+            given.axes.iter().map(|&axis| Vector3::from(axis).normalize().into()).collect();
+        let count = axes.len();
+        let moments = given.moments_kg_m2.clone().unwrap_or_else(|| vec![0.0; count]);
+        let whole = Matrix3::from_fn(|i, j| inertia[(i, j)]);
+        let omega = start_velocity(initial, attitude, &whole);
+        let at_rest = || {
+            axes.iter()
+                .zip(&moments)
+                .map(|(axis, j)| j * Vector3::from(*axis).dot(&omega))
+                .collect()
+        };
+        let momenta = given.momenta.clone().unwrap_or_else(at_rest);
+        if moments.iter().any(|&moment| moment > 0.0) {
+            let mut own = whole;
+            for (axis, moment) in axes.iter().zip(&moments) {
+                let axis = Vector3::from(*axis);
+                own -= axis * axis.transpose() * *moment;
+            }
+            let smallest = own.symmetric_eigenvalues().min();
+            if !(smallest > 1e-12 * own.amax()) {
+                let message = format!(
+                    "the inertia of the body includes its wheels, but without them about their axes its smallest moment is \
+                     {smallest:e}"
+                );
+                return Err(ScenarioError::invalid(format!("{at}/moments_kg_m2"), message));
+            }
+            let is_diagonal = (0..3).all(|i| {
+                (0..3).all(|j| {
+                    let rounded = f64::EPSILON * (own[(i, i)] * own[(j, j)]).sqrt();
+                    i == j || own[(i, j)].abs() <= rounded
+                })
+            });
+            *kinetic = if is_diagonal {
+                let weight = |i: usize, j: usize| {
+                    if i == j { 0.0 } else { 1.0 / own[(3 - i - j, 3 - i - j)] }
+                };
+                ModelKinetic::Principal { weights: DMatrix::from_fn(3, 3, weight) }
+            } else {
+                ModelKinetic::Tensor { inertia: (own + own.transpose()) * 0.5 }
+            };
+        }
+        let limits =
+            [given.limit_n_m, given.limit_n_m_s].map(|limit| limit.unwrap_or(f64::INFINITY));
+        let wheels = Self { axes, moments, momenta, limits };
+        if wheels.of::<3>().is_none() {
+            let message = if count < 4 {
+                "depend on one another; up to three axes must be independent"
+            } else {
+                "lie in a plane; more than three axes must span space"
+            };
+            return Err(ScenarioError::invalid(format!("{at}/axes"), message));
+        }
+        Ok(wheels)
+    }
+
+    fn of<const N: usize>(&self) -> Option<ReactionWheels<N>> {
+        let [torque, momentum] = self.limits;
+        let (moments, momenta) = (self.moments.clone(), self.momenta.clone());
+        ReactionWheels::new(&self.axes, moments, momenta, torque, momentum)
+    }
+
+    /// The momentum of all of them at the start, skew.
+    pub(super) fn momentum(&self) -> DMatrix<f64> {
+        let along = self.axes.iter().zip(&self.momenta);
+        let sum = along.fold(Vector3::zeros(), |sum, (axis, h)| sum + Vector3::from(*axis) * *h);
+        skew(&[sum.x, sum.y, sum.z].map(crate::scenario::Entry::Number))
+    }
+}
+
+/// The angular velocity at the start of a body with an inertia, in the body.
+fn start_velocity(
+    initial: &Initial,
+    attitude: &DMatrix<f64>,
+    inertia: &Matrix3<f64>,
+) -> Vector3<f64> {
+    let in_body = |framed: &Framed| {
+        let skew = match framed {
+            Framed::Body(entries) => skew(entries),
+            Framed::Space(entries) => attitude.transpose() * skew(entries) * attitude,
+        };
+        Vector3::new(skew[(2, 1)], skew[(0, 2)], skew[(1, 0)])
+    };
+    match (&initial.angular_velocity, &initial.momentum) {
+        (Some(velocity), _) => in_body(velocity),
+        (None, Some(momentum)) => {
+            inertia.try_inverse().map_or_else(Vector3::zeros, |inverse| inverse * in_body(momentum))
+        }
+        (None, None) => Vector3::zeros(),
+    }
+}
+
+impl ModelControl {
+    /// Reads the control, the field and the conditions of a scenario whose body starts with an attitude.
+    pub(super) fn new(
+        scenario: &Scenario,
+        wheels: Option<ModelWheels>,
+        start: &DMatrix<f64>,
+    ) -> Result<Self, ScenarioError> {
+        let n = scenario.dimension();
+        let control = scenario.scene.control.clone();
+        let target = control.as_ref().and_then(|control| control.target.as_ref());
+        let target = target.map(|target| ModelTarget::new(target, n)).transpose()?;
+        let dipole = scenario.scene.field.as_ref().map(|Field::Dipole(dipole)| dipole);
+        let stops = scenario.until.iter().map(|stop| {
+            let condition = match (&stop.angle_above_rad, stop.pointing_error_below_rad) {
+                (Some(above), _) => {
+                    let from = match &above.from {
+                        Some(from) => {
+                            attitude(Some(from), n).map_err(|error| moved(error, "/until"))?
+                        }
+                        None => start.clone(),
+                    };
+                    ModelCondition::AngleAbove(from, above.angle_rad)
+                }
+                (None, Some(angle)) => ModelCondition::PointingErrorBelow(angle),
+                (None, None) => match (stop.rate_below_rad_s, stop.energy_error_above_j) {
+                    (Some(rate), _) => ModelCondition::RateBelow(rate),
+                    (None, energy) => ModelCondition::EnergyErrorAbove(energy.unwrap_or(f64::MAX)),
+                },
+            };
+            Ok(ModelStop { condition, for_s: stop.for_s })
+        });
+        Ok(Self {
+            target,
+            wheels,
+            field: dipole.map(field),
+            moment: dipole.and_then(|dipole| dipole.permanent_moment_a_m2),
+            stops: stops.collect::<Result<_, ScenarioError>>()?,
+            control,
+        })
+    }
+
+    /// Is nothing changed by it in the motion?
+    pub(crate) fn is_empty(&self) -> bool {
+        self.control.is_none() && self.moment.is_none()
+    }
+
+    /// Are there conditions that end a run?
+    pub(crate) fn has_stops(&self) -> bool {
+        !self.stops.is_empty()
+    }
+
+    /// How many steps a duration in steps of one length is cut into in addition, at most.
+    pub(super) fn knots_within(&self, duration_s: f64, step_s: f64) -> f64 {
+        let Some(control) = &self.control else { return 0.0 };
+        let on_steps = |time_s: f64| {
+            let steps = time_s / step_s;
+            (steps - steps.round()).abs() <= 1e-9 * steps
+        };
+        let samples = (duration_s / control.every_s).floor();
+        let cuts = f64::from(u8::from(!on_steps(control.every_s)))
+            + f64::from(u8::from(!on_steps(control.delay_s)));
+        cuts * samples
+    }
+
+    /// Returns what of it takes part, as lines of a plan: pointer, whether it is kept, and why.
+    pub(super) fn parts(&self) -> Vec<(&'static str, bool, &'static str)> {
+        let field = self.field.map(|_| {
+            let kept = self.is_magnetic();
+            let why =
+                if kept { "acts on magnetic moments" } else { "nothing in the scene feels it" };
+            ("/scene/field", kept, why)
+        });
+        let control = self.control.as_ref().map(|control| {
+            let why = match control.through {
+                Through::Torque => "torques that are held between samples",
+                Through::Wheels(_) => {
+                    "motor torques that are held between samples; wheels are a part of the body"
+                }
+                Through::Magnetorquers(_) => "magnetic moments that are held between samples",
+            };
+            ("/scene/control", true, why)
+        });
+        field.into_iter().chain(control).collect()
+    }
+
+    /// Does it push the body by torques that are no potential's?
+    pub(crate) fn is_pushed(&self) -> bool {
+        self.control.as_ref().is_some_and(|control| control.through == Through::Torque)
+    }
+
+    /// Are there wheels that are driven?
+    pub(crate) fn has_wheels(&self) -> bool {
+        self.wheels.is_some()
+    }
+
+    /// Does the energy depend on the attitude by it?
+    pub(crate) fn is_magnetic(&self) -> bool {
+        self.moment.is_some()
+            || self
+                .control
+                .as_ref()
+                .is_some_and(|control| matches!(control.through, Through::Magnetorquers(_)))
+    }
+
+    /// Adds it to a body.
+    pub(super) fn put_on<const N: usize>(&self, mut body: RigidBody<N>) -> RigidBody<N> {
+        let target = self.target.as_ref().map(ModelTarget::of::<N>);
+        if let (Some(moment), Some(field)) = (&self.moment, self.field) {
+            body = body.with_driven_term(body::magnetic_term(moment, field));
+        }
+        if let Some(control) = &self.control {
+            let limit = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
+            let actuator = match (&control.through, &self.wheels, self.field) {
+                (Through::Wheels(_), Some(wheels), _) => {
+                    Actuator::Wheels(wheels.of().expect("the plan checked the axes"))
+                }
+                (Through::Magnetorquers(coils), _, Some(field)) => {
+                    Actuator::Magnetorquers { limit: limit(coils.limit_a_m2), field }
+                }
+                _ => Actuator::Torque { limit: limit(control.limit_n_m) },
+            };
+            body = body.with_control(body::Control {
+                every_s: control.every_s,
+                delay_s: control.delay_s,
+                quantum_n_m: control.quantum_n_m,
+                target: target.clone(),
+                laws: control.laws.iter().map(law).collect(),
+                actuator,
+            });
+        }
+        let stop = |stop: &ModelStop| {
+            let condition = match (&stop.condition, &target) {
+                (ModelCondition::PointingErrorBelow(angle), Some(target)) => {
+                    Condition::PointingErrorBelow(target.clone(), *angle)
+                }
+                (ModelCondition::PointingErrorBelow(angle), None) => {
+                    Condition::PointingErrorBelow(control::Target::fixed(Mat::identity()), *angle)
+                }
+                (ModelCondition::RateBelow(rate), _) => Condition::RateBelow(*rate),
+                (ModelCondition::AngleAbove(from, angle), _) => {
+                    Condition::AngleAbove(control::Target::fixed(square(from)), *angle)
+                }
+                (ModelCondition::EnergyErrorAbove(energy), _) => {
+                    Condition::EnergyErrorAbove(*energy)
+                }
+            };
+            Stop { condition, for_s: stop.for_s }
+        };
+        body.with_stops(self.stops.iter().map(stop).collect())
+    }
+}
+
+fn square<const N: usize>(given: &DMatrix<f64>) -> Mat<N> {
+    Mat::from_fn(|i, j| given[(i, j)])
+}
+
+fn law(given: &Law) -> ControlLaw {
+    match given {
+        Law::Attitude(law) => ControlLaw::Attitude {
+            gain: law.gain_n_m,
+            rate_gain: law.rate_gain_n_m_s,
+            integral_gain: law.integral_gain_n_m_per_s,
+            feed_forward: law.feed_forward,
+        },
+        Law::Damping(law) => ControlLaw::Damping { rate_gain: law.rate_gain_n_m_s },
+        Law::BDot(law) => ControlLaw::BDot { gain: law.gain_a_m2_s_per_t },
+    }
+}
+
+fn field(dipole: &Dipole) -> DipoleField {
+    let orbit = &dipole.orbit;
+    let plane = match (&orbit.from, &orbit.towards) {
+        (Some(from), Some(towards)) => {
+            let from = unit_vector(from);
+            let towards = across(towards, &from);
+            [from, towards].map(|v| std::array::from_fn(|i| v[i]))
+        }
+        _ => {
+            let (sin_i, cos_i) = libm::sincos(orbit.inclination_rad);
+            let (sin_n, cos_n) = libm::sincos(orbit.node_rad);
+            let (sin_w, cos_w) = libm::sincos(orbit.argument_rad);
+            // Columns of R_z(node) R_x(inclination) R_z(argument).
+            [
+                [
+                    cos_n * cos_w - sin_n * cos_i * sin_w,
+                    sin_n * cos_w + cos_n * cos_i * sin_w,
+                    sin_i * sin_w,
+                ],
+                [
+                    -cos_n * sin_w - sin_n * cos_i * cos_w,
+                    -sin_n * sin_w + cos_n * cos_i * cos_w,
+                    sin_i * cos_w,
+                ],
+            ]
+        }
+    };
+    DipoleField {
+        moment_t_m3: dipole.moment_t_m3,
+        tilt_rad: dipole.tilt_rad,
+        rotation_rad_s: dipole.rotation_rad_s,
+        plane,
+        semi_major_axis_m: orbit.semi_major_axis_m,
+        mean_motion_rad_s: orbit.mean_motion_rad_s,
+        eccentricity: orbit.eccentricity,
+        mean_anomaly_rad: orbit.mean_anomaly_rad,
+    }
+}
+
+/// Moves the pointer of an attitude that is not at the start.
+fn moved(error: ScenarioError, at: &str) -> ScenarioError {
+    ScenarioError { pointer: error.pointer.replace("/scene/initial", at), ..error }
+}
+
+impl ModelTarget {
+    fn new(given: &Target, n: usize) -> Result<Self, ScenarioError> {
+        let at = "/scene/control/target";
+        let read = |given: Option<&_>| attitude(given, n).map_err(|error| moved(error, at));
+        let still = || [vec![0.0; n], vec![0.0; n]];
+        Ok(match given {
+            Target::Attitude(given) => {
+                Self { start: read(Some(given))?, plane: still(), rate: 0.0 }
+            }
+            Target::Turning(TurningTarget { attitude, from, towards, rate_rad_s }) => {
+                let from = unit_vector(from);
+                let towards = across(towards, &from);
+                let plane = [from, towards].map(|v: DVector<f64>| v.as_slice().to_vec());
+                Self { start: read(attitude.as_ref())?, plane, rate: *rate_rad_s }
+            }
+            Target::Orbit(OrbitTarget { from, towards, mean_motion_rad_s, attitude }) => {
+                let z = unit_vector(from);
+                let onwards = across(towards, &z);
+                let [z, onwards] = [z, onwards].map(|v| Vector3::new(v[0], v[1], v[2]));
+                let y = (onwards * mean_motion_rad_s.signum()).cross(&z);
+                let axes = [y.cross(&z), y, z];
+                let frame = DMatrix::from_fn(3, 3, |i, j| axes[j][i]);
+                let plane = [z, onwards].map(|v| v.as_slice().to_vec());
+                Self { start: frame * read(attitude.as_ref())?, plane, rate: *mean_motion_rad_s }
+            }
+        })
+    }
+
+    fn of<const N: usize>(&self) -> control::Target<N> {
+        let [a, b] = &self.plane;
+        control::Target {
+            start: square(&self.start),
+            plane: [vector(a), vector(b)],
+            rate: self.rate,
+        }
+    }
+}

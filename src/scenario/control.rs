@@ -1,0 +1,527 @@
+//! Control of a body by samples, the magnetic field that coils act on, and conditions that end a run.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::driven::apart;
+use super::range::{Check, direction, ensure, number, strength};
+use super::{Attitude, Scenario, ScenarioError, Turning, check};
+
+/// Control by samples: every so often the attitude and the angular velocity are read, a command computed, and held until the next
+/// sample. Steps end at the samples, so that a method keeps its order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Control {
+    /// Time between samples in s.
+    pub every_s: f64,
+    /// The attitude aimed at; needed by the law `attitude`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<Target>,
+    /// The laws, 1 to 10; their commands add up.
+    pub laws: Vec<Law>,
+    /// What the commands act through.
+    pub through: Through,
+    /// Time from a sample to when its command acts, in s; at most `every_s`.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub delay_s: f64,
+    /// Commands of torque are whole multiples of this, in N m; 0 for any.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub quantum_n_m: f64,
+    /// Largest size of each component of a command through `torque`, in N m; none if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_n_m: Option<f64>,
+}
+
+/// An attitude to aim at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Target {
+    /// One that stays.
+    Attitude(Attitude),
+    /// One that turns at a constant rate in a plane of space.
+    Turning(TurningTarget),
+    /// n = 3: the frame of a circular orbit. Its z points along a direction that turns, its y against the angular momentum of the
+    /// orbit, and x = y cross z: for a direction to the planet, x is the direction of flight.
+    Orbit(OrbitTarget),
+}
+
+/// An attitude that turns.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TurningTarget {
+    /// The attitude at t = 0; the identity if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attitude: Option<Attitude>,
+    /// Vector from which it turns.
+    pub from: Vec<f64>,
+    /// Vector towards which it turns; the two need not be orthogonal, nor of length one.
+    pub towards: Vec<f64>,
+    /// Rate in rad/s.
+    pub rate_rad_s: f64,
+}
+
+/// The frame of a circular orbit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OrbitTarget {
+    /// The direction of z at t = 0, for instance to the planet.
+    pub from: [f64; 3],
+    /// The direction towards which z turns; the two need not be orthogonal, nor of length one.
+    pub towards: [f64; 3],
+    /// Mean motion, 2 pi over the period, in rad/s.
+    pub mean_motion_rad_s: f64,
+    /// The attitude aimed at relative to that frame; the frame itself if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attitude: Option<Attitude>,
+}
+
+/// A law of control, in body coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Law {
+    /// Towards the target: `-gain e - rate_gain (Omega - Omega_target) - integral_gain sum(e every_s)`, e the error from the target
+    /// to the body: for n = 3 twice the vector of its quaternion, with the sign of its scalar; else its skew part.
+    Attitude(AttitudeLaw),
+    /// Against the angular velocity: `-rate_gain Omega`.
+    Damping(DampingLaw),
+    /// A magnetic moment against the change of the field in the body; for magnetorquers.
+    BDot(BDotLaw),
+}
+
+/// Towards the target.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AttitudeLaw {
+    /// In N m.
+    pub gain_n_m: f64,
+    /// In N m s.
+    pub rate_gain_n_m_s: f64,
+    /// In N m / s; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub integral_gain_n_m_per_s: f64,
+    /// Also the torque that makes up for the momentum of the turning body, `Omega cross mu`; `false` if absent.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub feed_forward: bool,
+}
+
+/// Against the angular velocity.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DampingLaw {
+    /// In N m s.
+    pub rate_gain_n_m_s: f64,
+}
+
+/// Against the change of the field.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BDotLaw {
+    /// In A m^2 s / T.
+    pub gain_a_m2_s_per_t: f64,
+}
+
+/// What commands act through.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Through {
+    /// A torque on the body.
+    Torque,
+    /// n = 3: reaction wheels.
+    Wheels(Wheels),
+    /// n = 3: three coils along the body axes, in the field of the scene.
+    Magnetorquers(Magnetorquers),
+}
+
+/// Reaction wheels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Wheels {
+    /// Their axes in the body, of any length but zero: up to three that are independent, or more that span space.
+    pub axes: Vec<[f64; 3]>,
+    /// Their moments of inertia about these in kg m^2, which the inertia of the body includes; 0 if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moments_kg_m2: Option<Vec<f64>>,
+    /// Their momenta about these at t = 0 in N m s: `j (w + a . Omega)`, w the speed relative to the body; 0 if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub momenta: Option<Vec<f64>>,
+    /// Largest motor torque in N m; none if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_n_m: Option<f64>,
+    /// Largest momentum relative to the body in N m s; none if absent. A command that would pass it is cut at its sample.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_n_m_s: Option<f64>,
+}
+
+/// Coils.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Magnetorquers {
+    /// Largest size of each component of the moment in A m^2; none if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub limit_a_m2: Option<f64>,
+}
+
+/// A magnetic field; n = 3.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Field {
+    /// That of a dipole, along an orbit about it.
+    Dipole(Dipole),
+}
+
+/// The field of a dipole, along an orbit about it: `B = moment / r^3 (3 (d . x) x - d)`, d being -z, tilted, as for the Earth.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Dipole {
+    /// Strength in T m^3; 7.96e15 for the Earth.
+    pub moment_t_m3: f64,
+    /// Angle of the dipole from the z axis, towards x at t = 0, in rad; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub tilt_rad: f64,
+    /// Rate at which it turns about z in rad/s, 7.292e-5 for the Earth; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rotation_rad_s: f64,
+    /// The orbit.
+    pub orbit: FieldOrbit,
+    /// A permanent magnetic moment of the body in A m^2: the term `-m . g^T B` of the potential; none if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub permanent_moment_a_m2: Option<[f64; 3]>,
+}
+
+/// A Kepler orbit about the centre of space, by its elements, or by the direction to its pericentre and another one in its plane.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FieldOrbit {
+    /// Semi-major axis in m.
+    pub semi_major_axis_m: f64,
+    /// Mean motion, 2 pi over the period, in rad/s.
+    pub mean_motion_rad_s: f64,
+    /// Eccentricity, from 0 to 0.99.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub eccentricity: f64,
+    /// Mean anomaly at t = 0 in rad; 0 is the pericentre.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub mean_anomaly_rad: f64,
+    /// Inclination against the x-y plane in rad; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub inclination_rad: f64,
+    /// Angle of the ascending node from x in rad; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub node_rad: f64,
+    /// Angle of the pericentre from the node in rad; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub argument_rad: f64,
+    /// Direction to the pericentre, in the place of inclination, node and argument.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<[f64; 3]>,
+    /// With `from`: from the pericentre it turns towards this direction.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub towards: Option<[f64; 3]>,
+}
+
+/// A condition that ends a run after a step; it is then a success that says so.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Stop {
+    /// The angle to the target of the control is below this, in rad.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pointing_error_below_rad: Option<f64>,
+    /// The size of the angular velocity is below this, in rad/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rate_below_rad_s: Option<f64>,
+    /// The angle to an attitude is above a limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub angle_above_rad: Option<AngleAbove>,
+    /// The size of the energy error is above this, in J.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy_error_above_j: Option<f64>,
+    /// For how long it must hold, in s; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub for_s: f64,
+}
+
+/// An angle to an attitude.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AngleAbove {
+    /// The limit in rad.
+    pub angle_rad: f64,
+    /// The attitude; that at the start if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub from: Option<Attitude>,
+}
+
+impl fmt::Display for Stop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(angle) = self.pointing_error_below_rad {
+            write!(f, "pointing error below {angle} rad")?;
+        }
+        if let Some(rate) = self.rate_below_rad_s {
+            write!(f, "rate below {rate} rad/s")?;
+        }
+        if let Some(above) = &self.angle_above_rad {
+            write!(f, "angle above {} rad", above.angle_rad)?;
+        }
+        if let Some(energy) = self.energy_error_above_j {
+            write!(f, "energy error above {energy} J")?;
+        }
+        if self.for_s > 0.0 { write!(f, " for {} s", self.for_s) } else { Ok(()) }
+    }
+}
+
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
+
+impl Control {
+    /// Checks form and range for a body of n dimensions, in a field or not.
+    pub(super) fn check(&self, n: usize, has_field: bool) -> Check {
+        /// Most laws.
+        const MOST: usize = 10;
+        let at = "/scene/control";
+        ensure(self.every_s >= 1e-9 && self.every_s <= 1e9, format!("{at}/every_s"), || {
+            format!("{:?} given, a time between samples is from 1e-9 to 1e9 s", self.every_s)
+        })?;
+        ensure((0.0..=self.every_s).contains(&self.delay_s), format!("{at}/delay_s"), || {
+            format!(
+                "{:?} given, a delay is from 0 to `every_s`, {:?} s",
+                self.delay_s, self.every_s
+            )
+        })?;
+        limit(&format!("{at}/quantum_n_m"), Some(self.quantum_n_m), true)?;
+        limit(&format!("{at}/limit_n_m"), self.limit_n_m, false)?;
+        let plain = matches!(self.through, Through::Torque);
+        ensure(self.limit_n_m.is_none() || plain, format!("{at}/limit_n_m"), || {
+            "is for commands through `torque`; wheels and magnetorquers have limits of their own"
+                .to_owned()
+        })?;
+        ensure((1..=MOST).contains(&self.laws.len()), format!("{at}/laws"), || {
+            format!("{} laws given, 1 to {MOST} are allowed", self.laws.len())
+        })?;
+        let coils = matches!(self.through, Through::Magnetorquers(_));
+        for (index, law) in self.laws.iter().enumerate() {
+            let at = format!("{at}/laws/{index}");
+            match law {
+                Law::Attitude(law) => {
+                    let at = format!("{at}/attitude");
+                    ensure(self.target.is_some(), "/scene/control/target", || {
+                        format!("is missing; the law at {at} needs one")
+                    })?;
+                    strength(&format!("{at}/gain_n_m"), law.gain_n_m)?;
+                    strength(&format!("{at}/rate_gain_n_m_s"), law.rate_gain_n_m_s)?;
+                    strength(
+                        &format!("{at}/integral_gain_n_m_per_s"),
+                        law.integral_gain_n_m_per_s,
+                    )?;
+                }
+                Law::Damping(law) => {
+                    strength(&format!("{at}/damping/rate_gain_n_m_s"), law.rate_gain_n_m_s)?;
+                }
+                Law::BDot(law) => {
+                    ensure(coils, format!("{at}/b_dot"), || {
+                        "acts through magnetorquers alone; `\"through\": {\"magnetorquers\": {}}` is needed"
+                            .to_owned()
+                    })?;
+                    strength(&format!("{at}/b_dot/gain_a_m2_s_per_t"), law.gain_a_m2_s_per_t)?;
+                }
+            }
+        }
+        if let Some(target) = &self.target {
+            target.check(n)?;
+        }
+        self.through.check(n, has_field)
+    }
+}
+
+impl Target {
+    fn check(&self, n: usize) -> Check {
+        let at = "/scene/control/target";
+        match self {
+            Self::Attitude(given) => check::attitude(&format!("{at}/attitude"), given, n),
+            Self::Turning(TurningTarget { attitude, from, towards, rate_rad_s }) => {
+                let at = format!("{at}/turning");
+                if let Some(given) = attitude {
+                    check::attitude(&format!("{at}/attitude"), given, n)?;
+                }
+                let (from, towards) = (from.clone(), towards.clone());
+                Turning { from, towards, rate_rad_s: *rate_rad_s }.check(&at, n)
+            }
+            Self::Orbit(orbit) => {
+                let at = format!("{at}/orbit");
+                only_three(&at, n)?;
+                if let Some(given) = &orbit.attitude {
+                    check::attitude(&format!("{at}/attitude"), given, n)?;
+                }
+                plane(&at, &orbit.from, &orbit.towards)?;
+                strength(&format!("{at}/mean_motion_rad_s"), orbit.mean_motion_rad_s)
+            }
+        }
+    }
+}
+
+impl Through {
+    fn check(&self, n: usize, has_field: bool) -> Check {
+        /// Most wheels.
+        const MOST: usize = 100;
+        let at = "/scene/control/through";
+        match self {
+            Self::Torque => Ok(()),
+            Self::Wheels(wheels) => {
+                let at = format!("{at}/wheels");
+                only_three(&at, n)?;
+                let count = wheels.axes.len();
+                ensure((1..=MOST).contains(&count), format!("{at}/axes"), || {
+                    format!("{count} axes given, 1 to {MOST} wheels are allowed")
+                })?;
+                for (index, axis) in wheels.axes.iter().enumerate() {
+                    direction(&format!("{at}/axes/{index}"), axis, 3)?;
+                }
+                let of_each = |name: &str, given: &Option<Vec<f64>>| {
+                    let Some(given) = given else { return Ok(()) };
+                    let at = format!("{at}/{name}");
+                    ensure(given.len() == count, &at, || {
+                        format!("{} numbers given for {count} axes", given.len())
+                    })?;
+                    given
+                        .iter()
+                        .enumerate()
+                        .try_for_each(|(i, &x)| strength(&format!("{at}/{i}"), x))
+                };
+                of_each("moments_kg_m2", &wheels.moments_kg_m2)?;
+                of_each("momenta", &wheels.momenta)?;
+                for (index, &moment) in wheels.moments_kg_m2.iter().flatten().enumerate() {
+                    ensure(moment >= 0.0, format!("{at}/moments_kg_m2/{index}"), || {
+                        format!("{moment:?} given, a moment of inertia is not below 0")
+                    })?;
+                }
+                limit(&format!("{at}/limit_n_m"), wheels.limit_n_m, false)?;
+                limit(&format!("{at}/limit_n_m_s"), wheels.limit_n_m_s, false)
+            }
+            Self::Magnetorquers(coils) => {
+                let at = format!("{at}/magnetorquers");
+                only_three(&at, n)?;
+                ensure(has_field, &at, || {
+                    "needs a field; `\"field\": {\"dipole\": ...}` in the scene gives one"
+                        .to_owned()
+                })?;
+                limit(&format!("{at}/limit_a_m2"), coils.limit_a_m2, false)
+            }
+        }
+    }
+}
+
+impl Field {
+    pub(super) fn check(&self, n: usize) -> Check {
+        let Self::Dipole(dipole) = self;
+        let at = "/scene/field/dipole";
+        only_three(at, n)?;
+        strength(&format!("{at}/moment_t_m3"), dipole.moment_t_m3 / 1e15)?;
+        number(&format!("{at}/tilt_rad"), dipole.tilt_rad)?;
+        strength(&format!("{at}/rotation_rad_s"), dipole.rotation_rad_s)?;
+        if let Some(moment) = &dipole.permanent_moment_a_m2 {
+            super::range::point(&format!("{at}/permanent_moment_a_m2"), moment, 3)?;
+        }
+        let (at, orbit) = (format!("{at}/orbit"), &dipole.orbit);
+        let axis = orbit.semi_major_axis_m;
+        ensure((1.0..=1e12).contains(&axis), format!("{at}/semi_major_axis_m"), || {
+            format!("{axis:?} given, a semi-major axis is from 1 to 1e12 m")
+        })?;
+        strength(&format!("{at}/mean_motion_rad_s"), orbit.mean_motion_rad_s)?;
+        let e = orbit.eccentricity;
+        ensure((0.0..=0.99).contains(&e), format!("{at}/eccentricity"), || {
+            format!("{e} given, an eccentricity must be from 0 to 0.99")
+        })?;
+        let elements = [
+            ("inclination_rad", orbit.inclination_rad),
+            ("node_rad", orbit.node_rad),
+            ("argument_rad", orbit.argument_rad),
+        ];
+        number(&format!("{at}/mean_anomaly_rad"), orbit.mean_anomaly_rad)?;
+        for (name, angle) in elements {
+            number(&format!("{at}/{name}"), angle)?;
+            let both = orbit.from.is_some() && angle != 0.0;
+            ensure(!both, format!("{at}/{name}"), || {
+                "is given together with `from`; give one of the two".to_owned()
+            })?;
+        }
+        match (&orbit.from, &orbit.towards) {
+            (None, None) => Ok(()),
+            (Some(from), Some(towards)) => plane(&at, from, towards),
+            (Some(_), None) => {
+                Err(ScenarioError::invalid(at, "missing field `towards`, which `from` needs"))
+            }
+            (None, Some(_)) => {
+                Err(ScenarioError::invalid(at, "missing field `from`, which `towards` needs"))
+            }
+        }
+    }
+}
+
+/// Checks the conditions that end a run.
+pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
+    /// Most conditions.
+    const MOST: usize = 100;
+    let count = scenario.until.len();
+    ensure(count <= MOST, "/until", || format!("{count} given, at most {MOST} are allowed"))?;
+    ensure(count == 0 || scenario.ensemble.is_none(), "/until", || {
+        "the members of an ensemble all run to their end; take out `until`, or the ensemble"
+            .to_owned()
+    })?;
+    ensure(count == 0 || scenario.accuracy.is_none(), "/until", || {
+        "an accuracy is one of the end of the whole run; give `method` and `step_s` instead"
+            .to_owned()
+    })?;
+    for (index, stop) in scenario.until.iter().enumerate() {
+        let at = format!("/until/{index}");
+        let given = [
+            stop.pointing_error_below_rad.is_some(),
+            stop.rate_below_rad_s.is_some(),
+            stop.angle_above_rad.is_some(),
+            stop.energy_error_above_j.is_some(),
+        ];
+        let given = given.into_iter().filter(|&given| given).count();
+        ensure(given == 1, &at, || {
+            format!(
+                "{given} conditions given, one of `pointing_error_below_rad`, `rate_below_rad_s`, `angle_above_rad`, \
+                 `energy_error_above_j` is needed"
+            )
+        })?;
+        limit(&format!("{at}/pointing_error_below_rad"), stop.pointing_error_below_rad, false)?;
+        limit(&format!("{at}/rate_below_rad_s"), stop.rate_below_rad_s, false)?;
+        limit(&format!("{at}/energy_error_above_j"), stop.energy_error_above_j, true)?;
+        limit(&format!("{at}/for_s"), Some(stop.for_s), true)?;
+        if let Some(AngleAbove { angle_rad, from }) = &stop.angle_above_rad {
+            limit(&format!("{at}/angle_above_rad/angle_rad"), Some(*angle_rad), true)?;
+            if let Some(given) = from {
+                check::attitude(&format!("{at}/angle_above_rad/from"), given, n)?;
+            }
+        }
+        let has_target = scenario.scene.control.as_ref().is_some_and(|it| it.target.is_some());
+        let aims = stop.pointing_error_below_rad.is_some();
+        ensure(has_target || !aims, format!("{at}/pointing_error_below_rad"), || {
+            "needs a target, `/scene/control/target`".to_owned()
+        })?;
+    }
+    Ok(())
+}
+
+/// Checks a limit: above zero, or not below it.
+fn limit(pointer: &str, given: Option<f64>, or_zero: bool) -> Check {
+    let Some(x) = given else { return Ok(()) };
+    strength(pointer, x)?;
+    ensure(x > 0.0 || or_zero && x == 0.0, pointer, || {
+        format!("{x:?} given, it must be {} 0", if or_zero { "at least" } else { "above" })
+    })
+}
+
+fn only_three(pointer: &str, n: usize) -> Check {
+    ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}"))
+}
+
+fn plane(at: &str, from: &[f64; 3], towards: &[f64; 3]) -> Check {
+    direction(&format!("{at}/from"), from, 3)?;
+    direction(&format!("{at}/towards"), towards, 3)?;
+    apart(&format!("{at}/towards"), from, towards, "`from`")
+}

@@ -1,0 +1,248 @@
+//! Scenes with control: their logs, their ends, what is refused.
+
+use std::fs;
+use std::sync::atomic::Ordering;
+use std::thread;
+
+use serde_json::{Value, json};
+use vpd::advise;
+use vpd::log::inspect::inspect;
+use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
+use vpd::scenario::Scenario;
+use vpd::verify::verify;
+
+fn shipped(name: &str) -> Value {
+    let path = format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"));
+    let mut scenario: Value =
+        serde_json::from_slice(&fs::read(path).expect("a scenario")).expect("JSON");
+    scenario.as_object_mut().expect("an object").remove("expect");
+    scenario
+}
+
+fn accepted(scenario: &Value) -> Scenario {
+    Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario")
+}
+
+fn run(scenario: &Value, log: &std::path::Path, control: &Control) -> Result<Summary, RunError> {
+    let plan = advise::plan(&accepted(scenario)).expect("a plan");
+    execute(&plan, &JobContext { log, control })
+}
+
+/// The slew ends where its condition holds; its log says so, shows the control at each sample, and is repeated by `verify`.
+#[test]
+fn a_slew_ends_where_it_points() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = place.path().join("slew.mcap");
+    let summary = run(&shipped("slew"), &log, &Control::default()).expect("a log");
+    assert_eq!(summary.outcome, Outcome::Succeeded);
+    let stopped = summary.stopped.expect("before its time");
+    assert!(stopped.contains("pointing error below 0.001 rad for 10 s"), "{stopped}");
+    assert!(stopped.ends_with("(/until/0)") && summary.time_s < 590.0, "{stopped}");
+    let drift = summary.momentum.expect("logged").max_drift;
+    assert!(drift < 1e-15, "{drift:e}");
+    let seen = inspect(&log).expect("readable");
+    let control = seen.topics.iter().find(|entry| entry.topic == "/control");
+    assert_eq!(control.expect("logged").messages, summary.samples);
+    assert!(verify(&log).expect("verified").same);
+}
+
+/// Interrupted wherever it may be, a run with control has the bytes of the whole one, with delays, and samples between steps.
+#[test]
+fn an_interrupted_run_has_the_same_bytes() {
+    let place = tempfile::tempdir().expect("a directory");
+    for name in ["slew", "detumble"] {
+        let mut scenario = shipped(name);
+        let fields = scenario.as_object_mut().expect("an object");
+        fields.remove("until");
+        fields.remove("duration_s");
+        fields.insert("steps".to_owned(), json!(6000));
+        fields.insert("log".to_owned(), json!({ "every": 1 }));
+        scenario["scene"]["control"]["every_s"] = json!(1.3);
+        scenario["scene"]["control"]["delay_s"] = json!(0.72);
+        let whole = place.path().join(format!("{name}.mcap"));
+        run(&scenario, &whole, &Control::default()).expect("a log");
+        let cut = place.path().join(format!("{name}-cut.mcap"));
+        for step in [500, 1700, 3300, 5200] {
+            let control = Control::default();
+            let result = thread::scope(|scope| {
+                let worker = scope.spawn(|| run(&scenario, &cut, &control));
+                while control.steps_done.load(Ordering::Relaxed) < step && !worker.is_finished() {
+                    thread::yield_now();
+                }
+                control.interrupted.store(true, Ordering::Relaxed);
+                worker.join().expect("no panic")
+            });
+            if result.is_ok() {
+                break;
+            }
+        }
+        if !cut.exists() {
+            run(&scenario, &cut, &Control::default()).expect("a log");
+        }
+        assert!(fs::read(&whole).expect("whole") == fs::read(&cut).expect("cut"), "{name}");
+    }
+}
+
+/// A condition that holds over the end of a run that is cut still counts from where it began to hold.
+#[test]
+fn a_stop_is_found_across_an_interruption() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = shipped("slew");
+    scenario["until"] = json!([{ "rate_below_rad_s": 10.0, "for_s": 400.0 }]);
+    let log = place.path().join("log.mcap");
+    let control = Control::default();
+    let cut = thread::scope(|scope| {
+        let worker = scope.spawn(|| run(&scenario, &log, &control));
+        while control.steps_done.load(Ordering::Relaxed) < 2500 && !worker.is_finished() {
+            thread::yield_now();
+        }
+        control.interrupted.store(true, Ordering::Relaxed);
+        worker.join().expect("no panic")
+    });
+    let summary = match cut {
+        Ok(summary) => summary,
+        Err(_) => run(&scenario, &log, &Control::default()).expect("a log"),
+    };
+    assert_eq!((summary.steps, summary.outcome), (4001, Outcome::Succeeded));
+}
+
+/// An ensemble under control: each member has its own controller, and its bits are those of its own run.
+#[test]
+fn members_have_controllers_of_their_own() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = shipped("slew");
+    let fields = scenario.as_object_mut().expect("an object");
+    fields.remove("until");
+    fields.insert("duration_s".to_owned(), json!(60));
+    let alone = place.path().join("alone.mcap");
+    let single = run(&scenario, &alone, &Control::default()).expect("a log");
+    scenario["ensemble"] = json!({ "members": 12, "seed": 3, "attitude_spread_rad": 0.3 });
+    let log = place.path().join("log.mcap");
+    let many = run(&scenario, &log, &Control::default()).expect("a log");
+    assert_eq!(many.ensemble.expect("an ensemble").succeeded, 12);
+    assert_eq!(many.last, single.last);
+}
+
+/// An accuracy is reached on the controlled scene: trial runs have the same control.
+#[test]
+fn an_accuracy_is_that_of_the_controlled_scene() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = shipped("slew");
+    let fields = scenario.as_object_mut().expect("an object");
+    fields.remove("until");
+    fields.remove("step_s");
+    fields.remove("method");
+    fields.remove("log");
+    fields.insert("duration_s".to_owned(), json!(40));
+    fields.insert("accuracy".to_owned(), json!({ "error": 1e-8 }));
+    let found = run(&scenario, &place.path().join("a.mcap"), &Control::default()).expect("a log");
+    let fields = scenario.as_object_mut().expect("an object");
+    fields.remove("accuracy");
+    fields.insert("step_s".to_owned(), json!(0.01));
+    fields.insert("method".to_owned(), json!({ "name": "rkmk", "tableau": "rk8" }));
+    let exact = run(&scenario, &place.path().join("b.mcap"), &Control::default()).expect("a log");
+    let rows = |summary: &Summary| summary.last.attitude.clone().expect("computed").concat();
+    let (found, exact) = (rows(&found), rows(&exact));
+    let error = found.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(error < 1e-8, "{error:e}");
+}
+
+/// What is not as it must be is named, with what was given and what is allowed.
+#[test]
+fn bad_control_is_refused_at_its_field() {
+    for (name, pointer, value, at, words) in [
+        ("slew", "/scene/control/every_s", json!(0), "/scene/control/every_s", "0.0 given"),
+        ("slew", "/scene/control/delay_s", json!(0.2), "/scene/control/delay_s", "from 0 to"),
+        ("slew", "/scene/control/laws", json!([]), "/scene/control/laws", "1 to 10"),
+        ("slew", "/scene/control/target", Value::Null, "/scene/control/target", ""),
+        (
+            "slew",
+            "/scene/control/laws/0",
+            json!({ "b_dot": { "gain_a_m2_s_per_t": 1 } }),
+            "/scene/control/laws/0/b_dot",
+            "magnetorquers alone",
+        ),
+        (
+            "slew",
+            "/scene/control/through/wheels/axes",
+            json!([[1, 0, 0], [0, 1, 0], [1, 1, 0], [1, -1, 0]]),
+            "/scene/control/through/wheels/axes",
+            "must span space",
+        ),
+        (
+            "slew",
+            "/scene/control/through/wheels/moments_kg_m2",
+            json!([5, 5, 5, 5]),
+            "/scene/control/through/wheels/moments_kg_m2",
+            "includes its wheels",
+        ),
+        (
+            "slew",
+            "/scene/control/through/wheels/moments_kg_m2",
+            json!([1]),
+            "/scene/control/through/wheels/moments_kg_m2",
+            "1 numbers given for 4",
+        ),
+        (
+            "slew",
+            "/scene/control/through/wheels/limit_n_m",
+            json!(-1),
+            "/scene/control/through/wheels/limit_n_m",
+            "above 0",
+        ),
+        ("slew", "/until/0", json!({ "for_s": 1 }), "/until/0", "0 conditions given"),
+        (
+            "slew",
+            "/until/0",
+            json!({ "energy_error_above_j": 1, "rate_below_rad_s": 1 }),
+            "/until/0",
+            "2 conditions given",
+        ),
+        (
+            "detumble",
+            "/until",
+            json!([{ "pointing_error_below_rad": 0.1 }]),
+            "/until/0/pointing_error_below_rad",
+            "needs a target",
+        ),
+        ("detumble", "/scene/field", Value::Null, "/scene", ""),
+        (
+            "detumble",
+            "/scene/field/dipole/orbit/eccentricity",
+            json!(1),
+            "/scene/field/dipole/orbit/eccentricity",
+            "from 0 to 0.99",
+        ),
+        (
+            "detumble",
+            "/scene/field/dipole/orbit/from",
+            json!([1, 0, 0]),
+            "/scene/field/dipole/orbit",
+            "",
+        ),
+        ("slew", "/log", json!({ "channels": ["/pace"] }), "/log/channels/0", "steps that adapt"),
+        ("dipole", "/log", json!({ "channels": ["/control"] }), "/log/channels/0", "with control"),
+        ("slew", "/method/name", json!("lgvi"), "/method", "lgvi"),
+    ] {
+        let mut scenario = shipped(name);
+        let (parent, key) = pointer.rsplit_once('/').expect("a pointer");
+        let parent = scenario.pointer_mut(parent).expect("it is there");
+        match parent {
+            Value::Object(fields) if value.is_null() => {
+                fields.remove(key);
+            }
+            Value::Object(fields) => {
+                fields.insert(key.to_owned(), value.clone());
+            }
+            Value::Array(items) => items[key.parse::<usize>().expect("a number")] = value.clone(),
+            _ => unreachable!("a place for a value"),
+        }
+        let text = scenario.to_string();
+        let error = match Scenario::from_json(text.as_bytes()) {
+            Err(error) => error,
+            Ok(scenario) => advise::plan(&scenario).err().expect("refused by the plan"),
+        };
+        assert!(error.pointer.starts_with(at), "{pointer}: {error}");
+        assert!(error.message.contains(words), "{pointer}: {error}");
+    }
+}
