@@ -64,7 +64,10 @@ fn assembly<const N: usize>(
         let stepper = stepper(plan).expect("the plan refuses a method that cannot run the scene");
         match plan.formulation.motion {
             Motion::AtRest => Box::new(AtRest::new(stepper)),
-            _ if body.control().is_some() => Box::new(Controlled::new(stepper, body.clone())),
+            Motion::General | Motion::InPlane if body.control().is_some() => {
+                let controlled = Controlled::new(stepper, body.clone());
+                Box::new(controlled.expect("the body has a control"))
+            }
             Motion::General | Motion::InPlane => stepper,
         }
     };

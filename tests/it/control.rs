@@ -113,7 +113,7 @@ fn members_have_controllers_of_their_own() {
     let mut scenario = shipped("slew");
     let fields = scenario.as_object_mut().expect("an object");
     fields.remove("until");
-    fields.insert("duration_s".to_owned(), json!(60));
+    fields.insert("duration_s".to_owned(), json!(30));
     let alone = place.path().join("alone.mcap");
     let single = run(&scenario, &alone, &Control::default()).expect("a log");
     scenario["ensemble"] = json!({ "members": 12, "seed": 3, "attitude_spread_rad": 0.3 });

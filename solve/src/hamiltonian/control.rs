@@ -174,33 +174,36 @@ impl<const N: usize> Control<N> {
         (state.samples as f64 - 1.0) * self.every_s + self.delay_s
     }
 
-    /// Brings the control of `body` up to a time at which it has the attitude `g` and the momentum `mu`: lets commands act that
-    /// waited, and takes the sample that is due. Returns that sample, and the energy in J by which the potential jumps.
+    /// Brings the control of `body` up to a time: lets commands act that waited, and takes the sample that is due, at the attitude
+    /// and the momentum that `read` returns. Returns that sample, and the energy in J by which the potential jumps.
     pub(crate) fn advance(
         &self,
         state: &mut ControlState,
         body: &mut RigidBody<N>,
         time_s: f64,
-        g: &Mat<N>,
-        mu: &Mat<N>,
+        read: impl FnOnce() -> (Mat<N>, Mat<N>),
     ) -> (Option<ControlSample>, f64) {
         let until_s = time_s + rounding_s(time_s);
-        let mut jump = 0.0;
-        if !state.waiting.is_empty() && self.acts_s(state) <= until_s {
-            let command = std::mem::take(&mut state.waiting);
-            let acts_s = self.acts_s(state);
-            jump += self.act(state, body, acts_s, command, g);
+        let (acts_s, sample_s) = (self.acts_s(state), self.sample_s(state));
+        let acts = !state.waiting.is_empty() && acts_s <= until_s;
+        if !acts && !(sample_s <= until_s) {
+            return (None, 0.0);
         }
-        if !(self.sample_s(state) <= until_s) {
+        let (g, mu) = read();
+        let mut jump = 0.0;
+        if acts {
+            let command = std::mem::take(&mut state.waiting);
+            jump += self.act(state, body, acts_s, command, &g);
+        }
+        if !(sample_s <= until_s) {
             return (None, jump);
         }
-        let sample_s = self.sample_s(state);
-        let sample = self.sample(state, body, sample_s, g, mu);
+        let sample = self.sample(state, body, sample_s, &g, &mu);
         state.samples += 1;
         if self.delay_s > 0.0 {
             state.waiting = sample.command.clone();
         } else {
-            jump += self.act(state, body, sample_s, sample.command.clone(), g);
+            jump += self.act(state, body, sample_s, sample.command.clone(), &g);
         }
         (Some(sample), jump)
     }

@@ -5,7 +5,7 @@
 use super::{Clock, Stepper};
 use crate::control::{ControlSample, ControlState};
 use crate::failure::Failure;
-use crate::hamiltonian::RigidBody;
+use crate::hamiltonian::{Control, RigidBody};
 use crate::nonlinear::Convergence;
 use crate::so::Mat;
 use crate::state::{Checkpoint, State};
@@ -13,6 +13,7 @@ use crate::state::{Checkpoint, State};
 /// The stepper: that of the method, the body with the command that acts, and what the controller knows.
 pub struct Controlled<const N: usize> {
     method: Box<dyn Stepper<N>>,
+    law: Control<N>,
     body: RigidBody<N>,
     control: ControlState,
     /// The last sample.
@@ -22,22 +23,23 @@ pub struct Controlled<const N: usize> {
 }
 
 impl<const N: usize> Controlled<N> {
-    /// Creates a stepper of a body that has a control ([`RigidBody::with_control`]), which is stepped by `method`.
-    pub fn new(method: Box<dyn Stepper<N>>, body: RigidBody<N>) -> Self {
-        Self { method, body, control: ControlState::default(), sample: None, time_s: 0.0 }
+    /// Creates a stepper of a body that is stepped by `method`; `None` unless it has a control: see
+    /// [`RigidBody::with_control`].
+    pub fn new(method: Box<dyn Stepper<N>>, body: RigidBody<N>) -> Option<Self> {
+        let law = body.control()?.clone();
+        let control = law.start();
+        Some(Self { method, law, body, control, sample: None, time_s: 0.0 })
     }
 
     /// Lets the control do what is due.
     fn advance(&mut self) {
-        let Some(control) = self.body.control().cloned() else { return };
-        let g = self.method.attitude().unwrap_or_else(Mat::identity);
-        let mu = self.method.momentum();
-        let (sample, jump) =
-            control.advance(&mut self.control, &mut self.body, self.time_s, &g, &mu);
+        let Self { method, law, body, control, time_s, .. } = self;
+        let read = || (method.attitude().unwrap_or_else(Mat::identity), method.momentum());
+        let (sample, jump) = law.advance(control, body, *time_s, read);
         if sample.is_some() {
             self.sample = sample;
         }
-        if let Some(clock) = self.method.clock_mut() {
+        if let Some(clock) = self.method.clock_mut().filter(|_| jump != 0.0) {
             clock.add_jump(jump);
         }
     }
@@ -51,10 +53,9 @@ impl<const N: usize> Stepper<N> for Controlled<N> {
     fn start(&mut self, state: &State<N>) {
         self.method.start(state);
         self.time_s = 0.0;
-        if let Some(control) = self.body.control().cloned() {
-            self.control = control.start();
-            control.hold(&self.control, &mut self.body);
-        }
+        self.control = self.law.start();
+        self.sample = None;
+        self.law.hold(&self.control, &mut self.body);
         self.advance();
     }
 
@@ -89,9 +90,7 @@ impl<const N: usize> Stepper<N> for Controlled<N> {
     fn set_control(&mut self, control: &ControlState) {
         self.control.clone_from(control);
         self.sample = None;
-        if let Some(law) = self.body.control().cloned() {
-            law.hold(&self.control, &mut self.body);
-        }
+        self.law.hold(&self.control, &mut self.body);
     }
 
     fn control_sample(&self) -> Option<&ControlSample> {

@@ -141,7 +141,8 @@ impl<const N: usize> Stepper<N> for Rk<N> {
                     |body_at_time| body_at_time.check(&g),
                 )
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
-            let omega = body.velocity(&mu);
+            let now = body_at_time.as_ref().map_or(body, |body_at_time| &body_at_time.body);
+            let omega = now.velocity(&mu);
             if self.projected && i == 0 {
                 check_turn(&omega, h)?;
             }

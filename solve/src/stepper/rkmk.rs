@@ -121,7 +121,8 @@ impl<const N: usize> Stepper<N> for Rkmk<N> {
                     |body_at_time| body_at_time.check(&g()),
                 )
                 .map_err(|failure| Failure { stage: Some(i), ..failure })?;
-            let omega = body.velocity(&mu);
+            let now = body_at_time.as_ref().map_or(body, |body_at_time| &body_at_time.body);
+            let omega = now.velocity(&mu);
             let k = self.dexpinv(&sigma, &omega);
             let rate = match &body_at_time {
                 Some(body_at_time) => {

@@ -82,10 +82,11 @@ struct Canonical<'a, const N: usize, S: ?Sized> {
 }
 
 impl<const N: usize, S: Hamiltonian<N> + ?Sized> Dynamics<N> for Canonical<'_, N, S> {
-    fn velocity(&self, _k: usize, u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
-        match self.system.as_body() {
-            Some(body) => body.velocity(mu),
-            None => self.system.velocity(&so::product(self.g0, u), mu),
+    fn velocity(&self, k: usize, u: &Mat<N>, mu: &Mat<N>, _omega: &Mat<N>) -> Mat<N> {
+        match (self.system.as_body(), self.bodies.get(k)) {
+            (_, Some(body_at_time)) => body_at_time.body.velocity(mu),
+            (Some(body), None) => body.velocity(mu),
+            (None, None) => self.system.velocity(&so::product(self.g0, u), mu),
         }
     }
 

@@ -82,7 +82,10 @@ struct Euler<'a, const N: usize, S: ?Sized> {
 }
 
 impl<const N: usize, S: Lagrangian<N> + ?Sized> Dynamics<N> for Euler<'_, N, S> {
-    fn velocity(&self, _k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+    fn velocity(&self, k: usize, u: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
+        if let Some(body_at_time) = self.bodies.get(k) {
+            return body_at_time.body.velocity(mu);
+        }
         let g = so::product(&self.g0, u);
         match &self.inverse {
             Some(inverse) => {

@@ -96,12 +96,19 @@ fn run<const N: usize>(
     start: &State<N>,
     (step_s, steps, every): (f64, u64, u64),
 ) -> (Vec<Sample<N>>, Trajectory<N>) {
-    let mut stepper = Controlled::new(method, body.clone());
+    let mut stepper: Box<dyn Stepper<N>> = match body.control() {
+        Some(_) => Box::new(controlled(method, body)),
+        None => method,
+    };
     let mut samples = Vec::new();
     let schedule = Schedule { step_s, steps, every };
-    let end = integrate(body, &mut stepper, start, schedule, ALL, &mut samples, |_| true);
+    let end = integrate(body, stepper.as_mut(), start, schedule, ALL, &mut samples, |_| true);
     let Ok(end) = end;
     (samples, end)
+}
+
+fn controlled<const N: usize>(method: Box<dyn Stepper<N>>, body: &RigidBody<N>) -> Controlled<N> {
+    Controlled::new(method, body.clone()).expect("the body has a control")
 }
 
 fn distance<const N: usize>(a: &Sample<N>, b: &Sample<N>) -> f64 {
@@ -308,12 +315,12 @@ fn a_resumed_run_is_the_whole_one() {
         for at in [0, 1, 7, 14, 33] {
             let schedule = Schedule { step_s: 0.1, steps: 60, every: 1 };
             let mut whole = Kept { samples: Vec::new(), at, checkpoint: None };
-            let mut stepper = Controlled::new(lanes(2), body.clone());
+            let mut stepper = controlled(lanes(2), &body);
             let Ok(_) =
                 integrate(&body, &mut stepper, &start(), schedule, ALL, &mut whole, |_| true);
             let checkpoint = whole.checkpoint.expect("one was wanted");
             let mut rest = Vec::new();
-            let mut stepper = Controlled::new(lanes(2), body.clone());
+            let mut stepper = controlled(lanes(2), &body);
             let origin = Origin { initial: &start(), checkpoint: Some(&checkpoint) };
             let Ok(_) = integrate(&body, &mut stepper, origin, schedule, ALL, &mut rest, |_| true);
             assert_eq!(rest, whole.samples[at as usize + 1..], "from step {at}");
