@@ -191,7 +191,7 @@ pub fn collect(plan: &Plan, control: &Control) -> Result<(Summary, Columns), Run
         return Err(RunError::Invalid("an ensemble needs a log for its members".to_owned()));
     }
     let channels = plan.channels.iter().map(|channel| channel.topic).collect();
-    let mut columns = Columns::new(channels, plan.asked.epoch_ns());
+    let mut columns = Columns::new(channels, plan.asked.epoch_ns(), plan.samples);
     let context = JobContext { log: Path::new(""), control };
     let summary =
         assembled(plan, Run { plan, context: &context, kept: Kept::Memory(&mut columns) })?;

@@ -19,6 +19,7 @@ use crate::solve::trajectory::Sample;
 pub struct Columns {
     channels: Vec<Channel>,
     epoch_ns: u64,
+    expected: usize,
     log_time_ns: Vec<u64>,
     time_s: Vec<f64>,
     attitude: Vectors,
@@ -39,6 +40,8 @@ pub struct Columns {
     pace_own_steps: Vec<u64>,
     /// The last quaternion: the next has the nearer sign.
     turn: Option<[f64; 4]>,
+    /// Room for the numbers of a matrix.
+    room: Vec<f64>,
 }
 
 const ENERGY: [&str; 6] = [
@@ -67,6 +70,13 @@ pub enum Values {
     Words(Vec<Cow<'static, str>>),
 }
 
+/// The place of a sample: after `before` others, of about `expected`.
+#[derive(Clone, Copy)]
+struct Place {
+    before: usize,
+    expected: usize,
+}
+
 /// Vectors of one length, one for each sample.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct Vectors {
@@ -76,12 +86,13 @@ struct Vectors {
 }
 
 impl Vectors {
-    /// Adds that of the sample after `before` others; none if it is empty.
-    fn push(&mut self, before: usize, numbers: &[f64]) {
+    /// Adds that of a sample; none if it is empty.
+    fn push(&mut self, at: Place, numbers: &[f64]) {
         if self.width < numbers.len() {
             // The start has no step, so its columns begin later.
             self.width = numbers.len();
-            self.values = vec![f64::NAN; before * self.width];
+            self.values = Vec::with_capacity(at.expected * self.width);
+            self.values.resize(at.before * self.width, f64::NAN);
         }
         if numbers.is_empty() {
             self.values.extend(std::iter::repeat_n(f64::NAN, self.width));
@@ -109,39 +120,37 @@ impl Vectors {
     }
 }
 
-/// Room for the numbers of a matrix of the largest n.
-const MOST: usize = 32 * 32;
+/// Samples for which memory is set aside before there are any.
+const MOST_EXPECTED: u64 = 1 << 20;
 
 /// The entries of a matrix, row by row, in `room`.
-fn rows<'a, const N: usize>(m: &Mat<N>, room: &'a mut [f64; MOST]) -> &'a [f64] {
+fn rows<'a, const N: usize>(m: &Mat<N>, room: &'a mut Vec<f64>) -> &'a [f64] {
+    room.clear();
     for i in 0..N {
-        for j in 0..N {
-            room[i * N + j] = m[(i, j)];
-        }
+        room.extend((0..N).map(|j| m[(i, j)]));
     }
-    &room[..N * N]
+    room
 }
 
 /// The coordinates of a skew matrix, in `room`: see [`crate::solve::so::vee`].
-fn vee<'a, const N: usize>(m: &Mat<N>, room: &'a mut [f64; MOST]) -> &'a [f64] {
+fn vee<'a, const N: usize>(m: &Mat<N>, room: &'a mut Vec<f64>) -> &'a [f64] {
+    room.clear();
     if N == 3 {
-        room[..3].copy_from_slice(&[m[(2, 1)], m[(0, 2)], m[(1, 0)]]);
-        return &room[..3];
-    }
-    let mut count = 0;
-    for i in 0..N {
-        for j in i + 1..N {
-            room[count] = m[(i, j)];
-            count += 1;
+        room.extend([m[(2, 1)], m[(0, 2)], m[(1, 0)]]);
+    } else {
+        for i in 0..N {
+            room.extend((i + 1..N).map(|j| m[(i, j)]));
         }
     }
-    &room[..count]
+    room
 }
 
 impl Columns {
-    /// Returns columns without a sample, for these channels of a log that begins at `epoch_ns`.
-    pub(crate) fn new(channels: Vec<Channel>, epoch_ns: u64) -> Self {
-        Self { channels, epoch_ns, ..Self::default() }
+    /// Returns columns without a sample, for about `samples` of them, with these channels of a log that begins at `epoch_ns`.
+    pub(crate) fn new(channels: Vec<Channel>, epoch_ns: u64, samples: u64) -> Self {
+        let expected = samples.min(MOST_EXPECTED) as usize;
+        let (log_time_ns, time_s) = (Vec::with_capacity(expected), Vec::with_capacity(expected));
+        Self { channels, epoch_ns, expected, log_time_ns, time_s, ..Self::default() }
     }
 
     /// Reads those of a log, finished or not; of an ensemble, of a member. Of these channels, or of all if there are none.
@@ -153,7 +162,7 @@ impl Columns {
     pub fn read(log: &Path, member: u64, channels: &[Channel]) -> Result<(Self, Ending), LogError> {
         let all = channels.is_empty();
         let channels = if all { Message::CHANNELS } else { channels };
-        let mut columns = Self::new(channels.to_vec(), 0);
+        let mut columns = Self::new(channels.to_vec(), 0, 0);
         let mut start_ns = None;
         let ending = read_rows(log, member, |row| {
             let start_ns = *start_ns.get_or_insert(row.time_ns);
@@ -176,10 +185,10 @@ impl Columns {
     /// Adds a sample of a run; returns whether a log could hold its time.
     pub(crate) fn record<const N: usize>(&mut self, sample: &Sample<N>) -> bool {
         let Some(log_time_ns) = log_time(self.epoch_ns, sample.time_s) else { return false };
-        let before = self.len();
+        let at = Place { before: self.len(), expected: self.expected };
         self.log_time_ns.push(log_time_ns);
         self.time_s.push(sample.time_s);
-        let mut room = [0.0; MOST];
+        let mut room = std::mem::take(&mut self.room);
         let room = &mut room;
         let has = |channel| self.channels.contains(&channel);
         if has(Channel::State) {
@@ -189,11 +198,11 @@ impl Columns {
                 self.turn = Some(messages::nearer_sign(self.turn, found));
             }
             let turn = found.and(self.turn.as_ref()).map_or(&[][..], |turn| turn);
-            self.quaternion.push(before, turn);
-            self.attitude.push(before, attitude.map_or(&[], |g| rows(g, room)));
-            self.body_momentum.push(before, vee(&sample.momentum, room));
+            self.quaternion.push(at, turn);
+            self.attitude.push(at, attitude.map_or(&[], |g| rows(g, room)));
+            self.body_momentum.push(at, vee(&sample.momentum, room));
             let velocity = sample.angular_velocity.as_ref();
-            self.angular_velocity.push(before, velocity.map_or(&[], |omega| vee(omega, room)));
+            self.angular_velocity.push(at, velocity.map_or(&[], |omega| vee(omega, room)));
         }
         if has(Channel::Energy) {
             let energy = sample.energy.as_ref();
@@ -206,45 +215,46 @@ impl Columns {
                 sample.work,
             ];
             for (column, figure) in self.energy.iter_mut().zip(figures) {
-                column.push(before, figure.as_slice());
+                column.push(at, figure.as_slice());
             }
         }
         if has(Channel::Orthogonality) {
-            self.orthogonality_error.push(before, sample.orthogonality_error.as_slice());
+            self.orthogonality_error.push(at, sample.orthogonality_error.as_slice());
         }
         if has(Channel::Momentum) {
             let momentum = sample.spatial_momentum.as_ref();
-            self.spatial_momentum.push(before, momentum.map_or(&[], |m| vee(m, room)));
-            self.momentum_drift.push(before, sample.momentum_drift.as_slice());
+            self.spatial_momentum.push(at, momentum.map_or(&[], |m| vee(m, room)));
+            self.momentum_drift.push(at, sample.momentum_drift.as_slice());
             let impulse = sample.impulse.as_ref();
-            self.momentum_impulse.push(before, impulse.map_or(&[], |m| vee(m, room)));
+            self.momentum_impulse.push(at, impulse.map_or(&[], |m| vee(m, room)));
             let error = sample.table_impulse_error;
-            self.momentum_table_impulse_error.push(before, error.as_slice());
+            self.momentum_table_impulse_error.push(at, error.as_slice());
         }
         if has(Channel::Solver) {
             let solved = sample.convergence;
             self.solver_iterations.push(solved.map_or(0, |solved| solved.iterations.into()));
-            self.solver_increment.push(before, solved.map(|solved| solved.increment).as_slice());
+            self.solver_increment.push(at, solved.map(|solved| solved.increment).as_slice());
             let rung = solved.map_or("", |solved| solved.rung.as_str());
             self.solver_rung.push(Cow::Borrowed(rung));
             let sigma_min = sample.sigma_min.filter(|_| solved.is_some());
-            self.solver_sigma_min.push(before, sigma_min.as_slice());
+            self.solver_sigma_min.push(at, sigma_min.as_slice());
         }
         if has(Channel::Pace) {
             let figures = sample.pace.map_or([None; 4], |pace| {
                 [pace.sigma, pace.step_s, pace.least_sigma, pace.time_error_s].map(Some)
             });
             for (column, figure) in self.pace.iter_mut().zip(figures) {
-                column.push(before, figure.as_slice());
+                column.push(at, figure.as_slice());
             }
             self.pace_own_steps.push(sample.pace.map_or(0, |pace| pace.steps));
         }
+        self.room = std::mem::take(room);
         true
     }
 
     /// Adds a sample of a log that begins at `start_ns`.
     fn add_row(&mut self, row: Row, start_ns: u64) {
-        let before = self.len();
+        let at = Place { before: self.len(), expected: self.expected };
         let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
         self.log_time_ns.push(row.time_ns);
         self.time_s.push(row.state.as_ref().map_or(since_s, |state| state.time_s));
@@ -259,10 +269,10 @@ impl Columns {
             ..row
         };
         let state = row.state.unwrap_or_default();
-        self.attitude.push(before, &state.attitude);
-        self.quaternion.push(before, &state.quaternion);
-        self.body_momentum.push(before, &state.body_momentum);
-        self.angular_velocity.push(before, &state.angular_velocity);
+        self.attitude.push(at, &state.attitude);
+        self.quaternion.push(at, &state.quaternion);
+        self.body_momentum.push(at, &state.body_momentum);
+        self.angular_velocity.push(at, &state.angular_velocity);
         let energy = row.energy.map_or([None; 6], |energy| {
             [
                 Some(energy.kinetic),
@@ -274,27 +284,27 @@ impl Columns {
             ]
         });
         for (column, figure) in self.energy.iter_mut().zip(energy) {
-            column.push(before, figure.as_slice());
+            column.push(at, figure.as_slice());
         }
         let error = row.orthogonality.map(|found| found.error);
-        self.orthogonality_error.push(before, error.as_slice());
+        self.orthogonality_error.push(at, error.as_slice());
         let momentum = row.momentum.unwrap_or_default();
-        self.spatial_momentum.push(before, &momentum.spatial_momentum);
-        self.momentum_drift.push(before, momentum.drift.as_slice());
-        self.momentum_impulse.push(before, &momentum.impulse);
-        self.momentum_table_impulse_error.push(before, momentum.table_impulse_error.as_slice());
+        self.spatial_momentum.push(at, &momentum.spatial_momentum);
+        self.momentum_drift.push(at, momentum.drift.as_slice());
+        self.momentum_impulse.push(at, &momentum.impulse);
+        self.momentum_table_impulse_error.push(at, momentum.table_impulse_error.as_slice());
         let increment = row.solver.as_ref().map(|solver| solver.increment);
-        self.solver_increment.push(before, increment.as_slice());
+        self.solver_increment.push(at, increment.as_slice());
         let solver = row.solver.unwrap_or_default();
         self.solver_iterations.push(solver.iterations.into());
         self.solver_rung.push(Cow::Owned(solver.rung));
-        self.solver_sigma_min.push(before, solver.sigma_min.as_slice());
+        self.solver_sigma_min.push(at, solver.sigma_min.as_slice());
         let pace = row.pace.map_or(([None; 4], 0), |pace| {
             let figures = [pace.sigma, pace.step_s, pace.least_sigma, pace.time_error_s];
             (figures.map(Some), pace.own_steps)
         });
         for (column, figure) in self.pace.iter_mut().zip(pace.0) {
-            column.push(before, figure.as_slice());
+            column.push(at, figure.as_slice());
         }
         self.pace_own_steps.push(pace.1);
     }
