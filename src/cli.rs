@@ -3,7 +3,7 @@
 //! Exit codes: 0 ok, 1 the run failed (its log is kept and finished) or two logs differ, 2 bad input or a file that is not to
 //! be replaced, 130 interrupted. A reader that closes the pipe has read enough: that is no error.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -24,6 +24,8 @@ use serde::Serialize;
 use crate::advise;
 #[cfg(feature = "chart")]
 use crate::chart;
+#[cfg(feature = "serve")]
+use crate::client::ClientError;
 use crate::diff::DiffError;
 use crate::export::ExportError;
 use crate::log::inspect::inspect;
@@ -42,6 +44,8 @@ use crate::verify::{self, VerifyError};
 mod logs;
 #[cfg(feature = "serve")]
 mod process;
+#[cfg(feature = "serve")]
+mod remote;
 #[cfg(feature = "serve")]
 mod serve;
 #[cfg(feature = "chart")]
@@ -82,6 +86,15 @@ enum Command {
     #[cfg(feature = "serve")]
     #[command(hide = !process::CLUSTER)]
     Worker(worker::WorkerArgs),
+    /// Send a scenario to a service as a job.
+    #[cfg(feature = "serve")]
+    Submit(remote::SubmitArgs),
+    /// List the newest jobs of a service.
+    #[cfg(feature = "serve")]
+    Jobs(remote::JobsArgs),
+    /// Fetch the log of a job of a service.
+    #[cfg(feature = "serve")]
+    Fetch(remote::FetchArgs),
     /// Sum up a log, finished or not.
     Inspect(InspectArgs),
     /// Run the job inside a log again and compare every sample bit for bit.
@@ -117,6 +130,29 @@ struct ScenarioArgs {
 impl ScenarioArgs {
     fn is_stdin(&self) -> bool {
         self.scenario == Path::new("-")
+    }
+
+    /// Returns the file for messages.
+    fn path(&self) -> &Path {
+        if self.is_stdin() { Path::new("stdin") } else { &self.scenario }
+    }
+
+    /// Reads the text and applies the changes.
+    fn text(&self) -> Result<Vec<u8>, CliError> {
+        let path = self.path();
+        let read = if self.is_stdin() {
+            scenario::read_text(io::stdin())
+        } else {
+            fs::File::open(path).and_then(scenario::read_text)
+        };
+        let text = read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
+        if self.changes.is_empty() {
+            return Ok(text);
+        }
+        let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
+        let changes =
+            self.changes.iter().map(|Change { pointer, value }| (pointer.clone(), value.clone()));
+        scenario::with_changes(&text, changes).map_err(wrong)
     }
 }
 
@@ -190,7 +226,7 @@ fn log_path(path: PathBuf) -> Result<PathBuf, String> {
         );
     }
     let other = match ending.to_str() {
-        Some("csv" | "parquet" | "arrow") => {
+        Some("csv" | "npz" | "parquet" | "arrow") => {
             format!("`vpd export LOG.mcap -o {}` makes a table of it", path.display())
         }
         Some("json") => "`vpd inspect LOG.mcap --json` sums it up as JSON".to_owned(),
@@ -285,6 +321,12 @@ enum CliError {
     #[error(transparent)]
     Serve(#[from] ServeError),
     #[cfg(feature = "serve")]
+    #[error(transparent)]
+    Client(#[from] ClientError),
+    #[cfg(feature = "serve")]
+    #[error("{}: {source}", path.display())]
+    Refused { path: PathBuf, source: ClientError },
+    #[cfg(feature = "serve")]
     #[error("{0}")]
     Tokens(String),
     #[cfg(feature = "serve")]
@@ -314,7 +356,7 @@ enum CliError {
 }
 
 impl CliError {
-    fn exit_code(&self) -> ExitCode {
+    fn exit_code(&self) -> Status {
         match self {
             Self::Read { .. }
             | Self::Scenario { .. }
@@ -327,45 +369,87 @@ impl CliError {
             | Self::Export(ExportError::Log(_) | ExportError::Channel { .. } | ExportError::Empty { .. } | ExportError::Time { .. })
             // 1 says that they differ.
             | Self::Diff(_)
-            | Self::Study(StudyError::Scenario(_)) => ExitCode::from(2),
-            Self::Table(error) if error.is_bad_input() => ExitCode::from(2),
-            Self::Table(SweepError::Interrupted { .. }) => ExitCode::from(130),
+            | Self::Study(StudyError::Scenario(_)) => Status::from(2),
+            Self::Table(error) if error.is_bad_input() => Status::from(2),
+            Self::Table(SweepError::Interrupted { .. }) => Status::from(130),
             Self::Run(RunError::Log(error))
                 if error.is_busy() || matches!(error.code(), "log_exists" | "not_a_file") =>
             {
-                ExitCode::from(2)
+                Status::from(2)
             }
             #[cfg(feature = "chart")]
-            Self::Chart(chart::ChartError::NoFile { .. }) => ExitCode::from(2),
+            Self::Chart(chart::ChartError::NoFile { .. }) => Status::from(2),
             // As a shell reports a program that SIGINT ended.
-            Self::Run(RunError::Interrupted) => ExitCode::from(130),
+            Self::Run(RunError::Interrupted) => Status::from(130),
             #[cfg(feature = "chart")]
-            Self::Mixed => ExitCode::from(2),
+            Self::Mixed => Status::from(2),
             #[cfg(feature = "serve")]
-            Self::Tokens(_) | Self::Serve(ServeError::Unguarded { .. }) => ExitCode::from(2),
+            Self::Client(ClientError::Stopped) | Self::Refused { source: ClientError::Stopped, .. } => {
+                Status::from(130)
+            }
+            #[cfg(feature = "serve")]
+            Self::Client(ClientError::Address { .. } | ClientError::Problem { .. })
+            | Self::Refused { source: ClientError::Address { .. } | ClientError::Problem { .. }, .. } => {
+                Status::from(2)
+            }
+            #[cfg(feature = "serve")]
+            Self::Tokens(_) | Self::Serve(ServeError::Unguarded { .. }) => Status::from(2),
             #[cfg(feature = "serve")]
             Self::Serve(ServeError::Data { source, .. })
                 if matches!(source.kind(), ErrorKind::NotADirectory | ErrorKind::InvalidFilename) =>
             {
-                ExitCode::from(2)
+                Status::from(2)
             }
             #[cfg(all(feature = "serve", not(feature = "cluster")))]
-            Self::Feature { .. } => ExitCode::from(2),
+            Self::Feature { .. } => Status::from(2),
             #[cfg(feature = "cluster")]
-            Self::Needed { .. } | Self::BucketAlone | Self::NoView => ExitCode::from(2),
+            Self::Needed { .. } | Self::BucketAlone | Self::NoView => Status::from(2),
             #[cfg(feature = "cluster")]
-            Self::Serve(ServeError::Cluster(error)) if error.is_bad_input() => ExitCode::from(2),
+            Self::Serve(ServeError::Cluster(error)) if error.is_bad_input() => Status::from(2),
             #[cfg(feature = "cluster")]
-            Self::SweepOn(error) if error.is_bad_input() => ExitCode::from(2),
-            _ => ExitCode::from(1),
+            Self::SweepOn(error) if error.is_bad_input() => Status::from(2),
+            _ => Status::from(1),
         }
+    }
+}
+
+/// The exit code of a command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Status(u8);
+
+impl Status {
+    const SUCCESS: Self = Self(0);
+}
+
+impl From<u8> for Status {
+    fn from(code: u8) -> Self {
+        Self(code)
     }
 }
 
 /// Runs the command line of this process.
 pub fn main() -> ExitCode {
     // Bad arguments end in clap with exit code 2.
-    let cli = Cli::parse();
+    ExitCode::from(obey(Cli::parse()).0)
+}
+
+/// Runs a command line that another program was given, under the name that comes first, and returns its exit code. A service
+/// starts `program` in this place for what it does in a separate process.
+pub fn run_as(program: PathBuf, arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    #[cfg(feature = "serve")]
+    process::set_program(program);
+    #[cfg(not(feature = "serve"))]
+    drop(program);
+    match Cli::try_parse_from(arguments) {
+        Ok(cli) => obey(cli).0,
+        Err(said) => {
+            let _ = said.print();
+            said.exit_code() as u8
+        }
+    }
+}
+
+fn obey(cli: Cli) -> Status {
     let done = match cli.command {
         Command::Run(args) => run(&args),
         Command::Plan(args) => plan(&args),
@@ -379,6 +463,12 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::serve(&args),
         #[cfg(feature = "serve")]
         Command::Worker(args) => worker::work(&args),
+        #[cfg(feature = "serve")]
+        Command::Submit(args) => remote::submit(&args),
+        #[cfg(feature = "serve")]
+        Command::Jobs(args) => remote::jobs(&args),
+        #[cfg(feature = "serve")]
+        Command::Fetch(args) => remote::fetch(&args),
         Command::Inspect(args) => sum_up(&args),
         Command::Verify(args) => verify(&args),
         Command::Export(args) => logs::export(&args),
@@ -386,16 +476,16 @@ pub fn main() -> ExitCode {
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "vpd", &mut script);
-            show(script).map(|()| ExitCode::SUCCESS).map_err(CliError::Output)
+            show(script).map(|()| Status::SUCCESS).map_err(CliError::Output)
         }
         #[cfg(feature = "serve")]
-        Command::Apart => apart::child().map(|()| ExitCode::SUCCESS).map_err(CliError::Output),
+        Command::Apart => apart::child().map(|()| Status::SUCCESS).map_err(CliError::Output),
         Command::Schema(SchemaArgs { of }) => {
             let schema = match of {
                 SchemaOf::Scenario => scenario::schema(),
                 SchemaOf::Sweep => crate::sweep::schema(),
             };
-            print_json(&schema).map(|()| ExitCode::SUCCESS)
+            print_json(&schema).map(|()| Status::SUCCESS)
         }
     };
     done.unwrap_or_else(|error| {
@@ -406,25 +496,12 @@ pub fn main() -> ExitCode {
     })
 }
 
-/// Reads a scenario, applies the changes and plans it.
+/// Reads a scenario and plans it.
 fn planned(args: &ScenarioArgs) -> Result<Plan, CliError> {
-    let from_stdin = args.is_stdin();
-    let path = if from_stdin { Path::new("stdin") } else { &args.scenario };
-    let wrong = |source| CliError::Scenario { path: path.to_owned(), source };
-    let scenario = |text: &[u8]| {
-        let hinted = |error| wrong(hinted(error, text, SchemaOf::Scenario));
-        Scenario::from_json(text).map_err(hinted)
-    };
-    let read = if from_stdin {
-        scenario::read_text(io::stdin())
-    } else {
-        fs::File::open(path).and_then(scenario::read_text)
-    };
-    let mut text = read.map_err(|source| CliError::Read { path: path.to_owned(), source })?;
-    if !args.changes.is_empty() {
-        text = changed(&text, &args.changes).map_err(wrong)?;
-    }
-    advise::plan(&scenario(&text)?).map_err(wrong)
+    let wrong = |source| CliError::Scenario { path: args.path().to_owned(), source };
+    let text = args.text()?;
+    let hinted = |error| wrong(hinted(error, &text, SchemaOf::Scenario));
+    advise::plan(&Scenario::from_json(&text).map_err(hinted)?).map_err(wrong)
 }
 
 /// Adds to the error of a file that is something else what it is, at the field that shows it.
@@ -443,17 +520,7 @@ fn hinted(error: ScenarioError, text: &[u8], wanted: SchemaOf) -> ScenarioError 
     ScenarioError { message: message.to_owned(), pointer: pointer.to_owned(), ..error }
 }
 
-/// Returns the text of a scenario with some fields replaced or added. The text itself only has to
-/// be JSON without duplicate keys: a change may be what makes it a scenario.
-fn changed(text: &[u8], changes: &[Change]) -> Result<Vec<u8>, ScenarioError> {
-    let mut document = scenario::read_tree(text)?;
-    for Change { pointer, value } in changes {
-        scenario::set(&mut document, pointer, value.clone())?;
-    }
-    Ok(document.to_string().into_bytes())
-}
-
-fn run(args: &RunArgs) -> Result<ExitCode, CliError> {
+fn run(args: &RunArgs) -> Result<Status, CliError> {
     let plan = planned(&args.scenario)?;
     let log = match &args.output {
         Some(path) => path.clone(),
@@ -501,7 +568,7 @@ fn named_after(input: &Path, ending: &str) -> Result<PathBuf, CliError> {
 }
 
 /// Runs a plan to a log and reports how it ended.
-fn logged(plan: &Plan, log: &Path, force: bool) -> Result<ExitCode, CliError> {
+fn logged(plan: &Plan, log: &Path, force: bool) -> Result<Status, CliError> {
     let summary = watched(plan, log, force)?;
     show(text::summary(&summary, plan))?;
     Ok(exit_code(summary.outcome))
@@ -515,10 +582,10 @@ fn may_write(path: &Path) -> Result<(), CliError> {
     }
 }
 
-fn exit_code(outcome: Outcome) -> ExitCode {
+fn exit_code(outcome: Outcome) -> Status {
     match outcome {
-        Outcome::Succeeded => ExitCode::SUCCESS,
-        Outcome::Failed | Outcome::Cancelled => ExitCode::from(1),
+        Outcome::Succeeded => Status::SUCCESS,
+        Outcome::Failed | Outcome::Cancelled => Status::from(1),
     }
 }
 
@@ -575,27 +642,27 @@ fn watched(plan: &Plan, log: &Path, force: bool) -> Result<Summary, RunError> {
     })
 }
 
-fn plan(args: &PlanArgs) -> Result<ExitCode, CliError> {
+fn plan(args: &PlanArgs) -> Result<Status, CliError> {
     let plan = planned(&args.scenario)?;
     if args.json {
         print_json(&plan)?;
     } else {
         show(text::plan(plan.asked.name(), &plan))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
-fn sum_up(args: &InspectArgs) -> Result<ExitCode, CliError> {
+fn sum_up(args: &InspectArgs) -> Result<Status, CliError> {
     let inspection = inspect(a_log(&args.log)?)?;
     if args.json {
         print_json(&inspection)?;
     } else {
         show(format!("{inspection}\n"))?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
-fn verify(args: &InspectArgs) -> Result<ExitCode, CliError> {
+fn verify(args: &InspectArgs) -> Result<Status, CliError> {
     a_log(&args.log)?;
     let wrong = |source| CliError::Verify { path: args.log.clone(), source };
     let verification = verify::verify(&args.log).map_err(wrong)?;
@@ -604,7 +671,7 @@ fn verify(args: &InspectArgs) -> Result<ExitCode, CliError> {
     } else {
         show(format!("{verification}\n"))?;
     }
-    Ok(if verification.same { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if verification.same { Status::SUCCESS } else { Status::from(1) })
 }
 
 /// Returns the path if its file begins as a log does.

@@ -12,6 +12,7 @@ use prost::Message as _;
 use thiserror::Error;
 
 use crate::log::LogError;
+use crate::log::columns::Columns as Arrays;
 use crate::log::field::{Cell, Field, Kind};
 use crate::log::messages::{EnsembleStatistics, Member, Message, State};
 use crate::log::reader::{self, Ending, Item};
@@ -20,6 +21,7 @@ use crate::log::schema::Channel;
 
 #[cfg(feature = "parquet")]
 mod columnar;
+mod npz;
 mod ros2;
 
 pub use ros2::{Bag, ros2};
@@ -70,6 +72,8 @@ pub enum ExportError {
 pub enum Format {
     /// Text with a head, comma-separated; numbers in the fewest digits that give them back.
     Csv,
+    /// Arrays of NumPy, uncompressed: vectors and matrices whole.
+    Npz,
     /// Apache Parquet, compressed with zstd.
     #[cfg(feature = "parquet")]
     Parquet,
@@ -85,15 +89,18 @@ impl FromStr for Format {
     fn from_str(ending: &str) -> Result<Self, String> {
         match ending {
             "csv" => Ok(Self::Csv),
+            "npz" => Ok(Self::Npz),
             #[cfg(feature = "parquet")]
             "parquet" => Ok(Self::Parquet),
             #[cfg(feature = "parquet")]
             "arrow" => Ok(Self::Arrow),
             #[cfg(not(feature = "parquet"))]
             "parquet" | "arrow" => Err(format!(
-                ".{ending} needs a build with the feature parquet (cargo build --release --features parquet), like the one in the container image; this build writes .csv"
+                ".{ending} needs a build with the feature parquet (cargo build --release --features parquet), like the one in the container image; this build writes .csv and .npz"
             )),
-            _ => Err(format!("{ending:?} is not a format of tables: use .csv, .parquet or .arrow")),
+            _ => Err(format!(
+                "{ending:?} is not a format of tables: use .csv, .npz, .parquet or .arrow"
+            )),
         }
     }
 }
@@ -303,6 +310,9 @@ pub fn export<'a>(
     format: Format,
     out: impl Write + Send + 'a,
 ) -> Result<Exported, ExportError> {
+    if format == Format::Npz {
+        return arrays(log, choice, out);
+    }
     // The head comes first, so the log is read twice.
     let mut columns = Columns::default();
     each(log, choice, |fields| {
@@ -311,13 +321,7 @@ pub fn export<'a>(
     })?;
     let names = columns.names();
     if names.iter().all(|name| TIMES.contains(&name.as_str())) {
-        let all = choice.channels.is_empty();
-        let topics = if all { "samples".to_owned() } else { topics(&choice.channels) };
-        let asked = match choice.member {
-            0 => topics,
-            member => format!("{topics} of member {member}"),
-        };
-        return Err(ExportError::Empty { log: log.display().to_string(), asked });
+        return Err(empty(log, choice));
     }
     let mut table: Box<dyn Table + 'a> = match format {
         Format::Csv => {
@@ -325,6 +329,7 @@ pub fn export<'a>(
             table.write_record(&names).map_err(plain).map_err(ExportError::Write)?;
             Box::new(table)
         }
+        Format::Npz => unreachable!("arrays are no rows"),
         #[cfg(feature = "parquet")]
         Format::Parquet => {
             columnar::parquet(&names, &columns.kinds(), out).map_err(ExportError::Write)?
@@ -342,6 +347,37 @@ pub fn export<'a>(
     })?;
     written.and_then(|()| table.finish()).map_err(ExportError::Write)?;
     Ok(Exported { rows, columns: names, ending })
+}
+
+/// Writes the chosen part of a log as arrays, which are in memory meanwhile.
+fn arrays(log: &Path, choice: &Choice, out: impl Write) -> Result<Exported, ExportError> {
+    only_samples(&choice.channels)?;
+    let (columns, ending) = Arrays::read(log, choice.member, &choice.channels)?;
+    let rows = columns.len() as u64;
+    let all = columns.into_all();
+    if all.len() == TIMES.len() {
+        return Err(empty(log, choice));
+    }
+    npz::write(&all, out).map_err(ExportError::Write)?;
+    let names = all.iter().map(|(name, _)| (*name).to_owned()).collect();
+    Ok(Exported { rows, columns: names, ending })
+}
+
+fn empty(log: &Path, choice: &Choice) -> ExportError {
+    let all = choice.channels.is_empty();
+    let topics = if all { "samples".to_owned() } else { topics(&choice.channels) };
+    let asked = match choice.member {
+        0 => topics,
+        member => format!("{topics} of member {member}"),
+    };
+    ExportError::Empty { log: log.display().to_string(), asked }
+}
+
+/// Refuses channels that are not of samples.
+fn only_samples(channels: &[Channel]) -> Result<(), ExportError> {
+    let other = channels.iter().find(|channel| !Message::CHANNELS.contains(channel));
+    let with = if channels.len() > 1 { " together with others" } else { " as samples" };
+    other.map_or(Ok(()), |channel| Err(ExportError::Channel { channel: channel.topic(), with }))
 }
 
 /// Passes on the rows of the chosen part.
@@ -366,10 +402,7 @@ fn each(
             fields.map_or(ControlFlow::Continue(()), &mut visit)
         })?);
     }
-    if let Some(channel) = channels.iter().find(|channel| !Message::CHANNELS.contains(channel)) {
-        let with = if channels.len() > 1 { " together with others" } else { "" };
-        return Err(ExportError::Channel { channel: channel.topic(), with });
-    }
+    only_samples(channels)?;
     let mut start_ns = None;
     Ok(read_rows(log, choice.member, |row| {
         let start_ns = *start_ns.get_or_insert(row.time_ns);

@@ -44,7 +44,8 @@
 //! |---|---|
 //! | a scenario, as JSON or made in Rust | [`scenario::Scenario`], [`advise::plan`], [`run::execute`] |
 //! | a potential, a Hamiltonian or a Lagrangian of your own | [`solve`], [`run::Recording`], [`study::own`] |
-//! | a log | [`log::reader`], [`log::inspect`], [`export`], [`diff`], `chart`, [`verify`] |
+//! | a log | [`log::reader`], [`log::columns`], [`log::inspect`], [`export`], [`diff`], `chart`, [`verify`] |
+//! | torques that your program chooses as it goes | [`run::Simulation`] |
 //! | an accuracy instead of a method | [`advise`] |
 //! | many values of a field | [`sweep`] |
 //!
@@ -73,4 +74,6 @@ pub mod diff;
 pub mod chart;
 #[cfg(feature = "serve")]
 pub mod serve;
+#[cfg(feature = "serve")]
+pub mod client;
 pub mod cli;

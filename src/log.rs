@@ -3,7 +3,7 @@
 //! [`writer`] takes the samples of a trajectory and [`reader`] gives them back; [`inspect`] sums a
 //! file up. What stands on which topic is in [`schema`], the messages are in [`messages`], and
 //! [`scene`] draws the body and its surroundings, [`stretch`] reads a part of a log for drawing, [`samples`] a quantity over
-//! time, [`members`] one of all members of an ensemble, [`rows`] all of each sample, `order` puts the messages of other programs' logs in the order of time, [`course`] keeps what charts show. [`resume`] resumes a
+//! time, [`members`] one of all members of an ensemble, [`rows`] all of each sample, [`columns`] all samples as arrays, `order` puts the messages of other programs' logs in the order of time, [`course`] keeps what charts show. [`resume`] resumes a
 //! log that was interrupted.
 //!
 //! Invariant: a file named `.mcap` is finished and says how it ended. Until then it is named `.mcap.part`, and each of
@@ -14,6 +14,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 mod background;
+pub mod columns;
 mod container;
 pub mod course;
 mod curve;

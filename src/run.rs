@@ -1,5 +1,5 @@
 //! 3 · The one door: plan → body and stepper → samples → log. [`Recording`] is a door for a system that no scenario
-//! describes: system and stepper → samples → log.
+//! describes: system and stepper → samples → log. [`Simulation`] is one for a caller who steps, and applies torques.
 //!
 //! Invariant: a numerical failure is a [`Summary`] with a [`Diagnosis`] and a finished log; only the log
 //! itself can make a run an error.
@@ -18,6 +18,7 @@ use thiserror::Error;
 use crate::assemble::{Assembly, Task, assembled};
 #[cfg(feature = "live")]
 use crate::live::{Live, Show};
+use crate::log::columns::Columns;
 use crate::log::course::{Course, LogChart};
 use crate::log::messages::{self, Figures};
 use crate::log::writer::{LogHeader, LogWriter};
@@ -33,6 +34,7 @@ pub(crate) mod ensemble;
 mod geometry;
 mod give_up;
 mod record;
+mod simulation;
 mod summary;
 
 use advice::{Broken, Patience};
@@ -40,6 +42,7 @@ use end::{Asked, End, Reached, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
 pub use record::Recording;
+pub use simulation::{Advanced, Simulation};
 use summary::EnergySeen;
 pub use summary::{
     Diagnosis, EnergySummary, EnsembleSummary, FinalState, MomentumSummary, OrthogonalitySummary,
@@ -176,25 +179,50 @@ impl From<LogError> for RunError {
 /// If the log cannot be written: no log is left then, unless the file system may take it later. If the run is
 /// interrupted: then an unfinished one is.
 pub fn execute(plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunError> {
-    assembled(plan, Run { plan, context })
+    assembled(plan, Run { plan, context, kept: Kept::Log })
 }
 
-/// A run that writes its log.
+/// Runs a plan to its end and keeps its samples in memory, and writes no log. The states are those of the log, to the bit. Blocks.
+///
+/// # Errors
+/// If the run is interrupted, or a log could not hold its times. An ensemble is refused: its members are read from its log.
+pub fn collect(plan: &Plan, control: &Control) -> Result<(Summary, Columns), RunError> {
+    if plan.ensemble.is_some() {
+        return Err(RunError::Invalid("an ensemble needs a log for its members".to_owned()));
+    }
+    let channels = plan.channels.iter().map(|channel| channel.topic).collect();
+    let mut columns = Columns::new(channels, plan.asked.epoch_ns(), plan.samples);
+    let context = JobContext { log: Path::new(""), control };
+    let summary =
+        assembled(plan, Run { plan, context: &context, kept: Kept::Memory(&mut columns) })?;
+    Ok((summary, columns))
+}
+
+/// Where the samples of a run are kept.
+enum Kept<'a> {
+    /// In its log.
+    Log,
+    /// Here alone.
+    Memory(&'a mut Columns),
+}
+
+/// A run whose samples are kept.
 struct Run<'a> {
     plan: &'a Plan,
     context: &'a JobContext<'a>,
+    kept: Kept<'a>,
 }
 
 impl Task for Run<'_> {
     type Output = Result<Summary, RunError>;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
-        let Self { plan, context } = self;
+        let Self { plan, context, kept } = self;
         match (&plan.asked.ensemble, &plan.ensemble) {
             (Some(asked), Some(planned)) => {
                 Ensemble { plan, asked, planned, context }.run(assembly)
             }
-            _ => run(plan, assembly, context),
+            _ => run(plan, assembly, context, kept),
         }
     }
 }
@@ -203,12 +231,16 @@ fn run<const N: usize>(
     plan: &Plan,
     mut assembly: Assembly<N>,
     context: &JobContext<'_>,
+    kept: Kept<'_>,
 ) -> Result<Summary, RunError> {
     let Assembly { body, stepper, initial, .. } = &mut assembly;
     let begun = Instant::now();
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let control = context.control;
-    let (mut recorder, checkpoint) = Recorder::open(context, &header(plan))?;
+    let (mut recorder, checkpoint) = match kept {
+        Kept::Log => Recorder::open(context, &header(plan))?,
+        Kept::Memory(columns) => (Recorder::in_memory(plan, columns, control), None),
+    };
     let checkpoint = checkpoint.and_then(|found| found.trajectory());
     let resumed_step = checkpoint.as_ref().map_or(0, |checkpoint| checkpoint.step);
     control.resumed_step.store(resumed_step, Ordering::Relaxed);
@@ -227,7 +259,7 @@ fn run<const N: usize>(
         Err(error) => matches!(error, RunError::Interrupted),
     };
     if cut_off {
-        recorder.writer.leave();
+        recorder.keep.leave();
         return Err(RunError::Interrupted);
     }
     let Trajectory { ending, reached } = end?;
@@ -249,14 +281,14 @@ fn run<const N: usize>(
     };
     // Stopping the search for a smaller step stops the run before the step that failed.
     if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
-        recorder.writer.leave();
+        recorder.keep.leave();
         return Err(RunError::Interrupted);
     }
     let (outcome, diagnosis) = match diagnosis {
         Some(_) if control.stopped() => (Outcome::Cancelled, None),
         diagnosis => (outcome, diagnosis),
     };
-    let Recorder { writer, figures, course, .. } = recorder;
+    let Recorder { keep, figures, course, .. } = recorder;
     let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
     let reached = Reached::from(&reached);
     let stopped = match ending {
@@ -267,7 +299,7 @@ fn run<const N: usize>(
         _ => None,
     };
     let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy };
-    let summary = finish(Asked::of(plan), context.log, writer, (&figures, &course), end)?;
+    let summary = finish(Asked::of(plan), context.log, keep.writer(), (&figures, &course), end)?;
     Ok(Summary {
         resumed_step,
         ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
@@ -276,9 +308,36 @@ fn run<const N: usize>(
     })
 }
 
-/// Passes samples to the log, keeps their figures, and measures the time that is not the integrator's.
+/// What takes the samples of a run.
+enum Keep<'a> {
+    Log(Box<LogWriter>),
+    Memory {
+        columns: &'a mut Columns,
+        /// The steps begin anew where a chunk of the log would end, for the same states.
+        samples_per_chunk: u64,
+        in_chunk: u64,
+    },
+}
+
+impl Keep<'_> {
+    /// Leaves a log to be resumed.
+    fn leave(self) {
+        if let Self::Log(writer) = self {
+            writer.leave();
+        }
+    }
+
+    fn writer(self) -> Option<LogWriter> {
+        match self {
+            Self::Log(writer) => Some(*writer),
+            Self::Memory { .. } => None,
+        }
+    }
+}
+
+/// Passes samples on, keeps their figures, and measures the time that is not the integrator's.
 struct Recorder<'a> {
-    writer: LogWriter,
+    keep: Keep<'a>,
     figures: Figures,
     /// Data for the charts in the log.
     course: Course,
@@ -312,6 +371,21 @@ impl<'a> Recorder<'a> {
         Ok((Self::of(writer, figures, course, control, header), checkpoint))
     }
 
+    /// Keeps the samples of a run in memory.
+    fn in_memory(plan: &Plan, columns: &'a mut Columns, control: &'a Control) -> Self {
+        let samples_per_chunk = plan.samples_per_chunk;
+        Self {
+            keep: Keep::Memory { columns, samples_per_chunk, in_chunk: 0 },
+            figures: Figures::default(),
+            course: Course::default(),
+            epoch_ns: plan.asked.epoch_ns(),
+            elsewhere: Duration::ZERO,
+            control,
+            #[cfg(feature = "live")]
+            show: None,
+        }
+    }
+
     /// Goes on with a writer, what its samples have shown so far, and the header of its log.
     fn of(
         writer: LogWriter,
@@ -321,7 +395,7 @@ impl<'a> Recorder<'a> {
         header: &LogHeader,
     ) -> Self {
         Self {
-            writer,
+            keep: Keep::Log(Box::new(writer)),
             figures,
             course,
             epoch_ns: header.epoch_ns,
@@ -341,28 +415,50 @@ impl<const N: usize> Sink<N> for Recorder<'_> {
         if self.control.interrupted.load(Ordering::Relaxed) {
             return Err(RunError::Interrupted);
         }
-        let begun = Instant::now();
         self.figures.keep(sample);
-        note(&mut self.course, self.epoch_ns, sample);
-        #[cfg(feature = "live")]
-        if let Some(show) = &self.show {
-            show.sample(sample);
+        let epoch_ns = self.epoch_ns;
+        match &mut self.keep {
+            Keep::Memory { columns, in_chunk, .. } => {
+                *in_chunk += 1;
+                let Sample { time_s, .. } = *sample;
+                let held = columns.record(sample);
+                if held { Ok(()) } else { Err(LogError::Time { time_s, epoch_ns }.into()) }
+            }
+            Keep::Log(writer) => {
+                let begun = Instant::now();
+                note(&mut self.course, epoch_ns, sample);
+                #[cfg(feature = "live")]
+                if let Some(show) = &self.show {
+                    show.sample(sample);
+                }
+                let result = writer.record(sample);
+                self.control.note_durable(writer);
+                self.elsewhere += begun.elapsed();
+                Ok(result?)
+            }
         }
-        let result = self.writer.record(sample);
-        self.control.note_durable(&self.writer);
-        self.elsewhere += begun.elapsed();
-        Ok(result?)
     }
 
     fn wants_checkpoint(&self) -> bool {
-        self.writer.wants_checkpoint()
+        match &self.keep {
+            Keep::Log(writer) => writer.wants_checkpoint(),
+            Keep::Memory { samples_per_chunk, in_chunk, .. } => in_chunk == samples_per_chunk,
+        }
     }
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint<N>) -> Result<(), RunError> {
-        let begun = Instant::now();
-        let result = self.writer.checkpoint(&messages::Checkpoint::of(checkpoint, self.figures));
-        self.elsewhere += begun.elapsed();
-        Ok(result?)
+        match &mut self.keep {
+            Keep::Memory { in_chunk, .. } => {
+                *in_chunk = 0;
+                Ok(())
+            }
+            Keep::Log(writer) => {
+                let begun = Instant::now();
+                let result = writer.checkpoint(&messages::Checkpoint::of(checkpoint, self.figures));
+                self.elsewhere += begun.elapsed();
+                Ok(result?)
+            }
+        }
     }
 }
 

@@ -54,6 +54,9 @@ pub struct Scenario {
     /// Where an editor finds the JSON Schema of scenarios; nothing here looks there.
     #[serde(rename = "$schema", default, skip_serializing)]
     pub(crate) schema: SchemaAddress,
+    /// The version of this format, of which there is one so far; 1 if absent.
+    #[serde(default, skip_serializing)]
+    pub(crate) format: FormatVersion,
     /// A short name: 1 to 200 bytes, printable.
     pub name: String,
     /// Description of the scene.
@@ -97,6 +100,14 @@ pub struct Scenario {
 /// An address that is read and forgotten.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct SchemaAddress;
+
+/// The version of the format that this build reads, which is not written because there is no other.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct FormatVersion;
+
+impl FormatVersion {
+    const NUMBER: u64 = 1;
+}
 
 /// An accuracy in the place of a method and a step.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -608,6 +619,7 @@ impl Scenario {
     fn blank(name: String, scene: Scene) -> Self {
         Self {
             schema: SchemaAddress,
+            format: FormatVersion,
             name,
             description: String::new(),
             scene,
@@ -717,6 +729,22 @@ impl Scenario {
     pub fn epoch_ns(&self) -> u64 {
         check::epoch_ns(&self.log.epoch.0).unwrap_or_default()
     }
+}
+
+/// Returns the text of a scenario with the values of some fields, named by their JSON pointers, replaced or added; null removes
+/// one. The text itself only has to be JSON without duplicate keys: a change may be what makes it a scenario.
+///
+/// # Errors
+/// If it is no JSON, or a pointer names no place.
+pub fn with_changes(
+    text: &[u8],
+    changes: impl IntoIterator<Item = (String, serde_json::Value)>,
+) -> Result<Vec<u8>, ScenarioError> {
+    let mut document = read_tree(text)?;
+    for (pointer, value) in changes {
+        set(&mut document, &pointer, value)?;
+    }
+    Ok(document.to_string().into_bytes())
 }
 
 /// Returns the JSON Schema of a scenario, generated from the types.

@@ -5,14 +5,14 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::advise;
+use crate::advise::Settled;
 use crate::log::order::{is_foreign_log, read_sorted};
 use crate::log::reader::{self, Item};
 use crate::log::schema::Channel;
@@ -86,32 +86,74 @@ pub enum VerifyError {
 /// # Errors
 /// If the log is not finished, or its job cannot be run here.
 pub fn verify(log: &Path) -> Result<Verification, VerifyError> {
-    let Kept { scenario, outcome, build } = kept(log)?;
-    let state = outcome.get("state").cloned().unwrap_or_default();
-    let mut control = Control::default();
-    if state == "cancelled" {
-        if scenario.ensemble.is_some() {
-            return Err(VerifyError::Cancelled);
+    Repetition::of(log)?.run()
+}
+
+/// The job of a log, to be run again.
+#[derive(Debug)]
+pub struct Repetition {
+    log: PathBuf,
+    kept: Kept,
+    control: Control,
+}
+
+impl Repetition {
+    /// Reads what a log says of its job.
+    ///
+    /// # Errors
+    /// If the log is not finished, or does not say how its job can be run again.
+    pub fn of(log: &Path) -> Result<Self, VerifyError> {
+        let kept = kept(log)?;
+        let mut control = Control::default();
+        if kept.state() == "cancelled" {
+            if kept.scenario.ensemble.is_some() {
+                return Err(VerifyError::Cancelled);
+            }
+            // The whole job is run again, because an accuracy chooses its step by how far the job was
+            // to go.
+            let steps = kept.outcome.get("steps").and_then(|steps| steps.parse().ok());
+            let missing = VerifyError::Missing { what: "number of steps" };
+            control.cancelled_at = Some(steps.ok_or(missing)?);
         }
-        // The whole job is run again, because an accuracy chooses its step by how far the job was
-        // to go.
-        let steps = outcome.get("steps").and_then(|steps| steps.parse().ok());
-        control.cancelled_at = Some(steps.ok_or(VerifyError::Missing { what: "number of steps" })?);
+        Ok(Self { log: log.to_owned(), kept, control })
     }
-    let place = tempfile::tempdir()?;
-    let again = place.path().join("again.mcap");
-    let plan = advise::plan(&scenario)?;
-    run::execute(&plan, &JobContext { log: &again, control: &control })?;
-    let (messages, difference) = compare(log, &again)?;
-    let builds = [build, env!("VPD_BUILD").to_owned()];
-    Ok(Verification { same: difference.is_none(), messages, state, difference, builds })
+
+    /// Returns the handle to follow and interrupt it from other threads.
+    pub fn control(&self) -> &Control {
+        &self.control
+    }
+
+    /// Runs the job into a temporary directory, and compares. Blocks.
+    ///
+    /// # Errors
+    /// If it cannot be run here, or is interrupted.
+    pub fn run(&self) -> Result<Verification, VerifyError> {
+        let Self { log, kept: Kept { scenario, build, .. }, control } = self;
+        let place = tempfile::tempdir()?;
+        let again = place.path().join("again.mcap");
+        let plan =
+            Settled::new(scenario, &control.settling).map_err(ScenarioError::from)?.plan()?;
+        run::execute(&plan, &JobContext { log: &again, control })?;
+        let (messages, difference) = compare(log, &again)?;
+        let builds = [build.clone(), env!("VPD_BUILD").to_owned()];
+        let state = self.kept.state().to_owned();
+        Ok(Verification { same: difference.is_none(), messages, state, difference, builds })
+    }
 }
 
 /// Records of a log about its job.
+#[derive(Debug)]
 struct Kept {
     scenario: Scenario,
     outcome: BTreeMap<String, String>,
     build: String,
+}
+
+impl Kept {
+    /// Returns how the job ended.
+    fn state(&self) -> &str {
+        self.outcome.get("state").map_or("", String::as_str)
+    }
 }
 
 fn kept(log: &Path) -> Result<Kept, VerifyError> {

@@ -34,7 +34,7 @@ pub mod lgvi;
 pub mod quaternion_gauss;
 
 /// A scheme that carries a state of T*SO(n) forward, along systems of the type `S`.
-pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>> {
+pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>>: Send {
     /// Order of the scheme.
     fn order(&self) -> u32;
 

@@ -3,12 +3,11 @@
 use std::fs;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use clap::Args;
 use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 
-use super::{CliError, a_log, enough, may_write, output_path, print_json, show};
+use super::{CliError, Status, a_log, enough, may_write, output_path, print_json, show};
 use crate::diff::{self, Comparison, Quantity, Tolerance};
 use crate::export::{self, Choice, ExportError, Format};
 use crate::log::schema::Channel;
@@ -18,7 +17,7 @@ use crate::log::shown;
 pub(super) struct ExportArgs {
     /// The log, finished or not.
     log: PathBuf,
-    /// The table: .csv, .parquet or .arrow; CSV on stdout if absent.
+    /// The table: .csv, .npz, .parquet or .arrow; CSV on stdout if absent.
     #[arg(short, long, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(output_path))]
     output: Option<PathBuf>,
     /// Channels, separated by commas: any of samples, or /ensemble/members or /ensemble/statistics; all of samples if absent.
@@ -62,14 +61,14 @@ pub(super) struct DiffArgs {
 }
 
 /// Writes a table.
-pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
+pub(super) fn export(args: &ExportArgs) -> Result<Status, CliError> {
     let log = a_log(&args.log)?;
     let channels = args.channels.iter().filter_map(|topic| Channel::from_topic(topic)).collect();
     let choice = Choice { channels, member: args.member };
     let ending = match &args.output {
         None => match export::export(log, &choice, Format::Csv, BufWriter::new(io::stdout())) {
             Err(ExportError::Write(error)) => {
-                return Ok(enough(Err(error)).map(|()| ExitCode::SUCCESS)?);
+                return Ok(enough(Err(error)).map(|()| Status::SUCCESS)?);
             }
             exported => exported?.ending,
         },
@@ -107,7 +106,7 @@ pub(super) fn export(args: &ExportArgs) -> Result<ExitCode, CliError> {
 }
 
 /// Reports damage of a log on stderr: the table may be on stdout.
-fn reported(log: &Path, damage: Option<String>) -> ExitCode {
+fn reported(log: &Path, damage: Option<String>) -> Status {
     if let Some(damage) = damage {
         let _ = writeln!(
             io::stderr(),
@@ -116,7 +115,7 @@ fn reported(log: &Path, damage: Option<String>) -> ExitCode {
             shown(&damage)
         );
     }
-    ExitCode::SUCCESS
+    Status::SUCCESS
 }
 
 /// Writes a file under another name first, so that whatever is at `path` is whole.
@@ -138,7 +137,7 @@ fn to_file<T>(
 }
 
 /// Compares two logs: 0 if they agree, 1 if they do not.
-pub(super) fn diff(args: &DiffArgs) -> Result<ExitCode, CliError> {
+pub(super) fn diff(args: &DiffArgs) -> Result<Status, CliError> {
     let logs = [a_log(&args.first)?, a_log(&args.second)?];
     let mut found = diff::diff(logs, args.member, &args.tolerances)?;
     #[cfg(feature = "chart")]
@@ -155,7 +154,7 @@ pub(super) fn diff(args: &DiffArgs) -> Result<ExitCode, CliError> {
     } else {
         show(text(&found))?;
     }
-    Ok(if agree { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if agree { Status::SUCCESS } else { Status::from(1) })
 }
 
 /// Formats a comparison as a table and a few lines.

@@ -3,6 +3,7 @@
 
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
+use std::sync::OnceLock;
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
@@ -125,8 +126,20 @@ fn detail(asked: &str) -> Result<Targets, &str> {
     Ok(targets)
 }
 
+/// The program in place of this process, which is that of another.
+static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+
+/// Names the program to be started for a separate process.
+pub(super) fn set_program(program: PathBuf) {
+    // The first name stays: a process is one program.
+    let _ = PROGRAM.set(program);
+}
+
 /// Returns the path of this program, to start others like it.
 pub(super) fn program() -> Option<PathBuf> {
+    if let Some(program) = PROGRAM.get() {
+        return Some(program.clone());
+    }
     // This works even if the file was replaced since.
     if cfg!(target_os = "linux") {
         Some("/proc/self/exe".into())

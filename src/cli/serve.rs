@@ -5,16 +5,15 @@ use std::io;
 use std::net::SocketAddr;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::thread;
 
 use clap::{Args, ValueEnum};
 use tokio::net::{TcpListener, TcpSocket};
 
-use super::CliError;
 use super::process::{
     CLUSTER, ClusterArgs, LogFormat, own_log, program, stop_signal, tell_of_lost_lines,
 };
+use super::{CliError, Status};
 use crate::serve::{self, Cors, Limits, ServeConfig, ServeError, Tokens};
 
 #[derive(Debug, Args)]
@@ -100,7 +99,7 @@ fn lease(text: &str) -> Result<f64, String> {
 }
 
 /// Serves until it is asked to stop.
-pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
+pub(super) fn serve(args: &ServeArgs) -> Result<Status, CliError> {
     let (_rest, lost) = own_log(args.log_format);
     #[cfg(feature = "cluster")]
     let cluster = match args.engine {
@@ -145,7 +144,7 @@ pub(super) fn serve(args: &ServeArgs) -> Result<ExitCode, CliError> {
             cluster,
         };
         serve::serve(listener, config, stop).await?;
-        Ok(ExitCode::SUCCESS)
+        Ok(Status::SUCCESS)
     });
     // A blocking task of a client that is gone must not hold up the exit.
     runtime.shutdown_background();

@@ -2,7 +2,6 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::str::FromStr;
 use std::sync::atomic::Ordering;
 use std::thread;
@@ -15,7 +14,7 @@ use serde::Deserialize;
 use serde::de::IntoDeserializer;
 use serde::de::value::{Error as WordError, StrDeserializer};
 
-use super::{Change, CliError, ScenarioArgs, output_path, planned, show};
+use super::{Change, CliError, ScenarioArgs, Status, output_path, planned, show};
 use crate::chart;
 use crate::log::course::LogChart;
 use crate::log::reader::is_log;
@@ -139,7 +138,7 @@ impl FromStr for MethodWord {
 }
 
 /// Draws logs, or studies scenarios.
-pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
+pub(super) fn draw(args: &ChartArgs) -> Result<Status, CliError> {
     // A file that cannot be read is reported when it is read as a scenario.
     let logs = args.inputs.iter().filter(|path| matches!(is_log(path), Ok(true))).count();
     if logs == args.inputs.len() {
@@ -154,7 +153,7 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
                 );
             }
         }
-        return Ok(ExitCode::SUCCESS);
+        return Ok(Status::SUCCESS);
     }
     if logs > 0 {
         return Err(CliError::Mixed);
@@ -180,11 +179,11 @@ pub(super) fn draw(args: &ChartArgs) -> Result<ExitCode, CliError> {
         files.push(("long-term.json", long.table.to_json()));
         list(&chart::write(&directory, &files)?)?;
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
 /// Draws the map of a scenario and lists the largest usable steps.
-pub(super) fn map(args: &StabilityArgs) -> Result<ExitCode, CliError> {
+pub(super) fn map(args: &StabilityArgs) -> Result<Status, CliError> {
     let scene = args.study.scenario(&args.scenario)?;
     let entries = args.study.entries(&args.scenario, &scene, all_methods)?;
     let map = followed(scene.name(), |watch| stability_so_far(&scene, &entries, watch))?;
@@ -203,7 +202,7 @@ pub(super) fn map(args: &StabilityArgs) -> Result<ExitCode, CliError> {
         ("borders.txt", borders),
     ];
     list(&chart::write(&args.study.output, &files)?)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
 fn list(paths: &[PathBuf]) -> io::Result<()> {

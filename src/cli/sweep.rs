@@ -3,7 +3,6 @@
 use std::io::{self, IsTerminal};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -20,7 +19,7 @@ use super::may_write;
 use super::process::ClusterArgs;
 #[cfg(feature = "serve")]
 use super::serve::EngineName;
-use super::{CliError, SchemaOf, hinted, log_path, logged, named_after, output_path, show};
+use super::{CliError, SchemaOf, Status, hinted, log_path, logged, named_after, output_path, show};
 #[cfg(feature = "chart")]
 use crate::chart;
 use crate::run::{self, Control, JobContext};
@@ -87,7 +86,7 @@ pub(super) struct MergeArgs {
 }
 
 /// Makes a table or a part of one, or looks at one member.
-pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
+pub(super) fn sweep(args: &SweepArgs) -> Result<Status, CliError> {
     let path = &args.sweep;
     let sweep = Sweep::read(path).map_err(|error| match error {
         SweepError::Field(error) => {
@@ -111,7 +110,7 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     #[cfg(feature = "chart")]
     if args.svg.is_some() && !args.force && table.exists() {
         draw(args, &sweep, &table)?;
-        return Ok(ExitCode::SUCCESS);
+        return Ok(Status::SUCCESS);
     }
     #[cfg(feature = "serve")]
     if args.engine == EngineName::Cluster {
@@ -139,12 +138,12 @@ pub(super) fn sweep(args: &SweepArgs) -> Result<ExitCode, CliError> {
     #[cfg(feature = "chart")]
     draw(args, &sweep, &table)?;
     // As for an ensemble: it has failed if every member has.
-    Ok(if succeeded > 0 || total == 0 { ExitCode::SUCCESS } else { ExitCode::from(1) })
+    Ok(if succeeded > 0 || total == 0 { Status::SUCCESS } else { Status::from(1) })
 }
 
 /// Has the table made by workers on other machines. The logs that the sweep keeps are made here.
 #[cfg(feature = "cluster")]
-fn elsewhere(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<ExitCode, CliError> {
+fn elsewhere(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<Status, CliError> {
     let config = args.cluster.config(SWEEP_LEASE_S)?;
     let watch = Watch::default();
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
@@ -167,24 +166,24 @@ fn elsewhere(args: &SweepArgs, sweep: &Sweep, table: &Path) -> Result<ExitCode, 
     show(format!("members         {members}\ntable           {}\n", table.display()))?;
     #[cfg(feature = "chart")]
     draw(args, sweep, table)?;
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
 /// Returns an error that names the missing feature.
 #[cfg(all(feature = "serve", not(feature = "cluster")))]
-fn elsewhere(_: &SweepArgs, _: &Sweep, _: &Path) -> Result<ExitCode, CliError> {
+fn elsewhere(_: &SweepArgs, _: &Sweep, _: &Path) -> Result<Status, CliError> {
     Err(CliError::Feature { wanted: "--engine cluster", feature: "cluster" })
 }
 
 /// Puts parts together.
-pub(super) fn merge(args: &MergeArgs) -> Result<ExitCode, CliError> {
+pub(super) fn merge(args: &MergeArgs) -> Result<Status, CliError> {
     let members = sweep::merge(&args.parts, &args.output, args.force)?;
     show(format!("members         {members}\ntable           {}\n", args.output.display()))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
 /// Prints the scenario of a member, or writes its log.
-fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliError> {
+fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<Status, CliError> {
     let wrong = |source| CliError::Member { path: args.sweep.clone(), member, source };
     match &args.log {
         None => show(sweep.scenario(member).map_err(wrong)?.to_json())?,
@@ -193,7 +192,7 @@ fn one(args: &SweepArgs, sweep: &Sweep, member: u64) -> Result<ExitCode, CliErro
             return logged(&plan, log, args.force);
         }
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(Status::SUCCESS)
 }
 
 /// Runs on its own thread. On a terminal a progress bar follows; ctrl-c leaves a part from which

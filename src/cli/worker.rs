@@ -2,12 +2,11 @@
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
-use std::process::ExitCode;
 
 use clap::Args;
 
-use super::CliError;
 use super::process::{ClusterArgs, LogFormat};
+use super::{CliError, Status};
 use crate::serve::Limits;
 
 #[derive(Debug, Args)]
@@ -37,7 +36,7 @@ pub(super) struct WorkerArgs {
 
 /// Works until it is asked to stop.
 #[cfg(feature = "cluster")]
-pub(super) fn work(args: &WorkerArgs) -> Result<ExitCode, CliError> {
+pub(super) fn work(args: &WorkerArgs) -> Result<Status, CliError> {
     use super::process::{own_log, program, stop_signal, tell_of_lost_lines};
     use crate::serve::{self, ServeError, WorkConfig};
     let (_rest, lost) = own_log(args.log_format);
@@ -60,7 +59,7 @@ pub(super) fn work(args: &WorkerArgs) -> Result<ExitCode, CliError> {
         let stop = stop_signal().map_err(ServeError::System)?;
         tokio::spawn(tell_of_lost_lines(lost));
         serve::work(config, stop).await?;
-        Ok(ExitCode::SUCCESS)
+        Ok(Status::SUCCESS)
     });
     runtime.shutdown_background();
     worked
@@ -68,6 +67,6 @@ pub(super) fn work(args: &WorkerArgs) -> Result<ExitCode, CliError> {
 
 /// Returns an error that names the missing feature.
 #[cfg(not(feature = "cluster"))]
-pub(super) fn work(_: &WorkerArgs) -> Result<ExitCode, CliError> {
+pub(super) fn work(_: &WorkerArgs) -> Result<Status, CliError> {
     Err(CliError::Feature { wanted: "vpd worker", feature: "cluster" })
 }

@@ -83,11 +83,11 @@ impl<'a> Asked<'a> {
     }
 }
 
-/// Gives a log its end, and sums up its contents. Figures of the clock are left to the caller.
+/// Gives a log its end, if there is one, and sums up the run. Figures of the clock are left to the caller.
 pub(super) fn finish(
     asked: Asked<'_>,
     log: &Path,
-    mut writer: LogWriter,
+    mut writer: Option<LogWriter>,
     (figures, course): (&Figures, &Course),
     end: End,
 ) -> Result<Summary, RunError> {
@@ -95,13 +95,17 @@ pub(super) fn finish(
     let time_s = reached.step as f64 * asked.step_s;
     // Member 0 may have failed long before the others came to the end.
     let last_s = if ensemble.is_some() { asked.steps as f64 * asked.step_s } else { time_s };
+    let mut say = |level, text: &str| match &mut writer {
+        Some(writer) => writer.message(level, last_s, text),
+        None => Ok(()),
+    };
     for warning in asked.warnings {
-        writer.message(Level::Warning, last_s, warning)?;
+        say(Level::Warning, warning)?;
     }
     let seen = energy.map(|ends| EnergySeen::at_samples(figures).unwrap_or(ends));
     let warning = seen.filter(|_| !asked.is_known).and_then(summary::warning);
     if let Some(warning) = &warning {
-        writer.message(Level::Warning, last_s, warning)?;
+        say(Level::Warning, warning)?;
     }
     let word = outcome.as_str();
     let (level, text) = match (asked.members.zip(ensemble.as_ref()), &diagnosis) {
@@ -115,7 +119,7 @@ pub(super) fn finish(
             (Level::Info, format!("{word}: step {}{stopped}", reached.step))
         }
     };
-    writer.message(level, last_s, &text)?;
+    say(level, &text)?;
     let mut summary = Summary {
         outcome,
         steps: reached.step,
@@ -145,7 +149,9 @@ pub(super) fn finish(
     if let Some(expect) = asked.expect {
         summary.unmet = summary::unmet(expect, &summary);
     }
-    writer.finish(log_outcome(&summary, course))?;
+    if let Some(writer) = writer {
+        writer.finish(log_outcome(&summary, course))?;
+    }
     Ok(summary)
 }
 

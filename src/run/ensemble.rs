@@ -110,7 +110,7 @@ impl Ensemble<'_> {
                 .and_then(|end| serde_json::from_slice(end.diagnosis.as_bytes()).ok()),
             ensemble: Some(ensemble),
         };
-        let summary = finish(Asked::of(plan), path, log, (&figures, &course), end)?;
+        let summary = finish(Asked::of(plan), path, Some(log), (&figures, &course), end)?;
         control.steps_done.store(ends.steps(), Ordering::Relaxed);
         let made = ends.steps().saturating_sub(resumed_step);
         Ok(Summary {

@@ -71,7 +71,7 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
         ensemble: None,
         energy: Some(energy),
     };
-    let summary = finish(Asked::of(plan), log, writer, (&figures, &course), end)?;
+    let summary = finish(Asked::of(plan), log, Some(writer), (&figures, &course), end)?;
     Ok(Summary { resumed_step, ..summary })
 }
 

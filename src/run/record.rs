@@ -165,7 +165,7 @@ impl Recording {
             }
         };
         let steps_done = reached.step;
-        let Recorder { writer, figures, course, .. } = recorder;
+        let Recorder { keep, figures, course, .. } = recorder;
         let reached = Reached::from(&reached);
         let stopped = match ending {
             Ending::Stopped(number) => Some(format!(
@@ -176,7 +176,7 @@ impl Recording {
         };
         let end = End { outcome, reached, diagnosis, stopped, ensemble: None, energy: None };
         let asked = Asked::steps(step_s, steps);
-        let summary = finish(asked, log, writer, (&figures, &course), end)?;
+        let summary = finish(asked, log, keep.writer(), (&figures, &course), end)?;
         Ok(Summary {
             ns_per_step: inside.as_nanos() as f64 / steps_done.max(1) as f64,
             wall_s: begun.elapsed().as_secs_f64(),

@@ -8,7 +8,7 @@ use std::borrow::Cow;
 use std::fmt;
 use std::io::{self, Read};
 
-use schemars::{JsonSchema, Schema, SchemaGenerator};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::DeserializeOwned;
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{self, DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -18,8 +18,8 @@ use serde_path_to_error::{Path, Segment};
 
 use super::term::Kind;
 use super::{
-    Coefficients, Entry, PotentialTerm, ScenarioError, ScenarioErrorKind, SchemaAddress,
-    TableauChoice, TableauName,
+    Coefficients, Entry, FormatVersion, PotentialTerm, ScenarioError, ScenarioErrorKind,
+    SchemaAddress, TableauChoice, TableauName,
 };
 
 /// Longest text of a scenario or of a sweep, in bytes: the largest tables are a tenth of it.
@@ -287,6 +287,30 @@ impl JsonSchema for SchemaAddress {
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         String::json_schema(generator)
+    }
+}
+
+impl<'de> Deserialize<'de> for FormatVersion {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let given = u64::deserialize(deserializer)?;
+        let allowed = Self::NUMBER;
+        let newer = if given > allowed { "; a newer vpd may read it" } else { "" };
+        let refused = || format!("{given} given, this build reads the format {allowed}{newer}");
+        if given == allowed { Ok(Self) } else { Err(de::Error::custom(refused())) }
+    }
+}
+
+impl JsonSchema for FormatVersion {
+    fn schema_name() -> Cow<'static, str> {
+        "FormatVersion".into()
+    }
+
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "integer", "const": Self::NUMBER })
     }
 }
 

@@ -457,6 +457,9 @@ pub(crate) fn table() -> Vec<Bad> {
     for raw in ["0", "-0.01", "1e-400", "5e-324", "1e-13", "1e10", "-0.0"] {
         add(with(full(), "/step_s", raw), "/step_s");
     }
+    for raw in ["0", "2", "1.5", "-1", "\"1\"", "null", "[1]", "true"] {
+        add(with(full(), "/format", raw), "/format");
+    }
     add(with(full(), "/duration_s", "1000"), "/duration_s");
     add(without(full(), "/steps"), "");
     let timed = || {
@@ -961,4 +964,15 @@ fn near_zero_is_planned_or_refused() {
         let plan = Scenario::from_json(scene.to_string().as_bytes()).and_then(|s| Plan::new(&s));
         assert_eq!(plan.ok().map(|plan| plan.free_directions), free, "{z:e}");
     }
+}
+
+#[test]
+fn the_format_may_say_its_version() {
+    let text = with(dipole(), "/format", "1");
+    let scenario = Scenario::from_json(text.as_bytes()).expect("the version of this build");
+    let without = Scenario::from_json(dipole().to_string().as_bytes()).expect("shipped");
+    assert_eq!(scenario, without);
+    let refused =
+        Scenario::from_json(with(dipole(), "/format", "2").as_bytes()).expect_err("newer");
+    assert!(refused.message.contains("a newer vpd may read it"), "{refused}");
 }

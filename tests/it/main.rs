@@ -22,6 +22,7 @@ mod gallery;
 #[path = "../../solve/tests/it/given.rs"]
 mod given;
 mod log;
+mod memory;
 mod open;
 mod plan_sees;
 mod resume;

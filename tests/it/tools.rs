@@ -133,6 +133,13 @@ fn other_dimensions_and_members_are_exported() {
     let both = vpd(at, &["export", "many.mcap", "--channels", "/ensemble/members,/state"]);
     assert_eq!(both.status.code(), Some(2));
     assert!(text(&both.stderr).contains("alone"), "{}", text(&both.stderr));
+    // Arrays are of samples.
+    let members =
+        vpd(at, &["export", "many.mcap", "-o", "x.npz", "--channels", "/ensemble/members"]);
+    assert_eq!(members.status.code(), Some(2));
+    assert!(text(&members.stderr).contains("/ensemble/members"), "{}", text(&members.stderr));
+    let none = vpd(at, &["export", "many.mcap", "-o", "x.npz", "--member", "4"]);
+    assert_eq!(none.status.code(), Some(2));
     let none = vpd(at, &["export", "many.mcap", "--member", "4"]);
     assert_eq!(none.status.code(), Some(2));
     assert!(text(&none.stderr).contains("samples of member 4"), "{}", text(&none.stderr));
@@ -153,7 +160,7 @@ fn a_table_replaces_nothing_and_its_format_is_known() {
     assert!(text(&refused.stderr).contains("--force"), "{}", text(&refused.stderr));
     assert_eq!(std::fs::read(at.join("x.csv")).expect("kept"), b"mine");
     assert_eq!(vpd(at, &["export", "top.mcap", "-o", "x.csv", "--force"]).status.code(), Some(0));
-    for (name, said) in [("x.xlsx", ".csv, .parquet or .arrow"), ("x", "not a format")] {
+    for (name, said) in [("x.xlsx", ".csv, .npz, .parquet or .arrow"), ("x", "not a format")] {
         let refused = vpd(at, &["export", "top.mcap", "-o", name]);
         assert_eq!(refused.status.code(), Some(2));
         assert!(text(&refused.stderr).contains(said), "{}", text(&refused.stderr));
