@@ -11,7 +11,8 @@ let chosen = null;
 let over = false;
 for (const card of ["jobs-card", "studies-card"]) {
   $(card).onpointerenter = () => { over = true; };
-  $(card).onpointerleave = () => { over = false; showLists(); };
+  // A finger leaves before its click comes.
+  $(card).onpointerleave = async () => { over = false; await calm(); showLists(); };
 }
 
 async function act(path, options, word) {
@@ -38,7 +39,8 @@ function forgotten(list, id) {
 // A row of a list, made once: `update` puts what is new into it, so that a press that begins on a button ends on it.
 // A row that is to stay as it is keeps its height and its buttons.
 function jobRow({ id }) {
-  const name = h("a", { href: `#/jobs/${id}` });
+  // A hand that moves while it presses would drag the link, and press nothing.
+  const name = h("a", { href: `#/jobs/${id}`, draggable: false });
   const state = h("span"), progress = h("progress", { max: 100 }), words = h("span");
   let job;
   const box = h("input", { type: "checkbox", onchange: () => { chosen?.[box.checked ? "add" : "delete"](id); showChosen(); } });
@@ -273,7 +275,7 @@ async function forgetStudy(study) {
 }
 
 function studyRow({ id, name, kind }) {
-  const link = h("a", { href: `#/studies/${id}` }, `${name}: ${KINDS[kind] ?? kind}`);
+  const link = h("a", { href: `#/studies/${id}`, draggable: false }, `${name}: ${KINDS[kind] ?? kind}`);
   const state = h("span"), words = h("span");
   let study;
   const progress = h("progress", { ariaLabel: `Progress of ${name}` });
@@ -295,7 +297,7 @@ function studyRow({ id, name, kind }) {
     stop.disabled = ended;
     progress.max = study.runs || 1;
     progress.value = study.runs_done;
-    put(words, `${count(study.runs_done)}${ended ? "" : ` of ${count(study.runs)}`} runs`);
+    put(words, ended ? counted(study.runs_done, "run") : `${count(study.runs_done)} of ${counted(study.runs, "run")}`);
   };
   return { node, update };
 }
