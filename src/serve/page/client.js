@@ -255,13 +255,13 @@ let queue = null;
 
 function inQueue(id) {
   const at = queue?.indexOf(id) ?? -1;
-  return at < 0 ? "" : at === 0 ? ": next" : `: ${count(at)} before it`;
+  return at < 0 ? "waiting for a free worker" : at === 0 ? "waiting: next" : `waiting: ${count(at)} before it`;
 }
 
 function standing({ id, state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
   if (state === "queued" && trouble) return "waiting for the disk";
-  if (state === "queued") return `waiting for a free worker${inQueue(id)}`;
+  if (state === "queued") return inQueue(id);
   if (state === "running" && steps === 0) return "searching for a method and a step";
   if (state !== "running" && steps === 0) return "no steps";
   if (state !== "running") return steps_done === steps ? counted(steps, "step") : `${count(steps_done)} of ${counted(steps, "step")}`;

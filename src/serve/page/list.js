@@ -135,11 +135,16 @@ function question(limit, cursor) {
   return `jobs?${new URLSearchParams({ limit, ...name && { name }, ...state && { state }, ...cursor && { cursor } })}`;
 }
 
-let refreshed = 0;
+// The number of the latest question, and whether a person still waits for other rows: a later question answers that, too.
+let refreshed = 0, awaited = false;
+// Number of questions without an answer yet: while the service is slow, none is added by the clock.
+let refreshing = 0;
 
 // Asks for the lists; `asked` is whether a person asks for other rows.
 async function refresh(asked = false) {
   const turn = ++refreshed;
+  awaited ||= asked;
+  refreshing += 1;
   try {
     const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
     const list = studies ? (await json("studies", { quiet: true })).studies : null;
@@ -152,12 +157,13 @@ async function refresh(asked = false) {
     if (studies) studies = list;
     sought.next = page.next_cursor;
     if (!jobs.length && sought.cursors.length > 1) { sought.cursors.pop(); return await refresh(asked); }
-    if (asked) showAll(); else showLists();
+    if (awaited) showAll(); else showLists();
+    awaited = false;
     dispatchEvent(new Event("listed"));
   } catch (error) {
     if (error.shut) askToken();
     else if (asked) say(error.message, true);
-  }
+  } finally { refreshing -= 1; }
 }
 
 function showPages() {

@@ -369,7 +369,7 @@ addEventListener("hashchange", route);
 document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
 setInterval(() => {
   const active = jobs.some(job => !ENDED.includes(job.state)) || studies?.some(study => !ENDED.includes(study.state));
-  if (!document.hidden && (active || Date.now() % 10000 < 2000)) refresh();
+  if (!document.hidden && !refreshing && (active || Date.now() % 10000 < 2000)) refresh();
 }, 2000);
 
 // A service that does not answer at first is asked again.
