@@ -6,7 +6,7 @@
     old/bin/python docs/simulators.py target/release/vpd
 
 It prints a table for each scene, of the simulators that are installed next to it, and draws how the energy of a tumbling body
-behaves in each of them, if it is told where.
+behaves in each of them, if a file for the picture is given.
 
 Each carries one body from a given state to a time at which its attitude is known, by several steps. The error is the angle between the
 attitude reached and the known one, in radians. The time is that of a step, the least of fifteen runs with the fewest steps: of MuJoCo that

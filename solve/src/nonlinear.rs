@@ -3,20 +3,20 @@
 //!
 //! # When it stops
 //!
-//! `d_k` is the increment of sweep `k`, relative to the size of the unknowns; `q` the contraction, the worse of
-//! `d_k / d_(k-1)` and the one before. The first line that holds decides.
+//! `change_k` is the increment of sweep `k`, relative to the size of the unknowns; `q` the contraction, the worse of
+//! `change_k / change_(k-1)` and the one before. The first line that holds decides.
 //!
 //! | after sweep k | what it means | result |
 //! |---|---|---|
-//! | `d_k` is not finite | overflow | [`FailureCode::NonFinite`] |
-//! | `d_k <= tolerance` | solved | converged |
-//! | `q <= FAST` and `q d_k <= EARLY tolerance` | the next sweep would change nothing that counts | converged, if the rule allows it ([`StopRule::stop_early`]) |
-//! | `d_k` grew once, and `d_k <= ROUND_OFF` | the last digit | converged |
-//! | `d_k` grew twice in a row, and `d_k <= ROUND_OFF_FLOOR` | the last digits | converged |
-//! | no new smallest increment for `CYCLE` sweeps, `d_k <= ROUND_OFF_FLOOR` | a limit cycle of rounding | converged |
-//! | grew `PATIENCE` times in a row, `d_k <= 1000 ROUND_OFF_FLOOR` | rounding of large intermediate values | [`FailureCode::Stalled`] |
+//! | `change_k` is not finite | overflow | [`FailureCode::NonFinite`] |
+//! | `change_k <= tolerance` | solved | converged |
+//! | `q <= FAST` and `q change_k <= EARLY tolerance` | the next sweep would change nothing that counts | converged, if the rule allows it ([`StopRule::stop_early`]) |
+//! | `change_k` grew once, and `change_k <= ROUND_OFF` | the last digit | converged |
+//! | `change_k` grew twice in a row, and `change_k <= ROUND_OFF_FLOOR` | the last digits | converged |
+//! | no new smallest increment for `CYCLE` sweeps, `change_k <= ROUND_OFF_FLOOR` | a limit cycle of rounding | converged |
+//! | grew `PATIENCE` times in a row, `change_k <= 1000 ROUND_OFF_FLOOR` | rounding of large intermediate values | [`FailureCode::Stalled`] |
 //! | grew `PATIENCE` times in a row | sweeps diverge | [`FailureCode::Diverged`] |
-//! | `k = TRIAL`, and `d_k > SLOW d_(k - TRIAL_SPAN)` | sweeps converge slowly | Newton's method, if the rule allows it |
+//! | `k = TRIAL`, and `change_k > SLOW change_(k - TRIAL_SPAN)` | sweeps converge slowly | Newton's method, if the rule allows it |
 //! | `k = max_iterations` | sweeps run out | [`FailureCode::MaxIterations`] |
 //!
 //! Newton's method has the same first two lines and the last, at a tolerance of at least 1e-15; a correction that does not

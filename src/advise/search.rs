@@ -248,7 +248,7 @@ impl Trial<'_> {
             let ratio = match expected {
                 Some(expected) => {
                     least = Some(least.map_or(expected, |least| least.min(expected)));
-                    // Near its border a step may need so many sweeps that a smaller one is cheaper.
+                    // Near the largest step that works, a smaller one may be cheaper, for it needs fewer sweeps.
                     let better = reached.is_none_or(|(_, best)| cost_ns < best.cost_ns);
                     if expected <= goal && better {
                         let step_s = time_s / steps as f64;

@@ -194,7 +194,7 @@ pub(super) fn number(place: f64, step: f64, largest: f64) -> String {
     format!("{place:.digits$e}")
 }
 
-/// Returns a text of at most so many letters: the middle of a longer one is left out, because names differ at their ends.
+/// Returns a text of at most `letters` letters: the middle of a longer one is left out, because names differ at their ends.
 pub(super) fn fitted(text: &str, letters: usize) -> String {
     let count = text.chars().count();
     if count <= letters {

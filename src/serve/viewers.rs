@@ -115,7 +115,7 @@ struct Subscription {
 
 /// Reason why the view of a viewer ends.
 enum Gone {
-    /// It has left, or takes nothing: it is told nothing.
+    /// It has left, or reads nothing: no reason is sent.
     Left,
     /// It is to be disconnected.
     Dismissed,

@@ -190,7 +190,7 @@ def test_kill():
         assert waits[-1] <= 3 * LEASE_S, waits
 
 
-# Times in which a job has to run on, in leases, with so many slots, workers, and workers that are frozen; the last tells
+# Times in which a job has to run on, in leases; numbers of slots, of workers, and of workers that are frozen; the last tells
 # whether one of these holds the job, or all of them are idle. A frozen process leaves one request for jobs open.
 FROZEN = [
     # With one slot the holder has no request open.

@@ -47,7 +47,7 @@ fn bodies_at_rest_set_off_or_stay() {
     assert!((momentum(&summary)[2] + 1e-10).abs() < 1e-15, "{:?}", summary.last);
 }
 
-/// A burn much shorter than what comes before it is met by an accuracy, by fixed steps, and by what is told of both.
+/// A burn much shorter than what comes before it is not missed with an accuracy or with fixed steps, and the reports of both are right.
 #[test]
 fn burns_are_not_passed_over() {
     for (name, right, error) in [

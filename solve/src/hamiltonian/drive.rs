@@ -5,7 +5,7 @@
 //! coordinates, and once for all members of an ensemble. The torques that are no potential's add up to
 //!
 //! ```text
-//! F = a + U^T b - c Omega - r mu
+//! F_tau = a + U^T b - c Omega - r mu
 //! ```
 //!
 //! with a constant in the body, b constant in space, c a coefficient for each axis of the body.
@@ -266,7 +266,7 @@ impl PushAtStages {
 }
 
 impl RigidBody<3> {
-    /// Adds the torque of what drives the body, `vee(dH/dg - F)` at `g = g0 U`, to that of its terms and their proximity
+    /// Adds the torque of what drives the body, `vee(dH/dg - F_tau)` at `g = g0 U`, to that of its terms and their proximity
     /// ([`RigidBody::torque`]), given the body momentum and the velocity at the stages.
     #[inline(always)]
     pub(crate) fn driven_torque<R: StageScalar>(
@@ -332,7 +332,7 @@ impl RigidBody<3> {
 }
 
 impl PushAtStages {
-    /// F at the stages, given b as it is seen from g0.
+    /// F_tau at the stages, given b as it is seen from g0.
     #[inline(always)]
     fn torque<R: StageScalar>(
         &self,

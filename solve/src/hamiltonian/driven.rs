@@ -4,11 +4,11 @@
 //! the extended phase space the momentum of time changes by `-dH/dt`, so that
 //!
 //! ```text
-//! H(t) - H(0) = integral of dH/dt + <F, Omega>
+//! H(t) - H(0) = integral of dH/dt + <F_tau, Omega>
 //! ```
 //!
 //! is what the drive has put in: [`BodyAtTime::input`], summed by the stepper with the weights of its tableau. Along rotations that
-//! leave the potential as it is, the spatial momentum changes by the torques alone, by the integral of `g F g^T`.
+//! leave the potential as it is, the spatial momentum changes by the torques alone, by the integral of `g F_tau g^T`.
 //!
 //! Invariant: [`BodyAtTime::input`] is the rate of the energy along the motion that [`BodyAtTime::gradient`] makes.
 
@@ -473,24 +473,24 @@ impl<const N: usize> BodyAtTime<N> {
         sum
     }
 
-    /// `dH/dg - F` at `g`, left-trivialised: minus all that turns the body.
+    /// `dH/dg - F_tau` at `g`, left-trivialised: minus all that turns the body.
     pub(crate) fn gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         self.body.gradient(g) - self.torque(g, mu, omega)
     }
 
-    /// `mu' = [mu, Omega] - dH/dg + F`: see [`RigidBody::momentum_rate`].
+    /// `mu' = [mu, Omega] - dH/dg + F_tau`: see [`RigidBody::momentum_rate`].
     pub(crate) fn momentum_rate(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         so::asym(&so::product(mu, omega)) - self.gradient(g, mu, omega)
     }
 
-    /// Returns `dH/dg - F` at fixed spatial momentum, right-trivialised:
-    /// `v (g dU/dq)^T - ... - g F g^T`.
+    /// Returns `dH/dg - F_tau` at fixed spatial momentum, right-trivialised:
+    /// `v (g dU/dq)^T - ... - g F_tau g^T`.
     pub(crate) fn spatial_gradient(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let torque = self.torque(g, mu, omega);
         self.body.spatial_gradient(g) - so::conjugate(g, &torque)
     }
 
-    /// Returns the input: `dH/dt + <F, Omega>` to the energy, `g F g^T` to the spatial momentum.
+    /// Returns the input: `dH/dt + <F_tau, Omega>` to the energy, `g F_tau g^T` to the spatial momentum.
     pub(crate) fn input(&self, g: &Mat<N>, mu: &Mat<N>, omega: &Mat<N>) -> WorkAndImpulse<N> {
         let torque = (!self.torques.is_empty()).then(|| self.torque(g, mu, omega));
         let mut power = torque.map_or(0.0, |torque| so::inner(&torque, omega));

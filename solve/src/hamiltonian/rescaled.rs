@@ -2,20 +2,20 @@
 //! `dt = sigma(g) dtau`, are steps along
 //!
 //! ```text
-//! K(g, mu) = sigma(g) (H(g, mu) - H0),      sigma = (1 + sum_d (near_d / d)^3)^(-1/2)
+//! H~(g, mu) = sigma(g) (H(g, mu) - H0),      sigma = (1 + sum (near / rho)^3)^(-1/2)
 //! ```
 //!
 //! (Poincaré's transformation: Hairer 1997, Applied Numerical Mathematics 25; Reich 1999, SIAM J. Numer. Anal. 36). H0, the
-//! energy at the start, is minus the momentum of time and stays; along the motion H is H0, so that K is zero and
+//! energy at the start, is minus the momentum of time and stays; along the motion H is H0, so that H~ is zero and
 //!
 //! ```text
-//! dK/dmu = sigma dH/dmu        dK/dg = sigma dH/dg + (H - H0) dsigma/dg        dt/dtau = -dK/dH0 = sigma
+//! dH~/dmu = sigma dH/dmu        dH~/dg = sigma dH/dg + (H - H0) dsigma/dg        dt/dtau = -dH~/dH0 = sigma
 //! ```
 //!
-//! d are the distances of body points to the point sources. The square of a frequency near one of them grows as `1 / d^3`,
+//! rho are the distances of body points to the point sources. The square of a frequency near one grows as `1 / rho^3`,
 //! and squares add: hence the cube and the root.
 //!
-//! Invariant: a step along K is one of a Hamiltonian system, so a symplectic scheme stays symplectic, in the state and in
+//! Invariant: a step along H~ is one of a Hamiltonian system, so a symplectic scheme stays symplectic, in the state and in
 //! the time with its momentum.
 
 use super::term::{BodyVector, Lanes, Law, LawRef};
@@ -78,7 +78,7 @@ impl TimeScale {
     }
 }
 
-/// The system with the Hamiltonian K.
+/// The system with the Hamiltonian H~.
 #[derive(Clone, Copy, Debug)]
 pub struct Rescaled<'a, const N: usize> {
     pub(crate) body: &'a RigidBody<N>,
@@ -111,7 +111,7 @@ impl<'a, const N: usize> Rescaled<'a, N> {
 }
 
 impl<const N: usize> System<N> for Rescaled<'_, N> {
-    /// K.
+    /// H~.
     fn energy(&self, g: &Mat<N>, mu: &Mat<N>) -> Energy {
         let k = self.sigma(g) * (self.body.energy(g, mu).total() - self.energy);
         Energy { kinetic: k, potential: 0.0 }
@@ -215,10 +215,10 @@ impl RigidBody<3> {
     }
 }
 
-/// Part of K that depends on the attitudes of the stages alone, in lanes.
+/// Part of H~ that depends on the attitudes of the stages alone, in lanes.
 ///
 /// Torques are taken at attitudes `I + C0`; the passes that follow change them to `I + C`. The
-/// distances and the potential in K follow to first order,
+/// distances and the potential in H~ follow to first order,
 ///
 /// ```text
 /// U = U0 + sum_ij (v s^T)_ij (C - C0)_ij      S = S0 + 3 sum_ij (v (y near^3 / d^5)^T)_ij (C - C0)_ij      sigma = S^(-1/2)
@@ -310,7 +310,7 @@ impl AtStages {
         potential.put(&mut self.potential);
     }
 
-    /// `w = sigma J^-1 mu` and dK/dg, with the newest momenta and attitudes.
+    /// `w = sigma J^-1 mu` and dH~/dg, with the newest momenta and attitudes.
     #[inline(always)]
     pub(crate) fn derivatives<R: StageScalar<StepScalar = f64>, D: Dimension>(
         &mut self,
@@ -361,7 +361,7 @@ impl AtStages {
         above.put(&mut self.above);
     }
 
-    /// `U_k (dK/dg) U_k^T` at the stages.
+    /// `U_k (dH~/dg) U_k^T` at the stages.
     #[inline(always)]
     pub(crate) fn spatial_gradient<R: StageScalar<StepScalar = f64>, D: Dimension>(
         &self,

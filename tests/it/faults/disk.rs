@@ -62,7 +62,7 @@ impl Faults {
         }
     }
 
-    /// Puts the clock of the day of the processes ahead by so many seconds, or behind.
+    /// Sets the time of day that the processes see ahead by `ahead_s`, or back if it is negative.
     pub(super) fn set_clock(&mut self, ahead_s: i64) {
         self.write(5, ahead_s);
     }

@@ -150,7 +150,7 @@ impl VpdEnsemble {
             return swept;
         };
         let extras = body.extras();
-        // User-defined potentials know no lanes, and a time that the drive refuses is told by each member.
+        // User-defined potentials have no lanes, and if the drive refuses a time, each member reports it.
         let refused = drive.begin(body, begun_s, h, tableau.nodes()).is_err();
         if refused || extras & USER != 0 {
             return swept;

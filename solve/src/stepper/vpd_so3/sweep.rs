@@ -439,7 +439,7 @@ fn end_point<R: StageScalar>(
     EndPoint { change: end.change(), stretch, inverse }
 }
 
-/// Computes `tau = vee(dH/dg - F)` at the stages, given their spatial momenta in the frame of g0; with it the proximity, as
+/// Computes `tau = vee(dH/dg - F_tau)` at the stages, given their spatial momenta in the frame of g0; with it the proximity, as
 /// returned by [`crate::hamiltonian::RigidBody::torque`].
 #[inline(always)]
 fn torque_at<R: StageScalar, const EXTRAS: u8>(

@@ -78,7 +78,7 @@ const EVER: Duration = Duration::from_secs(90 * 86_400);
 /// Time that a worker that stops waits for its jobs.
 const DRAIN: Duration = Duration::from_secs(9);
 
-/// Longest text of an error that Temporal is told, bytes. It keeps the text, passes it on with each
+/// Longest text of an error that is sent to Temporal, bytes. It keeps the text, passes it on with each
 /// attempt, and refuses what is very long; the worker's own log has all of it.
 const MAX_TOLD: usize = 1024;
 
@@ -202,7 +202,7 @@ enum Later {
     Trouble(String),
 }
 
-/// What Temporal is told of an error.
+/// An error as it is sent to Temporal.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Told(String);
