@@ -70,10 +70,17 @@ impl Simulation {
     /// Begins at the start of a scenario, without a torque. Its number of steps is not read.
     ///
     /// # Errors
-    /// Those of planning it, and for an ensemble, adaptive steps and a method that takes no torques.
+    /// Those of planning it, and for an ensemble, control, conditions that end a run, adaptive steps and a method that takes no
+    /// torques.
     pub fn new(scenario: &Scenario) -> Result<Self, ScenarioError> {
         ensure(scenario.ensemble.is_none(), "/ensemble", || {
             "is not allowed here: a simulation is one run".into()
+        })?;
+        ensure(scenario.scene.control.is_none(), "/scene/control", || {
+            "is not allowed here: the caller sets the torque of a simulation".into()
+        })?;
+        ensure(scenario.until.is_empty(), "/until", || {
+            "is not allowed here: the caller ends a simulation".into()
         })?;
         let settled = advise::plan(scenario)?.settled;
         ensure(settled.step.is_none(), "/step", || {

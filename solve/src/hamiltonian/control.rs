@@ -237,7 +237,8 @@ impl<const N: usize> Control<N> {
     pub(crate) fn hold(&self, state: &ControlState, body: &mut RigidBody<N>) {
         match &self.actuator {
             Actuator::Torque { .. } => {
-                if let Some(Torque::Body(torque)) = body.driven.torques.last_mut() {
+                let commanded = body.driven.commanded;
+                if let Some(Torque::Body(torque)) = body.driven.torques.get_mut(commanded) {
                     *torque = so::hat(&state.acting);
                 }
             }
@@ -247,7 +248,8 @@ impl<const N: usize> Control<N> {
                     Some(Spin { rate: wheels.along(&state.acting), since_s: state.since_s });
             }
             Actuator::Magnetorquers { .. } => {
-                if let Some(term) = body.driven.terms.last_mut() {
+                let commanded = body.driven.commanded;
+                if let Some(term) = body.driven.terms.get_mut(commanded) {
                     term.term.law = moment::<N>(&state.acting);
                 }
             }
@@ -398,9 +400,13 @@ impl<const N: usize> RigidBody<N> {
     /// without theirs about their axes.
     pub fn with_control(mut self, control: Control<N>) -> Self {
         match &control.actuator {
-            Actuator::Torque { .. } => self.driven.torques.push(Torque::Body(Mat::zeros())),
+            Actuator::Torque { .. } => {
+                self.driven.commanded = self.driven.torques.len();
+                self.driven.torques.push(Torque::Body(Mat::zeros()));
+            }
             Actuator::Wheels(_) => {}
             Actuator::Magnetorquers { field, .. } => {
+                self.driven.commanded = self.driven.terms.len();
                 self.driven.terms.push(magnetic_term(&[0.0; 3], *field));
             }
         }

@@ -183,6 +183,8 @@ pub(super) struct Driven<const N: usize> {
     pub(super) terms: Vec<DrivenTerm<N>>,
     pub(super) torques: Vec<Torque<N>>,
     pub(super) spin: Option<Spin<N>>,
+    /// Which of the torques, or of the terms, is the command of a control.
+    pub(super) commanded: usize,
 }
 
 impl<const N: usize> Driven<N> {
