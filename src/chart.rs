@@ -183,8 +183,9 @@ fn over_time<'a>(title: &str, y: Axis<'a>) -> Plot<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::study::stability::{Border, Cell, Class, Map};
+    use crate::study::stability::{self, Border, Class, Map};
     use crate::study::table::Row;
+    use crate::sweep::{Cell, Kind, Shown, Side};
 
     /// The place of a text: left, top, right, bottom, in pixels.
     #[derive(Clone, Debug)]
@@ -331,7 +332,7 @@ mod tests {
             outcome: "succeeded".to_owned(),
             failed_step: None,
         };
-        let cell = |k: usize| Cell {
+        let cell = |k: usize| stability::Cell {
             class: classes[k % classes.len()],
             row: row.clone(),
             swing_rad: None,
@@ -367,6 +368,43 @@ mod tests {
                 for classes in [&classes[..1], &classes] {
                     let svg = stability_map(label, &map(methods, steps, label, classes));
                     check(&format!("{methods} methods, {steps} steps"), &svg.expect("drawn"));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn texts_of_a_sweep_lie_apart_whatever_it_shows() {
+        let words: [&[&str]; 4] = [
+            &["0.1", "0.2", "0.3"],
+            &["vpd gauss2", "splitting 2", "rk_projected rk8"],
+            &["-1.23e-300"],
+            &["0.123"; 31],
+        ];
+        for x in words {
+            for y in words {
+                for name in ["/step_s", LONG] {
+                    let side = |values: &[&str]| Side {
+                        name: name.to_owned(),
+                        values: values.iter().map(|&value| value.to_owned()).collect(),
+                        per_cell: 1,
+                    };
+                    let cell = |k: usize| match k % 5 {
+                        0 => Cell::Failed,
+                        1 => Cell::Refused,
+                        2 => Cell::Empty,
+                        3 => Cell::Waiting,
+                        _ => Cell::Value(1e-300 * k as f64),
+                    };
+                    let cells = (0..x.len() * y.len()).map(cell).collect();
+                    let kind = Kind::Map { x: side(x), y: side(y), cells };
+                    let (scene, column) = (name.to_owned(), "energy_error_max".to_owned());
+                    let svg = sweep(&Shown { name: scene, column, kind, without: 3 });
+                    let svg = svg.expect("drawn");
+                    check(&format!("{x:?}, {y:?}, {name}"), &svg);
+                    let all = texts(&svg);
+                    let named = |word: &str| all.iter().any(|words| words.text == word);
+                    assert!(x.len() > 3 || x.iter().all(|&word| word.len() > 12 || named(word)));
                 }
             }
         }

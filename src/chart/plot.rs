@@ -85,9 +85,12 @@ const TITLE_HEIGHT: u32 = 44;
 const DECADES: f64 = 17.0;
 /// Largest number of points: the width of the plot in pixels.
 const MAX_POINTS: usize = 800;
+/// Number of points below which each of them is drawn larger.
+const FEW_POINTS: usize = 200;
 /// Lengths of dash and gap in pixels; a dash of 0 is a whole line.
 const GUIDE: (u32, u32) = (5, 5);
-const DASHES: [(u32, u32); 6] = [(0, 0), (8, 4), (3, 3), (14, 4), (14, 8), (3, 7)];
+/// One more than there are shades: members look the same only where both lists begin anew.
+const DASHES: [(u32, u32); 7] = [(0, 0), (8, 4), (3, 3), (14, 4), (14, 8), (3, 7), (26, 10)];
 /// Parts of white, or of black where negative, in the colours of the members of a family: they differ in grey, too.
 const SHADES: [f64; 6] = [0.0, -0.45, 0.45, -0.75, 0.25, -0.25];
 
@@ -262,8 +265,9 @@ impl Plot<'_> {
         let pixels = |points: &[(f64, f64)]| -> Vec<(i32, i32)> {
             points.iter().map(|point| chart.backend_coord(point)).collect()
         };
+        let radius = if points.len() < FEW_POINTS { 4 } else { 2 };
         for pixel in pixels(&points) {
-            root.draw(&Circle::new(pixel, 2, PALETTE[0].filled()))?;
+            root.draw(&Circle::new(pixel, radius, PALETTE[0].filled()))?;
         }
         for guide in &self.guides {
             let ends = guide.map(|end| place(&end));
@@ -424,7 +428,16 @@ fn envelope(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Ranged, Scale};
+    use super::{DASHES, Ranged, SHADES, Scale};
+
+    #[test]
+    fn members_of_a_family_differ_in_dash_or_lightness() {
+        let looks = (0..40).map(|member| (DASHES[member % DASHES.len()], member % SHADES.len()));
+        let looks: Vec<_> = looks.collect();
+        for (member, look) in looks.iter().enumerate() {
+            assert!(!looks[..member].contains(look), "{member}: {look:?}");
+        }
+    }
 
     #[test]
     fn a_logarithmic_axis_shows_the_smallest_size_and_zero_at_its_end() {

@@ -19,6 +19,8 @@ const BELOW: i32 = 90;
 const BAR: i32 = 240;
 /// Least width of the picture: that of a title.
 const WIDTH: i32 = 640;
+/// Letters of a value at an axis, at most: what fits left of the map.
+const LETTERS: usize = 12;
 
 /// Draws the picture as SVG.
 ///
@@ -73,17 +75,22 @@ fn points(shown: &Shown, x: &str, points: &[(f64, f64)]) -> Result<String, Chart
 
 fn map(svg: &mut String, shown: &Shown, (x, y): (&Side, &Side), cells: &[Cell]) -> Drawn {
     let (columns, rows) = (x.values.len() as i32, y.values.len() as i32);
-    let cell = ((MAP.0 / columns).clamp(2, 60), (MAP.1 / rows).clamp(2, 60));
+    let letters = |text: &String| text.chars().count() as i32;
+    // A few columns are as wide as what is written below them.
+    let apart = 9 * x.values.iter().map(|value| letters(&label(value))).max().unwrap_or(0) + 8;
+    let cell = ((MAP.0 / columns).clamp(2, apart.max(60)), (MAP.1 / rows).clamp(2, 60));
     let (right, bottom) = (LEFT + columns * cell.0, TOP + rows * cell.1);
-    let size = ((right + RIGHT).max(WIDTH), (bottom + BELOW).max(TOP + BAR + 24 + 4 * 26 + 14));
+    let x_name = fitted(&x.name, 40);
+    // The colour bar, right of the map and of the name below it.
+    let bar = right.max(LEFT + 10 * letters(&x_name)) + 24;
+    let size = ((bar - 24 + RIGHT).max(WIDTH), (bottom + BELOW).max(TOP + BAR + 24 + 4 * 26 + 14));
     let root = SVGBackend::with_string(svg, (size.0 as u32, size.1 as u32)).into_drawing_area();
     root.fill(&WHITE)?;
     let text = |text: &str, at: (i32, i32), size: i32, h: HPos, v: VPos| {
         let font = ("sans-serif", size).into_font().color(&INK).pos(Pos::new(h, v));
         root.draw(&Text::new(text.to_owned(), at, font))
     };
-    let letters = (size.0 - 40) as usize / 11;
-    text(&fitted(&title(shown), letters), (20, 14), 19, HPos::Left, VPos::Top)?;
+    text(&fitted(&title(shown), (size.0 - 40) as usize / 12), (20, 14), 19, HPos::Left, VPos::Top)?;
     let values: Vec<f64> = cells
         .iter()
         .filter_map(|cell| match cell {
@@ -109,7 +116,7 @@ fn map(svg: &mut String, shown: &Shown, (x, y): (&Side, &Side), cells: &[Cell]) 
     }
     let outline = [(LEFT, TOP), (right, bottom)];
     root.draw(&Rectangle::new(outline, INK))?;
-    for (at, value) in ticks(&x.values, cell.0, 70) {
+    for (at, value) in ticks(&x.values, cell.0, apart) {
         let middle = LEFT + at as i32 * cell.0 + cell.0 / 2;
         root.draw(&PathElement::new([(middle, bottom), (middle, bottom + 5)], INK))?;
         text(&label(value), (middle, bottom + 8), 14, HPos::Center, VPos::Top)?;
@@ -119,10 +126,10 @@ fn map(svg: &mut String, shown: &Shown, (x, y): (&Side, &Side), cells: &[Cell]) 
         root.draw(&PathElement::new([(LEFT - 5, middle), (LEFT, middle)], INK))?;
         text(&label(value), (LEFT - 8, middle), 14, HPos::Right, VPos::Center)?;
     }
-    text(&fitted(&x.name, 40), (LEFT, bottom + 34), 16, HPos::Left, VPos::Top)?;
-    text(&fitted(&y.name, 40), (20, TOP - 6), 16, HPos::Left, VPos::Bottom)?;
-    color_bar(&root, right + 24, (low, high), scale, &text)?;
-    legend(&root, right + 24, cells, &text)?;
+    text(&x_name, (LEFT, bottom + 34), 16, HPos::Left, VPos::Top)?;
+    text(&fitted(&y.name, 40), (20, TOP - 10), 16, HPos::Left, VPos::Bottom)?;
+    color_bar(&root, bar, (low, high), scale, &text)?;
+    legend(&root, bar, cells, &text)?;
     root.present()?;
     Ok(())
 }
@@ -135,7 +142,7 @@ fn label(value: &str) -> String {
             let plain = rounded == 0.0 || (1e-3..1e5).contains(&rounded.abs());
             if plain { rounded.to_string() } else { format!("{rounded:e}") }
         }
-        _ => fitted(value, 8),
+        _ => fitted(value, LETTERS),
     }
 }
 

@@ -46,7 +46,7 @@ pub(crate) struct Side {
     /// A value for each cell along the side.
     pub(crate) values: Vec<String>,
     /// Number of members in a cell, along this side.
-    per_cell: u64,
+    pub(crate) per_cell: u64,
 }
 
 impl Side {
@@ -54,13 +54,19 @@ impl Side {
         let vary = &sweep.file.vary[field];
         let count = vary.values.count();
         let per_cell = count.div_ceil(MOST_CELLS);
-        let word = |at: u64| match sweep.axes[field].value(at) {
-            Value::String(text) => text,
-            Value::Number(number) => short(number.as_f64().unwrap_or_default()),
-            value => value.to_string(),
-        };
-        let values = (0..count.div_ceil(per_cell)).map(|cell| word(cell * per_cell)).collect();
+        let word = |cell: u64| word(&sweep.axes[field].value(cell * per_cell));
+        let values = (0..count.div_ceil(per_cell)).map(word).collect();
         Self { name: vary.column().to_owned(), values, per_cell }
+    }
+}
+
+/// Returns a value in words; of an object, such as a method, those of its fields.
+fn word(value: &Value) -> String {
+    match value {
+        Value::String(text) => text.clone(),
+        Value::Number(number) => short(number.as_f64().unwrap_or_default()),
+        Value::Object(fields) => fields.values().map(word).collect::<Vec<_>>().join(" "),
+        value => value.to_string(),
     }
 }
 

@@ -217,7 +217,7 @@ await checks({
     await whole;
     // A click moves the body, and the line.
     const time = async () => Number((await chart.textContent(".time")).match(/[\d.]+/)[0]);
-    await chart.waitForTimeout(300);
+    await chart.waitForFunction(() => chart.u.scales.x.max > 100);
     const now = await chart.locator(".plot .u-over").boundingBox();
     await chart.mouse.click(now.x + now.width / 4, now.y + now.height / 2);
     await chart.waitForFunction(() => Math.abs(Number(document.querySelector(".time").textContent.match(/[\d.]+/)[0]) - 30) < 1);
