@@ -754,6 +754,7 @@ pub fn schema() -> serde_json::Value {
 
 /// The shipped scenarios: name and JSON text.
 pub const SHIPPED: &[(&str, &str)] = &[
+    ("detumble", include_str!("../scenarios/detumble.json")),
     ("dipole", include_str!("../scenarios/dipole.json")),
     ("dual-spin", include_str!("../scenarios/dual-spin.json")),
     ("flyby", include_str!("../scenarios/flyby.json")),
@@ -763,6 +764,7 @@ pub const SHIPPED: &[(&str, &str)] = &[
     ("satellite", include_str!("../scenarios/satellite.json")),
     ("satellite-elliptic", include_str!("../scenarios/satellite-elliptic.json")),
     ("satellite-ensemble", include_str!("../scenarios/satellite-ensemble.json")),
+    ("slew", include_str!("../scenarios/slew.json")),
     ("so4-free", include_str!("../scenarios/so4-free.json")),
     ("so5-spring", include_str!("../scenarios/so5-spring.json")),
 ];
