@@ -240,7 +240,7 @@ fn bad_control_is_refused_at_its_field() {
         let text = scenario.to_string();
         let error = match Scenario::from_json(text.as_bytes()) {
             Err(error) => error,
-            Ok(scenario) => advise::plan(&scenario).err().expect("refused by the plan"),
+            Ok(scenario) => advise::plan(&scenario).expect_err("refused by the plan"),
         };
         assert!(error.pointer.starts_with(at), "{pointer}: {error}");
         assert!(error.message.contains(words), "{pointer}: {error}");
