@@ -16,7 +16,12 @@ pub(crate) fn array<'py>(
     shape: &[usize],
     numbers: &[f64],
 ) -> PyResult<Bound<'py, PyAny>> {
-    made(py, shape, "=f8", numbers, |x| x.to_ne_bytes())
+    /// Found once: NumPy would parse the name for each array of a controller.
+    static KIND: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+    let kind = KIND.get_or_try_init(py, || {
+        Ok::<_, PyErr>(py.import("numpy")?.getattr("dtype")?.call1(("=f8",))?.unbind())
+    })?;
+    made(py, shape, kind.bind(py), numbers, |x| x.to_ne_bytes())
 }
 
 /// Returns an array of one dimension.
@@ -27,7 +32,7 @@ pub(crate) fn vector<'py>(py: Python<'py>, numbers: &[f64]) -> PyResult<Bound<'p
 fn made<'py, T: Copy, const SIZE: usize>(
     py: Python<'py>,
     shape: &[usize],
-    kind: &str,
+    kind: impl IntoPyObject<'py>,
     values: &[T],
     bytes: impl Fn(T) -> [u8; SIZE],
 ) -> PyResult<Bound<'py, PyAny>> {

@@ -107,10 +107,10 @@ impl Simulation {
         }
         let is_list = torque.is_instance_of::<PyList>() || torque.is_instance_of::<PyTuple>();
         // Of an array the numbers are read as a list: one by one they would be objects of NumPy.
-        let numbers: Vec<f64> = if is_list || !torque.hasattr(intern!(py, "tolist"))? {
-            torque.extract()?
-        } else {
-            torque.call_method0(intern!(py, "tolist"))?.extract()?
+        let listed = (!is_list).then(|| torque.getattr(intern!(py, "tolist")).ok()).flatten();
+        let numbers: Vec<f64> = match listed {
+            Some(listed) => listed.call0()?.extract()?,
+            None => torque.extract()?,
         };
         let has_log = self.log.is_some();
         let inner = self.inner_mut();

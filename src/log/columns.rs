@@ -123,6 +123,11 @@ impl Vectors {
 /// Samples for which memory is set aside before there are any.
 const MOST_EXPECTED: u64 = 1 << 20;
 
+/// Returns a number as a message gives it back that leaves out a zero: without its sign.
+fn as_logged(x: f64) -> f64 {
+    x + 0.0
+}
+
 /// The entries of a matrix, row by row, in `room`.
 fn rows<'a, const N: usize>(m: &Mat<N>, room: &'a mut Vec<f64>) -> &'a [f64] {
     room.clear();
@@ -207,10 +212,10 @@ impl Columns {
         if has(Channel::Energy) {
             let energy = sample.energy.as_ref();
             let figures = [
-                energy.map(|energy| energy.kinetic),
-                energy.map(|energy| energy.potential),
-                energy.map(|energy| energy.total()),
-                sample.energy_error,
+                energy.map(|energy| as_logged(energy.kinetic)),
+                energy.map(|energy| as_logged(energy.potential)),
+                energy.map(|energy| as_logged(energy.total())),
+                sample.energy_error.map(as_logged),
                 sample.jacobi_error,
                 sample.work,
             ];
@@ -219,7 +224,8 @@ impl Columns {
             }
         }
         if has(Channel::Orthogonality) {
-            self.orthogonality_error.push(at, sample.orthogonality_error.as_slice());
+            let error = sample.orthogonality_error.map(as_logged);
+            self.orthogonality_error.push(at, error.as_slice());
         }
         if has(Channel::Momentum) {
             let momentum = sample.spatial_momentum.as_ref();
@@ -233,7 +239,8 @@ impl Columns {
         if has(Channel::Solver) {
             let solved = sample.convergence;
             self.solver_iterations.push(solved.map_or(0, |solved| solved.iterations.into()));
-            self.solver_increment.push(at, solved.map(|solved| solved.increment).as_slice());
+            let increment = solved.map(|solved| as_logged(solved.increment));
+            self.solver_increment.push(at, increment.as_slice());
             let rung = solved.map_or("", |solved| solved.rung.as_str());
             self.solver_rung.push(Cow::Borrowed(rung));
             let sigma_min = sample.sigma_min.filter(|_| solved.is_some());
@@ -241,7 +248,8 @@ impl Columns {
         }
         if has(Channel::Pace) {
             let figures = sample.pace.map_or([None; 4], |pace| {
-                [pace.sigma, pace.step_s, pace.least_sigma, pace.time_error_s].map(Some)
+                [pace.sigma, pace.step_s, pace.least_sigma, pace.time_error_s]
+                    .map(|x| Some(as_logged(x)))
             });
             for (column, figure) in self.pace.iter_mut().zip(figures) {
                 column.push(at, figure.as_slice());

@@ -372,7 +372,7 @@ fn first_mistakes_are_answered_by_what_to_write() {
         ("/scene/potential/0/kind=3", "expected one of `uniform`"),
         ("/log/compression=false", "expected one of `"),
         ("/step=0.5", "give a number as `step_s`"),
-        ("/stride=0.5", "expected one of `$schema`, `name`"),
+        ("/stride=0.5", "expected one of `$schema`, `format`, `name`"),
         ("/step_s/deeper=1", "/step_s is a number"),
         ("/scene/potential/7/weight=1", "/scene/potential is a list with the items 0 to 0"),
     ] {
