@@ -29,18 +29,18 @@ mod control;
 mod cost;
 mod model;
 mod problem;
+mod rotation;
 mod terms;
 
 pub use adaptive::OwnSteps;
 use control::{ModelControl, ModelWheels};
 pub(crate) use cost::Fails;
 pub use cost::{Counts, FirstSteps};
-pub(crate) use model::{MOST_DEFECT, Model, ModelKinetic};
-use model::{
-    attitude, axis_and_angle, inertia_matrix, kinetic, momentum, skew, tableau, tableau_choice,
-    with_matrix,
-};
+pub(crate) use model::{Model, ModelKinetic};
+use model::{inertia_matrix, kinetic, momentum, of_matrix, tableau, tableau_choice, with_matrix};
 pub(crate) use problem::driven_term;
+pub(crate) use rotation::MOST_DEFECT;
+use rotation::{attitude, axis_and_angle, skew};
 use terms::{Extent, Terms};
 
 /// Approximate size of a log in addition to its samples: schemas, scenario, plan, index.
@@ -321,7 +321,10 @@ impl Plan {
         };
         let inertia = inertia_matrix(&scenario.scene.inertia);
         let mut kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
-        let mut attitude = attitude(scenario.scene.initial.attitude.as_ref(), n)?;
+        let mut attitude = {
+            let given = scenario.scene.initial.attitude.as_ref();
+            attitude("/scene/initial/attitude", given, n)?
+        };
         let frame = scenario.scene.initial.orbit_frame;
         let orbit = frame.and_then(|index| scenario.scene.driven.get(index as usize));
         if let Some(axes) = orbit.and_then(|driven| problem::orbit_axes(driven, &inertia)) {
@@ -330,7 +333,11 @@ impl Plan {
         let wheels = match scenario.scene.control.as_ref().map(|control| &control.through) {
             Some(Through::Wheels(given)) => {
                 let initial = &scenario.scene.initial;
-                Some(ModelWheels::new(given, initial, &attitude, &inertia, &mut kinetic)?)
+                let (wheels, own) = ModelWheels::new(given, initial, &attitude, &inertia)?;
+                if let Some(own) = own {
+                    kinetic = of_matrix(&own);
+                }
+                Some(wheels)
             }
             _ => None,
         };

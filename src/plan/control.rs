@@ -2,9 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::ModelKinetic;
-use super::model::{attitude, skew};
-use super::problem::{across, unit_vector};
+use super::rotation::{across, attitude, skew, unit_vector};
 use crate::scenario::{
     Control, Dipole, Field, Framed, Initial, Law, OrbitTarget, Scenario, ScenarioError, Target,
     Through, TurningTarget, Wheels, vector,
@@ -60,15 +58,14 @@ struct ModelStop {
 }
 
 impl ModelWheels {
-    /// Reads the wheels of a body whose inertia includes them, at rest in the body unless their momenta are given; `kinetic` is
-    /// that of the body with wheels that do not turn, and becomes that without them about their axes.
+    /// Reads the wheels of a body whose inertia includes them, at rest in the body unless their momenta are given; also returns the
+    /// inertia without them about their axes, if they have any.
     pub(super) fn new(
         given: &Wheels,
         initial: &Initial,
         attitude: &DMatrix<f64>,
         inertia: &DMatrix<f64>,
-        kinetic: &mut ModelKinetic,
-    ) -> Result<Self, ScenarioError> {
+    ) -> Result<(Self, Option<Matrix3<f64>>), ScenarioError> {
         let at = "/scene/control/through/wheels";
         let axes: Vec<[f64; 3]> =
             given.axes.iter().map(|&axis| Vector3::from(axis).normalize().into()).collect();
@@ -83,6 +80,7 @@ impl ModelWheels {
                 .collect()
         };
         let momenta = given.momenta.clone().unwrap_or_else(at_rest);
+        let mut own_inertia = None;
         if moments.iter().any(|&moment| moment > 0.0) {
             let mut own = whole;
             for (axis, moment) in axes.iter().zip(&moments) {
@@ -97,20 +95,7 @@ impl ModelWheels {
                 );
                 return Err(ScenarioError::invalid(format!("{at}/moments_kg_m2"), message));
             }
-            let is_diagonal = (0..3).all(|i| {
-                (0..3).all(|j| {
-                    let rounded = f64::EPSILON * (own[(i, i)] * own[(j, j)]).sqrt();
-                    i == j || own[(i, j)].abs() <= rounded
-                })
-            });
-            *kinetic = if is_diagonal {
-                let weight = |i: usize, j: usize| {
-                    if i == j { 0.0 } else { 1.0 / own[(3 - i - j, 3 - i - j)] }
-                };
-                ModelKinetic::Principal { weights: DMatrix::from_fn(3, 3, weight) }
-            } else {
-                ModelKinetic::Tensor { inertia: (own + own.transpose()) * 0.5 }
-            };
+            own_inertia = Some((own + own.transpose()) * 0.5);
         }
         let limits =
             [given.limit_n_m, given.limit_n_m_s].map(|limit| limit.unwrap_or(f64::INFINITY));
@@ -123,7 +108,7 @@ impl ModelWheels {
             };
             return Err(ScenarioError::invalid(format!("{at}/axes"), message));
         }
-        Ok(wheels)
+        Ok((wheels, own_inertia))
     }
 
     fn of<const N: usize>(&self) -> Option<ReactionWheels<N>> {
@@ -174,13 +159,15 @@ impl ModelControl {
         let target = control.as_ref().and_then(|control| control.target.as_ref());
         let target = target.map(|target| ModelTarget::new(target, n)).transpose()?;
         let dipole = scenario.scene.field.as_ref().map(|Field::Dipole(dipole)| dipole);
-        let stops = scenario.until.iter().map(|stop| {
+        let stops = scenario.until.iter().enumerate().map(|(number, stop)| {
             let condition = match (&stop.angle_above_rad, stop.pointing_error_below_rad) {
                 (Some(above), _) => {
                     let from = match &above.from {
-                        Some(from) => {
-                            attitude(Some(from), n).map_err(|error| moved(error, "/until"))?
-                        }
+                        Some(from) => attitude(
+                            &format!("/until/{number}/angle_above_rad/from"),
+                            Some(from),
+                            n,
+                        )?,
                         None => start.clone(),
                     };
                     ModelCondition::AngleAbove(from, above.angle_rad)
@@ -370,25 +357,20 @@ fn field(dipole: &Dipole) -> DipoleField {
     }
 }
 
-/// Moves the pointer of an attitude that is not at the start.
-fn moved(error: ScenarioError, at: &str) -> ScenarioError {
-    ScenarioError { pointer: error.pointer.replace("/scene/initial", at), ..error }
-}
-
 impl ModelTarget {
     fn new(given: &Target, n: usize) -> Result<Self, ScenarioError> {
         let at = "/scene/control/target";
-        let read = |given: Option<&_>| attitude(given, n).map_err(|error| moved(error, at));
+        let read = |of: &str, given: Option<&_>| attitude(&format!("{at}/{of}attitude"), given, n);
         let still = || [vec![0.0; n], vec![0.0; n]];
         Ok(match given {
             Target::Attitude(given) => {
-                Self { start: read(Some(given))?, plane: still(), rate: 0.0 }
+                Self { start: read("", Some(given))?, plane: still(), rate: 0.0 }
             }
             Target::Turning(TurningTarget { attitude, from, towards, rate_rad_s }) => {
                 let from = unit_vector(from);
                 let towards = across(towards, &from);
                 let plane = [from, towards].map(|v: DVector<f64>| v.as_slice().to_vec());
-                Self { start: read(attitude.as_ref())?, plane, rate: *rate_rad_s }
+                Self { start: read("turning/", attitude.as_ref())?, plane, rate: *rate_rad_s }
             }
             Target::Orbit(OrbitTarget { from, towards, mean_motion_rad_s, attitude }) => {
                 let z = unit_vector(from);
@@ -398,7 +380,11 @@ impl ModelTarget {
                 let axes = [y.cross(&z), y, z];
                 let frame = DMatrix::from_fn(3, 3, |i, j| axes[j][i]);
                 let plane = [z, onwards].map(|v| v.as_slice().to_vec());
-                Self { start: frame * read(attitude.as_ref())?, plane, rate: *mean_motion_rad_s }
+                Self {
+                    start: frame * read("orbit/", attitude.as_ref())?,
+                    plane,
+                    rate: *mean_motion_rad_s,
+                }
             }
         })
     }

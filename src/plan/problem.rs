@@ -2,7 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::model::{skew, with_matrix};
+use super::model::with_matrix;
+use super::rotation::{across, skew, unit_vector};
 use super::{Model, ModelKinetic};
 use crate::scenario::{
     DrivenTerm, Entry, Factor, Framed, Interpolation, Path, PotentialTerm, Table, Torque,
@@ -169,17 +170,6 @@ fn over_time(given: &Table) -> body::Table<1> {
         Interpolation::Hold => body::Interpolation::Hold,
     };
     body::Table::new(given.times_s.clone(), values, interpolation)
-}
-
-pub(super) fn unit_vector(v: &[f64]) -> DVector<f64> {
-    DVector::from_column_slice(v).normalize()
-}
-
-/// Returns the part of a vector across a unit vector, of length one.
-pub(super) fn across(v: &[f64], unit: &DVector<f64>) -> DVector<f64> {
-    let v = unit_vector(v);
-    let rest = &v - unit * unit.dot(&v);
-    (&rest - unit * unit.dot(&rest)).normalize()
 }
 
 pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTerm<N> {

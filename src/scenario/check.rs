@@ -3,12 +3,10 @@
 use std::collections::HashSet;
 
 use super::range::{
-    Check, LARGEST_STEP_S, MAX_STEPS, SMALLEST_STEP_S, direction, ensure, framed, matrix, symmetry,
+    Check, LARGEST_STEP_S, MAX_STEPS, SMALLEST_STEP_S, attitude, ensure, framed, matrix, symmetry,
     vector,
 };
-use super::{
-    Accuracy, Attitude, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind, TableauChoice,
-};
+use super::{Accuracy, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind, TableauChoice};
 use crate::method::Integrator;
 
 /// Largest n of SO(n) that the program is built for.
@@ -18,11 +16,6 @@ const MAX_DIMENSION: usize = 16;
 const LARGE_DIMENSION: usize = 32;
 /// Most terms of a potential.
 const MAX_TERMS: usize = 1000;
-/// Largest angle of an attitude: more turns would leave less than ten digits.
-const MOST_ANGLE_RAD: f64 = 1e6;
-const MOST_ANGLE_DEG: f64 = 1e8;
-/// Largest modified Rodrigues parameter, a full turn but for a billionth.
-const MOST_MRP: f64 = 1e9;
 /// Most samples of a log.
 const MAX_SAMPLES: u64 = 1_000_000_000;
 /// Smallest and largest error that may be asked for.
@@ -203,75 +196,6 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
         framed(&format!("{at}/angular_velocity"), velocity, n)?;
     }
     Ok(())
-}
-
-/// Checks an attitude that stands at `at`.
-pub(super) fn attitude(at: &str, given: &Attitude, n: usize) -> Check {
-    let only_three = |pointer: String| {
-        ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"))
-    };
-    match given {
-        Attitude::Matrix(rows) => matrix(&format!("{at}/matrix"), rows, n)?,
-        Attitude::Quaternion(q) => {
-            let pointer = format!("{at}/quaternion");
-            only_three(pointer.clone())?;
-            vector(&pointer, q, 4)?;
-            let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            ensure((norm - 1.0).abs() <= 0.01, pointer, || {
-                format!("has the norm {norm}, it must be within 1 % of 1")
-            })?;
-        }
-        Attitude::AxisAngle(turn) => {
-            let pointer = format!("{at}/axis_angle");
-            only_three(pointer.clone())?;
-            direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
-            let given = [turn.angle_rad, turn.angle_deg];
-            angles(&pointer, "angle", given.map(|angle| angle.map(|angle| [angle])))?;
-        }
-        Attitude::Euler(euler) => {
-            let pointer = format!("{at}/euler");
-            only_three(pointer.clone())?;
-            angles(&pointer, "angles", [euler.angles_rad, euler.angles_deg])?;
-        }
-        Attitude::RollPitchYaw(turns) => {
-            let pointer = format!("{at}/roll_pitch_yaw");
-            only_three(pointer.clone())?;
-            angles(&pointer, "angles", [turns.angles_rad, turns.angles_deg])?;
-        }
-        Attitude::Mrp(mrp) => {
-            let pointer = format!("{at}/mrp");
-            only_three(pointer.clone())?;
-            mrp.iter().enumerate().try_for_each(|(i, &x)| {
-                ensure(x.abs() <= MOST_MRP, format!("{pointer}/{i}"), || {
-                    format!("{x:?} given, the size of a modified Rodrigues parameter is at most {MOST_MRP:e}")
-                })
-            })?;
-        }
-    }
-    Ok(())
-}
-
-/// Checks angles that are given either in radians or in degrees.
-fn angles<const N: usize>(pointer: &str, name: &str, given: [Option<[f64; N]>; 2]) -> Check {
-    let [rad, deg] = ["rad", "deg"].map(|unit| format!("{pointer}/{name}_{unit}"));
-    let (at, angles, most, unit) = match given {
-        [Some(angles), None] => (rad, angles, MOST_ANGLE_RAD, "rad"),
-        [None, Some(angles)] => (deg, angles, MOST_ANGLE_DEG, "degrees"),
-        [None, None] => {
-            let message = format!("missing field `{name}_rad` (or `{name}_deg`)");
-            return Err(ScenarioError::invalid(pointer, message));
-        }
-        [Some(_), Some(_)] => {
-            let message = format!("is given together with `{name}_rad`; give one of the two");
-            return Err(ScenarioError::invalid(deg, message));
-        }
-    };
-    angles.iter().enumerate().try_for_each(|(i, angle)| {
-        let at = if N == 1 { at.clone() } else { format!("{at}/{i}") };
-        ensure(angle.abs() <= most, at, || {
-            format!("{angle:?} given, an angle is at most {most:e} {unit}")
-        })
-    })
 }
 
 fn method(scenario: &Scenario, n: usize) -> Check {

@@ -6,8 +6,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::driven::apart;
-use super::range::{Check, direction, ensure, number, strength};
-use super::{Attitude, Scenario, ScenarioError, Turning, check};
+use super::range::{Check, attitude, direction, ensure, number, strength};
+use super::{Attitude, Scenario, ScenarioError, Turning};
 
 /// Control by samples: every so often the attitude and the angular velocity are read, a command computed, and held until the next
 /// sample. Steps end at the samples, so that a method keeps its order.
@@ -339,11 +339,11 @@ impl Target {
     fn check(&self, n: usize) -> Check {
         let at = "/scene/control/target";
         match self {
-            Self::Attitude(given) => check::attitude(&format!("{at}/attitude"), given, n),
-            Self::Turning(TurningTarget { attitude, from, towards, rate_rad_s }) => {
+            Self::Attitude(given) => attitude(&format!("{at}/attitude"), given, n),
+            Self::Turning(TurningTarget { attitude: start, from, towards, rate_rad_s }) => {
                 let at = format!("{at}/turning");
-                if let Some(given) = attitude {
-                    check::attitude(&format!("{at}/attitude"), given, n)?;
+                if let Some(given) = start {
+                    attitude(&format!("{at}/attitude"), given, n)?;
                 }
                 let (from, towards) = (from.clone(), towards.clone());
                 Turning { from, towards, rate_rad_s: *rate_rad_s }.check(&at, n)
@@ -352,7 +352,7 @@ impl Target {
                 let at = format!("{at}/orbit");
                 only_three(&at, n)?;
                 if let Some(given) = &orbit.attitude {
-                    check::attitude(&format!("{at}/attitude"), given, n)?;
+                    attitude(&format!("{at}/attitude"), given, n)?;
                 }
                 plane(&at, &orbit.from, &orbit.towards)?;
                 strength(&format!("{at}/mean_motion_rad_s"), orbit.mean_motion_rad_s)
@@ -495,7 +495,7 @@ pub(super) fn stops(scenario: &Scenario, n: usize) -> Check {
         if let Some(AngleAbove { angle_rad, from }) = &stop.angle_above_rad {
             limit(&format!("{at}/angle_above_rad/angle_rad"), Some(*angle_rad), true)?;
             if let Some(given) = from {
-                check::attitude(&format!("{at}/angle_above_rad/from"), given, n)?;
+                attitude(&format!("{at}/angle_above_rad/from"), given, n)?;
             }
         }
         let has_target = scenario.scene.control.as_ref().is_some_and(|it| it.target.is_some());

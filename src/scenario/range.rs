@@ -1,6 +1,6 @@
 //! Form and range of what stands in more than one field: numbers, points, directions, matrices.
 
-use super::{Entry, Framed, ScenarioError};
+use super::{Attitude, Entry, Framed, ScenarioError};
 
 /// Largest size of any number of a scene.
 pub(crate) const MAX_SIZE: f64 = 1e15;
@@ -17,6 +17,12 @@ pub(super) const MAX_STEPS: u64 = 1_000_000_000_000;
 pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
 /// Largest step in seconds.
 pub(super) const LARGEST_STEP_S: f64 = 1e9;
+
+/// Largest angle of an attitude: more turns would leave less than ten digits.
+const MOST_ANGLE_RAD: f64 = 1e6;
+const MOST_ANGLE_DEG: f64 = 1e8;
+/// Largest modified Rodrigues parameter, a full turn but for a billionth.
+const MOST_MRP: f64 = 1e9;
 
 /// Result of a check.
 pub(crate) type Check = Result<(), ScenarioError>;
@@ -143,4 +149,73 @@ pub(super) fn framed(pointer: &str, given: &Framed, n: usize) -> Check {
     matrix(&pointer, &rows, n)?;
     size(&pointer, rows.iter().flatten())?;
     symmetry(&pointer, &rows, -1.0, "skew")
+}
+
+/// Checks an attitude that stands at `at`.
+pub(super) fn attitude(at: &str, given: &Attitude, n: usize) -> Check {
+    let only_three = |pointer: String| {
+        ensure(n == 3, pointer, || format!("is for n = 3, this body has n = {n}: use `matrix`"))
+    };
+    match given {
+        Attitude::Matrix(rows) => matrix(&format!("{at}/matrix"), rows, n)?,
+        Attitude::Quaternion(q) => {
+            let pointer = format!("{at}/quaternion");
+            only_three(pointer.clone())?;
+            vector(&pointer, q, 4)?;
+            let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+            ensure((norm - 1.0).abs() <= 0.01, pointer, || {
+                format!("has the norm {norm}, it must be within 1 % of 1")
+            })?;
+        }
+        Attitude::AxisAngle(turn) => {
+            let pointer = format!("{at}/axis_angle");
+            only_three(pointer.clone())?;
+            direction(&format!("{pointer}/axis"), &turn.axis, 3)?;
+            let given = [turn.angle_rad, turn.angle_deg];
+            angles(&pointer, "angle", given.map(|angle| angle.map(|angle| [angle])))?;
+        }
+        Attitude::Euler(euler) => {
+            let pointer = format!("{at}/euler");
+            only_three(pointer.clone())?;
+            angles(&pointer, "angles", [euler.angles_rad, euler.angles_deg])?;
+        }
+        Attitude::RollPitchYaw(turns) => {
+            let pointer = format!("{at}/roll_pitch_yaw");
+            only_three(pointer.clone())?;
+            angles(&pointer, "angles", [turns.angles_rad, turns.angles_deg])?;
+        }
+        Attitude::Mrp(mrp) => {
+            let pointer = format!("{at}/mrp");
+            only_three(pointer.clone())?;
+            mrp.iter().enumerate().try_for_each(|(i, &x)| {
+                ensure(x.abs() <= MOST_MRP, format!("{pointer}/{i}"), || {
+                    format!("{x:?} given, the size of a modified Rodrigues parameter is at most {MOST_MRP:e}")
+                })
+            })?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks angles that are given either in radians or in degrees.
+fn angles<const N: usize>(pointer: &str, name: &str, given: [Option<[f64; N]>; 2]) -> Check {
+    let [rad, deg] = ["rad", "deg"].map(|unit| format!("{pointer}/{name}_{unit}"));
+    let (at, angles, most, unit) = match given {
+        [Some(angles), None] => (rad, angles, MOST_ANGLE_RAD, "rad"),
+        [None, Some(angles)] => (deg, angles, MOST_ANGLE_DEG, "degrees"),
+        [None, None] => {
+            let message = format!("missing field `{name}_rad` (or `{name}_deg`)");
+            return Err(ScenarioError::invalid(pointer, message));
+        }
+        [Some(_), Some(_)] => {
+            let message = format!("is given together with `{name}_rad`; give one of the two");
+            return Err(ScenarioError::invalid(deg, message));
+        }
+    };
+    angles.iter().enumerate().try_for_each(|(i, angle)| {
+        let at = if N == 1 { at.clone() } else { format!("{at}/{i}") };
+        ensure(angle.abs() <= most, at, || {
+            format!("{angle:?} given, an angle is at most {most:e} {unit}")
+        })
+    })
 }
