@@ -218,6 +218,8 @@ pub(crate) fn variant(
     scenario.method = method.clone();
     (scenario.step_s, scenario.steps, scenario.duration_s) = (Some(step_s), Some(steps), None);
     (scenario.accuracy, scenario.ensemble) = (None, None);
+    // What is compared is at one time, wherever the run itself would end.
+    scenario.until.clear();
     let channels = vec![Channel::State, Channel::Energy, Channel::Orthogonality];
     scenario.log = LogOptions { channels: Some(channels), ..LogOptions::default() };
     Plan::new(&scenario)
