@@ -572,7 +572,7 @@ await checks({
       await write(editor, text);
       await editor.waitForFunction(([mark, words]) => document.querySelector(".cm-lintRange-error")?.textContent === mark && document.querySelector("#check").textContent.includes(words), [mark, words]);
     };
-    await marked(good.replace('"step_s"', '"stride"'), '"stride"', '"stride" is not known here; expected one of $schema, name,');
+    await marked(good.replace('"step_s"', '"stride"'), '"stride"', '"stride" is not known here; expected one of $schema, format,');
     await marked(good.replace('"weight": 4.905, ', ""), "{", 'needs "weight"');
     await marked(good.replace('"members": 20', '"members": "many"'), '"many"', '"members" is a string, expected an integer');
     await marked(good.replace('"vpd"', '"vpq"'), '"vpq"', '"vpq" is not one of auto');

@@ -14,8 +14,8 @@ class Stage {
     // The time that is shown, and seconds of it in a second.
     [this.t, this.speed, this.end, this.busy, this.playing] = [0, 1, 0, false, false];
     this.play.onclick = () => this.run(!this.playing);
-    this.seek.oninput = () => this.go(Number(this.seek.value));
-    this.rate.onchange = () => { this.setSpeed(Number(this.rate.value)); this.go(this.t); };
+    this.seek.oninput = () => this.jump(Number(this.seek.value));
+    this.rate.onchange = () => { this.setSpeed(Number(this.rate.value)); this.jump(this.t); };
     this.root.querySelector(".drawn").onchange = () => this.show();
     for (const [name, by] of [["nearer", 1.25], ["farther", 0.8]]) find(name).onclick = () => this.magnify(by);
     this.watchPointers();
@@ -140,6 +140,9 @@ class Stage {
     if (this.wanted !== undefined) { const wanted = this.wanted; this.wanted = undefined; await this.go(wanted); }
   }
 
+  // The same for a press: what cannot be read, or is not wanted any more, stops the player.
+  jump(time) { this.go(time).catch(() => this.run(false)); }
+
   run(on) {
     this.playing = on;
     this.play.textContent = on ? "Pause" : "Play";
@@ -153,7 +156,7 @@ class Stage {
       if (!this.busy) this.t = Math.min(this.t + Math.min(now - (before ?? now), 2000) * 1e-3 * this.speed, last);
       before = now;
       if (times.length - this.index() < 120 && !this.done && !this.busy) this.fetch(last).catch(() => this.run(false));
-      if (this.t >= last && this.done && !this.busy) this.go(0).catch(() => this.run(false));
+      if (this.t >= last && this.done && !this.busy) this.jump(0);
       this.show();
       requestAnimationFrame(tick);
     };

@@ -156,7 +156,7 @@ async function viewJob(id) {
     const begun = Date.now();
     asked = Infinity;
     if (!chart) {
-      chart = new Chart(job, t => stage?.go(t));
+      chart = new Chart(job, t => stage?.jump(t));
       drawn.replaceChildren(h("h3", {}, job.plan?.ensemble ? "Member 0 over time" : "Over time"), chart.root);
     }
     if (!members && job.plan?.ensemble) {
