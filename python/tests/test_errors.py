@@ -56,11 +56,11 @@ def spoilt(scene, chance):
         if what == 0:
             del parent[at[-1]]
         elif what == 1 and isinstance(parent, dict):
-            parent[chance.choice(["colour", "kind", "step_s", "body"])] = chance.choice(STRANGE)
+            parent[chance.choice(["colour", "kind", "step_s", "body"])] = copy.deepcopy(chance.choice(STRANGE))
         elif isinstance(parent[at[-1]], float | int) and what == 2:
             parent[at[-1]] = parent[at[-1]] * chance.choice([-1, 0, 1e-30, 1e30])
         else:
-            parent[at[-1]] = chance.choice(STRANGE)
+            parent[at[-1]] = copy.deepcopy(chance.choice(STRANGE))
         if not any(True for _ in places(scene)) or not scene:
             break
     return scene

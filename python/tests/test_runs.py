@@ -207,7 +207,9 @@ def test_ctrl_c_and_the_log_goes_on(command, dipole, tmp_path):
     scene = dipole | {"steps": 3_000_000, "log": {"every": 10}}
     (tmp_path / "a.json").write_text(json.dumps(scene))
     program = (
-        "import vpdsim as vpd, sys\n"
+        "import vpdsim as vpd, signal, sys\n"
+        # A process in the background of a shell ignores it.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def told(done, whole):\n"
         "    if done > 400_000: print('far', flush=True)\n"
         "try:\n"
