@@ -394,6 +394,7 @@ impl Plan {
             },
         };
         plan.samples = 1 + plan.steps.div_ceil(plan.every);
+        plan.model.control.check_samples(step_s, plan.steps)?;
         plan.model.check_distances(&scenario.scene.potential)?;
         plan.add_terms(&scenario.scene.potential, &inertia);
         plan.add_driven(&inertia);

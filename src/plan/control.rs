@@ -190,6 +190,26 @@ impl ModelControl {
         })
     }
 
+    /// Refuses samples of the control that are too many for a step, which cannot be stopped within, or for a run.
+    pub(super) fn check_samples(&self, step_s: f64, steps: u64) -> Result<(), ScenarioError> {
+        /// As many as rows of a table.
+        const MOST_IN_A_STEP: f64 = 1e5;
+        /// Times of samples are told apart.
+        const MOST: f64 = 1e12;
+        let Some(control) = &self.control else { return Ok(()) };
+        let in_a_step = step_s / control.every_s;
+        let all = in_a_step * steps as f64;
+        if in_a_step <= MOST_IN_A_STEP && all <= MOST {
+            return Ok(());
+        }
+        let message = format!(
+            "{:?} given, which is {in_a_step:.1e} samples in a step and {all:.1e} in all; at most {MOST_IN_A_STEP:e} and \
+             {MOST:e} are allowed",
+            control.every_s
+        );
+        Err(ScenarioError::invalid("/scene/control/every_s", message))
+    }
+
     /// Is nothing changed by it in the motion?
     pub(crate) fn is_empty(&self) -> bool {
         self.control.is_none() && self.moment.is_none()

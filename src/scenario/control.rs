@@ -143,7 +143,7 @@ pub struct Wheels {
     /// Their moments of inertia about these in kg m^2, which the inertia of the body includes; 0 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub moments_kg_m2: Option<Vec<f64>>,
-    /// Their momenta about these at t = 0 in N m s: `j (w + a . Omega)`, w the speed relative to the body; 0 if absent.
+    /// Their momenta about these at t = 0 in N m s: `j (w + a . Omega)`, w the speed relative to the body; those of wheels at rest in the body if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub momenta: Option<Vec<f64>>,
     /// Largest motor torque in N m; none if absent.

@@ -152,6 +152,13 @@ fn an_accuracy_is_that_of_the_controlled_scene() {
 fn bad_control_is_refused_at_its_field() {
     for (name, pointer, value, at, words) in [
         ("slew", "/scene/control/every_s", json!(0), "/scene/control/every_s", "0.0 given"),
+        (
+            "slew",
+            "/scene/control/every_s",
+            json!(1e-9),
+            "/scene/control/every_s",
+            "samples in a step",
+        ),
         ("slew", "/scene/control/delay_s", json!(0.2), "/scene/control/delay_s", "from 0 to"),
         ("slew", "/scene/control/laws", json!([]), "/scene/control/laws", "1 to 10"),
         ("slew", "/scene/control/target", Value::Null, "/scene/control/target", ""),

@@ -3,7 +3,7 @@
 //! Between two commands nothing depends on the state, so that the body is one of those that change with time:
 //!
 //! ```text
-//! a torque F in the body     mu' = [mu, Omega] - dH/dg + F
+//! a torque in the body       mu' = [mu, Omega] - dH/dg + F_tau
 //! wheels, motor torques u    mu = J Omega + sum_i a_i h_i,   h_i' = u_i
 //! a magnetic moment m        U = -m . g^T B(t)
 //! ```
@@ -162,6 +162,18 @@ impl<const N: usize> Control<N> {
             integral: vec![0.0; so::dimension(N)],
             ..ControlState::default()
         }
+    }
+
+    /// Is it what a controller of this control may know? One from a file may be of another.
+    pub(crate) fn fits(&self, state: &ControlState) -> bool {
+        let own = self.start();
+        let ControlState { acting, waiting, momenta, integral, field, .. } = state;
+        let same = |a: &[f64], b: &[f64]| a.len() == b.len();
+        same(acting, &own.acting)
+            && same(momenta, &own.momenta)
+            && same(integral, &own.integral)
+            && (waiting.is_empty() || same(waiting, &own.acting))
+            && matches!(field.len(), 0 | 3)
     }
 
     /// The time of the next sample.

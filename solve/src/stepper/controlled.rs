@@ -61,11 +61,11 @@ impl<const N: usize> Stepper<N> for Controlled<N> {
 
     fn resume(&mut self, checkpoint: &Checkpoint<N>) {
         match &checkpoint.control {
-            Some(control) => {
+            Some(control) if self.law.fits(control) => {
                 self.method.resume(checkpoint);
                 self.set_control(control);
             }
-            None => self.start(&checkpoint.state()),
+            _ => self.start(&checkpoint.state()),
         }
     }
 

@@ -331,6 +331,25 @@ fn a_resumed_run_is_the_whole_one() {
     }
 }
 
+/// A checkpoint of another control, as a file may hold one, begins the control anew and ends nothing.
+#[test]
+fn a_checkpoint_of_another_control_is_no_panic() {
+    let of_wheels = control(0.1, slew(), Actuator::Wheels(wheels(0.05, 0.6)));
+    let body = RigidBody::new(moments(), Vec::new(), 0.0).with_control(of_wheels);
+    let none = vpd_solve::control::ControlState::default();
+    let of_torque = control(0.1, slew(), Actuator::Torque { limit: 1.0 });
+    let mut other =
+        controlled(lanes(2), &RigidBody::new(moments(), Vec::new(), 0.0).with_control(of_torque));
+    other.start(&start());
+    for state in [Some(none), other.control().cloned(), None] {
+        let checkpoint = Checkpoint { control: state, ..Checkpoint::at_start(&start()) };
+        let mut stepper = controlled(lanes(2), &body);
+        stepper.resume(&checkpoint);
+        stepper.step(&body, 0.1).expect("a small step");
+        assert_eq!(stepper.control().map(|state| state.samples), Some(2));
+    }
+}
+
 /// A moment along the change of the field takes the spin out of a body: the rates fall to a few turns of the orbit.
 #[test]
 fn b_dot_detumbles() {
