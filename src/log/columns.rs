@@ -38,6 +38,9 @@ pub struct Columns {
     solver_sigma_min: Vectors,
     pace: [Vectors; 4],
     pace_own_steps: Vec<u64>,
+    control: [Vectors; 7],
+    control_saturated: Vec<u64>,
+    pointing_error_rad: Vectors,
     /// The last quaternion: the next has the nearer sign.
     turn: Option<[f64; 4]>,
     /// Room for the numbers of a matrix.
@@ -53,6 +56,16 @@ const ENERGY: [&str; 6] = [
     "energy_work",
 ];
 const PACE: [&str; 4] = ["pace_sigma", "pace_step_s", "pace_least_sigma", "pace_time_error_s"];
+
+const CONTROL: [&str; 7] = [
+    "control_wanted",
+    "control_command",
+    "attitude_error",
+    "rate_error",
+    "wheel_momenta",
+    "wheel_speeds",
+    "control_field",
+];
 
 /// One quantity of all samples.
 #[derive(Clone, Debug, PartialEq)]
@@ -256,8 +269,29 @@ impl Columns {
             }
             self.pace_own_steps.push(sample.pace.map_or(0, |pace| pace.steps));
         }
+        if has(Channel::Control) {
+            self.add_control(at, messages::Control::of(sample).unwrap_or_default());
+        }
         self.room = std::mem::take(room);
         true
+    }
+
+    /// Adds a sample of the control; one without numbers where there is none.
+    fn add_control(&mut self, at: Place, seen: messages::Control) {
+        let lists = [
+            &seen.wanted,
+            &seen.command,
+            &seen.attitude_error,
+            &seen.rate_error,
+            &seen.wheel_momenta,
+            &seen.wheel_speeds,
+            &seen.field,
+        ];
+        for (column, list) in self.control.iter_mut().zip(lists) {
+            column.push(at, list);
+        }
+        self.control_saturated.push(seen.saturated.into());
+        self.pointing_error_rad.push(at, seen.pointing_error_rad.as_slice());
     }
 
     /// Adds a sample of a log that begins at `start_ns`.
@@ -274,6 +308,7 @@ impl Columns {
             momentum: row.momentum.filter(|_| has(Channel::Momentum)),
             solver: row.solver.filter(|_| has(Channel::Solver)),
             pace: row.pace.filter(|_| has(Channel::Pace)),
+            control: row.control.filter(|_| has(Channel::Control)),
             ..row
         };
         let state = row.state.unwrap_or_default();
@@ -315,6 +350,9 @@ impl Columns {
             column.push(at, figure.as_slice());
         }
         self.pace_own_steps.push(pace.1);
+        if has(Channel::Control) {
+            self.add_control(at, row.control.unwrap_or_default());
+        }
     }
 
     /// Returns the quantities that any sample has, under the names of a table, which adds an axis or row and column to those of
@@ -347,7 +385,13 @@ impl Columns {
         let pace = PACE.into_iter().zip(self.pace.map(Vectors::numbers));
         let own_steps = ("pace_own_steps", own.then_some(Values::Counts(self.pace_own_steps)));
         let found = of_state.into_iter().chain(energy).chain(of_momentum).chain(of_solver);
-        let found = found.chain(pace).chain([own_steps]);
+        let controlled = self.control[0].width > 0;
+        let saturated = controlled.then_some(Values::Counts(self.control_saturated));
+        let control = CONTROL.into_iter().zip(self.control.map(Vectors::vectors));
+        let found = found.chain(pace).chain([own_steps]).chain(control).chain([
+            ("control_saturated", saturated),
+            ("pointing_error_rad", self.pointing_error_rad.numbers()),
+        ]);
         all.extend(found.filter_map(|(name, values)| Some((name, values?))));
         all
     }

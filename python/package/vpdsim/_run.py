@@ -323,6 +323,9 @@ def places(name: str, shape: tuple[int, ...]) -> list[str]:
         return [f"{i + 1}_{j + 1}" for i in range(shape[0]) for j in range(shape[1])]
     if name == "quaternion":
         return list("wxyz")
+    if name in ("control_command", "wheel_momenta", "wheel_speeds"):
+        # Of an actuator or a wheel each.
+        return [str(number + 1) for number in range(shape[0])]
     if shape[0] == 3:
         return list("xyz")
     # n (n - 1) / 2 entries above the diagonal.
