@@ -272,7 +272,7 @@ function outcome(job) {
   if (state === "running") return "The job is running. You may close this page: the job continues.";
   if (!summary) return state === "cancelled" ? "Stopped before it began." : "";
   if (summary.steps === 0 && !summary.ensemble) return state === "failed" ? "It failed at its first step: the log holds only the start." : "Stopped before its first step.";
-  const made = `${count(summary.steps)} steps, to t = ${figure(summary.time_s)} s, in ${span(summary.wall_s)}`;
+  const made = `${count(summary.steps)} steps, to t = ${figure(summary.time_s)} s, in ${span(summary.wall_s)}${summary.stopped ? `, where it ended early: ${summary.stopped}` : ""}`;
   const parts = [state === "succeeded" ? `Done: ${made}.` : state === "failed" ? `It failed after ${made}.` : `Stopped after ${made}.`];
   const { energy, orthogonality, momentum, ensemble } = summary;
   if (ensemble) {
