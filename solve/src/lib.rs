@@ -10,6 +10,7 @@
 //!
 //! Invariant: every function either returns finite values or a named failure ([`failure::Failure`]).
 
+pub mod bodies;
 pub mod compensated;
 pub mod composition;
 pub mod control;

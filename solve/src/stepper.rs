@@ -10,9 +10,10 @@ use super::nonlinear::Convergence;
 use super::so::Mat;
 use super::state::{Checkpoint, OwnTime, Pace, State};
 pub use clock::Clock;
+pub(crate) use galerkin::Motion as TurningMotion;
 pub use knots::Knots;
 
-mod checks;
+pub(crate) mod checks;
 mod clock;
 pub mod controlled;
 mod galerkin;

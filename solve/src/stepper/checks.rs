@@ -49,7 +49,7 @@ pub(super) fn check_root<const N: usize>(
 }
 
 /// Refuses a matrix that is nearly singular, or reflects: by its smallest singular value, less than zero if it reflects.
-pub(super) fn check_singular_value(sigma: f64, stage: Option<usize>) -> Result<(), Failure> {
+pub(crate) fn check_singular_value(sigma: f64, stage: Option<usize>) -> Result<(), Failure> {
     if sigma >= SMALLEST_SINGULAR_VALUE {
         return Ok(());
     }
@@ -69,7 +69,7 @@ pub(super) fn check_branch(found: f64, limit: f64, stage: Option<usize>) -> Resu
 /// Refuses a solution that jumps between two nodes, from `start` on: a determinant cannot show a turn past half a circle. `trace` is
 /// that of the rotation between two attitudes, or its cosine, `limit` its value for a quarter turn; each attitude comes with
 /// its stage, `None` for the end.
-pub(super) fn check_continuity<U>(
+pub(crate) fn check_continuity<U>(
     start: U,
     nodes: impl IntoIterator<Item = (Option<usize>, U)>,
     limit: f64,

@@ -49,7 +49,7 @@ use convergence::{
     SolveError, Solved,
 };
 use deferred::{AtStage, Collocation, StageSlot, StepStart, SystemView, Velocity};
-pub(super) use motion::Motion;
+pub(crate) use motion::Motion;
 pub(super) use stepper_state::StepperState;
 use sweeps::{End, Stage, Sweeps};
 use vectors::InVectors;
@@ -416,7 +416,8 @@ impl<const N: usize> GalerkinStep<N> {
     /// Carries a motion from the beginning of the step to its end.
     pub(super) fn carry(&self, motion: &mut Motion<N>) {
         let level = self.collocation.as_ref().and_then(|collocation| collocation.level);
-        motion.advance(level, &self.solution);
+        let Solution { rotation_increment, impulse, momentum_increment, .. } = &self.solution;
+        motion.advance(level, [rotation_increment, impulse], momentum_increment.as_ref());
     }
 
     /// Returns the changes made by the step.

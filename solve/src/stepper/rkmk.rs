@@ -25,7 +25,7 @@ use crate::stepper::{Clock, Stepper};
 use crate::tableau::Tableau;
 
 /// `(-1)^k B_k / k!`, k = 1, 2, ...
-const DEXPINV: [f64; 6] = [0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30_240.0];
+pub(crate) const DEXPINV: [f64; 6] = [0.5, 1.0 / 12.0, 0.0, -1.0 / 720.0, 0.0, 1.0 / 30_240.0];
 
 /// The stepper: an explicit tableau and its scratch.
 #[derive(Clone, Debug)]

@@ -79,7 +79,7 @@ impl Stepper<3> for Splitting {
 
 /// `J^-1 = R diag(w) R^T`.
 #[derive(Clone, Debug)]
-struct PrincipalAxes {
+pub(crate) struct PrincipalAxes {
     tensor: Matrix3<f64>,
     inverse: Vector3<f64>,
     /// R, from principal to body axes; `None` where they are the same.
@@ -89,7 +89,7 @@ struct PrincipalAxes {
 impl PrincipalAxes {
     /// Diagonalises the tensor by Jacobi's rotations: each takes one product of inertia away; four
     /// rounds reach round-off.
-    fn of(tensor: &Matrix3<f64>) -> Self {
+    pub(crate) fn of(tensor: &Matrix3<f64>) -> Self {
         let (mut d, mut r) = (*tensor, Matrix3::identity());
         for _ in 0..8 {
             for (i, j) in [(0, 1), (1, 2), (0, 2)] {
@@ -112,7 +112,7 @@ impl PrincipalAxes {
         Self { tensor: *tensor, inverse: d.diagonal(), turn }
     }
 
-    fn free(&self, top: &Top, h: f64) -> Option<(Drift, f64)> {
+    pub(crate) fn free(&self, top: &Top, h: f64) -> Option<(Drift, f64)> {
         let Some(turn) = self.turn else {
             return free_top::flow(&self.inverse, &top.momentum, h);
         };

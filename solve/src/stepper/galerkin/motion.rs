@@ -8,7 +8,6 @@
 
 use fearless_simd::{Level, f64x4, prelude::*};
 
-use super::Solution;
 use crate::compensated::Sum;
 use crate::lanes::{Rows, StageScalar, widest};
 use crate::so::{self, Mat};
@@ -17,7 +16,7 @@ use crate::stepper::motion::ROUNDING_SQUARE;
 
 /// The motion of a body.
 #[derive(Clone, Debug)]
-pub(in crate::stepper) struct Motion<const N: usize> {
+pub(crate) struct Motion<const N: usize> {
     attitude: Sum<Mat<N>>,
     /// Spatial momentum.
     momentum: Sum<Mat<N>>,
@@ -27,7 +26,7 @@ pub(in crate::stepper) struct Motion<const N: usize> {
 
 impl<const N: usize> Motion<N> {
     /// Begins at a state.
-    pub(in crate::stepper) fn new(state: &State<N>) -> Self {
+    pub(crate) fn new(state: &State<N>) -> Self {
         Self {
             attitude: Sum::new(state.attitude, Mat::zeros()),
             momentum: Sum::new(
@@ -39,29 +38,40 @@ impl<const N: usize> Motion<N> {
     }
 
     /// g.
-    pub(in crate::stepper) fn attitude(&self) -> &Mat<N> {
+    pub(crate) fn attitude(&self) -> &Mat<N> {
         &self.attitude.value
     }
 
     /// The momentum in the body.
-    pub(in crate::stepper) fn body_momentum(&self) -> &Mat<N> {
+    pub(crate) fn body_momentum(&self) -> &Mat<N> {
         &self.body_momentum.value
     }
 
-    /// Advances by a step, compiled for a wide instruction set if there is one: the bits are the same.
-    pub(super) fn advance(&mut self, level: Option<Level>, solution: &Solution<N>) {
+    /// Advances by a step that turns by `I + turn` and pushes by `impulse`, both in the frame of its beginning, compiled for a
+    /// wide instruction set if there is one: the bits are the same. `momentum_increment` is what the body momentum gains.
+    pub(crate) fn advance(
+        &mut self,
+        level: Option<Level>,
+        [turn, impulse]: [&Mat<N>; 2],
+        momentum_increment: Option<&Mat<N>>,
+    ) {
+        let changes = [turn, impulse];
         match level {
             Some(level) => {
-                widest!(level below Avx512, f64x4, lanes => self.advance_in(lanes, solution),
-                else self.advance_in(Rows([0.0; 4]), solution))
+                widest!(level below Avx512, f64x4, lanes => self.advance_in(lanes, changes, momentum_increment),
+                else self.advance_in(Rows([0.0; 4]), changes, momentum_increment))
             }
-            None => self.advance_in(Rows([0.0; 4]), solution),
+            None => self.advance_in(Rows([0.0; 4]), changes, momentum_increment),
         }
     }
 
     #[inline(always)]
-    fn advance_in<R: StageScalar>(&mut self, lanes: R, solution: &Solution<N>) {
-        let Solution { rotation_increment: turn, impulse, momentum_increment, .. } = solution;
+    fn advance_in<R: StageScalar>(
+        &mut self,
+        lanes: R,
+        [turn, impulse]: [&Mat<N>; 2],
+        momentum_increment: Option<&Mat<N>>,
+    ) {
         let g = self.attitude.value;
         let is_pushed = impulse.iter().any(|x| *x != 0.0);
         if is_pushed {

@@ -1,0 +1,800 @@
+//! Several bodies in one space: each turns, free ones move, joints hold them together, potentials couple them.
+//!
+//! Body a has an attitude `g_a` in SO(n) and a body momentum `mu_a`. Bodies that joints hold together are a tree, and have a
+//! place in common: a fixed point, or their centre of mass, which moves with a momentum of its own. The centre of mass of
+//! body a (of a pinned body: its pivot) is at
+//!
+//! ```text
+//! r_a = x + sum_b g_b l_ab                                                                              [place]
+//! ```
+//!
+//! x the place of its tree and `l_ab` constant vectors of the bodies b: joint points coincide by construction. A body without
+//! joints is a tree of its own, and its only lever is zero. With `D_bc = sum_a m_a l_ab l_ac^T` the kinetic energy is
+//!
+//! ```text
+//! T = |p|^2 / (2 M) + 1/2 sum_a <J_a Omega_a, Omega_a> + 1/2 sum_bc tr((g_b Omega_b)^T (g_c Omega_c) D_cb)   [kinetic]
+//! ```
+//!
+//! because levers are taken from the centre of mass, so that `sum_a m_a l_ab = 0` where the place is free. A force F on a
+//! point of body a at `g_a y` from its centre turns the bodies, in space coordinates, by
+//!
+//! ```text
+//! F wedge (g_a y)  of a,      F wedge (g_b l_ab)  of each b,      a wedge b = a b^T - b a^T            [torque]
+//! ```
+//!
+//! Invariant: forces between bodies come in pairs of opposite sign, to the bit, so the linear momentum is kept to rounding.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::failure::{Failure, FailureCode};
+use crate::so::{self, Mat, Vector};
+use crate::work::Work;
+
+pub mod explicit;
+pub mod splitting;
+pub mod trajectory;
+pub mod vpd;
+
+mod block;
+mod motion;
+
+pub use motion::{BodiesState, Start};
+
+/// Distance of two points between which a force without a limit acts, in metres, below which it means nothing.
+pub const CLOSEST_APPROACH_M: f64 = 1e-8;
+
+/// One body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body<const N: usize> {
+    /// The second moments `sum m y y^T` about the centre of mass, about the pivot for a pinned body, in kg m^2: symmetric, in
+    /// body coordinates. The inertia is `J(Omega) = D Omega + Omega D`.
+    pub second_moments: Mat<N>,
+    /// Mass in kg; of no effect for a pinned body.
+    pub mass_kg: f64,
+    /// What holds it.
+    pub hold: Hold<N>,
+}
+
+/// What holds a body.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Hold<const N: usize> {
+    /// Nothing: it moves freely.
+    Free,
+    /// The origin of its coordinates stays at this point of space, in metres.
+    Pivot(Vector<N>),
+    /// A ball joint: its point `own_point` stays at `parent_point`.
+    Joint {
+        /// The number of a body before it in the list; `None` for space.
+        parent: Option<usize>,
+        /// In coordinates of the parent, or of space.
+        parent_point: Vector<N>,
+        /// In coordinates of the body.
+        own_point: Vector<N>,
+    },
+}
+
+/// A point of a body, in its coordinates; or of space.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Site<const N: usize> {
+    /// Of a body, by number: from its centre of mass, from the pivot of a pinned one.
+    Body(usize, Vector<N>),
+    /// Fixed in space.
+    Space(Vector<N>),
+}
+
+/// A part of the potential.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Interaction<const N: usize> {
+    /// `weight v . r`, r the place of a point of a body.
+    Uniform {
+        /// Body and point.
+        body: usize,
+        /// In body coordinates.
+        point: Vector<N>,
+        /// Weight.
+        weight: f64,
+        /// v, in space coordinates.
+        direction: Vector<N>,
+    },
+    /// `stiffness / 2 (d - rest_length)^2`, d the distance of two sites.
+    Spring {
+        /// Between what.
+        sites: [Site<N>; 2],
+        /// Stiffness in N/m.
+        stiffness: f64,
+        /// Length at rest in m.
+        rest_length: f64,
+    },
+    /// `strength / d`, d the distance of two sites.
+    PointSource {
+        /// Between what.
+        sites: [Site<N>; 2],
+        /// Strength in J m; positive repels.
+        strength: f64,
+    },
+    /// `strength / 2 q . M q`, `q = g^T v`.
+    GravityGradient {
+        /// The body.
+        body: usize,
+        /// Strength.
+        strength: f64,
+        /// M, symmetric, in body coordinates.
+        matrix: Mat<N>,
+        /// v, in space coordinates.
+        direction: Vector<N>,
+    },
+    /// Gravity between two bodies, to the second degree of both (MacCullagh 1844): with u the unit vector from one centre to
+    /// the other and d their distance
+    /// `-G m1 m2 / d - G / (2 d^3) (m2 (tr J1 - 3 u . J1 u) + m1 (tr J2 - 3 u . J2 u))`, for n = 3.
+    MutualGravity {
+        /// The two bodies.
+        bodies: [usize; 2],
+        /// G in m^3 / (kg s^2).
+        constant: f64,
+    },
+}
+
+/// Why bodies make no system.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum BodiesError {
+    /// The second moments of a body are not those of an inertia: sums of two must be above zero.
+    #[error("body {0}: an inertia is positive, and its second moments are finite and symmetric")]
+    Inertia(usize),
+    /// A body that is not pinned has no mass.
+    #[error("body {0}: a body that is not pinned has a mass above 0")]
+    Mass(usize),
+    /// The parent of a joint does not come before its child.
+    #[error("body {0}: the parent of its joint comes before it")]
+    Parent(usize),
+    /// A number of a body that there is not.
+    #[error("interaction {0} names a body that there is not")]
+    Unknown(usize),
+    /// Vectors and numbers that are not finite.
+    #[error("a number is not finite")]
+    NotFinite,
+}
+
+/// The velocity of a body from its momentum.
+#[derive(Clone, Debug, PartialEq)]
+enum Inverse<const N: usize> {
+    /// `Omega_ij = w_ij mu_ij`, in principal axes.
+    Weights(Mat<N>),
+    /// Through the inverse of J on the coordinates of so(n).
+    Full(DMatrix<f64>),
+}
+
+/// Bodies that joints hold together; most often one.
+#[derive(Clone, Debug)]
+struct Tree<const N: usize> {
+    /// Mass of all, of which the place is the centre; `None` where the place is fixed.
+    mass_kg: Option<f64>,
+    /// Its bodies, ascending.
+    bodies: Vec<usize>,
+    /// `l_ab` for the a-th and the b-th of them; empty where all are zero.
+    levers: Vec<Vec<Vector<N>>>,
+    /// `D_bc`; empty likewise.
+    coupling: Vec<Vec<Mat<N>>>,
+}
+
+impl<const N: usize> Tree<N> {
+    fn is_jointed(&self) -> bool {
+        !self.levers.is_empty()
+    }
+}
+
+/// A system of bodies.
+#[derive(Clone, Debug)]
+pub struct Bodies<const N: usize> {
+    bodies: Vec<Body<N>>,
+    inverses: Vec<Inverse<N>>,
+    trees: Vec<Tree<N>>,
+    /// The tree of each body, and its number there.
+    tree_of: Vec<(usize, usize)>,
+    /// Places of the trees that are fixed; zero for the others.
+    fixed: Vec<Vector<N>>,
+    interactions: Vec<Interaction<N>>,
+    work: Work,
+}
+
+/// A configuration at one instant, as forces see it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Configuration<'a, const N: usize> {
+    pub(super) attitudes: &'a [Mat<N>],
+    /// Of the trees.
+    pub(super) places: &'a [Vector<N>],
+    /// `Omega`, of which only bodies in joints make use.
+    pub(super) velocities: &'a [Mat<N>],
+}
+
+/// Forces at one instant, in space coordinates.
+#[derive(Clone, Debug)]
+pub(super) struct Forces<const N: usize> {
+    /// `-dH/dg` of each body, turned to space.
+    pub(super) torques: Vec<Mat<N>>,
+    /// `-dH/dx` of each tree.
+    pub(super) forces: Vec<Vector<N>>,
+    /// Sizes of the torques that were added up, of each body: what rounding is relative to.
+    pub(super) sizes: Vec<f64>,
+    /// Forces on the centres, of each body.
+    on_centres: Vec<Vector<N>>,
+    /// `r_a`
+    centres: Vec<Vector<N>>,
+}
+
+impl<const N: usize> Forces<N> {
+    pub(super) fn none(bodies: usize, trees: usize) -> Self {
+        Self {
+            torques: vec![Mat::zeros(); bodies],
+            forces: vec![Vector::zeros(); trees],
+            sizes: vec![0.0; bodies],
+            on_centres: vec![Vector::zeros(); bodies],
+            centres: vec![Vector::zeros(); bodies],
+        }
+    }
+
+    /// Pushes at a site, at this arm from the centre of its body.
+    fn push(&mut self, site: &Site<N>, arm: &Vector<N>, force: &Vector<N>) {
+        if let Site::Body(a, point) = site {
+            self.on_centres[*a] += force;
+            if point.iter().any(|x| *x != 0.0) {
+                self.twist(*a, force, arm);
+            }
+        }
+    }
+
+    /// Adds the torque `force wedge arm` to a body.
+    fn twist(&mut self, body: usize, force: &Vector<N>, arm: &Vector<N>) {
+        self.torques[body] += so::wedge(force, arm);
+        self.sizes[body] += force.amax() * arm.amax();
+    }
+}
+
+impl<const N: usize> Bodies<N> {
+    /// Creates the system of `bodies` under `interactions`.
+    ///
+    /// # Errors
+    /// [`BodiesError`].
+    pub fn new(
+        bodies: Vec<Body<N>>,
+        interactions: Vec<Interaction<N>>,
+    ) -> Result<Self, BodiesError> {
+        let mut tree_of = Vec::with_capacity(bodies.len());
+        let mut members: Vec<Vec<usize>> = Vec::new();
+        let mut inverses = Vec::with_capacity(bodies.len());
+        for (a, body) in bodies.iter().enumerate() {
+            inverses.push(inverse(&body.second_moments).ok_or(BodiesError::Inertia(a))?);
+            let is_pinned = matches!(body.hold, Hold::Pivot(_));
+            if !is_pinned && !(body.mass_kg > 0.0 && body.mass_kg.is_finite()) {
+                return Err(BodiesError::Mass(a));
+            }
+            let (parent, points) = match &body.hold {
+                Hold::Joint { parent, parent_point, own_point } => {
+                    (*parent, [Some(parent_point), Some(own_point)])
+                }
+                Hold::Pivot(point) => (None, [Some(point), None]),
+                Hold::Free => (None, [None, None]),
+            };
+            if points.into_iter().flatten().flatten().any(|x| !x.is_finite()) {
+                return Err(BodiesError::NotFinite);
+            }
+            let tree = match parent {
+                Some(parent) if parent >= a => return Err(BodiesError::Parent(a)),
+                Some(parent) => {
+                    let (tree, _): (usize, usize) = tree_of[parent];
+                    tree
+                }
+                None => {
+                    members.push(Vec::new());
+                    members.len() - 1
+                }
+            };
+            tree_of.push((tree, members[tree].len()));
+            members[tree].push(a);
+        }
+        for (index, interaction) in interactions.iter().enumerate() {
+            if interaction.bodies().any(|a| a >= bodies.len()) {
+                return Err(BodiesError::Unknown(index));
+            }
+        }
+        let mut fixed = Vec::with_capacity(members.len());
+        let trees = members
+            .into_iter()
+            .map(|members| {
+                let (tree, place) = tree(&bodies, members);
+                fixed.push(place);
+                tree
+            })
+            .collect();
+        Ok(Self { bodies, inverses, trees, tree_of, fixed, interactions, work: Work::default() })
+    }
+
+    /// Returns the same system, which counts its work there, and ends where that says.
+    pub fn watched(self, work: Work) -> Self {
+        Self { work, ..self }
+    }
+
+    /// The work done so far.
+    pub fn work(&self) -> &Work {
+        &self.work
+    }
+
+    /// The bodies.
+    pub fn bodies(&self) -> &[Body<N>] {
+        &self.bodies
+    }
+
+    /// Number of places: one for each tree.
+    pub fn places(&self) -> usize {
+        self.trees.len()
+    }
+
+    /// The place of a body: its number, and whether it moves.
+    pub fn place_of(&self, body: usize) -> (usize, bool) {
+        let (tree, _) = self.tree_of[body];
+        (tree, self.trees[tree].mass_kg.is_some())
+    }
+
+    pub(super) fn mass_of_place(&self, place: usize) -> Option<f64> {
+        self.trees[place].mass_kg
+    }
+
+    /// Do joints couple the velocities of a body to those of others?
+    pub(super) fn has_joints(&self) -> bool {
+        self.trees.iter().any(Tree::is_jointed)
+    }
+
+    /// The weights of `Omega_ij = w_ij mu_ij`; `None` for a body to which that does not apply.
+    pub(super) fn weights(&self, body: usize) -> Option<&Mat<N>> {
+        let (tree, _) = self.tree_of[body];
+        match &self.inverses[body] {
+            Inverse::Weights(weights) if !self.trees[tree].is_jointed() => Some(weights),
+            _ => None,
+        }
+    }
+
+    /// [place] of every body.
+    fn centres(&self, attitudes: &[Mat<N>], places: &[Vector<N>], centres: &mut [Vector<N>]) {
+        for (a, &(tree, own)) in self.tree_of.iter().enumerate() {
+            let mut at = places[tree];
+            if let Some(levers) = self.trees[tree].levers.get(own) {
+                for (lever, &b) in levers.iter().zip(&self.trees[tree].bodies) {
+                    at += so::to_space(&attitudes[b], lever);
+                }
+            }
+            centres[a] = at;
+        }
+    }
+
+    /// Computes the velocities of all bodies from their momenta.
+    ///
+    /// # Errors
+    /// Where the kinetic energy of a tree is not positive, to rounding.
+    pub(super) fn velocities(
+        &self,
+        attitudes: &[Mat<N>],
+        momenta: &[Mat<N>],
+        velocities: &mut [Mat<N>],
+    ) -> Result<(), Failure> {
+        for (a, momentum) in momenta.iter().enumerate() {
+            velocities[a] = match &self.inverses[a] {
+                Inverse::Weights(weights) => momentum.component_mul(weights),
+                Inverse::Full(inverse) => of_coordinates(&(inverse * coordinates(momentum))),
+            };
+        }
+        for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
+            let mass = self.mass_matrix(tree, attitudes);
+            let d = so::dimension(N);
+            let mut right = DVector::zeros(d * tree.bodies.len());
+            for (b, &body) in tree.bodies.iter().enumerate() {
+                right.rows_mut(b * d, d).copy_from(&coordinates(&momenta[body]));
+            }
+            let factor = mass.cholesky().ok_or(Failure::not_finite(None))?;
+            factor.solve_mut(&mut right);
+            for (b, &body) in tree.bodies.iter().enumerate() {
+                velocities[body] = of_coordinates(&right.rows(b * d, d).into_owned());
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the momenta of bodies that turn at these velocities.
+    pub fn momenta(&self, attitudes: &[Mat<N>], velocities: &[Mat<N>]) -> Vec<Mat<N>> {
+        let mut momenta: Vec<Mat<N>> = velocities
+            .iter()
+            .zip(&self.bodies)
+            .map(|(omega, body)| body.second_moments * omega + omega * body.second_moments)
+            .collect();
+        for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
+            let d = so::dimension(N);
+            let mut all = DVector::zeros(d * tree.bodies.len());
+            for (b, &body) in tree.bodies.iter().enumerate() {
+                all.rows_mut(b * d, d).copy_from(&coordinates(&velocities[body]));
+            }
+            let all = self.mass_matrix(tree, attitudes) * all;
+            for (b, &body) in tree.bodies.iter().enumerate() {
+                momenta[body] = of_coordinates(&all.rows(b * d, d).into_owned());
+            }
+        }
+        momenta
+    }
+
+    /// The matrix of [kinetic] in the coordinates of the velocities: for bodies b and c and entries (i, j) and (k, l), with
+    /// `R = g_b^T g_c` and `D = D_cb`, to which the second moments are added where b = c,
+    /// `R_ik D_lj - R_il D_kj - R_jk D_li + R_jl D_ki`.
+    fn mass_matrix(&self, tree: &Tree<N>, attitudes: &[Mat<N>]) -> DMatrix<f64> {
+        let d = so::dimension(N);
+        let count = tree.bodies.len();
+        let mut mass = DMatrix::zeros(d * count, d * count);
+        for (b, &body_b) in tree.bodies.iter().enumerate() {
+            for (c, &body_c) in tree.bodies.iter().enumerate().take(b + 1) {
+                let mut weight = tree.coupling[c][b];
+                let mut turn = Mat::identity();
+                if b == c {
+                    weight += self.bodies[body_b].second_moments;
+                } else {
+                    turn = so::transposed_product(&attitudes[body_b], &attitudes[body_c]);
+                }
+                for (p, (i, j)) in entries::<N>().enumerate() {
+                    for (q, (k, l)) in entries::<N>().enumerate() {
+                        let entry = turn[(i, k)] * weight[(l, j)]
+                            - turn[(i, l)] * weight[(k, j)]
+                            - turn[(j, k)] * weight[(l, i)]
+                            + turn[(j, l)] * weight[(k, i)];
+                        mass[(b * d + p, c * d + q)] = entry;
+                        mass[(c * d + q, b * d + p)] = entry;
+                    }
+                }
+            }
+        }
+        mass
+    }
+
+    /// Computes the forces of a configuration.
+    ///
+    /// # Errors
+    /// [`FailureCode::PotentialSingularity`] with the distance.
+    pub(super) fn forces(
+        &self,
+        at: Configuration<'_, N>,
+        forces: &mut Forces<N>,
+    ) -> Result<(), Failure> {
+        forces.torques.fill(Mat::zeros());
+        forces.forces.fill(Vector::zeros());
+        forces.on_centres.fill(Vector::zeros());
+        forces.sizes.fill(0.0);
+        let mut centres = std::mem::take(&mut forces.centres);
+        self.centres(at.attitudes, at.places, &mut centres);
+        let done = self.interact(at, &centres, forces);
+        forces.centres = centres;
+        done?;
+        for (a, &(tree, own)) in self.tree_of.iter().enumerate() {
+            let force = forces.on_centres[a];
+            forces.forces[tree] += force;
+            if let Some(levers) = self.trees[tree].levers.get(own) {
+                for (lever, &b) in levers.iter().zip(&self.trees[tree].bodies) {
+                    forces.twist(b, &force, &so::to_space(&at.attitudes[b], lever));
+                }
+            }
+        }
+        for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
+            self.inertial_torques(tree, at, forces);
+        }
+        Ok(())
+    }
+
+    /// Adds up the forces of all interactions, on centres and as torques about them.
+    fn interact(
+        &self,
+        at: Configuration<'_, N>,
+        centres: &[Vector<N>],
+        forces: &mut Forces<N>,
+    ) -> Result<(), Failure> {
+        for interaction in &self.interactions {
+            match interaction {
+                Interaction::Uniform { body, point, weight, direction } => {
+                    let arm = so::to_space(&at.attitudes[*body], point);
+                    forces.push(&Site::Body(*body, *point), &arm, &(direction * -*weight));
+                }
+                Interaction::Spring { sites, stiffness, rest_length } => {
+                    let one = arm_of(&sites[0], at.attitudes, centres);
+                    let other = arm_of(&sites[1], at.attitudes, centres);
+                    let apart = other.1 - one.1;
+                    let slope = if *rest_length == 0.0 {
+                        *stiffness
+                    } else {
+                        let distance = distance(&apart)?;
+                        stiffness * (1.0 - rest_length / distance)
+                    };
+                    let force = apart * slope;
+                    forces.push(&sites[0], &one.0, &force);
+                    forces.push(&sites[1], &other.0, &-force);
+                }
+                Interaction::PointSource { sites, strength } => {
+                    let one = arm_of(&sites[0], at.attitudes, centres);
+                    let other = arm_of(&sites[1], at.attitudes, centres);
+                    let apart = other.1 - one.1;
+                    let distance = distance(&apart)?;
+                    let force = apart * (-strength / (distance * distance * distance));
+                    forces.push(&sites[0], &one.0, &force);
+                    forces.push(&sites[1], &other.0, &-force);
+                }
+                Interaction::GravityGradient { body, strength, matrix, direction } => {
+                    let g = &at.attitudes[*body];
+                    let q = so::to_body(g, direction);
+                    // dU/dq = strength M q; q moves by -xi q as g does by g xi.
+                    let slope = so::to_space(g, &(so::to_space(matrix, &q) * *strength));
+                    forces.twist(*body, &slope, direction);
+                }
+                Interaction::MutualGravity { bodies, constant } => {
+                    let [one, other] = *bodies;
+                    let apart = centres[other] - centres[one];
+                    let d = distance(&apart)?;
+                    let u = apart / d;
+                    let pull = self.gravity(*bodies, *constant, at.attitudes, &u, d);
+                    for (a, slope) in pull.slopes {
+                        forces.twist(a, &slope, &u);
+                    }
+                    forces.on_centres[one] += pull.force;
+                    forces.on_centres[other] -= pull.force;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// `dT/dg` at constant velocity, turned to space: `asym(sum_c (g_c Omega_c) D_cb (g_b Omega_b)^T)` of body b. What c does
+    /// to b, b does to c with the opposite sign.
+    fn inertial_torques(&self, tree: &Tree<N>, at: Configuration<'_, N>, forces: &mut Forces<N>) {
+        let turning: Vec<Mat<N>> =
+            tree.bodies.iter().map(|&a| so::product(&at.attitudes[a], &at.velocities[a])).collect();
+        for (b, &body_b) in tree.bodies.iter().enumerate() {
+            for (c, &body_c) in tree.bodies.iter().enumerate().take(b) {
+                let carried = so::product(&turning[c], &tree.coupling[c][b]);
+                let torque = so::asym(&so::product(&carried, &turning[b].transpose()));
+                forces.torques[body_b] += torque;
+                forces.torques[body_c] -= torque;
+                let size = torque.amax();
+                forces.sizes[body_b] += size;
+                forces.sizes[body_c] += size;
+            }
+        }
+    }
+
+    /// Gravity of two bodies, u the direction from the first to the second and d their distance.
+    fn gravity(
+        &self,
+        [one, other]: [usize; 2],
+        constant: f64,
+        attitudes: &[Mat<N>],
+        u: &Vector<N>,
+        d: f64,
+    ) -> Pull<N> {
+        let masses = [self.bodies[one].mass_kg, self.bodies[other].mass_kg];
+        let d4 = (d * d) * (d * d);
+        // J = tr(D) 1 - D: tr J - 3 u . J u = 3 u . D u - tr D, u of length one.
+        let mut force = u * (constant * masses[0] * masses[1] / (d * d));
+        let slopes = [(one, masses[1]), (other, masses[0])].map(|(a, mass)| {
+            let moments = &self.bodies[a].second_moments;
+            let g = &attitudes[a];
+            let q = so::to_body(g, u);
+            let seen = so::to_space(moments, &q);
+            let along = so::dot(seen.as_slice(), q.as_slice());
+            let s = so::to_space(g, &seen);
+            let strength = constant * mass / (2.0 * d4);
+            // V = -G m / (2 d^3) (3 u . S u - tr D): the force is -dV/dx of the first, at x.
+            force += (u * (15.0 * along - 3.0 * moments.trace()) - s * 6.0) * strength;
+            // dV/dq = -3 G m / d^3 D q
+            let slope = s * (-3.0 * constant * mass / (d * d * d));
+            (a, slope)
+        });
+        Pull { force, slopes }
+    }
+
+    /// Returns the potential energy of a configuration, in J.
+    fn potential(&self, attitudes: &[Mat<N>], places: &[Vector<N>]) -> f64 {
+        let mut centres = vec![Vector::zeros(); self.bodies.len()];
+        self.centres(attitudes, places, &mut centres);
+        let apart = |sites: &[Site<N>; 2]| {
+            let [one, other] = [0, 1].map(|i| arm_of(&sites[i], attitudes, &centres).1);
+            so::norm((other - one).as_slice())
+        };
+        let energy = |interaction: &Interaction<N>| match interaction {
+            Interaction::Uniform { body, point, weight, direction } => {
+                let at = centres[*body] + so::to_space(&attitudes[*body], point);
+                weight * direction.dot(&at)
+            }
+            Interaction::Spring { sites, stiffness, rest_length } => {
+                let stretch = apart(sites) - rest_length;
+                0.5 * stiffness * stretch * stretch
+            }
+            Interaction::PointSource { sites, strength } => strength / apart(sites),
+            Interaction::GravityGradient { body, strength, matrix, direction } => {
+                let q = so::to_body(&attitudes[*body], direction);
+                0.5 * strength * q.dot(&so::to_space(matrix, &q))
+            }
+            Interaction::MutualGravity { bodies: [one, other], constant } => {
+                let apart = centres[*other] - centres[*one];
+                let d = so::norm(apart.as_slice());
+                let shape = |a: usize| {
+                    let q = so::to_body(&attitudes[a], &(apart / d));
+                    let moments = &self.bodies[a].second_moments;
+                    3.0 * q.dot(&so::to_space(moments, &q)) - moments.trace()
+                };
+                let [m1, m2] = [*one, *other].map(|a| self.bodies[a].mass_kg);
+                let second = m2 * shape(*one) + m1 * shape(*other);
+                -constant * (m1 * m2 / d + second / (2.0 * d * d * d))
+            }
+        };
+        self.interactions.iter().map(energy).sum()
+    }
+
+    /// The space vectors on which the potential and the fixed places depend: rotations of everything that leave them alone
+    /// leave the energy alone.
+    pub(super) fn space_vectors(&self) -> Vec<Vector<N>> {
+        let mut vectors: Vec<Vector<N>> =
+            self.fixed.iter().copied().filter(|v| v.iter().any(|x| *x != 0.0)).collect();
+        for interaction in &self.interactions {
+            match interaction {
+                Interaction::Uniform { direction, .. }
+                | Interaction::GravityGradient { direction, .. } => vectors.push(*direction),
+                Interaction::Spring { sites, .. } | Interaction::PointSource { sites, .. } => {
+                    for site in sites {
+                        if let Site::Space(point) = site {
+                            vectors.push(*point);
+                        }
+                    }
+                }
+                Interaction::MutualGravity { .. } => {}
+            }
+        }
+        vectors
+    }
+}
+
+/// Gravity between two bodies.
+struct Pull<const N: usize> {
+    /// On the first; on the second the opposite.
+    force: Vector<N>,
+    /// `dV/du` by body, in space coordinates.
+    slopes: [(usize, Vector<N>); 2],
+}
+
+impl<const N: usize> Interaction<N> {
+    /// The bodies that it acts on.
+    pub fn bodies(&self) -> impl Iterator<Item = usize> {
+        let of_site = |site: &Site<N>| match site {
+            Site::Body(a, _) => Some(*a),
+            Site::Space(_) => None,
+        };
+        let [one, other] = match self {
+            Self::Uniform { body, .. } | Self::GravityGradient { body, .. } => [Some(*body), None],
+            Self::Spring { sites: [one, other], .. }
+            | Self::PointSource { sites: [one, other], .. } => [of_site(one), of_site(other)],
+            Self::MutualGravity { bodies: [one, other], .. } => [Some(*one), Some(*other)],
+        };
+        one.into_iter().chain(other)
+    }
+}
+
+/// The arm of a site from the centre of its body, in space coordinates, and its place.
+#[inline]
+fn arm_of<const N: usize>(
+    site: &Site<N>,
+    attitudes: &[Mat<N>],
+    centres: &[Vector<N>],
+) -> (Vector<N>, Vector<N>) {
+    match site {
+        Site::Body(a, point) => {
+            let arm = so::to_space(&attitudes[*a], point);
+            (arm, centres[*a] + arm)
+        }
+        Site::Space(at) => (Vector::zeros(), *at),
+    }
+}
+
+/// The length of a vector between two points that must not meet.
+fn distance<const N: usize>(apart: &Vector<N>) -> Result<f64, Failure> {
+    let distance = apart.norm();
+    if distance >= CLOSEST_APPROACH_M {
+        return Ok(distance);
+    }
+    let code =
+        if distance.is_nan() { FailureCode::NonFinite } else { FailureCode::PotentialSingularity };
+    Err(Failure::new(code, None, distance, CLOSEST_APPROACH_M))
+}
+
+/// The entries of a skew matrix above its diagonal.
+fn entries<const N: usize>() -> impl Iterator<Item = (usize, usize)> {
+    (0..N).flat_map(|i| (i + 1..N).map(move |j| (i, j)))
+}
+
+/// The entries of a skew matrix: its coordinates here.
+fn coordinates<const N: usize>(x: &Mat<N>) -> DVector<f64> {
+    DVector::from_iterator(so::dimension(N), entries::<N>().map(|at| x[at]))
+}
+
+/// The skew matrix of such coordinates.
+fn of_coordinates<const N: usize>(x: &DVector<f64>) -> Mat<N> {
+    let mut matrix = Mat::zeros();
+    for (x, (i, j)) in x.iter().zip(entries::<N>()) {
+        matrix[(i, j)] = *x;
+        matrix[(j, i)] = -x;
+    }
+    matrix
+}
+
+/// The inverse of an inertia; `None` if it is not positive.
+fn inverse<const N: usize>(second_moments: &Mat<N>) -> Option<Inverse<N>> {
+    let finite = second_moments.iter().all(|x| x.is_finite());
+    let symmetric = (second_moments - second_moments.transpose()).amax() == 0.0;
+    if !finite || !symmetric {
+        return None;
+    }
+    let is_principal = entries::<N>().all(|at| second_moments[at] == 0.0);
+    if is_principal {
+        let sum = |(i, j): (usize, usize)| second_moments[(i, i)] + second_moments[(j, j)];
+        if entries::<N>().any(|at| !(sum(at) > 0.0)) {
+            return None;
+        }
+        let weight = |i, j| if i == j { 0.0 } else { 1.0 / sum((i, j)) };
+        return Some(Inverse::Weights(Mat::from_fn(weight)));
+    }
+    let d = so::dimension(N);
+    let mut inertia = DMatrix::zeros(d, d);
+    for (q, at) in entries::<N>().enumerate() {
+        let mut unit = Mat::<N>::zeros();
+        unit[at] = 1.0;
+        unit[(at.1, at.0)] = -1.0;
+        let column = coordinates(&(second_moments * unit + unit * second_moments));
+        inertia.column_mut(q).copy_from(&column);
+    }
+    inertia.cholesky().map(|factor| Inverse::Full(factor.inverse()))
+}
+
+/// The tree of some bodies, and its place if that is fixed.
+fn tree<const N: usize>(bodies: &[Body<N>], members: Vec<usize>) -> (Tree<N>, Vector<N>) {
+    let count = members.len();
+    let number = |body: usize| members.iter().position(|&member| member == body);
+    // l_ab of the path from the root, which later changes for a free root.
+    let mut levers = vec![vec![Vector::zeros(); count]; count];
+    let mut place = Vector::zeros();
+    for (a, &body) in members.iter().enumerate() {
+        match &bodies[body].hold {
+            Hold::Free => {}
+            Hold::Pivot(point) => place = *point,
+            Hold::Joint { parent, parent_point, own_point } => {
+                match parent.and_then(number) {
+                    Some(parent) => {
+                        levers[a] = levers[parent].clone();
+                        levers[a][parent] += parent_point;
+                    }
+                    None => place = *parent_point,
+                }
+                levers[a][a] -= own_point;
+            }
+        }
+    }
+    let is_free = matches!(bodies[members[0]].hold, Hold::Free);
+    let mass = |a: usize| match bodies[members[a]].hold {
+        // It does not move.
+        Hold::Pivot(_) => 0.0,
+        _ => bodies[members[a]].mass_kg,
+    };
+    let total: f64 = (0..count).map(mass).sum();
+    if is_free {
+        for b in 0..count {
+            let mean = (0..count).map(|a| levers[a][b] * mass(a)).sum::<Vector<N>>() / total;
+            levers.iter_mut().for_each(|levers| levers[b] -= mean);
+        }
+    }
+    let mass_kg = is_free.then_some(total);
+    if levers.iter().flatten().all(|lever| lever.iter().all(|x| *x == 0.0)) {
+        let none = (Vec::new(), Vec::new());
+        return (Tree { mass_kg, bodies: members, levers: none.0, coupling: none.1 }, place);
+    }
+    let coupling = |b: usize, c: usize| {
+        (0..count).map(|a| levers[a][b] * levers[a][c].transpose() * mass(a)).sum::<Mat<N>>()
+    };
+    let coupling = (0..count).map(|b| (0..count).map(|c| coupling(b, c)).collect()).collect();
+    (Tree { mass_kg, bodies: members, levers, coupling }, place)
+}

@@ -1,0 +1,365 @@
+//! The time loop of several bodies: a stepper carries their state forward, samples go to a sink, as
+//! [`crate::trajectory`] does for one.
+//!
+//! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of time; at a checkpoint the
+//! stepper starts anew from what the checkpoint holds.
+
+use super::{Bodies, BodiesState};
+use crate::failure::{Failure, FailureCode};
+use crate::nonlinear::Convergence;
+use crate::so::{self, Mat, Vector};
+use crate::system::{Energy, free_directions};
+
+/// A scheme for several bodies.
+pub trait BodiesStepper<const N: usize>: Send {
+    /// Order of the scheme.
+    fn order(&self) -> u32;
+
+    /// Begins at a state; whatever was there before is forgotten.
+    fn start(&mut self, state: &BodiesState<N>);
+
+    /// Carries the state forward by `h` seconds.
+    ///
+    /// # Errors
+    /// Any failure; the state is then untouched.
+    fn step(&mut self, bodies: &Bodies<N>, h: f64) -> Result<Convergence, Failure>;
+
+    /// The state.
+    fn state(&self) -> BodiesState<N>;
+}
+
+/// One body in a sample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodySample<const N: usize> {
+    /// The attitude g.
+    pub attitude: Mat<N>,
+    /// The body momentum, skew.
+    pub momentum: Mat<N>,
+    /// The body angular velocity, skew, in rad/s.
+    pub angular_velocity: Mat<N>,
+    /// The centre of mass, of a pinned body its pivot, in m.
+    pub position: Vector<N>,
+    /// Its velocity in m/s.
+    pub velocity: Vector<N>,
+    /// Mass times velocity, in kg m/s; zero for a pinned body.
+    pub linear_momentum: Vector<N>,
+}
+
+/// One sample.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sample<const N: usize> {
+    /// Number of the step that ended here; 0 at the start.
+    pub step: u64,
+    /// Time in seconds since the start.
+    pub time_s: f64,
+    /// The bodies, in their order.
+    pub bodies: Vec<BodySample<N>>,
+    /// Energy H = T + U.
+    pub energy: Option<Energy>,
+    /// Energy now minus energy at the start.
+    pub energy_error: Option<f64>,
+    /// The largest distance of an attitude from the group.
+    pub orthogonality_error: Option<f64>,
+    /// Total angular momentum about the origin, in space coordinates, skew.
+    pub angular_momentum: Option<Mat<N>>,
+    /// Total linear momentum of what moves freely.
+    pub linear_momentum: Option<Vector<N>>,
+    /// Size of the change of the conserved part of the total angular momentum since the start; `None` also where nothing of
+    /// it is conserved.
+    pub momentum_drift: Option<f64>,
+    /// How the nonlinear solver ended the step; `None` at the start.
+    pub convergence: Option<Convergence>,
+}
+
+impl<const N: usize> Sample<N> {
+    /// Is every number of it finite?
+    pub fn is_finite(&self) -> bool {
+        let bodies = self.bodies.iter().all(|body| {
+            let matrices = [&body.attitude, &body.momentum, &body.angular_velocity];
+            let vectors = [&body.position, &body.velocity, &body.linear_momentum];
+            matrices
+                .into_iter()
+                .flatten()
+                .chain(vectors.into_iter().flatten())
+                .all(|x| x.is_finite())
+        });
+        let figures = [
+            self.energy.map(|energy| energy.total()),
+            self.energy_error,
+            self.orthogonality_error,
+            self.momentum_drift,
+        ];
+        let angular = self.angular_momentum.iter().flatten();
+        let linear = self.linear_momentum.iter().flatten();
+        bodies
+            && figures.into_iter().flatten().all(f64::is_finite)
+            && angular.chain(linear).all(|x| x.is_finite())
+    }
+}
+
+/// Length and resolution of a trajectory, and where it begins.
+#[derive(Clone, Copy, Debug)]
+pub struct Course<'a, const N: usize> {
+    /// The state at t = 0.
+    pub initial: &'a BodiesState<N>,
+    /// Checkpoint to go on from.
+    pub checkpoint: Option<&'a Checkpoint>,
+    /// The step h in seconds.
+    pub step_s: f64,
+    /// Number of steps.
+    pub steps: u64,
+    /// A sample is taken every k steps, at the start and at the end.
+    pub every: u64,
+}
+
+/// State of a trajectory at a sample: all that it needs, in addition to its start, to go on from there.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// Steps made.
+    pub step: u64,
+    /// Samples recorded, that of this step included.
+    pub samples: u64,
+    /// Sweeps of the nonlinear solver in all.
+    pub iterations: u64,
+    /// How the last step was solved.
+    pub convergence: Option<Convergence>,
+    /// The state, see [`BodiesState::numbers`].
+    pub numbers: Vec<f64>,
+}
+
+/// Destination of samples.
+pub trait Sink<const N: usize> {
+    /// Error of keeping a sample.
+    type Error;
+
+    /// Takes one sample.
+    ///
+    /// # Errors
+    /// Ends the trajectory.
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error>;
+
+    /// Returns whether a checkpoint is wanted at the last sample.
+    fn wants_checkpoint(&self) -> bool {
+        false
+    }
+
+    /// Takes the checkpoint it wanted.
+    ///
+    /// # Errors
+    /// Ends the trajectory.
+    fn checkpoint(&mut self, _checkpoint: &Checkpoint) -> Result<(), Self::Error> {
+        Ok(())
+    }
+}
+
+impl<const N: usize> Sink<N> for Vec<Sample<N>> {
+    type Error = std::convert::Infallible;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), Self::Error> {
+        self.push(sample.clone());
+        Ok(())
+    }
+}
+
+/// How a trajectory ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Ending {
+    /// All steps were made.
+    Completed,
+    /// The caller asked to stop.
+    Cancelled,
+    /// The step after the last one reached failed.
+    Failed(Failure),
+}
+
+/// Result of a trajectory.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectory {
+    /// How it ended.
+    pub ending: Ending,
+    /// Where it ended.
+    pub reached: Checkpoint,
+}
+
+/// Computes samples against a start.
+struct Observer<const N: usize> {
+    initial_energy: f64,
+    initial_angular: Mat<N>,
+    conserved: Option<Mat<N>>,
+}
+
+impl<const N: usize> Bodies<N> {
+    /// Returns what a sample shows of a state; `None` where it has no velocity.
+    pub fn seen(&self, state: &BodiesState<N>) -> Option<Vec<BodySample<N>>> {
+        let count = self.bodies.len();
+        let mut velocities = vec![Mat::zeros(); count];
+        self.velocities(&state.attitudes, &state.momenta, &mut velocities).ok()?;
+        let mut centres = vec![Vector::zeros(); count];
+        self.centres(&state.attitudes, &state.places, &mut centres);
+        // r' = x' + sum_b g_b Omega_b l_ab
+        let turning: Vec<Mat<N>> = state
+            .attitudes
+            .iter()
+            .zip(&velocities)
+            .map(|(g, omega)| so::product(g, omega))
+            .collect();
+        let mut rates = vec![Vector::zeros(); count];
+        let moving: Vec<Vector<N>> = self
+            .trees
+            .iter()
+            .zip(&state.linear_momenta)
+            .map(|(tree, p)| tree.mass_kg.map_or_else(Vector::zeros, |mass| p / mass))
+            .collect();
+        self.centres(&turning, &moving, &mut rates);
+        let body = |a: usize| BodySample {
+            attitude: state.attitudes[a],
+            momentum: state.momenta[a],
+            angular_velocity: velocities[a],
+            position: centres[a],
+            velocity: rates[a],
+            linear_momentum: if self.is_pinned(a) {
+                Vector::zeros()
+            } else {
+                rates[a] * self.bodies[a].mass_kg
+            },
+        };
+        Some((0..count).map(body).collect())
+    }
+
+    /// Returns the energy of a state, in J, of which `bodies` is seen.
+    pub fn energy(&self, state: &BodiesState<N>, bodies: &[BodySample<N>]) -> Energy {
+        let turning: f64 =
+            bodies.iter().map(|body| 0.5 * so::inner(&body.momentum, &body.angular_velocity)).sum();
+        let moving = self
+            .trees
+            .iter()
+            .zip(&state.linear_momenta)
+            .map(|(tree, p)| tree.mass_kg.map_or(0.0, |mass| p.norm_squared() / (2.0 * mass)));
+        Energy {
+            kinetic: turning + moving.sum::<f64>(),
+            potential: self.potential(&state.attitudes, &state.places),
+        }
+    }
+
+    /// Returns the total angular momentum about the origin: `sum (g mu g^T + p wedge x)`, with `g' = g Omega`.
+    pub fn angular_momentum(&self, state: &BodiesState<N>) -> Mat<N> {
+        let mut total = Mat::zeros();
+        for (g, mu) in state.attitudes.iter().zip(&state.momenta) {
+            total += so::conjugate(g, mu);
+        }
+        for (x, p) in state.places.iter().zip(&state.linear_momenta) {
+            total += so::wedge(p, x);
+        }
+        total
+    }
+}
+
+impl<const N: usize> Observer<N> {
+    fn new(bodies: &Bodies<N>, initial: &BodiesState<N>) -> Self {
+        let seen = bodies.seen(initial).unwrap_or_default();
+        let vectors = bodies.space_vectors();
+        Self {
+            initial_energy: bodies.energy(initial, &seen).total(),
+            initial_angular: bodies.angular_momentum(initial),
+            conserved: free_directions(&vectors),
+        }
+    }
+
+    fn sample(
+        &self,
+        bodies: &Bodies<N>,
+        state: &BodiesState<N>,
+        (step, time_s): (u64, f64),
+        convergence: Option<Convergence>,
+    ) -> Result<Sample<N>, Failure> {
+        let seen = bodies.seen(state).ok_or(Failure::not_finite(None))?;
+        let energy = bodies.energy(state, &seen);
+        let angular = bodies.angular_momentum(state);
+        let drift = self.conserved.map(|q| {
+            let change = q * (angular - self.initial_angular) * q;
+            so::inner(&change, &change).sqrt()
+        });
+        let from_group = state
+            .attitudes
+            .iter()
+            .map(so::orthogonality_error)
+            .fold(0.0, |most: f64, x| crate::lanes::Real::max_or_nan(most, x));
+        let sample = Sample {
+            step,
+            time_s,
+            bodies: seen,
+            energy: Some(energy),
+            energy_error: Some(energy.total() - self.initial_energy),
+            orthogonality_error: Some(from_group),
+            angular_momentum: Some(angular),
+            linear_momentum: Some(state.linear_momenta.iter().sum()),
+            momentum_drift: drift,
+            convergence,
+        };
+        if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
+    }
+}
+
+/// Carries a state forward along a course and gives the samples to `sink`: the first at the start, then one every
+/// `every` steps, and the last accepted state whatever happens. `go_on(steps_done)` is asked before each step.
+///
+/// # Errors
+/// Those of the sink. A step that fails is not an error but an [`Ending`].
+pub fn integrate<const N: usize, S: Sink<N>>(
+    bodies: &Bodies<N>,
+    stepper: &mut dyn BodiesStepper<N>,
+    course: Course<'_, N>,
+    sink: &mut S,
+    mut go_on: impl FnMut(u64) -> bool,
+) -> Result<Trajectory, S::Error> {
+    let Course { initial, checkpoint, step_s, steps, every } = course;
+    let every = every.max(1);
+    let observer = Observer::new(bodies, initial);
+    let mut reached = checkpoint.cloned().unwrap_or_default();
+    let begun = checkpoint.and_then(|found| initial.with_numbers(&found.numbers));
+    stepper.start(begun.as_ref().unwrap_or(initial));
+    let mut sampled = (reached.samples > 0).then_some(reached.step);
+    let mut ending = Ending::Completed;
+    loop {
+        let step = reached.step;
+        let over = step == steps || ending != Ending::Completed;
+        if (over || step % every == 0) && sampled != Some(step) {
+            let state = stepper.state();
+            let at = (step, step as f64 * step_s);
+            match observer.sample(bodies, &state, at, reached.convergence) {
+                Ok(sample) => {
+                    reached.samples += 1;
+                    reached.numbers = state.numbers();
+                    sampled = Some(step);
+                    sink.record(&sample)?;
+                }
+                // What was reached is good up to the sample before.
+                Err(failure) => {
+                    ending = Ending::Failed(failure);
+                    break;
+                }
+            }
+            if !over && sink.wants_checkpoint() {
+                sink.checkpoint(&reached)?;
+                stepper.start(&state);
+            }
+        }
+        if over || ending != Ending::Completed {
+            break;
+        }
+        if !go_on(step) {
+            ending = Ending::Cancelled;
+            continue;
+        }
+        match stepper.step(bodies, step_s) {
+            Ok(solved) => {
+                reached.convergence = Some(solved);
+                reached.iterations += u64::from(solved.iterations);
+                reached.step += 1;
+            }
+            Err(Failure { code: FailureCode::Stopped, .. }) => ending = Ending::Cancelled,
+            Err(failure) => ending = Ending::Failed(failure),
+        }
+    }
+    Ok(Trajectory { ending, reached })
+}
