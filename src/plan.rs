@@ -319,8 +319,12 @@ impl Plan {
                 return Err(ScenarioError::invalid("/accuracy", message));
             }
         };
-        let inertia = inertia_matrix(&scenario.scene.inertia);
-        let mut kinetic = kinetic(&scenario.scene.inertia, &inertia)?;
+        let Some(given) = &scenario.scene.inertia else {
+            let message = "this build cannot run scenes of several bodies";
+            return Err(ScenarioError::invalid("/scene/bodies", message));
+        };
+        let inertia = inertia_matrix(given);
+        let mut kinetic = kinetic(given, &inertia)?;
         let mut attitude = {
             let given = scenario.scene.initial.attitude.as_ref();
             attitude("/scene/initial/attitude", given, n)?

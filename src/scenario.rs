@@ -10,6 +10,7 @@
 //! Invariant: a [`Scenario`] exists only if every field has a legal form; every error carries the JSON
 //! pointer of the field at fault.
 
+mod bodies;
 mod change;
 mod check;
 mod control;
@@ -21,6 +22,10 @@ mod steps;
 mod suggest;
 mod term;
 
+pub use bodies::{
+    Bodies, Body, BodyInitial, Interaction, Joint, JointKind, MutualGravity, PairLaw, PairSource,
+    PairSpring, SPACE,
+};
 pub(crate) use change::set;
 pub(crate) use check::dividing;
 #[cfg(feature = "serve")]
@@ -62,7 +67,8 @@ pub struct Scenario {
     /// Description of the scene.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub description: String,
-    /// The body, its potential and where it starts.
+    /// The body, its potential and where it starts; or `bodies`, their potential and their joints.
+    #[schemars(schema_with = "bodies::scene_schema")]
     pub scene: Scene,
     /// Method of integration.
     #[serde(default)]
@@ -129,11 +135,14 @@ impl Accuracy {
 }
 
 /// A body that turns about a fixed point.
+// Written and read by hand, in `bodies` and `parse`: with `bodies` it has no field of one body.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(remote = "Self", deny_unknown_fields)]
 pub struct Scene {
     /// Inertia about the fixed point; n follows from it.
-    pub inertia: Inertia,
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "parse::given")]
+    #[schemars(required, with = "Inertia")]
+    pub inertia: Option<Inertia>,
     /// The terms of the potential; none for a free body.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub potential: Vec<PotentialTerm>,
@@ -156,6 +165,10 @@ pub struct Scene {
     /// Attitude and momentum at the start.
     #[serde(default)]
     pub initial: Initial,
+    /// Several bodies, in the place of all fields above.
+    #[serde(default, skip_serializing, deserialize_with = "parse::late_bodies")]
+    #[schemars(skip)]
+    pub bodies: Option<Box<Bodies>>,
 }
 
 impl Scene {
@@ -171,8 +184,17 @@ impl Scene {
 
     /// Returns a free body with an inertia, at rest in the attitude of the identity.
     pub fn free(inertia: Inertia) -> Self {
+        Self { inertia: Some(inertia), ..Self::nothing() }
+    }
+
+    /// Returns a scene of several bodies.
+    pub fn of_bodies(bodies: Bodies) -> Self {
+        Self { bodies: Some(Box::new(bodies)), ..Self::nothing() }
+    }
+
+    fn nothing() -> Self {
         Self {
-            inertia,
+            inertia: None,
             potential: Vec::new(),
             driven: Vec::new(),
             torques: Vec::new(),
@@ -180,6 +202,7 @@ impl Scene {
             control: None,
             field: None,
             initial: Initial::default(),
+            bodies: None,
         }
     }
 }
@@ -194,6 +217,16 @@ pub enum Inertia {
     Matrix(Vec<Vec<f64>>),
     /// Any n: the second moments d_i along the body axes; mu_ij = (d_i + d_j) Omega_ij.
     SecondMoments(Vec<f64>),
+}
+
+impl Inertia {
+    /// Returns n of SO(n).
+    pub fn dimension(&self) -> usize {
+        match self {
+            Self::Principal(_) | Self::Matrix(_) => 3,
+            Self::SecondMoments(moments) => moments.len(),
+        }
+    }
 }
 
 /// The state at t = 0.
@@ -674,12 +707,15 @@ impl Scenario {
         &self.name
     }
 
-    /// Returns n of SO(n).
+    /// Returns n of SO(n), the same for all bodies.
     pub fn dimension(&self) -> usize {
-        match &self.scene.inertia {
-            Inertia::Principal(_) | Inertia::Matrix(_) => 3,
-            Inertia::SecondMoments(moments) => moments.len(),
-        }
+        let first = || self.bodies()?.bodies.first().map(|body| &body.inertia);
+        self.scene.inertia.as_ref().or_else(first).map_or(0, Inertia::dimension)
+    }
+
+    /// Returns the scene of several bodies; `None` if it is one of one body.
+    pub fn bodies(&self) -> Option<&Bodies> {
+        self.scene.bodies.as_deref()
     }
 
     /// Returns the number of steps, whichever way the duration was given; 0 while no step has been

@@ -31,7 +31,29 @@ const MAX_ITERATIONS: u32 = 10_000;
 pub(super) fn check(scenario: &Scenario) -> Check {
     text("/name", &scenario.name, 200, false)?;
     text("/description", &scenario.description, 4000, true)?;
-    inertia(&scenario.scene.inertia)?;
+    if let Some(bodies) = scenario.bodies() {
+        super::bodies::check(scenario, bodies)?;
+    } else {
+        one_body(scenario)?;
+    }
+    let n = scenario.dimension();
+    method(scenario, n)?;
+    super::steps::check(scenario)?;
+    duration(scenario)?;
+    if let Some(given) = &scenario.ensemble {
+        given.check(scenario.step_count())?;
+    }
+    super::control::stops(scenario, n)?;
+    log(scenario, n)?;
+    expect(scenario, n)
+}
+
+/// Checks the scene of one body.
+fn one_body(scenario: &Scenario) -> Check {
+    let Some(given) = &scenario.scene.inertia else {
+        return Err(ScenarioError::invalid("/scene", "missing field `inertia` (or `bodies`)"));
+    };
+    inertia("/scene/inertia", given)?;
     let n = scenario.dimension();
     let terms = &scenario.scene.potential;
     ensure(terms.len() <= MAX_TERMS, "/scene/potential", || {
@@ -42,16 +64,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     }
     driven(scenario, n)?;
     control(scenario, n)?;
-    initial(scenario, n)?;
-    method(scenario, n)?;
-    super::steps::check(scenario)?;
-    duration(scenario)?;
-    if let Some(given) = &scenario.ensemble {
-        given.check(scenario.step_count())?;
-    }
-    super::control::stops(scenario, n)?;
-    log(scenario, n)?;
-    expect(scenario, n)
+    initial(scenario, n)
 }
 
 /// Checks the control and the field, and what stands next to them.
@@ -120,11 +133,12 @@ fn is_unseen(c: char) -> bool {
         | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}' | '\u{e0000}'..='\u{e0fff}')
 }
 
-fn inertia(given: &Inertia) -> Check {
+/// Checks the inertia at `at`.
+pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
     const RANGE: (f64, f64) = (1e-12, 1e12);
     match given {
         Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
-            ensure(x >= RANGE.0 && x <= RANGE.1, format!("/scene/inertia/principal/{i}"), || {
+            ensure(x >= RANGE.0 && x <= RANGE.1, format!("{at}/principal/{i}"), || {
                 let scale = if x > RANGE.1 {
                     "; divide all moments, momenta, torques and strengths by one number: the motion stays the same"
                 } else {
@@ -137,18 +151,19 @@ fn inertia(given: &Inertia) -> Check {
             })
         }),
         Inertia::Matrix(rows) => {
-            matrix("/scene/inertia/matrix", rows, 3)?;
-            symmetry("/scene/inertia/matrix", rows, 1.0, "symmetric")
+            let pointer = format!("{at}/matrix");
+            matrix(&pointer, rows, 3)?;
+            symmetry(&pointer, rows, 1.0, "symmetric")
         }
         Inertia::SecondMoments(moments) => {
-            let pointer = "/scene/inertia/second_moments";
+            let pointer = format!("{at}/second_moments");
             let n = moments.len();
-            ensure((2..=MAX_DIMENSION).contains(&n) || n == LARGE_DIMENSION, pointer, || {
+            ensure((2..=MAX_DIMENSION).contains(&n) || n == LARGE_DIMENSION, &pointer, || {
                 format!(
                     "{n} moments given, n must be from 2 to {MAX_DIMENSION}, or {LARGE_DIMENSION}"
                 )
             })?;
-            vector(pointer, moments, n)?;
+            vector(&pointer, moments, n)?;
             for j in 0..n {
                 for i in 0..j {
                     let sum = moments[i] + moments[j];

@@ -1,8 +1,8 @@
 //! JSON text → the types of a scenario, with the pointer of anything that does not fit.
 //!
-//! Two passes. The first reads any JSON into a tree and refuses duplicate keys; it puts the key `kind`
-//! first, so that the second, typed pass can choose the variant of a potential term before its fields and
-//! still know where it is.
+//! Two passes. The first reads any JSON into a tree and refuses duplicate keys; it puts the keys that choose a form
+//! first, so that the second, typed pass can choose the variant of a potential term, or the kind of scene, before the
+//! fields and still know where it is.
 
 use std::borrow::Cow;
 use std::fmt;
@@ -16,11 +16,16 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use serde_path_to_error::{Path, Segment};
 
+use super::bodies::PairKind;
 use super::term::Kind;
 use super::{
-    Coefficients, Entry, FormatVersion, PotentialTerm, ScenarioError, ScenarioErrorKind,
-    SchemaAddress, TableauChoice, TableauName,
+    Bodies, Body, Coefficients, Control, DrivenTerm, Entry, Field, FormatVersion, Inertia, Initial,
+    Interaction, Joint, PairLaw, PotentialTerm, ScenarioError, ScenarioErrorKind, Scene,
+    SchemaAddress, TableauChoice, TableauName, Torque,
 };
+
+/// Keys that choose the form of the object they stand in, in the order in which they are read.
+const FIRST_KEYS: [&str; 3] = ["bodies", "between", "kind"];
 
 /// Longest text of a scenario or of a sweep, in bytes: the largest tables are a tenth of it.
 const LARGEST_TEXT_BYTES: u64 = 64 << 20;
@@ -146,9 +151,18 @@ pub(crate) fn tree(text: &[u8]) -> Result<Value, ScenarioError> {
     Ok(value)
 }
 
-/// Reads a number that may be left out, but may not be `null`.
-pub(super) fn given<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
-    f64::deserialize(deserializer).map(Some)
+/// Reads a value that may be left out, but may not be `null`.
+pub(super) fn given<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+) -> Result<Option<T>, D::Error> {
+    T::deserialize(deserializer).map(Some)
+}
+
+/// Refuses `bodies` after the fields of one body.
+pub(super) fn late_bodies<'de, D: Deserializer<'de>>(
+    _: D,
+) -> Result<Option<Box<Bodies>>, D::Error> {
+    Err(de::Error::custom(super::bodies::TOGETHER))
 }
 
 /// Returns a JSON pointer (RFC 6901) from the path that serde took.
@@ -243,10 +257,14 @@ impl<'de> Visitor<'de> for TreeVisitor {
         while let Some(key) = access.next_key::<String>()? {
             let value =
                 access.next_value_seed(Unique { taken: map.contains_key(&key), key: &key })?;
-            if key == "kind" {
-                map.shift_insert(0, key, value);
-            } else {
-                map.insert(key, value);
+            match FIRST_KEYS.iter().position(|first| *first == key) {
+                Some(at) => {
+                    let before = FIRST_KEYS[..at].iter().filter(|first| map.contains_key(**first));
+                    map.shift_insert(before.count(), key, value);
+                }
+                None => {
+                    map.insert(key, value);
+                }
             }
         }
         Ok(Value::Object(map))
@@ -333,10 +351,177 @@ impl<'de> Visitor<'de> for TermVisitor {
         // The first pass put it first.
         match access.next_key::<String>()? {
             Some(key) if key == "kind" => {}
+            Some(key) if key == "between" => {
+                return Err(de::Error::custom("`between` is for scenes with `bodies`"));
+            }
             _ => return Err(de::Error::missing_field("kind")),
         }
         let kind = access.next_value::<Kind>()?;
         kind.read(MapAccessDeserializer::new(access))
+    }
+}
+
+impl<'de> Deserialize<'de> for Interaction {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(InteractionVisitor)
+    }
+}
+
+struct InteractionVisitor;
+
+impl<'de> Visitor<'de> for InteractionVisitor {
+    type Value = Interaction;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object with the key `kind`")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut access: A) -> Result<Interaction, A::Error> {
+        let mut key = access.next_key::<String>()?;
+        let mut between = None;
+        if key.as_deref() == Some("between") {
+            between = Some(access.next_value()?);
+            key = access.next_key()?;
+        }
+        if key.as_deref() != Some("kind") {
+            return Err(de::Error::missing_field("kind"));
+        }
+        if let Some(between) = between {
+            let kind = access.next_value::<PairKind>()?;
+            let law = kind.read(MapAccessDeserializer::new(access))?;
+            return Ok(Interaction::Between { between, law });
+        }
+        let OfOneBody(kind) = access.next_value()?;
+        let mut body = None;
+        let rest = WithoutBody { access, body: &mut body };
+        let term = kind.read(MapAccessDeserializer::new(rest))?;
+        let body = body.ok_or_else(|| de::Error::custom("missing field `body` (or `between`)"))?;
+        Ok(Interaction::On { body, term })
+    }
+}
+
+/// The kind of a term that acts on one body.
+struct OfOneBody(Kind);
+
+impl<'de> Deserialize<'de> for OfOneBody {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        if name == PairLaw::MUTUAL_GRAVITY {
+            return Err(de::Error::custom(format!("{name} needs two bodies: give `between`")));
+        }
+        Kind::deserialize(de::value::StringDeserializer::new(name)).map(Self)
+    }
+}
+
+/// The fields of a term but for its body, which is put aside.
+struct WithoutBody<'a, A> {
+    access: A,
+    body: &'a mut Option<String>,
+}
+
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for WithoutBody<'_, A> {
+    type Error = A::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(
+        &mut self,
+        seed: K,
+    ) -> Result<Option<K::Value>, A::Error> {
+        let mut key = self.access.next_key::<String>()?;
+        if key.as_deref() == Some("body") {
+            *self.body = Some(self.access.next_value()?);
+            key = self.access.next_key()?;
+        }
+        key.map(|key| seed.deserialize(de::value::StringDeserializer::new(key))).transpose()
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
+        self.access.next_value_seed(seed)
+    }
+}
+
+impl<'de> Deserialize<'de> for Scene {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(SceneVisitor)
+    }
+}
+
+struct SceneVisitor;
+
+/// The fields that may stand next to `bodies`, and those of one body, which [`Scenario::check`](super::Scenario::check)
+/// refuses there.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct NextToBodies {
+    #[serde(default)]
+    potential: Vec<Interaction>,
+    #[serde(default)]
+    joints: Vec<Joint>,
+    inertia: Option<Inertia>,
+    #[serde(default)]
+    driven: Vec<DrivenTerm>,
+    #[serde(default)]
+    torques: Vec<Torque>,
+    wheels: Option<Vec<Entry>>,
+    control: Option<Control>,
+    field: Option<Field>,
+    #[serde(default, deserialize_with = "refused_start")]
+    initial: Initial,
+}
+
+fn refused_start<'de, D: Deserializer<'de>>(_: D) -> Result<Initial, D::Error> {
+    Err(de::Error::custom(super::bodies::TOGETHER))
+}
+
+impl<'de> Visitor<'de> for SceneVisitor {
+    type Value = Scene;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut access: A) -> Result<Scene, A::Error> {
+        // The first pass put it first.
+        let first = access.next_key::<String>()?;
+        if first.as_deref() != Some("bodies") {
+            return Scene::deserialize(MapAccessDeserializer::new(WithFirst { first, access }));
+        }
+        let bodies = access.next_value::<Vec<Body>>()?;
+        let next = NextToBodies::deserialize(MapAccessDeserializer::new(access))?;
+        let NextToBodies { potential, joints, .. } = next;
+        Ok(Scene {
+            inertia: next.inertia,
+            driven: next.driven,
+            torques: next.torques,
+            wheels: next.wheels,
+            control: next.control,
+            field: next.field,
+            initial: next.initial,
+            ..Scene::of_bodies(Bodies { bodies, potential, joints })
+        })
+    }
+}
+
+/// Fields of which the first key was read.
+struct WithFirst<A> {
+    first: Option<String>,
+    access: A,
+}
+
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for WithFirst<A> {
+    type Error = A::Error;
+
+    fn next_key_seed<K: DeserializeSeed<'de>>(
+        &mut self,
+        seed: K,
+    ) -> Result<Option<K::Value>, A::Error> {
+        match self.first.take() {
+            Some(first) => seed.deserialize(de::value::StringDeserializer::new(first)).map(Some),
+            None => self.access.next_key_seed(seed),
+        }
+    }
+
+    fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
+        self.access.next_value_seed(seed)
     }
 }
 

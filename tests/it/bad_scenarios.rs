@@ -760,6 +760,7 @@ pub(crate) fn table() -> Vec<Bad> {
     for raw in ["[]", "1", "\"scenario\"", "null"] {
         add(raw.to_owned(), "");
     }
+    table.extend(crate::bodies_scenes::bad());
     table
 }
 

@@ -268,9 +268,9 @@ pub(super) async fn get_attitudes(
     Ok(Json(stretch))
 }
 
-/// Returns the inertia of the body of a job; `None` if this build does not take its scenario.
+/// Returns the inertia of the body of a job; `None` if there are several, or this build does not take its scenario.
 async fn inertia(app: &App, id: Uuid) -> Option<Inertia> {
-    accepted(app, id).await.map(|scenario| scenario.scene.inertia)
+    accepted(app, id).await.and_then(|scenario| scenario.scene.inertia)
 }
 
 async fn accepted(app: &App, id: Uuid) -> Option<Scenario> {
