@@ -2,8 +2,16 @@
 //!
 //! Invariant: the only place that turns runtime n into const N.
 
+use std::any::Any;
+
 use crate::method::{Integrator, Parts};
+use crate::plan::bodies::system;
 use crate::plan::{Motion, Plan};
+use crate::solve::bodies::explicit::{Attitudes, BodiesRk};
+use crate::solve::bodies::splitting::BodiesSplitting;
+use crate::solve::bodies::trajectory::BodiesStepper;
+use crate::solve::bodies::vpd::BodiesVpd;
+use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::ensemble::{Members, Sequential};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::nonlinear::Rungs;
@@ -119,4 +127,79 @@ fn in_three_dimensions(plan: &Plan) -> Option<Box<dyn Stepper<3>>> {
         Some(plane) => Box::new(VpdPlane::new(plane, tableau.clone(), stop, stepper)),
         None => stepper,
     })
+}
+
+/// Parts that are made from a plan of several bodies once their n is known.
+pub(crate) struct BodiesAssembly<const N: usize> {
+    pub(crate) bodies: Bodies<N>,
+    pub(crate) stepper: Box<dyn BodiesStepper<N>>,
+    pub(crate) initial: BodiesState<N>,
+}
+
+/// Task for several planned bodies, whatever their n.
+pub(crate) trait BodiesTask {
+    /// Result of the task.
+    type Output;
+
+    /// Performs the task.
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output;
+}
+
+/// Builds the bodies that the plan holds and hands them to `task`.
+///
+/// # Panics
+/// If the plan is not of several bodies.
+pub(crate) fn assembled_bodies<T: BodiesTask>(plan: &Plan, task: T) -> T::Output {
+    fn perform<const N: usize, T: BodiesTask>(plan: &Plan, task: T) -> T::Output {
+        let scene = plan.settled.bodies().expect("a plan of several bodies");
+        let (bodies, initial) = system::<N>(scene).expect("the plan made them");
+        let stepper = bodies_stepper(plan, &bodies, &initial)
+            .expect("the plan refuses a method that cannot run the scene");
+        task.perform(BodiesAssembly { bodies, stepper, initial })
+    }
+    macro_rules! at {
+        ($n:literal) => {
+            perform::<$n, T>(plan, task)
+        };
+    }
+    match plan.dimension {
+        2 => at!(2),
+        3 => at!(3),
+        4 => at!(4),
+        5 => at!(5),
+        6 => at!(6),
+        7 => at!(7),
+        8 => at!(8),
+        n => unreachable!("a scenario refuses several bodies with n = {n}"),
+    }
+}
+
+/// Returns the stepper that the plan chose for several bodies.
+fn bodies_stepper<const N: usize>(
+    plan: &Plan,
+    bodies: &Bodies<N>,
+    initial: &BodiesState<N>,
+) -> Option<Box<dyn BodiesStepper<N>>> {
+    let tableau = plan.model.tableau.clone();
+    let explicit = |kind| -> Option<Box<dyn BodiesStepper<N>>> {
+        Some(Box::new(BodiesRk::new(tableau.clone(), kind, initial)?))
+    };
+    match plan.formulation.method {
+        Integrator::RkProjected => explicit(Attitudes::Projected),
+        Integrator::Rk => explicit(Attitudes::Plain),
+        Integrator::Rkmk => explicit(Attitudes::Lie),
+        Integrator::Splitting => {
+            // n = 3 alone, which the compiler does not know here.
+            let (bodies, initial): (&dyn Any, &dyn Any) = (bodies, initial);
+            let splitting = BodiesSplitting::new(
+                plan.formulation.order,
+                bodies.downcast_ref()?,
+                initial.downcast_ref()?,
+            )?;
+            let stepper: Box<dyn BodiesStepper<3>> = Box::new(splitting);
+            let stepper: Box<dyn Any> = Box::new(stepper);
+            stepper.downcast().ok().map(|stepper| *stepper)
+        }
+        _ => Some(Box::new(BodiesVpd::new(tableau.clone(), plan.model.stop, initial))),
+    }
 }

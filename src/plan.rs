@@ -25,6 +25,7 @@ use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
 use crate::solve::trajectory::Observables;
 
 mod adaptive;
+pub(crate) mod bodies;
 mod control;
 mod cost;
 mod model;
@@ -33,6 +34,7 @@ mod rotation;
 mod terms;
 
 pub use adaptive::OwnSteps;
+pub use bodies::BodyPlan;
 use control::{ModelControl, ModelWheels};
 pub(crate) use cost::Fails;
 pub use cost::{Counts, FirstSteps};
@@ -68,6 +70,10 @@ pub struct Plan {
     /// Steps in a time of their own; the step above is then the one between the times that samples may come at.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub own_steps: Option<OwnSteps>,
+    /// Several bodies, and what holds them; empty for one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[schemars(default)]
+    pub bodies: Vec<BodyPlan>,
     /// The terms of the potential, kept and dropped.
     pub potential: Vec<TermPlan>,
     /// Directions of space that the potential leaves free; the spatial momentum among them is conserved, or changes by the
@@ -319,10 +325,11 @@ impl Plan {
                 return Err(ScenarioError::invalid("/accuracy", message));
             }
         };
-        let Some(given) = &scenario.scene.inertia else {
-            let message = "this build cannot run scenes of several bodies";
-            return Err(ScenarioError::invalid("/scene/bodies", message));
-        };
+        if let Some(scene) = scenario.bodies() {
+            return Self::of_bodies(scenario, scene, step_s);
+        }
+        let given = scenario.scene.inertia.as_ref();
+        let given = given.ok_or_else(|| ScenarioError::invalid("/scene", "has no `inertia`"))?;
         let inertia = inertia_matrix(given);
         let mut kinetic = kinetic(given, &inertia)?;
         let mut attitude = {
@@ -350,54 +357,28 @@ impl Plan {
         let choice = tableau_choice(&scenario.method);
         let tableau = tableau(&choice, &scenario.method)?;
         let Solver { kind, tolerance, max_iterations } = scenario.method.solver;
-        let mut plan = Self {
-            dimension: n,
-            formulation: Formulation::default(),
-            step_s,
-            steps: scenario.step_count(),
-            every: scenario.sample_every(),
-            samples: 0,
-            own_steps: None,
-            potential: Vec::new(),
-            free_directions: n,
-            balance: None,
-            momentum_balance: None,
-            jacobi_integral: None,
-            start: StartAttitude::of(&attitude),
-            warnings: Vec::new(),
-            channels: channels(scenario),
-            samples_per_chunk: 0,
-            log_bytes: 0,
-            step_ns: 0.0,
-            run_s: 0.0,
-            work_s: 0.0,
-            work_step_ns: 0.0,
-            memory_bytes: 0,
-            ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
-            advice: None,
-            asked: scenario.clone(),
-            settled: scenario.clone(),
-            model: Model {
-                kinetic,
-                terms: Vec::new(),
-                shown: Vec::new(),
-                constant: 0.0,
-                driven: scenario.scene.driven.clone(),
-                torques: scenario.scene.torques.clone(),
-                wheels: scenario.scene.wheels.as_deref().map(skew),
-                control,
-                attitude,
-                momentum,
-                tableau,
-                stop: StopRule {
-                    tolerance,
-                    max_iterations,
-                    rungs: model::rungs(kind),
-                    ..StopRule::default()
-                },
+        let model = Model {
+            kinetic,
+            terms: Vec::new(),
+            shown: Vec::new(),
+            constant: 0.0,
+            driven: scenario.scene.driven.clone(),
+            torques: scenario.scene.torques.clone(),
+            wheels: scenario.scene.wheels.as_deref().map(skew),
+            control,
+            attitude,
+            momentum,
+            tableau,
+            stop: StopRule {
+                tolerance,
+                max_iterations,
+                rungs: model::rungs(kind),
+                ..StopRule::default()
             },
         };
-        plan.samples = 1 + plan.steps.div_ceil(plan.every);
+        let mut plan = Self::begun(scenario, step_s, model);
+        plan.start = StartAttitude::of(&plan.model.attitude);
+        plan.channels = channels(scenario);
         plan.model.control.check_samples(step_s, plan.steps)?;
         plan.model.check_distances(&scenario.scene.potential)?;
         plan.add_terms(&scenario.scene.potential, &inertia);
@@ -438,6 +419,43 @@ impl Plan {
         plan.warnings.extend(plan.tumbles());
         plan.estimate(FirstSteps::default());
         Ok(plan)
+    }
+
+    /// Returns a plan of these objects, to be filled in.
+    fn begun(scenario: &Scenario, step_s: f64, model: Model) -> Self {
+        let n = scenario.dimension();
+        let mut plan = Self {
+            dimension: n,
+            formulation: Formulation::default(),
+            step_s,
+            steps: scenario.step_count(),
+            every: scenario.sample_every(),
+            samples: 0,
+            own_steps: None,
+            bodies: Vec::new(),
+            potential: Vec::new(),
+            free_directions: n,
+            balance: None,
+            momentum_balance: None,
+            jacobi_integral: None,
+            start: None,
+            warnings: Vec::new(),
+            channels: Vec::new(),
+            samples_per_chunk: 0,
+            log_bytes: 0,
+            step_ns: 0.0,
+            run_s: 0.0,
+            work_s: 0.0,
+            work_step_ns: 0.0,
+            memory_bytes: 0,
+            ensemble: scenario.ensemble.as_ref().map(EnsemblePlan::new),
+            advice: None,
+            asked: scenario.clone(),
+            settled: scenario.clone(),
+            model,
+        };
+        plan.samples = 1 + plan.steps.div_ceil(plan.every);
+        plan
     }
 
     /// Plans a scenario with adaptive steps that names none: with an easy one, of which the
@@ -533,7 +551,7 @@ impl Plan {
     /// # Errors
     /// At `/step_s`, with the step up to which they can.
     pub(crate) fn exact_motion(&self) -> Result<(), ScenarioError> {
-        let free = self.model.terms.is_empty() && !self.model.is_driven();
+        let free = self.model.terms.is_empty() && !self.model.is_driven() && self.bodies.is_empty();
         if self.formulation.method != Integrator::Splitting || !free {
             return Ok(());
         }

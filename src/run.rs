@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::assemble::{Assembly, Task, assembled};
+use crate::assemble::{Assembly, Task, assembled, assembled_bodies};
 #[cfg(feature = "live")]
 use crate::live::{Live, Show};
 use crate::log::columns::Columns;
@@ -29,6 +29,7 @@ use crate::solve::trajectory::{self, Ending, Origin, Sample, Schedule, Sink, Tra
 use crate::study::Watch;
 
 mod advice;
+mod bodies;
 mod end;
 pub(crate) mod ensemble;
 mod geometry;
@@ -38,6 +39,8 @@ mod simulation;
 mod summary;
 
 use advice::{Broken, Patience};
+use bodies::BodiesRun;
+pub(crate) use bodies::FirstStepsOfBodies;
 use end::{Asked, End, Reached, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
@@ -45,8 +48,8 @@ pub use record::Recording;
 pub use simulation::{Advanced, Simulation};
 use summary::EnergySeen;
 pub use summary::{
-    Diagnosis, EnergySummary, EnsembleSummary, FinalState, MomentumSummary, OrthogonalitySummary,
-    Outcome, SolverSummary, Summary,
+    Diagnosis, EnergySummary, EnsembleSummary, FinalBody, FinalState, MomentumSummary,
+    OrthogonalitySummary, Outcome, SolverSummary, Summary,
 };
 
 /// Inputs that a run shares with other threads.
@@ -179,6 +182,9 @@ impl From<LogError> for RunError {
 /// If the log cannot be written: no log is left then, unless the file system may take it later. If the run is
 /// interrupted: then an unfinished one is.
 pub fn execute(plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunError> {
+    if !plan.bodies.is_empty() {
+        return assembled_bodies(plan, BodiesRun { plan, context });
+    }
     assembled(plan, Run { plan, context, kept: Kept::Log })
 }
 
@@ -189,6 +195,9 @@ pub fn execute(plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunErro
 pub fn collect(plan: &Plan, control: &Control) -> Result<(Summary, Columns), RunError> {
     if plan.ensemble.is_some() {
         return Err(RunError::Invalid("an ensemble needs a log for its members".to_owned()));
+    }
+    if !plan.bodies.is_empty() {
+        return Err(RunError::Invalid("several bodies need a log for their samples".to_owned()));
     }
     let channels = plan.channels.iter().map(|channel| channel.topic).collect();
     let mut columns = Columns::new(channels, plan.asked.epoch_ns(), plan.samples);

@@ -713,6 +713,16 @@ impl Scenario {
         self.scene.inertia.as_ref().or_else(first).map_or(0, Inertia::dimension)
     }
 
+    /// Refuses a scene of several bodies, where only one can be.
+    ///
+    /// # Errors
+    /// At `/scene/bodies`.
+    pub(crate) fn one_body(&self) -> Result<(), ScenarioError> {
+        ensure(self.bodies().is_none(), "/scene/bodies", || {
+            "is not possible here: studies, sweeps and simulations that are stepped are for one body".to_owned()
+        })
+    }
+
     /// Returns the scene of several bodies; `None` if it is one of one body.
     pub fn bodies(&self) -> Option<&Bodies> {
         self.scene.bodies.as_deref()

@@ -64,7 +64,7 @@ pub enum Hold<const N: usize> {
     Pivot(Vector<N>),
     /// A ball joint: its point `own_point` stays at `parent_point`.
     Joint {
-        /// The number of a body before it in the list; `None` for space.
+        /// The number of a body; `None` for space.
         parent: Option<usize>,
         /// In coordinates of the parent, or of space.
         parent_point: Vector<N>,
@@ -143,8 +143,8 @@ pub enum BodiesError {
     /// A body that is not pinned has no mass.
     #[error("body {0}: a body that is not pinned has a mass above 0")]
     Mass(usize),
-    /// The parent of a joint does not come before its child.
-    #[error("body {0}: the parent of its joint comes before it")]
+    /// Joints that close a loop, or a parent that there is not.
+    #[error("body {0}: joints make trees, and their parents are among the bodies")]
     Parent(usize),
     /// A number of a body that there is not.
     #[error("interaction {0} names a body that there is not")]
@@ -168,7 +168,7 @@ enum Inverse<const N: usize> {
 struct Tree<const N: usize> {
     /// Mass of all, of which the place is the centre; `None` where the place is fixed.
     mass_kg: Option<f64>,
-    /// Its bodies, ascending.
+    /// Its bodies, each after its parent.
     bodies: Vec<usize>,
     /// `l_ab` for the a-th and the b-th of them; empty where all are zero.
     levers: Vec<Vec<Vector<N>>>,
@@ -258,8 +258,6 @@ impl<const N: usize> Bodies<N> {
         bodies: Vec<Body<N>>,
         interactions: Vec<Interaction<N>>,
     ) -> Result<Self, BodiesError> {
-        let mut tree_of = Vec::with_capacity(bodies.len());
-        let mut members: Vec<Vec<usize>> = Vec::new();
         let mut inverses = Vec::with_capacity(bodies.len());
         for (a, body) in bodies.iter().enumerate() {
             inverses.push(inverse(&body.second_moments).ok_or(BodiesError::Inertia(a))?);
@@ -267,30 +265,18 @@ impl<const N: usize> Bodies<N> {
             if !is_pinned && !(body.mass_kg > 0.0 && body.mass_kg.is_finite()) {
                 return Err(BodiesError::Mass(a));
             }
-            let (parent, points) = match &body.hold {
-                Hold::Joint { parent, parent_point, own_point } => {
-                    (*parent, [Some(parent_point), Some(own_point)])
+            let points = match &body.hold {
+                Hold::Joint { parent_point, own_point, .. } => {
+                    [Some(parent_point), Some(own_point)]
                 }
-                Hold::Pivot(point) => (None, [Some(point), None]),
-                Hold::Free => (None, [None, None]),
+                Hold::Pivot(point) => [Some(point), None],
+                Hold::Free => [None, None],
             };
             if points.into_iter().flatten().flatten().any(|x| !x.is_finite()) {
                 return Err(BodiesError::NotFinite);
             }
-            let tree = match parent {
-                Some(parent) if parent >= a => return Err(BodiesError::Parent(a)),
-                Some(parent) => {
-                    let (tree, _): (usize, usize) = tree_of[parent];
-                    tree
-                }
-                None => {
-                    members.push(Vec::new());
-                    members.len() - 1
-                }
-            };
-            tree_of.push((tree, members[tree].len()));
-            members[tree].push(a);
         }
+        let (members, tree_of) = trees(&bodies)?;
         for (index, interaction) in interactions.iter().enumerate() {
             if interaction.bodies().any(|a| a >= bodies.len()) {
                 return Err(BodiesError::Unknown(index));
@@ -749,6 +735,43 @@ fn inverse<const N: usize>(second_moments: &Mat<N>) -> Option<Inverse<N>> {
         inertia.column_mut(q).copy_from(&column);
     }
     inertia.cholesky().map(|factor| Inverse::Full(factor.inverse()))
+}
+
+/// The bodies of each tree, each after its parent; and for each body the number of its tree and its own number there.
+#[allow(clippy::type_complexity, reason = "read once")]
+fn trees<const N: usize>(
+    bodies: &[Body<N>],
+) -> Result<(Vec<Vec<usize>>, Vec<(usize, usize)>), BodiesError> {
+    let mut trees: Vec<Vec<usize>> = Vec::new();
+    let mut tree_of: Vec<Option<(usize, usize)>> = vec![None; bodies.len()];
+    loop {
+        let mut is_over = true;
+        for (a, body) in
+            bodies.iter().enumerate().filter(|(a, _)| tree_of[*a].is_none()).collect::<Vec<_>>()
+        {
+            let parent = match body.hold {
+                Hold::Joint { parent: Some(parent), .. } => match tree_of.get(parent) {
+                    Some(Some((tree, _))) => Some(*tree),
+                    _ => continue,
+                },
+                _ => None,
+            };
+            let tree = parent.unwrap_or_else(|| {
+                trees.push(Vec::new());
+                trees.len() - 1
+            });
+            tree_of[a] = Some((tree, trees[tree].len()));
+            trees[tree].push(a);
+            is_over = false;
+        }
+        if is_over {
+            break;
+        }
+    }
+    let found = tree_of.iter().enumerate();
+    let tree_of =
+        found.map(|(a, tree)| tree.ok_or(BodiesError::Parent(a))).collect::<Result<_, _>>()?;
+    Ok((trees, tree_of))
 }
 
 /// The tree of some bodies, and its place if that is fixed.

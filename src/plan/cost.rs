@@ -164,7 +164,11 @@ impl Plan {
         let mut log = LOG_FIXED_BYTES as f64
             + samples * compressed(raw, raw_dense, compression)
             + overview::bytes(self.samples, n) as f64;
-        let step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
+        let step_ns = if self.bodies.is_empty() {
+            self.work_ns(of_step.unwrap_or_else(|| self.usual_work()))
+        } else {
+            self.step_of_bodies_ns(of_step.map_or(USUAL_SWEEPS_OF_BODIES, |work| work.sweeps))
+        };
         (self.work_step_ns, self.step_ns) = (step_ns, timed_ns.unwrap_or(step_ns));
         let (sample_ns, written_ns) = (self.sample_cost_ns(raw), self.written_ns(raw));
         let samples_ns = self.samples as f64 * sample_ns;
@@ -420,6 +424,8 @@ impl Plan {
     }
 }
 
+/// Sweeps assumed for a step of several bodies.
+const USUAL_SWEEPS_OF_BODIES: f64 = 4.0;
 /// Cost of a run before its first steps reach their usual speed.
 const START_NS: f64 = 5_000.0;
 /// Cost of beginning and ending a log: files, charts, and the disk that has to have it.

@@ -49,6 +49,25 @@ pub(crate) enum ModelKinetic {
 }
 
 impl Model {
+    /// Returns the objects of a scene of several bodies: method and stop rule alone, their own are in [`super::bodies`].
+    pub(super) fn of_none(n: usize, tableau: Tableau, stop: StopRule) -> Self {
+        let weight = |i, j| if i == j { 0.0 } else { 1.0 };
+        Self {
+            kinetic: ModelKinetic::Principal { weights: DMatrix::from_fn(n, n, weight) },
+            terms: Vec::new(),
+            shown: Vec::new(),
+            constant: 0.0,
+            driven: Vec::new(),
+            torques: Vec::new(),
+            wheels: None,
+            control: ModelControl::default(),
+            attitude: DMatrix::identity(n, n),
+            momentum: DMatrix::zeros(n, n),
+            tableau,
+            stop,
+        }
+    }
+
     /// Refuses a body point that lies on its place at the start, where the law of the term is singular.
     pub(super) fn check_distances(&self, given: &[PotentialTerm]) -> Result<(), ScenarioError> {
         for (index, term) in given.iter().enumerate() {

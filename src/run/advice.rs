@@ -49,10 +49,10 @@ const LOST: f64 = 0.5 * summary::MEANINGLESS;
 /// Limits of the work of a search, and its way to be stopped.
 #[derive(Clone, Debug)]
 pub(super) struct Patience {
-    most_sweeps: u64,
+    pub(super) most_sweeps: u64,
     /// The same work in adaptive steps.
     most_own_sweeps: u64,
-    stop: Arc<AtomicBool>,
+    pub(super) stop: Arc<AtomicBool>,
 }
 
 impl Patience {

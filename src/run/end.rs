@@ -20,6 +20,7 @@ use crate::log::messages::Figures;
 use crate::log::writer::{Level, LogWriter, Outcome as LogOutcome};
 use crate::plan::Plan;
 use crate::scenario::Expect;
+use crate::solve::bodies::trajectory as bodies;
 use crate::solve::nonlinear::Convergence;
 use crate::solve::state::Checkpoint;
 
@@ -36,6 +37,14 @@ impl<const N: usize> From<&Checkpoint<N>> for Reached {
     fn from(checkpoint: &Checkpoint<N>) -> Self {
         let &Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
         let last = summary::final_state(checkpoint.attitude.as_ref(), &checkpoint.momentum);
+        Self { step, samples, iterations, convergence, last }
+    }
+}
+
+impl Reached {
+    /// Returns the end of a run of several bodies.
+    pub(super) fn of_bodies(checkpoint: &bodies::Checkpoint, last: FinalState) -> Self {
+        let &bodies::Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
         Self { step, samples, iterations, convergence, last }
     }
 }

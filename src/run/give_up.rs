@@ -5,9 +5,10 @@
 
 use std::path::Path;
 
+use super::bodies::LeftBodies;
 use super::summary::EnergySeen;
 use super::{Asked, Diagnosis, End, Outcome, Reached, RunError, Summary, finish, header};
-use crate::assemble::{Assembly, Task, assembled};
+use crate::assemble::{Assembly, Task, assembled, assembled_bodies};
 use crate::log::course::Course;
 use crate::log::messages;
 use crate::log::writer::LogWriter;
@@ -45,7 +46,13 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
             (LogWriter::create(log, &header)?, None)
         }
     };
-    let (reached, energy) = assembled(plan, Left { plan, checkpoint: checkpoint.as_ref() });
+    let found = checkpoint.as_ref();
+    let (reached, energy) = if plan.bodies.is_empty() {
+        let (reached, energy) = assembled(plan, Left { plan, checkpoint: found });
+        (reached, Some(energy))
+    } else {
+        assembled_bodies(plan, LeftBodies { plan, checkpoint: found })
+    };
     let diagnosis = Diagnosis {
         code: reason.code.to_owned(),
         step: reached.step + 1,
@@ -69,7 +76,7 @@ pub fn give_up(plan: &Plan, log: &Path, reason: Reason<'_>) -> Result<Summary, R
         reached,
         diagnosis: Some(diagnosis),
         ensemble: None,
-        energy: Some(energy),
+        energy,
     };
     let summary = finish(Asked::of(plan), log, Some(writer), (&figures, &course), end)?;
     Ok(Summary { resumed_step, ..summary })

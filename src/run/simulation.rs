@@ -79,6 +79,7 @@ impl Simulation {
         ensure(scenario.scene.control.is_none(), "/scene/control", || {
             "is not allowed here: the caller sets the torque of a simulation".into()
         })?;
+        scenario.one_body()?;
         ensure(scenario.until.is_empty(), "/until", || {
             "is not allowed here: the caller ends a simulation".into()
         })?;

@@ -12,6 +12,7 @@ use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
 use crate::solve::state::State;
+use crate::solve::system::Energy;
 
 /// Outcome of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -120,13 +121,31 @@ pub struct EnsembleSummary {
 }
 
 /// The state a run ended at.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct FinalState {
     /// Rotation matrix, row by row; absent if no channel needed it.
     pub attitude: Option<Vec<Vec<f64>>>,
+    /// Body momentum, as in a scenario: 3-vector for n = 3, else skew matrix; absent for several bodies.
+    #[serde(default, skip_serializing_if = "serde_json::Value::is_null")]
+    #[schemars(with = "Vec<Entry>")]
+    pub body_momentum: serde_json::Value,
+    /// Several bodies, by name.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub bodies: BTreeMap<String, FinalBody>,
+}
+
+/// The state that one of several bodies ended at.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct FinalBody {
+    /// Rotation matrix, row by row.
+    pub attitude: Vec<Vec<f64>>,
     /// Body momentum, as in a scenario: 3-vector for n = 3, else skew matrix.
     #[schemars(with = "Vec<Entry>")]
     pub body_momentum: serde_json::Value,
+    /// The centre of mass, of a pinned body its pivot, in m.
+    pub position: Vec<f64>,
+    /// Linear momentum in kg m/s; zero for a pinned body.
+    pub linear_momentum: Vec<f64>,
 }
 
 /// Energy over the samples.
@@ -257,6 +276,15 @@ impl EnergySeen {
         })
     }
 
+    /// Returns the energy of several bodies at the start and at the end alone.
+    pub(super) fn between(first: Energy, last: Energy) -> Self {
+        let error = (last.total() - first.total()).abs();
+        // One that begins and ends at rest has moved between.
+        let potential = (last.potential - first.potential).abs();
+        let kinetic = first.kinetic.max(last.kinetic).max(potential);
+        Self { initial: first.total(), error, kinetic }
+    }
+
     /// Returns the energy at the start and at the end alone, where the energy that a driven body
     /// received is not known.
     pub(super) fn at_the_ends<const N: usize>(
@@ -309,7 +337,7 @@ pub(super) fn final_state<const N: usize>(
     } else {
         serde_json::json!(rows(momentum))
     };
-    FinalState { attitude: attitude.map(rows), body_momentum }
+    FinalState { attitude: attitude.map(rows), body_momentum, bodies: BTreeMap::new() }
 }
 
 /// Result of a search for a smaller step.

@@ -204,6 +204,7 @@ pub(crate) fn variant(
     step_s: f64,
     steps: u64,
 ) -> Result<Plan, ScenarioError> {
+    scene.one_body()?;
     let mut scenario = scene.clone();
     // Another method has steps of one length, or adaptive steps of the study's.
     if *method != scene.method {

@@ -53,6 +53,7 @@ pub(super) fn plan(scenario: &Scenario, stop: &Arc<AtomicBool>) -> Result<Plan, 
         let watch = Watch { cancelled: stop.clone(), ..Watch::default() };
         Settled::new(scenario, &watch).map_err(ScenarioError::from)?.plan()
     };
+    scenario.one_body()?;
     if scenario.accuracy.is_some() {
         return settled();
     }

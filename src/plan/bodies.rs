@@ -1,0 +1,317 @@
+//! The plan of several bodies: their mathematical objects, and what is estimated of them.
+
+use nalgebra::DMatrix;
+use schemars::JsonSchema;
+use serde::Serialize;
+
+use super::model::{inertia_matrix, rungs, tableau, tableau_choice};
+use super::rotation::{attitude, rows, skew};
+use super::{FirstSteps, Formulation, Model, Plan, TermPlan, channels};
+use crate::method::Integrator;
+use crate::scenario::{
+    Bodies, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, Scenario, ScenarioError,
+    Solver,
+};
+use crate::solve::bodies::{self, BodiesState, Hold, Site, Start};
+use crate::solve::nonlinear::StopRule;
+use crate::solve::so::{self, Mat, Vector};
+
+/// Treatment of a body.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct BodyPlan {
+    /// Its name.
+    pub name: String,
+    /// `free`, `pinned` or `jointed`.
+    pub hold: &'static str,
+    /// What acts on it.
+    pub why: String,
+}
+
+/// Returns the system of the bodies of a scene, and its state at the start.
+///
+/// # Errors
+/// Where the numbers of a body make none, with the pointer of the field.
+pub(crate) fn system<const N: usize>(
+    scene: &Bodies,
+) -> Result<(bodies::Bodies<N>, BodiesState<N>), ScenarioError> {
+    let joints = scene.joint_of_each();
+    let mut made = Vec::new();
+    let mut starts = Vec::new();
+    let mut momenta = Vec::new();
+    for (index, body) in scene.bodies.iter().enumerate() {
+        let at = format!("/scene/bodies/{index}");
+        let joint = joints[index].map(|number| &scene.joints[number]);
+        made.push(bodies::Body {
+            second_moments: second_moments(&body.inertia),
+            mass_kg: body.mass.unwrap_or_default(),
+            hold: match (joint, &body.pivot) {
+                (Some(joint), _) => hold(scene, joint),
+                (None, Some(pivot)) => Hold::Pivot(vector(pivot)),
+                (None, None) => Hold::Free,
+            },
+        });
+        let given = &body.initial;
+        let pointer = format!("{at}/initial/attitude");
+        let turned = attitude(&pointer, given.attitude.as_ref(), N)?;
+        let in_body = |framed: &Framed| -> Mat<N> {
+            let skew = match framed {
+                Framed::Body(entries) => skew(entries),
+                Framed::Space(entries) => turned.transpose() * skew(entries) * &turned,
+            };
+            matrix(&skew)
+        };
+        if let (Some(_), Some(_)) = (&given.momentum, joint) {
+            let message = "is given for a body in a joint, whose momentum depends on the others; give its angular_velocity";
+            return Err(ScenarioError::invalid(format!("{at}/initial/momentum"), message));
+        }
+        let or_zero =
+            |given: &Option<Vec<f64>>| given.as_deref().map_or_else(Vector::zeros, vector);
+        let velocity = match (&given.linear_momentum, body.mass) {
+            (Some(momentum), Some(mass)) => vector::<N>(momentum) / mass,
+            _ => or_zero(&given.velocity),
+        };
+        starts.push(Start {
+            attitude: matrix(&turned),
+            angular_velocity: given.angular_velocity.as_ref().map_or_else(Mat::zeros, in_body),
+            position: or_zero(&given.position),
+            velocity,
+        });
+        momenta.push(given.momentum.as_ref().map(in_body));
+    }
+    let of_system = |error: bodies::BodiesError| match error {
+        bodies::BodiesError::Inertia(body) => {
+            let message = "is not positive definite";
+            ScenarioError::invalid(format!("/scene/bodies/{body}/inertia"), message)
+        }
+        error => ScenarioError::invalid("/scene/bodies", error.to_string()),
+    };
+    let interactions = scene.potential.iter().map(|term| interaction(scene, term)).collect();
+    let system = bodies::Bodies::new(made, interactions).map_err(of_system)?;
+    let mut state = system.state(&starts);
+    for (own, given) in state.momenta.iter_mut().zip(momenta) {
+        *own = given.unwrap_or(*own);
+    }
+    // A singular or overflowing start is the scene's fault, and a run of it would end at once.
+    let seen = system.seen(&state).filter(|seen| system.energy(&state, seen).total().is_finite());
+    if seen.is_none() {
+        let message = "makes no finite energy at the start: points of a singular term meet, or numbers are too large";
+        return Err(ScenarioError::invalid("/scene/bodies", message));
+    }
+    Ok((system, state))
+}
+
+fn vector<const N: usize>(given: &[f64]) -> Vector<N> {
+    Vector::from_column_slice(given)
+}
+
+fn matrix<const N: usize>(given: &DMatrix<f64>) -> Mat<N> {
+    Mat::from_fn(|i, j| given[(i, j)])
+}
+
+/// The second moments of an inertia. `d_1 = (J_2 + J_3 - J_1) / 2`, the difference of the two nearest first: of a thin body the
+/// least moment is a small part of the others, and keeps its digits.
+fn second_moments<const N: usize>(inertia: &Inertia) -> Mat<N> {
+    match inertia {
+        Inertia::Principal(moments) => {
+            let of = |i: usize| {
+                let [j, k] = [(i + 1) % 3, (i + 2) % 3].map(|other| moments[other]);
+                let (near, far) =
+                    if (j - moments[i]).abs() <= (k - moments[i]).abs() { (j, k) } else { (k, j) };
+                ((near - moments[i]) + far) * 0.5
+            };
+            Mat::from_fn(|i, j| if i == j { of(i) } else { 0.0 })
+        }
+        Inertia::SecondMoments(moments) => {
+            Mat::from_fn(|i, j| if i == j { moments[i] } else { 0.0 })
+        }
+        Inertia::Matrix(_) => {
+            let inertia: Mat<N> = matrix(&inertia_matrix(inertia));
+            let symmetric = (inertia + inertia.transpose()) * 0.5;
+            Mat::identity() * (0.5 * symmetric.trace()) - symmetric
+        }
+    }
+}
+
+fn hold<const N: usize>(scene: &Bodies, joint: &Joint) -> Hold<N> {
+    let [parent_point, own_point] = [0, 1].map(|i| vector(&joint.points[i]));
+    Hold::Joint { parent: scene.number(&joint.between[0]), parent_point, own_point }
+}
+
+fn interaction<const N: usize>(scene: &Bodies, term: &Interaction) -> bodies::Interaction<N> {
+    let number = |name: &str| scene.number(name).unwrap_or_default();
+    match term {
+        Interaction::Between { between, law } => {
+            let [one, other] = [0, 1].map(|i| number(&between[i]));
+            let sites = |points: &[Vec<f64>; 2]| {
+                [Site::Body(one, vector(&points[0])), Site::Body(other, vector(&points[1]))]
+            };
+            match law {
+                PairLaw::Spring(spring) => bodies::Interaction::Spring {
+                    sites: sites(&spring.points),
+                    stiffness: spring.stiffness,
+                    rest_length: spring.rest_length,
+                },
+                PairLaw::PointSource(source) => bodies::Interaction::PointSource {
+                    sites: sites(&source.points),
+                    strength: source.strength,
+                },
+                PairLaw::MutualGravity(gravity) => bodies::Interaction::MutualGravity {
+                    bodies: [one, other],
+                    constant: gravity.constant,
+                },
+            }
+        }
+        Interaction::On { body, term } => {
+            let body = number(body);
+            let to_space = |point: &[f64], position: &[f64]| {
+                [Site::Body(body, vector(point)), Site::Space(vector(position))]
+            };
+            match term {
+                PotentialTerm::Uniform(uniform) => bodies::Interaction::Uniform {
+                    body,
+                    point: vector(&uniform.body_point),
+                    weight: uniform.weight,
+                    direction: vector(&uniform.direction),
+                },
+                PotentialTerm::Spring(spring) => bodies::Interaction::Spring {
+                    sites: to_space(&spring.body_point, &spring.position),
+                    stiffness: spring.stiffness,
+                    rest_length: spring.rest_length,
+                },
+                PotentialTerm::PointSource(source) => bodies::Interaction::PointSource {
+                    sites: to_space(&source.body_point, &source.position),
+                    strength: source.strength,
+                },
+                PotentialTerm::GravityGradient(gradient) => {
+                    let own = inertia_matrix(&scene.bodies[body].inertia);
+                    let given = gradient.matrix.as_deref().map_or(own, rows);
+                    bodies::Interaction::GravityGradient {
+                        body,
+                        strength: gradient.strength,
+                        matrix: so::symmetric_part(&matrix(&given)),
+                        direction: vector(&gradient.direction),
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl Plan {
+    /// Plans a scenario of several bodies, with a method and a step.
+    ///
+    /// # Errors
+    /// Where the numbers make no bodies or no tableau, with the pointer of the field.
+    pub(super) fn of_bodies(
+        scenario: &Scenario,
+        scene: &Bodies,
+        step_s: f64,
+    ) -> Result<Self, ScenarioError> {
+        let n = scenario.dimension();
+        match n {
+            2 => system::<2>(scene).map(drop),
+            3 => system::<3>(scene).map(drop),
+            4 => system::<4>(scene).map(drop),
+            5 => system::<5>(scene).map(drop),
+            6 => system::<6>(scene).map(drop),
+            7 => system::<7>(scene).map(drop),
+            _ => system::<8>(scene).map(drop),
+        }?;
+        let choice = tableau_choice(&scenario.method);
+        let tableau = tableau(&choice, &scenario.method)?;
+        let Solver { kind, tolerance, max_iterations } = scenario.method.solver;
+        let stop =
+            StopRule { tolerance, max_iterations, rungs: rungs(kind), ..StopRule::default() };
+        let mut plan = Self::begun(scenario, step_s, Model::of_none(n, tableau, stop));
+        plan.channels = channels(scenario);
+        plan.formulation = formulation(scenario, &plan)?;
+        for (index, term) in scene.potential.iter().enumerate() {
+            let why = match term {
+                Interaction::On { body, .. } => format!("acts on {body}"),
+                Interaction::Between { between: [one, other], .. } => {
+                    format!("acts between {one} and {other}")
+                }
+            };
+            let pointer = format!("/scene/potential/{index}");
+            plan.potential.push(TermPlan { pointer, kept: true, why });
+        }
+        plan.bodies = scene
+            .bodies
+            .iter()
+            .enumerate()
+            .map(|(index, body)| {
+                let jointed = scene.joints.iter().any(|joint| joint.between.contains(&body.name));
+                let hold = match (scene.joint_of_each()[index], &body.pivot) {
+                    (Some(_), _) => "jointed",
+                    (None, Some(_)) => "pinned",
+                    (None, None) => "free",
+                };
+                let terms = scene.potential.iter().filter(|term| match term {
+                    Interaction::On { body: name, .. } => *name == body.name,
+                    Interaction::Between { between, .. } => between.contains(&body.name),
+                });
+                let terms = terms.count();
+                let why = match (terms, jointed) {
+                    (0, false) => "nothing acts on it".to_owned(),
+                    (terms, false) => format!("{terms} terms act on it"),
+                    (terms, true) => format!("in joints; {terms} terms act on it"),
+                };
+                BodyPlan { name: body.name.clone(), hold, why }
+            })
+            .collect();
+        plan.estimate(FirstSteps::default());
+        Ok(plan)
+    }
+
+    /// Returns about what a step of several bodies costs, in nanoseconds, at this number of sweeps.
+    pub(super) fn step_of_bodies_ns(&self, sweeps: f64) -> f64 {
+        /// Cost of a stage of a sweep, for a body and for a term, n = 3.
+        const BODY_NS: f64 = 250.0;
+        const TERM_NS: f64 = 90.0;
+        /// For a body in a joint, times the bodies in joints.
+        const JOINT_NS: f64 = 150.0;
+        let Some(scene) = self.settled.bodies() else { return 0.0 };
+        let size = libm::pow(self.dimension as f64 / 3.0, 3.0);
+        let jointed = scene.joint_of_each().iter().flatten().count() as f64;
+        let of_stage = scene.bodies.len() as f64 * BODY_NS * size
+            + scene.potential.len() as f64 * TERM_NS
+            + jointed * jointed * JOINT_NS * size;
+        (sweeps + 1.0) * self.formulation.stages as f64 * of_stage
+    }
+}
+
+/// Chooses the integrator.
+fn formulation(scenario: &Scenario, plan: &Plan) -> Result<Formulation, ScenarioError> {
+    let asked = scenario.method.name.integrator();
+    let method = asked.unwrap_or(Integrator::Vpd);
+    let tableau = &plan.model.tableau;
+    if method == Integrator::Splitting && plan.dimension != 3 {
+        let message =
+            format!("splitting given; it is for n = 3, these bodies have n = {}", plan.dimension);
+        return Err(ScenarioError::invalid("/method/name", message));
+    }
+    let (name, stages, order) = if method.is_composition() {
+        let order = scenario.method.order.unwrap_or(4);
+        let parts = crate::solve::composition::Composition::new(order);
+        (None, parts.map_or(1, |composition| composition.parts().len()), order)
+    } else if method.is_explicit() {
+        (super::tableau_name(scenario), tableau.stages(), tableau.classical_order())
+    } else {
+        (super::tableau_name(scenario), tableau.stages(), tableau.order())
+    };
+    let why = match asked {
+        Some(_) => "asked for",
+        None => {
+            "symplectic, all attitudes on the group to round-off, of the tableau's order, for any potential"
+        }
+    };
+    Ok(Formulation {
+        method,
+        tableau: name,
+        stages,
+        order,
+        carries_attitude: true,
+        why,
+        ..Formulation::default()
+    })
+}

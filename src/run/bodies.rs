@@ -1,0 +1,311 @@
+//! A run of several bodies: plan → bodies and stepper → samples → log.
+//!
+//! Invariant: that of [`super`]: a numerical failure is a summary with a diagnosis and a finished log.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Outcome, Tried};
+use super::{
+    Asked, Control, End, JobContext, Patience, Reached, RunError, Summary, begin_log, finish,
+    header,
+};
+use crate::assemble::{BodiesAssembly, BodiesTask};
+use crate::log::course::{Course, LogChart};
+use crate::log::log_time;
+use crate::log::messages::{self, Figures};
+use crate::log::writer::LogWriter;
+use crate::plan::Plan;
+use crate::scenario::{SMALLEST_STEP_S, Scenario};
+use crate::solve::bodies::trajectory::{
+    self, BodiesStepper, BodySample, Checkpoint, Ending, Sample, Sink, Trajectory,
+};
+use crate::solve::bodies::{Bodies, BodiesState, trajectory::Course as Way};
+use crate::solve::failure::{Failure, two_digits};
+use crate::solve::so::{self, Mat};
+use crate::solve::work::Work;
+
+/// A run whose samples go to its log.
+pub(super) struct BodiesRun<'a> {
+    pub(super) plan: &'a Plan,
+    pub(super) context: &'a JobContext<'a>,
+}
+
+impl BodiesTask for BodiesRun<'_> {
+    type Output = Result<Summary, RunError>;
+
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
+        let Self { plan, context } = self;
+        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let control = context.control;
+        let begun = Instant::now();
+        let header = header(plan);
+        let mut course = Course::default();
+        let stopped = || control.interrupted.load(Ordering::Relaxed);
+        let resumed =
+            LogWriter::resume(context.log, &header, &mut |seen| course.note_seen(&seen), &stopped)?;
+        let (writer, figures, checkpoint) = match resumed {
+            Some((writer, found)) => (writer, found.figures.unwrap_or_default(), found.of_bodies()),
+            None => {
+                course = Course::default();
+                (begin_log(context, &header)?, Figures::default(), None)
+            }
+        };
+        let resumed_step = checkpoint.as_ref().map_or(0, |found| found.step);
+        control.resumed_step.store(resumed_step, Ordering::Relaxed);
+        let epoch_ns = header.epoch_ns;
+        let mut recorder =
+            Recorder { writer, figures, course, epoch_ns, control, elsewhere: Duration::ZERO };
+        let Plan { step_s, steps, every, .. } = *plan;
+        let way = Way { initial: &initial, checkpoint: checkpoint.as_ref(), step_s, steps, every };
+        let integrating = Instant::now();
+        let end = trajectory::integrate(&bodies, stepper.as_mut(), way, &mut recorder, |steps| {
+            control.go_on(steps)
+        });
+        let cut_off = match &end {
+            Ok(end) => {
+                end.ending == Ending::Cancelled && !control.cancelled.load(Ordering::Relaxed)
+            }
+            Err(error) => matches!(error, RunError::Interrupted),
+        };
+        if cut_off {
+            recorder.writer.leave();
+            return Err(RunError::Interrupted);
+        }
+        let Trajectory { ending, reached } = end?;
+        let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
+        control.steps_done.store(reached.step, Ordering::Relaxed);
+        let (outcome, diagnosis) = match &ending {
+            Ending::Completed => (Outcome::Succeeded, None),
+            Ending::Cancelled => (Outcome::Cancelled, None),
+            Ending::Failed(failure) => {
+                let patience = Patience::of(plan, control, 1);
+                let bodies = bodies.clone().watched(patience.work());
+                let advised = advised(&bodies, stepper.as_mut(), &way, &reached, &plan.asked);
+                let found = summary::diagnosis(failure, None, reached.step, step_s, advised);
+                (Outcome::Failed, Some(found))
+            }
+        };
+        // Stopping the search for a smaller step stops the run before the step that failed.
+        if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
+            recorder.writer.leave();
+            return Err(RunError::Interrupted);
+        }
+        let (outcome, diagnosis) = match diagnosis {
+            Some(_) if control.stopped() => (Outcome::Cancelled, None),
+            diagnosis => (outcome, diagnosis),
+        };
+        let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
+        let energy = energy_at_the_ends(&bodies, &initial, &last);
+        let reached = Reached::of_bodies(&reached, final_state(plan, &bodies, &last));
+        let end = End { outcome, reached, diagnosis, stopped: None, ensemble: None, energy };
+        let Recorder { writer, figures, course, .. } = recorder;
+        let steps_done = end.reached.step;
+        let summary = finish(Asked::of(plan), context.log, Some(writer), (&figures, &course), end)?;
+        Ok(Summary {
+            resumed_step,
+            ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
+            wall_s: begun.elapsed().as_secs_f64(),
+            ..summary
+        })
+    }
+}
+
+/// What interrupted runs of several bodies left.
+pub(super) struct LeftBodies<'a> {
+    pub(super) plan: &'a Plan,
+    /// The last checkpoint; `None` if there is none.
+    pub(super) checkpoint: Option<&'a messages::Checkpoint>,
+}
+
+impl BodiesTask for LeftBodies<'_> {
+    type Output = (Reached, Option<EnergySeen>);
+
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
+        let BodiesAssembly { bodies, initial, .. } = assembly;
+        let found = self.checkpoint.and_then(messages::Checkpoint::of_bodies).unwrap_or_default();
+        let last = initial.with_numbers(&found.numbers).unwrap_or_else(|| initial.clone());
+        let energy = energy_at_the_ends(&bodies, &initial, &last);
+        (Reached::of_bodies(&found, final_state(self.plan, &bodies, &last)), energy)
+    }
+}
+
+/// Returns the last state of each body, by name.
+fn final_state<const N: usize>(
+    plan: &Plan,
+    bodies: &Bodies<N>,
+    state: &BodiesState<N>,
+) -> FinalState {
+    let rows = |m: &Mat<N>| -> Vec<Vec<f64>> {
+        (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
+    };
+    let of = |body: &BodySample<N>| FinalBody {
+        attitude: rows(&body.attitude),
+        body_momentum: if N == 3 {
+            serde_json::json!(so::vee(&body.momentum))
+        } else {
+            serde_json::json!(rows(&body.momentum))
+        },
+        position: body.position.as_slice().to_vec(),
+        linear_momentum: body.linear_momentum.as_slice().to_vec(),
+    };
+    let seen = bodies.seen(state).unwrap_or_default();
+    let named = plan.bodies.iter().zip(&seen).map(|(body, seen)| (body.name.clone(), of(seen)));
+    FinalState { bodies: named.collect::<BTreeMap<_, _>>(), ..FinalState::default() }
+}
+
+/// Returns the energy at the start and at the end, where it is not logged.
+fn energy_at_the_ends<const N: usize>(
+    bodies: &Bodies<N>,
+    start: &BodiesState<N>,
+    end: &BodiesState<N>,
+) -> Option<EnergySeen> {
+    let at = |state| Some(bodies.energy(state, &bodies.seen(state)?));
+    Some(EnergySeen::between(at(start)?, at(end)?))
+}
+
+/// Passes samples on, keeps their figures, and measures the time that is not the integrator's.
+struct Recorder<'a> {
+    writer: LogWriter,
+    figures: Figures,
+    course: Course,
+    epoch_ns: u64,
+    control: &'a Control,
+    elsewhere: Duration,
+}
+
+impl<const N: usize> Sink<N> for Recorder<'_> {
+    type Error = RunError;
+
+    fn record(&mut self, sample: &Sample<N>) -> Result<(), RunError> {
+        // The last sample of a run that is cut off here has no place in the log of the whole.
+        if self.control.interrupted.load(Ordering::Relaxed) {
+            return Err(RunError::Interrupted);
+        }
+        let begun = Instant::now();
+        self.figures.keep_bodies(sample);
+        // The writer refuses a time that a log cannot hold.
+        if let Some(time_ns) = log_time(self.epoch_ns, sample.time_s) {
+            if let Some(error) = sample.energy_error {
+                self.course.note(time_ns, LogChart::Energy, error);
+            }
+            if let Some(error) = sample.orthogonality_error {
+                self.course.note(time_ns, LogChart::Orthogonality, error);
+            }
+        }
+        let result = self.writer.record_bodies(sample);
+        self.control.note_durable(&self.writer);
+        self.elsewhere += begun.elapsed();
+        Ok(result?)
+    }
+
+    fn wants_checkpoint(&self) -> bool {
+        self.writer.wants_checkpoint()
+    }
+
+    fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<(), RunError> {
+        let begun = Instant::now();
+        let message = messages::Checkpoint::of_several(checkpoint, self.figures);
+        let result = self.writer.checkpoint(&message);
+        self.elsewhere += begun.elapsed();
+        Ok(result?)
+    }
+}
+
+/// Returns a smaller step that was tried from the start past the time at which a step failed: halved until one works, and then
+/// longer again as far as it still does.
+fn advised<const N: usize>(
+    bodies: &Bodies<N>,
+    stepper: &mut dyn BodiesStepper<N>,
+    way: &Way<'_, N>,
+    reached: &Checkpoint,
+    asked: &Scenario,
+) -> Advised {
+    /// What failed and what did not are brought as near as this.
+    const NEAR: f64 = 1.2;
+    let failed_s = way.step_s * (reached.step as f64 + 2.0);
+    let time_s = failed_s.min(way.step_s * way.steps as f64);
+    let is_whole = failed_s >= way.step_s * way.steps as f64;
+    let short = |step_s: f64| {
+        let few = (0..20).map(|percent| two_digits(step_s * (1.0 - 0.01 * f64::from(percent))));
+        let part = way.step_s / (way.step_s / step_s).ceil();
+        few.into_iter().find(|&less| asked.fits(less)).unwrap_or(part)
+    };
+    let mut went = |step_s: f64| -> Result<(), Failure> {
+        stepper.start(way.initial);
+        for _ in 0..(time_s / step_s).ceil() as u64 {
+            stepper.step(bodies, step_s)?;
+        }
+        Ok(())
+    };
+    let tried = if is_whole { Tried::Throughout } else { Tried::For { time_s } };
+    let (mut failed, mut step_s) = (way.step_s, short(0.5 * way.step_s));
+    loop {
+        if step_s < SMALLEST_STEP_S {
+            return Advised::NoneWorks;
+        }
+        match went(step_s) {
+            Ok(()) => break,
+            Err(_) if bodies.work().is_spent() => return Advised::NotFound { tried_s: failed },
+            Err(_) => (failed, step_s) = (step_s, short(0.5 * step_s)),
+        }
+    }
+    while failed > NEAR * step_s {
+        let between = short((failed * step_s).sqrt());
+        if between <= step_s || between >= failed {
+            break;
+        }
+        match went(between) {
+            Ok(()) => step_s = between,
+            Err(_) if bodies.work().is_spent() => break,
+            Err(_) => failed = between,
+        }
+    }
+    Advised::Step { step_s, tried }
+}
+
+/// Makes the first steps of a plan; returns the sweeps and the nanoseconds of one, `None` if the first fails.
+pub(crate) struct FirstStepsOfBodies {
+    /// The step in seconds.
+    pub(crate) step_s: f64,
+}
+
+impl BodiesTask for FirstStepsOfBodies {
+    type Output = Option<(f64, f64)>;
+
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
+        /// Steps, of which the first ones have no history to begin from; and the time they may take.
+        const STEPS: u32 = 32;
+        const MOST: Duration = Duration::from_millis(300);
+        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let begun = Instant::now();
+        stepper.start(&initial);
+        let (mut steps, mut of_first) = (0_u32, Duration::ZERO);
+        while steps < STEPS && begun.elapsed() < MOST {
+            if stepper.step(&bodies, self.step_s).is_err() {
+                break;
+            }
+            steps += 1;
+            // Steps that follow others begin from these.
+            if steps == STEPS / 2 {
+                of_first = begun.elapsed();
+            }
+        }
+        let later = steps.saturating_sub(STEPS / 2);
+        let (counted, time) = match (later, steps) {
+            (0, 0) => return None,
+            (0, steps) => (steps, begun.elapsed()),
+            (later, _) => (later, begun.elapsed().saturating_sub(of_first)),
+        };
+        let sweeps = bodies.work().sweeps() as f64 / f64::from(steps);
+        Some((sweeps, time.as_nanos() as f64 / f64::from(counted)))
+    }
+}
+
+impl Patience {
+    /// Returns counts that end where the limits are.
+    fn work(&self) -> Work {
+        Work::limited(self.most_sweeps, self.stop.clone())
+    }
+}
