@@ -14,6 +14,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use crate::log::LogError;
+use crate::log::messages::BodyState;
 use crate::log::rows::{Row, read_rows};
 
 /// Reason why two logs cannot be compared.
@@ -23,7 +24,7 @@ pub enum DiffError {
     #[error(transparent)]
     Log(#[from] LogError),
     /// The logs have no sample at the same time, or no quantity in common.
-    #[error("there is nothing to compare: {} and {} have no time at which both log /state, /energy or /momentum", .0.display(), .1.display())]
+    #[error("there is nothing to compare: {} and {} have no time at which both log /state, /bodies/*/state of one body, /energy or /momentum", .0.display(), .1.display())]
     NothingShared(PathBuf, PathBuf),
     /// Their bodies turn in spaces of different dimension.
     #[error("the bodies of {} and {} turn in spaces of different dimension", .0.display(), .1.display())]
@@ -42,12 +43,25 @@ pub enum Quantity {
     SpatialMomentum,
     /// Size of the difference of the total energies, in J.
     Energy,
+    /// Distance of the positions of a body of several, in m.
+    Position,
+    /// Size of the difference of the linear momenta of a body of several, in kg m/s.
+    LinearMomentum,
 }
+
+/// Number of quantities.
+const QUANTITIES: usize = 6;
 
 impl Quantity {
     /// All quantities.
-    pub const ALL: [Self; 4] =
-        [Self::Angle, Self::BodyMomentum, Self::SpatialMomentum, Self::Energy];
+    pub const ALL: [Self; QUANTITIES] = [
+        Self::Angle,
+        Self::BodyMomentum,
+        Self::SpatialMomentum,
+        Self::Energy,
+        Self::Position,
+        Self::LinearMomentum,
+    ];
 
     /// Returns its name in queries and answers.
     pub const fn name(self) -> &'static str {
@@ -56,6 +70,8 @@ impl Quantity {
             Self::BodyMomentum => "body_momentum",
             Self::SpatialMomentum => "spatial_momentum",
             Self::Energy => "energy",
+            Self::Position => "position",
+            Self::LinearMomentum => "linear_momentum",
         }
     }
 
@@ -65,6 +81,8 @@ impl Quantity {
             Self::Angle => "rad",
             Self::BodyMomentum | Self::SpatialMomentum => "kg m^2/s",
             Self::Energy => "J",
+            Self::Position => "m",
+            Self::LinearMomentum => "kg m/s",
         }
     }
 }
@@ -109,10 +127,13 @@ pub struct Difference {
     pub time_s: f64,
     /// Difference of each quantity; `None` if not both logs have it.
     #[serde(flatten, serialize_with = "named")]
-    pub by: [Option<f64>; 4],
+    pub by: [Option<f64>; QUANTITIES],
 }
 
-fn named<S: serde::Serializer>(by: &[Option<f64>; 4], serializer: S) -> Result<S::Ok, S::Error> {
+fn named<S: serde::Serializer>(
+    by: &[Option<f64>; QUANTITIES],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
     serializer.collect_map(Quantity::ALL.map(Quantity::name).iter().zip(by))
 }
 
@@ -184,7 +205,7 @@ pub fn diff(
     member: u64,
     tolerances: &[Tolerance],
 ) -> Result<Comparison, DiffError> {
-    let mut limits = [if tolerances.is_empty() { 0.0 } else { f64::INFINITY }; 4];
+    let mut limits = [if tolerances.is_empty() { 0.0 } else { f64::INFINITY }; QUANTITIES];
     for Tolerance { quantity, largest } in tolerances {
         for (limit, of) in limits.iter_mut().zip(Quantity::ALL) {
             if quantity.is_none_or(|quantity| quantity == of) {
@@ -193,7 +214,7 @@ pub fn diff(
         }
     }
     let mut found = Comparison { each: 1, held: 1, ..Comparison::default() };
-    let mut largest: [Option<Largest>; 4] = [None; 4];
+    let mut largest: [Option<Largest>; QUANTITIES] = [None; QUANTITIES];
     let mut same_size = true;
     thread::scope(|scope| {
         let (mut left, to_left) = Rows::new();
@@ -300,20 +321,41 @@ fn sizes_agree(a: &Row, b: &Row) -> bool {
             .zip(b.momentum.as_ref())
             .is_none_or(|(a, b)| a.spatial_momentum.len() == b.spatial_momentum.len()),
     ];
-    states && momenta
+    let of_one_size = |(a, b): (&BodyState, &BodyState)| a.position.len() == b.position.len();
+    states && momenta && bodies(a, b).all(of_one_size)
 }
 
-/// Returns the differences between two samples.
-fn by(a: &Row, b: &Row) -> [Option<f64>; 4] {
+/// Returns the differences between two samples; of several bodies, the largest of bodies of one name.
+fn by(a: &Row, b: &Row) -> [Option<f64>; QUANTITIES] {
     let states = || a.state.as_ref().zip(b.state.as_ref());
     let momenta = a.momentum.as_ref().zip(b.momentum.as_ref());
     let energies = a.energy.as_ref().zip(b.energy.as_ref());
+    let most = |of: fn(&BodyState, &BodyState) -> Option<f64>| {
+        let differences = bodies(a, b).filter_map(|(a, b)| of(a, b));
+        differences.reduce(f64::max)
+    };
     [
-        states().and_then(|(a, b)| angle(&a.attitude, &b.attitude)),
-        states().and_then(|(a, b)| distance(&a.body_momentum, &b.body_momentum)),
+        states()
+            .and_then(|(a, b)| angle(&a.attitude, &b.attitude))
+            .or_else(|| most(|a, b| angle(&a.attitude, &b.attitude))),
+        states()
+            .and_then(|(a, b)| distance(&a.body_momentum, &b.body_momentum))
+            .or_else(|| most(|a, b| distance(&a.body_momentum, &b.body_momentum))),
         momenta.and_then(|(a, b)| distance(&a.spatial_momentum, &b.spatial_momentum)),
         energies.map(|(a, b)| (a.total - b.total).abs()),
+        most(|a, b| distance(&a.position, &b.position)),
+        most(|a, b| distance(&a.linear_momentum, &b.linear_momentum)),
     ]
+}
+
+/// Returns the bodies that both samples have.
+fn bodies<'a>(a: &'a Row, b: &'a Row) -> impl Iterator<Item = (&'a BodyState, &'a BodyState)> {
+    a.bodies.iter().enumerate().filter_map(|(i, (name, of_a))| {
+        // Nearly always in one order.
+        let same = b.bodies.get(i).filter(|(other, _)| other == name);
+        let found = same.or_else(|| b.bodies.iter().find(|(other, _)| other == name));
+        found.map(|(_, of_b)| (of_a, of_b))
+    })
 }
 
 /// Returns the size of the difference of two vectors; `None` if there are none, or of different
@@ -355,8 +397,8 @@ impl Comparison {
     fn take_in(
         &mut self,
         found: Difference,
-        limits: &[f64; 4],
-        largest: &mut [Option<Largest>; 4],
+        limits: &[f64; QUANTITIES],
+        largest: &mut [Option<Largest>; QUANTITIES],
     ) {
         self.samples += 1;
         let time_s = found.time_s;
@@ -458,8 +500,9 @@ mod tests {
         let mut found = Comparison { each: 1, held: 1, ..Comparison::default() };
         for k in 0..100_000_u32 {
             let peak = if k == 77_777 { 5.0 } else { 0.0 };
-            let difference = Difference { time_s: k.into(), by: [Some(peak), None, None, None] };
-            found.take_in(difference, &[1.0; 4], &mut [None; 4]);
+            let difference =
+                Difference { time_s: k.into(), by: [Some(peak), None, None, None, None, None] };
+            found.take_in(difference, &[1.0; QUANTITIES], &mut [None; QUANTITIES]);
         }
         assert!(found.over_time.len() <= super::LIMIT);
         for rows in [found.over_time.clone(), found.rows(7)] {

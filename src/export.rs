@@ -129,7 +129,7 @@ pub struct Exported {
 /// Returns the fields of a sample on the chosen channels.
 fn of_row(row: &Row, channels: &[Channel], start_ns: u64) -> Vec<Field> {
     let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
-    let time_s = row.state.as_ref().map_or(since_s, |state| state.time_s);
+    let time_s = row.time_s().unwrap_or(since_s);
     let mut fields = vec![Field::count(TIMES[0], &row.time_ns), Field::number(TIMES[1], &time_s)];
     fields.extend(channels.iter().flat_map(|&channel| row.fields(channel)));
     fields
@@ -138,9 +138,8 @@ fn of_row(row: &Row, channels: &[Channel], start_ns: u64) -> Vec<Field> {
 /// Returns how a member began and ended.
 fn of_member(member: &Member) -> Vec<Field> {
     let state = |before: &str, state: &Option<State>| {
-        let mut fields = Field::of(state.as_ref(), State::fields);
-        fields.iter_mut().for_each(|field| field.name.insert_str(0, before));
-        fields
+        let fields = Field::of(state.as_ref(), State::fields);
+        fields.into_iter().map(|field| field.after(before)).collect::<Vec<_>>()
     };
     let mut fields = vec![
         Field::count("member", &member.member),
@@ -193,31 +192,59 @@ fn of_statistics(found: &EnsembleStatistics) -> Vec<Field> {
 
 /// The columns of a table: each field with as many as it has anywhere in the log.
 #[derive(Default)]
-struct Columns(Vec<(String, Kind, usize)>);
+struct Columns(Vec<Column>);
+
+struct Column {
+    before: String,
+    name: String,
+    kind: Kind,
+    width: usize,
+}
+
+impl Column {
+    fn is_of(&self, field: &Field) -> bool {
+        self.name == field.name && self.before == field.before
+    }
+}
 
 impl Columns {
     fn take_in(&mut self, fields: &[Field]) {
-        if self.0.is_empty() {
-            self.0 = fields.iter().map(|field| (field.name.clone(), field.kind, 0)).collect();
-        }
-        for ((.., width), field) in self.0.iter_mut().zip(fields) {
-            *width = field.cells.len().max(*width);
+        for (i, field) in fields.iter().enumerate() {
+            // Nearly always at the same place: only a damaged log lacks a body in some samples.
+            let same = self.0.get(i).is_some_and(|column| column.is_of(field)).then_some(i);
+            let found = same.or_else(|| self.0.iter().position(|column| column.is_of(field)));
+            let at = found.unwrap_or_else(|| {
+                let Field { before, name, kind, .. } = field;
+                let (before, name) = (before.clone(), name.clone());
+                self.0.push(Column { before, name, kind: *kind, width: 0 });
+                self.0.len() - 1
+            });
+            self.0[at].width = field.cells.len().max(self.0[at].width);
         }
     }
 
     fn names(&self) -> Vec<String> {
-        self.0.iter().flat_map(|(name, _, width)| names(name, *width)).collect()
+        let of = |column: &Column| names(&column.before, &column.name, column.width);
+        self.0.iter().flat_map(of).collect()
     }
 
     #[cfg(feature = "parquet")]
     fn kinds(&self) -> Vec<Kind> {
-        self.0.iter().flat_map(|(_, kind, width)| std::iter::repeat_n(*kind, *width)).collect()
+        self.0.iter().flat_map(|column| std::iter::repeat_n(column.kind, column.width)).collect()
     }
 
     /// Returns a row with a cell in each column.
     fn row(&self, fields: Vec<Field>) -> Vec<Option<Cell>> {
-        let wide = self.0.iter().zip(fields).flat_map(|((.., width), Field { cells, .. })| {
-            let missing = width.saturating_sub(cells.len());
+        let count = fields.len();
+        let mut fields: Vec<Option<Field>> = fields.into_iter().map(Some).collect();
+        // Of the field after the one found last, which is nearly always the next.
+        let mut next = 0;
+        let wide = self.0.iter().flat_map(|column| {
+            let is_it = |at: &usize| fields[*at].as_ref().is_some_and(|field| column.is_of(field));
+            let found = (next..count).chain(0..next.min(count)).find(is_it);
+            next = found.map_or(next, |at| at + 1);
+            let cells = found.and_then(|at| fields[at].take()).map_or_else(Vec::new, |it| it.cells);
+            let missing = column.width.saturating_sub(cells.len());
             // Programs differ in what they make of a NaN; a cell without a number is empty, of foreign logs, too.
             let filled = |cell| match cell {
                 Cell::Number(value) if value.is_nan() => None,
@@ -231,10 +258,10 @@ impl Columns {
 
 /// Returns the names of the columns of a field: with the axes of vectors for n = 3, else with row
 /// and column from 1 on.
-fn names(field: &str, width: usize) -> Vec<String> {
+fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
+    let field = format!("{before}{quantity}");
     let label = |labels: &[&str]| labels.iter().map(|label| format!("{field}_{label}")).collect();
     let pairs = |n: usize| (1..=n).flat_map(move |i| (1..=n).map(move |j| (i, j)));
-    let quantity = field.rsplit_once("initial_").map_or(field, |(_, quantity)| quantity);
     match (quantity, width) {
         (_, 0) => Vec::new(),
         ("quaternion", 4) => label(&["w", "x", "y", "z"]),
@@ -262,11 +289,14 @@ fn names(field: &str, width: usize) -> Vec<String> {
             let above = pairs(n).filter(|(i, j)| i < j);
             above.map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
-        // Of an actuator or a wheel each.
-        ("control_command" | "wheel_momenta" | "wheel_speeds", _) => {
-            (1..=width).map(|number| format!("{field}_{number}")).collect()
-        }
-        _ => vec![field.to_owned()],
+        ("position" | "velocity" | "linear_momentum", 3) => label(&["x", "y", "z"]),
+        // Of an axis, an actuator or a wheel each.
+        (
+            "position" | "velocity" | "linear_momentum" | "control_command" | "wheel_momenta"
+            | "wheel_speeds",
+            _,
+        ) => (1..=width).map(|number| format!("{field}_{number}")).collect(),
+        _ => vec![field],
     }
 }
 
@@ -359,7 +389,7 @@ fn arrays(log: &Path, choice: &Choice, out: impl Write) -> Result<Exported, Expo
         return Err(empty(log, choice));
     }
     npz::write(&all, out).map_err(ExportError::Write)?;
-    let names = all.iter().map(|(name, _)| (*name).to_owned()).collect();
+    let names = all.iter().map(|(name, _)| name.to_string()).collect();
     Ok(Exported { rows, columns: names, ending })
 }
 

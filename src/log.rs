@@ -14,6 +14,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 mod background;
+pub mod bodies;
 pub mod columns;
 mod container;
 pub mod course;
@@ -39,6 +40,8 @@ pub mod writer;
 pub const CHECKPOINT_OPCODE: u8 = 0x80;
 /// Name of the metadata record that comes first: scenario, plan, versions.
 pub const JOB_RECORD: &str = "vpd.job";
+/// Entry of that record with the names of several bodies, a list as JSON.
+pub const BODIES_ENTRY: &str = "bodies";
 /// Name of the metadata record that comes last and makes a log finished: how the job ended.
 pub const OUTCOME_RECORD: &str = "vpd.outcome";
 /// Beginning of the name of the library in the header of a log.

@@ -787,6 +787,8 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
     let has = |channel: &Channel| {
         channel.exists(Scenery {
             three,
+            one: scenario.bodies().is_none(),
+            several: scenario.bodies().is_some(),
             sources: potential,
             ensemble: scenario.ensemble.is_some(),
             own_steps: scenario.adaptive().is_some(),

@@ -525,6 +525,7 @@ fn header(plan: &Plan) -> LogHeader {
         epoch_ns: scenario.epoch_ns(),
         channels: plan.channels.iter().map(|channel| channel.topic).collect(),
         members: plan.ensemble.as_ref().map_or(vec![0], |ensemble| ensemble.in_full.clone()),
+        bodies: Vec::new(),
         compression: scenario.log.compression,
         samples_per_chunk: plan.samples_per_chunk,
         scenario_json: Some(scenario.to_json()),

@@ -15,7 +15,7 @@ use thiserror::Error;
 use crate::advise::Settled;
 use crate::log::order::{is_foreign_log, read_sorted};
 use crate::log::reader::{self, Item};
-use crate::log::schema::Channel;
+use crate::log::schema::{Channel, Topic};
 use crate::log::{JOB_RECORD, LogError, OUTCOME_RECORD, SCENARIO_ATTACHMENT, shown};
 use crate::run::{self, Control, JobContext, RunError};
 use crate::scenario::{Scenario, ScenarioError};
@@ -185,7 +185,7 @@ fn kept(log: &Path) -> Result<Kept, VerifyError> {
 /// A message of a sample or of the scene.
 #[derive(PartialEq)]
 struct Entry {
-    channel: Channel,
+    topic: Topic,
     time_ns: u64,
     data: Vec<u8>,
 }
@@ -231,12 +231,12 @@ fn meet(
                 same += 1;
                 continue;
             }
-            (Some(old), Some(new)) if old.channel != new.channel => (old, "topic"),
+            (Some(old), Some(new)) if old.topic != new.topic => (old, "topic"),
             (Some(old), Some(new)) if old.time_ns != new.time_ns => (old, "time"),
             (Some(old), Some(_)) => (old, "content"),
         };
         let since_ns = entry.time_ns.saturating_sub(start_ns.unwrap_or(entry.time_ns));
-        let topic = entry.channel.topic().to_owned();
+        let topic = entry.topic.name();
         return (same, Some(Difference { topic, time_s: since_ns as f64 * 1e-9, what }));
     }
 }
@@ -248,9 +248,11 @@ fn send_all(log: &Path, sorted: bool, out: &SyncSender<Vec<Entry>>) -> Result<()
         let Item::Message { topic, time_ns, data, .. } = item else {
             return ControlFlow::Continue(());
         };
-        match Channel::from_topic(topic) {
-            None | Some(Channel::Log) => return ControlFlow::Continue(()),
-            Some(channel) => batch.push(Entry { channel, time_ns, data: data.to_vec() }),
+        match Topic::parse(topic) {
+            Some(topic) if topic.member == 0 && topic.channel != Channel::Log => {
+                batch.push(Entry { topic, time_ns, data: data.to_vec() });
+            }
+            _ => return ControlFlow::Continue(()),
         }
         if batch.len() < BATCH || out.send(std::mem::take(&mut batch)).is_ok() {
             ControlFlow::Continue(())

@@ -9,7 +9,7 @@ use crate::log::columns::Values;
 const ALIGNED: usize = 64;
 
 /// Writes arrays under their names; each has a sample a row.
-pub(super) fn write(arrays: &[(&'static str, Values)], mut out: impl Write) -> io::Result<()> {
+pub(super) fn write(arrays: &[(Cow<'static, str>, Values)], mut out: impl Write) -> io::Result<()> {
     let mut directory = Vec::new();
     let mut at = 0_u64;
     for (name, values) in arrays {

@@ -6,10 +6,11 @@ use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::path::Path;
 
+use super::bodies;
 use super::messages::{self, Message, Row};
 use super::reader::Ending;
 use super::rows::read_rows;
-use super::schema::Channel;
+use super::schema::{BodyName, Channel};
 use super::{LogError, log_time};
 use crate::solve::so::Mat;
 use crate::solve::trajectory::Sample;
@@ -22,6 +23,8 @@ pub struct Columns {
     expected: usize,
     log_time_ns: Vec<u64>,
     time_s: Vec<f64>,
+    /// The states of several bodies: see [`messages::BodyState`].
+    bodies: Vec<(BodyName, [Vectors; 7])>,
     attitude: Vectors,
     quaternion: Vectors,
     body_momentum: Vectors,
@@ -32,6 +35,7 @@ pub struct Columns {
     momentum_drift: Vectors,
     momentum_impulse: Vectors,
     momentum_table_impulse_error: Vectors,
+    linear_momentum: Vectors,
     solver_iterations: Vec<u64>,
     solver_increment: Vectors,
     solver_rung: Vec<Cow<'static, str>>,
@@ -43,6 +47,8 @@ pub struct Columns {
     pointing_error_rad: Vectors,
     /// The last quaternion: the next has the nearer sign.
     turn: Option<[f64; 4]>,
+    /// The same of each of several bodies.
+    turns: Vec<Option<[f64; 4]>>,
     /// Room for the numbers of a matrix.
     room: Vec<f64>,
 }
@@ -163,9 +169,31 @@ fn vee<'a, const N: usize>(m: &Mat<N>, room: &'a mut Vec<f64>) -> &'a [f64] {
     room
 }
 
+/// Adds the states of several bodies; columns without numbers for a body that has none.
+fn add_bodies(
+    bodies: &mut Vec<(BodyName, [Vectors; 7])>,
+    at: Place,
+    states: &[(BodyName, messages::BodyState)],
+) {
+    for (name, _) in states {
+        if !bodies.iter().any(|(known, _)| known == name) {
+            bodies.push((*name, Default::default()));
+        }
+    }
+    for (i, (name, columns)) in bodies.iter_mut().enumerate() {
+        let same = states.get(i).filter(|(of, _)| of == name);
+        let found = same.or_else(|| states.iter().find(|(of, _)| of == name));
+        let none = messages::BodyState::default();
+        let state = found.map_or(&none, |(_, state)| state);
+        for (column, (_, list)) in columns.iter_mut().zip(state.lists()) {
+            column.push(at, list);
+        }
+    }
+}
+
 impl Columns {
     /// Returns columns without a sample, for about `samples` of them, with these channels of a log that begins at `epoch_ns`.
-    pub(crate) fn new(channels: Vec<Channel>, epoch_ns: u64, samples: u64) -> Self {
+    pub fn new(channels: Vec<Channel>, epoch_ns: u64, samples: u64) -> Self {
         let expected = samples.min(MOST_EXPECTED) as usize;
         let (log_time_ns, time_s) = (Vec::with_capacity(expected), Vec::with_capacity(expected));
         Self { channels, epoch_ns, expected, log_time_ns, time_s, ..Self::default() }
@@ -276,6 +304,33 @@ impl Columns {
         true
     }
 
+    /// Adds a sample of several bodies of these names; returns whether a log could hold its time.
+    pub fn record_bodies<const N: usize>(
+        &mut self,
+        names: &[BodyName],
+        sample: &bodies::Sample<N>,
+    ) -> bool {
+        let Some(time_ns) = log_time(self.epoch_ns, sample.time_s) else { return false };
+        self.turns.resize(names.len(), None);
+        for (turn, body) in self.turns.iter_mut().zip(&sample.bodies) {
+            let found = messages::quaternion(&body.attitude);
+            *turn = found.map(|found| messages::nearer_sign(*turn, found));
+        }
+        let mut row = Row { time_ns, ..Row::default() };
+        for &channel in &self.channels {
+            let named = names.iter().copied().map(Some).enumerate();
+            let of_each = channel.is_of_each_body();
+            for (body, name) in named.filter(|_| of_each).chain((!of_each).then_some((0, None))) {
+                let turn = self.turns.get(body).copied().flatten();
+                let message = Message::of_bodies(channel, body, sample, turn);
+                message.into_iter().for_each(|message| row.take_in(name, message));
+            }
+        }
+        let start_ns = self.log_time_ns.first().copied().unwrap_or(time_ns);
+        self.add_row(row, start_ns);
+        true
+    }
+
     /// Adds a sample of the control; one without numbers where there is none.
     fn add_control(&mut self, at: Place, seen: messages::Control) {
         let lists = [
@@ -299,7 +354,7 @@ impl Columns {
         let at = Place { before: self.len(), expected: self.expected };
         let since_s = row.time_ns.saturating_sub(start_ns) as f64 / 1e9;
         self.log_time_ns.push(row.time_ns);
-        self.time_s.push(row.state.as_ref().map_or(since_s, |state| state.time_s));
+        self.time_s.push(row.time_s().unwrap_or(since_s));
         let has = |channel| self.channels.contains(&channel);
         let row = Row {
             state: row.state.filter(|_| has(Channel::State)),
@@ -311,6 +366,8 @@ impl Columns {
             control: row.control.filter(|_| has(Channel::Control)),
             ..row
         };
+        let bodies = if has(Channel::BodyState) { &row.bodies[..] } else { &[] };
+        add_bodies(&mut self.bodies, at, bodies);
         let state = row.state.unwrap_or_default();
         self.attitude.push(at, &state.attitude);
         self.quaternion.push(at, &state.quaternion);
@@ -318,10 +375,10 @@ impl Columns {
         self.angular_velocity.push(at, &state.angular_velocity);
         let energy = row.energy.map_or([None; 6], |energy| {
             [
-                Some(energy.kinetic),
-                Some(energy.potential),
-                Some(energy.total),
-                Some(energy.error),
+                Some(as_logged(energy.kinetic)),
+                Some(as_logged(energy.potential)),
+                Some(as_logged(energy.total)),
+                Some(as_logged(energy.error)),
                 energy.jacobi_error,
                 energy.work,
             ]
@@ -329,14 +386,15 @@ impl Columns {
         for (column, figure) in self.energy.iter_mut().zip(energy) {
             column.push(at, figure.as_slice());
         }
-        let error = row.orthogonality.map(|found| found.error);
+        let error = row.orthogonality.map(|found| as_logged(found.error));
         self.orthogonality_error.push(at, error.as_slice());
         let momentum = row.momentum.unwrap_or_default();
         self.spatial_momentum.push(at, &momentum.spatial_momentum);
         self.momentum_drift.push(at, momentum.drift.as_slice());
         self.momentum_impulse.push(at, &momentum.impulse);
         self.momentum_table_impulse_error.push(at, momentum.table_impulse_error.as_slice());
-        let increment = row.solver.as_ref().map(|solver| solver.increment);
+        self.linear_momentum.push(at, &momentum.linear);
+        let increment = row.solver.as_ref().map(|solver| as_logged(solver.increment));
         self.solver_increment.push(at, increment.as_slice());
         let solver = row.solver.unwrap_or_default();
         self.solver_iterations.push(solver.iterations.into());
@@ -357,9 +415,23 @@ impl Columns {
 
     /// Returns the quantities that any sample has, under the names of a table, which adds an axis or row and column to those of
     /// vectors and matrices.
-    pub fn into_all(self) -> Vec<(&'static str, Values)> {
+    pub fn into_all(self) -> Vec<(Cow<'static, str>, Values)> {
         let time_s = Values::Numbers { shape: Vec::new(), values: self.time_s };
-        let mut all = vec![("log_time_ns", Values::Counts(self.log_time_ns)), ("time_s", time_s)];
+        let mut all = vec![
+            (Cow::Borrowed("log_time_ns"), Values::Counts(self.log_time_ns)),
+            (Cow::Borrowed("time_s"), time_s),
+        ];
+        let quantities = messages::BodyState::default().lists().map(|(quantity, _)| quantity);
+        for (name, columns) in self.bodies {
+            let named = quantities.into_iter().zip(columns).filter_map(|(quantity, column)| {
+                let values = match quantity {
+                    "attitude" => column.matrices(),
+                    _ => column.vectors(),
+                };
+                Some((Cow::Owned(format!("{}_{quantity}", name.as_str())), values?))
+            });
+            all.extend(named);
+        }
         let of_state = [
             ("attitude", self.attitude.matrices()),
             ("quaternion", self.quaternion.vectors()),
@@ -373,6 +445,7 @@ impl Columns {
             ("momentum_drift", self.momentum_drift.numbers()),
             ("momentum_impulse", self.momentum_impulse.vectors()),
             ("momentum_table_impulse_error", self.momentum_table_impulse_error.numbers()),
+            ("linear_momentum", self.linear_momentum.vectors()),
         ];
         let steps = self.solver_increment.width > 0;
         let of_solver = [
@@ -392,7 +465,7 @@ impl Columns {
             ("control_saturated", saturated),
             ("pointing_error_rad", self.pointing_error_rad.numbers()),
         ]);
-        all.extend(found.filter_map(|(name, values)| Some((name, values?))));
+        all.extend(found.filter_map(|(name, values)| Some((Cow::Borrowed(name), values?))));
         all
     }
 }

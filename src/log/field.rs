@@ -21,6 +21,8 @@ pub(crate) enum Kind {
 
 /// One column of a table or several: a number, a vector, a matrix. Without cells where there is none.
 pub(crate) struct Field {
+    /// What stands before the name of the quantity: the name of a body, the beginning of a member.
+    pub(crate) before: String,
     pub(crate) name: String,
     pub(crate) kind: Kind,
     pub(crate) cells: Vec<Cell>,
@@ -29,7 +31,7 @@ pub(crate) struct Field {
 impl Field {
     pub(crate) fn numbers(name: impl Into<String>, values: &[f64]) -> Self {
         let cells = values.iter().map(|&value| Cell::Number(value)).collect();
-        Self { name: name.into(), kind: Kind::Number, cells }
+        Self { before: String::new(), name: name.into(), kind: Kind::Number, cells }
     }
 
     pub(crate) fn number(name: impl Into<String>, value: &(impl Into<Option<f64>> + Copy)) -> Self {
@@ -38,12 +40,17 @@ impl Field {
 
     pub(crate) fn count(name: &str, value: &(impl Into<u64> + Copy)) -> Self {
         let cells = vec![Cell::Count((*value).into())];
-        Self { name: name.to_owned(), kind: Kind::Count, cells }
+        Self { before: String::new(), name: name.to_owned(), kind: Kind::Count, cells }
     }
 
     pub(crate) fn word(name: &str, value: &str) -> Self {
         let cells = vec![Cell::Word(value.to_owned())];
-        Self { name: name.to_owned(), kind: Kind::Word, cells }
+        Self { before: String::new(), name: name.to_owned(), kind: Kind::Word, cells }
+    }
+
+    /// Returns it with `before` in front of its name.
+    pub(crate) fn after(self, before: &str) -> Self {
+        Self { before: before.to_owned(), ..self }
     }
 
     /// Returns the fields of a message, without cells if there is none.

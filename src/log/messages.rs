@@ -7,13 +7,15 @@ use prost::Message as _;
 
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Vector3};
 
+use super::bodies;
 use super::field::Field;
-use super::schema::{Channel, timestamp};
+use super::schema::{BodyName, Channel, Topic, timestamp};
 use crate::solve::control;
 use crate::solve::nonlinear::{Convergence, Rung};
 pub use crate::solve::so::quaternion;
 use crate::solve::so::{self, Mat};
 use crate::solve::state;
+use crate::solve::system;
 use crate::solve::trajectory::Sample;
 
 include!(concat!(env!("OUT_DIR"), "/vpd.rs"));
@@ -44,12 +46,13 @@ macro_rules! messages_of_samples {
         #[derive(Clone, Debug, PartialEq)]
         #[allow(missing_docs)]
         pub enum Message {
+            BodyState(BodyState),
             $($message($message),)*
         }
 
         impl Message {
             /// The channels of these messages.
-            pub(crate) const CHANNELS: &[Channel] = &[$(Channel::$message),*];
+            pub const CHANNELS: &[Channel] = &[Channel::BodyState, $(Channel::$message),*];
 
             /// Decodes the message behind `data`; `None` if the topic or the type is not ours or it
             /// cannot be decoded.
@@ -59,6 +62,7 @@ macro_rules! messages_of_samples {
                     return None;
                 }
                 match channel {
+                    Channel::BodyState => BodyState::decode(data).ok().map(Self::BodyState),
                     $(Channel::$message => $message::decode(data).ok().map(Self::$message),)*
                     _ => None,
                 }
@@ -71,27 +75,41 @@ macro_rules! messages_of_samples {
         pub struct Row {
             /// Log time, in nanoseconds since 1970.
             pub time_ns: u64,
+            /// The states of several bodies, in the order of the log.
+            pub bodies: Vec<(BodyName, BodyState)>,
             $($(#[doc = $doc])* pub $field: Option<$message>,)*
         }
 
         impl Row {
+            /// Returns its time since the start in seconds, if a state says it.
+            pub(crate) fn time_s(&self) -> Option<f64> {
+                let of_body = || self.bodies.first().map(|(_, state)| state.time_s);
+                self.state.as_ref().map(|state| state.time_s).or_else(of_body)
+            }
+
             /// Returns the fields of a channel in a table.
             pub(crate) fn fields(&self, channel: Channel) -> Vec<Field> {
                 match channel {
                     $(Channel::$message => Field::of(self.$field.as_ref(), $message::fields),)*
+                    Channel::BodyState => self.bodies.iter().flat_map(BodyState::named).collect(),
                     _ => Vec::new(),
                 }
             }
 
-            /// Returns whether it has a message of the same channel.
-            pub(super) fn holds(&self, message: &Message) -> bool {
-                match message {
-                    $(Message::$message(_) => self.$field.is_some(),)*
+            /// Returns whether it has a message of a topic.
+            pub(super) fn holds(&self, topic: Topic) -> bool {
+                match topic.channel {
+                    $(Channel::$message => self.$field.is_some(),)*
+                    _ => self.bodies.iter().any(|(body, _)| Some(*body) == topic.body),
                 }
             }
 
-            pub(super) fn take_in(&mut self, message: Message) {
+            /// Takes in a message of a topic; of a body, if the topic names one.
+            pub(super) fn take_in(&mut self, body: Option<BodyName>, message: Message) {
                 match message {
+                    Message::BodyState(state) => {
+                        self.bodies.extend(body.map(|body| (body, state)));
+                    }
                     $(Message::$message(message) => self.$field = Some(message),)*
                 }
             }
@@ -118,6 +136,7 @@ macro_rules! messages_of_samples {
             /// Adds its bytes in a log.
             pub fn encode(&self, out: &mut Vec<u8>) {
                 match self {
+                    Self::BodyState(message) => message.encode(out).expect("a vector has room"),
                     $(Self::$message(message) => message.encode(out).expect("a vector has room"),)*
                 }
             }
@@ -143,7 +162,8 @@ messages_of_samples! {
     /// Spatial momentum.
     momentum: Momentum {
         spatial_momentum: numbers(spatial_momentum), momentum_drift: number(drift),
-        momentum_impulse: numbers(impulse), momentum_table_impulse_error: number(table_impulse_error)
+        momentum_impulse: numbers(impulse), momentum_table_impulse_error: number(table_impulse_error),
+        linear_momentum: numbers(linear)
     },
     /// How the step was solved.
     solver: Solver {
@@ -201,27 +221,117 @@ impl State {
     }
 }
 
+impl Message {
+    /// Returns the message of a sample of several bodies on a channel; of one of each body, that of the body of this number.
+    /// `None` if there is none. `turn` is the quaternion of the body with the sign to be shown.
+    pub fn of_bodies<const N: usize>(
+        channel: Channel,
+        body: usize,
+        sample: &bodies::Sample<N>,
+        turn: Option<[f64; 4]>,
+    ) -> Option<Self> {
+        match channel {
+            Channel::BodyState => {
+                let state = BodyState::of(sample.time_s, sample.bodies.get(body)?, turn);
+                Some(Self::BodyState(state))
+            }
+            Channel::Energy => {
+                let (energy, error) = sample.energy.zip(sample.energy_error)?;
+                Some(Self::Energy(Energy::with_error(energy, error)))
+            }
+            Channel::Orthogonality => {
+                sample.orthogonality_error.map(Orthogonality::with_error).map(Self::Orthogonality)
+            }
+            Channel::Momentum => {
+                let angular = sample.angular_momentum.as_ref();
+                let linear = sample.linear_momentum.as_ref();
+                (angular.is_some() || linear.is_some()).then(|| {
+                    Self::Momentum(Momentum {
+                        spatial_momentum: angular.map_or_else(Vec::new, so::vee),
+                        drift: sample.momentum_drift,
+                        log10_drift: sample.momentum_drift.map(log10_size),
+                        linear: linear.map_or_else(Vec::new, |p| p.as_slice().to_vec()),
+                        ..Momentum::default()
+                    })
+                })
+            }
+            Channel::Solver => Some(Self::Solver(sample.convergence?.into())),
+            _ => None,
+        }
+    }
+}
+
+impl BodyState {
+    /// Returns the state of a body at a time. `turn` is its quaternion with the sign to be shown.
+    pub fn of<const N: usize>(
+        time_s: f64,
+        body: &bodies::BodySample<N>,
+        turn: Option<[f64; 4]>,
+    ) -> Self {
+        Self {
+            time_s,
+            attitude: body.attitude.transpose().as_slice().to_vec(),
+            body_momentum: so::vee(&body.momentum),
+            quaternion: turn.map_or_else(Vec::new, |turn| turn.to_vec()),
+            angular_velocity: so::vee(&body.angular_velocity),
+            position: body.position.as_slice().to_vec(),
+            velocity: body.velocity.as_slice().to_vec(),
+            linear_momentum: body.linear_momentum.as_slice().to_vec(),
+        }
+    }
+
+    /// Returns its lists of numbers by name.
+    pub(super) fn lists(&self) -> [(&'static str, &[f64]); 7] {
+        [
+            ("attitude", &self.attitude),
+            ("quaternion", &self.quaternion),
+            ("body_momentum", &self.body_momentum),
+            ("angular_velocity", &self.angular_velocity),
+            ("position", &self.position),
+            ("velocity", &self.velocity),
+            ("linear_momentum", &self.linear_momentum),
+        ]
+    }
+
+    /// Returns the fields of a body in a table, which begin with its name.
+    fn named((body, state): &(BodyName, Self)) -> impl Iterator<Item = Field> {
+        let named = |(name, list)| Field::numbers(name, list).after(&format!("{}_", body.as_str()));
+        state.lists().map(named).into_iter()
+    }
+}
+
 impl Energy {
-    /// Returns the energy of a sample, if it has any.
-    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
-        let (energy, error) = sample.energy.zip(sample.energy_error)?;
-        Some(Self {
+    fn with_error(energy: system::Energy, error: f64) -> Self {
+        Self {
             kinetic: energy.kinetic,
             potential: energy.potential,
             total: energy.total(),
             error,
             log10_abs_error: log10_size(error),
+            jacobi_error: None,
+            work: None,
+        }
+    }
+
+    /// Returns the energy of a sample, if it has any.
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
+        let (energy, error) = sample.energy.zip(sample.energy_error)?;
+        Some(Self {
             jacobi_error: sample.jacobi_error,
             work: sample.work,
+            ..Self::with_error(energy, error)
         })
     }
 }
 
 impl Orthogonality {
+    fn with_error(error: f64) -> Self {
+        Self { error, log10_error: log10_size(error) }
+    }
+
     /// Returns the distance of a sample's attitude from the group, if computed.
     pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
-        let error = sample.orthogonality_error?;
-        Some(Self { error, log10_error: log10_size(error) })
+        sample.orthogonality_error.map(Self::with_error)
     }
 }
 
@@ -237,6 +347,7 @@ impl Momentum {
             log10_drift: sample.momentum_drift.map(log10_size),
             impulse: sample.impulse.as_ref().map_or_else(Vec::new, so::vee),
             table_impulse_error: sample.table_impulse_error,
+            linear: Vec::new(),
         })
     }
 }
@@ -330,7 +441,39 @@ impl Checkpoint {
             }),
             control: checkpoint.control.as_ref().map(Into::into),
             held: checkpoint.holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
+            numbers: Vec::new(),
         }
+    }
+
+    /// Returns the place of a trajectory of several bodies, and the figures of its samples so far.
+    pub fn of_bodies(checkpoint: &bodies::Checkpoint, figures: Figures) -> Self {
+        let bodies::Checkpoint { step, samples, iterations, convergence, numbers } = checkpoint;
+        Self {
+            step: *step,
+            samples: *samples,
+            iterations: *iterations,
+            solver: convergence.map(Into::into),
+            figures: Some(figures),
+            numbers: numbers.clone(),
+            ..Self::default()
+        }
+    }
+
+    /// Returns whether a trajectory of several bodies can go on from it, as far as a log knows.
+    pub(super) fn is_of_bodies(&self) -> bool {
+        !self.numbers.is_empty()
+            && self.solver.as_ref().is_none_or(|solver| solver.convergence().is_some())
+    }
+
+    /// Returns the place of the trajectory of several bodies; `None` if it is of one body.
+    pub fn bodies(&self) -> Option<bodies::Checkpoint> {
+        self.is_of_bodies().then(|| bodies::Checkpoint {
+            step: self.step,
+            samples: self.samples,
+            iterations: self.iterations,
+            convergence: self.solver.as_ref().and_then(Solver::convergence),
+            numbers: self.numbers.clone(),
+        })
     }
 
     /// Returns whether a trajectory on SO(n) can go on from it.
@@ -376,7 +519,26 @@ impl Checkpoint {
 impl Figures {
     /// Takes a sample into account.
     pub fn keep<const N: usize>(&mut self, sample: &Sample<N>) {
-        if let Some((energy, error)) = sample.energy.zip(sample.energy_error) {
+        self.keep_figures(Kept {
+            energy: sample.energy.zip(sample.energy_error),
+            orthogonality_error: sample.orthogonality_error,
+            momentum_drift: sample.momentum_drift,
+            table_impulse_error: sample.table_impulse_error,
+        });
+    }
+
+    /// Takes a sample of several bodies into account.
+    pub fn keep_bodies<const N: usize>(&mut self, sample: &bodies::Sample<N>) {
+        self.keep_figures(Kept {
+            energy: sample.energy.zip(sample.energy_error),
+            orthogonality_error: sample.orthogonality_error,
+            momentum_drift: sample.momentum_drift,
+            table_impulse_error: None,
+        });
+    }
+
+    fn keep_figures(&mut self, sample: Kept) {
+        if let Some((energy, error)) = sample.energy {
             let total = energy.total();
             self.energy_initial.get_or_insert(total);
             self.energy_least = Some(self.energy_least.map_or(total, |least| least.min(total)));
@@ -403,22 +565,41 @@ impl Figures {
     }
 }
 
+/// Figures of a sample that its log keeps.
+struct Kept {
+    /// Energy and its error.
+    energy: Option<(system::Energy, f64)>,
+    orthogonality_error: Option<f64>,
+    momentum_drift: Option<f64>,
+    table_impulse_error: Option<f64>,
+}
+
 /// Returns the body's frame as seen from space, for viewers, and behind it those of what moves
 /// around it.
 pub fn frames(
-    [w, x, y, z]: [f64; 4],
+    turn: [f64; 4],
     time_ns: u64,
     body_frame: &str,
     sources: Vec<FrameTransform>,
 ) -> FrameTransforms {
-    let body = FrameTransform {
+    let body = frame(turn, [0.0; 3], time_ns, body_frame);
+    FrameTransforms { transforms: std::iter::once(body).chain(sources).collect() }
+}
+
+/// Returns the frame of a body at a place, as seen from space.
+pub(super) fn frame(
+    [qw, qx, qy, qz]: [f64; 4],
+    [x, y, z]: [f64; 3],
+    time_ns: u64,
+    body_frame: &str,
+) -> FrameTransform {
+    FrameTransform {
         timestamp: timestamp(time_ns),
         parent_frame_id: super::scene::SPACE_FRAME.to_owned(),
         child_frame_id: body_frame.to_owned(),
-        translation: Some(Vector3::default()),
-        rotation: Some(Quaternion { x, y, z, w }),
-    };
-    FrameTransforms { transforms: std::iter::once(body).chain(sources).collect() }
+        translation: Some(Vector3 { x, y, z }),
+        rotation: Some(Quaternion { x: qx, y: qy, z: qz, w: qw }),
+    }
 }
 
 /// Returns the quaternion of a sample with the sign that is nearer to the quaternion of the sample

@@ -13,7 +13,7 @@ use std::path::Path;
 use foxglove::messages::FrameTransforms;
 use prost::Message as _;
 
-use super::messages::{Checkpoint, Member, State};
+use super::messages::{BodyState, Checkpoint, Member, State};
 use super::part::Part;
 use super::reader::{self, Item, Message};
 use super::schema::{Channel, Topic};
@@ -77,12 +77,15 @@ impl LogWriter {
                 }
                 Item::Checkpoint { data } => {
                     let checkpoint = Checkpoint::decode(data).ok();
-                    let ours = |found: &Checkpoint| found.is_of(header.dimension);
+                    let ours = |found: &Checkpoint| {
+                        let one = header.bodies.is_empty();
+                        if one { found.is_of(header.dimension) } else { found.is_of_bodies() }
+                    };
                     let Some(checkpoint) = checkpoint.filter(ours) else {
                         return ControlFlow::Break(());
                     };
                     for Pending { topic, time_ns, data, .. } in &pending {
-                        let Topic { member, channel } = *topic;
+                        let Topic { member, channel, .. } = *topic;
                         if channel == Channel::EnsembleMembers {
                             if let Ok(member) = Member::decode(data.as_slice()) {
                                 seen(Seen::Member(Box::new(member)));
@@ -119,6 +122,28 @@ impl LogWriter {
         }
     }
 
+    /// Returns the quaternions of a message, each with the number of its body.
+    fn turns_of(&self, topic: Topic, data: &[u8]) -> Vec<(usize, [f64; 4])> {
+        let turn = |of: Vec<f64>| <[f64; 4]>::try_from(of).ok();
+        let state = || turn(State::decode(data).ok()?.quaternion);
+        let of_body = || {
+            let number = self.bodies.iter().position(|name| Some(*name) == topic.body)?;
+            Some((number, turn(BodyState::decode(data).ok()?.quaternion)?))
+        };
+        match topic.channel {
+            Channel::State => state().map(|turn| (0, turn)).into_iter().collect(),
+            Channel::BodyState => of_body().into_iter().collect(),
+            Channel::Tf => {
+                let frames = FrameTransforms::decode(data).unwrap_or_default().transforms;
+                // Behind those of the bodies are those of the sources.
+                let bodies = frames.into_iter().take(self.bodies.len().max(1)).enumerate();
+                let turn = bodies.filter_map(|(body, frame)| Some((body, frame.rotation?)));
+                turn.map(|(body, turn)| (body, [turn.w, turn.x, turn.y, turn.z])).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
     /// Writes the contents of a chunk again, up to its checkpoint.
     fn feed(
         &mut self,
@@ -127,9 +152,11 @@ impl LogWriter {
         checkpoint: &Checkpoint,
     ) -> Result<(), LogError> {
         for Pending { topic, time_ns, sequence, data } in messages {
-            self.turns.extend(turn(topic.channel, &data).map(|turn| (topic.member, turn)));
+            for (body, turn) in self.turns_of(topic, &data) {
+                self.turns.insert((topic.member, body), turn);
+            }
             let since_ns = time_ns.saturating_sub(self.epoch_ns);
-            let Topic { member, channel } = topic;
+            let Topic { member, channel, .. } = topic;
             if member == 0
                 && let Some(message) =
                     Message::decode(channel.topic(), channel.schema_name(), &data)
@@ -140,18 +167,6 @@ impl LogWriter {
         }
         self.samples = checkpoint.samples;
         self.close_chunk_again(record)
-    }
-}
-
-/// Returns the quaternion of a message.
-fn turn(channel: Channel, data: &[u8]) -> Option<[f64; 4]> {
-    match channel {
-        Channel::State => State::decode(data).ok()?.quaternion.try_into().ok(),
-        Channel::Tf => {
-            let turn = FrameTransforms::decode(data).ok()?.transforms.first()?.rotation?;
-            Some([turn.w, turn.x, turn.y, turn.z])
-        }
-        _ => None,
     }
 }
 

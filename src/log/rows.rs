@@ -28,20 +28,23 @@ pub fn read_rows(
         let Item::Message { topic, schema, time_ns, sequence, data } = item else {
             return ControlFlow::Continue(());
         };
-        let message = Topic::parse(topic)
-            .filter(|topic| topic.member == member)
-            .and_then(|topic| Message::decode(topic.channel.topic(), schema, data));
-        let Some(message) = message else { return ControlFlow::Continue(()) };
+        let topic = Topic::parse(topic).filter(|topic| topic.member == member);
+        let decoded = |topic: Topic| {
+            Message::decode(topic.channel.topic(), schema, data).map(|message| (topic, message))
+        };
+        let Some((topic, message)) = topic.and_then(decoded) else {
+            return ControlFlow::Continue(());
+        };
         // Some programs number messages anew, each topic by itself.
         if let Some((number, row)) = &mut open
             && row.time_ns == time_ns
-            && (*number == sequence || !row.holds(&message))
+            && (*number == sequence || !row.holds(topic))
         {
-            row.take_in(message);
+            row.take_in(topic.body, message);
             return ControlFlow::Continue(());
         }
         let mut row = Row { time_ns, ..Row::default() };
-        row.take_in(message);
+        row.take_in(topic.body, message);
         match open.replace((sequence, row)) {
             Some((_, whole)) => {
                 let flow = visit(whole);

@@ -3,7 +3,7 @@
 //! Invariant: body and sources move by their frames alone, so each drawing is sent once, at the start.
 //!
 //! Drawings are in units of the scene's own length, not in metres, so that one camera sees a gyroscope of
-//! centimetres as well as a satellite.
+//! centimetres as well as a satellite. Several bodies are in metres, as their positions are.
 
 use std::borrow::Cow;
 
@@ -12,7 +12,7 @@ use foxglove::messages::{
     SceneUpdate, SpherePrimitive, Vector3,
 };
 
-use super::schema::timestamp;
+use super::schema::{BodyName, timestamp};
 use crate::solve::hamiltonian::DrivenTerm;
 
 /// Name of the inertial frame.
@@ -48,6 +48,29 @@ pub struct SceneGeometry {
     pub moving: Vec<Mover>,
 }
 
+/// One of several bodies in the head of a log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodyHeader {
+    /// Its name, also that of its frame.
+    pub name: BodyName,
+    /// Edge lengths of the box with its inertia, in m; zeros for none.
+    pub box_size: [f64; 3],
+    /// Orientation of the box in the body frame: unit quaternion (w, x, y, z).
+    pub box_axes: [f64; 4],
+    /// Points on which forces and joints act, in the body frame.
+    pub points: Vec<Marker>,
+}
+
+impl BodyHeader {
+    /// Returns the body with its points and axes, in its own frame, in metres: bodies stand at their distances.
+    pub fn drawn(&self, time_ns: u64) -> SceneUpdate {
+        let name = self.name.as_str();
+        let Self { box_size, box_axes, points, .. } = self;
+        let length = unit(points, *box_size);
+        update(body(entity(name, name, time_ns), (*box_size, *box_axes), points, [1.0, length]))
+    }
+}
+
 /// A source that moves.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mover {
@@ -80,24 +103,9 @@ pub enum Sign {
 impl SceneGeometry {
     /// Returns the body with its points and axes, in its own frame.
     pub fn body(&self, time_ns: u64) -> SceneUpdate {
-        let unit = self.unit();
-        let mut entity = entity("body", BODY_FRAME, time_ns);
-        if self.box_size.iter().any(|&edge| edge > 0.0) {
-            // A flat or thin body keeps a visible thickness.
-            let [x, y, z] = self.box_size.map(|edge| (edge / unit).max(0.01));
-            entity.cubes.push(CubePrimitive {
-                pose: pose([0.0; 3], self.box_axes),
-                size: Some(Vector3 { x, y, z }),
-                color: color([0.62, 0.66, 0.72], 0.7),
-            });
-        }
-        entity.spheres.extend(self.body_points.iter().map(|point| sphere(point, unit, 0.08)));
-        // The usual colours: x red, y green, z blue. Their tips come out of the box.
-        for k in 0..3 {
-            let axis = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
-            entity.arrows.push(arrow(axis, 1.3, 0.02, axis));
-        }
-        update(entity)
+        let entity = entity("body", BODY_FRAME, time_ns);
+        let inertia = (self.box_size, self.box_axes);
+        update(body(entity, inertia, &self.body_points, [self.unit(), 1.0]))
     }
 
     /// Returns whether anything stands around the body.
@@ -155,11 +163,42 @@ impl SceneGeometry {
     /// Returns the length that is drawn as 1: half the longest edge, or the distance of the
     /// farthest body point.
     fn unit(&self) -> f64 {
-        let points = self.body_points.iter().map(|point| norm(point.position));
-        let edges = self.box_size.into_iter().map(|edge| 0.5 * edge);
-        let size = points.chain(edges).fold(0.0, f64::max);
-        if size > 0.0 { size } else { 1.0 }
+        unit(&self.body_points, self.box_size)
     }
+}
+
+/// Returns half the longest edge of a box, or the distance of the farthest point; 1 if there are none.
+fn unit(points: &[Marker], box_size: [f64; 3]) -> f64 {
+    let points = points.iter().map(|point| norm(point.position));
+    let edges = box_size.into_iter().map(|edge| 0.5 * edge);
+    let size = points.chain(edges).fold(0.0, f64::max);
+    if size > 0.0 { size } else { 1.0 }
+}
+
+/// Adds a box, its points and the axes to an entity. The length `unit` is drawn as 1; axes and thickness are in parts of
+/// the drawn `length`.
+fn body(
+    mut entity: SceneEntity,
+    (box_size, box_axes): ([f64; 3], [f64; 4]),
+    points: &[Marker],
+    [unit, length]: [f64; 2],
+) -> SceneEntity {
+    if box_size.iter().any(|&edge| edge > 0.0) {
+        // A flat or thin body keeps a visible thickness.
+        let [x, y, z] = box_size.map(|edge| (edge / unit).max(0.01 * length));
+        entity.cubes.push(CubePrimitive {
+            pose: pose([0.0; 3], box_axes),
+            size: Some(Vector3 { x, y, z }),
+            color: color([0.62, 0.66, 0.72], 0.7),
+        });
+    }
+    entity.spheres.extend(points.iter().map(|point| sphere(point, unit, 0.08 * length)));
+    // The usual colours: x red, y green, z blue. Their tips come out of the box.
+    for k in 0..3 {
+        let axis = std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
+        entity.arrows.push(arrow(axis, 1.3 * length, 0.02 * length, axis));
+    }
+    entity
 }
 
 fn entity(id: &str, frame: &str, time_ns: u64) -> SceneEntity {

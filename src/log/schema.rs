@@ -6,6 +6,7 @@
 //! Invariant: one channel per topic and one schema per message type; topics and names are fixed.
 
 use std::borrow::Cow;
+use std::fmt;
 
 use foxglove::Encode;
 use foxglove::messages::{FrameTransforms, Log, SceneUpdate, Timestamp};
@@ -63,6 +64,8 @@ macro_rules! channels {
 channels! {
     /// Attitude and body momentum.
     State = "/state",
+    /// Attitude, momenta and place of each of several bodies, whose name stands for the star.
+    BodyState = "/bodies/*/state",
     /// Energy and its error.
     Energy = "/energy",
     /// Distance of the attitude from the group.
@@ -75,10 +78,12 @@ channels! {
     Pace = "/pace",
     /// Samples of the control.
     Control = "/control",
-    /// The body's frame for viewers; n = 3.
+    /// The frame of the body, or of each body, for viewers; n = 3.
     Tf = "/tf",
     /// The body's box of inertia and its points, once; n = 3.
     SceneBody = "/scene/body",
+    /// The box of inertia and the points of each of several bodies, once; n = 3.
+    SceneBodies = "/scene/bodies/*",
     /// Charges, anchors and directions in space, once; those that move by frames in `/tf`; n = 3.
     SceneSources = "/scene/sources",
     /// How each member of an ensemble began and ended.
@@ -93,8 +98,14 @@ channels! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Scope {
     All,
+    OneBody,
+    SeveralBodies,
     /// n = 3.
     ThreeDimensions,
+    /// n = 3, and one body.
+    OneDrawn,
+    /// n = 3, and several bodies.
+    SeveralDrawn,
     /// n = 3, and something in space to draw.
     WithSources,
     Ensembles,
@@ -108,6 +119,10 @@ enum Scope {
 pub(crate) struct Scenery {
     /// n = 3.
     pub(crate) three: bool,
+    /// It is one of one body.
+    pub(crate) one: bool,
+    /// It is one of several bodies.
+    pub(crate) several: bool,
     /// There is something in space to draw.
     pub(crate) sources: bool,
     pub(crate) ensemble: bool,
@@ -118,8 +133,15 @@ pub(crate) struct Scenery {
 
 impl Scenery {
     /// Of a scene that has all there is.
-    pub(crate) const ALL: Self =
-        Self { three: true, sources: true, ensemble: true, own_steps: true, controlled: true };
+    pub(crate) const ALL: Self = Self {
+        three: true,
+        one: true,
+        several: true,
+        sources: true,
+        ensemble: true,
+        own_steps: true,
+        controlled: true,
+    };
 }
 
 /// Bytes of a message before compression.
@@ -179,7 +201,17 @@ impl Channel {
                     state_bytes(n) as usize,
                     DOUBLE + 3 * LIST + if n == 3 { LIST } else { 0 },
                 ),
+                scope: Scope::OneBody,
                 ..plain("vpd.State", "the state itself")
+            },
+            Self::BodyState => Row {
+                attitude: true,
+                sample: sample(
+                    state_bytes(n) as usize + 3 * 8 * n,
+                    DOUBLE + 6 * LIST + if n == 3 { LIST } else { 0 },
+                ),
+                scope: Scope::SeveralBodies,
+                ..plain("vpd.BodyState", "the state of each body")
             },
             Self::Energy => Row {
                 needs: Observables { energy: true, ..nothing },
@@ -228,8 +260,13 @@ impl Channel {
             },
             Self::SceneBody => Row {
                 descriptors: well_known::<SceneUpdate>,
-                scope: Scope::ThreeDimensions,
+                scope: Scope::OneDrawn,
                 ..plain("foxglove.SceneUpdate", "the body's box and points, once")
+            },
+            Self::SceneBodies => Row {
+                descriptors: well_known::<SceneUpdate>,
+                scope: Scope::SeveralDrawn,
+                ..plain("foxglove.SceneUpdate", "the box and points of each body, once")
             },
             Self::SceneSources => Row {
                 descriptors: well_known::<SceneUpdate>,
@@ -259,16 +296,37 @@ impl Channel {
         self.row(3).scope == Scope::Ensembles
     }
 
-    /// Returns the channel of a topic.
+    /// Returns the channel of a topic: of one of a body, of its name or of the star.
     pub fn from_topic(topic: &str) -> Option<Self> {
-        Self::all().into_iter().find(|channel| channel.topic() == topic)
+        Self::with_body(topic).map(|(channel, _)| channel)
+    }
+
+    /// Returns the channel of a topic, and its body if it names one.
+    fn with_body(topic: &str) -> Option<(Self, Option<BodyName>)> {
+        Self::all().into_iter().find_map(|channel| {
+            if channel.topic() == topic {
+                return Some((channel, None));
+            }
+            let (before, after) = channel.topic().split_once('*')?;
+            let name = topic.strip_prefix(before)?.strip_suffix(after)?;
+            Some((channel, Some(BodyName::of(name)?)))
+        })
+    }
+
+    /// Returns whether each of several bodies has a topic of it.
+    pub fn is_of_each_body(self) -> bool {
+        self.topic().contains('*')
     }
 
     /// Returns whether a scene has the channel.
     pub(crate) fn exists(self, scene: Scenery) -> bool {
         match self.row(3).scope {
             Scope::All => true,
+            Scope::OneBody => scene.one,
+            Scope::SeveralBodies => scene.several,
             Scope::ThreeDimensions => scene.three,
+            Scope::OneDrawn => scene.three && scene.one,
+            Scope::SeveralDrawn => scene.three && scene.several,
             Scope::WithSources => scene.three && scene.sources,
             Scope::Ensembles => scene.ensemble,
             Scope::OwnSteps => scene.own_steps,
@@ -279,6 +337,16 @@ impl Channel {
     /// Returns whether the channel is for n = 3 only.
     pub fn needs_three(self) -> bool {
         !self.exists(Scenery { three: false, ..Scenery::ALL })
+    }
+
+    /// Returns whether the channel is for scenes of one body only.
+    pub fn needs_one_body(self) -> bool {
+        !self.exists(Scenery { one: false, ..Scenery::ALL })
+    }
+
+    /// Returns whether the channel is for scenes of several bodies only.
+    pub fn needs_several_bodies(self) -> bool {
+        !self.exists(Scenery { several: false, ..Scenery::ALL })
     }
 
     /// Returns whether the channel is for ensembles only.
@@ -329,8 +397,8 @@ impl Channel {
     }
 
     /// Returns about how many bytes a sample takes on this channel before compression, message
-    /// header and index included: for estimates of the size of a log and of its chunks. 0 for
-    /// channels that are not written with every sample.
+    /// header and index included: for estimates of the size of a log and of its chunks; for several
+    /// bodies, about how many for each. 0 for channels that are not written with every sample.
     pub fn bytes_per_sample(self, n: usize) -> u64 {
         // The size of opcode, length, channel, sequence and two times; then an entry of the index.
         const HEADER: usize = 1 + 8 + 2 + 4 + 8 + 8;
@@ -366,23 +434,61 @@ pub const fn dense_bytes_per_member(n: usize, waypoints: u64) -> u64 {
     2 * state_bytes(n) + waypoints * 4 * (n * n + n + VELOCITY_AND_ERRORS) as u64
 }
 
+/// Name of one of several bodies: 1 to 40 letters, digits, `_` or `-`, a letter first.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct BodyName {
+    /// Zeros after its end.
+    bytes: [u8; Self::MOST],
+}
+
+impl BodyName {
+    /// Most bytes of a name.
+    pub const MOST: usize = 40;
+
+    /// Returns a text as a name; `None` if it is none.
+    pub fn of(text: &str) -> Option<Self> {
+        let allowed = |c: u8| c.is_ascii_alphanumeric() || c == b'_' || c == b'-';
+        let begins = text.bytes().next().is_some_and(|c| c.is_ascii_alphabetic());
+        let mut bytes = [0; Self::MOST];
+        bytes.get_mut(..text.len())?.copy_from_slice(text.as_bytes());
+        (begins && text.bytes().all(allowed)).then_some(Self { bytes })
+    }
+
+    /// Returns it as text.
+    pub fn as_str(&self) -> &str {
+        let length = self.bytes.iter().position(|&c| c == 0).unwrap_or(Self::MOST);
+        std::str::from_utf8(&self.bytes[..length]).unwrap_or_default()
+    }
+}
+
+impl fmt::Debug for BodyName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self.as_str(), f)
+    }
+}
+
 /// Topic of a message: its channel and, for an ensemble, the member. Member 0, and a run that is no
-/// ensemble, have the channel's own topic; the others stand below `/members`.
+/// ensemble, have the channel's own topic; the others stand below `/members`. On a channel of each of several bodies, also the
+/// body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Topic {
     /// Number of the member.
     pub member: u64,
     /// The channel.
     pub channel: Channel,
+    /// The body.
+    pub body: Option<BodyName>,
 }
 
 impl Topic {
     /// Returns its name in the log.
     pub fn name(self) -> String {
-        match self {
-            Self { member: 0, channel } => channel.topic().to_owned(),
-            Self { member, channel } => format!("/members/{member}{}", channel.topic()),
-        }
+        let Self { member, channel, body } = self;
+        let topic = match &body {
+            Some(body) => channel.topic().replace('*', body.as_str()),
+            None => channel.topic().to_owned(),
+        };
+        if member == 0 { topic } else { format!("/members/{member}{topic}") }
     }
 
     /// Returns the topic of a name.
@@ -394,13 +500,15 @@ impl Topic {
                 (digits.parse().ok().filter(|&member| member > 0)?, &rest[digits.len()..])
             }
         };
-        Channel::from_topic(channel).map(|channel| Self { member, channel })
+        let (channel, body) = Channel::with_body(channel)?;
+        // The star is no body.
+        (body.is_some() == channel.is_of_each_body()).then_some(Self { member, channel, body })
     }
 }
 
 impl From<Channel> for Topic {
     fn from(channel: Channel) -> Self {
-        Self { member: 0, channel }
+        Self { member: 0, channel, body: None }
     }
 }
 

@@ -6,27 +6,29 @@
 //! later; that, [`LogWriter::leave`] and a killed process leave one behind. Every chunk but the last ends with a
 //! checkpoint, from which such a file can be resumed ([`LogWriter::resume`]).
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use foxglove::messages::Log;
 use foxglove::messages::log::Level as FoxgloveLevel;
+use foxglove::messages::{FrameTransforms, Log};
 use prost::Message;
 
 use super::background::{ChunkWriter, Refusal, WriterThread};
+use super::bodies;
 use super::container::{Catalog, Chunk, Container};
 use super::end::End;
 use super::messages::{self, EnsembleStatistics, Figures, Member, Message as SampleMessage};
 use super::overview::Curves;
 use super::part::{Durable, Part, Syncer, folder, irreplaceable, sync_folder};
-use super::scene::{SceneGeometry, body_frame};
-use super::schema::{Channel, Compression, Scenery, Topic, timestamp};
+use super::scene::{BodyHeader, SceneGeometry, body_frame};
+use super::schema::{BodyName, Channel, Compression, Scenery, Topic, timestamp};
 use super::{
-    CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD, SCENARIO_ATTACHMENT,
-    is_transient,
+    BODIES_ENTRY, CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD,
+    SCENARIO_ATTACHMENT, is_transient,
 };
 use crate::solve::state::Checkpoint;
 use crate::solve::trajectory::{Sample, Sink};
@@ -45,6 +47,8 @@ pub struct LogHeader {
     pub channels: Vec<Channel>,
     /// Members of an ensemble whose samples are written; 0 for a single run.
     pub members: Vec<u64>,
+    /// The bodies of a scene of several; empty for one.
+    pub bodies: Vec<BodyHeader>,
     /// Compression of chunks.
     pub compression: Compression,
     /// A chunk is closed, and so is safe from a kill, after this many samples; fewer where the chunk
@@ -52,7 +56,7 @@ pub struct LogHeader {
     pub samples_per_chunk: u64,
     /// The scenario, as attachment; `None` if there is none: such a log cannot be run again from itself.
     pub scenario_json: Option<Vec<u8>>,
-    /// Entries of the record [`JOB_RECORD`].
+    /// Entries of the record [`JOB_RECORD`]; the writer adds `bodies`, the list of their names as JSON, if there are several.
     pub job: BTreeMap<String, String>,
     /// Objects that viewers draw.
     pub scene: SceneGeometry,
@@ -103,6 +107,8 @@ pub struct LogWriter {
     rest: Rest,
     pub(super) epoch_ns: u64,
     scene: SceneGeometry,
+    /// Names of several bodies, in their order.
+    pub(super) bodies: Vec<BodyName>,
     samples_per_chunk: u64,
     /// Topics to be written, in the order of the channel ids.
     topics: Vec<Topic>,
@@ -114,8 +120,8 @@ pub struct LogWriter {
     /// Number of samples when the last chunk was closed.
     closed_at: u64,
     last_ns: u64,
-    /// The last quaternion of each member: the next has the nearer sign.
-    pub(super) turns: BTreeMap<u64, [f64; 4]>,
+    /// The last quaternion of each body, by the numbers of member and body: the next has the nearer sign.
+    pub(super) turns: BTreeMap<(u64, usize), [f64; 4]>,
     /// Chart data of a long log.
     pub(super) curves: Curves,
 }
@@ -179,6 +185,10 @@ impl LogWriter {
         log.part_file.flush().map_err(|source| LogError::io(path, "write", source))?;
         let start = log.time(0.0)?;
         log.put(Channel::SceneBody, start, &header.scene.body(start))?;
+        for body in &header.bodies {
+            let topic = Topic { body: Some(body.name), ..Channel::SceneBodies.into() };
+            log.put_on(topic, start, &body.drawn(start))?;
+        }
         if let Some(sources) = header.scene.sources(start) {
             log.put(Channel::SceneSources, start, &sources)?;
         }
@@ -227,21 +237,41 @@ impl LogWriter {
             header.channels.contains(channel)
                 && channel.exists(Scenery {
                     three: header.dimension == 3,
+                    one: header.bodies.is_empty(),
+                    several: !header.bodies.is_empty(),
                     sources: header.scene.has_sources(),
                     ..Scenery::ALL
                 })
         };
         let channels: Vec<_> = Channel::all().into_iter().filter(wanted).collect();
-        let sample_bytes: u64 =
-            channels.iter().map(|channel| channel.bytes_per_sample(header.dimension)).sum();
+        let bodies: Vec<BodyName> = header.bodies.iter().map(|body| body.name).collect();
+        let bytes = |channel: &Channel| {
+            let by_body = channel.is_of_each_body() || *channel == Channel::Tf;
+            let times = if by_body { bodies.len().max(1) as u64 } else { 1 };
+            times * channel.bytes_per_sample(header.dimension)
+        };
+        let sample_bytes: u64 = channels.iter().map(bytes).sum();
         let of_members = header.members.iter().flat_map(|&member| {
             let sampled =
                 channels.iter().filter(move |channel| member == 0 || channel.is_sampled());
-            sampled.map(move |&channel| Topic { member, channel })
+            sampled.flat_map({
+                let bodies = &bodies;
+                move |&channel| {
+                    let of_each = channel.is_of_each_body();
+                    let named = bodies.iter().filter(move |_| of_each).map(|&body| Some(body));
+                    named.chain((!of_each).then_some(None)).map(move |body| Topic {
+                        member,
+                        channel,
+                        body,
+                    })
+                }
+            })
         });
         let topics: Vec<Topic> = of_members.collect();
         let syncer = Syncer::new(part_file.clone(), path);
-        let turns = |topic: &Topic| matches!(topic.channel, Channel::State | Channel::Tf);
+        let turns = |topic: &Topic| {
+            matches!(topic.channel, Channel::State | Channel::BodyState | Channel::Tf)
+        };
         let mut log = Self {
             path: path.to_owned(),
             dimension: header.dimension,
@@ -255,6 +285,7 @@ impl LogWriter {
             rest: Rest::Removed,
             epoch_ns: header.epoch_ns,
             scene: header.scene.clone(),
+            bodies,
             samples_per_chunk: header
                 .samples_per_chunk
                 .min(MAX_CHUNK_BYTES / 2 / sample_bytes.max(1))
@@ -269,7 +300,13 @@ impl LogWriter {
             curves: Curves::default(),
         };
         let start = log.time(0.0)?;
-        log.attempt(|writer| writer.container().metadata(JOB_RECORD, &header.job))?;
+        let mut job = Cow::Borrowed(&header.job);
+        if !log.bodies.is_empty() {
+            let names: Vec<&str> = log.bodies.iter().map(BodyName::as_str).collect();
+            let names = serde_json::Value::from(names).to_string();
+            job.to_mut().insert(BODIES_ENTRY.to_owned(), names);
+        }
+        log.attempt(|writer| writer.container().metadata(JOB_RECORD, &job))?;
         if let Some(scenario) = &header.scenario_json {
             log.attach(start, SCENARIO_ATTACHMENT, "application/json", scenario)?;
         }
@@ -408,7 +445,15 @@ impl LogWriter {
         time_ns: u64,
         message: &impl Message,
     ) -> Result<(), LogError> {
-        let topic = Topic::from(channel);
+        self.put_on(channel.into(), time_ns, message)
+    }
+
+    fn put_on(
+        &mut self,
+        topic: Topic,
+        time_ns: u64,
+        message: &impl Message,
+    ) -> Result<(), LogError> {
         if let Some(at) = self.topics.iter().position(|of| *of == topic) {
             self.put_at(at, time_ns, self.samples as u32, |out| encode(message, out))?;
         }
@@ -540,26 +585,52 @@ impl LogWriter {
         sample: &Sample<N>,
     ) -> Result<(), LogError> {
         assert_eq!(N, self.dimension, "a log is of one dimension");
+        let attitude = sample.attitude.as_ref().filter(|_| self.shows_turns);
         let seen = SampleSeen {
             step: sample.step,
             time_s: sample.time_s,
             finite: sample.is_finite(),
-            quaternion: sample
-                .attitude
-                .as_ref()
-                .filter(|_| self.shows_turns)
-                .and_then(messages::quaternion),
+            poses: &[(attitude.and_then(messages::quaternion), [0.0; 3])],
         };
-        let message = |channel, turn| SampleMessage::of_sample(channel, sample, turn);
+        let message = |channel, _, turn| SampleMessage::of_sample(channel, sample, turn);
         self.record_seen(member, seen, &message)
+    }
+
+    /// Takes a sample of several bodies.
+    ///
+    /// # Errors
+    /// If it holds values that a log cannot hold, or the file cannot be written.
+    ///
+    /// # Panics
+    /// If it is of another dimension than the log, or of another number of bodies.
+    pub fn record_bodies<const N: usize>(
+        &mut self,
+        sample: &bodies::Sample<N>,
+    ) -> Result<(), LogError> {
+        assert_eq!(N, self.dimension, "a log is of one dimension");
+        assert_eq!(sample.bodies.len(), self.bodies.len(), "the bodies of a log stay");
+        let shows_turns = self.shows_turns;
+        let poses = sample.bodies.iter().map(|body| {
+            let turn = shows_turns.then(|| messages::quaternion(&body.attitude)).flatten();
+            let place = body.position.as_slice();
+            (turn, std::array::from_fn(|i| place.get(i).copied().unwrap_or_default()))
+        });
+        let seen = SampleSeen {
+            step: sample.step,
+            time_s: sample.time_s,
+            finite: sample.is_finite(),
+            poses: &poses.collect::<Vec<_>>(),
+        };
+        let message = |channel, body, turn| SampleMessage::of_bodies(channel, body, sample, turn);
+        self.record_seen(0, seen, &message)
     }
 
     /// Does the same, compiled once for all dimensions.
     fn record_seen(
         &mut self,
         member: u64,
-        sample: SampleSeen,
-        message: &dyn Fn(Channel, Option<[f64; 4]>) -> Option<SampleMessage>,
+        sample: SampleSeen<'_>,
+        message: &dyn Fn(Channel, usize, Option<[f64; 4]>) -> Option<SampleMessage>,
     ) -> Result<(), LogError> {
         let time_ns = self.time(sample.time_s)?;
         if time_ns < self.last_ns {
@@ -574,32 +645,53 @@ impl LogWriter {
         }
         // The sample's number; it wraps, as the format's counter does.
         let sequence = self.samples as u32;
-        let before = self.turns.get(&member).copied();
-        let turn = sample.quaternion.map(|found| messages::nearer_sign(before, found));
-        self.turns.extend(turn.map(|turn| (member, turn)));
+        for (body, (found, _)) in sample.poses.iter().enumerate() {
+            let Some(found) = *found else { continue };
+            let before = self.turns.get(&(member, body)).copied();
+            self.turns.insert((member, body), messages::nearer_sign(before, found));
+        }
+        // The number of the next body, on a channel of each.
+        let mut next = 0;
         for i in 0..self.topics.len() {
             let topic = self.topics[i];
             if topic.member != member {
                 continue;
             }
+            let body = if topic.body.is_some() { next } else { 0 };
+            next = if topic.body.is_some() { (next + 1) % self.bodies.len() } else { 0 };
             if topic.channel == Channel::Tf {
-                if let Some(turn) = turn {
-                    // Moving objects move alike for all members.
-                    let sources = if member == 0 {
-                        self.scene.frames(sample.time_s, time_ns)
-                    } else {
-                        Vec::new()
-                    };
-                    let frames = messages::frames(turn, time_ns, &body_frame(member), sources);
+                let frames = self.frames(member, &sample, time_ns);
+                if !frames.transforms.is_empty() {
                     self.put_at(i, time_ns, sequence, |out| encode(&frames, out))?;
                 }
-            } else if let Some(message) = message(topic.channel, turn) {
+                continue;
+            }
+            let turn = sample.poses.get(body).and_then(|(found, _)| *found);
+            let turn = turn.and(self.turns.get(&(member, body)).copied());
+            if let Some(message) = message(topic.channel, body, turn) {
                 self.curves.note(topic, time_ns - self.epoch_ns, &message);
                 self.put_at(i, time_ns, sequence, |out| message.encode(out))?;
             }
         }
         self.samples += 1;
         Ok(())
+    }
+
+    /// Returns the frames of a sample: of the bodies that have a quaternion, and behind them of what moves around them; none
+    /// without such a body.
+    fn frames(&self, member: u64, sample: &SampleSeen<'_>, time_ns: u64) -> FrameTransforms {
+        let frame = |(body, (found, place)): (usize, &Pose)| {
+            let turn = found.and(self.turns.get(&(member, body)).copied())?;
+            let name = self.bodies.get(body).map(BodyName::as_str);
+            let name = name.map_or_else(|| body_frame(member), Cow::Borrowed);
+            Some(messages::frame(turn, *place, time_ns, &name))
+        };
+        let mut transforms: Vec<_> = sample.poses.iter().enumerate().filter_map(frame).collect();
+        // Moving objects move alike for all members.
+        if member == 0 && !transforms.is_empty() {
+            transforms.extend(self.scene.frames(sample.time_s, time_ns));
+        }
+        FrameTransforms { transforms }
     }
 
     /// Adds how a member of an ensemble began and ended; its time is that of the whole run.
@@ -631,12 +723,16 @@ fn encode(message: &impl Message, out: &mut Vec<u8>) {
     message.encode(out).expect("a vector has room");
 }
 
+/// Quaternion of a body, where messages show one, and its place in space.
+type Pose = (Option<[f64; 4]>, [f64; 3]);
+
 /// Parts of a sample that the writer looks at.
-struct SampleSeen {
+struct SampleSeen<'a> {
     step: u64,
     time_s: f64,
     finite: bool,
-    quaternion: Option<[f64; 4]>,
+    /// Of the body, or of several.
+    poses: &'a [Pose],
 }
 
 impl<const N: usize> Sink<N> for LogWriter {

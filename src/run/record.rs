@@ -202,6 +202,7 @@ impl Recording {
             epoch_ns: self.epoch_ns,
             channels: self.channels.clone(),
             members: vec![0],
+            bodies: Vec::new(),
             compression: self.compression,
             samples_per_chunk: SAMPLES_PER_CHUNK,
             scenario_json: None,

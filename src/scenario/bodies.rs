@@ -16,6 +16,7 @@ use super::{
     Attitude, Framed, Inertia, Initial, MethodName, PotentialTerm, Scenario, ScenarioError, Scene,
     SolverKind, Steps,
 };
+use crate::log::schema::BodyName;
 use crate::method::Integrator;
 
 /// Name of what does not move, the parent of a body that a joint holds at a point of space.
@@ -325,8 +326,18 @@ impl Bodies {
             let name = &body.name;
             let pointer = format!("{at}/{i}/name");
             is_name(&pointer, name)?;
-            ensure(names.insert(name), pointer, || {
+            ensure(names.insert(name.as_str()), pointer, || {
                 format!("`{name}` given, which an earlier body is named")
+            })?;
+        }
+        for (i, body) in self.bodies.iter().enumerate() {
+            let name = &body.name;
+            let other = name.strip_suffix("_angular").filter(|other| names.contains(other));
+            ensure(other.is_none(), format!("{at}/{i}/name"), || {
+                let other = other.unwrap_or_default();
+                format!(
+                    "`{name}` given next to `{other}`: in tables, the velocity of one and the angular velocity of the other would have one name"
+                )
             })?;
         }
         let n = self.dimension()?;
@@ -534,10 +545,9 @@ impl Body {
 }
 
 fn is_name(pointer: &str, name: &str) -> Check {
-    let of_letters = name.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'_' || c == b'-')
-        && name.bytes().next().is_some_and(|c| c.is_ascii_alphabetic());
-    ensure(of_letters && name.len() <= 40, pointer, || {
-        format!("`{name}` given; a name is 1 to 40 letters, digits, _ or -, a letter first")
+    ensure(BodyName::of(name).is_some(), pointer, || {
+        let most = BodyName::MOST;
+        format!("`{name}` given; a name is 1 to {most} letters, digits, _ or -, a letter first")
     })?;
     ensure(name != SPACE, pointer, || {
         format!("`{SPACE}` given, which names what does not move; another name is needed")

@@ -431,6 +431,13 @@ fn log(scenario: &Scenario, n: usize) -> Check {
             ensure(!channel.needs_three() || n == 3, pointer.clone(), || {
                 format!("is for n = 3, this body has n = {n}")
             })?;
+            let several = scenario.bodies().is_some();
+            ensure(!channel.needs_one_body() || !several, pointer.clone(), || {
+                "is for scenes of one body; of several, each has /bodies/*/state".into()
+            })?;
+            ensure(!channel.needs_several_bodies() || several, pointer.clone(), || {
+                "is for scenes of several bodies, this one has one".into()
+            })?;
             ensure(
                 !channel.needs_ensemble() || scenario.ensemble.is_some(),
                 pointer.clone(),

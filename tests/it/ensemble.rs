@@ -14,7 +14,7 @@ use vpd::log::messages::{Energy, EnsembleStatistics, Member, State};
 use vpd::log::part_path;
 use vpd::log::reader::{self, Item};
 use vpd::log::resume::last_checkpoint;
-use vpd::log::schema::{Channel, Topic};
+use vpd::log::schema::{BodyName, Channel, Topic};
 use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
@@ -69,7 +69,7 @@ fn contents(log: &Path) -> Contents {
     let mut found = Contents::default();
     let ending = reader::read(log, |item| {
         if let Item::Message { topic, data, time_ns, .. } = item {
-            let Topic { member, channel } = Topic::parse(topic).expect("a topic of ours");
+            let Topic { member, channel, .. } = Topic::parse(topic).expect("a topic of ours");
             found.times.push(time_ns);
             match channel {
                 Channel::EnsembleMembers => found.members.push(Member::decode(data).expect("ours")),
@@ -202,10 +202,10 @@ fn the_points_on_the_way_of_a_member_keep_the_extremes_of_its_samples() {
     let read = reader::read(&log, |item| {
         if let Item::Message { topic, data, .. } = item {
             match Topic::parse(topic).expect("a topic of ours") {
-                Topic { member: 3, channel: Channel::State } => {
+                Topic { member: 3, channel: Channel::State, .. } => {
                     states.push(State::decode(data).expect("ours"));
                 }
-                Topic { member: 3, channel: Channel::Energy } => {
+                Topic { member: 3, channel: Channel::Energy, .. } => {
                     errors.push(Energy::decode(data).expect("ours").error);
                 }
                 _ => {}
@@ -361,7 +361,8 @@ fn an_ensemble_is_interrupted_and_cancelled_as_any_run() {
 fn topics_of_members_are_read_as_they_are_written() {
     for member in [0, 1, 99_999] {
         for channel in Channel::all() {
-            let topic = Topic { member, channel };
+            let body = channel.is_of_each_body().then_some("mast-2_b").and_then(BodyName::of);
+            let topic = Topic { member, channel, body };
             assert_eq!(Topic::parse(&topic.name()), Some(topic));
         }
     }
@@ -373,6 +374,12 @@ fn topics_of_members_are_read_as_they_are_written() {
         "/members/3",
         "/members/3/",
         "/imu",
+        "/bodies/*/state",
+        "/bodies//state",
+        "/bodies/2nd/state",
+        "/bodies/a/b/state",
+        "/bodies/mast/energy",
+        "/scene/bodies/a.b",
     ] {
         assert_eq!(Topic::parse(name), None, "{name}");
     }

@@ -1,5 +1,7 @@
 //! Runs whose samples stay in memory, and runs that their caller steps: the states of a log, to the bit.
 
+use std::borrow::Cow;
+
 use vpd::advise;
 use vpd::log::columns::{Columns, Values};
 use vpd::run::{self, Advanced, Control, JobContext, Outcome, RunError, Simulation};
@@ -20,7 +22,7 @@ fn shipped(name: &str, steps: u64) -> Scenario {
 }
 
 /// Returns the numbers of some columns as they are stored: a NaN is one there, too.
-fn bits(columns: Columns) -> Vec<(&'static str, Vec<u64>)> {
+fn bits(columns: Columns) -> Vec<(Cow<'static, str>, Vec<u64>)> {
     let all = columns.into_all().into_iter();
     all.map(|(name, values)| match values {
         Values::Numbers { values, .. } => (name, values.iter().map(|x| x.to_bits()).collect()),

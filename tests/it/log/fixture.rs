@@ -74,8 +74,12 @@ pub(super) fn header() -> LogHeader {
     LogHeader {
         dimension: 3,
         epoch_ns: EPOCH_NS,
-        channels: Channel::all().into_iter().filter(|channel| !channel.needs_ensemble()).collect(),
+        channels: Channel::all()
+            .into_iter()
+            .filter(|channel| !channel.needs_ensemble() && !channel.needs_several_bodies())
+            .collect(),
         members: vec![0],
+        bodies: Vec::new(),
         compression: Compression::Zstd,
         samples_per_chunk: 10,
         scenario_json: Some(b"{\"name\":\"dipole\"}".to_vec()),
