@@ -14,7 +14,6 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 mod background;
-pub mod bodies;
 pub mod columns;
 mod container;
 pub mod course;

@@ -183,7 +183,7 @@ impl From<LogError> for RunError {
 /// interrupted: then an unfinished one is.
 pub fn execute(plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunError> {
     if !plan.bodies.is_empty() {
-        return assembled_bodies(plan, BodiesRun { plan, context });
+        return assembled_bodies(plan, BodiesRun { plan, context, kept: Kept::Log });
     }
     assembled(plan, Run { plan, context, kept: Kept::Log })
 }
@@ -196,14 +196,15 @@ pub fn collect(plan: &Plan, control: &Control) -> Result<(Summary, Columns), Run
     if plan.ensemble.is_some() {
         return Err(RunError::Invalid("an ensemble needs a log for its members".to_owned()));
     }
-    if !plan.bodies.is_empty() {
-        return Err(RunError::Invalid("several bodies need a log for their samples".to_owned()));
-    }
     let channels = plan.channels.iter().map(|channel| channel.topic).collect();
     let mut columns = Columns::new(channels, plan.asked.epoch_ns(), plan.samples);
     let context = JobContext { log: Path::new(""), control };
-    let summary =
-        assembled(plan, Run { plan, context: &context, kept: Kept::Memory(&mut columns) })?;
+    let kept = Kept::Memory(&mut columns);
+    let summary = if plan.bodies.is_empty() {
+        assembled(plan, Run { plan, context: &context, kept })
+    } else {
+        assembled_bodies(plan, BodiesRun { plan, context: &context, kept })
+    }?;
     Ok((summary, columns))
 }
 
@@ -416,6 +417,35 @@ impl<'a> Recorder<'a> {
     }
 }
 
+impl Recorder<'_> {
+    /// Is a checkpoint wanted after the last sample?
+    fn is_checkpoint_due(&self) -> bool {
+        match &self.keep {
+            Keep::Log(writer) => writer.wants_checkpoint(),
+            Keep::Memory { samples_per_chunk, in_chunk, .. } => in_chunk == samples_per_chunk,
+        }
+    }
+
+    /// Keeps a checkpoint, which is made only for a log.
+    fn keep_checkpoint(
+        &mut self,
+        checkpoint: impl FnOnce() -> messages::Checkpoint,
+    ) -> Result<(), RunError> {
+        match &mut self.keep {
+            Keep::Memory { in_chunk, .. } => {
+                *in_chunk = 0;
+                Ok(())
+            }
+            Keep::Log(writer) => {
+                let begun = Instant::now();
+                let result = writer.checkpoint(&checkpoint());
+                self.elsewhere += begun.elapsed();
+                Ok(result?)
+            }
+        }
+    }
+}
+
 impl<const N: usize> Sink<N> for Recorder<'_> {
     type Error = RunError;
 
@@ -449,25 +479,12 @@ impl<const N: usize> Sink<N> for Recorder<'_> {
     }
 
     fn wants_checkpoint(&self) -> bool {
-        match &self.keep {
-            Keep::Log(writer) => writer.wants_checkpoint(),
-            Keep::Memory { samples_per_chunk, in_chunk, .. } => in_chunk == samples_per_chunk,
-        }
+        self.is_checkpoint_due()
     }
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint<N>) -> Result<(), RunError> {
-        match &mut self.keep {
-            Keep::Memory { in_chunk, .. } => {
-                *in_chunk = 0;
-                Ok(())
-            }
-            Keep::Log(writer) => {
-                let begun = Instant::now();
-                let result = writer.checkpoint(&messages::Checkpoint::of(checkpoint, self.figures));
-                self.elsewhere += begun.elapsed();
-                Ok(result?)
-            }
-        }
+        let figures = self.figures;
+        self.keep_checkpoint(|| messages::Checkpoint::of(checkpoint, figures))
     }
 }
 
@@ -525,7 +542,7 @@ fn header(plan: &Plan) -> LogHeader {
         epoch_ns: scenario.epoch_ns(),
         channels: plan.channels.iter().map(|channel| channel.topic).collect(),
         members: plan.ensemble.as_ref().map_or(vec![0], |ensemble| ensemble.in_full.clone()),
-        bodies: Vec::new(),
+        bodies: geometry::bodies(plan),
         compression: scenario.log.compression,
         samples_per_chunk: plan.samples_per_chunk,
         scenario_json: Some(scenario.to_json()),

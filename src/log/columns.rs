@@ -6,12 +6,12 @@ use std::borrow::Cow;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use super::bodies;
 use super::messages::{self, Message, Row};
 use super::reader::Ending;
 use super::rows::read_rows;
 use super::schema::{BodyName, Channel};
 use super::{LogError, log_time};
+use crate::solve::bodies::trajectory as bodies;
 use crate::solve::so::Mat;
 use crate::solve::trajectory::Sample;
 

@@ -7,9 +7,9 @@ use prost::Message as _;
 
 use foxglove::messages::{FrameTransform, FrameTransforms, Quaternion, Vector3};
 
-use super::bodies;
 use super::field::Field;
 use super::schema::{BodyName, Channel, Topic, timestamp};
+use crate::solve::bodies::trajectory as bodies;
 use crate::solve::control;
 use crate::solve::nonlinear::{Convergence, Rung};
 pub use crate::solve::so::quaternion;

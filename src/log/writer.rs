@@ -18,7 +18,6 @@ use foxglove::messages::{FrameTransforms, Log};
 use prost::Message;
 
 use super::background::{ChunkWriter, Refusal, WriterThread};
-use super::bodies;
 use super::container::{Catalog, Chunk, Container};
 use super::end::End;
 use super::messages::{self, EnsembleStatistics, Figures, Member, Message as SampleMessage};
@@ -30,6 +29,7 @@ use super::{
     BODIES_ENTRY, CHECKPOINT_OPCODE, JOB_RECORD, LogError, MAX_CHUNK_BYTES, OUTCOME_RECORD,
     SCENARIO_ATTACHMENT, is_transient,
 };
+use crate::solve::bodies::trajectory as bodies;
 use crate::solve::state::Checkpoint;
 use crate::solve::trajectory::{Sample, Sink};
 

@@ -224,7 +224,7 @@ pub(super) fn rungs(kind: SolverKind) -> Rungs {
 }
 
 /// Returns the inertia matrix in body coordinates: `J = tr(D) I - D` for second moments D.
-pub(super) fn inertia_matrix(inertia: &Inertia) -> DMatrix<f64> {
+pub(crate) fn inertia_matrix(inertia: &Inertia) -> DMatrix<f64> {
     match inertia {
         Inertia::Principal(moments) => DMatrix::from_diagonal(&DVector::from_column_slice(moments)),
         Inertia::Matrix(matrix) => rows(matrix),

@@ -8,20 +8,20 @@ use std::time::{Duration, Instant};
 
 use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Outcome, Tried};
 use super::{
-    Asked, Control, End, JobContext, Patience, Reached, RunError, Summary, begin_log, finish,
+    Asked, End, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary, finish,
     header,
 };
 use crate::assemble::{BodiesAssembly, BodiesTask};
-use crate::log::course::{Course, LogChart};
-use crate::log::log_time;
-use crate::log::messages::{self, Figures};
-use crate::log::writer::LogWriter;
+use crate::log::course::LogChart;
+use crate::log::messages;
+use crate::log::schema::BodyName;
+use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{SMALLEST_STEP_S, Scenario};
 use crate::solve::bodies::trajectory::{
-    self, BodiesStepper, BodySample, Checkpoint, Ending, Sample, Sink, Trajectory,
+    self, BodiesStepper, BodySample, Checkpoint, Course, Ending, Sample, Sink, Trajectory,
 };
-use crate::solve::bodies::{Bodies, BodiesState, trajectory::Course as Way};
+use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::failure::{Failure, two_digits};
 use crate::solve::so::{self, Mat};
 use crate::solve::work::Work;
@@ -30,39 +30,34 @@ use crate::solve::work::Work;
 pub(super) struct BodiesRun<'a> {
     pub(super) plan: &'a Plan,
     pub(super) context: &'a JobContext<'a>,
+    pub(super) kept: Kept<'a>,
 }
 
 impl BodiesTask for BodiesRun<'_> {
     type Output = Result<Summary, RunError>;
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
-        let Self { plan, context } = self;
+        let Self { plan, context, kept } = self;
         let BodiesAssembly { bodies, mut stepper, initial } = assembly;
         let control = context.control;
         let begun = Instant::now();
-        let header = header(plan);
-        let mut course = Course::default();
-        let stopped = || control.interrupted.load(Ordering::Relaxed);
-        let resumed =
-            LogWriter::resume(context.log, &header, &mut |seen| course.note_seen(&seen), &stopped)?;
-        let (writer, figures, checkpoint) = match resumed {
-            Some((writer, found)) => (writer, found.figures.unwrap_or_default(), found.of_bodies()),
-            None => {
-                course = Course::default();
-                (begin_log(context, &header)?, Figures::default(), None)
-            }
+        let (recorder, checkpoint) = match kept {
+            Kept::Log => Recorder::open(context, &header(plan))?,
+            Kept::Memory(columns) => (Recorder::in_memory(plan, columns, control), None),
         };
+        let checkpoint = checkpoint.and_then(|found| found.bodies());
         let resumed_step = checkpoint.as_ref().map_or(0, |found| found.step);
         control.resumed_step.store(resumed_step, Ordering::Relaxed);
-        let epoch_ns = header.epoch_ns;
-        let mut recorder =
-            Recorder { writer, figures, course, epoch_ns, control, elsewhere: Duration::ZERO };
+        let names = plan.bodies.iter().filter_map(|body| BodyName::of(&body.name)).collect();
+        let mut sink = Several { recorder, names };
         let Plan { step_s, steps, every, .. } = *plan;
-        let way = Way { initial: &initial, checkpoint: checkpoint.as_ref(), step_s, steps, every };
+        let way =
+            Course { initial: &initial, checkpoint: checkpoint.as_ref(), step_s, steps, every };
         let integrating = Instant::now();
-        let end = trajectory::integrate(&bodies, stepper.as_mut(), way, &mut recorder, |steps| {
+        let end = trajectory::integrate(&bodies, stepper.as_mut(), way, &mut sink, |steps| {
             control.go_on(steps)
         });
+        let Several { recorder, .. } = sink;
         let cut_off = match &end {
             Ok(end) => {
                 end.ending == Ending::Cancelled && !control.cancelled.load(Ordering::Relaxed)
@@ -70,7 +65,7 @@ impl BodiesTask for BodiesRun<'_> {
             Err(error) => matches!(error, RunError::Interrupted),
         };
         if cut_off {
-            recorder.writer.leave();
+            recorder.keep.leave();
             return Err(RunError::Interrupted);
         }
         let Trajectory { ending, reached } = end?;
@@ -89,7 +84,7 @@ impl BodiesTask for BodiesRun<'_> {
         };
         // Stopping the search for a smaller step stops the run before the step that failed.
         if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
-            recorder.writer.leave();
+            recorder.keep.leave();
             return Err(RunError::Interrupted);
         }
         let (outcome, diagnosis) = match diagnosis {
@@ -100,9 +95,10 @@ impl BodiesTask for BodiesRun<'_> {
         let energy = energy_at_the_ends(&bodies, &initial, &last);
         let reached = Reached::of_bodies(&reached, final_state(plan, &bodies, &last));
         let end = End { outcome, reached, diagnosis, stopped: None, ensemble: None, energy };
-        let Recorder { writer, figures, course, .. } = recorder;
+        let Recorder { keep, figures, course, .. } = recorder;
         let steps_done = end.reached.step;
-        let summary = finish(Asked::of(plan), context.log, Some(writer), (&figures, &course), end)?;
+        let summary =
+            finish(Asked::of(plan), context.log, keep.writer(), (&figures, &course), end)?;
         Ok(Summary {
             resumed_step,
             ns_per_step: inside.as_nanos() as f64 / (steps_done - resumed_step).max(1) as f64,
@@ -124,7 +120,7 @@ impl BodiesTask for LeftBodies<'_> {
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
         let BodiesAssembly { bodies, initial, .. } = assembly;
-        let found = self.checkpoint.and_then(messages::Checkpoint::of_bodies).unwrap_or_default();
+        let found = self.checkpoint.and_then(messages::Checkpoint::bodies).unwrap_or_default();
         let last = initial.with_numbers(&found.numbers).unwrap_or_else(|| initial.clone());
         let energy = energy_at_the_ends(&bodies, &initial, &last);
         (Reached::of_bodies(&found, final_state(self.plan, &bodies, &last)), energy)
@@ -165,51 +161,58 @@ fn energy_at_the_ends<const N: usize>(
     Some(EnergySeen::between(at(start)?, at(end)?))
 }
 
-/// Passes samples on, keeps their figures, and measures the time that is not the integrator's.
-struct Recorder<'a> {
-    writer: LogWriter,
-    figures: Figures,
-    course: Course,
-    epoch_ns: u64,
-    control: &'a Control,
-    elsewhere: Duration,
+/// Passes the samples of several bodies on.
+struct Several<'a> {
+    recorder: Recorder<'a>,
+    names: Vec<BodyName>,
 }
 
-impl<const N: usize> Sink<N> for Recorder<'_> {
+impl<const N: usize> Sink<N> for Several<'_> {
     type Error = RunError;
 
     fn record(&mut self, sample: &Sample<N>) -> Result<(), RunError> {
+        let Self { recorder, names } = self;
         // The last sample of a run that is cut off here has no place in the log of the whole.
-        if self.control.interrupted.load(Ordering::Relaxed) {
+        if recorder.control.interrupted.load(Ordering::Relaxed) {
             return Err(RunError::Interrupted);
         }
         let begun = Instant::now();
-        self.figures.keep_bodies(sample);
-        // The writer refuses a time that a log cannot hold.
-        if let Some(time_ns) = log_time(self.epoch_ns, sample.time_s) {
-            if let Some(error) = sample.energy_error {
-                self.course.note(time_ns, LogChart::Energy, error);
+        recorder.figures.keep_bodies(sample);
+        let epoch_ns = recorder.epoch_ns;
+        let result = match &mut recorder.keep {
+            Keep::Memory { columns, in_chunk, .. } => {
+                *in_chunk += 1;
+                let Sample { time_s, .. } = *sample;
+                let held = columns.record_bodies(names, sample);
+                if held { Ok(()) } else { Err(LogError::Time { time_s, epoch_ns }) }
             }
-            if let Some(error) = sample.orthogonality_error {
-                self.course.note(time_ns, LogChart::Orthogonality, error);
+            Keep::Log(writer) => {
+                // The writer refuses a time that a log cannot hold.
+                if let Some(time_ns) = log_time(epoch_ns, sample.time_s) {
+                    let course = &mut recorder.course;
+                    if let Some(error) = sample.energy_error {
+                        course.note(time_ns, LogChart::Energy, error);
+                    }
+                    if let Some(error) = sample.orthogonality_error {
+                        course.note(time_ns, LogChart::Orthogonality, error);
+                    }
+                }
+                let result = writer.record_bodies(sample);
+                recorder.control.note_durable(writer);
+                result
             }
-        }
-        let result = self.writer.record_bodies(sample);
-        self.control.note_durable(&self.writer);
-        self.elsewhere += begun.elapsed();
+        };
+        recorder.elsewhere += begun.elapsed();
         Ok(result?)
     }
 
     fn wants_checkpoint(&self) -> bool {
-        self.writer.wants_checkpoint()
+        self.recorder.is_checkpoint_due()
     }
 
     fn checkpoint(&mut self, checkpoint: &Checkpoint) -> Result<(), RunError> {
-        let begun = Instant::now();
-        let message = messages::Checkpoint::of_several(checkpoint, self.figures);
-        let result = self.writer.checkpoint(&message);
-        self.elsewhere += begun.elapsed();
-        Ok(result?)
+        let figures = self.recorder.figures;
+        self.recorder.keep_checkpoint(|| messages::Checkpoint::of_bodies(checkpoint, figures))
     }
 }
 
@@ -218,7 +221,7 @@ impl<const N: usize> Sink<N> for Recorder<'_> {
 fn advised<const N: usize>(
     bodies: &Bodies<N>,
     stepper: &mut dyn BodiesStepper<N>,
-    way: &Way<'_, N>,
+    way: &Course<'_, N>,
     reached: &Checkpoint,
     asked: &Scenario,
 ) -> Advised {

@@ -2,14 +2,18 @@
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
-use crate::log::scene::{Marker, Mover, SceneGeometry, Sign};
-use crate::plan::{ModelKinetic, Plan, driven_term};
-use crate::scenario::{Drawn, DrivenTerm};
+use crate::log::scene::{BodyHeader, Marker, Mover, SceneGeometry, Sign};
+use crate::log::schema::BodyName;
+use crate::plan::{ModelKinetic, Plan, driven_term, inertia_matrix};
+use crate::scenario::{Bodies, Body, Drawn, DrivenTerm, Interaction, Joint, PairLaw};
 
 /// Returns the drawing of a scene; empty unless n = 3.
 pub(super) fn scene(plan: &Plan) -> SceneGeometry {
     if plan.dimension != 3 {
         return SceneGeometry::default();
+    }
+    if let Some(bodies) = plan.settled.bodies() {
+        return surroundings(bodies);
     }
     let (box_size, box_axes) = inertia_box(&plan.model.kinetic);
     let mut scene = SceneGeometry { box_size, box_axes, ..SceneGeometry::default() };
@@ -40,6 +44,70 @@ pub(super) fn scene(plan: &Plan) -> SceneGeometry {
         }
     }
     scene
+}
+
+/// Returns what stands in space around several bodies: anchors, charges, directions.
+fn surroundings(scene: &Bodies) -> SceneGeometry {
+    let mut drawn = SceneGeometry::default();
+    for term in &scene.potential {
+        let Interaction::On { term, .. } = term else { continue };
+        let Drawn { position, direction, charge, .. } = term.law().drawn();
+        let marker = |point: &[f64]| Marker { position: three(point), sign: sign(charge) };
+        drawn.space_points.extend(position.map(marker));
+        if let Some(direction) = direction.map(three)
+            && !drawn.directions.contains(&direction)
+        {
+            drawn.directions.push(direction);
+        }
+    }
+    drawn
+}
+
+/// Returns the drawing of each of several bodies; without a box unless n = 3.
+pub(super) fn bodies(plan: &Plan) -> Vec<BodyHeader> {
+    let Some(scene) = plan.settled.bodies() else { return Vec::new() };
+    let named = scene.bodies.iter().filter_map(|body| Some((body, BodyName::of(&body.name)?)));
+    let header = |(body, name): (&Body, BodyName)| {
+        let (box_size, box_axes) = if plan.dimension == 3 {
+            let inertia = inertia_matrix(&body.inertia);
+            inertia_box(&ModelKinetic::Tensor { inertia: Matrix3::from_fn(|i, j| inertia[(i, j)]) })
+        } else {
+            ([0.0; 3], [1.0, 0.0, 0.0, 0.0])
+        };
+        let mass = body.mass.filter(|_| body.pivot.is_none());
+        // Edges of a body of unit mass: those of its own are shorter by the root of its mass.
+        let box_size = box_size.map(|edge| edge / mass.unwrap_or(1.0).sqrt());
+        let mut points = Vec::new();
+        let mut mark = |point: &[f64], charge: f64| {
+            if plan.dimension == 3 {
+                points.push(Marker { position: three(point), sign: sign(charge) });
+            }
+        };
+        for term in &scene.potential {
+            match term {
+                Interaction::On { body: at, term } if *at == body.name => {
+                    let Drawn { body_point, charge, .. } = term.law().drawn();
+                    body_point.into_iter().for_each(|point| mark(point, charge));
+                }
+                Interaction::Between { between, law } => {
+                    let (points, charge) = match law {
+                        PairLaw::Spring(spring) => (&spring.points, 0.0),
+                        PairLaw::PointSource(source) => (&source.points, source.strength),
+                        PairLaw::MutualGravity(_) => continue,
+                    };
+                    let own = between.iter().zip(points).filter(|(at, _)| **at == body.name);
+                    own.for_each(|(_, point)| mark(point, charge));
+                }
+                Interaction::On { .. } => {}
+            }
+        }
+        for Joint { between, points, .. } in &scene.joints {
+            let own = between.iter().zip(points).filter(|(at, _)| **at == body.name);
+            own.for_each(|(_, point)| mark(point, 0.0));
+        }
+        BodyHeader { name, box_size, box_axes, points }
+    };
+    named.map(header).collect()
 }
 
 fn sign(charge: f64) -> Sign {

@@ -8,7 +8,6 @@ use foxglove::messages::{FrameTransforms, SceneUpdate};
 use prost::Message as _;
 use vpd::diff::{Quantity, diff};
 use vpd::export::{Choice, Format, export};
-use vpd::log::bodies::{BodySample, Checkpoint, Sample};
 use vpd::log::columns::{Columns, Values};
 use vpd::log::inspect::inspect;
 use vpd::log::messages::{self, Figures};
@@ -20,6 +19,7 @@ use vpd::log::writer::{LogHeader, LogWriter, Outcome};
 use vpd::solve::nonlinear::{Convergence, Rung};
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::system::Energy;
+use vpd_solve::bodies::trajectory::{BodySample, Checkpoint, Sample};
 
 const NAMES: [&str; 2] = ["mast", "primary-2"];
 const EPOCH_NS: u64 = 1_767_225_600_000_000_000;
