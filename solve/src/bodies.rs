@@ -242,9 +242,15 @@ impl<const N: usize> Forces<N> {
         }
     }
 
-    /// Adds the torque `force wedge arm` to a body.
+    /// Adds the torque `force wedge arm` to a body: here `force arm^T`, of which [`Forces::torques`] is made.
+    #[inline]
     fn twist(&mut self, body: usize, force: &Vector<N>, arm: &Vector<N>) {
-        self.torques[body] += so::wedge(force, arm);
+        let torque = &mut self.torques[body];
+        for j in 0..N {
+            for i in 0..N {
+                torque[(i, j)] += force[i] * arm[j];
+            }
+        }
         self.sizes[body] += force.amax() * arm.amax();
     }
 }
@@ -462,6 +468,7 @@ impl<const N: usize> Bodies<N> {
                 }
             }
         }
+        forces.torques.iter_mut().for_each(|torque| *torque = so::asym(torque));
         for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
             self.inertial_torques(tree, at, forces);
         }

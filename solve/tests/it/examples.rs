@@ -1,5 +1,7 @@
 //! The examples do what they say.
 
+#[path = "../../examples/chain.rs"]
+mod chain;
 #[path = "../../examples/close_encounter.rs"]
 mod close_encounter;
 #[path = "../../examples/custom_hamiltonian.rs"]
@@ -37,4 +39,10 @@ fn a_hamiltonian_of_ones_own() {
     // The method has order 4.
     let [small, ..] = custom_hamiltonian::run(0.05).expect("a run");
     assert!(large / small > 12.0, "{large:e} {small:e}");
+}
+
+#[test]
+fn a_chain_keeps_its_energy_and_its_joints() {
+    let [energy, gap] = chain::run().expect("a run");
+    assert!(energy < 1e-6 && gap < 5e-15, "{energy:e} {gap:e}");
 }

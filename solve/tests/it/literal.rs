@@ -33,6 +33,16 @@ fn adjoint_of_polar<const N: usize>(a: &Mat<N>, u: &Mat<N>, s: &Mat<N>) -> Mat<N
     u * lyapunov(&symmetric_part(&(u.transpose() * a)), s)
 }
 
+/// A law at the stages, as a step asks for it: the number of the stage, and what its unknowns are there.
+pub(crate) struct StageLaw<'a, const N: usize> {
+    /// dH/dmu(U_i, mu_i)
+    pub(crate) velocity: &'a dyn Fn(usize, &Mat<N>) -> Mat<N>,
+    /// dH/dg(U_i)
+    pub(crate) gradient: &'a dyn Fn(usize, &Mat<N>) -> Mat<N>,
+    /// Rounds of the iteration, and of the one within.
+    pub(crate) rounds: [usize; 2],
+}
+
 /// (g0, p0) -> (g1, p1), p the body momentum.
 pub(crate) fn step<const N: usize>(
     body: &RigidBody<N>,
@@ -40,6 +50,21 @@ pub(crate) fn step<const N: usize>(
     h: f64,
     start: &State<N>,
 ) -> State<N> {
+    let law = StageLaw {
+        velocity: &|_, mu| body.velocity(mu),
+        gradient: &|_, u| body.gradient(u),
+        rounds: [ROUNDS, INNER_ROUNDS],
+    };
+    step_and_stages(&law, tableau, h, start).0
+}
+
+/// The same for any law, and the attitudes of the stages.
+pub(crate) fn step_and_stages<const N: usize>(
+    law: &StageLaw<'_, N>,
+    tableau: &Tableau,
+    h: f64,
+    start: &State<N>,
+) -> (State<N>, Vec<Mat<N>>) {
     let stages = 0..tableau.stages();
     let (g0, p0) = (start.attitude, start.momentum);
     let (a, b) = (|i, j| tableau.a(i, j), |i| tableau.b(i));
@@ -50,9 +75,10 @@ pub(crate) fn step<const N: usize>(
     // The unknowns: mu_k, U_k, g1, Lambda.
     let (mut mu, mut u) = (vec![p0; stages.len()], vec![g0; stages.len()]);
     let (mut g1, mut lambda) = (g0, -p0 * 0.5);
-    for _ in 0..ROUNDS {
+    let [rounds, inner_rounds] = law.rounds;
+    for _ in 0..rounds {
         // (24f, vih6)  Omega_i = dH/dmu(U_i, mu_i)
-        let omega = each(&|i| body.velocity(&mu[i]));
+        let omega = each(&|i| (law.velocity)(i, &mu[i]));
         // (24c, vih3)  U_i = P(A_i),  A_i = g0 + h sum_j a_ij U_j Omega_j
         let inner = each(&|i| g0 + sum(&|j| u[j] * omega[j] * (h * a(i, j))));
         let next_u = each(&|i| polar(&inner[i]));
@@ -62,7 +88,7 @@ pub(crate) fn step<const N: usize>(
         // b_i (dH/dU(U_i, mu_i) - asym(U_i^T g1 Lambda Omega_i^T)): what the maps of (24a, vih1) and (24d, vih4) are
         // applied to, with its weight.
         let force = each(&|i| {
-            let bracket = body.gradient(&u[i])
+            let bracket = (law.gradient)(i, &u[i])
                 - asym(&(u[i].transpose() * g1 * lambda * omega[i].transpose()));
             bracket * b(i)
         });
@@ -70,7 +96,7 @@ pub(crate) fn step<const N: usize>(
         // The maps are linear: one solution for the forces of all stages is the sum of those for each.
         let adjoint = |s: &[Mat<N>]| each(&|l| adjoint_of_polar(&inner[l], &next_u[l], &s[l]));
         let mut s = force.clone();
-        for _ in 0..INNER_ROUNDS {
+        for _ in 0..inner_rounds {
             let image = adjoint(&s);
             s = each(&|j| {
                 let along = sum(&|l| image[l] * a(l, j));
@@ -93,6 +119,7 @@ pub(crate) fn step<const N: usize>(
         (u, g1) = (next_u, next_g1);
     }
     // (24e, vih5)  p1 = asym(g1^T (g0 + h sum_i b_i U_i Omega_i) Lambda^T)
-    let end = g0 + sum(&|i| u[i] * body.velocity(&mu[i]) * (h * b(i)));
-    State { attitude: g1, momentum: asym(&(g1.transpose() * end * lambda.transpose())) }
+    let end = g0 + sum(&|i| u[i] * (law.velocity)(i, &mu[i]) * (h * b(i)));
+    let momentum = asym(&(g1.transpose() * end * lambda.transpose()));
+    (State { attitude: g1, momentum }, u)
 }

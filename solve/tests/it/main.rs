@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout)]
 
 mod adaptive;
+mod bodies;
 mod control;
 mod counts;
 mod driven;
