@@ -465,7 +465,7 @@ fn thinned(rows: &[Difference], each: usize) -> Vec<Difference> {
 
 #[cfg(test)]
 mod tests {
-    use super::{Comparison, Difference, angle};
+    use super::{Comparison, Difference, QUANTITIES, angle};
 
     #[test]
     fn the_angle_is_that_of_the_rotation_between() {

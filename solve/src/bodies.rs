@@ -268,7 +268,8 @@ impl<const N: usize> Bodies<N> {
         for (a, body) in bodies.iter().enumerate() {
             inverses.push(inverse(&body.second_moments).ok_or(BodiesError::Inertia(a))?);
             let is_pinned = matches!(body.hold, Hold::Pivot(_));
-            if !is_pinned && !(body.mass_kg > 0.0 && body.mass_kg.is_finite()) {
+            let has_mass = body.mass_kg > 0.0 && body.mass_kg.is_finite();
+            if !is_pinned && !has_mass {
                 return Err(BodiesError::Mass(a));
             }
             let points = match &body.hold {

@@ -210,8 +210,12 @@ pub(super) fn plan(name: &str, plan: &Plan) -> String {
     for warning in &plan.warnings {
         line("warning", warning.clone());
     }
+    for body in &plan.bodies {
+        line("body", format!("{} is {}: {}", body.name, body.hold, body.why));
+    }
     if plan.potential.is_empty() {
-        line("potential", "none: a free body".to_owned());
+        let of = if plan.bodies.is_empty() { "a free body" } else { "nothing acts on the bodies" };
+        line("potential", format!("none: {of}"));
     }
     for term in &plan.potential {
         let verdict = if term.kept { "kept" } else { "dropped" };

@@ -6,11 +6,12 @@ use serde::Serialize;
 
 use super::model::{inertia_matrix, rungs, tableau, tableau_choice};
 use super::rotation::{attitude, rows, skew};
-use super::{FirstSteps, Formulation, Model, Plan, TermPlan, channels};
+use super::{ChannelPlan, FirstSteps, Formulation, Model, Plan, TermPlan, channels};
+use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
-    Bodies, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, Scenario, ScenarioError,
-    Solver,
+    Bodies, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, SPACE, Scenario,
+    ScenarioError, Solver,
 };
 use crate::solve::bodies::{self, BodiesState, Hold, Site, Start};
 use crate::solve::nonlinear::StopRule;
@@ -259,6 +260,19 @@ impl Plan {
                 BodyPlan { name: body.name.clone(), hold, why }
             })
             .collect();
+        plan.free_directions = conserved(scenario, scene);
+        for ChannelPlan { topic, computes } in &mut plan.channels {
+            *computes = match topic {
+                Channel::Momentum if plan.free_directions < 2 => {
+                    "the total momenta, angular about the origin and linear"
+                }
+                Channel::Momentum => {
+                    "the total momenta, angular about the origin and linear, and the drift of the conserved angular part"
+                }
+                Channel::Solver => "how the steps were solved",
+                _ => continue,
+            };
+        }
         plan.estimate(FirstSteps::default());
         Ok(plan)
     }
@@ -278,6 +292,22 @@ impl Plan {
             + jointed * jointed * JOINT_NS * size;
         (sweeps + 1.0) * self.formulation.stages as f64 * of_stage
     }
+}
+
+/// Returns the number of directions of space among which rotations of everything about the origin change nothing.
+fn conserved(scenario: &Scenario, scene: &Bodies) -> usize {
+    let mut vectors: Vec<&[f64]> = Vec::new();
+    vectors.extend(scene.bodies.iter().filter_map(|body| body.pivot.as_deref()));
+    for joint in scene.joints.iter().filter(|joint| joint.between[0] == SPACE) {
+        vectors.push(&joint.points[0]);
+    }
+    for term in &scene.potential {
+        if let Interaction::On { term, .. } = term {
+            vectors.push(term.law().space_vector());
+        }
+    }
+    let moved = vectors.into_iter().filter(|vector| vector.iter().any(|x| *x != 0.0));
+    super::free_directions(scenario.dimension(), moved)
 }
 
 /// Chooses the integrator.

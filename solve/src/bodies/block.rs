@@ -421,8 +421,8 @@ impl<R: StageScalar, D: Dimension> Sweep<'_, R, D> {
             Task::Momenta => self.momenta(),
             Task::Velocities => self.velocities(),
             Task::Turn => return self.turn(),
-            Task::ToSpace => self.to_space(),
-            Task::FromSpace => self.from_space(),
+            Task::ToSpace => self.attitudes_in_space(),
+            Task::FromSpace => self.torques_in_body(),
             Task::Transport => {
                 self.end_point(1);
                 self.multipliers();
@@ -507,7 +507,7 @@ impl<R: StageScalar, D: Dimension> Sweep<'_, R, D> {
     }
 
     /// `g = g0 + g0 C`
-    fn to_space(&mut self) {
+    fn attitudes_in_space(&mut self) {
         let (len, stack) = (self.len(), self.stack);
         let Block { g0, c, attitude, .. } = &mut *self.block;
         for k in 0..self.coefficients.stages {
@@ -517,7 +517,7 @@ impl<R: StageScalar, D: Dimension> Sweep<'_, R, D> {
     }
 
     /// Takes the torques in space to the frame of g0, as gradients, and to the body: `U^T A U = A + asym(A C) + C^T A C`.
-    fn from_space(&mut self) {
+    fn torques_in_body(&mut self) {
         let (len, stack) = (self.len(), self.stack);
         let Block { g0, c, pull, gradient, scratch: [once, turned, room], .. } = &mut *self.block;
         for k in 0..self.coefficients.stages {

@@ -5,7 +5,7 @@ use vpd_solve::bodies::splitting::BodiesSplitting;
 use vpd_solve::bodies::trajectory::{BodiesStepper, Course, Ending, Sample, integrate};
 use vpd_solve::bodies::vpd::BodiesVpd;
 use vpd_solve::bodies::{Bodies, BodiesError, BodiesState, Body, Hold, Interaction, Site, Start};
-use vpd_solve::hamiltonian::{Law, RigidBody, Term};
+use vpd_solve::hamiltonian::{Kinetic, Law, RigidBody, Term};
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::State;
@@ -375,7 +375,8 @@ fn one_pinned_body_is_the_body_of_today() {
     let bodies = Bodies::new(vec![body], vec![weight]).expect("a system");
     let state = bodies.state(&[start]);
     let law = Law::Uniform { weight: 2.0, body_point: point };
-    let alone = RigidBody::principal(&moments, vec![Term { law, space: direction }]);
+    let alone =
+        RigidBody::new(Kinetic::of_moments(moments), vec![Term { law, space: direction }], 0.0);
     for stages in [1, 2, 4, 8] {
         let tableau = Tableau::gauss(stages).expect("1 to 8 stages");
         let mut one = VpdSo3::new(tableau, StopRule::default()).expect("as many lanes");
@@ -430,15 +431,15 @@ fn two_spheres_follow_keplers_ellipse() {
         mass_kg,
         hold: Hold::Free,
     };
-    let (m1, m2, constant, e) = (3.0, 1.0, 2.0, 0.3);
+    let (m1, m2, constant, e) = (3.0_f64, 1.0_f64, 2.0_f64, 0.3_f64);
     let pull = Interaction::MutualGravity { bodies: [0, 1], constant };
     let source = Interaction::PointSource {
         sites: [Site::Body(0, Vector::zeros()), Site::Body(1, Vector::zeros())],
         strength: -constant * m1 * m2,
     };
     // a = 1, from the pericentre: n^2 a^3 = G (m1 + m2).
-    let n = (constant * (m1 + m2) as f64).sqrt();
-    let (r, speed) = (1.0 - e, n * ((1.0 + e) / (1.0 - e) as f64).sqrt());
+    let n = (constant * (m1 + m2)).sqrt();
+    let (r, speed) = (1.0 - e, n * ((1.0 + e) / (1.0 - e)).sqrt());
     let at = |part: f64| Start {
         attitude: Mat::identity(),
         angular_velocity: so::hat(&[0.1, 0.4, 0.2]),
