@@ -10,7 +10,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::json;
 
 use super::range::{
-    Check, MAX_SIZE, SMALLEST_SIZE, attitude, ensure, framed, number, point, size, strength,
+    Check, MAX_SIZE, SMALLEST_SIZE, attitude, ensure, framed, inertia, number, point, size,
+    strength,
 };
 use super::{
     Attitude, Framed, Inertia, Initial, MethodName, PotentialTerm, Scenario, ScenarioError, Scene,
@@ -361,7 +362,7 @@ impl Bodies {
         let mut first = None;
         for (i, body) in self.bodies.iter().enumerate() {
             let at = format!("/scene/bodies/{i}/inertia");
-            super::check::inertia(&at, &body.inertia)?;
+            inertia(&at, &body.inertia)?;
             let n = body.inertia.dimension();
             ensure(n <= MAX_DIMENSION, &at, || {
                 format!("is for n = {n}; for several bodies n = 2 to {MAX_DIMENSION} are allowed")

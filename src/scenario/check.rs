@@ -3,17 +3,11 @@
 use std::collections::HashSet;
 
 use super::range::{
-    Check, LARGEST_STEP_S, MAX_STEPS, SMALLEST_STEP_S, attitude, ensure, framed, matrix, symmetry,
-    vector,
+    Check, LARGEST_STEP_S, MAX_STEPS, SMALLEST_STEP_S, attitude, ensure, framed, inertia, matrix,
 };
-use super::{Accuracy, Inertia, Method, Scenario, ScenarioError, Scene, SolverKind, TableauChoice};
+use super::{Accuracy, Method, Scenario, ScenarioError, Scene, SolverKind, TableauChoice};
 use crate::method::Integrator;
 
-/// Largest n of SO(n) that the program is built for.
-const MAX_DIMENSION: usize = 16;
-/// The one n beyond it for which the program is also built: each n costs a fifteenth of the
-/// program's build.
-const LARGE_DIMENSION: usize = 32;
 /// Most terms of a potential.
 const MAX_TERMS: usize = 1000;
 /// Most samples of a log.
@@ -131,53 +125,6 @@ fn is_unseen(c: char) -> bool {
         | '\u{180b}'..='\u{180f}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
         | '\u{2060}'..='\u{206f}' | '\u{2800}' | '\u{3164}' | '\u{fe00}'..='\u{fe0f}'
         | '\u{feff}' | '\u{ffa0}' | '\u{fff0}'..='\u{fffb}' | '\u{e0000}'..='\u{e0fff}')
-}
-
-/// Checks the inertia at `at`.
-pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
-    const RANGE: (f64, f64) = (1e-12, 1e12);
-    match given {
-        Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
-            ensure(x >= RANGE.0 && x <= RANGE.1, format!("{at}/principal/{i}"), || {
-                let scale = if x > RANGE.1 {
-                    "; divide all moments, momenta, torques and strengths by one number: the motion stays the same"
-                } else {
-                    ""
-                };
-                format!(
-                    "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2{scale}",
-                    RANGE.0, RANGE.1
-                )
-            })
-        }),
-        Inertia::Matrix(rows) => {
-            let pointer = format!("{at}/matrix");
-            matrix(&pointer, rows, 3)?;
-            symmetry(&pointer, rows, 1.0, "symmetric")
-        }
-        Inertia::SecondMoments(moments) => {
-            let pointer = format!("{at}/second_moments");
-            let n = moments.len();
-            ensure((2..=MAX_DIMENSION).contains(&n) || n == LARGE_DIMENSION, &pointer, || {
-                format!(
-                    "{n} moments given, n must be from 2 to {MAX_DIMENSION}, or {LARGE_DIMENSION}"
-                )
-            })?;
-            vector(&pointer, moments, n)?;
-            for j in 0..n {
-                for i in 0..j {
-                    let sum = moments[i] + moments[j];
-                    ensure(sum >= RANGE.0 && sum <= RANGE.1, format!("{pointer}/{j}"), || {
-                        format!(
-                            "d_{i} + d_{j} = {sum:e}; the sum of any two must be from {:e} to {:e}",
-                            RANGE.0, RANGE.1
-                        )
-                    })?;
-                }
-            }
-            Ok(())
-        }
-    }
 }
 
 fn initial(scenario: &Scenario, n: usize) -> Check {

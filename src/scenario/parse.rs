@@ -426,16 +426,38 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for WithoutBody<'_, A> {
         &mut self,
         seed: K,
     ) -> Result<Option<K::Value>, A::Error> {
-        let mut key = self.access.next_key::<String>()?;
-        if key.as_deref() == Some("body") {
-            *self.body = Some(self.access.next_value()?);
-            key = self.access.next_key()?;
+        match self.access.next_key_seed(OrBody(seed))? {
+            Some(Key::Field(field)) => Ok(Some(field)),
+            Some(Key::Body(seed)) => {
+                *self.body = Some(self.access.next_value()?);
+                self.access.next_key_seed(seed)
+            }
+            None => Ok(None),
         }
-        key.map(|key| seed.deserialize(de::value::StringDeserializer::new(key))).transpose()
     }
 
     fn next_value_seed<V: DeserializeSeed<'de>>(&mut self, seed: V) -> Result<V::Value, A::Error> {
         self.access.next_value_seed(seed)
+    }
+}
+
+/// A key of a term: of its body, with the seed that is still to be used, or of another field.
+enum Key<K, V> {
+    Body(K),
+    Field(V),
+}
+
+struct OrBody<K>(K);
+
+impl<'de, K: DeserializeSeed<'de>> DeserializeSeed<'de> for OrBody<K> {
+    type Value = Key<K, K::Value>;
+
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
+        let key = String::deserialize(deserializer)?;
+        if key == "body" {
+            return Ok(Key::Body(self.0));
+        }
+        self.0.deserialize(de::value::StringDeserializer::new(key)).map(Key::Field)
     }
 }
 
@@ -481,7 +503,7 @@ impl<'de> Visitor<'de> for SceneVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut access: A) -> Result<Scene, A::Error> {
         // The first pass put it first.
-        let first = access.next_key::<String>()?;
+        let first = access.next_key::<SceneKey>()?.map(|SceneKey(key)| key);
         if first.as_deref() != Some("bodies") {
             return Scene::deserialize(MapAccessDeserializer::new(WithFirst { first, access }));
         }
@@ -498,6 +520,32 @@ impl<'de> Visitor<'de> for SceneVisitor {
             initial: next.initial,
             ..Scene::of_bodies(Bodies { bodies, potential, joints })
         })
+    }
+}
+
+/// A key of a scene.
+struct SceneKey(String);
+
+impl<'de> Deserialize<'de> for SceneKey {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        const KEYS: &[&str] = &[
+            "inertia",
+            "potential",
+            "driven",
+            "torques",
+            "wheels",
+            "control",
+            "field",
+            "initial",
+            "bodies",
+        ];
+        let key = String::deserialize(deserializer)?;
+        // Refused here, where the error still knows its place.
+        if KEYS.contains(&key.as_str()) {
+            Ok(Self(key))
+        } else {
+            Err(de::Error::unknown_field(&key, KEYS))
+        }
     }
 }
 

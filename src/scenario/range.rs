@@ -1,6 +1,6 @@
 //! Form and range of what stands in more than one field: numbers, points, directions, matrices.
 
-use super::{Attitude, Entry, Framed, ScenarioError};
+use super::{Attitude, Entry, Framed, Inertia, ScenarioError};
 
 /// Largest size of any number of a scene.
 pub(crate) const MAX_SIZE: f64 = 1e15;
@@ -18,6 +18,11 @@ pub(crate) const SMALLEST_STEP_S: f64 = 1e-12;
 /// Largest step in seconds.
 pub(super) const LARGEST_STEP_S: f64 = 1e9;
 
+/// Largest n of SO(n) that the program is built for.
+const MAX_DIMENSION: usize = 16;
+/// The one n beyond it for which the program is also built: each n costs a fifteenth of the
+/// program's build.
+const LARGE_DIMENSION: usize = 32;
 /// Largest angle of an attitude: more turns would leave less than ten digits.
 const MOST_ANGLE_RAD: f64 = 1e6;
 const MOST_ANGLE_DEG: f64 = 1e8;
@@ -218,4 +223,51 @@ fn angles<const N: usize>(pointer: &str, name: &str, given: [Option<[f64; N]>; 2
             format!("{angle:?} given, an angle is at most {most:e} {unit}")
         })
     })
+}
+
+/// Checks the inertia at `at`.
+pub(super) fn inertia(at: &str, given: &Inertia) -> Check {
+    const RANGE: (f64, f64) = (1e-12, 1e12);
+    match given {
+        Inertia::Principal(moments) => moments.iter().enumerate().try_for_each(|(i, &x)| {
+            ensure(x >= RANGE.0 && x <= RANGE.1, format!("{at}/principal/{i}"), || {
+                let scale = if x > RANGE.1 {
+                    "; divide all moments, momenta, torques and strengths by one number: the motion stays the same"
+                } else {
+                    ""
+                };
+                format!(
+                    "{x:?} given, a moment of inertia must be from {:e} to {:e} kg m^2{scale}",
+                    RANGE.0, RANGE.1
+                )
+            })
+        }),
+        Inertia::Matrix(rows) => {
+            let pointer = format!("{at}/matrix");
+            matrix(&pointer, rows, 3)?;
+            symmetry(&pointer, rows, 1.0, "symmetric")
+        }
+        Inertia::SecondMoments(moments) => {
+            let pointer = format!("{at}/second_moments");
+            let n = moments.len();
+            ensure((2..=MAX_DIMENSION).contains(&n) || n == LARGE_DIMENSION, &pointer, || {
+                format!(
+                    "{n} moments given, n must be from 2 to {MAX_DIMENSION}, or {LARGE_DIMENSION}"
+                )
+            })?;
+            vector(&pointer, moments, n)?;
+            for j in 0..n {
+                for i in 0..j {
+                    let sum = moments[i] + moments[j];
+                    ensure(sum >= RANGE.0 && sum <= RANGE.1, format!("{pointer}/{j}"), || {
+                        format!(
+                            "d_{i} + d_{j} = {sum:e}; the sum of any two must be from {:e} to {:e}",
+                            RANGE.0, RANGE.1
+                        )
+                    })?;
+                }
+            }
+            Ok(())
+        }
+    }
 }

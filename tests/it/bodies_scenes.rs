@@ -223,6 +223,26 @@ fn every_refusal_names_its_field_and_what_would_do() {
 }
 
 #[test]
+fn an_unknown_first_field_is_named() {
+    for text in [
+        r#"{"name": "a", "scene": {"bodis": [], "potential": []}, "step_s": 1, "steps": 1}"#,
+        r#"{"name": "a", "scene": {"bodis": [], "inertia": {"principal": [1, 1, 1]}}, "step_s": 1, "steps": 1}"#,
+    ] {
+        let error = Scenario::from_json(text.as_bytes()).expect_err("unknown");
+        assert_eq!(error.pointer, "/scene/bodis");
+        assert!(
+            error.message.contains("`inertia`") && error.message.contains("`bodies`"),
+            "{error}"
+        );
+    }
+    let joints = r#"{"name": "a", "scene": {"joints": []}, "step_s": 1, "steps": 1}"#;
+    assert_eq!(
+        Scenario::from_json(joints.as_bytes()).expect_err("no bodies").pointer,
+        "/scene/joints"
+    );
+}
+
+#[test]
 fn the_largest_scenes_are_read() {
     read(&chain(16)).expect("16 links make a tree");
     let mut grown = chain(16);
