@@ -800,12 +800,17 @@ pub fn schema() -> serde_json::Value {
 
 /// The shipped scenarios: name and JSON text.
 pub const SHIPPED: &[(&str, &str)] = &[
+    ("binary-asteroid", include_str!("../scenarios/binary-asteroid.json")),
+    ("chain", include_str!("../scenarios/chain.json")),
+    ("compass-needles", include_str!("../scenarios/compass-needles.json")),
     ("detumble", include_str!("../scenarios/detumble.json")),
     ("dipole", include_str!("../scenarios/dipole.json")),
     ("dual-spin", include_str!("../scenarios/dual-spin.json")),
     ("flyby", include_str!("../scenarios/flyby.json")),
     ("free-body", include_str!("../scenarios/free-body.json")),
+    ("gyroscope-on-a-string", include_str!("../scenarios/gyroscope-on-a-string.json")),
     ("heavy-top", include_str!("../scenarios/heavy-top.json")),
+    ("orbit-and-attitude", include_str!("../scenarios/orbit-and-attitude.json")),
     ("pendulum", include_str!("../scenarios/pendulum.json")),
     ("satellite", include_str!("../scenarios/satellite.json")),
     ("satellite-elliptic", include_str!("../scenarios/satellite-elliptic.json")),
@@ -813,4 +818,5 @@ pub const SHIPPED: &[(&str, &str)] = &[
     ("slew", include_str!("../scenarios/slew.json")),
     ("so4-free", include_str!("../scenarios/so4-free.json")),
     ("so5-spring", include_str!("../scenarios/so5-spring.json")),
+    ("tether", include_str!("../scenarios/tether.json")),
 ];

@@ -371,20 +371,27 @@ impl<const N: usize> Bodies<N> {
         for (a, momentum) in momenta.iter().enumerate() {
             velocities[a] = match &self.inverses[a] {
                 Inverse::Weights(weights) => momentum.component_mul(weights),
-                Inverse::Full(inverse) => of_coordinates(&(inverse * coordinates(momentum))),
+                Inverse::Full(inverse) => {
+                    let momentum = DVector::from_iterator(so::dimension(N), coordinates(momentum));
+                    of_coordinates((inverse * momentum).as_slice())
+                }
             };
         }
+        let mut room = Vec::new();
         for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
-            let mass = self.mass_matrix(tree, attitudes);
             let d = so::dimension(N);
-            let mut right = DVector::zeros(d * tree.bodies.len());
-            for (b, &body) in tree.bodies.iter().enumerate() {
-                right.rows_mut(b * d, d).copy_from(&coordinates(&momenta[body]));
+            let size = d * tree.bodies.len();
+            room.resize(size * (size + 1), 0.0);
+            let (mass, right) = room.split_at_mut(size * size);
+            self.mass_matrix(tree, attitudes, mass);
+            for (right, &body) in right.chunks_exact_mut(d).zip(&tree.bodies) {
+                for (right, (i, j)) in right.iter_mut().zip(entries::<N>()) {
+                    *right = momenta[body][(i, j)];
+                }
             }
-            let factor = mass.cholesky().ok_or(Failure::not_finite(None))?;
-            factor.solve_mut(&mut right);
-            for (b, &body) in tree.bodies.iter().enumerate() {
-                velocities[body] = of_coordinates(&right.rows(b * d, d).into_owned());
+            solve_by_cholesky(size, mass, right).ok_or(Failure::not_finite(None))?;
+            for (solved, &body) in right.chunks_exact(d).zip(&tree.bodies) {
+                velocities[body] = of_coordinates(solved);
             }
         }
         Ok(())
@@ -399,13 +406,17 @@ impl<const N: usize> Bodies<N> {
             .collect();
         for tree in self.trees.iter().filter(|tree| tree.is_jointed()) {
             let d = so::dimension(N);
-            let mut all = DVector::zeros(d * tree.bodies.len());
-            for (b, &body) in tree.bodies.iter().enumerate() {
-                all.rows_mut(b * d, d).copy_from(&coordinates(&velocities[body]));
-            }
-            let all = self.mass_matrix(tree, attitudes) * all;
-            for (b, &body) in tree.bodies.iter().enumerate() {
-                momenta[body] = of_coordinates(&all.rows(b * d, d).into_owned());
+            let size = d * tree.bodies.len();
+            let mut mass = vec![0.0; size * size];
+            self.mass_matrix(tree, attitudes, &mut mass);
+            let all: Vec<f64> =
+                tree.bodies.iter().flat_map(|&body| coordinates(&velocities[body])).collect();
+            // Of the symmetric matrix only rows up to the diagonal are there.
+            let entry = |p: usize, q: usize| mass[p.max(q) * size + p.min(q)];
+            let row = |p: usize| (0..size).map(|q| entry(p, q) * all[q]).sum();
+            let all: Vec<f64> = (0..size).map(row).collect();
+            for (own, &body) in all.chunks_exact(d).zip(&tree.bodies) {
+                momenta[body] = of_coordinates(own);
             }
         }
         momenta
@@ -414,10 +425,10 @@ impl<const N: usize> Bodies<N> {
     /// The matrix of [kinetic] in the coordinates of the velocities: for bodies b and c and entries (i, j) and (k, l), with
     /// `R = g_b^T g_c` and `D = D_cb`, to which the second moments are added where b = c,
     /// `R_ik D_lj - R_il D_kj - R_jk D_li + R_jl D_ki`.
-    fn mass_matrix(&self, tree: &Tree<N>, attitudes: &[Mat<N>]) -> DMatrix<f64> {
+    /// Row by row, up to the diagonal.
+    fn mass_matrix(&self, tree: &Tree<N>, attitudes: &[Mat<N>], mass: &mut [f64]) {
         let d = so::dimension(N);
-        let count = tree.bodies.len();
-        let mut mass = DMatrix::zeros(d * count, d * count);
+        let size = d * tree.bodies.len();
         for (b, &body_b) in tree.bodies.iter().enumerate() {
             for (c, &body_c) in tree.bodies.iter().enumerate().take(b + 1) {
                 let mut weight = tree.coupling[c][b];
@@ -427,19 +438,25 @@ impl<const N: usize> Bodies<N> {
                 } else {
                     turn = so::transposed_product(&attitudes[body_b], &attitudes[body_c]);
                 }
-                for (p, (i, j)) in entries::<N>().enumerate() {
-                    for (q, (k, l)) in entries::<N>().enumerate() {
-                        let entry = turn[(i, k)] * weight[(l, j)]
-                            - turn[(i, l)] * weight[(k, j)]
-                            - turn[(j, k)] * weight[(l, i)]
-                            + turn[(j, l)] * weight[(k, i)];
-                        mass[(b * d + p, c * d + q)] = entry;
-                        mass[(c * d + q, b * d + p)] = entry;
+                let mut p = b * d;
+                for i in 0..N {
+                    for j in i + 1..N {
+                        let row = &mut mass[p * size + c * d..p * size + c * d + d];
+                        let mut q = 0;
+                        for k in 0..N {
+                            for l in k + 1..N {
+                                row[q] = turn[(i, k)] * weight[(l, j)]
+                                    - turn[(i, l)] * weight[(k, j)]
+                                    - turn[(j, k)] * weight[(l, i)]
+                                    + turn[(j, l)] * weight[(k, i)];
+                                q += 1;
+                            }
+                        }
+                        p += 1;
                     }
                 }
             }
         }
-        mass
     }
 
     /// Computes the forces of a configuration.
@@ -703,12 +720,50 @@ fn entries<const N: usize>() -> impl Iterator<Item = (usize, usize)> {
 }
 
 /// The entries of a skew matrix: its coordinates here.
-fn coordinates<const N: usize>(x: &Mat<N>) -> DVector<f64> {
-    DVector::from_iterator(so::dimension(N), entries::<N>().map(|at| x[at]))
+fn coordinates<const N: usize>(x: &Mat<N>) -> impl Iterator<Item = f64> {
+    entries::<N>().map(|at| x[at])
+}
+
+/// Solves `M x = b` for a symmetric positive definite matrix, given row by row up to its diagonal, which is overwritten by its
+/// factor; b becomes x. `None` if it is not positive. Kept here, and in place: it is done at each stage of each sweep.
+fn solve_by_cholesky(size: usize, mass: &mut [f64], right: &mut [f64]) -> Option<()> {
+    for p in 0..size {
+        let (above, row) = mass.split_at_mut(p * size);
+        for q in 0..p {
+            let other = &above[q * size..q * size + q + 1];
+            let mut sum = row[q];
+            for k in 0..q {
+                sum -= row[k] * other[k];
+            }
+            // The diagonal of the factor is stored inverted.
+            row[q] = sum * other[q];
+        }
+        let mut square = row[p];
+        for k in 0..p {
+            square -= row[k] * row[k];
+        }
+        if !(square > 0.0) {
+            return None;
+        }
+        row[p] = 1.0 / square.sqrt();
+        let mut sum = right[p];
+        for k in 0..p {
+            sum -= row[k] * right[k];
+        }
+        right[p] = sum * row[p];
+    }
+    for p in (0..size).rev() {
+        right[p] *= mass[p * size + p];
+        let solved = right[p];
+        for k in 0..p {
+            right[k] -= mass[p * size + k] * solved;
+        }
+    }
+    Some(())
 }
 
 /// The skew matrix of such coordinates.
-fn of_coordinates<const N: usize>(x: &DVector<f64>) -> Mat<N> {
+fn of_coordinates<const N: usize>(x: &[f64]) -> Mat<N> {
     let mut matrix = Mat::zeros();
     for (x, (i, j)) in x.iter().zip(entries::<N>()) {
         matrix[(i, j)] = *x;
@@ -739,8 +794,10 @@ fn inverse<const N: usize>(second_moments: &Mat<N>) -> Option<Inverse<N>> {
         let mut unit = Mat::<N>::zeros();
         unit[at] = 1.0;
         unit[(at.1, at.0)] = -1.0;
-        let column = coordinates(&(second_moments * unit + unit * second_moments));
-        inertia.column_mut(q).copy_from(&column);
+        let turned = second_moments * unit + unit * second_moments;
+        for (entry, x) in inertia.column_mut(q).iter_mut().zip(coordinates(&turned)) {
+            *entry = x;
+        }
     }
     inertia.cholesky().map(|factor| Inverse::Full(factor.inverse()))
 }

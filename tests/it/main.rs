@@ -8,6 +8,7 @@ mod adaptive;
 mod advise;
 mod bad_scenarios;
 mod bodies_log;
+mod bodies_run;
 mod bodies_scenes;
 mod cases;
 mod cli;

@@ -186,6 +186,18 @@ fn driven_scenes_go_on_to_the_same_bytes() {
     resume_job(&zeros, &[0.4, 0.9]);
 }
 
+#[test]
+fn several_bodies_go_on_to_the_same_bytes() {
+    for method in ["vpd", "rk_projected", "rkmk", "splitting"] {
+        println!("{method}");
+        let mut tether = shipped(include_str!("../../scenarios/tether.json"), 3000);
+        tether["method"] = json!({ "name": method });
+        resume_job(&tether, &[0.05, 0.4, 0.9]);
+    }
+    resume_job(&shipped(include_str!("../../scenarios/chain.json"), 3000), &[0.4, 0.9]);
+    resume_job(&shipped(include_str!("../../scenarios/compass-needles.json"), 1500), &[0.4, 0.9]);
+}
+
 /// With adaptive steps a checkpoint holds the end of the last of them, next to the sample that was
 /// taken aside.
 #[test]
