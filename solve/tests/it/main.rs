@@ -19,5 +19,6 @@ mod literal;
 mod methods;
 mod open;
 mod published;
+mod tangent;
 mod verification;
 mod vrkmk;
