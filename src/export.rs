@@ -238,7 +238,7 @@ fn names(field: &str, width: usize) -> Vec<String> {
     match (quantity, width) {
         (_, 0) => Vec::new(),
         ("quaternion", 4) => label(&["w", "x", "y", "z"]),
-        ("attitude" | "mean_attitude", _) => {
+        ("attitude" | "mean_attitude" | "transition", _) => {
             pairs(width.isqrt()).map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
         (
@@ -262,8 +262,8 @@ fn names(field: &str, width: usize) -> Vec<String> {
             let above = pairs(n).filter(|(i, j)| i < j);
             above.map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
-        // Of an actuator or a wheel each.
-        ("control_command" | "wheel_momenta" | "wheel_speeds", _) => {
+        // Of an actuator, a wheel or a parameter each.
+        ("control_command" | "wheel_momenta" | "wheel_speeds" | "sensitivity", _) => {
             (1..=width).map(|number| format!("{field}_{number}")).collect()
         }
         _ => vec![field.to_owned()],

@@ -10,6 +10,7 @@ mod bad_scenarios;
 mod cases;
 mod cli;
 mod control;
+mod derivatives;
 mod ensemble;
 mod extreme;
 mod failing;
