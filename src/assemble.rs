@@ -20,6 +20,7 @@ use crate::solve::stepper::Stepper;
 use crate::solve::stepper::at_rest::AtRest;
 use crate::solve::stepper::controlled::Controlled;
 use crate::solve::stepper::vpd_plane::{Plane, VpdPlane};
+use crate::solve::tangent::WithDerivatives;
 
 /// Parts that are made from a plan once its size is known.
 pub(crate) struct Assembly<const N: usize> {
@@ -76,7 +77,20 @@ fn assembly<const N: usize>(
                 let controlled = Controlled::new(stepper, body.clone());
                 Box::new(controlled.expect("the body has a control"))
             }
-            Motion::General | Motion::InPlane => stepper,
+            Motion::General | Motion::InPlane => match &plan.settled.derivatives {
+                Some(asked) => {
+                    let tableau = plan.model.tableau.clone();
+                    let with = WithDerivatives::new(
+                        stepper,
+                        &body,
+                        tableau,
+                        asked.state,
+                        plan.parameters(),
+                    );
+                    Box::new(with.expect("the scenario was checked: nothing drives the body"))
+                }
+                None => stepper,
+            },
         }
     };
     let together = |plan: &Plan| together(plan).filter(|_| body.control().is_none());

@@ -265,7 +265,7 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
     match (quantity, width) {
         (_, 0) => Vec::new(),
         ("quaternion", 4) => label(&["w", "x", "y", "z"]),
-        ("attitude" | "mean_attitude", _) => {
+        ("attitude" | "mean_attitude" | "transition", _) => {
             pairs(width.isqrt()).map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
         (
@@ -290,10 +290,10 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
             above.map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
         ("position" | "velocity" | "linear_momentum", 3) => label(&["x", "y", "z"]),
-        // Of an axis, an actuator or a wheel each.
+        // Of an axis, an actuator, a wheel or a parameter each.
         (
             "position" | "velocity" | "linear_momentum" | "control_command" | "wheel_momenta"
-            | "wheel_speeds",
+            | "wheel_speeds" | "sensitivity",
             _,
         ) => (1..=width).map(|number| format!("{field}_{number}")).collect(),
         _ => vec![field],

@@ -28,6 +28,7 @@ mod adaptive;
 pub(crate) mod bodies;
 mod control;
 mod cost;
+mod derivatives;
 mod model;
 mod problem;
 mod rotation;
@@ -713,6 +714,9 @@ impl Plan {
         let spins = self.model.wheels.is_some() || self.model.control.has_wheels();
         let (method, why) = match asked {
             Some(method) => (method, "asked for"),
+            None if scenario.derivatives.is_some() => {
+                (Integrator::Vpd, "the method whose derivatives are known")
+            }
             // A named tableau asks for its scheme.
             None if free && !spins && self.dimension == 3 && scenario.method.tableau.is_none() => (
                 Integrator::Splitting,
@@ -752,7 +756,8 @@ impl Plan {
 
     /// Returns the kind of motion from the given start; members of an ensemble have others.
     fn motion(&self, method: Integrator, stages: usize) -> Motion {
-        if self.ensemble.is_some() {
+        // The derivatives are those of all motions next to this one.
+        if self.ensemble.is_some() || self.settled.derivatives.is_some() {
             return Motion::General;
         }
         if self.model.is_driven() || self.model.wheels.is_some() {
@@ -794,6 +799,7 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
             ensemble: scenario.ensemble.is_some(),
             own_steps: scenario.adaptive().is_some(),
             controlled: scenario.scene.control.is_some(),
+            differentiated: scenario.derivatives.is_some(),
         })
     };
     let asked = |channel: &Channel| {

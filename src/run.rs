@@ -48,8 +48,8 @@ pub use record::Recording;
 pub use simulation::{Advanced, Simulation};
 use summary::EnergySeen;
 pub use summary::{
-    Diagnosis, EnergySummary, EnsembleSummary, FinalBody, FinalState, MomentumSummary,
-    OrthogonalitySummary, Outcome, SolverSummary, Summary,
+    DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary, FinalBody, FinalState,
+    MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
 };
 
 /// Inputs that a run shares with other threads.
@@ -300,7 +300,9 @@ fn run<const N: usize>(
     };
     let Recorder { keep, figures, course, .. } = recorder;
     let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
-    let reached = Reached::from(&reached);
+    let derivatives = DerivativesSummary::of(&reached, initial);
+    let mut reached = Reached::from(&reached);
+    reached.derivatives = derivatives;
     let stopped = match ending {
         Ending::Stopped(number) => plan.asked.until.get(number).map(|stop| {
             let time_s = steps_done as f64 * plan.step_s;

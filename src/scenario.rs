@@ -14,6 +14,7 @@ mod bodies;
 mod change;
 mod check;
 mod control;
+mod derivatives;
 mod driven;
 mod ensemble;
 mod parse;
@@ -34,6 +35,7 @@ pub use control::{
     AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, FieldOrbit, Law,
     Magnetorquers, OrbitTarget, Stop, Target, Through, TurningTarget, Wheels,
 };
+pub use derivatives::Derivatives;
 pub use driven::{
     DrivenTerm, Factor, Harmonic, Interpolation, OfMomentum, Orbit, Path, Table, Torque,
     TorqueTable, Turning, Viscous,
@@ -95,6 +97,9 @@ pub struct Scenario {
     /// Conditions that end the run before its time, looked at after each step: the first that holds does.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub until: Vec<Stop>,
+    /// Derivatives of the run by its start and by fields of the scenario, carried along.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub derivatives: Option<Derivatives>,
     /// Contents of the log.
     #[serde(default)]
     pub log: LogOptions,
@@ -664,6 +669,7 @@ impl Scenario {
             duration_s: None,
             until: Vec::new(),
             ensemble: None,
+            derivatives: None,
             log: LogOptions::default(),
             expect: None,
         }

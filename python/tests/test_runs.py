@@ -310,3 +310,14 @@ def test_the_version_of_the_format(dipole):
     assert caught.value.pointer == "/format" and "newer" in caught.value.message
     assert vpd.schema()["properties"]["format"]["const"] == 1
     assert "vary" in vpd.schema("sweep")["properties"]
+
+
+def test_derivatives(dipole):
+    parameters = ["/scene/inertia/principal/2", "/scene/potential/1/strength"]
+    run = vpd.run(dipole | {"derivatives": {"state": True, "parameters": parameters}})
+    samples = len(run)
+    assert run.transition.shape == (samples, 6, 6)
+    assert run.sensitivity.shape == (samples, 2, 6)
+    assert np.array_equal(run.transition[0], np.eye(6))
+    assert run.outcome["derivatives"]["symplectic_error"] < 1e-12
+    assert "transition_1_2" in run.to_pandas() and "sensitivity_12" in run.to_pandas()

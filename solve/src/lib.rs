@@ -30,6 +30,7 @@ pub mod stepper;
 pub mod stop;
 pub mod system;
 pub mod tableau;
+pub mod tangent;
 mod time;
 pub mod trajectory;
 pub mod work;

@@ -160,7 +160,7 @@ pub fn vee<const N: usize>(x: &Mat<N>) -> Vec<f64> {
 }
 
 /// Returns the place of each coordinate of so(n): row, column, sign.
-fn coordinate_places<const N: usize>() -> impl Iterator<Item = (usize, usize, f64)> {
+pub(crate) fn coordinate_places<const N: usize>() -> impl Iterator<Item = (usize, usize, f64)> {
     // hat(x) = [[0, -x3, x2], [x3, 0, -x1], [-x2, x1, 0]]
     let vector = [(2, 1, 1.0), (0, 2, 1.0), (1, 0, 1.0)];
     let above = (0..N).flat_map(|i| (i + 1..N).map(move |j| (i, j, 1.0)));

@@ -72,6 +72,22 @@ pub struct OwnTime<const N: usize> {
     pub steps: u64,
 }
 
+/// Derivatives of a state of a run, left-trivialised as in [`super::tangent`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Derivatives {
+    /// By the state at the start: the state transition matrix, 2d x 2d, row by row. Empty if it is not asked for.
+    pub transition: Vec<f64>,
+    /// By parameters, one after another: 2d numbers for each.
+    pub sensitivity: Vec<f64>,
+}
+
+impl Derivatives {
+    /// Is every number of them finite?
+    pub(super) fn is_finite(&self) -> bool {
+        self.transition.iter().chain(&self.sensitivity).all(|x| x.is_finite())
+    }
+}
+
 /// State of a trajectory at a sample: all that it needs, in addition to its start, to go on from
 /// there.
 #[derive(Clone, Debug, PartialEq)]
@@ -101,6 +117,8 @@ pub struct Checkpoint<const N: usize> {
     pub control: Option<ControlState>,
     /// Since when each of the conditions that end the run holds, in seconds.
     pub holds_since_s: Vec<Option<f64>>,
+    /// Derivatives of a stepper that carries them.
+    pub derivatives: Option<Derivatives>,
 }
 
 impl<const N: usize> Checkpoint<N> {
@@ -125,6 +143,7 @@ impl<const N: usize> Checkpoint<N> {
             own_time: None,
             control: None,
             holds_since_s: Vec::new(),
+            derivatives: None,
         }
     }
 }

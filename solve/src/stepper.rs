@@ -8,7 +8,7 @@ use super::failure::Failure;
 use super::hamiltonian::RigidBody;
 use super::nonlinear::Convergence;
 use super::so::Mat;
-use super::state::{Checkpoint, OwnTime, Pace, State};
+use super::state::{Checkpoint, Derivatives, OwnTime, Pace, State};
 pub use clock::Clock;
 pub(crate) use galerkin::Motion as TurningMotion;
 pub use knots::Knots;
@@ -144,6 +144,17 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>>: Send {
     /// The smallest singular value of the matrices interpolated in the last step; `None` from a scheme
     /// that interpolates none.
     fn sigma_min(&self) -> Option<f64> {
+        None
+    }
+
+    /// The derivatives of the state by the start and by parameters; `None` from a stepper that does not carry them along.
+    fn derivatives(&self) -> Option<&Derivatives> {
+        None
+    }
+
+    /// Stage `k` (from 0) of the last step of VPD, solved: U_k in the frame of the attitude before the step, and the body
+    /// momentum mu_k. `None` where there is none, or from a scheme that does not tell.
+    fn stage(&self, _k: usize) -> Option<State<N>> {
         None
     }
 }

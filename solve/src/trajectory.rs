@@ -9,7 +9,7 @@ use super::control::ControlSample;
 use super::failure::{Failure, FailureCode};
 use super::nonlinear::Convergence;
 use super::so::{self, Mat};
-use super::state::{Checkpoint, Pace, State};
+use super::state::{Checkpoint, Derivatives, Pace, State};
 use super::stepper::{Knots, Stepper};
 use super::system::{Energy, System};
 
@@ -39,6 +39,8 @@ pub struct Observables {
     pub pace: bool,
     /// Samples of the control.
     pub control: bool,
+    /// Derivatives, of a stepper that carries them along.
+    pub derivatives: bool,
 }
 
 impl std::ops::BitOr for Observables {
@@ -46,7 +48,7 @@ impl std::ops::BitOr for Observables {
 
     /// Returns the observables that either of the two asks for.
     fn bitor(self, other: Self) -> Self {
-        let Self { energy, orthogonality, momentum, sigma_min, pace, control } = other;
+        let Self { energy, orthogonality, momentum, sigma_min, pace, control, derivatives } = other;
         Self {
             energy: self.energy | energy,
             orthogonality: self.orthogonality | orthogonality,
@@ -54,6 +56,7 @@ impl std::ops::BitOr for Observables {
             sigma_min: self.sigma_min | sigma_min,
             pace: self.pace | pace,
             control: self.control | control,
+            derivatives: self.derivatives | derivatives,
         }
     }
 }
@@ -102,6 +105,8 @@ pub struct Sample<const N: usize> {
     pub pace: Option<Pace>,
     /// Sample of the control at this time; `None` also if there is none then.
     pub control: Option<ControlSample>,
+    /// Derivatives by the start and by parameters.
+    pub derivatives: Option<Derivatives>,
 }
 
 impl<const N: usize> Sample<N> {
@@ -126,6 +131,7 @@ impl<const N: usize> Sample<N> {
             sigma_min,
             pace,
             ref control,
+            ref derivatives,
         } = self;
         let figures = [
             Some(time_s),
@@ -151,6 +157,7 @@ impl<const N: usize> Sample<N> {
         figures.into_iter().flatten().all(f64::is_finite)
             && pace.is_none_or(|pace| pace.is_finite())
             && control.as_ref().is_none_or(ControlSample::is_finite)
+            && derivatives.as_ref().is_none_or(Derivatives::is_finite)
             && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
     }
 }
@@ -395,6 +402,7 @@ impl<const N: usize> Bookkeeping<N> {
         match sample {
             Ok(sample) => {
                 (reached.attitude, reached.momentum) = (sample.attitude, sample.momentum);
+                reached.derivatives = stepper.derivatives().cloned();
                 if step == 0 {
                     // The state as given, not as the scheme's variables hold it: a checkpoint there
                     // changes nothing.
@@ -525,6 +533,7 @@ impl<const N: usize> Observer<N> {
                 .control_sample()
                 .filter(|sample| asked.control && is_at(sample.time_s, time_s))
                 .cloned(),
+            derivatives: stepper.derivatives().filter(|_| asked.derivatives).cloned(),
         };
         if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }
     }

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use crate::plan::{EnsemblePlan, Formulation, Plan};
-use crate::run::{EnergySummary, Summary};
+use crate::run::{DerivativesSummary, EnergySummary, Summary};
 
 /// What an error at the end counts: see [`crate::study::Reference::distance`].
 const ERROR_IS: &str = "radians of attitude, and the momentum in parts of its largest";
@@ -95,6 +95,14 @@ pub(super) fn summary(summary: &Summary, plan: &Plan) -> String {
     }
     if let Some(error) = summary.table_impulse_max_error {
         line("impulse", format!("that of the tables to {error:.2e} N m s"));
+    }
+    if let Some(DerivativesSummary { transition_norm, symplectic_error }) = summary.derivatives {
+        line(
+            "derivatives",
+            format!(
+                "transition matrix of norm {transition_norm:.3e}, symplectic to {symplectic_error:.1e} of its square"
+            ),
+        );
     }
     line(
         "solver",

@@ -45,6 +45,8 @@ pub struct Columns {
     control: [Vectors; 7],
     control_saturated: Vec<u64>,
     pointing_error_rad: Vectors,
+    transition: Vectors,
+    sensitivity: Vectors,
     /// The last quaternion: the next has the nearer sign.
     turn: Option<[f64; 4]>,
     /// The same of each of several bodies.
@@ -297,6 +299,11 @@ impl Columns {
             }
             self.pace_own_steps.push(sample.pace.map_or(0, |pace| pace.steps));
         }
+        if has(Channel::Derivatives) {
+            let derivatives = sample.derivatives.as_ref();
+            self.transition.push(at, derivatives.map_or(&[], |found| &found.transition));
+            self.sensitivity.push(at, derivatives.map_or(&[], |found| &found.sensitivity));
+        }
         if has(Channel::Control) {
             self.add_control(at, messages::Control::of(sample).unwrap_or_default());
         }
@@ -364,6 +371,7 @@ impl Columns {
             solver: row.solver.filter(|_| has(Channel::Solver)),
             pace: row.pace.filter(|_| has(Channel::Pace)),
             control: row.control.filter(|_| has(Channel::Control)),
+            derivatives: row.derivatives.filter(|_| has(Channel::Derivatives)),
             ..row
         };
         let bodies = if has(Channel::BodyState) { &row.bodies[..] } else { &[] };
@@ -411,6 +419,9 @@ impl Columns {
         if has(Channel::Control) {
             self.add_control(at, row.control.unwrap_or_default());
         }
+        let derivatives = row.derivatives.unwrap_or_default();
+        self.transition.push(at, &derivatives.transition);
+        self.sensitivity.push(at, &derivatives.sensitivity);
     }
 
     /// Returns the quantities that any sample has, under the names of a table, which adds an axis or row and column to those of
@@ -464,6 +475,8 @@ impl Columns {
         let found = found.chain(pace).chain([own_steps]).chain(control).chain([
             ("control_saturated", saturated),
             ("pointing_error_rad", self.pointing_error_rad.numbers()),
+            ("transition", self.transition.matrices()),
+            ("sensitivity", self.sensitivity.vectors()),
         ]);
         all.extend(found.filter_map(|(name, values)| Some((Cow::Borrowed(name), values?))));
         all

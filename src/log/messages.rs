@@ -183,6 +183,8 @@ messages_of_samples! {
         wheel_momenta: numbers(wheel_momenta), wheel_speeds: numbers(wheel_speeds),
         control_field: numbers(field)
     },
+    /// Derivatives by the start and by parameters.
+    derivatives: Derivatives { transition: numbers(transition), sensitivity: numbers(sensitivity) },
 }
 
 impl State {
@@ -399,6 +401,35 @@ impl Control {
     }
 }
 
+impl Derivatives {
+    /// Returns whether they can be those of a state on SO(n).
+    fn is_of(&self, n: usize) -> bool {
+        let rows = 2 * so::dimension(n);
+        let Self { transition, sensitivity } = self;
+        (transition.is_empty() || transition.len() == rows * rows)
+            && sensitivity.len().is_multiple_of(rows)
+    }
+
+    /// Returns the derivatives of a sample, if it has any.
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
+        sample.derivatives.as_ref().map(Into::into)
+    }
+}
+
+impl From<&state::Derivatives> for Derivatives {
+    fn from(derivatives: &state::Derivatives) -> Self {
+        let state::Derivatives { transition, sensitivity } = derivatives.clone();
+        Self { transition, sensitivity }
+    }
+}
+
+impl From<&Derivatives> for state::Derivatives {
+    fn from(derivatives: &Derivatives) -> Self {
+        let Derivatives { transition, sensitivity } = derivatives.clone();
+        Self { transition, sensitivity }
+    }
+}
+
 impl From<&control::ControlState> for ControlState {
     fn from(state: &control::ControlState) -> Self {
         let control::ControlState { samples, acting, since_s, waiting, momenta, integral, field } =
@@ -442,6 +473,7 @@ impl Checkpoint {
             control: checkpoint.control.as_ref().map(Into::into),
             held: checkpoint.holds_since_s.iter().map(|&since_s| Held { since_s }).collect(),
             numbers: Vec::new(),
+            derivatives: checkpoint.derivatives.as_ref().map(Into::into),
         }
     }
 
@@ -488,6 +520,7 @@ impl Checkpoint {
                 .as_ref()
                 .is_none_or(|own| matrix(&own.attitude) && matrix(&own.body_momentum))
             && self.solver.as_ref().is_none_or(|solver| solver.convergence().is_some())
+            && self.derivatives.as_ref().is_none_or(|found| found.is_of(n))
     }
 
     /// Returns the place of the trajectory; `None` if it is of another dimension.
@@ -512,6 +545,7 @@ impl Checkpoint {
             }),
             control: self.control.as_ref().map(Into::into),
             holds_since_s: self.held.iter().map(|held| held.since_s).collect(),
+            derivatives: self.derivatives.as_ref().map(Into::into),
         })
     }
 }

@@ -78,6 +78,8 @@ channels! {
     Pace = "/pace",
     /// Samples of the control.
     Control = "/control",
+    /// Derivatives by the start and by fields of the scenario.
+    Derivatives = "/derivatives",
     /// The frame of the body, or of each body, for viewers; n = 3.
     Tf = "/tf",
     /// The body's box of inertia and its points, once; n = 3.
@@ -112,6 +114,8 @@ enum Scope {
     /// Steps that adapt.
     OwnSteps,
     Controlled,
+    /// Derivatives are carried along.
+    Differentiated,
 }
 
 /// What a scene is, as far as channels depend on it.
@@ -129,6 +133,8 @@ pub(crate) struct Scenery {
     /// Steps adapt.
     pub(crate) own_steps: bool,
     pub(crate) controlled: bool,
+    /// Derivatives are carried along.
+    pub(crate) differentiated: bool,
 }
 
 impl Scenery {
@@ -141,6 +147,7 @@ impl Scenery {
         ensemble: true,
         own_steps: true,
         controlled: true,
+        differentiated: true,
     };
 }
 
@@ -249,6 +256,13 @@ impl Channel {
                 sample: sample(6 * momentum, 7 * LIST + 2 * DOUBLE),
                 ..plain("vpd.Control", "the errors and commands of the control")
             },
+            Self::Derivatives => Row {
+                needs: Observables { derivatives: true, ..nothing },
+                scope: Scope::Differentiated,
+                // Those by the start.
+                sample: sample(8 * (2 * so::dimension(n)).pow(2), 2 * LIST),
+                ..plain("vpd.Derivatives", "the derivatives by the start and by parameters")
+            },
             Self::Tf => Row {
                 descriptors: well_known::<FrameTransforms>,
                 scope: Scope::ThreeDimensions,
@@ -331,6 +345,7 @@ impl Channel {
             Scope::Ensembles => scene.ensemble,
             Scope::OwnSteps => scene.own_steps,
             Scope::Controlled => scene.controlled,
+            Scope::Differentiated => scene.differentiated,
         }
     }
 
@@ -362,6 +377,11 @@ impl Channel {
     /// Returns whether the channel is for scenes with control only.
     pub fn needs_control(self) -> bool {
         !self.exists(Scenery { controlled: false, ..Scenery::ALL })
+    }
+
+    /// Returns whether the channel is for scenarios with derivatives only.
+    pub fn needs_derivatives(self) -> bool {
+        !self.exists(Scenery { differentiated: false, ..Scenery::ALL })
     }
 
     /// Returns a description of what is computed for it.

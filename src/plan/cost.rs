@@ -235,6 +235,7 @@ impl Plan {
             work.passes * pass_ns,
             work.gradients * gradient_ns,
             work.pieces * PIECE_NS,
+            work.steps * self.derivatives_ns(),
         ];
         part * parts.iter().sum::<f64>()
     }
@@ -271,6 +272,18 @@ impl Plan {
         let n = self.dimension as f64;
         let look = STAGE_NS + PART_NS * parts as f64 + 2.0 * n * n * n;
         [look, look]
+    }
+
+    /// Returns about what the derivatives of a step cost, by the number of equations that are factored.
+    fn derivatives_ns(&self) -> f64 {
+        const EQUATION_NS: f64 = 250.0;
+        const FACTOR_NS: f64 = 0.7;
+        if self.settled.derivatives.is_none() {
+            return 0.0;
+        }
+        let equations = (2 * self.formulation.stages + 2) * so::dimension(self.dimension);
+        let equations = equations as f64;
+        EQUATION_NS * equations + FACTOR_NS * equations * equations * equations
     }
 
     /// Is a step computed in lanes of n = 3? More stages than lanes are computed as for general n.
@@ -395,8 +408,7 @@ impl Plan {
     fn sample_cost_ns(&self, raw: u64) -> f64 {
         let n = self.dimension as f64;
         let matrix_ns = if self.dimension == 3 { 200.0 } else { 50.0 * n * n };
-        let Observables { energy, orthogonality, momentum: _, sigma_min, pace: _, control: _ } =
-            self.observables();
+        let Observables { energy, orthogonality, sigma_min, .. } = self.observables();
         let of = |asked: bool, count: f64| if asked { count } else { 0.0 };
         let Formulation { method, stages, .. } = self.formulation;
         let singular = method.interpolates() && self.formulation.motion != Motion::AtRest;

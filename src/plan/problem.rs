@@ -217,6 +217,6 @@ pub(super) fn orbit_axes(driven: &DrivenTerm, inertia: &DMatrix<f64>) -> Option<
     Some(DMatrix::from_fn(3, 3, |i, j| axes[j][i]))
 }
 
-fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {
+pub(super) fn term<const N: usize>(given: &PotentialTerm) -> Term<N> {
     Term { law: given.modelled(), space: vector(given.law().space_vector()) }
 }

@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use super::summary::{
-    self, Diagnosis, EnergySeen, EnsembleSummary, FinalState, MomentumSummary, Outcome,
-    SolverSummary, Summary,
+    self, DerivativesSummary, Diagnosis, EnergySeen, EnsembleSummary, FinalState, MomentumSummary,
+    Outcome, SolverSummary, Summary,
 };
 use super::{RunError, json};
 #[cfg(feature = "chart")]
@@ -31,13 +31,14 @@ pub(super) struct Reached {
     iterations: u64,
     convergence: Option<Convergence>,
     last: FinalState,
+    pub(super) derivatives: Option<DerivativesSummary>,
 }
 
 impl<const N: usize> From<&Checkpoint<N>> for Reached {
     fn from(checkpoint: &Checkpoint<N>) -> Self {
         let &Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
         let last = summary::final_state(checkpoint.attitude.as_ref(), &checkpoint.momentum);
-        Self { step, samples, iterations, convergence, last }
+        Self { step, samples, iterations, convergence, last, derivatives: None }
     }
 }
 
@@ -45,7 +46,7 @@ impl Reached {
     /// Returns the end of a run of several bodies.
     pub(super) fn of_bodies(checkpoint: &bodies::Checkpoint, last: FinalState) -> Self {
         let &bodies::Checkpoint { step, samples, iterations, convergence, .. } = checkpoint;
-        Self { step, samples, iterations, convergence, last }
+        Self { step, samples, iterations, convergence, last, derivatives: None }
     }
 }
 
@@ -149,6 +150,7 @@ pub(super) fn finish(
         wall_s: 0.0,
         ns_per_step: 0.0,
         log: log.display().to_string(),
+        derivatives: reached.derivatives,
         diagnosis,
         stopped,
         ensemble,
@@ -183,6 +185,9 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
     figure("orthogonality_max", summary.orthogonality.map(|orthogonality| orthogonality.max));
     figure("momentum_max_drift", summary.momentum.map(|momentum| momentum.max_drift));
     figure("table_impulse_max_error", summary.table_impulse_max_error);
+    if let Some(derivatives) = &summary.derivatives {
+        entries.insert("derivatives".to_owned(), json(derivatives));
+    }
     if let Some(ensemble) = &summary.ensemble {
         entries.insert("ensemble".to_owned(), json(ensemble));
     }

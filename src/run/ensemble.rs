@@ -373,5 +373,6 @@ fn reached<const N: usize>(initial: &State<N>, nominal: Option<&Member>) -> Chec
         own_time: None,
         control: None,
         holds_since_s: Vec::new(),
+        derivatives: None,
     }
 }

@@ -11,8 +11,9 @@ use crate::scenario::{Entry, Expect};
 use crate::solve::failure::{Failure, FailureCode};
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so::{self, Mat};
-use crate::solve::state::State;
+use crate::solve::state::{Checkpoint, State};
 use crate::solve::system::Energy;
+use crate::solve::tangent::symplectic_error;
 
 /// Outcome of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -79,6 +80,9 @@ pub struct Summary {
     /// The log. In answers of the service a link is in its place.
     #[schemars(skip)]
     pub log: String,
+    /// The derivatives by the start, where they were carried along.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub derivatives: Option<DerivativesSummary>,
     /// Reason why the run failed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub diagnosis: Option<Diagnosis>,
@@ -94,6 +98,25 @@ pub struct Summary {
     /// Expectations of the scenario that the run did not meet.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unmet: Vec<String>,
+}
+
+/// Derivatives at the end of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct DerivativesSummary {
+    /// Size of the state transition matrix: the root of the sum of the squares of its entries.
+    pub transition_norm: f64,
+    /// How far it is from a symplectic one: see [`symplectic_error`].
+    pub symplectic_error: f64,
+}
+
+impl DerivativesSummary {
+    /// Returns the summary of a run from one state to another; `None` if there is no transition matrix.
+    pub(super) fn of<const N: usize>(reached: &Checkpoint<N>, initial: &State<N>) -> Option<Self> {
+        let transition = &reached.derivatives.as_ref()?.transition;
+        let transition_norm = transition.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let error = || symplectic_error(transition, &initial.momentum, &reached.momentum);
+        (transition_norm > 0.0).then(|| Self { transition_norm, symplectic_error: error() })
+    }
 }
 
 /// Outcome of the members of an ensemble.

@@ -38,6 +38,7 @@ pub(super) fn check(scenario: &Scenario) -> Check {
         given.check(scenario.step_count())?;
     }
     super::control::stops(scenario, n)?;
+    super::derivatives::check(scenario, n)?;
     log(scenario, n)?;
     expect(scenario, n)
 }
@@ -395,9 +396,16 @@ fn log(scenario: &Scenario, n: usize) -> Check {
                 pointer.clone(),
                 || "is for steps that adapt, this scenario has none".into(),
             )?;
-            ensure(!channel.needs_control() || scenario.scene.control.is_some(), pointer, || {
-                "is for scenes with control, this one has none".into()
-            })?;
+            ensure(
+                !channel.needs_control() || scenario.scene.control.is_some(),
+                pointer.clone(),
+                || "is for scenes with control, this one has none".into(),
+            )?;
+            ensure(
+                !channel.needs_derivatives() || scenario.derivatives.is_some(),
+                pointer,
+                || "is for scenarios with `derivatives`, this one has none".into(),
+            )?;
         }
     }
     // Viewers' time stamps have 32 bits for the seconds.

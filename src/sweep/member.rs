@@ -105,6 +105,7 @@ impl Task for Member<'_> {
             sigma_min: false,
             pace: false,
             control: false,
+            derivatives: false,
         };
         let Ok(Trajectory { ending, reached }) = trajectory::integrate(
             &body,

@@ -623,6 +623,41 @@ pub(crate) fn table() -> Vec<Bad> {
         add(with(full(), "/log/epoch", raw), "/log/epoch");
     }
 
+    // Derivatives.
+    for (raw, pointer) in [
+        ("true", ""),
+        ("{}", ""),
+        ("{\"state\": 1}", "/state"),
+        ("{\"state\": false}", ""),
+        ("{\"state\": true, \"parameter\": []}", "/parameter"),
+        ("{\"parameters\": \"/step_s\"}", "/parameters"),
+        ("{\"parameters\": [1]}", "/parameters/0"),
+        ("{\"parameters\": [\"/step_s\"]}", "/parameters/0"),
+        ("{\"parameters\": [\"/scene/potential/0\"]}", "/parameters/0"),
+        ("{\"parameters\": [\"/scene/potential/4/weight\"]}", "/parameters/0"),
+        ("{\"parameters\": [\"/scene/initial/attitude/matrix/0/0\"]}", "/parameters/0"),
+        (
+            "{\"parameters\": [\"/scene/inertia/principal/0\", \"/scene/inertia/principal/0\"]}",
+            "/parameters/1",
+        ),
+    ] {
+        add(with(full(), "/derivatives", raw), &format!("/derivatives{pointer}"));
+    }
+    let asked = "{\"state\": true}";
+    for name in ["rk", "vrkmk", "vpd_lagrangian", "splitting"] {
+        let mut other = full();
+        other["method"] = json!({"name": name});
+        add(with(other, "/derivatives", asked), "/method/name");
+    }
+    let mut many = full();
+    many["ensemble"] = json!({"members": 10, "attitude_spread_rad": 0.1});
+    let mut adaptive = full();
+    adaptive["step"] = json!({"adaptive": {}});
+    for base in [many, adaptive, driven()] {
+        add(with(base, "/derivatives", asked), "/derivatives");
+    }
+    add(with(full(), "/log/channels", "[\"/derivatives\"]"), "/log/channels/0");
+
     // An accuracy in the place of method and step.
     let accurate = || {
         let mut accurate = dipole();

@@ -13,6 +13,7 @@ mod bodies_scenes;
 mod cases;
 mod cli;
 mod control;
+mod derivatives;
 mod ensemble;
 mod extreme;
 mod failing;

@@ -139,6 +139,14 @@ fn every_method_goes_on_to_the_same_bytes() {
 }
 
 #[test]
+fn derivatives_go_on_to_the_same_bytes() {
+    let mut scenario = dipole(&json!({ "name": "vpd", "tableau": "gauss3" }));
+    let parameters = ["/scene/inertia/principal/2", "/scene/potential/1/strength"];
+    scenario["derivatives"] = json!({ "state": true, "parameters": parameters });
+    resume_job(&scenario, &[0.4, 0.9]);
+}
+
+#[test]
 fn a_log_with_an_overview_goes_on_to_the_same_bytes() {
     let mut long = dipole(&json!({ "name": "vpd", "tableau": "gauss2" }));
     long["steps"] = json!(70_000);

@@ -218,6 +218,21 @@ class Run:
         """Spectral norm of g g^T - I, of shape (samples,)."""
         return found(self.columns, "orthogonality_error", "/orthogonality")
 
+    @property
+    def transition(self) -> Numbers:
+        """State transition matrices: the change of the state by that of the start, of shape (samples, n (n - 1), n (n - 1)).
+
+        A state changes by `dg = g hat(xi)` and `dmu = hat(nu)`: first xi, then nu.
+        """
+        return found(self.columns, "transition", "/derivatives")
+
+    @property
+    def sensitivity(self) -> Numbers:
+        """The change of the state with each of `/derivatives/parameters`, of shape (samples, parameters, n (n - 1))."""
+        flat = found(self.columns, "sensitivity", "/derivatives")
+        n: int = self.plan["dimension"]
+        return flat.reshape(len(flat), -1, n * (n - 1))
+
     def __len__(self) -> int:
         return len(self.time)
 
@@ -323,8 +338,8 @@ def places(name: str, shape: tuple[int, ...]) -> list[str]:
         return [f"{i + 1}_{j + 1}" for i in range(shape[0]) for j in range(shape[1])]
     if name == "quaternion":
         return list("wxyz")
-    if name in ("control_command", "wheel_momenta", "wheel_speeds"):
-        # Of an actuator or a wheel each.
+    if name in ("control_command", "wheel_momenta", "wheel_speeds", "sensitivity"):
+        # Of an actuator or a wheel each; of one parameter after another.
         return [str(number + 1) for number in range(shape[0])]
     if shape[0] == 3:
         return list("xyz")

@@ -9,6 +9,7 @@
 //! value(fields.., q)                               U(q)
 //! slope(fields.., q, inverse_arm_squared, proximity)              dU/dq, see [`LawRef::slope`]
 //! change(fields.., q, rate)                        dU/dq . q', rate being q'
+//! slope_rate((fields..), (their rates..), q, q')    the rate of that slope
 //! singular_point(fields..)                         the body point y, if U is singular at q = y
 //! ```
 
@@ -97,6 +98,14 @@ macro_rules! field {
     (plane number $own:ident $axes:ident) => { *$own };
     (plane vector $own:ident $axes:ident) => { point_in_plane($own, $axes)? };
     (plane matrix $own:ident $axes:ident) => { matrix_in_plane($own, $axes)? };
+    (quotient $kind:ident $law:ident $field:ident $other:ident $divisor:ident) => {
+        if let Self::$law { $field: other, .. } = $other {
+            *$field = (*$field - other) / $divisor;
+        }
+    };
+    (zero number) => { 0.0 };
+    (zero vector) => { Vector::zeros() };
+    (zero matrix) => { Mat::zeros() };
     (example number $next:ident) => { 0.2 + $next().abs() };
     (example vector $next:ident) => { Vector::from_fn(|_, _| $next()) };
     (example matrix $next:ident) => { so::symmetric_part(&Mat::from_fn(|_, _| $next())) };
@@ -153,6 +162,57 @@ macro_rules! declare {
                     $(Self::$law { $first: strength, .. })|* => *strength *= factor,
                 }
                 law
+            }
+
+            /// Returns the law of the same kind whose fields are zero: as a rate, one that changes nothing.
+            pub fn zero(&self) -> Self {
+                match self {
+                    $(Self::$law { .. } => Self::$law {
+                        $first: 0.0,
+                        $($field: field!(zero $kind),)*
+                    },)*
+                }
+            }
+
+            fn strength(&self) -> f64 {
+                match self {
+                    $(Self::$law { $first: strength, .. })|* => *strength,
+                }
+            }
+
+            /// Returns `(self - other) / divisor`, field by field; `None` if the kinds differ.
+            pub(super) fn quotient(&self, other: &Self, divisor: f64) -> Option<Self> {
+                let mut law = self.clone();
+                match (&mut law, other) {
+                    $((
+                        Self::$law { $first: strength, $($field,)* },
+                        Self::$law { .. },
+                    ) => {
+                        *strength = (*strength - other.strength()) / divisor;
+                        $(field!(quotient $kind $law $field other divisor);)*
+                    })*
+                    _ => return None,
+                }
+                Some(law)
+            }
+
+            /// The rate of dU/dq, up to multiples of q, where the fields change at the rates in `rate`, a law of the same
+            /// kind, and q at `q_rate`. `None` if the kinds differ.
+            pub(super) fn slope_rate(
+                &self,
+                rate: &Self,
+                q: &Vector<N>,
+                q_rate: &Vector<N>,
+            ) -> Option<Vector<N>> {
+                match self.numbers() {
+                    $(LawRef::$law { $first, $($field,)* } => {
+                        let fields = ($first, $($field,)*);
+                        let LawRef::$law { $first, $($field,)* } = rate.numbers() else {
+                            return None;
+                        };
+                        Some($module::slope_rate(fields, ($first, $($field,)*), q, q_rate))
+                    })*
+                }
             }
 
             /// The law as its formulas see it.

@@ -34,6 +34,7 @@ use crate::hamiltonian::{BodyAtTime, Rescaled, RigidBody, Scale, WorkAndImpulse}
 use crate::lanes::Real;
 use crate::nonlinear::{Convergence, Rung, Rungs, Solver, StepHistory, StopRule};
 use crate::so::{self, Mat, Vector};
+use crate::state::State;
 use crate::stepper::checks::{check_continuity, check_singular_value};
 use crate::tableau::Tableau;
 
@@ -463,21 +464,32 @@ impl<const N: usize> GalerkinStep<N> {
     ) -> WorkAndImpulse<N> {
         let mut work_and_impulse = WorkAndImpulse::default();
         for (k, body_at_time) in bodies.iter().enumerate().take(self.stages.len()) {
-            let (mu, omega) = match self.solution_ref() {
-                SolutionRef::Matrices(collocation) => (
-                    Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
-                    Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
-                ),
-                SolutionRef::Vectors(in_vectors) => {
-                    let [mu, omega] = in_vectors.motion(k);
-                    (so::hat(&mu), so::hat(&omega))
-                }
-                SolutionRef::Sweeps => (self.stages[k].mu, self.stages[k].omega),
-            };
+            let [mu, omega] = self.motion_at(k);
             let g = so::product(g0, &self.attitude(k));
             work_and_impulse.add(h * self.tableau.b(k), &body_at_time.input(&g, &mu, &omega));
         }
         work_and_impulse
+    }
+
+    /// mu_k and Omega_k.
+    fn motion_at(&self, k: usize) -> [Mat<N>; 2] {
+        match self.solution_ref() {
+            SolutionRef::Matrices(collocation) => [
+                Mat::from_fn(|i, j| collocation.momentum(k, i * N + j)),
+                Mat::from_fn(|i, j| collocation.velocity(k, i * N + j)),
+            ],
+            SolutionRef::Vectors(in_vectors) => {
+                let [mu, omega] = in_vectors.motion(k);
+                [so::hat(&mu), so::hat(&omega)]
+            }
+            SolutionRef::Sweeps => [self.stages[k].mu, self.stages[k].omega],
+        }
+    }
+
+    /// Stage `k` of the last step, in the frame of g0: U_k and mu_k.
+    pub(super) fn stage(&self, k: usize) -> Option<State<N>> {
+        let there = k < self.stages.len();
+        there.then(|| State { attitude: self.attitude(k), momentum: self.motion_at(k)[0] })
     }
 
     /// Returns how long the step lasted, for a system in a time of its own:

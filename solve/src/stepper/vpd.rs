@@ -166,6 +166,10 @@ impl<const N: usize, S: Hamiltonian<N> + ?Sized> Stepper<N, S> for Vpd<N, S> {
     fn sigma_min(&self) -> Option<f64> {
         Some(self.carried.step.sigma_min())
     }
+
+    fn stage(&self, k: usize) -> Option<State<N>> {
+        self.carried.step.stage(k)
+    }
 }
 
 #[cfg(test)]

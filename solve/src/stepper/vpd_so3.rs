@@ -392,6 +392,23 @@ impl Stepper<3> for VpdSo3 {
         let sigmas = (0..=self.tableau.stages()).map(|k| smallest_singular_value(&self.stretch(k)));
         Some(sigmas.fold(f64::INFINITY, f64::min))
     }
+
+    fn stage(&self, k: usize) -> Option<State<3>> {
+        if let Some(matrices) = self.matrices.as_ref().filter(|_| self.by_matrices) {
+            return matrices.step.stage(k);
+        }
+        if k >= self.tableau.stages() {
+            return None;
+        }
+        // pi_k - p0 is what is kept; p0 = f p1 f^T - (pi1 - p0).
+        let Unknowns { momentum, end, impulse, .. } = &self.unknowns;
+        let before = product(&end.matrix(), &self.body_momentum());
+        let pi = vec3!(i => momentum[i].0[k] + (before[i] - impulse[i]));
+        let u = self.rotation(k).matrix();
+        let attitude = Mat::from_fn(|i, j| u[i][j]);
+        let momentum = so::hat(&transposed_product(&u, &pi));
+        Some(State { attitude, momentum })
+    }
 }
 
 impl VpdSo3 {

@@ -347,6 +347,7 @@ const ALL: Observables = Observables {
     sigma_min: true,
     pace: true,
     control: false,
+    derivatives: false,
 };
 
 fn adaptive(scene: &Scene, stages: usize, largest_step_s: f64) -> VpdAdaptive<3> {

@@ -27,6 +27,7 @@ const ALL: Observables = Observables {
     sigma_min: false,
     pace: false,
     control: true,
+    derivatives: true,
 };
 
 fn gauss(stages: usize) -> Tableau {

@@ -230,6 +230,7 @@ fn without_need_no_attitude_is_computed() {
         sigma_min: false,
         pace: false,
         control: false,
+        derivatives: false,
     };
     let count = |with_attitude| {
         let gauss = Tableau::gauss(3).expect("3 stages");

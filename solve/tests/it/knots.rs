@@ -28,6 +28,7 @@ const ALL: Observables = Observables {
     sigma_min: false,
     pace: false,
     control: false,
+    derivatives: false,
 };
 
 fn table(times: &[f64], values: &[f64], interpolation: Interpolation) -> Table<1> {

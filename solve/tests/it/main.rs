@@ -20,5 +20,6 @@ mod literal;
 mod methods;
 mod open;
 mod published;
+mod tangent;
 mod verification;
 mod vrkmk;

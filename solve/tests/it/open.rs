@@ -157,6 +157,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         sigma_min: true,
         pace: false,
         control: false,
+        derivatives: false,
     };
     let Ok(end) = integrate(system, stepper, start, schedule, observables, &mut kept, |_| true);
     (end, kept)
@@ -618,6 +619,7 @@ fn a_lagrangian_that_is_not_hyperregular_is_refused() {
         sigma_min: false,
         pace: false,
         control: false,
+        derivatives: false,
     };
     let mut kept = Vec::new();
     let Ok(end) = trajectory::integrate(

@@ -257,6 +257,7 @@ fn invariants_are_kept(
         sigma_min: false,
         pace: false,
         control: false,
+        derivatives: false,
     };
     let mut seen = Invariants::default();
     let mut stepper = Vpd::new(tableau.clone(), StopRule::default());
@@ -314,6 +315,7 @@ fn a_run_stops_when_asked() {
         sigma_min: false,
         pace: false,
         control: false,
+        derivatives: false,
     };
     let mut seen = Invariants::default();
     let run =

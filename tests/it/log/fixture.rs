@@ -29,6 +29,7 @@ pub(super) const EVERYTHING: Observables = Observables {
     sigma_min: true,
     pace: false,
     control: false,
+    derivatives: false,
 };
 
 /// The channels that tests call by name: those of a single run. A log may have others in addition.
@@ -160,6 +161,7 @@ pub(super) fn sample(state: &state::State<3>, time_s: f64) -> Sample<3> {
         sigma_min: None,
         pace: None,
         control: None,
+        derivatives: None,
     }
 }
 

@@ -31,6 +31,21 @@ pub(super) fn change<V: BodyVector>(strength: f64, y: &[f64], q: &V, rate: &V) -
     arm.dot(rate) * strength / (square * square.sqrt())
 }
 
+/// The rate of [`slope`]: `(strength y)' / r^3 - 3 strength y (a . a') / r^5`, `a = y - q`.
+pub(super) fn slope_rate<const N: usize>(
+    (strength, y): (f64, &[f64]),
+    (strength_rate, y_rate): (f64, &[f64]),
+    q: &Vector<N>,
+    q_rate: &Vector<N>,
+) -> Vector<N> {
+    let (y, y_rate) = (Vector::from_column_slice(y), Vector::from_column_slice(y_rate));
+    let (arm, arm_rate) = (y - q, y_rate - q_rate);
+    let square = arm.square();
+    let cube = square * square.sqrt();
+    let fall = 3.0 * strength * BodyVector::dot(&arm, &arm_rate) / square;
+    (y * (strength_rate - fall) + y_rate * strength) / cube
+}
+
 pub(super) fn singular_point<const N: usize>(_: f64, y: &Vector<N>) -> Option<&Vector<N>> {
     Some(y)
 }

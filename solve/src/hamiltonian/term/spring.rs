@@ -52,6 +52,25 @@ pub(super) fn change<V: BodyVector>(
     (-ratio + 1.0) * pull
 }
 
+/// The rate of [`slope`]: of `pull y` with `pull = stiffness (rest_length / r - 1)`, where `r' = a . a' / r`, `a = y - q`.
+pub(super) fn slope_rate<const N: usize>(
+    (stiffness, rest_length, y): (f64, f64, &[f64]),
+    (stiffness_rate, rest_length_rate, y_rate): (f64, f64, &[f64]),
+    q: &Vector<N>,
+    q_rate: &Vector<N>,
+) -> Vector<N> {
+    let (y, y_rate) = (Vector::from_column_slice(y), Vector::from_column_slice(y_rate));
+    if rest_length == 0.0 && rest_length_rate == 0.0 {
+        return -(y * stiffness_rate + y_rate * stiffness);
+    }
+    let (arm, arm_rate) = (y - q, y_rate - q_rate);
+    let r = arm.square().sqrt();
+    let (ratio, r_rate) = (rest_length / r, BodyVector::dot(&arm, &arm_rate) / r);
+    let ratio_rate = (rest_length_rate - ratio * r_rate) / r;
+    let pull_rate = stiffness_rate * (ratio - 1.0) + stiffness * ratio_rate;
+    y * pull_rate + y_rate * (stiffness * (ratio - 1.0))
+}
+
 pub(super) fn singular_point<'a, const N: usize>(
     _: f64,
     rest_length: &f64,

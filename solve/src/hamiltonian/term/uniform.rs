@@ -20,6 +20,16 @@ pub(super) fn change<V: BodyVector>(weight: f64, y: &[f64], q: &V, rate: &V) -> 
     q.vector(y).dot(rate) * weight
 }
 
+/// The rate of [`slope`]: `weight' y + weight y'`.
+pub(super) fn slope_rate<const N: usize>(
+    (weight, y): (f64, &[f64]),
+    (weight_rate, y_rate): (f64, &[f64]),
+    _: &Vector<N>,
+    _: &Vector<N>,
+) -> Vector<N> {
+    Vector::from_column_slice(y) * weight_rate + Vector::from_column_slice(y_rate) * weight
+}
+
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Vector<N>) -> Option<&Vector<N>> {
     None
 }

@@ -1,0 +1,146 @@
+//! A stepper that carries the derivatives of its state along.
+
+use super::dense::Dense;
+use super::{Tangent, TangentError, stages_of};
+use crate::failure::{Failure, FailureCode};
+use crate::hamiltonian::{BodyRate, RigidBody};
+use crate::nonlinear::Convergence;
+use crate::so::{self, Mat};
+use crate::state::{Checkpoint, Derivatives, State};
+use crate::stepper::{Clock, Stepper};
+use crate::tableau::Tableau;
+
+/// A parameter of a run, by the rates at which body and start change with it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter<const N: usize> {
+    /// The rate of the body.
+    pub body: BodyRate<N>,
+    /// The rate of the body momentum at the start, skew.
+    pub start: Mat<N>,
+}
+
+/// A stepper of VPD whose steps also carry the derivatives of the state by the start and by parameters. The states are those
+/// of the stepper inside, to the bit.
+pub struct WithDerivatives<const N: usize> {
+    stepper: Box<dyn Stepper<N>>,
+    tangent: Tangent<N>,
+    rates: Vec<BodyRate<N>>,
+    at_start: Derivatives,
+    derivatives: Derivatives,
+}
+
+impl<const N: usize> WithDerivatives<N> {
+    /// Carries the derivatives of `body` along, by the state at the start if `by_state`, and by parameters, for a stepper of
+    /// VPD with this tableau.
+    ///
+    /// # Errors
+    /// Those of [`Tangent::new`].
+    pub fn new(
+        stepper: Box<dyn Stepper<N>>,
+        body: &RigidBody<N>,
+        tableau: Tableau,
+        by_state: bool,
+        parameters: Vec<Parameter<N>>,
+    ) -> Result<Self, TangentError> {
+        let tangent = Tangent::new(body, tableau)?;
+        let d = so::dimension(N);
+        let mut at_start = Derivatives::default();
+        if by_state {
+            let one = |k| if k % (2 * d + 1) == 0 { 1.0 } else { 0.0 };
+            at_start.transition.extend((0..4 * d * d).map(one));
+        }
+        for Parameter { start, .. } in &parameters {
+            at_start.sensitivity.extend(std::iter::repeat_n(0.0, d));
+            at_start.sensitivity.extend(so::vee(start));
+        }
+        let rates = parameters.into_iter().map(|parameter| parameter.body).collect();
+        Ok(Self { stepper, tangent, rates, derivatives: at_start.clone(), at_start })
+    }
+
+    fn state(&self) -> State<N> {
+        let attitude = self.stepper.attitude().unwrap_or_else(Mat::identity);
+        State { attitude, momentum: self.stepper.momentum() }
+    }
+
+    /// Multiplies the derivatives by those of the step that was made from `before`.
+    fn carry(&mut self, h: f64, before: &State<N>) -> Result<(), Failure> {
+        let stages = stages_of(self.stepper.as_ref());
+        let of_step = self.tangent.of_step(h, before, &stages).map_err(|error| match error {
+            TangentError::Step(failure) => failure,
+            // The pivot is zero to working precision.
+            TangentError::Driven | TangentError::UserPotential | TangentError::Singular => {
+                Failure::new(FailureCode::LyapunovSingular, None, 0.0, f64::EPSILON)
+            }
+        })?;
+        let rows = 2 * so::dimension(N);
+        let step = Dense::of(rows, of_step.transition());
+        let Derivatives { transition, sensitivity } = &mut self.derivatives;
+        if !transition.is_empty() {
+            let mut carried = Dense::zeros(rows, rows);
+            carried.add_product(&step, &Dense::of(rows, std::mem::take(transition)));
+            *transition = carried.into_numbers();
+        }
+        let by_parameters = of_step.by_parameters(&self.rates);
+        let columns = sensitivity.chunks_exact_mut(rows).zip(by_parameters.chunks_exact(rows));
+        for (column, by_parameter) in columns {
+            let carried = step.times(column);
+            let sums = column.iter_mut().zip(carried.iter().zip(by_parameter));
+            sums.for_each(|(sum, (carried, by_parameter))| *sum = carried + by_parameter);
+        }
+        Ok(())
+    }
+}
+
+impl<const N: usize> Stepper<N> for WithDerivatives<N> {
+    fn order(&self) -> u32 {
+        self.stepper.order()
+    }
+
+    fn start(&mut self, state: &State<N>) {
+        self.stepper.start(state);
+        self.derivatives.clone_from(&self.at_start);
+    }
+
+    fn resume(&mut self, checkpoint: &Checkpoint<N>) {
+        self.start(&checkpoint.state());
+        self.stepper.resume(checkpoint);
+        if let Some(derivatives) = &checkpoint.derivatives {
+            self.derivatives.clone_from(derivatives);
+        }
+    }
+
+    fn step(&mut self, body: &RigidBody<N>, h: f64) -> Result<Convergence, Failure> {
+        let before = self.state();
+        let solved = self.stepper.step(body, h)?;
+        self.carry(h, &before).inspect_err(|_| self.stepper.start(&before))?;
+        Ok(solved)
+    }
+
+    fn derivatives(&self) -> Option<&Derivatives> {
+        Some(&self.derivatives)
+    }
+
+    fn clock(&self) -> Option<&Clock<N>> {
+        self.stepper.clock()
+    }
+
+    fn clock_mut(&mut self) -> Option<&mut Clock<N>> {
+        self.stepper.clock_mut()
+    }
+
+    fn attitude(&self) -> Option<Mat<N>> {
+        self.stepper.attitude()
+    }
+
+    fn momentum(&self) -> Mat<N> {
+        self.stepper.momentum()
+    }
+
+    fn sigma_min(&self) -> Option<f64> {
+        self.stepper.sigma_min()
+    }
+
+    fn stage(&self, k: usize) -> Option<State<N>> {
+        self.stepper.stage(k)
+    }
+}

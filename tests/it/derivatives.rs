@@ -1,0 +1,146 @@
+//! Derivatives that a run carries along: against runs next to it, in its log, and through an interruption.
+
+use std::path::Path;
+
+use serde_json::{Value, json};
+use vpd::advise;
+use vpd::log::columns::{Columns, Values};
+use vpd::log::inspect::inspect;
+use vpd::run::{Control, JobContext, Outcome, Summary, collect, execute};
+use vpd::scenario::{Scenario, with_changes};
+use vpd::solve::so;
+use vpd::verify::verify;
+
+/// A heavy body between two charges, which starts with a velocity.
+fn scene() -> Value {
+    json!({
+        "name": "derivatives",
+        "scene": {
+            "inertia": { "principal": [1.0, 1.3, 1.7] },
+            "potential": [
+                { "kind": "uniform", "weight": 0.7, "body_point": [0.1, 0.2, 1], "direction": [0, 0, 1] },
+                { "kind": "point_source", "strength": 0.5, "body_point": [0, 0.3, -1], "position": [0.5, 0, -2] },
+                { "kind": "gravity_gradient", "strength": 0.4, "direction": [0, 0.6, 0.8] },
+            ],
+            "initial": { "angular_velocity": { "body": [0.3, -0.2, 0.5] } },
+        },
+        "method": { "name": "vpd", "tableau": "gauss4" },
+        "step_s": 0.05,
+        "steps": 100,
+        "log": { "every": 10 },
+        "derivatives": { "state": true, "parameters": [
+            "/scene/inertia/principal/1",
+            "/scene/potential/0/weight",
+            "/scene/potential/1/body_point/2",
+            "/scene/potential/1/position/0",
+            "/scene/initial/angular_velocity/body/2",
+        ] },
+    })
+}
+
+fn accepted(scenario: &Value) -> Scenario {
+    Scenario::from_json(scenario.to_string().as_bytes()).expect("a good scenario")
+}
+
+fn in_memory(scenario: &Value) -> (Summary, Columns) {
+    let plan = advise::plan(&accepted(scenario)).expect("a plan");
+    collect(&plan, &Control::default()).expect("a run")
+}
+
+fn run(scenario: &Value, log: &Path) -> Summary {
+    let plan = advise::plan(&accepted(scenario)).expect("a plan");
+    execute(&plan, &JobContext { log, control: &Control::default() }).expect("a log")
+}
+
+/// The numbers of a quantity at the last sample.
+fn last(columns: Columns, name: &str) -> Vec<f64> {
+    let all = columns.into_all();
+    let (_, values) = all.into_iter().find(|(found, _)| *found == name).expect("a column");
+    let Values::Numbers { shape, values } = values else { panic!("{name} has numbers") };
+    values[values.len() - shape.iter().product::<usize>()..].to_vec()
+}
+
+/// The change of the end with a field, left-trivialised: central differences of eighth order.
+fn difference(pointer: &str) -> Vec<f64> {
+    let mut plain = scene();
+    plain.as_object_mut().expect("an object").remove("derivatives");
+    let given = plain.pointer(pointer).and_then(Value::as_f64).expect("a number");
+    let end = |value: f64| {
+        let changed = with_changes(
+            plain.to_string().as_bytes(),
+            [(pointer.to_owned(), json!(value)), ("/method/name".to_owned(), json!("vpd"))],
+        );
+        let scenario = serde_json::from_slice(&changed.expect("a field")).expect("JSON");
+        let (_, columns) = in_memory(&scenario);
+        let g: so::Mat<3> = so::Mat::from_row_slice(&last(columns.clone(), "attitude"));
+        (g, last(columns, "body_momentum"))
+    };
+    const E: f64 = 0.004;
+    let (g1, _) = end(given);
+    let coordinates = |e: f64| {
+        let (g, mu) = end(given + e);
+        let mut coordinates = so::vee(&so::skew(&so::transposed_product(&g1, &g)));
+        coordinates.extend(mu);
+        coordinates
+    };
+    let mut sum = vec![0.0; 6];
+    for (k, weight) in (1..).zip([4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0]) {
+        let e = E * f64::from(k);
+        let pairs = coordinates(e).into_iter().zip(coordinates(-e));
+        pairs
+            .zip(&mut sum)
+            .for_each(|((ahead, behind), sum)| *sum += weight * (ahead - behind) / E);
+    }
+    sum
+}
+
+#[test]
+fn sensitivities_are_those_of_runs_next_to_it() {
+    let (summary, columns) = in_memory(&scene());
+    assert_eq!(summary.outcome, Outcome::Succeeded);
+    let found = summary.derivatives.expect("asked for");
+    assert!(found.symplectic_error < 1e-14, "{found:?}");
+    let transition = last(columns.clone(), "transition");
+    assert_eq!(transition.len(), 36);
+    let sensitivity = last(columns, "sensitivity");
+    let parameters = scene()["derivatives"]["parameters"].as_array().expect("a list").clone();
+    assert_eq!(sensitivity.len(), 6 * parameters.len());
+    for (column, pointer) in sensitivity.chunks_exact(6).zip(&parameters) {
+        let pointer = pointer.as_str().expect("text");
+        let expected = difference(pointer);
+        let size = expected.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
+        assert!(size > 1e-3, "{pointer}: {expected:?}");
+        for (x, expected) in column.iter().zip(&expected) {
+            let error = (x - expected).abs() / size;
+            assert!(error < 1e-9, "{pointer}: {x:e} for {expected:e}");
+        }
+    }
+}
+
+/// The states of a run do not depend on whether derivatives are carried along.
+#[test]
+fn derivatives_leave_the_states_alone() {
+    let mut plain = scene();
+    plain.as_object_mut().expect("an object").remove("derivatives");
+    let states = [scene(), plain].map(|scenario| {
+        let (_, columns) = in_memory(&scenario);
+        [last(columns.clone(), "attitude"), last(columns, "body_momentum")]
+    });
+    assert_eq!(states[0], states[1]);
+}
+
+#[test]
+fn the_log_has_a_channel_and_is_repeated() {
+    let place = tempfile::tempdir().expect("a directory");
+    let log = place.path().join("derivatives.mcap");
+    let summary = run(&scene(), &log);
+    let seen = inspect(&log).expect("readable");
+    let channel = seen.topics.iter().find(|entry| entry.topic == "/derivatives");
+    assert_eq!(channel.expect("logged").messages, summary.samples);
+    assert!(verify(&log).expect("verified").same);
+    let (columns, _) = Columns::read(&log, 0, &[]).expect("readable");
+    let (_, in_memory) = in_memory(&scene());
+    for name in ["transition", "sensitivity"] {
+        assert_eq!(last(columns.clone(), name), last(in_memory.clone(), name), "{name}");
+    }
+}
