@@ -105,11 +105,11 @@ impl BodyInitial {
 pub enum Interaction {
     /// A term that acts on one body, as in a scene of one: the points of a free body move with its position.
     On {
-        /// Name of the body.
-        body: String,
-        /// The term.
+        /// The term; first, because reading begins with its kind.
         #[serde(flatten)]
         term: PotentialTerm,
+        /// Name of the body.
+        body: String,
     },
     /// A term that acts on two bodies.
     Between {

@@ -4,10 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::{Value, json};
-use vpd::advise;
+use vpd::advise::{self, Settled};
 use vpd::plan::Plan;
 use vpd::run::{Control, JobContext, Outcome, Summary, collect, execute};
 use vpd::scenario::Scenario;
+use vpd::study::Watch;
 use vpd::verify;
 
 fn shipped(name: &str) -> Value {
@@ -54,6 +55,18 @@ fn a_chain_is_planned_run_logged_and_verified() {
     }
     let verified = verify::verify(&log).expect("a run again");
     assert!(verified.same, "{verified:?}");
+}
+
+/// A service stores what it has settled, and reads it back without the order of a file.
+#[test]
+fn what_is_settled_is_read_back() {
+    for name in ["chain", "tether", "gyroscope-on-a-string", "compass-needles"] {
+        let scenario = Scenario::from_json(shipped(name).to_string().as_bytes()).expect("good");
+        let settled = Settled::new(&scenario, &Watch::default()).expect("settled");
+        let stored = serde_json::to_string(&settled).expect("JSON");
+        let read: Settled = serde_json::from_str(&stored).expect("what was written");
+        assert_eq!(read, settled, "{name}");
+    }
 }
 
 /// The samples in memory are those of the log.
