@@ -145,8 +145,8 @@ impl Accuracy {
 #[serde(remote = "Self", deny_unknown_fields)]
 pub struct Scene {
     /// Inertia about the fixed point; n follows from it.
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "parse::given")]
-    #[schemars(required, with = "Inertia")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "parse::given")]
+    #[schemars(with = "Inertia")]
     pub inertia: Option<Inertia>,
     /// The terms of the potential; none for a free body.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

@@ -81,7 +81,10 @@ async fn come_in(
 
 /// Messages that viewers are sent first.
 static WELCOME: LazyLock<[String; 2]> = LazyLock::new(|| {
-    let channels: Vec<Value> = Channel::all().into_iter().zip(0..).map(advertised).collect();
+    // Topics of several bodies have names that only a scene knows.
+    let known =
+        Channel::all().into_iter().zip(0..).filter(|(channel, _)| !channel.is_of_each_body());
+    let channels: Vec<Value> = known.map(advertised).collect();
     let info = json!({ "op": "serverInfo", "name": "vpd", "capabilities": ["time"] });
     [info.to_string(), json!({ "op": "advertise", "channels": channels }).to_string()]
 });

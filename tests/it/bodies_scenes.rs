@@ -78,7 +78,7 @@ fn rows() -> Vec<Row> {
         ("/method", json!({"solver": {"kind": "newton"}}), "/method/solver/kind", "fixed_point and auto"),
         ("/scene/bodies", json!([]), "/scene/bodies", "0 bodies given, 1 to 64"),
         ("/scene/bodies", json!({}), "/scene/bodies", "expected a list"),
-        ("/scene/bodies/0", json!([1]), "/scene/bodies/0", "list where an object"),
+        ("/scene/bodies/0", json!(["a", 1, null, {"principal": [1, 1, 1]}, {}]), "/scene/bodies/0", "list where an object"),
         ("/scene/bodies/0/name", json!(""), "/scene/bodies/0/name", "a letter first"),
         ("/scene/bodies/0/name", json!("1st"), "/scene/bodies/0/name", "`1st` given"),
         ("/scene/bodies/0/name", json!("a b"), "/scene/bodies/0/name", "letters, digits"),
