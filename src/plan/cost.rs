@@ -155,9 +155,20 @@ impl Plan {
         let compression = self.settled.log.compression;
         let n = self.dimension;
         let dense = |channel: Channel| channel.dense_bytes_per_sample(n);
+        // Of each of several bodies there is one, and a frame.
+        let bodies = self.bodies.len().max(1) as u64;
+        let times = |channel: Channel| {
+            let each = channel.is_of_each_body() || channel == Channel::Tf;
+            if each { bodies } else { 1 }
+        };
         let put_in = self.put_in_bytes();
-        let raw: u64 = self.channels.iter().map(|plan| plan.topic.bytes_per_sample(n)).sum();
-        let raw_dense: u64 = self.channels.iter().map(|plan| dense(plan.topic)).sum();
+        let raw: u64 = self
+            .channels
+            .iter()
+            .map(|plan| times(plan.topic) * plan.topic.bytes_per_sample(n))
+            .sum();
+        let raw_dense: u64 =
+            self.channels.iter().map(|plan| times(plan.topic) * dense(plan.topic)).sum();
         let (raw, raw_dense) = (raw + put_in, raw_dense + put_in);
         let in_full = self.ensemble.as_ref().map_or(1, |ensemble| ensemble.in_full.len() as u64);
         let samples = self.samples.saturating_mul(in_full) as f64;
