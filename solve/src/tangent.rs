@@ -38,9 +38,11 @@ use dense::{Dense, Factors, add_scaled};
 mod adjoint;
 mod carried;
 mod dense;
+mod lyapunov;
 
 pub use adjoint::Gradient;
 pub use carried::{Parameter, WithDerivatives};
+pub use lyapunov::Lyapunov;
 
 /// Why there is no derivative.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

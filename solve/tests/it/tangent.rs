@@ -288,7 +288,7 @@ fn the_derivative_is_symplectic() {
 }
 
 #[test]
-#[ignore = "takes half a minute; CI runs it"]
+#[ignore = "half a minute: cargo test --release the_derivative_stays_symplectic -- --ignored --nocapture"]
 fn the_derivative_stays_symplectic() {
     let (body, start) = heavy_top();
     let gauss = Tableau::gauss(2).expect("gauss");
@@ -431,4 +431,35 @@ fn a_driven_body_is_refused() {
     let body = body.with_torque(torque);
     let refused = Tangent::new(&body, Tableau::gauss(1).expect("gauss")).err();
     assert_eq!(refused, Some(TangentError::Driven));
+}
+
+/// Of a free body and of a top all exponents are zero; those of a chaotic motion come in pairs of two signs.
+#[test]
+fn lyapunov_exponents() {
+    let gauss = Tableau::gauss(2).expect("gauss");
+    let exponents = |(body, start): (RigidBody<3>, State<3>), h: f64, steps: u64| {
+        let tangent = Tangent::new(&body, gauss.clone()).expect("not driven");
+        let mut stepper = VpdSo3::new(gauss.clone(), StopRule::default()).expect("n = 3");
+        let found = tangent.lyapunov(&mut stepper, &start, (h, steps), |_| true).expect("solved");
+        let found = found.expect("nobody stops it");
+        println!("{found:?}");
+        assert!(found.sum.abs() < 1e-12, "{:e}", found.sum);
+        found
+    };
+    let free = || {
+        let body = RigidBody::new(Kinetic::of_moments([1.0, 1.4, 1.7]), Vec::new(), 0.0);
+        (body, State { attitude: Mat::identity(), momentum: so::hat(&[0.3, 0.1, 1.2]) })
+    };
+    // What grows with time alone, like t, has exponents that fall like log(t) / t.
+    for regular in [free(), heavy_top()] {
+        let found = exponents(regular, 0.05, 16_000);
+        let most = 2.0 * 800.0_f64.ln() / 800.0;
+        assert!(found.exponents.iter().all(|exponent| exponent.abs() < most), "{found:?}");
+    }
+    let found = exponents(dipole(), 0.01, 20_000);
+    assert!(found.exponents[0] > 3.0 * found.errors[0], "{found:?}");
+    for (i, exponent) in found.exponents.iter().enumerate() {
+        let pair = exponent + found.exponents[5 - i];
+        assert!(pair.abs() < 0.05, "{found:?}");
+    }
 }
