@@ -366,6 +366,22 @@ impl<R: Stored, D: Dimension> StageMatrices<R, D> {
         }
     }
 
+    /// [F], [K] and [C] of docs/derivation.md: one step of Newton's method for the polar factor of `I + D`, with the derivative at
+    /// P = I, from the current F.
+    #[inline(always)]
+    pub(crate) fn polar_factor(
+        self,
+        d: &[f64],
+        c: &mut [f64],
+        f: &mut [f64],
+        k: &mut [f64],
+        room: &mut [f64],
+    ) {
+        self.add_half_defect(c, f, room);
+        self.plus_product(f, d, f, k);
+        self.difference(d, k, c);
+    }
+
     /// `C += a b^T - b a^T`, from zero if it is the `first`.
     #[inline(always)]
     pub fn add_wedge(self, first: bool, a: &D::Vector<R>, b: &D::Vector<R>, c: &mut [f64]) {

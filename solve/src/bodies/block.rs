@@ -16,57 +16,14 @@
 
 use fearless_simd::{Level, f64x4, f64x8, prelude::*};
 
+use super::coefficients::{Coefficients, combination};
 use crate::lanes::{Real, Rows, StageScalar, in_lanes, widest};
 use crate::nonlinear::SMALLEST_SIZE;
 use crate::so::Mat;
 use crate::stack::{AlignedBuffer, Any, Dimension, Known, StageMatrices};
-use crate::tableau::Tableau;
 
 /// The most bodies in a block.
 pub(super) const MOST_BODIES: usize = 8;
-
-/// The coefficients of a tableau of any number of stages; matrices row by row.
-#[derive(Clone, Debug)]
-pub(super) struct Coefficients {
-    pub(super) stages: usize,
-    /// `e_kj = a_kj / b_j`
-    pub(super) part: Vec<f64>,
-    /// `e_jk`
-    transposed: Vec<f64>,
-    /// `1 - e_jk`, the conjugate coefficients.
-    pub(super) conjugate: Vec<f64>,
-    /// `1 - e_jk - e_kj`; `None` for a symplectic tableau.
-    conjugate_defect: Option<Vec<f64>>,
-    pub(super) weights: Vec<f64>,
-    pub(super) nodes: Vec<f64>,
-}
-
-impl Coefficients {
-    /// Those of a tableau whose weights are not zero.
-    pub(super) fn new(tableau: &Tableau) -> Self {
-        let stages = tableau.stages();
-        let is_symplectic = tableau.is_symplectic();
-        let quotient = |i: usize, j: usize| tableau.a(i, j) / tableau.b(j);
-        // As in lanes: of two that sum to one, the smaller is one minus the larger.
-        let e = |i: usize, j: usize| {
-            let from_other = is_symplectic && quotient(i, j) < quotient(j, i);
-            if from_other { 1.0 - quotient(j, i) } else { quotient(i, j) }
-        };
-        let all = |entry: &dyn Fn(usize, usize) -> f64| -> Vec<f64> {
-            (0..stages * stages).map(|at| entry(at / stages, at % stages)).collect()
-        };
-        let conjugate = |k: usize, j: usize| if is_symplectic { e(k, j) } else { 1.0 - e(j, k) };
-        Self {
-            stages,
-            part: all(&e),
-            transposed: all(&|k, j| e(j, k)),
-            conjugate: all(&conjugate),
-            conjugate_defect: (!is_symplectic).then(|| all(&|k, j| conjugate(k, j) - e(k, j))),
-            weights: (0..stages).map(|j| tableau.b(j)).collect(),
-            nodes: tableau.nodes().to_vec(),
-        }
-    }
-}
 
 /// The unknowns of up to eight bodies, and scratch space: matrices in lanes row by row, those of the stages one after the
 /// other. Of `pull`, `delta` and the scratch only entries above the diagonal count where they are skew, unless said.
@@ -387,26 +344,6 @@ fn dimensioned<R: StageScalar>(
     }
 }
 
-/// `out_k = sum_j coefficients_kj a_j`
-#[inline(always)]
-fn combination(coefficients: &[f64], stages: usize, a: &[f64], out: &mut [f64]) {
-    let len = out.len() / stages;
-    for (k, out) in out.chunks_exact_mut(len).enumerate() {
-        let row = &coefficients[k * stages..(k + 1) * stages];
-        for (j, (a, &coefficient)) in a.chunks_exact(len).zip(row).enumerate() {
-            if j == 0 {
-                for (out, a) in out.iter_mut().zip(a) {
-                    *out = coefficient * a;
-                }
-            } else {
-                for (out, a) in out.iter_mut().zip(a) {
-                    *out += coefficient * a;
-                }
-            }
-        }
-    }
-}
-
 /// A sweep over the equations of a block.
 struct Sweep<'a, R, D> {
     stack: StageMatrices<R, D>,
@@ -498,7 +435,7 @@ impl<R: StageScalar, D: Dimension> Sweep<'_, R, D> {
             let (c, d) = (&mut c[stage.clone()], &d[stage.clone()]);
             let (f, k) = (&mut f[stage.clone()], &mut k[stage.clone()]);
             stack.difference(d, k, c);
-            polar_factor(stack, d, c, f, k, room);
+            stack.polar_factor(d, c, f, k, room);
             for (now, before) in c.chunks_exact(R::LANES).zip(before[stage].chunks_exact(R::LANES)) {
                 change = change.max_or_nan((stack.lanes.get(now) - stack.lanes.get(before)).abs());
             }
@@ -557,7 +494,7 @@ impl<R: StageScalar, D: Dimension> Sweep<'_, R, D> {
         }
         stack.difference(d, k, c);
         for _ in 0..passes {
-            polar_factor(stack, d, c, f, k, room);
+            stack.polar_factor(d, c, f, k, room);
         }
         for i in 0..stack.n() {
             for j in i + 1..stack.n() {
@@ -699,21 +636,6 @@ impl<R: StageScalar, D: Dimension> Sweep<'_, R, D> {
         }
     }
     }
-}
-
-/// [F], [K] and [C]: one step of Newton's method for the polar factor of `I + D`, with the derivative at P = I.
-#[inline(always)]
-fn polar_factor<R: StageScalar, D: Dimension>(
-    stack: StageMatrices<R, D>,
-    d: &[f64],
-    c: &mut [f64],
-    f: &mut [f64],
-    k: &mut [f64],
-    room: &mut [f64],
-) {
-    stack.add_half_defect(c, f, room);
-    stack.plus_product(f, d, f, k);
-    stack.difference(d, k, c);
 }
 
 /// The largest over the lanes.

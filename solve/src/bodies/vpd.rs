@@ -14,7 +14,8 @@
 
 use fearless_simd::Level;
 
-use super::block::{Block, Coefficients, MOST_BODIES, Task};
+use super::block::{Block, MOST_BODIES, Task};
+use super::coefficients::Coefficients;
 use super::motion::BodiesMotion;
 use super::{Bodies, BodiesState, Configuration, Forces};
 use crate::failure::{Failure, FailureCode};

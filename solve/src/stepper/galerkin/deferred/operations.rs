@@ -6,7 +6,7 @@ use std::mem::swap;
 
 use super::{End, Forces, StageSlot, Step, Unknowns, Velocity};
 use crate::failure::Failure;
-use crate::lanes::{Real, StageScalar, Stored, in_lanes};
+use crate::lanes::{Real, StageScalar, in_lanes};
 use crate::nonlinear::{SMALLEST_SIZE, relative};
 use crate::stack::{Dimension, StageMatrices};
 use crate::stepper::galerkin::convergence::Solved;
@@ -232,7 +232,7 @@ impl<R: StageScalar<StepScalar = f64>, D: Dimension> Step<'_, R, D> {
     pub(super) fn polar_factors(&mut self) {
         let Self { stack, u, .. } = self;
         let Unknowns { d, c, f, k, scratch: [scratch, ..], .. } = &mut **u;
-        polar_factor(*stack, d, c, f, k, scratch);
+        stack.polar_factor(d, c, f, k, scratch);
     }
 
     /// [transport]: pi - p0.
@@ -331,7 +331,7 @@ impl<R: StageScalar<StepScalar = f64>, D: Dimension> Step<'_, R, D> {
         stack.sum_of_stages(w, d);
         one.difference(d, k, c);
         for _ in 0..passes {
-            polar_factor(one, d, c, end_f, k, a);
+            one.polar_factor(d, c, end_f, k, a);
         }
         for i in 0..n {
             for j in i + 1..n {
@@ -579,20 +579,4 @@ fn spatial_velocities<R: StageScalar<StepScalar = f64>, D: Dimension>(
 ) {
     stack.plus_product(omega, c, omega, w);
     stack.scale(weights, w);
-}
-
-/// [F], [K] and [C]: one step of Newton's method for the polar factor of `I + D`, with the
-/// derivative at P = I, from the current F.
-#[inline(always)]
-fn polar_factor<R: Stored, D: Dimension>(
-    stack: StageMatrices<R, D>,
-    d: &[f64],
-    c: &mut [f64],
-    f: &mut [f64],
-    k: &mut [f64],
-    scratch: &mut [f64],
-) {
-    stack.add_half_defect(c, f, scratch);
-    stack.plus_product(f, d, f, k);
-    stack.difference(d, k, c);
 }
