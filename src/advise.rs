@@ -19,11 +19,11 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::assemble::assembled_bodies;
 use crate::plan::{Advice, Counts, Fails, FirstSteps, Plan};
-use crate::run::FirstStepsOfBodies;
 use crate::scenario::{Accuracy, Scenario, ScenarioError};
-use crate::study::measure::{End, Measured, Probe, measure, time_of_step, variant};
+use crate::study::measure::{
+    End, Measured, Probe, first_steps_of_bodies, measure, time_of_step, variant,
+};
 use crate::study::reference::{Growth, MOST_STEPS, Reference, ReferenceError};
 use crate::study::{Scales, StudyError, Watch, nearest_sigma};
 
@@ -213,8 +213,7 @@ impl Settled {
         let mut settled = Self { asked, choice, first: FirstSteps::default(), nearest_sigma: None };
         let plan = settled.plan().map_err(Unsettled::Refused)?;
         if !plan.bodies.is_empty() {
-            let found = assembled_bodies(&plan, FirstStepsOfBodies { step_s: plan.step_s });
-            if let Some((sweeps, ns)) = found {
+            if let Some((sweeps, ns)) = first_steps_of_bodies(&plan) {
                 let step = Some(Counts { steps: 1.0, sweeps, ..Counts::default() });
                 settled.first = FirstSteps { step, step_ns: Some(ns), fails: None };
             }

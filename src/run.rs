@@ -40,7 +40,6 @@ mod summary;
 
 use advice::{Broken, Patience};
 use bodies::BodiesRun;
-pub(crate) use bodies::FirstStepsOfBodies;
 use end::{Asked, End, Reached, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Outcome, Tried};
 use super::{
@@ -266,44 +266,6 @@ fn advised<const N: usize>(
         }
     }
     Advised::Step { step_s, tried }
-}
-
-/// Makes the first steps of a plan; returns the sweeps and the nanoseconds of one, `None` if the first fails.
-pub(crate) struct FirstStepsOfBodies {
-    /// The step in seconds.
-    pub(crate) step_s: f64,
-}
-
-impl BodiesTask for FirstStepsOfBodies {
-    type Output = Option<(f64, f64)>;
-
-    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
-        /// Steps, of which the first ones have no history to begin from; and the time they may take.
-        const STEPS: u32 = 32;
-        const MOST: Duration = Duration::from_millis(300);
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
-        let begun = Instant::now();
-        stepper.start(&initial);
-        let (mut steps, mut of_first) = (0_u32, Duration::ZERO);
-        while steps < STEPS && begun.elapsed() < MOST {
-            if stepper.step(&bodies, self.step_s).is_err() {
-                break;
-            }
-            steps += 1;
-            // Steps that follow others begin from these.
-            if steps == STEPS / 2 {
-                of_first = begun.elapsed();
-            }
-        }
-        let later = steps.saturating_sub(STEPS / 2);
-        let (counted, time) = match (later, steps) {
-            (0, 0) => return None,
-            (0, steps) => (steps, begun.elapsed()),
-            (later, _) => (later, begun.elapsed().saturating_sub(of_first)),
-        };
-        let sweeps = bodies.work().sweeps() as f64 / f64::from(steps);
-        Some((sweeps, time.as_nanos() as f64 / f64::from(counted)))
-    }
 }
 
 impl Patience {

@@ -5,13 +5,13 @@
 use std::cell::Cell;
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use nalgebra::DMatrix;
 
 use super::spread;
 use super::{Entry, Watch};
-use crate::assemble::{Assembly, Task, assembled};
+use crate::assemble::{Assembly, BodiesAssembly, BodiesTask, Task, assembled, assembled_bodies};
 use crate::log::schema::Channel;
 use crate::plan::{Counts, Plan};
 use crate::scenario::{
@@ -443,6 +443,48 @@ pub struct Effort {
     pub passes: f64,
     /// Gradients of the potential, each at one attitude, of a step.
     pub gradients: f64,
+}
+
+/// Makes the first steps of a plan of several bodies; returns the sweeps and the nanoseconds of one, `None` if the first fails.
+pub(crate) fn first_steps_of_bodies(plan: &Plan) -> Option<(f64, f64)> {
+    assembled_bodies(plan, FirstStepsOfBodies { step_s: plan.step_s })
+}
+
+/// See [`first_steps_of_bodies`].
+struct FirstStepsOfBodies {
+    step_s: f64,
+}
+
+impl BodiesTask for FirstStepsOfBodies {
+    type Output = Option<(f64, f64)>;
+
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
+        /// Steps, of which the first ones have no history to begin from; and the time they may take.
+        const STEPS: u32 = 32;
+        const MOST: Duration = Duration::from_millis(300);
+        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let begun = Instant::now();
+        stepper.start(&initial);
+        let (mut steps, mut of_first) = (0_u32, Duration::ZERO);
+        while steps < STEPS && begun.elapsed() < MOST {
+            if stepper.step(&bodies, self.step_s).is_err() {
+                break;
+            }
+            steps += 1;
+            // Steps that follow others begin from these.
+            if steps == STEPS / 2 {
+                of_first = begun.elapsed();
+            }
+        }
+        let later = steps.saturating_sub(STEPS / 2);
+        let (counted, time) = match (later, steps) {
+            (0, 0) => return None,
+            (0, steps) => (steps, begun.elapsed()),
+            (later, _) => (later, begun.elapsed().saturating_sub(of_first)),
+        };
+        let sweeps = bodies.work().sweeps() as f64 / f64::from(steps);
+        Some((sweeps, time.as_nanos() as f64 / f64::from(counted)))
+    }
 }
 
 /// Makes the steps of a scenario again and again.
