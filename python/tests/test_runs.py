@@ -11,7 +11,7 @@ from conftest import SCENARIOS
 
 import vpdsim as vpd
 
-SHIPPED = ["detumble", "dipole", "dual-spin", "flyby", "free-body", "heavy-top", "pendulum", "satellite", "slew", "so4-free", "so5-spring"]
+SHIPPED = ["chain", "detumble", "dipole", "dual-spin", "flyby", "free-body", "heavy-top", "pendulum", "satellite", "slew", "so4-free", "so5-spring", "tether"]
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -34,7 +34,7 @@ def test_a_log_is_that_of_the_command_line(name, command, tmp_path):
     assert vpd.verify(tmp_path / "python.mcap")["same"]
 
 
-@pytest.mark.parametrize("name", ["dipole", "heavy-top", "satellite", "so4-free", "flyby", "slew", "detumble"])
+@pytest.mark.parametrize("name", ["dipole", "heavy-top", "satellite", "so4-free", "flyby", "slew", "detumble", "chain", "tether"])
 def test_arrays_are_those_of_an_export(name, command, tmp_path):
     pandas = pytest.importorskip("pandas")
     log = tmp_path / "a.mcap"

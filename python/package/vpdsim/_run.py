@@ -336,8 +336,12 @@ def places(name: str, shape: tuple[int, ...]) -> list[str]:
     """What the columns for the places in a vector or a matrix are called."""
     if len(shape) == 2:
         return [f"{i + 1}_{j + 1}" for i in range(shape[0]) for j in range(shape[1])]
-    if name == "quaternion":
+    if name == "quaternion" or name.endswith("_quaternion"):
         return list("wxyz")
+    of_space = name.endswith(("position", "_velocity", "linear_momentum")) and not name.endswith("angular_velocity")
+    if of_space and shape[0] != 3:
+        # Of several bodies, one of each axis of space.
+        return [str(number + 1) for number in range(shape[0])]
     if name in ("control_command", "wheel_momenta", "wheel_speeds", "sensitivity"):
         # Of an actuator or a wheel each; of one parameter after another.
         return [str(number + 1) for number in range(shape[0])]
