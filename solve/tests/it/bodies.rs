@@ -37,6 +37,14 @@ fn turned<const N: usize>(a: usize, scale: f64) -> Mat<N> {
 
 /// `k` bodies with a spring between each two, free or pinned.
 fn in_springs<const N: usize>(k: usize, free: bool) -> (Bodies<N>, BodiesState<N>) {
+    in_springs_of(1.0, k, free)
+}
+
+fn in_springs_of<const N: usize>(
+    rest_length: f64,
+    k: usize,
+    free: bool,
+) -> (Bodies<N>, BodiesState<N>) {
     let place = |a: usize| {
         varied::<N>(a, 0.6) + Vector::from_fn(|i, _| if i == 0 { 2.0 * a as f64 } else { 0.0 })
     };
@@ -57,7 +65,7 @@ fn in_springs<const N: usize>(k: usize, free: bool) -> (Bodies<N>, BodiesState<N
     let spring = |(a, b): (usize, usize)| Interaction::Spring {
         sites: [Site::Body(a, varied(a, 0.5)), Site::Body(b, varied(b + 7, 0.4))],
         stiffness: 0.7,
-        rest_length: 1.0,
+        rest_length,
     };
     let bodies =
         Bodies::new((0..k).map(body).collect(), pairs.map(spring).collect()).expect("a system");
@@ -242,29 +250,38 @@ fn drift_of_linear(samples: &[Sample<3>]) -> (f64, f64) {
     (drift, size.fold(0.0, f64::max))
 }
 
-/// Minutes: the figures are in docs/performance.md.
+/// The figures are in docs/performance.md.
 #[test]
-#[ignore = "a million steps"]
+#[ignore = "half a minute: cargo test --release a_million_steps_of_three_tops -- --ignored --nocapture"]
 fn a_million_steps_of_three_tops() {
-    let (bodies, state) = in_springs::<3>(3, true);
+    // Springs without a length at rest, which are smooth where their ends meet; the centre of mass stays at the origin.
+    let (bodies, mut state) = in_springs_of::<3>(0.0, 3, true);
+    let masses: Vec<f64> = bodies.bodies().iter().map(|body| body.mass_kg).collect();
+    let total: f64 = masses.iter().sum();
+    let centre = state.places.iter().zip(&masses).map(|(x, mass)| x * *mass);
+    let centre = centre.sum::<Vector<3>>() / total;
+    let velocity = state.linear_momenta.iter().sum::<Vector<3>>() / total;
+    for (a, mass) in masses.iter().enumerate() {
+        state.places[a] -= centre;
+        state.linear_momenta[a] -= velocity * *mass;
+    }
     let samples = run(&bodies, &state, &mut vpd(2, &state), (0.02, 1_000_000, 1000));
     let (linear, size) = drift_of_linear(&samples);
     let angular = samples[0].angular_momentum.expect("logged");
     let angular_size = so::inner(&angular, &angular).sqrt();
     let drift = samples.iter().filter_map(|sample| sample.momentum_drift).fold(0.0, f64::max);
     let energy = |sample: &Sample<3>| sample.energy_error.expect("logged");
-    let half = samples.len() / 2;
     let mean =
         |samples: &[Sample<3>]| samples.iter().map(energy).sum::<f64>() / samples.len() as f64;
-    let (first, second) = (mean(&samples[..half]), mean(&samples[half..]));
+    let (first, second) = (mean(&samples[..500]), mean(&samples[500..]));
     println!(
-        "linear {:.1e}, angular {:.1e} relative; mean energy error {first:.3e}, then {second:.3e} J",
+        "linear {:.1e}, angular {:.1e} relative; mean energy error {first:.2e}, then {second:.2e} J",
         linear / size,
         drift / angular_size
     );
-    assert!(linear <= 1e-15 * size * 10.0 && drift <= 1e-14 * angular_size);
+    assert!(linear <= 2e-15 * size && drift <= 1e-14 * angular_size);
     let largest = samples.iter().map(|sample| energy(sample).abs()).fold(0.0, f64::max);
-    assert!((second - first).abs() < 0.02 * largest, "{first:e}, {second:e} of {largest:e}");
+    assert!((second - first).abs() < 0.05 * largest, "{first:e}, {second:e} of {largest:e}");
 }
 
 /// The paper's step of each body by its literal equations, the forces of springs by formulas of their own, each from the
