@@ -225,7 +225,7 @@ impl Plan {
             StopRule { tolerance, max_iterations, rungs: rungs(kind), ..StopRule::default() };
         let mut plan = Self::begun(scenario, step_s, Model::of_none(n, tableau, stop));
         plan.channels = channels(scenario);
-        plan.formulation = formulation(scenario, &plan)?;
+        plan.formulation = formulation(scenario, &plan);
         for (index, term) in scene.potential.iter().enumerate() {
             let why = match term {
                 Interaction::On { body, .. } => format!("acts on {body}"),
@@ -311,15 +311,10 @@ fn conserved(scenario: &Scenario, scene: &Bodies) -> usize {
 }
 
 /// Chooses the integrator.
-fn formulation(scenario: &Scenario, plan: &Plan) -> Result<Formulation, ScenarioError> {
+fn formulation(scenario: &Scenario, plan: &Plan) -> Formulation {
     let asked = scenario.method.name.integrator();
     let method = asked.unwrap_or(Integrator::Vpd);
     let tableau = &plan.model.tableau;
-    if method == Integrator::Splitting && plan.dimension != 3 {
-        let message =
-            format!("splitting given; it is for n = 3, these bodies have n = {}", plan.dimension);
-        return Err(ScenarioError::invalid("/method/name", message));
-    }
     let (name, stages, order) = if method.is_composition() {
         let order = scenario.method.order.unwrap_or(4);
         let parts = crate::solve::composition::Composition::new(order);
@@ -335,7 +330,7 @@ fn formulation(scenario: &Scenario, plan: &Plan) -> Result<Formulation, Scenario
             "symplectic, all attitudes on the group to round-off, of the tableau's order, for any potential"
         }
     };
-    Ok(Formulation {
+    Formulation {
         method,
         tableau: name,
         stages,
@@ -343,5 +338,5 @@ fn formulation(scenario: &Scenario, plan: &Plan) -> Result<Formulation, Scenario
         carries_attitude: true,
         why,
         ..Formulation::default()
-    })
+    }
 }

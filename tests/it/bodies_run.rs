@@ -138,16 +138,6 @@ fn a_start_that_has_no_energy_is_refused() {
     let scenario = Scenario::from_json(chain.to_string().as_bytes()).expect("a good form");
     let refused = advise::plan(&scenario).expect_err("it depends on the others");
     assert_eq!(refused.pointer, "/scene/bodies/1/initial/momentum");
-    let mut flat = shipped("tether");
-    flat["scene"]["bodies"] = json!([
-        { "name": "a", "mass": 1, "inertia": { "second_moments": [1, 1, 1, 1] } },
-        { "name": "b", "mass": 1, "inertia": { "second_moments": [1, 1, 1, 1] } },
-    ]);
-    flat["scene"]["potential"] = json!([]);
-    flat["method"] = json!({ "name": "splitting" });
-    let scenario = Scenario::from_json(flat.to_string().as_bytes()).expect("a good form");
-    let refused = advise::plan(&scenario).expect_err("n = 3 alone");
-    assert_eq!(refused.pointer, "/method/name");
 }
 
 /// What is for one body says so.
