@@ -15,14 +15,10 @@ const night = matchMedia("(prefers-color-scheme: dark)");
 // Reads the look of the axes of a chart in the theme of the page, and a colour of it.
 const shade = name => getComputedStyle(document.body).getPropertyValue(name).trim();
 
-// Of a logarithmic axis over many decades a line for each of these is enough; what is not drawn is null.
-const decades = (u, places) => places.map(y => u.scales.y.distr !== 3 || u.scales.y.max < 1e3 * u.scales.y.min
-  || Math.abs(Math.log10(y) - Math.round(Math.log10(y))) < 1e-6 ? y : null);
-
 function axes() {
   const axis = { stroke: shade("--soft"), grid: { stroke: shade("--line"), width: 1 }, ticks: { stroke: shade("--line"), width: 1 }, font: "12px system-ui" };
   const short = (u, values) => values.map(x => x == null ? "" : figure(x));
-  return [{ ...axis, label: "t in s", labelSize: 18, labelFont: "12px system-ui", size: 34 }, { ...axis, grid: { ...axis.grid, filter: decades }, values: short, size: 68 }];
+  return [{ ...axis, label: "t in s", labelSize: 18, labelFont: "12px system-ui", size: 34 }, { ...axis, values: short, size: 68 }];
 }
 
 // The last of ascending times at or before a time; the first if there is none.
