@@ -581,7 +581,7 @@ mod tests {
 
     #[test]
     fn a_late_step_that_ends_elsewhere_is_told() {
-        let (_, text) = SHIPPED[0];
+        let (_, text) = SHIPPED.iter().find(|(name, _)| *name == "dipole").expect("shipped");
         let scene = Scenario::from_json(text.as_bytes()).expect("the dipole");
         let watch = Watch::default();
         let judge = Judge::of(&scene, &watch).expect("scales");
