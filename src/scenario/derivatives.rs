@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::range::{Check, ensure};
-use super::{MethodName, Scenario};
+use super::{Field, MethodName, Scenario};
 
 /// Largest n: the derivatives by the start are (n (n - 1))^2 numbers a sample.
 const MAX_DIMENSION: usize = 16;
@@ -53,6 +53,9 @@ pub(super) fn check(scenario: &Scenario, n: usize) -> Check {
         format!("are for n up to {MAX_DIMENSION}, this body has n = {n}")
     })?;
     let scene = &scenario.scene;
+    // The field alone turns nothing.
+    let dipole = scene.field.as_ref().map(|Field::Dipole(dipole)| dipole);
+    let moment = dipole.and_then(|dipole| dipole.permanent_moment_a_m2);
     let others = [
         (scenario.ensemble.is_some(), "`ensemble`"),
         (scenario.accuracy.is_some(), "`accuracy`, which chooses the method; give a step"),
@@ -60,6 +63,7 @@ pub(super) fn check(scenario: &Scenario, n: usize) -> Check {
         (!scene.driven.is_empty(), "`scene.driven`"),
         (!scene.torques.is_empty(), "`scene.torques`"),
         (scene.control.is_some(), "`scene.control`"),
+        (moment.is_some(), "`permanent_moment_a_m2` of `scene.field`"),
     ];
     for (given, what) in others {
         ensure(!given, AT, || {

@@ -653,7 +653,13 @@ pub(crate) fn table() -> Vec<Bad> {
     many["ensemble"] = json!({"members": 10, "attitude_spread_rad": 0.1});
     let mut adaptive = full();
     adaptive["step"] = json!({"adaptive": {}});
-    for base in [many, adaptive, driven()] {
+    let mut magnetic: Value =
+        serde_json::from_str(include_str!("../../scenarios/detumble.json")).expect("shipped");
+    magnetic["scene"]["field"]["dipole"]["permanent_moment_a_m2"] = json!([0.1, 0, 0.2]);
+    if let Some(scene) = magnetic["scene"].as_object_mut() {
+        scene.remove("control");
+    }
+    for base in [many, adaptive, driven(), magnetic] {
         add(with(base, "/derivatives", asked), "/derivatives");
     }
     add(with(full(), "/log/channels", "[\"/derivatives\"]"), "/log/channels/0");
