@@ -200,7 +200,6 @@ fn bodies_stepper<const N: usize>(
     };
     match plan.formulation.method {
         Integrator::RkProjected => explicit(Attitudes::Projected),
-        Integrator::Rk => explicit(Attitudes::Plain),
         Integrator::Rkmk => explicit(Attitudes::Lie),
         Integrator::Splitting => {
             // n = 3 alone, which the compiler does not know here.

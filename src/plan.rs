@@ -553,7 +553,7 @@ impl Plan {
     /// # Errors
     /// At `/step_s`, with the step up to which they can.
     pub(crate) fn exact_motion(&self) -> Result<(), ScenarioError> {
-        let free = self.model.terms.is_empty() && !self.model.is_driven() && self.bodies.is_empty();
+        let free = self.model.terms.is_empty() && !self.model.is_driven();
         if self.formulation.method != Integrator::Splitting || !free {
             return Ok(());
         }

@@ -24,6 +24,7 @@ use crate::log::messages::{self, Figures};
 use crate::log::writer::{LogHeader, LogWriter};
 use crate::log::{LogError, log_time};
 use crate::plan::Plan;
+use crate::solve::failure::Failure;
 use crate::solve::state::Checkpoint;
 use crate::solve::trajectory::{self, Ending, Origin, Sample, Schedule, Sink, Trajectory};
 use crate::study::Watch;
@@ -263,39 +264,22 @@ fn run<const N: usize>(
         &mut recorder,
         |steps| control.go_on(steps),
     );
-    let cut_off = match &end {
-        Ok(end) => end.ending == Ending::Cancelled && !control.cancelled.load(Ordering::Relaxed),
-        Err(error) => matches!(error, RunError::Interrupted),
+    let Trajectory { ending, reached } = match end {
+        Ok(end) => end,
+        Err(error) => return Err(recorder.keep.left(error)),
     };
-    if cut_off {
-        recorder.keep.leave();
-        return Err(RunError::Interrupted);
-    }
-    let Trajectory { ending, reached } = end?;
     let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
     let steps_done = reached.step;
     control.steps_done.store(steps_done, Ordering::Relaxed);
-    let (outcome, diagnosis) = match &ending {
-        Ending::Completed | Ending::Stopped(_) => (Outcome::Succeeded, None),
-        Ending::Cancelled => (Outcome::Cancelled, None),
-        Ending::Failed(failure) => {
-            let asked = Some(&plan.asked);
-            let broken = Broken { initial, reached: &reached, schedule, asked, failure };
-            let patience = Patience::of(plan, control, 1);
-            let own_steps = advice::own_steps(plan, body);
-            let stepper = stepper.as_mut();
-            let found = advice::diagnosis(body, stepper, &broken, own_steps, patience);
-            (Outcome::Failed, Some(found))
-        }
-    };
-    // Stopping the search for a smaller step stops the run before the step that failed.
-    if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
-        recorder.keep.leave();
-        return Err(RunError::Interrupted);
-    }
-    let (outcome, diagnosis) = match diagnosis {
-        Some(_) if control.stopped() => (Outcome::Cancelled, None),
-        diagnosis => (outcome, diagnosis),
+    let ended = outcome(control, &ending, |failure| {
+        let asked = Some(&plan.asked);
+        let broken = Broken { initial, reached: &reached, schedule, asked, failure };
+        let patience = Patience::of(plan, control, 1);
+        let own_steps = advice::own_steps(plan, body);
+        advice::diagnosis(body, stepper.as_mut(), &broken, own_steps, patience)
+    });
+    let Some((outcome, diagnosis)) = ended else {
+        return Err(recorder.keep.left(RunError::Interrupted));
     };
     let Recorder { keep, figures, course, .. } = recorder;
     let energy = Some(EnergySeen::at_the_ends(body, initial, &reached.state()));
@@ -319,6 +303,33 @@ fn run<const N: usize>(
     })
 }
 
+/// Returns how a run ended, with the diagnosis of a step that failed; `None` if it was cut off, and goes on later.
+fn outcome(
+    control: &Control,
+    ending: &Ending,
+    diagnosis: impl FnOnce(&Failure) -> Diagnosis,
+) -> Option<(Outcome, Option<Diagnosis>)> {
+    match ending {
+        Ending::Completed | Ending::Stopped(_) => Some((Outcome::Succeeded, None)),
+        Ending::Cancelled => {
+            control.cancelled.load(Ordering::Relaxed).then_some((Outcome::Cancelled, None))
+        }
+        Ending::Failed(failure) => {
+            let diagnosis = diagnosis(failure);
+            // Stopping the search for a smaller step stops the run before the step that failed.
+            if control.interrupted.load(Ordering::Relaxed) {
+                return None;
+            }
+            let whole = !control.stopped();
+            Some(if whole {
+                (Outcome::Failed, Some(diagnosis))
+            } else {
+                (Outcome::Cancelled, None)
+            })
+        }
+    }
+}
+
 /// What takes the samples of a run.
 enum Keep<'a> {
     Log(Box<LogWriter>),
@@ -331,11 +342,12 @@ enum Keep<'a> {
 }
 
 impl Keep<'_> {
-    /// Leaves a log to be resumed.
-    fn leave(self) {
-        if let Self::Log(writer) = self {
+    /// Leaves a log to be resumed if the run was interrupted; returns the error with which it ends.
+    fn left(self, error: RunError) -> RunError {
+        if let (Self::Log(writer), RunError::Interrupted) = (self, &error) {
             writer.leave();
         }
+        error
     }
 
     fn writer(self) -> Option<LogWriter> {
@@ -507,16 +519,26 @@ fn begin_log(context: &JobContext<'_>, header: &LogHeader) -> Result<LogWriter, 
 
 /// Takes note of a sample for the charts.
 fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) {
-    // The writer refuses a time that a log cannot hold.
-    let Some(time_ns) = log_time(epoch_ns, sample.time_s) else { return };
-    if let Some(error) = sample.energy_error {
-        course.note(time_ns, LogChart::Energy, error);
-    }
-    if let Some(error) = sample.orthogonality_error {
-        course.note(time_ns, LogChart::Orthogonality, error);
-    }
-    if let Some(pace) = sample.pace {
+    note_errors(course, epoch_ns, sample.time_s, sample.energy_error, sample.orthogonality_error);
+    if let (Some(pace), Some(time_ns)) = (sample.pace, log_time(epoch_ns, sample.time_s)) {
         course.note(time_ns, LogChart::Pace, 1.0 / pace.least_sigma);
+    }
+}
+
+/// Takes note of the errors of a sample.
+fn note_errors(
+    course: &mut Course,
+    epoch_ns: u64,
+    time_s: f64,
+    energy: Option<f64>,
+    orthogonality: Option<f64>,
+) {
+    // The writer refuses a time that a log cannot hold.
+    let Some(time_ns) = log_time(epoch_ns, time_s) else { return };
+    for (chart, error) in [(LogChart::Energy, energy), (LogChart::Orthogonality, orthogonality)] {
+        if let Some(error) = error {
+            course.note(time_ns, chart, error);
+        }
     }
 }
 

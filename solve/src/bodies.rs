@@ -265,12 +265,6 @@ impl<const N: usize> Bodies<N> {
         self.trees.len()
     }
 
-    /// The place of a body: its number, and whether it moves.
-    pub fn place_of(&self, body: usize) -> (usize, bool) {
-        let (tree, _) = self.tree_of[body];
-        (tree, self.trees[tree].mass_kg.is_some())
-    }
-
     pub(super) fn mass_of_place(&self, place: usize) -> Option<f64> {
         self.trees[place].mass_kg
     }

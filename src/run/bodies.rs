@@ -6,24 +6,22 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Outcome, Tried};
+use super::summary::{self, Advised, EnergySeen, FinalBody, FinalState, Tried};
 use super::{
     Asked, End, JobContext, Keep, Kept, Patience, Reached, Recorder, RunError, Summary, finish,
-    header,
+    header, note_errors, outcome,
 };
 use crate::assemble::{BodiesAssembly, BodiesTask};
-use crate::log::course::LogChart;
+use crate::log::LogError;
 use crate::log::messages;
 use crate::log::schema::BodyName;
-use crate::log::{LogError, log_time};
 use crate::plan::Plan;
 use crate::scenario::{SMALLEST_STEP_S, Scenario};
 use crate::solve::bodies::trajectory::{
-    self, BodiesStepper, BodySample, Checkpoint, Course, Ending, Sample, Sink, Trajectory,
+    self, BodiesStepper, BodySample, Checkpoint, Course, Sample, Sink, Trajectory,
 };
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::failure::{Failure, two_digits};
-use crate::solve::so::{self, Mat};
 use crate::solve::work::Work;
 
 /// A run whose samples go to its log.
@@ -58,38 +56,19 @@ impl BodiesTask for BodiesRun<'_> {
             control.go_on(steps)
         });
         let Several { recorder, .. } = sink;
-        let cut_off = match &end {
-            Ok(end) => {
-                end.ending == Ending::Cancelled && !control.cancelled.load(Ordering::Relaxed)
-            }
-            Err(error) => matches!(error, RunError::Interrupted),
+        let Trajectory { ending, reached } = match end {
+            Ok(end) => end,
+            Err(error) => return Err(recorder.keep.left(error)),
         };
-        if cut_off {
-            recorder.keep.leave();
-            return Err(RunError::Interrupted);
-        }
-        let Trajectory { ending, reached } = end?;
         let inside = integrating.elapsed().saturating_sub(recorder.elsewhere);
         control.steps_done.store(reached.step, Ordering::Relaxed);
-        let (outcome, diagnosis) = match &ending {
-            Ending::Completed => (Outcome::Succeeded, None),
-            Ending::Cancelled => (Outcome::Cancelled, None),
-            Ending::Failed(failure) => {
-                let patience = Patience::of(plan, control, 1);
-                let bodies = bodies.clone().watched(patience.work());
-                let advised = advised(&bodies, stepper.as_mut(), &way, &reached, &plan.asked);
-                let found = summary::diagnosis(failure, None, reached.step, step_s, advised);
-                (Outcome::Failed, Some(found))
-            }
-        };
-        // Stopping the search for a smaller step stops the run before the step that failed.
-        if diagnosis.is_some() && control.interrupted.load(Ordering::Relaxed) {
-            recorder.keep.leave();
-            return Err(RunError::Interrupted);
-        }
-        let (outcome, diagnosis) = match diagnosis {
-            Some(_) if control.stopped() => (Outcome::Cancelled, None),
-            diagnosis => (outcome, diagnosis),
+        let ended = outcome(control, &ending, |failure| {
+            let bodies = bodies.clone().watched(Patience::of(plan, control, 1).work());
+            let advised = advised(&bodies, stepper.as_mut(), &way, &reached, &plan.asked);
+            summary::diagnosis(failure, None, reached.step, step_s, advised)
+        });
+        let Some((outcome, diagnosis)) = ended else {
+            return Err(recorder.keep.left(RunError::Interrupted));
         };
         let last = initial.with_numbers(&reached.numbers).unwrap_or_else(|| initial.clone());
         let energy = energy_at_the_ends(&bodies, &initial, &last);
@@ -133,16 +112,9 @@ fn final_state<const N: usize>(
     bodies: &Bodies<N>,
     state: &BodiesState<N>,
 ) -> FinalState {
-    let rows = |m: &Mat<N>| -> Vec<Vec<f64>> {
-        (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
-    };
     let of = |body: &BodySample<N>| FinalBody {
-        attitude: rows(&body.attitude),
-        body_momentum: if N == 3 {
-            serde_json::json!(so::vee(&body.momentum))
-        } else {
-            serde_json::json!(rows(&body.momentum))
-        },
+        attitude: summary::rows(&body.attitude),
+        body_momentum: summary::momentum(&body.momentum),
         position: body.position.as_slice().to_vec(),
         linear_momentum: body.linear_momentum.as_slice().to_vec(),
     };
@@ -187,16 +159,9 @@ impl<const N: usize> Sink<N> for Several<'_> {
                 if held { Ok(()) } else { Err(LogError::Time { time_s, epoch_ns }) }
             }
             Keep::Log(writer) => {
-                // The writer refuses a time that a log cannot hold.
-                if let Some(time_ns) = log_time(epoch_ns, sample.time_s) {
-                    let course = &mut recorder.course;
-                    if let Some(error) = sample.energy_error {
-                        course.note(time_ns, LogChart::Energy, error);
-                    }
-                    if let Some(error) = sample.orthogonality_error {
-                        course.note(time_ns, LogChart::Orthogonality, error);
-                    }
-                }
+                let &Sample { time_s, energy_error, orthogonality_error, .. } = sample;
+                let course = &mut recorder.course;
+                note_errors(course, epoch_ns, time_s, energy_error, orthogonality_error);
                 let result = writer.record_bodies(sample);
                 recorder.control.note_durable(writer);
                 result

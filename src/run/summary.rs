@@ -348,18 +348,21 @@ pub(super) fn orthogonality(figures: &Figures, samples: u64) -> Option<Orthogona
     Some(OrthogonalitySummary { max: figures.orthogonality_max?, mean })
 }
 
+/// A matrix row by row.
+pub(super) fn rows<const N: usize>(m: &Mat<N>) -> Vec<Vec<f64>> {
+    (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
+}
+
+/// A momentum as in a scenario.
+pub(super) fn momentum<const N: usize>(m: &Mat<N>) -> serde_json::Value {
+    if N == 3 { serde_json::json!(so::vee(m)) } else { serde_json::json!(rows(m)) }
+}
+
 pub(super) fn final_state<const N: usize>(
     attitude: Option<&Mat<N>>,
     momentum: &Mat<N>,
 ) -> FinalState {
-    let rows = |m: &Mat<N>| -> Vec<Vec<f64>> {
-        (0..N).map(|i| (0..N).map(|j| m[(i, j)]).collect()).collect()
-    };
-    let body_momentum = if N == 3 {
-        serde_json::json!(so::vee(momentum))
-    } else {
-        serde_json::json!(rows(momentum))
-    };
+    let body_momentum = self::momentum(momentum);
     FinalState { attitude: attitude.map(rows), body_momentum, bodies: BTreeMap::new() }
 }
 

@@ -1,12 +1,12 @@
-//! Explicit Runge-Kutta for several bodies, the baseline: the attitudes as plain matrices, projected to the group after each
-//! step or not, or in the Lie algebra by exp (Munthe-Kaas 1999, Applied Numerical Mathematics 29), as [`crate::stepper::rk`]
+//! Explicit Runge-Kutta for several bodies, the baseline: the attitudes as matrices that are projected to the group after each
+//! step, or in the Lie algebra by exp (Munthe-Kaas 1999, Applied Numerical Mathematics 29), as [`crate::stepper::rk`]
 //! and [`crate::stepper::rkmk`] for one.
 //!
 //! ```text
 //! g' = g Omega      mu' = [mu, Omega] - dH/dg      x' = p / M      p' = -dH/dx
 //! ```
 //!
-//! Invariant: momenta are skew; projected and Lie group attitudes are on the group to round-off.
+//! Invariant: momenta are skew; attitudes are on the group to round-off.
 
 use super::trajectory::BodiesStepper;
 use super::{Bodies, BodiesState, Configuration, Forces};
@@ -18,8 +18,6 @@ use crate::tableau::Tableau;
 /// How an explicit scheme treats attitudes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Attitudes {
-    /// As matrices.
-    Plain,
     /// As matrices, projected to the group after each step by their polar factor.
     Projected,
     /// In the Lie algebra.
@@ -84,7 +82,7 @@ impl<const N: usize> BodiesRk<N> {
         for (g, turn) in state.attitudes.iter_mut().zip(&turns) {
             match self.kind {
                 Attitudes::Lie => *g = so::product(g, &so::exp(turn)),
-                Attitudes::Plain | Attitudes::Projected => *g += turn,
+                Attitudes::Projected => *g += turn,
             }
         }
         (state, turns)
@@ -129,7 +127,7 @@ impl<const N: usize> BodiesStepper<N> for BodiesRk<N> {
                 let (g, mu) = (&attitudes[a], &momenta[a]);
                 let rate = match self.kind {
                     Attitudes::Lie => self.dexpinv(&turns[a], omega),
-                    Attitudes::Plain | Attitudes::Projected => so::product(g, omega),
+                    Attitudes::Projected => so::product(g, omega),
                 };
                 // [mu, Omega] = asym(mu Omega)
                 let torque = so::conjugate(&g.transpose(), &self.forces.torques[a]);
@@ -143,14 +141,12 @@ impl<const N: usize> BodiesStepper<N> for BodiesRk<N> {
             }
         }
         let (mut end, _) = self.at(stages, |j| h * self.tableau.b(j));
-        if self.kind != Attitudes::Plain {
-            let left = Failure::new(FailureCode::LeftGlPlus, None, 0.0, 0.0);
-            for g in &mut end.attitudes {
-                *g = match self.kind {
-                    Attitudes::Projected => so::polar(g).ok_or(left.clone())?,
-                    _ => so::orthonormalised(g),
-                };
-            }
+        let left = Failure::new(FailureCode::LeftGlPlus, None, 0.0, 0.0);
+        for g in &mut end.attitudes {
+            *g = match self.kind {
+                Attitudes::Projected => so::polar(g).ok_or(left.clone())?,
+                Attitudes::Lie => so::orthonormalised(g),
+            };
         }
         if end.numbers().iter().any(|x| !x.is_finite()) {
             return Err(Failure::not_finite(None));

@@ -63,11 +63,6 @@ impl<const N: usize> Bodies<N> {
         BodiesState { attitudes, momenta, places, linear_momenta }
     }
 
-    /// The place of each tree that is fixed; zero for the others.
-    pub fn fixed_places(&self) -> &[Vector<N>] {
-        &self.fixed
-    }
-
     /// Is the body held at the origin of its coordinates?
     pub(super) fn is_pinned(&self, body: usize) -> bool {
         matches!(self.bodies[body].hold, Hold::Pivot(_))

@@ -6,9 +6,11 @@
 
 use super::{Bodies, BodiesState};
 use crate::failure::{Failure, FailureCode};
+use crate::lanes::Real;
 use crate::nonlinear::Convergence;
 use crate::so::{self, Mat, Vector};
 use crate::system::{Energy, free_directions};
+pub use crate::trajectory::Ending;
 
 /// A scheme for several bodies.
 pub trait BodiesStepper<const N: usize>: Send {
@@ -161,17 +163,6 @@ impl<const N: usize> Sink<N> for Vec<Sample<N>> {
     }
 }
 
-/// How a trajectory ended.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Ending {
-    /// All steps were made.
-    Completed,
-    /// The caller asked to stop.
-    Cancelled,
-    /// The step after the last one reached failed.
-    Failed(Failure),
-}
-
 /// Result of a trajectory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
@@ -283,7 +274,7 @@ impl<const N: usize> Observer<N> {
             .attitudes
             .iter()
             .map(so::orthogonality_error)
-            .fold(0.0, |most: f64, x| crate::lanes::Real::max_or_nan(most, x));
+            .fold(0.0, |most: f64, x| Real::max_or_nan(most, x));
         let sample = Sample {
             step,
             time_s,

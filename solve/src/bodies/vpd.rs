@@ -17,16 +17,16 @@ use fearless_simd::Level;
 use super::block::{Block, MOST_BODIES, Task};
 use super::coefficients::Coefficients;
 use super::motion::BodiesMotion;
+use super::trajectory::BodiesStepper;
 use super::{Bodies, BodiesState, Configuration, Forces};
 use crate::failure::{Failure, FailureCode};
+use crate::lanes::Real;
 use crate::nonlinear::{
     Continued, Convergence, Equations, Rungs, SMALLEST_SIZE, Solver, StepHistory, StopRule,
 };
 use crate::so::{self, Mat, Vector};
 use crate::stepper::checks::{check_continuity, check_singular_value};
 use crate::tableau::Tableau;
-
-use super::trajectory::BodiesStepper;
 
 /// Passes over velocities and attitudes in a sweep.
 const PASSES: usize = 2;
@@ -45,7 +45,6 @@ pub struct BodiesVpd<const N: usize> {
     forces: Forces<N>,
     stage: StageState<N>,
     history: Option<StepHistory>,
-    sigma_min: Option<f64>,
 }
 
 /// All bodies at one stage, gathered from the blocks.
@@ -57,6 +56,8 @@ struct StageState<const N: usize> {
     places: Vec<Vector<N>>,
     /// Forces on the trees at all stages, one stage after the other.
     forces: Vec<Vector<N>>,
+    /// The largest sizes of what is added up to the torques of each body.
+    sizes: Vec<f64>,
 }
 
 impl<const N: usize> BodiesVpd<N> {
@@ -83,9 +84,9 @@ impl<const N: usize> BodiesVpd<N> {
                 velocities: vec![Mat::zeros(); bodies],
                 places: state.places.clone(),
                 forces: vec![Vector::zeros(); stages * trees],
+                sizes: vec![0.0; bodies],
             },
             history: Some(StepHistory::default()),
-            sigma_min: None,
         }
     }
 
@@ -95,12 +96,11 @@ impl<const N: usize> BodiesVpd<N> {
     }
 
     /// Refuses a solution whose polar factors are ill-conditioned, or jump.
-    fn check(&mut self) -> Result<(), Failure> {
+    fn check(&self) -> Result<(), Failure> {
         /// Entries of `U - I` of turns below an eighth of a circle, and of `I - P^-1` far from one.
         const MODEST: [f64; 2] = [0.3, 0.1];
         let stages = self.coefficients.stages;
         let limit = N as f64 - 2.0;
-        self.sigma_min = None;
         for block in &self.blocks {
             let [turn, stretch] = block.largest();
             // A NaN does not pass.
@@ -238,7 +238,7 @@ impl<const N: usize> StepEquations<'_, N> {
         let (level, coefficients, h) = (self.level, self.coefficients, self.h);
         self.blocks.iter_mut().fold(0.0, |most, block| {
             let change = block.perform(level, coefficients, h, task);
-            crate::lanes::Real::max_or_nan(most, change)
+            Real::max_or_nan(most, change)
         })
     }
 
@@ -282,8 +282,9 @@ impl<const N: usize> StepEquations<'_, N> {
         let (stages, h) = (self.coefficients.stages, self.h);
         let trees = self.bodies.places();
         let has_joints = self.bodies.has_joints();
-        let StageState { attitudes, velocities, places, forces: on_places, .. } = &mut *self.stage;
-        let mut sizes = vec![0.0_f64; attitudes.len()];
+        let StageState { attitudes, velocities, places, forces: on_places, sizes, .. } =
+            &mut *self.stage;
+        sizes.fill(0.0);
         for k in 0..stages {
             for block in self.blocks.iter() {
                 for lane in 0..block.bodies {
@@ -340,12 +341,12 @@ impl<const N: usize> StepEquations<'_, N> {
                     impulse += on_places[j * trees + tree] * weight;
                 }
                 let before = &mut self.impulses[k * trees + tree];
-                changed = crate::lanes::Real::max_or_nan(changed, (impulse - *before).amax());
+                changed = Real::max_or_nan(changed, (impulse - *before).amax());
                 size = size.max(impulse.amax());
                 size = size.max(h.abs() * so::norm(on_places[k * trees + tree].as_slice()));
                 *before = impulse;
             }
-            change = crate::lanes::Real::max_or_nan(change, changed / size.max(SMALLEST_SIZE));
+            change = Real::max_or_nan(change, changed / size.max(SMALLEST_SIZE));
         }
         self.perform(Task::FromSpace);
         Ok(change)
@@ -383,8 +384,8 @@ impl<const N: usize> Equations for StepEquations<'_, N> {
         }
         let pushed = self.push()?;
         let changed = self.perform(Task::Transport);
-        let most = crate::lanes::Real::max_or_nan(pushed, changed);
-        Ok(crate::lanes::Real::max_or_nan(most, turned))
+        let most = Real::max_or_nan(pushed, changed);
+        Ok(Real::max_or_nan(most, turned))
     }
 
     fn unknowns(&self, values: &mut Vec<f64>) {
