@@ -197,6 +197,7 @@ struct Columns(Vec<Column>);
 struct Column {
     before: String,
     name: String,
+    #[cfg_attr(not(feature = "parquet"), expect(dead_code, reason = "CSV has no types"))]
     kind: Kind,
     width: usize,
 }
