@@ -7,6 +7,7 @@ use std::any::Any;
 use crate::method::{Integrator, Parts};
 use crate::plan::bodies::system;
 use crate::plan::{Motion, Plan};
+use crate::solve::bodies::apart::BodiesApart;
 use crate::solve::bodies::explicit::{Attitudes, BodiesRk};
 use crate::solve::bodies::splitting::BodiesSplitting;
 use crate::solve::bodies::trajectory::BodiesStepper;
@@ -194,6 +195,22 @@ fn bodies_stepper<const N: usize>(
     bodies: &Bodies<N>,
     initial: &BodiesState<N>,
 ) -> Option<Box<dyn BodiesStepper<N>>> {
+    let exact: Vec<usize> = (0..plan.bodies.len()).filter(|&a| plan.bodies[a].exact).collect();
+    if exact.is_empty() {
+        return coupled_stepper(plan, bodies, initial);
+    }
+    let (bodies, initial) = in_three(bodies, initial)?;
+    let others =
+        |bodies: &Bodies<3>, initial: &BodiesState<3>| coupled_stepper(plan, bodies, initial);
+    of_three(Box::new(BodiesApart::new(&exact, bodies, initial, others)?))
+}
+
+/// Returns the stepper of bodies that something acts on.
+fn coupled_stepper<const N: usize>(
+    plan: &Plan,
+    bodies: &Bodies<N>,
+    initial: &BodiesState<N>,
+) -> Option<Box<dyn BodiesStepper<N>>> {
     let tableau = plan.model.tableau.clone();
     let explicit = |kind| -> Option<Box<dyn BodiesStepper<N>>> {
         Some(Box::new(BodiesRk::new(tableau.clone(), kind, initial)?))
@@ -202,17 +219,26 @@ fn bodies_stepper<const N: usize>(
         Integrator::RkProjected => explicit(Attitudes::Projected),
         Integrator::Rkmk => explicit(Attitudes::Lie),
         Integrator::Splitting => {
-            // n = 3 alone, which the compiler does not know here.
-            let (bodies, initial): (&dyn Any, &dyn Any) = (bodies, initial);
-            let splitting = BodiesSplitting::new(
-                plan.formulation.order,
-                bodies.downcast_ref()?,
-                initial.downcast_ref()?,
-            )?;
-            let stepper: Box<dyn BodiesStepper<3>> = Box::new(splitting);
-            let stepper: Box<dyn Any> = Box::new(stepper);
-            stepper.downcast().ok().map(|stepper| *stepper)
+            let (bodies, initial) = in_three(bodies, initial)?;
+            of_three(Box::new(BodiesSplitting::new(plan.formulation.order, bodies, initial)?))
         }
         _ => Some(Box::new(BodiesVpd::new(tableau.clone(), plan.model.stop, initial))),
     }
+}
+
+/// Returns bodies of n = 3 as such, which the compiler does not know.
+fn in_three<'a, const N: usize>(
+    bodies: &'a Bodies<N>,
+    initial: &'a BodiesState<N>,
+) -> Option<(&'a Bodies<3>, &'a BodiesState<3>)> {
+    let (bodies, initial): (&dyn Any, &dyn Any) = (bodies, initial);
+    Some((bodies.downcast_ref()?, initial.downcast_ref()?))
+}
+
+/// Returns a stepper of n = 3 as one of this dimension, which it is.
+fn of_three<const N: usize>(
+    stepper: Box<dyn BodiesStepper<3>>,
+) -> Option<Box<dyn BodiesStepper<N>>> {
+    let stepper: Box<dyn Any> = Box::new(stepper);
+    stepper.downcast().ok().map(|stepper| *stepper)
 }

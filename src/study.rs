@@ -219,7 +219,9 @@ pub(crate) fn entries(
 fn runnable(scene: &Scenario, methods: impl Iterator<Item = Method>) -> Vec<Entry> {
     let three = scene.dimension() == 3;
     let fits = |method: &Method| {
-        three || !method.name.integrator().is_some_and(|named| named.facts().three)
+        let needs_three = method.name.integrator().is_some_and(|named| named.facts().three);
+        let taken = scene.bodies().is_none_or(|bodies| bodies.take(method).is_ok());
+        (three || !needs_three) && taken
     };
     methods.filter(fits).filter_map(|method| Entry::new(scene, method).ok()).collect()
 }

@@ -30,6 +30,7 @@ use crate::failure::Failure;
 use crate::so::{self, Mat, Vector};
 use crate::work::Work;
 
+pub mod apart;
 pub mod explicit;
 pub mod splitting;
 pub mod trajectory;

@@ -6,13 +6,14 @@ use serde::Serialize;
 
 use super::model::{inertia_matrix, rungs, tableau, tableau_choice};
 use super::rotation::{attitude, rows, skew};
-use super::{ChannelPlan, FirstSteps, Formulation, Model, Plan, TermPlan, channels};
+use super::{ChannelPlan, Counts, FirstSteps, Formulation, Model, Plan, TermPlan, channels};
 use crate::log::schema::Channel;
 use crate::method::Integrator;
 use crate::scenario::{
     Bodies, Framed, Inertia, Interaction, Joint, PairLaw, PotentialTerm, SPACE, Scenario,
     ScenarioError, Solver,
 };
+use crate::solve::bodies::apart::BodiesApart;
 use crate::solve::bodies::{self, BodiesState, Hold, Site, Start};
 use crate::solve::nonlinear::StopRule;
 use crate::solve::so::{self, Mat, Vector};
@@ -26,6 +27,9 @@ pub struct BodyPlan {
     pub hold: &'static str,
     /// What acts on it.
     pub why: String,
+    /// Whether it moves by its exact motion, apart from the others: nothing acts on it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub exact: bool,
 }
 
 /// Returns the system of the bodies of a scene, and its state at the start.
@@ -209,9 +213,14 @@ impl Plan {
         step_s: f64,
     ) -> Result<Self, ScenarioError> {
         let n = scenario.dimension();
+        let mut exact = Vec::new();
         match n {
             2 => system::<2>(scene).map(drop),
-            3 => system::<3>(scene).map(drop),
+            3 => system::<3>(scene).map(|(bodies, initial)| {
+                if scenario.method.name.integrator().is_none() {
+                    exact = BodiesApart::exact(&bodies, &initial, step_s);
+                }
+            }),
             4 => system::<4>(scene).map(drop),
             5 => system::<5>(scene).map(drop),
             6 => system::<6>(scene).map(drop),
@@ -252,12 +261,16 @@ impl Plan {
                     Interaction::Between { between, .. } => between.contains(&body.name),
                 });
                 let terms = terms.count();
+                let exact = exact.contains(&index);
                 let why = match (terms, jointed) {
+                    (0, false) if exact => {
+                        "nothing acts on it: moved exactly, by itself".to_owned()
+                    }
                     (0, false) => "nothing acts on it".to_owned(),
                     (terms, false) => format!("{terms} terms act on it"),
                     (terms, true) => format!("in joints; {terms} terms act on it"),
                 };
-                BodyPlan { name: body.name.clone(), hold, why }
+                BodyPlan { name: body.name.clone(), hold, why, exact }
             })
             .collect();
         plan.free_directions = conserved(scenario, scene);
@@ -277,20 +290,28 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Returns about what a step of several bodies costs, in nanoseconds, at this number of sweeps.
-    pub(super) fn step_of_bodies_ns(&self, sweeps: f64) -> f64 {
+    /// Returns about what steps of several bodies cost, in nanoseconds.
+    pub(super) fn work_of_bodies_ns(&self, work: Counts) -> f64 {
         /// Cost of a stage of a sweep, for a body and for a term, n = 3.
         const BODY_NS: f64 = 250.0;
         const TERM_NS: f64 = 90.0;
         /// For a body in a joint, times the bodies in joints.
         const JOINT_NS: f64 = 150.0;
+        /// Parts of these that a stage costs which is computed once.
+        const ONCE: f64 = 0.3;
         let Some(scene) = self.settled.bodies() else { return 0.0 };
         let size = libm::pow(self.dimension as f64 / 3.0, 3.0);
         let jointed = scene.joint_of_each().iter().flatten().count() as f64;
-        let of_stage = scene.bodies.len() as f64 * BODY_NS * size
+        let solved = self.bodies.iter().filter(|body| !body.exact).count();
+        let of_stage = solved as f64 * BODY_NS * size
             + scene.potential.len() as f64 * TERM_NS
             + jointed * jointed * JOINT_NS * size;
-        (sweeps + 1.0) * self.formulation.stages as f64 * of_stage
+        let stages = self.formulation.stages as f64;
+        if self.formulation.method == Integrator::Vpd {
+            (work.sweeps + work.steps) * stages * of_stage
+        } else {
+            ONCE * work.sweeps * stages * of_stage
+        }
     }
 }
 

@@ -175,11 +175,7 @@ impl Plan {
         let mut log = LOG_FIXED_BYTES as f64
             + samples * compressed(raw, raw_dense, compression)
             + overview::bytes(self.samples, n) as f64;
-        let step_ns = if self.bodies.is_empty() {
-            self.work_ns(of_step.unwrap_or_else(|| self.usual_work()))
-        } else {
-            self.step_of_bodies_ns(of_step.map_or(USUAL_SWEEPS_OF_BODIES, |work| work.sweeps))
-        };
+        let step_ns = self.work_ns(of_step.unwrap_or_else(|| self.usual_work()));
         (self.work_step_ns, self.step_ns) = (step_ns, timed_ns.unwrap_or(step_ns));
         let (sample_ns, written_ns) = (self.sample_cost_ns(raw), self.written_ns(raw));
         let samples_ns = self.samples as f64 * sample_ns;
@@ -231,6 +227,9 @@ impl Plan {
         /// Cost in a plane, relative to that in three dimensions.
         const IN_PLANE: f64 = 0.7;
         const PIECE_NS: f64 = 70.0;
+        if !self.bodies.is_empty() {
+            return self.work_of_bodies_ns(work);
+        }
         let part = match self.formulation.motion {
             Motion::AtRest => return work.steps * AT_REST_NS,
             Motion::InPlane => IN_PLANE,
@@ -310,6 +309,9 @@ impl Plan {
         let Formulation { method: Integrator::Splitting, order, .. } = self.formulation else {
             return 0.0;
         };
+        if !self.bodies.is_empty() {
+            return 0.0;
+        }
         let (inverse, momentum) = self.model.in_principal_axes();
         let spread = self.asked.ensemble.as_ref().map_or(0.0, |members| members.momentum_spread);
         let momentum = momentum.map(|x| x.abs() + spread);
@@ -447,8 +449,6 @@ impl Plan {
     }
 }
 
-/// Sweeps assumed for a step of several bodies.
-const USUAL_SWEEPS_OF_BODIES: f64 = 4.0;
 /// Cost of a run before its first steps reach their usual speed.
 const START_NS: f64 = 5_000.0;
 /// Cost of beginning and ending a log: files, charts, and the disk that has to have it.

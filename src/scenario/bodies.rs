@@ -14,8 +14,8 @@ use super::range::{
     strength,
 };
 use super::{
-    Attitude, Framed, Inertia, Initial, MethodName, PotentialTerm, Scenario, ScenarioError, Scene,
-    SolverKind, Steps,
+    Attitude, Framed, Inertia, Initial, Method, MethodName, PotentialTerm, Scenario, ScenarioError,
+    Scene, SolverKind, Steps,
 };
 use crate::log::schema::BodyName;
 use crate::method::Integrator;
@@ -271,7 +271,6 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(wheels.is_some(), "/scene/wheels", only_one)?;
     absent(control.is_some(), "/scene/control", only_one)?;
     absent(field.is_some(), "/scene/field", only_one)?;
-    absent(scenario.accuracy.is_some(), "/accuracy", only_one)?;
     absent(scenario.ensemble.is_some(), "/ensemble", only_one)?;
     absent(!scenario.until.is_empty(), "/until", only_one)?;
     absent(scenario.derivatives.is_some(), "/derivatives", only_one)?;
@@ -279,7 +278,7 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(adaptive, "/step/adaptive", only_one)?;
     let expected = scenario.expect.as_ref().is_some_and(|expect| expect.final_attitude.is_some());
     absent(expected, "/expect/final_attitude", only_one)?;
-    method(scenario, bodies)?;
+    bodies.take(&scenario.method)?;
     bodies.check()
 }
 
@@ -287,25 +286,29 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
 const METHODS: [Integrator; 4] =
     [Integrator::Vpd, Integrator::RkProjected, Integrator::Rkmk, Integrator::Splitting];
 
-fn method(scenario: &Scenario, bodies: &Bodies) -> Check {
-    let name = scenario.method.name;
-    let listed = name.integrator().is_none_or(|method| METHODS.contains(&method));
-    ensure(listed, "/method/name", || {
-        let names = METHODS.map(Integrator::as_str).join(", ");
-        format!("{} given; for several bodies auto, {names} are allowed", name.as_str())
-    })?;
-    let splits = name == MethodName::Splitting;
-    ensure(!splits || bodies.joints.is_empty(), "/method/name", || {
-        "splitting given; it is for bodies without joints, whose kinetic energies are separate"
-            .to_owned()
-    })?;
-    let newton = scenario.method.solver.kind == SolverKind::Newton;
-    ensure(!newton, "/method/solver/kind", || {
-        "\"newton\" given; for several bodies fixed_point and auto are allowed".to_owned()
-    })
-}
-
 impl Bodies {
+    /// Checks that a method can run the bodies.
+    ///
+    /// # Errors
+    /// At its field, with what is allowed.
+    pub(crate) fn take(&self, method: &Method) -> Check {
+        let name = method.name;
+        let listed = name.integrator().is_none_or(|method| METHODS.contains(&method));
+        ensure(listed, "/method/name", || {
+            let names = METHODS.map(Integrator::as_str).join(", ");
+            format!("{} given; for several bodies auto, {names} are allowed", name.as_str())
+        })?;
+        let splits = name == MethodName::Splitting;
+        ensure(!splits || self.joints.is_empty(), "/method/name", || {
+            "splitting given; it is for bodies without joints, whose kinetic energies are separate"
+                .to_owned()
+        })?;
+        let newton = method.solver.kind == SolverKind::Newton;
+        ensure(!newton, "/method/solver/kind", || {
+            "\"newton\" given; for several bodies fixed_point and auto are allowed".to_owned()
+        })
+    }
+
     /// Returns the number of the body with a name.
     pub fn number(&self, name: &str) -> Option<usize> {
         self.bodies.iter().position(|body| body.name == name)

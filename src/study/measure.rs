@@ -5,13 +5,13 @@
 use std::cell::Cell;
 use std::convert::Infallible;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use nalgebra::DMatrix;
 
 use super::spread;
 use super::{Entry, Watch};
-use crate::assemble::{Assembly, BodiesAssembly, BodiesTask, Task, assembled, assembled_bodies};
+use crate::assemble::{Assembly, Task, assembled, assembled_bodies};
 use crate::log::schema::Channel;
 use crate::plan::{Counts, Plan};
 use crate::scenario::{
@@ -29,42 +29,94 @@ use crate::solve::trajectory::{
 };
 use crate::solve::work::Work;
 
-/// A state of any size: attitude and body momentum, n x n.
+mod bodies;
+
+pub(crate) use bodies::first_steps_of_bodies;
+
+/// A state of any size: of one body, or of several, whose matrices stand one below the other.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// The attitude g.
+    /// The attitudes g, n columns.
     pub attitude: DMatrix<f64>,
-    /// The body momentum, skew.
+    /// The body momenta, each skew, likewise.
     pub momentum: DMatrix<f64>,
+    /// Several bodies: their centres of mass in m, a row for each; no rows for one.
+    pub position: DMatrix<f64>,
+    /// Several bodies: mass times velocity in kg m/s, likewise.
+    pub linear_momentum: DMatrix<f64>,
 }
 
 impl Point {
-    /// Returns the point of a state.
+    /// Returns the point of a state of one body.
     pub(super) fn of<const N: usize>(attitude: &Mat<N>, momentum: &Mat<N>) -> Self {
         let sized = |m: &Mat<N>| DMatrix::from_fn(N, N, |i, j| m[(i, j)]);
-        Self { attitude: sized(attitude), momentum: sized(momentum) }
+        let none = DMatrix::zeros(0, N);
+        Self {
+            attitude: sized(attitude),
+            momentum: sized(momentum),
+            position: none.clone(),
+            linear_momentum: none,
+        }
     }
 
-    /// Returns it as a state of this dimension, which is its own.
+    /// Returns it as a state of one body of this dimension, which is its own.
     pub(super) fn state<const N: usize>(&self) -> State<N> {
         let sized = |m: &DMatrix<f64>| Mat::<N>::from_fn(|i, j| m[(i, j)]);
         State { attitude: sized(&self.attitude), momentum: sized(&self.momentum) }
     }
 
-    /// Returns `|g - h|_F / sqrt(2)`: for n = 3 the spectral norm of the difference of two
-    /// rotations.
+    /// Returns n.
+    pub(super) fn dimension(&self) -> usize {
+        self.attitude.ncols()
+    }
+
+    /// Returns `|g - h|_F / sqrt(2)`, for n = 3 the spectral norm of the difference of two rotations; of several bodies the
+    /// largest.
     pub fn attitude_distance(&self, other: &Self) -> f64 {
         half_norm(&self.attitude, &other.attitude)
     }
 
-    /// Returns `|p - q|_F / sqrt(2)`: for n = 3 the length of the difference of the vectors.
+    /// Returns `|p - q|_F / sqrt(2)`, for n = 3 the length of the difference of the vectors; of several bodies the largest.
     pub fn momentum_distance(&self, other: &Self) -> f64 {
         half_norm(&self.momentum, &other.momentum)
     }
+
+    /// Returns the largest distance of a centre of mass from where it is in the other, in m.
+    pub fn position_distance(&self, other: &Self) -> f64 {
+        longest_row(&self.position, &other.position)
+    }
+
+    /// Returns the largest difference of a linear momentum, in kg m/s.
+    pub fn linear_momentum_distance(&self, other: &Self) -> f64 {
+        longest_row(&self.linear_momentum, &other.linear_momentum)
+    }
 }
 
+/// Returns the largest `|A - B|_F / sqrt(2)` of the square blocks of two matrices.
 fn half_norm(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
-    (0.5 * a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sqrt()
+    let n = a.ncols();
+    let of_block = |first: usize| {
+        let (a, b) = (a.rows(first, n), b.rows(first, n));
+        (0.5 * a.iter().zip(&b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sqrt()
+    };
+    (0..a.nrows()).step_by(n.max(1)).map(of_block).fold(0.0, f64::max)
+}
+
+fn longest_row(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
+    let lengths = a.row_iter().zip(b.row_iter()).map(|(a, b)| (a - b).norm());
+    lengths.fold(0.0, f64::max)
+}
+
+/// The largest sizes that a motion reached, in parts of which its errors are measured.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sizes {
+    /// Of a body momentum, in kg m^2/s; in a potential at least that by which a body turns a millionth of a radian meanwhile.
+    pub momentum: f64,
+    /// Several bodies: of the distance of a centre of mass from where it began, in m; at least a millionth of how far they
+    /// are from each other.
+    pub way_m: f64,
+    /// Several bodies: of a linear momentum, in kg m/s; at least that which goes this way meanwhile.
+    pub linear_momentum: f64,
 }
 
 /// A run to be made.
@@ -166,9 +218,7 @@ pub(crate) struct Measured {
     /// The number of that sample.
     pub(crate) fastest_sample: usize,
     pub(crate) largest_kinetic: f64,
-    /// Largest size of the body momentum at a sample; in a potential at least that by which the body turns a millionth of a
-    /// radian meanwhile.
-    pub(crate) largest_momentum: f64,
+    pub(crate) sizes: Sizes,
     /// The shortest step in parts of the longest, where they adapt.
     pub(crate) least_sigma: Option<f64>,
 }
@@ -204,7 +254,6 @@ pub(crate) fn variant(
     step_s: f64,
     steps: u64,
 ) -> Result<Plan, ScenarioError> {
-    scene.one_body()?;
     let mut scenario = scene.clone();
     // Another method has steps of one length, or adaptive steps of the study's.
     if *method != scene.method {
@@ -221,7 +270,8 @@ pub(crate) fn variant(
     (scenario.accuracy, scenario.ensemble) = (None, None);
     // What is compared is at one time, wherever the run itself would end.
     scenario.until.clear();
-    let channels = vec![Channel::State, Channel::Energy, Channel::Orthogonality];
+    let of_state = if scene.bodies().is_some() { Channel::BodyState } else { Channel::State };
+    let channels = vec![of_state, Channel::Energy, Channel::Orthogonality];
     scenario.log = LogOptions { channels: Some(channels), ..LogOptions::default() };
     Plan::new(&scenario)
 }
@@ -234,6 +284,10 @@ static RUNS: AtomicU64 = AtomicU64::new(0);
 pub(crate) fn runs() -> u64 {
     RUNS.load(Ordering::Relaxed)
 }
+
+/// An angle in radians, and a part of a length, by which a body hardly moves: in a potential the roundings of its forces
+/// would be all that is compared.
+const HARDLY: f64 = 1e-6;
 
 /// Makes a run and measures it.
 ///
@@ -248,17 +302,20 @@ pub(crate) fn measure(
     let plan = variant(scene, probe.method, probe.step_s, probe.steps)?;
     let sweep_ns = plan.sweep_cost_ns();
     let most_sweeps = (watch.left_ns() as f64 / sweep_ns).ceil() as u64;
-    let ensemble = scene.ensemble.as_ref();
-    let mut run = assembled(&plan, Measurement { probe, ensemble, watch, most_sweeps });
+    let mut run = if scene.bodies().is_some() {
+        assembled_bodies(&plan, bodies::Measurement { probe, watch, most_sweeps })
+    } else {
+        let ensemble = scene.ensemble.as_ref();
+        let mut run = assembled(&plan, Measurement { probe, ensemble, watch, most_sweeps });
+        let time_s = probe.step_s * probe.steps as f64;
+        let hardly = HARDLY / (plan.model.kinetic.mobility() * time_s);
+        let in_potential = !(plan.model.terms.is_empty() && plan.model.driven.is_empty());
+        if in_potential && hardly.is_finite() {
+            run.sizes.momentum = run.sizes.momentum.max(hardly);
+        }
+        run
+    };
     run.cost_ns = plan.work_ns(run.counts());
-    // Of a body that hardly moves in a potential the roundings of its torques would be all that is compared.
-    const HARDLY_RAD: f64 = 1e-6;
-    let time_s = probe.step_s * probe.steps as f64;
-    let hardly = HARDLY_RAD / (plan.model.kinetic.mobility() * time_s);
-    let in_potential = !(plan.model.terms.is_empty() && plan.model.driven.is_empty());
-    if in_potential && hardly.is_finite() {
-        run.largest_momentum = run.largest_momentum.max(hardly);
-    }
     // A sample is about as much work as a sweep.
     watch.pay((run.cost_ns + run.series.len() as f64 * sweep_ns).ceil() as u64);
     Ok(run)
@@ -356,7 +413,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         fastest_rad_s: fastest.0,
         fastest_sample: fastest.1,
         largest_kinetic: kinetic,
-        largest_momentum: momentum,
+        sizes: Sizes { momentum, ..Sizes::default() },
         least_sigma,
     }
 }
@@ -419,6 +476,9 @@ pub(crate) fn initial_rate(scene: &Scenario) -> Result<f64, ScenarioError> {
         }
     }
     let plan = variant(scene, &Method::default(), 1.0, 1)?;
+    if scene.bodies().is_some() {
+        return Ok(assembled_bodies(&plan, bodies::Rate));
+    }
     Ok(assembled(&plan, Rate))
 }
 
@@ -445,48 +505,6 @@ pub struct Effort {
     pub gradients: f64,
 }
 
-/// Makes the first steps of a plan of several bodies; returns the sweeps and the nanoseconds of one, `None` if the first fails.
-pub(crate) fn first_steps_of_bodies(plan: &Plan) -> Option<(f64, f64)> {
-    assembled_bodies(plan, FirstStepsOfBodies { step_s: plan.step_s })
-}
-
-/// See [`first_steps_of_bodies`].
-struct FirstStepsOfBodies {
-    step_s: f64,
-}
-
-impl BodiesTask for FirstStepsOfBodies {
-    type Output = Option<(f64, f64)>;
-
-    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
-        /// Steps, of which the first ones have no history to begin from; and the time they may take.
-        const STEPS: u32 = 32;
-        const MOST: Duration = Duration::from_millis(300);
-        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
-        let begun = Instant::now();
-        stepper.start(&initial);
-        let (mut steps, mut of_first) = (0_u32, Duration::ZERO);
-        while steps < STEPS && begun.elapsed() < MOST {
-            if stepper.step(&bodies, self.step_s).is_err() {
-                break;
-            }
-            steps += 1;
-            // Steps that follow others begin from these.
-            if steps == STEPS / 2 {
-                of_first = begun.elapsed();
-            }
-        }
-        let later = steps.saturating_sub(STEPS / 2);
-        let (counted, time) = match (later, steps) {
-            (0, 0) => return None,
-            (0, steps) => (steps, begun.elapsed()),
-            (later, _) => (later, begun.elapsed().saturating_sub(of_first)),
-        };
-        let sweeps = bodies.work().sweeps() as f64 / f64::from(steps);
-        Some((sweeps, time.as_nanos() as f64 / f64::from(counted)))
-    }
-}
-
 /// Makes the steps of a scenario again and again.
 ///
 /// # Errors
@@ -496,7 +514,7 @@ pub fn effort(scenario: &Scenario) -> Result<Effort, ScenarioError> {
     let Plan { step_s, steps, .. } = Plan::new(scenario)?;
     let run = measure(scenario, Probe::of(&scenario.method, step_s, steps), &Watch::default())?;
     let plan = variant(scenario, &scenario.method, step_s, steps)?;
-    let turns = (0..TURNS).map(|_| assembled(&plan, Timing::of(step_s, steps)));
+    let turns = (0..TURNS).map(|_| turn_ns(&plan));
     let Counts { steps, sweeps, passes, gradients, pieces: _ } = run.counts();
     let steps = steps.max(1.0);
     Ok(Effort {
@@ -523,10 +541,20 @@ pub(crate) fn time(
                 return Ok(Vec::new());
             }
             let plan = variant(scene, &entry.method, step_s, steps)?;
-            *least = least.min(assembled(&plan, Timing::of(step_s, steps)));
+            *least = least.min(turn_ns(&plan));
         }
     }
     Ok(least)
+}
+
+/// Returns the nanoseconds of a step of a planned run; infinite if one fails.
+fn turn_ns(plan: &Plan) -> f64 {
+    let Plan { step_s, steps, .. } = *plan;
+    if plan.bodies.is_empty() {
+        assembled(plan, Timing::of(step_s, steps))
+    } else {
+        assembled_bodies(plan, bodies::Timing { step_s, steps })
+    }
 }
 
 /// Returns the nanoseconds that one of the first steps of a member's run takes on this machine: the
@@ -560,6 +588,9 @@ pub(crate) fn time_of_step(plan: &Plan, steps: u64, member: u64) -> Option<f64> 
     least.is_finite().then_some(least)
 }
 
+/// Nanoseconds that are long enough for the clock.
+const LEAST_NS: u128 = 100_000;
+
 struct Timing<'a> {
     step_s: f64,
     steps: u64,
@@ -578,8 +609,6 @@ impl Task for Timing<'_> {
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> f64 {
         let Assembly { body, mut stepper, initial, .. } = assembly;
-        // This is long enough for the clock.
-        const LEAST_NS: u128 = 100_000;
         let initial = match self.ensemble {
             Some(ensemble) => spread::start(&initial, ensemble, self.member),
             None => initial,

@@ -4,7 +4,7 @@
 //! Gauss with 6 stages in quaternions, which has other variables, another discretisation and
 //! another round-off, must agree with it. Where something drives the body, that is Dormand and
 //! Prince's eighth order, projected, whose round-off is a hundred times that of VPD: what it hides,
-//! a variational method on the group shows. For other n Dormand and Prince's steps, which cost a
+//! a variational method on the group shows. The same checks several bodies. For other n Dormand and Prince's steps, which cost a
 //! twentieth there, are the first, and VPD must agree with them.
 //!
 //! Where errors grow with time no step brings two solutions closer than round-off has grown: that distance is
@@ -16,11 +16,12 @@
 //! Invariant: two families of methods agree with a [`Reference`] to within its stated error.
 
 use std::fmt;
+use std::ops::AddAssign;
 
 use nalgebra::DMatrix;
 use thiserror::Error;
 
-use super::measure::{Begin, Measured, Point, Probe, measure};
+use super::measure::{Begin, Measured, Point, Probe, Sizes, measure};
 use super::{Scales, StudyError, Watch, with_tableau};
 use crate::method::Integrator;
 use crate::scenario::{Method, Scenario, TableauName};
@@ -115,9 +116,8 @@ pub struct Reference {
     pub time_s: f64,
     /// The state at each quarter of the time, for a long one at each sixty-fourth, the start first.
     pub points: Vec<Point>,
-    /// Largest size of the body momentum on the way, in which errors of the momentum are measured; for a body that hardly
-    /// moves in a potential, that of one that turns by a millionth of a radian meanwhile.
-    pub momentum_scale: f64,
+    /// The largest sizes on the way, in parts of which errors are measured.
+    pub sizes: Sizes,
     /// Distance of the last two solutions of the first family, or a hundredth of that of the second
     /// if that is more, or all of it where the second scatters or nothing explains it; no error below it can be measured.
     pub error: f64,
@@ -373,8 +373,11 @@ impl Reference {
             }
         }
         // In more dimensions these are a part.
-        let n = self.points[0].attitude.nrows();
-        let all = if directions.len() == MOST_DIRECTIONS { n * (n - 1) / 2 } else { 1 };
+        let start = &self.points[0];
+        let (n, bodies) = (start.dimension(), start.attitude.nrows() / start.dimension());
+        let each = n * (n - 1) / 2;
+        let whole = bodies * each + start.position.len();
+        let all = if directions.len() == MOST_DIRECTIONS { whole } else { 1 };
         let parts = (all as f64 / directions.len() as f64).max(1.0);
         let mut most = 0.0_f64;
         let grown: Vec<f64> = squares
@@ -412,17 +415,18 @@ impl Reference {
         found
     }
 
-    /// Returns the start with its momentum moved along a direction, and with its attitude turned
+    /// Returns the start with its momenta moved along a direction, and with its attitudes turned
     /// about it.
     fn moved_starts(&self, along: &DMatrix<f64>) -> [Point; 2] {
-        let Point { attitude, momentum } = &self.points[0];
-        [
-            Point {
-                attitude: attitude.clone(),
-                momentum: momentum + along * (MOVED * self.momentum_scale),
-            },
-            Point { attitude: attitude + attitude * along * MOVED, momentum: momentum.clone() },
-        ]
+        let start = &self.points[0];
+        let n = start.dimension();
+        let [mut pushed, mut turned] = [start.clone(), start.clone()];
+        pushed.momentum += along * (MOVED * self.sizes.momentum);
+        for first in (0..start.attitude.nrows()).step_by(n) {
+            let turn = start.attitude.rows(first, n) * along.rows(first, n) * MOVED;
+            turned.attitude.rows_mut(first, n).add_assign(&turn);
+        }
+        [pushed, turned]
     }
 
     /// Returns the reference of a run, as accurate as another run shows it to be.
@@ -436,7 +440,7 @@ impl Reference {
         Self {
             time_s,
             points: run.points.clone(),
-            momentum_scale: run.largest_momentum,
+            sizes: run.sizes,
             error: 0.0,
             cross_check: 0.0,
             steps: run.steps,
@@ -552,7 +556,8 @@ impl Reference {
     }
 
     /// Returns the error of a state: that of the attitude (for n = 3 the spectral norm) plus that
-    /// of the body momentum in parts of its largest size.
+    /// of the body momentum in parts of its largest size. Of several bodies the largest of each, and likewise of their places
+    /// in parts of the longest way, and of their linear momenta.
     pub fn distance(&self, point: &Point) -> f64 {
         self.apart_from(self.end(), point)
     }
@@ -564,8 +569,12 @@ impl Reference {
     }
 
     fn apart_from(&self, own: &Point, point: &Point) -> f64 {
-        let scale = if self.momentum_scale > 0.0 { self.momentum_scale } else { 1.0 };
-        own.attitude_distance(point) + own.momentum_distance(point) / scale
+        let part = |distance: f64, size: f64| distance / if size > 0.0 { size } else { 1.0 };
+        let Sizes { momentum, way_m, linear_momentum } = self.sizes;
+        own.attitude_distance(point)
+            + part(own.momentum_distance(point), momentum)
+            + part(own.position_distance(point), way_m)
+            + part(own.linear_momentum_distance(point), linear_momentum)
     }
 
     /// Returns the state at the end.
@@ -595,6 +604,9 @@ fn families(scene: &Scenario) -> [Family; 2] {
     let family = |method, easy_steps| Family { method, easy_steps, is_rough: false };
     let vpd = family(with_tableau(Integrator::Vpd, TableauName::Gauss8), 1.0);
     let explicit = family(with_tableau(Integrator::RkProjected, TableauName::Rk8), 3.0);
+    if scene.bodies().is_some() {
+        return [vpd, explicit];
+    }
     let explicit = Family { is_rough: true, ..explicit };
     match (scene.dimension(), scene.scene.is_plain()) {
         (3, true) => {

@@ -539,15 +539,15 @@ impl<R: Runs> Mapper<R> {
 /// `None` for a run too short, or a momentum that stays.
 fn swing_rad(run: &Measured) -> Option<f64> {
     let points = run.points.get(..SWING_SAMPLES)?;
-    let n = points[0].momentum.nrows();
+    let n = points[0].dimension();
     let series = |i: usize, j: usize| -> Vec<f64> {
         let values: Vec<f64> = points.iter().map(|point| point.momentum[(i, j)]).collect();
         let mean = values.iter().sum::<f64>() / values.len() as f64;
         values.into_iter().map(|x| x - mean).collect()
     };
     let power = |x: &[f64]| x.iter().map(|x| x * x).sum::<f64>();
-    let liveliest = (0..n)
-        .flat_map(|i| (0..i).map(move |j| (i, j)))
+    let liveliest = (0..points[0].momentum.nrows())
+        .flat_map(|i| (0..i % n).map(move |j| (i, j)))
         .map(|(i, j)| series(i, j))
         .max_by(|a, b| power(a).total_cmp(&power(b)))?;
     if !(power(&liveliest) > 0.0) {

@@ -142,10 +142,141 @@ fn a_start_that_has_no_energy_is_refused() {
 
 /// What is for one body says so.
 #[test]
-fn studies_and_sweeps_refuse_several_bodies() {
+fn steps_by_hand_refuse_several_bodies() {
     let chain = Scenario::from_json(shipped("chain").to_string().as_bytes()).expect("good");
-    let refused = vpd::study::measure::effort(&chain).expect_err("one body");
-    assert_eq!(refused.pointer, "/scene/bodies");
     let refused = vpd::run::Simulation::new(&chain).map(drop).expect_err("one body");
     assert_eq!(refused.pointer, "/scene/bodies");
+}
+
+/// The differences of two ends: attitudes, and positions in m.
+fn apart(a: &Summary, b: &Summary) -> [f64; 2] {
+    let mut most = [0.0_f64; 2];
+    for (name, a) in &a.last.bodies {
+        let b = &b.last.bodies[name];
+        for (a, b) in a.attitude.iter().flatten().zip(b.attitude.iter().flatten()) {
+            most[0] = most[0].max((a - b).abs());
+        }
+        for (a, b) in a.position.iter().zip(&b.position) {
+            most[1] = most[1].max((a - b).abs());
+        }
+    }
+    most
+}
+
+/// An accuracy is reached, against short steps of another tableau, and not by far more work than it takes.
+#[test]
+fn an_accuracy_chooses_method_and_step() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // With the longest way of a body in it, in m.
+    for (name, duration_s, error, way_m) in [
+        ("tether", 60.0, 1e-6, 10.0),
+        ("chain", 0.5, 1e-8, 1.0),
+        ("compass-needles", 2.0, 1e-9, 0.0),
+    ] {
+        let mut scenario = shipped(name);
+        let scene = scenario.as_object_mut().expect("an object");
+        for key in ["method", "step_s", "log", "expect"] {
+            scene.remove(key);
+        }
+        scenario["duration_s"] = json!(duration_s);
+        let mut asked = scenario.clone();
+        asked["accuracy"] = json!({ "error": error });
+        let planned = plan(&asked);
+        let advice = planned.advice.as_ref().expect("a choice");
+        assert!(
+            advice.expected_error <= error && advice.candidates.len() > 3,
+            "{name}: {advice:?}"
+        );
+        let chosen = run(&asked, &folder.path().join(format!("{name}.mcap")));
+        scenario["method"] = json!({ "name": "vpd", "tableau": "gauss6" });
+        scenario["step_s"] = json!(duration_s / 1000.0);
+        let exact = run(&scenario, &folder.path().join(format!("{name}-exact.mcap")));
+        let [turned, moved_m] = apart(&chosen, &exact);
+        assert!(
+            turned <= error && moved_m <= error * f64::max(way_m, 1e-9),
+            "{name}: {turned:e}, {moved_m:e} m"
+        );
+        // The step is the longest that does, or nearly: one of three times the length does not.
+        let mut longer = scenario.clone();
+        longer["method"] = serde_json::to_value(&planned.settled.method).expect("JSON");
+        let steps = (duration_s / (3.0 * planned.step_s)).floor().max(1.0);
+        longer["step_s"] = json!(duration_s / steps);
+        let longer = run(&longer, &folder.path().join(format!("{name}-longer.mcap")));
+        let missed =
+            longer.outcome != Outcome::Succeeded || apart(&longer, &exact)[0] > 0.1 * error;
+        assert!(missed, "{name}: {:?}", apart(&longer, &exact));
+    }
+}
+
+/// Errors and work, borders and long runs of several bodies, as of one.
+#[test]
+fn studies_take_several_bodies() {
+    let mut scenario = shipped("compass-needles");
+    scenario["duration_s"] = json!(1);
+    let scene = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+    let watch = Watch::default();
+    let entries = vpd::study::usual_methods(&scene);
+    let labels: Vec<String> = entries.iter().map(vpd::study::Entry::label).collect();
+    for label in ["vpd gauss2", "rk_projected rk4", "splitting order 4"] {
+        assert!(labels.iter().any(|entry| entry == label), "{label}: {labels:?}");
+    }
+    let found =
+        vpd::study::precision::precision(&scene, &entries, Some(0.5), &watch).expect("a study");
+    for (line, entry) in entries.iter().enumerate() {
+        if let Some(order) = found.measured_order(line) {
+            let off = (order - f64::from(entry.order)).abs();
+            assert!(off < 0.35, "{}: {order} for {}", entry.label(), entry.order);
+        }
+    }
+    assert!((0..entries.len()).filter(|&line| found.measured_order(line).is_some()).count() > 2);
+    let two =
+        &entries[labels.iter().position(|label| label == "vpd gauss2").expect("there")..][..1];
+    let map = vpd::study::stability::stability(&scene, two, &watch).expect("a map");
+    let border = &map.borders[0];
+    assert!(border.usable_step_s.is_some_and(|step_s| step_s > 0.01), "{border:?}");
+    let long = vpd::study::long_term::long_term(&scene, two, &watch).expect("runs");
+    assert_eq!(long.table.rows.len(), 1);
+}
+
+/// What nothing acts on is not solved with the others, which then end to the bit as without it.
+#[test]
+fn a_body_by_itself_moves_exactly_and_costs_the_others_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut alone = shipped("tether");
+    alone["duration_s"] = json!(30);
+    alone.as_object_mut().expect("an object").remove("method");
+    let mut with = alone.clone();
+    let drifter = json!({
+        "name": "drifter", "mass": 3.0, "inertia": { "principal": [1.0, 2.0, 2.5] },
+        "initial": { "position": [50, 0, 1], "velocity": [0.1, -0.2, 0.3], "angular_velocity": { "body": [0.3, 1.0, 0.02] } }
+    });
+    with["scene"]["bodies"].as_array_mut().expect("bodies").insert(1, drifter);
+    let planned = plan(&with);
+    let exact: Vec<bool> = planned.bodies.iter().map(|body| body.exact).collect();
+    assert_eq!(exact, [false, true, false]);
+    let ends = [("alone", &alone), ("with", &with)];
+    let [without, beside] =
+        ends.map(|(name, scenario)| run(scenario, &folder.path().join(format!("{name}.mcap"))));
+    for name in ["primary", "secondary"] {
+        assert_eq!(without.last.bodies[name], beside.last.bodies[name], "{name}");
+    }
+    let drifter = &beside.last.bodies["drifter"];
+    for (x, expected) in drifter.position.iter().zip([53.0, -6.0, 10.0]) {
+        assert!((x - expected).abs() < 1e-13, "{x}, {expected}");
+    }
+    // The same body in a scene of one.
+    let one = json!({
+        "name": "one", "step_s": 30.0, "steps": 1,
+        "scene": { "inertia": { "principal": [1.0, 2.0, 2.5] }, "initial": { "angular_velocity": { "body": [0.3, 1.0, 0.02] } } }
+    });
+    let one = run(&one, &folder.path().join("one.mcap")).last.attitude.expect("an attitude");
+    for (a, b) in one.iter().flatten().zip(drifter.attitude.iter().flatten()) {
+        assert!((a - b).abs() < 1e-12, "{a}, {b}");
+    }
+    // A method that was asked for takes all.
+    with["method"] = json!({ "name": "vpd", "tableau": "gauss2" });
+    assert!(plan(&with).bodies.iter().all(|body| !body.exact));
+    let log = folder.path().join("with.mcap");
+    let verified = verify::verify(&log).expect("a run again");
+    assert!(verified.same, "{verified:?}");
 }

@@ -63,7 +63,6 @@ fn rows() -> Vec<Row> {
         ("/scene/control", detumble()["scene"]["control"].clone(), "/scene/control", "for scenes of one body"),
         ("/scene/field", detumble()["scene"]["field"].clone(), "/scene/field", "for scenes of one body"),
         ("/scene/gravity", json!(1), "/scene/gravity", "unknown field"),
-        ("/accuracy", json!({"error": 1e-6}), "/accuracy", "for scenes of one body"),
         ("/ensemble", json!({"members": 10, "attitude_spread_rad": 0.1}), "/ensemble", "for scenes of one body"),
         ("/until", json!([{"energy_error_above_j": 1}]), "/until", "for scenes of one body"),
         ("/step", json!({"adaptive": {}}), "/step/adaptive", "for scenes of one body"),

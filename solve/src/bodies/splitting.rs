@@ -7,8 +7,7 @@
 //!
 //! Invariant: symplectic and symmetric; kicks of a pair are opposite to the bit.
 
-use nalgebra::Matrix3;
-
+use super::apart::principal_axes;
 use super::motion::BodiesMotion;
 use super::trajectory::BodiesStepper;
 use super::{Bodies, BodiesState, Configuration, Forces};
@@ -34,14 +33,9 @@ impl BodiesSplitting {
         if bodies.has_joints() {
             return None;
         }
-        let inverse = |body: &super::Body<3>| {
-            let moments = &body.second_moments;
-            let inertia = Matrix3::identity() * moments.trace() - moments;
-            Some(PrincipalAxes::of(&inertia.try_inverse()?))
-        };
         Some(Self {
             composition: Composition::new(order)?,
-            axes: bodies.bodies().iter().map(inverse).collect::<Option<_>>()?,
+            axes: bodies.bodies().iter().map(principal_axes).collect::<Option<_>>()?,
             motion: BodiesMotion::new(state),
             forces: Forces::none(state.attitudes.len(), state.places.len()),
         })

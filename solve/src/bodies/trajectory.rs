@@ -4,7 +4,7 @@
 //! Invariant: a sample holds finite numbers only, belongs to an accepted step, and comes in order of time; at a checkpoint the
 //! stepper starts anew from what the checkpoint holds.
 
-use super::{Bodies, BodiesState};
+use super::{Bodies, BodiesState, Configuration, Forces};
 use crate::failure::{Failure, FailureCode};
 use crate::lanes::Real;
 use crate::nonlinear::Convergence;
@@ -215,6 +215,63 @@ impl<const N: usize> Bodies<N> {
             },
         };
         Some((0..count).map(body).collect())
+    }
+
+    /// Returns the state in which bodies are seen so, by their attitudes, momenta, places and linear momenta.
+    ///
+    /// # Panics
+    /// If there are not as many as bodies.
+    pub fn state_of(&self, seen: &[BodySample<N>]) -> BodiesState<N> {
+        assert_eq!(seen.len(), self.bodies.len(), "all bodies are seen");
+        let (mut places, mut linear_momenta) = (self.fixed.clone(), Vec::new());
+        for (tree, place) in self.trees.iter().zip(&mut places) {
+            let Some(mass) = tree.mass_kg else {
+                linear_momenta.push(Vector::zeros());
+                continue;
+            };
+            let (mut at, mut p) = (Vector::zeros(), Vector::zeros());
+            for &a in &tree.bodies {
+                at += seen[a].position * (self.bodies[a].mass_kg / mass);
+                p += seen[a].linear_momentum;
+            }
+            *place = at;
+            linear_momenta.push(p);
+        }
+        BodiesState {
+            attitudes: seen.iter().map(|body| body.attitude).collect(),
+            momenta: seen.iter().map(|body| body.momentum).collect(),
+            places,
+            linear_momenta,
+        }
+    }
+
+    /// Returns about how fast everything changes at a state, in rad/s: the largest of the bodies' angular velocities, of the
+    /// roots of their angular accelerations, and of the forces on trees in parts of their linear momenta. Where nothing can be
+    /// computed, 0.
+    pub fn rate(&self, state: &BodiesState<N>) -> f64 {
+        let BodiesState { attitudes, momenta, places, linear_momenta } = state;
+        let mut velocities = vec![Mat::zeros(); self.bodies.len()];
+        let mut accelerations = velocities.clone();
+        let mut forces = Forces::none(self.bodies.len(), self.trees.len());
+        let at_state = self.velocities(attitudes, momenta, &mut velocities).and_then(|()| {
+            self.forces(Configuration { attitudes, places, velocities: &velocities }, &mut forces)
+        });
+        // [mu, Omega] and the torque, in the body.
+        let rates: Vec<Mat<N>> = (0..self.bodies.len())
+            .map(|a| {
+                let torque = so::conjugate(&attitudes[a].transpose(), &forces.torques[a]);
+                so::asym(&so::product(&momenta[a], &velocities[a])) + so::skew(&torque)
+            })
+            .collect();
+        if at_state.and_then(|()| self.velocities(attitudes, &rates, &mut accelerations)).is_err() {
+            return 0.0;
+        }
+        let size = |x: &Mat<N>| so::inner(x, x).sqrt();
+        let turning = velocities.iter().map(size);
+        let turned = accelerations.iter().map(|x| size(x).sqrt());
+        let moved =
+            forces.forces.iter().zip(linear_momenta).map(|(force, p)| force.norm() / p.norm());
+        turning.chain(turned).chain(moved).filter(|rate| rate.is_finite()).fold(0.0, f64::max)
     }
 
     /// Returns the energy of a state, in J, of which `bodies` is seen.
