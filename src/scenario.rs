@@ -725,7 +725,7 @@ impl Scenario {
     /// At `/scene/bodies`.
     pub(crate) fn one_body(&self) -> Result<(), ScenarioError> {
         ensure(self.bodies().is_none(), "/scene/bodies", || {
-            "is not possible here: studies, sweeps and simulations that are stepped are for one body".to_owned()
+            "is not possible here: simulations that are stepped are for one body".to_owned()
         })
     }
 

@@ -118,7 +118,10 @@ impl Sweep {
         // The scenario is kept as it is now, whatever becomes of the file that it came from.
         file.scenario = tree.clone();
         let n = base.dimension();
-        let ends = end_columns(n);
+        let ends = end_columns(&base);
+        ensure(base.bodies().is_none() || file.scores.is_empty(), "/scores", || {
+            "is given for several bodies; scores are for scenes of one body".into()
+        })?;
         file.check(n, &ends.concat())?;
         file.check_skips(&base)?;
         let members = file.members()?;
@@ -280,6 +283,14 @@ impl Sweep {
         ensure(given == n, "/scene/inertia", || {
             format!("n = {given} given; all members must have n = {n}, as in the table")
         })?;
+        let names = |scenario: &Scenario| -> Vec<String> {
+            let bodies = scenario.bodies().map(|scene| &scene.bodies);
+            bodies.into_iter().flatten().map(|body| body.name.clone()).collect()
+        };
+        ensure(names(&scenario) == names(&self.base), "/scene/bodies", || {
+            "has other names; all members must have the bodies of the scenario, as in the table"
+                .into()
+        })?;
         Ok(scenario)
     }
 
@@ -312,18 +323,13 @@ impl Sweep {
             Outcome::Refused(error) => ("refused", "invalid_input", None, Some(error)),
         };
         cells.extend([outcome, code].map(str::to_owned));
-        if let Some(Row { time_s, attitude, momentum, figures, scores }) = row {
-            let n = self.base.dimension();
-            let size = if n == 3 { 4 } else { n * n };
-            let attitude = attitude.unwrap_or_default();
-            let attitude = (0..size).map(|i| attitude.get(i).copied());
+        if let Some(Row { time_s, state, figures, scores }) = row {
             let errors = [
                 figures.energy_max_abs_error,
                 figures.orthogonality_max,
                 figures.momentum_max_drift,
             ];
-            let figures = [Some(time_s)].into_iter().chain(attitude);
-            let figures = figures.chain(momentum.into_iter().map(Some)).chain(errors).chain(scores);
+            let figures = [Some(time_s)].into_iter().chain(state).chain(errors).chain(scores);
             cells.extend(figures.map(figure));
         }
         cells.resize(self.columns.len(), String::new());
@@ -338,20 +344,37 @@ struct Line {
     refusal: Option<ScenarioError>,
 }
 
+/// Names of the coordinates for n = 3.
+const AXES: [&str; 3] = ["x", "y", "z"];
+
 /// Returns the heads of the columns that every table has: before the varied values and after them
 /// up to the outcome, then the rest.
-fn end_columns(n: usize) -> [Vec<String>; 2] {
+fn end_columns(base: &Scenario) -> [Vec<String>; 2] {
+    let n = base.dimension();
     let names = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect::<Vec<_>>();
     let head = names(&["member", "outcome", "code"]);
     let mut tail = names(&["time_s"]);
+    let mut turning = Vec::new();
     if n == 3 {
-        tail.extend(["w", "x", "y", "z"].map(|name| format!("quaternion_{name}")));
-        tail.extend(["x", "y", "z"].map(|name| format!("body_momentum_{name}")));
+        turning.extend(["w", "x", "y", "z"].map(|name| format!("quaternion_{name}")));
+        turning.extend(AXES.map(|name| format!("body_momentum_{name}")));
     } else {
         let pairs = || (1..=n).flat_map(|i| (1..=n).map(move |j| (i, j)));
-        tail.extend(pairs().map(|(i, j)| format!("attitude_{i}_{j}")));
+        turning.extend(pairs().map(|(i, j)| format!("attitude_{i}_{j}")));
         let above = pairs().filter(|(i, j)| i < j);
-        tail.extend(above.map(|(i, j)| format!("body_momentum_{i}_{j}")));
+        turning.extend(above.map(|(i, j)| format!("body_momentum_{i}_{j}")));
+    }
+    match base.bodies() {
+        None => tail.extend(turning),
+        Some(scene) => {
+            let axis = |i: usize| if n == 3 { AXES[i].to_owned() } else { (i + 1).to_string() };
+            let of = |name: &str| (0..n).map(|i| format!("{name}_{}", axis(i))).collect::<Vec<_>>();
+            let moving = ["position", "linear_momentum"].map(of).concat();
+            for body in &scene.bodies {
+                let columns = turning.iter().chain(&moving);
+                tail.extend(columns.map(|column| format!("{}_{column}", body.name)));
+            }
+        }
     }
     tail.extend(names(&["energy_error_max", "orthogonality_error_max", "momentum_drift_max"]));
     [head, tail]

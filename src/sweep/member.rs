@@ -10,10 +10,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::file::{Measure, Score};
 use super::score::{Shadow, Tally};
 use crate::advise::Settled;
-use crate::assemble::{Assembly, Task, assembled};
+use crate::assemble::{Assembly, BodiesAssembly, BodiesTask, Task, assembled, assembled_bodies};
 use crate::log::messages::{Figures, quaternion};
 use crate::plan::Plan;
 use crate::scenario::{Scenario, ScenarioError};
+use crate::solve::bodies::trajectory as of_bodies;
 use crate::solve::hamiltonian::RigidBody;
 use crate::solve::so;
 use crate::solve::state::Checkpoint;
@@ -35,10 +36,9 @@ pub(super) enum Outcome {
 /// The figures of a run that began.
 pub(super) struct Row {
     pub(super) time_s: f64,
-    /// For n = 3 the unit quaternion, else the matrix row by row; `None` from a scheme that carries no attitude.
-    pub(super) attitude: Option<Vec<f64>>,
-    /// `vee` of the body momentum.
-    pub(super) momentum: Vec<f64>,
+    /// The attitude, for n = 3 the unit quaternion, else the matrix row by row, which a scheme may not carry; and `vee` of
+    /// the body momentum. Of several bodies both of each, with its position and linear momentum.
+    pub(super) state: Vec<Option<f64>>,
     pub(super) figures: Figures,
     pub(super) scores: Vec<Option<f64>>,
 }
@@ -53,7 +53,6 @@ pub(super) fn plan(scenario: &Scenario, stop: &Arc<AtomicBool>) -> Result<Plan, 
         let watch = Watch { cancelled: stop.clone(), ..Watch::default() };
         Settled::new(scenario, &watch).map_err(ScenarioError::from)?.plan()
     };
-    scenario.one_body()?;
     if scenario.accuracy.is_some() {
         return settled();
     }
@@ -63,7 +62,8 @@ pub(super) fn plan(scenario: &Scenario, stop: &Arc<AtomicBool>) -> Result<Plan, 
 
 /// Runs a planned member; `None` if `stop` was set before its end.
 pub(super) fn run(plan: &Plan, scores: &[Score], stop: &Arc<AtomicBool>) -> Option<Outcome> {
-    assembled(plan, Member { plan, scores, stop })
+    let member = Member { plan, scores, stop };
+    if plan.bodies.is_empty() { assembled(plan, member) } else { assembled_bodies(plan, member) }
 }
 
 struct Member<'a> {
@@ -118,22 +118,89 @@ impl Task for Member<'_> {
         );
         let Checkpoint { step, attitude, momentum, .. } = reached;
         let completed = matches!(ending, Ending::Completed | Ending::Stopped(_));
-        let entries = |g: &so::Mat<N>| match quaternion(g) {
-            Some(q) => q.to_vec(),
-            None => g.transpose().as_slice().to_vec(),
-        };
+        let turned = attitude.as_ref().map_or_else(Vec::new, entries);
+        let size = if N == 3 { 4 } else { N * N };
+        let turned = (0..size).map(|i| turned.get(i).copied());
         let row = Row {
             time_s: step as f64 * step_s,
-            attitude: attitude.as_ref().map(entries),
-            momentum: so::vee(&momentum),
+            state: turned.chain(so::vee(&momentum).into_iter().map(Some)).collect(),
             figures: seen.figures,
             scores: seen.tallies.iter().map(|tally| tally.value(completed)).collect(),
         };
-        match ending {
-            Ending::Completed | Ending::Stopped(_) => Some(Outcome::Succeeded(row)),
-            Ending::Failed(failure) => Some(Outcome::Failed(failure.code.as_str(), row)),
-            Ending::Cancelled => None,
-        }
+        outcome(&ending, row)
+    }
+}
+
+fn outcome(ending: &Ending, row: Row) -> Option<Outcome> {
+    match ending {
+        Ending::Completed | Ending::Stopped(_) => Some(Outcome::Succeeded(row)),
+        Ending::Failed(failure) => Some(Outcome::Failed(failure.code.as_str(), row)),
+        Ending::Cancelled => None,
+    }
+}
+
+/// Returns the cells of an attitude.
+fn entries<const N: usize>(g: &so::Mat<N>) -> Vec<f64> {
+    match quaternion(g) {
+        Some(q) => q.to_vec(),
+        None => g.transpose().as_slice().to_vec(),
+    }
+}
+
+impl BodiesTask for Member<'_> {
+    type Output = Option<Outcome>;
+
+    fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Option<Outcome> {
+        let Self { plan, stop, .. } = self;
+        let BodiesAssembly { bodies, mut stepper, initial } = assembly;
+        let bodies = bodies.watched(Work::limited(u64::MAX, stop.clone()));
+        let figures = Figures::default();
+        let mut seen = SeveralSeen { figures, until_checkpoint: plan.samples_per_chunk, plan };
+        let Plan { step_s, steps, every, .. } = *plan;
+        let way = of_bodies::Course { initial: &initial, checkpoint: None, step_s, steps, every };
+        let go_on = |_| !stop.load(Ordering::Relaxed);
+        let end = of_bodies::integrate(&bodies, stepper.as_mut(), way, &mut seen, go_on);
+        let Ok(of_bodies::Trajectory { ending, reached }) = end;
+        let last = initial.with_numbers(&reached.numbers).unwrap_or(initial);
+        let of_body = |body: of_bodies::BodySample<N>| {
+            let turned = entries(&body.attitude).into_iter().chain(so::vee(&body.momentum));
+            let moved = [body.position, body.linear_momentum];
+            let moved: Vec<f64> = moved.iter().flatten().copied().collect();
+            turned.chain(moved).map(Some).collect::<Vec<_>>()
+        };
+        let row = Row {
+            time_s: reached.step as f64 * step_s,
+            state: bodies.seen(&last).unwrap_or_default().into_iter().flat_map(of_body).collect(),
+            figures: seen.figures,
+            scores: Vec::new(),
+        };
+        outcome(&ending, row)
+    }
+}
+
+/// Takes the samples of a run of several bodies.
+struct SeveralSeen<'a> {
+    figures: Figures,
+    until_checkpoint: u64,
+    plan: &'a Plan,
+}
+
+impl<const N: usize> of_bodies::Sink<N> for SeveralSeen<'_> {
+    type Error = Infallible;
+
+    fn record(&mut self, sample: &of_bodies::Sample<N>) -> Result<(), Infallible> {
+        self.figures.keep_bodies(sample);
+        self.until_checkpoint = self.until_checkpoint.saturating_sub(1);
+        Ok(())
+    }
+
+    fn wants_checkpoint(&self) -> bool {
+        self.until_checkpoint == 0
+    }
+
+    fn checkpoint(&mut self, _: &of_bodies::Checkpoint) -> Result<(), Infallible> {
+        self.until_checkpoint = self.plan.samples_per_chunk;
+        Ok(())
     }
 }
 

@@ -393,6 +393,52 @@ fn line_of(more: &Value) {
     refused(at, &["sweep", "sweep.json", "--member", "2"], "from 0 to 1");
 }
 
+/// A line of several bodies: the last state of each, with the figures of the member's log.
+#[test]
+fn so_does_a_line_of_several_bodies() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let at = directory.path();
+    let text = fs::read_to_string("scenarios/tether.json").expect("shipped");
+    let mut scenario: Value = serde_json::from_str(&text).expect("JSON");
+    scenario["duration_s"] = json!(20);
+    fs::write(at.join("tether.json"), scenario.to_string()).expect("writable");
+    let stiffness = json!({ "name": "stiffness", "pointer": "/scene/potential/0/stiffness", "values": { "list": [2, 3] } });
+    let sweep = json!({ "scenario": "tether.json", "keep_logs": [1], "vary": [stiffness] });
+    write(at, "sweep.json", &sweep);
+    succeeds(at, &["sweep", "sweep.json"]);
+    let table = lines(at, "sweep.csv");
+    let printed = succeeds(at, &["sweep", "sweep.json", "--member", "1"]).stdout;
+    let scenario = Scenario::from_json(&printed).expect("a scenario");
+    let (log, control) = (at.join("log.mcap"), Control::default());
+    let plan = advise::plan(&scenario).expect("a plan");
+    let summary = execute(&plan, &JobContext { log: &log, control: &control }).expect("a log");
+    let cells = |line, column: &str| -> Vec<f64> {
+        ["x", "y", "z"].iter().map(|axis| number(line, &format!("{column}_{axis}"))).collect()
+    };
+    for name in ["primary", "secondary"] {
+        let body = &summary.last.bodies[name];
+        assert_eq!(cells(&table[1], &format!("{name}_position")), body.position);
+        assert_eq!(cells(&table[1], &format!("{name}_linear_momentum")), body.linear_momentum);
+        let momentum = body.body_momentum.as_array().expect("a vector").iter();
+        let momentum: Vec<f64> = momentum.filter_map(Value::as_f64).collect();
+        assert_eq!(cells(&table[1], &format!("{name}_body_momentum")), momentum);
+        assert_ne!(cells(&table[0], &format!("{name}_position")), body.position);
+    }
+    assert_eq!(
+        number(&table[1], "energy_error_max"),
+        summary.energy.expect("energy").max_abs_error
+    );
+    let log = fs::read(&log).expect("a log");
+    assert!(fs::read(at.join("sweep.logs/1.mcap")).expect("a log that was kept") == log);
+    let named =
+        json!({ "pointer": "/scene/bodies/0/name", "values": { "list": ["primary", "other"] } });
+    write(at, "names.json", &json!({ "scenario": "tether.json", "vary": [named] }));
+    succeeds(at, &["sweep", "names.json", "-o", "names.csv"]);
+    let outcomes: Vec<String> =
+        lines(at, "names.csv").iter().map(|line| line["outcome"].clone()).collect();
+    assert_eq!(outcomes, ["succeeded", "refused"]);
+}
+
 #[test]
 fn scores_are_those_of_known_motions() {
     let directory = tempfile::tempdir().expect("a temporary directory");

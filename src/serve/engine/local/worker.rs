@@ -113,14 +113,18 @@ impl Shared {
         let scenario = Scenario::from_json(&text).map_err(|error| Fault::rejected(&error))?;
         let kept = wait.block_on(self.store.settled(*id))?;
         let planned = |settled: &Settled| settled.plan().map_err(|error| Fault::rejected(&error));
-        let Some(settled) = kept else {
-            let settle = Errand::Settle { scenario: Box::new(scenario) };
-            let Done::Settled(settled) = self.errand(turn, &settle)? else {
-                return Err(Fault::panicked().into());
-            };
-            let plan = planned(&settled)?;
-            wait.block_on(self.store.keep_plan(*id, &KeptPlan::new(*settled, &plan)?))?;
-            return self.admitted(turn, plan).map(|plan| Carried::Settled(Box::new(plan)));
+        let settled = match kept {
+            Some(settled) => settled,
+            None => {
+                let settle = Errand::Settle { scenario: Box::new(scenario) };
+                let Done::Settled(settled) = self.errand(turn, &settle)? else {
+                    return Err(Fault::panicked().into());
+                };
+                let plan = KeptPlan::new((*settled).clone(), &planned(&settled)?)?;
+                wait.block_on(self.store.keep_plan(*id, &plan))?;
+                // It runs with what is at hand, not with what can be read: this ends whatever becomes of the record.
+                *settled
+            }
         };
         if self.index().jobs.get(id).is_none_or(|job| job.size.is_none()) {
             let plan = planned(&settled)?;
