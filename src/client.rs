@@ -240,7 +240,8 @@ impl Client {
                     }
                 }
             }
-            if ended || has_ended(&self.job(id, stop)?) {
+            // Opened again, a stream begins with the state of the job, also of one that has ended meanwhile.
+            if ended {
                 return Ok(());
             }
             slept(PAUSES[0], stop)?;
