@@ -28,6 +28,7 @@ pub enum Attitudes {
 #[derive(Clone, Debug)]
 pub struct BodiesRk<const N: usize> {
     tableau: Tableau,
+    order: u32,
     kind: Attitudes,
     state: BodiesState<N>,
     rates: Vec<Rates<N>>,
@@ -57,6 +58,8 @@ impl<const N: usize> BodiesRk<N> {
         };
         tableau.is_explicit().then(|| Self {
             rates: vec![rates; tableau.stages()],
+            // Looked up once: it is found from the trees of the order conditions.
+            order: tableau.classical_order(),
             tableau,
             kind,
             state: state.clone(),
@@ -91,7 +94,7 @@ impl<const N: usize> BodiesRk<N> {
     /// `dexpinv(sigma, Omega) = Omega + [sigma, Omega] / 2 + [sigma, [sigma, Omega]] / 12 - ...`
     fn dexpinv(&self, sigma: &Mat<N>, omega: &Mat<N>) -> Mat<N> {
         let (mut nested, mut sum) = (*omega, *omega);
-        let terms = self.tableau.classical_order().saturating_sub(2) as usize;
+        let terms = self.order.saturating_sub(2) as usize;
         for coefficient in crate::stepper::rkmk::DEXPINV.iter().take(terms) {
             nested = so::asym(&so::product(sigma, &nested));
             if *coefficient != 0.0 {
@@ -104,7 +107,7 @@ impl<const N: usize> BodiesRk<N> {
 
 impl<const N: usize> BodiesStepper<N> for BodiesRk<N> {
     fn order(&self) -> u32 {
-        self.tableau.classical_order()
+        self.order
     }
 
     fn start(&mut self, state: &BodiesState<N>) {
