@@ -279,7 +279,8 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
             | "control_wanted"
             | "attitude_error"
             | "rate_error"
-            | "control_field",
+            | "control_field"
+            | "control_disturbance",
             _,
         ) => {
             if width == 3 {

@@ -33,7 +33,7 @@ pub(crate) use check::dividing;
 pub(crate) use check::twelve_digits;
 pub use control::{
     AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, FieldOrbit, Law,
-    Magnetorquers, OrbitTarget, Stop, Target, Through, TurningTarget, Wheels,
+    Magnetorquers, Noise, OrbitTarget, Stop, Target, Through, TurningTarget, Wheels,
 };
 pub use derivatives::Derivatives;
 pub use driven::{

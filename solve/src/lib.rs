@@ -20,6 +20,7 @@ pub mod free_top;
 pub mod hamiltonian;
 pub mod lagrangian;
 pub mod lanes;
+pub mod noise;
 pub mod nonlinear;
 pub mod so;
 pub mod so3;

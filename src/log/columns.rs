@@ -42,7 +42,7 @@ pub struct Columns {
     solver_sigma_min: Vectors,
     pace: [Vectors; 4],
     pace_own_steps: Vec<u64>,
-    control: [Vectors; 7],
+    control: [Vectors; 8],
     control_saturated: Vec<u64>,
     pointing_error_rad: Vectors,
     transition: Vectors,
@@ -65,7 +65,7 @@ const ENERGY: [&str; 6] = [
 ];
 const PACE: [&str; 4] = ["pace_sigma", "pace_step_s", "pace_least_sigma", "pace_time_error_s"];
 
-const CONTROL: [&str; 7] = [
+const CONTROL: [&str; 8] = [
     "control_wanted",
     "control_command",
     "attitude_error",
@@ -73,6 +73,7 @@ const CONTROL: [&str; 7] = [
     "wheel_momenta",
     "wheel_speeds",
     "control_field",
+    "control_disturbance",
 ];
 
 /// One quantity of all samples.
@@ -348,6 +349,7 @@ impl Columns {
             &seen.wheel_momenta,
             &seen.wheel_speeds,
             &seen.field,
+            &seen.disturbance,
         ];
         for (column, list) in self.control.iter_mut().zip(lists) {
             column.push(at, list);

@@ -181,7 +181,7 @@ messages_of_samples! {
         control_saturated: count(saturated), pointing_error_rad: number(pointing_error_rad),
         attitude_error: numbers(attitude_error), rate_error: numbers(rate_error),
         wheel_momenta: numbers(wheel_momenta), wheel_speeds: numbers(wheel_speeds),
-        control_field: numbers(field)
+        control_field: numbers(field), control_disturbance: numbers(disturbance)
     },
     /// Derivatives by the start and by parameters.
     derivatives: Derivatives { transition: numbers(transition), sensitivity: numbers(sensitivity) },
@@ -397,6 +397,7 @@ impl Control {
             wheel_momenta: seen.wheel_momenta.clone(),
             wheel_speeds: seen.wheel_speeds.clone(),
             field: seen.field.clone(),
+            disturbance: seen.disturbance.clone(),
         })
     }
 }

@@ -9,6 +9,7 @@ use crate::scenario::{
 };
 use crate::solve::control::{self, ControlLaw};
 use crate::solve::hamiltonian::{self as body, Actuator, DipoleField, ReactionWheels, RigidBody};
+use crate::solve::noise::Noise;
 use crate::solve::so::Mat;
 use crate::solve::stop::{Condition, Stop};
 
@@ -21,6 +22,8 @@ pub(crate) struct ModelControl {
     field: Option<DipoleField>,
     /// A permanent moment of the body, in A m^2.
     moment: Option<[f64; 3]>,
+    /// The noise that has an effect.
+    noise: Option<Noise>,
     stops: Vec<ModelStop>,
 }
 
@@ -185,6 +188,7 @@ impl ModelControl {
             wheels,
             field: dipole.map(field),
             moment: dipole.and_then(|dipole| dipole.permanent_moment_a_m2),
+            noise: control.as_ref().and_then(noise),
             stops: stops.collect::<Result<_, ScenarioError>>()?,
             control,
         })
@@ -251,10 +255,26 @@ impl ModelControl {
             };
             ("/scene/control", true, why)
         });
-        field.into_iter().chain(control).collect()
+        let noise = self.control.as_ref().and_then(|control| control.noise).map(|_| {
+            let why = match &self.noise {
+                None => "no law reads what it changes",
+                Some(Noise { torque: 0.0, .. }) => "changes what the laws read",
+                Some(Noise { attitude: 0.0, rate: 0.0, .. }) => {
+                    "a torque that is held between samples"
+                }
+                Some(_) => "changes what the laws read, and a torque that is held between samples",
+            };
+            ("/scene/control/noise", self.noise.is_some(), why)
+        });
+        field.into_iter().chain(control).chain(noise).collect()
     }
 
-    /// Does it push the body by torques that are no potential's?
+    /// Is there a torque of noise?
+    pub(crate) fn is_disturbed(&self) -> bool {
+        self.noise.is_some_and(|noise| noise.torque > 0.0)
+    }
+
+    /// Do its commands push the body by torques that are no potential's?
     pub(crate) fn is_pushed(&self) -> bool {
         self.control.as_ref().is_some_and(|control| control.through == Through::Torque)
     }
@@ -297,6 +317,7 @@ impl ModelControl {
                 target: target.clone(),
                 laws: control.laws.iter().map(law).collect(),
                 actuator,
+                noise: self.noise,
             });
         }
         let stop = |stop: &ModelStop| {
@@ -323,6 +344,22 @@ impl ModelControl {
 
 fn square<const N: usize>(given: &DMatrix<f64>) -> Mat<N> {
     Mat::from_fn(|i, j| given[(i, j)])
+}
+
+/// Returns the noise of a control that has an effect: of an angle that a law reads, and the like.
+fn noise(control: &Control) -> Option<Noise> {
+    let given = control.noise?;
+    let (mut attitude, mut rate) = (0.0, 0.0);
+    for law in &control.laws {
+        match law {
+            Law::Attitude(_) => (attitude, rate) = (given.attitude_rad, given.rate_rad_s),
+            Law::Damping(_) => rate = given.rate_rad_s,
+            Law::BDot(_) => {}
+        }
+    }
+    let torque = given.torque_n_m;
+    let acts = attitude > 0.0 || rate > 0.0 || torque > 0.0;
+    acts.then_some(Noise { seed: given.seed, stream: given.stream, attitude, rate, torque })
 }
 
 fn law(given: &Law) -> ControlLaw {

@@ -35,7 +35,9 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     super::steps::check(scenario)?;
     duration(scenario)?;
     if let Some(given) = &scenario.ensemble {
-        given.check(scenario.step_count())?;
+        let control = scenario.scene.control.as_ref();
+        let has_noise = control.is_some_and(|control| control.noise.is_some());
+        given.check(scenario.step_count(), has_noise)?;
     }
     super::control::stops(scenario, n)?;
     super::derivatives::check(scenario, n)?;

@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::driven::apart;
-use super::range::{Check, attitude, direction, ensure, number, strength};
+use super::range::{Check, LARGEST_SEED, attitude, direction, ensure, number, strength};
 use super::{Attitude, Scenario, ScenarioError, Turning};
 
 /// Control by samples: every so often the attitude and the angular velocity are read, a command computed, and held until the next
@@ -32,6 +32,32 @@ pub struct Control {
     /// Largest size of each component of a command through `torque`, in N m; none if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit_n_m: Option<f64>,
+    /// Noise; none if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<Noise>,
+}
+
+/// Noise of the sensors and of a torque, normally distributed, drawn anew at each sample: numbers by seed, stream and sample, the same
+/// on any machine, whatever the step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Noise {
+    /// Seed of the generator; 0 if absent.
+    #[serde(default)]
+    pub seed: u64,
+    /// Which of the independent streams of that seed; 0 if absent. Member m of an ensemble takes the one m further.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub stream: u64,
+    /// Standard deviation of the attitude that is read: the turn about each body axis (for n > 3 in each coordinate plane), in rad; 0
+    /// if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub attitude_rad: f64,
+    /// Standard deviation of each component of the angular velocity that is read, in rad/s; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rate_rad_s: f64,
+    /// Standard deviation of each component of a torque on the body, which is held between samples, in N m; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub torque_n_m: f64,
 }
 
 /// An attitude to aim at.
@@ -275,6 +301,10 @@ fn is_zero(x: &f64) -> bool {
     *x == 0.0
 }
 
+fn is_none(number: &u64) -> bool {
+    *number == 0
+}
+
 impl Control {
     /// Checks form and range for a body of n dimensions, in a field or not.
     pub(super) fn check(&self, n: usize, has_field: bool) -> Check {
@@ -331,7 +361,31 @@ impl Control {
         if let Some(target) = &self.target {
             target.check(n)?;
         }
+        if let Some(noise) = &self.noise {
+            noise.check()?;
+        }
         self.through.check(n, has_field)
+    }
+}
+
+impl Noise {
+    fn check(&self) -> Check {
+        let at = "/scene/control/noise";
+        for (name, number) in [("seed", self.seed), ("stream", self.stream)] {
+            ensure(number <= LARGEST_SEED, format!("{at}/{name}"), || {
+                format!("{number} given, it is at most {LARGEST_SEED}")
+            })?;
+        }
+        let turn = self.attitude_rad;
+        ensure((0.0..=std::f64::consts::PI).contains(&turn), format!("{at}/attitude_rad"), || {
+            format!("{turn:?} given, a deviation of turns is from 0 to pi")
+        })?;
+        limit(&format!("{at}/attitude_rad"), Some(turn), true)?;
+        limit(&format!("{at}/rate_rad_s"), Some(self.rate_rad_s), true)?;
+        limit(&format!("{at}/torque_n_m"), Some(self.torque_n_m), true)?;
+        ensure(turn > 0.0 || self.rate_rad_s > 0.0 || self.torque_n_m > 0.0, at, || {
+            "has no deviation above 0; give `attitude_rad`, `rate_rad_s` or `torque_n_m`".to_owned()
+        })
     }
 }
 

@@ -213,8 +213,20 @@ impl Turning {
 }
 
 impl DrivenTerm {
+    /// Returns the term with the strength that its orbit gives it, if it was left out.
+    pub(crate) fn with_strength(&self) -> PotentialTerm {
+        let mut term = self.term.clone();
+        if let (PotentialTerm::GravityGradient(gradient), Some(Path::Orbit(orbit))) =
+            (&mut term, &self.path)
+        {
+            let strength = gradient.strength_on_orbit(orbit.mean_motion_rad_s);
+            gradient.strength.get_or_insert(strength);
+        }
+        term
+    }
+
     pub(super) fn check(&self, at: &str, n: usize, duration_s: Option<f64>) -> Check {
-        self.term.law().check(&format!("{at}/term"), n)?;
+        self.with_strength().law().check(&format!("{at}/term"), n)?;
         match &self.path {
             None => {}
             Some(Path::Turning(turning)) => turning.check(&format!("{at}/path/turning"), n)?,

@@ -7,9 +7,12 @@ use std::thread;
 use serde_json::{Value, json};
 use vpd::advise;
 use vpd::log::inspect::inspect;
+use vpd::log::reader::{Message, read_samples};
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
 use vpd::verify::verify;
+
+use crate::ensemble::ends;
 
 fn shipped(name: &str) -> Value {
     let path = format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"));
@@ -59,6 +62,8 @@ fn an_interrupted_run_has_the_same_bytes() {
         fields.insert("log".to_owned(), json!({ "every": 1 }));
         scenario["scene"]["control"]["every_s"] = json!(1.3);
         scenario["scene"]["control"]["delay_s"] = json!(0.72);
+        scenario["scene"]["control"]["noise"] =
+            json!({ "seed": 4, "attitude_rad": 1e-3, "rate_rad_s": 1e-4, "torque_n_m": 1e-6 });
         let whole = place.path().join(format!("{name}.mcap"));
         run(&scenario, &whole, &Control::default()).expect("a log");
         let cut = place.path().join(format!("{name}-cut.mcap"));
@@ -121,6 +126,72 @@ fn members_have_controllers_of_their_own() {
     let many = run(&scenario, &log, &Control::default()).expect("a log");
     assert_eq!(many.ensemble.expect("an ensemble").succeeded, 12);
     assert_eq!(many.last, single.last);
+}
+
+/// Each member of an ensemble has noise of its own, whatever members run next to it: that of a single run with its stream. The
+/// log says which torque it was.
+#[test]
+fn members_have_noise_of_their_own() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = shipped("slew");
+    let fields = scenario.as_object_mut().expect("an object");
+    fields.remove("until");
+    fields.insert("duration_s".to_owned(), json!(20));
+    scenario["scene"]["control"]["noise"] =
+        json!({ "seed": 9, "stream": 2, "attitude_rad": 1e-3, "torque_n_m": 1e-4 });
+    let single = |stream: u64| {
+        let mut scenario = scenario.clone();
+        scenario["scene"]["control"]["noise"]["stream"] = json!(stream);
+        let log = place.path().join(format!("{stream}.mcap"));
+        let summary = run(&scenario, &log, &Control::default()).expect("a log");
+        assert!(verify(&log).expect("verified").same);
+        summary.last
+    };
+    let mut many = scenario.clone();
+    many["ensemble"] = json!({ "members": 20, "in_full": [13, 4] });
+    let log = place.path().join("log.mcap");
+    let summary = run(&many, &log, &Control::default()).expect("a log");
+    assert_eq!(summary.ensemble.expect("an ensemble").succeeded, 20);
+    assert_eq!(summary.last, single(2));
+    let ends = ends(&log);
+    assert_eq!(ends.len(), 20);
+    for (m, end) in ends.iter().enumerate() {
+        let alike = ends.iter().filter(|other| *other == end).count();
+        assert_eq!(alike, 1, "member {m}");
+        if [1, 4, 13, 19].contains(&m) {
+            let rows = single(2 + m as u64).attitude.expect("computed").concat();
+            assert_eq!(*end, rows, "member {m}");
+        }
+    }
+    let mut disturbed = 0;
+    read_samples(&place.path().join("2.mcap"), |_, message| {
+        if let Message::Control(control) = message {
+            assert_eq!(control.disturbance.len(), 3);
+            disturbed += usize::from(control.disturbance.iter().all(|x| x.abs() < 1e-3));
+        }
+    })
+    .expect("a log");
+    assert!(disturbed > 100, "{disturbed}");
+}
+
+/// The plan says what noise there is, drops what no law reads, and names the balance with it.
+#[test]
+fn the_plan_sees_noise() {
+    let told = |name: &str, noise: Value| {
+        let mut scenario = shipped(name);
+        scenario["scene"]["control"]["noise"] = noise;
+        let plan = advise::plan(&accepted(&scenario)).expect("a plan");
+        let line = plan.potential.iter().find(|term| term.pointer == "/scene/control/noise");
+        let line = line.expect("a line");
+        (line.kept, line.why.clone(), plan.momentum_balance)
+    };
+    let (kept, why, balance) = told("slew", json!({ "rate_rad_s": 1e-4 }));
+    assert!(kept && why == "changes what the laws read" && balance.is_none(), "{why} {balance:?}");
+    let (kept, why, balance) = told("slew", json!({ "torque_n_m": 1e-4 }));
+    assert!(kept && why.starts_with("a torque that is held"), "{why}");
+    assert!(balance.expect("a torque acts").contains("less the impulse of the torques"));
+    let (kept, why, _) = told("detumble", json!({ "attitude_rad": 1e-4, "rate_rad_s": 1e-4 }));
+    assert!(!kept && why.starts_with("no law reads"), "{why}");
 }
 
 /// An accuracy is reached on the controlled scene: trial runs have the same control.
@@ -196,6 +267,34 @@ fn bad_control_is_refused_at_its_field() {
             json!(-1),
             "/scene/control/through/wheels/limit_n_m",
             "above 0",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "seed": 1 }),
+            "/scene/control/noise",
+            "no deviation above 0",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "torque_n_m": -1 }),
+            "/scene/control/noise/torque_n_m",
+            "at least 0",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "attitude_rad": 4 }),
+            "/scene/control/noise/attitude_rad",
+            "from 0 to pi",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "stream": 1_u64 << 60, "rate_rad_s": 1 }),
+            "/scene/control/noise/stream",
+            "at most 9007199254740991",
         ),
         ("slew", "/until/0", json!({ "for_s": 1 }), "/until/0", "0 conditions given"),
         (
