@@ -798,6 +798,7 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
             ensemble: scenario.ensemble.is_some(),
             own_steps: scenario.adaptive().is_some(),
             controlled: scenario.scene.control.is_some(),
+            pointed: scenario.pointing.is_some(),
             differentiated: scenario.derivatives.is_some(),
         })
     };

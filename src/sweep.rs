@@ -121,6 +121,7 @@ impl Sweep {
         let ends = end_columns(n);
         file.check(n, &ends.concat())?;
         file.check_skips(&base)?;
+        file.check_pointing(&base)?;
         let members = file.members()?;
         for (at, &member) in file.keep_logs.iter().enumerate() {
             ensure(member < members, format!("/keep_logs/{at}"), || {

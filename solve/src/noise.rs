@@ -100,9 +100,8 @@ mod tests {
             [of(&noise, number), of(&noise, number + SAMPLES), of(&other, number)].concat()
         };
         let rows: Vec<Vec<f64>> = (0..SAMPLES).map(row).collect();
-        let mean = |f: &dyn Fn(&[f64]) -> f64| {
-            rows.iter().map(|row| f(row)).sum::<f64>() / SAMPLES as f64
-        };
+        let mean =
+            |f: &dyn Fn(&[f64]) -> f64| rows.iter().map(|row| f(row)).sum::<f64>() / SAMPLES as f64;
         let near = |found: f64, right: f64, variance: f64| {
             let most = 5.0 * (variance / SAMPLES as f64).sqrt();
             assert!((found - right).abs() < most, "{found} for {right}, at most {most} off");
@@ -120,7 +119,8 @@ mod tests {
     /// The largest number there is, and every dimension: draws stay finite and do not overlap.
     #[test]
     fn draws_are_by_number() {
-        let noise = Noise { seed: u64::MAX, stream: u64::MAX, attitude: 2.0, rate: 0.0, torque: 1.0 };
+        let noise =
+            Noise { seed: u64::MAX, stream: u64::MAX, attitude: 2.0, rate: 0.0, torque: 1.0 };
         for number in [0, 1, 7, 1 << 40] {
             let draw = noise.draw::<5>(Kind::Attitude, number);
             assert_eq!(draw, noise.draw::<5>(Kind::Attitude, number));

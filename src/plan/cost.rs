@@ -264,6 +264,10 @@ impl Plan {
         if !self.model.torques.is_empty() && logged(Channel::Momentum) {
             bytes += 4 + 8 * so::dimension(self.dimension) as u64;
         }
+        if logged(Channel::Pointing) && logged(Channel::Tf) {
+            // Another frame.
+            bytes += Channel::Tf.bytes_per_sample(self.dimension);
+        }
         if self.model.control.is_disturbed() {
             let channels = [Channel::Momentum, Channel::Control];
             let with = channels.into_iter().filter(|&topic| logged(topic)).count() as u64;

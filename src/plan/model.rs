@@ -141,9 +141,8 @@ impl Model {
         free: usize,
         method: Integrator,
     ) -> Option<String> {
-        let pushed = !self.torques.is_empty()
-            || self.control.is_pushed()
-            || self.control.is_disturbed();
+        let pushed =
+            !self.torques.is_empty() || self.control.is_pushed() || self.control.is_disturbed();
         if !pushed || free < 2 {
             return None;
         }

@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::driven::apart;
+use super::driven::{apart, orbit_frame};
 use super::range::{Check, LARGEST_SEED, attitude, direction, ensure, number, strength};
 use super::{Attitude, Scenario, ScenarioError, Turning};
 
@@ -247,6 +247,24 @@ pub struct FieldOrbit {
     pub towards: Option<[f64; 3]>,
 }
 
+/// Where the body points, at each sample: its attitude and rate relative to a frame, and one of its axes against a direction; n = 3.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pointing {
+    /// The frame; the target of the control if neither it nor `orbit_frame` is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<Target>,
+    /// The number of a term of `driven`, from 0, that follows an orbit, as in the start: the frame of that orbit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orbit_frame: Option<u32>,
+    /// An axis of the body, of any length; z if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
+    /// Where it is to point, in coordinates of the frame, of any length; as `axis` in the body if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub towards: Option<[f64; 3]>,
+}
+
 /// A condition that ends a run after a step; it is then a success that says so.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -359,7 +377,7 @@ impl Control {
             }
         }
         if let Some(target) = &self.target {
-            target.check(n)?;
+            target.check("/scene/control/target", n)?;
         }
         if let Some(noise) = &self.noise {
             noise.check()?;
@@ -389,9 +407,35 @@ impl Noise {
     }
 }
 
+impl Pointing {
+    pub(super) fn check(&self, scenario: &Scenario, n: usize) -> Check {
+        let at = "/pointing";
+        only_three(at, n)?;
+        let scene = &scenario.scene;
+        let has_target = scene.control.as_ref().is_some_and(|control| control.target.is_some());
+        match (&self.frame, self.orbit_frame) {
+            (Some(frame), None) => frame.check(&format!("{at}/frame"), n)?,
+            (None, Some(index)) => {
+                orbit_frame(&format!("{at}/orbit_frame"), &scene.driven, index)?;
+            }
+            (Some(_), Some(_)) => ensure(false, format!("{at}/orbit_frame"), || {
+                "is given together with `frame`; give one of the two".to_owned()
+            })?,
+            (None, None) => ensure(has_target, at, || {
+                "needs `frame` or `orbit_frame`, for there is no /scene/control/target".to_owned()
+            })?,
+        }
+        for (name, axis) in [("axis", &self.axis), ("towards", &self.towards)] {
+            if let Some(axis) = axis {
+                direction(&format!("{at}/{name}"), axis, 3)?;
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Target {
-    fn check(&self, n: usize) -> Check {
-        let at = "/scene/control/target";
+    fn check(&self, at: &str, n: usize) -> Check {
         match self {
             Self::Attitude(given) => attitude(&format!("{at}/attitude"), given, n),
             Self::Turning(TurningTarget { attitude: start, from, towards, rate_rad_s }) => {

@@ -374,6 +374,18 @@ pub(super) fn wheels(entries: &[Entry], n: usize) -> Check {
     })
 }
 
+/// Checks the number of a term that follows an orbit.
+pub(super) fn orbit_frame(pointer: &str, driven: &[DrivenTerm], index: u32) -> Check {
+    let term = driven.get(index as usize);
+    let on_orbit = term.is_some_and(|term| matches!(term.path, Some(Path::Orbit(_))));
+    ensure(on_orbit, pointer, || {
+        let count = driven.len();
+        format!(
+            "{index} given, the number of a term of `driven` ({count} given, from 0) with the path `orbit` is needed"
+        )
+    })
+}
+
 /// Refuses two vectors along one line.
 pub(super) fn apart(pointer: &str, a: &[f64], b: &[f64], name: &str) -> Check {
     let (a_size, b_size) = (largest(a), largest(b));

@@ -4,8 +4,11 @@ use std::fs;
 use std::sync::atomic::Ordering;
 use std::thread;
 
+use foxglove::messages::FrameTransforms;
 use serde_json::{Value, json};
 use vpd::advise;
+use vpd::log::columns::Columns;
+use vpd::log::course::{Course, LogChart};
 use vpd::log::inspect::inspect;
 use vpd::log::reader::{Message, read_samples};
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
@@ -64,6 +67,9 @@ fn an_interrupted_run_has_the_same_bytes() {
         scenario["scene"]["control"]["delay_s"] = json!(0.72);
         scenario["scene"]["control"]["noise"] =
             json!({ "seed": 4, "attitude_rad": 1e-3, "rate_rad_s": 1e-4, "torque_n_m": 1e-6 });
+        scenario["pointing"] = json!({ "frame": { "orbit": {
+            "from": [0, 0, 1], "towards": [0, -1, 0], "mean_motion_rad_s": 1e-3,
+        } } });
         let whole = place.path().join(format!("{name}.mcap"));
         run(&scenario, &whole, &Control::default()).expect("a log");
         let cut = place.path().join(format!("{name}-cut.mcap"));
@@ -172,6 +178,83 @@ fn members_have_noise_of_their_own() {
     })
     .expect("a log");
     assert!(disturbed > 100, "{disturbed}");
+}
+
+/// A satellite on an orbit shows where it points, from the angles that it starts with on: in the log, in its frames, in a table and as a
+/// chart, and only if it is asked. The motion has the bits of the run that does not.
+#[test]
+fn a_satellite_shows_where_it_points() {
+    let place = tempfile::tempdir().expect("a directory");
+    let angles = [0.2, -0.1, 0.4];
+    let scenario = json!({
+        "name": "level",
+        "scene": {
+            "inertia": { "principal": [2.0, 2.2, 0.9] },
+            "driven": [{
+                "term": { "kind": "gravity_gradient", "direction": [0, 0, 1] },
+                "path": { "orbit": { "towards": [0, -1, 0], "mean_motion_rad_s": 1e-3, "eccentricity": 0.1 } },
+            }],
+            "initial": { "orbit_frame": 0, "attitude": { "roll_pitch_yaw": { "angles_rad": angles } } },
+        },
+        "step_s": 10, "steps": 600, "log": { "every": 1 },
+    });
+    let mut asked = scenario.clone();
+    asked["pointing"] = json!({ "orbit_frame": 0, "axis": [0, 0, 2], "towards": [0, 1, 0] });
+    let logs = ["without.mcap", "with.mcap"].map(|name| place.path().join(name));
+    let without = run(&scenario, &logs[0], &Control::default()).expect("a log");
+    let with = run(&asked, &logs[1], &Control::default()).expect("a log");
+    assert_eq!(without.last, with.last);
+    assert!(verify(&logs[1]).expect("verified").same);
+
+    let (mut first, mut seen) = (None, 0);
+    read_samples(&logs[1], |_, message| {
+        if let Message::Pointing(pointing) = message {
+            first.get_or_insert(pointing);
+            seen += 1;
+        }
+    })
+    .expect("a log");
+    assert_eq!(seen, 601);
+    let first = first.expect("a sample");
+    let found = [first.roll_rad, first.pitch_rad, first.yaw_rad];
+    for (found, right) in found.iter().zip(angles) {
+        assert!((found - right).abs() < 1e-14, "{found} for {right}");
+    }
+    // The axis is z, turned by the angles: its part along y is -sin(roll) cos(yaw) + ...
+    let [roll, pitch, yaw] = angles;
+    let along = f64::cos(roll) * f64::sin(pitch) * f64::sin(yaw) - f64::sin(roll) * f64::cos(yaw);
+    assert!((first.axis_error_rad.cos() - along).abs() < 1e-14);
+    // At rest in space: the frame turns about -y at the pericentre, n (1 + e)^(1/2) / (1 - e)^(3/2).
+    let turning = 1e-3 * f64::sqrt(1.1 / 0.729);
+    let size = first.rate.iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!((size - turning).abs() < 1e-15, "{size:e} for {turning:e}");
+
+    let frames = |log: &std::path::Path| {
+        let bytes = fs::read(log).expect("a log");
+        let mut names = std::collections::BTreeSet::new();
+        for message in mcap::MessageStream::new(&bytes).expect("an MCAP file") {
+            let message = message.expect("a message");
+            if message.channel.topic == "/tf" {
+                let found: FrameTransforms =
+                    prost::Message::decode(message.data.as_ref()).expect("frames");
+                names.extend(found.transforms.into_iter().map(|frame| frame.child_frame_id));
+            }
+        }
+        names.into_iter().collect::<Vec<_>>()
+    };
+    assert_eq!(frames(&logs[0]), ["body", "source/0"]);
+    assert_eq!(frames(&logs[1]), ["body", "reference", "source/0"]);
+    let drawn =
+        |log: &std::path::Path| Course::of(log).expect("a log").has_line(LogChart::Pointing);
+    assert!(!drawn(&logs[0]) && drawn(&logs[1]));
+    let (columns, _) = Columns::read(&logs[1], 0, &[]).expect("a log");
+    let names: Vec<String> =
+        columns.into_all().into_iter().map(|(name, _)| name.into_owned()).collect();
+    for name in ["axis_error_rad", "roll_rad", "pitch_rad", "yaw_rad", "relative_rate"] {
+        assert!(names.iter().any(|column| column == name), "{name}: {names:?}");
+    }
+    let (columns, _) = Columns::read(&logs[0], 0, &[]).expect("a log");
+    assert!(columns.into_all().iter().all(|(name, _)| name != "roll_rad"));
 }
 
 /// The plan says what noise there is, drops what no law reads, and names the balance with it.
@@ -295,6 +378,30 @@ fn bad_control_is_refused_at_its_field() {
             json!({ "stream": 1_u64 << 60, "rate_rad_s": 1 }),
             "/scene/control/noise/stream",
             "at most 9007199254740991",
+        ),
+        ("detumble", "/pointing", json!({}), "/pointing", "needs `frame` or `orbit_frame`"),
+        ("slew", "/pointing", json!({ "axis": [0, 0, 0] }), "/pointing/axis", ""),
+        ("slew", "/pointing", json!({ "orbit_frame": 0 }), "/pointing/orbit_frame", "(0 given"),
+        (
+            "slew",
+            "/pointing",
+            json!({ "frame": { "turning": { "from": [1, 0, 0], "towards": [2, 0, 0], "rate_rad_s": 1 } } }),
+            "/pointing/frame/turning/towards",
+            "parallel",
+        ),
+        (
+            "slew",
+            "/pointing",
+            json!({ "orbit_frame": 0, "frame": { "attitude": { "quaternion": [1, 0, 0, 0] } } }),
+            "/pointing/orbit_frame",
+            "one of the two",
+        ),
+        (
+            "slew",
+            "/log",
+            json!({ "channels": ["/pointing"] }),
+            "/log/channels/0",
+            "with `pointing`",
         ),
         ("slew", "/until/0", json!({ "for_s": 1 }), "/until/0", "0 conditions given"),
         (

@@ -28,6 +28,7 @@ const ALL: Observables = Observables {
     sigma_min: false,
     pace: false,
     control: true,
+    pointing: true,
     derivatives: true,
 };
 
@@ -280,9 +281,8 @@ fn a_noisy_loop_scatters_as_theory_says() {
             p = [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]];
         }
         let late = &samples[1000..];
-        let mean = |f: &dyn Fn(&Sample<3>) -> f64| {
-            late.iter().map(f).sum::<f64>() / late.len() as f64
-        };
+        let mean =
+            |f: &dyn Fn(&Sample<3>) -> f64| late.iter().map(f).sum::<f64>() / late.len() as f64;
         let angle = |s: &Sample<3>| libm::asin(s.attitude.expect("it carries one")[(1, 0)]);
         let rate = |s: &Sample<3>| s.momentum[(1, 0)] / inertia;
         let found = [mean(&|s| angle(s) * angle(s)), mean(&|s| rate(s) * rate(s))];
@@ -290,7 +290,7 @@ fn a_noisy_loop_scatters_as_theory_says() {
             assert!((found / right - 1.0).abs() < 0.05, "{noise:?}: {found:e} for {right:e}");
         }
         let most = samples.iter().filter_map(|s| s.momentum_drift).fold(0.0, f64::max);
-        assert!(most < 1e-12 * size, "{noise:?}: {most:e}");
+        assert!(most < 1e-10 * size, "{noise:?}: {most:e}");
     }
 }
 

@@ -2,8 +2,9 @@
 
 use nalgebra::DMatrix;
 use schemars::JsonSchema;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
+use super::super::parse::given;
 use super::super::range::{Check, direction, ensure, largest, matrix, size, strength, symmetry};
 use super::{Drawn, Law, Mobility, NO_STRENGTH, example_vector, length};
 use crate::solve::hamiltonian;
@@ -15,7 +16,8 @@ use crate::solve::so::{self, Mat};
 pub struct GravityGradient {
     /// Strength; 3 G M / r^3 for a body of mass M at distance r. On an `orbit`, if absent, that of the orbit:
     /// `3 mean_motion^2 / |direction|^2`.
-    #[serde(default, deserialize_with = "given", skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
+    #[schemars(with = "f64")]
     pub strength: Option<f64>,
     /// Direction to the other body, in space coordinates; used as given, not normalised.
     pub direction: Vec<f64>,
@@ -65,11 +67,6 @@ impl GravityGradient {
         let rows = self.matrix.as_deref().unwrap_or_default();
         DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j])
     }
-}
-
-/// Reads a strength that is there: `null` is none.
-fn given<'de, D: Deserializer<'de>>(number: D) -> Result<Option<f64>, D::Error> {
-    f64::deserialize(number).map(Some)
 }
 
 impl Law for GravityGradient {
