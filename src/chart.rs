@@ -79,6 +79,7 @@ const ENERGY: Axis<'static> = Axis { label: "energy error in J", scale: Scale::L
 const ORTHOGONALITY: Axis<'static> =
     Axis { label: "spectral norm of g g^T - I", scale: Scale::Log };
 const PACE: Axis<'static> = Axis { label: "1 / sigma = dtau / dt", scale: Scale::Log };
+const POINTING: Axis<'static> = Axis { label: "angle of the axis in rad", scale: Scale::Log };
 const MOMENTUM: Axis<'static> = Axis { label: "drift in kg m^2/s", scale: Scale::Log };
 
 /// Draws `energy.svg`, `orthogonality.svg` and `momentum.svg` from logs into `directory`, one line a log
@@ -123,6 +124,7 @@ fn empty(which: LogChart) -> Plot<'static> {
         LogChart::Orthogonality => over_time("Orthogonality error", ORTHOGONALITY),
         LogChart::Momentum => over_time("Drift of the conserved spatial momentum", MOMENTUM),
         LogChart::Pace => over_time("How much the steps shorten", PACE),
+        LogChart::Pointing => over_time("Pointing error", POINTING),
     }
 }
 

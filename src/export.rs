@@ -265,7 +265,7 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
     let pairs = |n: usize| (1..=n).flat_map(move |i| (1..=n).map(move |j| (i, j)));
     match (quantity, width) {
         (_, 0) => Vec::new(),
-        ("quaternion", 4) => label(&["w", "x", "y", "z"]),
+        ("quaternion" | "frame_quaternion", 4) => label(&["w", "x", "y", "z"]),
         ("attitude" | "mean_attitude" | "transition", _) => {
             pairs(width.isqrt()).map(|(i, j)| format!("{field}_{i}_{j}")).collect()
         }
@@ -279,7 +279,9 @@ fn names(before: &str, quantity: &str, width: usize) -> Vec<String> {
             | "control_wanted"
             | "attitude_error"
             | "rate_error"
-            | "control_field",
+            | "control_field"
+            | "control_disturbance"
+            | "relative_rate",
             _,
         ) => {
             if width == 3 {

@@ -122,7 +122,9 @@ impl Show {
         messages.extend(Channel::all().into_iter().filter_map(|channel| {
             let bytes = match channel {
                 Channel::Tf => {
-                    let sources = self.scene.frames(sample.time_s, time_ns);
+                    let mut sources = self.scene.frames(sample.time_s, time_ns);
+                    let reference = sample.pointing.map(|pointed| pointed.frame);
+                    sources.extend(messages::reference_frame(reference, time_ns));
                     messages::frames(turn?, time_ns, BODY_FRAME, sources).encode_to_vec()
                 }
                 _ => {

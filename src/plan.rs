@@ -589,13 +589,12 @@ impl Plan {
             else {
                 return None;
             };
-            let square = orbit.mean_motion_rad_s * orbit.mean_motion_rad_s;
-            let strength = gradient.strength.abs();
-            ((strength - square).abs() <= 0.01 * square).then(|| {
+            let right = gradient.strength_on_orbit(orbit.mean_motion_rad_s);
+            let strength = gradient.strength().abs();
+            ((3.0 * strength - right).abs() <= 0.01 * right).then(|| {
                 format!(
                     "/scene/driven/{index}/term/strength is {strength:e}, the square of the mean motion; gravity on this \
-                     orbit has three times that, {:e}",
-                    3.0 * square
+                     orbit has three times that, {right:e}; without `strength` that is taken"
                 )
             })
         };
@@ -677,7 +676,7 @@ impl Plan {
     /// Takes the terms that change with time, and the torques, as they are.
     fn add_driven(&mut self, inertia: &DMatrix<f64>) {
         for (index, driven) in self.model.driven.iter_mut().enumerate() {
-            driven.term = with_matrix(&driven.term, inertia);
+            driven.term = with_matrix(&driven.with_strength(), inertia);
             let pointer = format!("/scene/driven/{index}");
             let why = "changes with time".to_owned();
             self.potential.push(TermPlan { pointer, kept: true, why });
@@ -799,6 +798,7 @@ fn channels(scenario: &Scenario) -> Vec<ChannelPlan> {
             ensemble: scenario.ensemble.is_some(),
             own_steps: scenario.adaptive().is_some(),
             controlled: scenario.scene.control.is_some(),
+            pointed: scenario.pointing.is_some(),
             differentiated: scenario.derivatives.is_some(),
         })
     };

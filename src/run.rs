@@ -523,6 +523,9 @@ fn note<const N: usize>(course: &mut Course, epoch_ns: u64, sample: &Sample<N>) 
     if let (Some(pace), Some(time_ns)) = (sample.pace, log_time(epoch_ns, sample.time_s)) {
         course.note(time_ns, LogChart::Pace, 1.0 / pace.least_sigma);
     }
+    if let (Some(pointed), Some(time_ns)) = (sample.pointing, log_time(epoch_ns, sample.time_s)) {
+        course.note(time_ns, LogChart::Pointing, pointed.axis_error_rad);
+    }
 }
 
 /// Takes note of the errors of a sample.

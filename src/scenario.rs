@@ -33,7 +33,7 @@ pub(crate) use check::dividing;
 pub(crate) use check::twelve_digits;
 pub use control::{
     AngleAbove, AttitudeLaw, BDotLaw, Control, DampingLaw, Dipole, Field, FieldOrbit, Law,
-    Magnetorquers, OrbitTarget, Stop, Target, Through, TurningTarget, Wheels,
+    Magnetorquers, Noise, OrbitTarget, Pointing, Stop, Target, Through, TurningTarget, Wheels,
 };
 pub use derivatives::Derivatives;
 pub use driven::{
@@ -97,6 +97,9 @@ pub struct Scenario {
     /// Conditions that end the run before its time, looked at after each step: the first that holds does.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub until: Vec<Stop>,
+    /// Where the body points, in the log: relative to a frame, as that of an orbit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pointing: Option<Pointing>,
     /// Derivatives of the run by its start and by fields of the scenario, carried along.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub derivatives: Option<Derivatives>,
@@ -669,6 +672,7 @@ impl Scenario {
             duration_s: None,
             until: Vec::new(),
             ensemble: None,
+            pointing: None,
             derivatives: None,
             log: LogOptions::default(),
             expect: None,

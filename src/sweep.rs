@@ -124,6 +124,7 @@ impl Sweep {
         })?;
         file.check(n, &ends.concat())?;
         file.check_skips(&base)?;
+        file.check_pointing(&base)?;
         let members = file.members()?;
         for (at, &member) in file.keep_logs.iter().enumerate() {
             ensure(member < members, format!("/keep_logs/{at}"), || {

@@ -63,7 +63,7 @@ pub struct ControlState {
     pub field: Vec<f64>,
 }
 
-/// What a sample of the control saw and did.
+/// What a sample of the control saw and did; errors are those that the sensors show.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlSample {
     /// Its time, in s.
@@ -86,6 +86,8 @@ pub struct ControlSample {
     pub wheel_speeds: Vec<f64>,
     /// The field in the body, in T.
     pub field: Vec<f64>,
+    /// Noise of the torque until the next sample, in N m; empty without.
+    pub disturbance: Vec<f64>,
 }
 
 impl ControlSample {
@@ -99,6 +101,7 @@ impl ControlSample {
             &self.wheel_momenta,
             &self.wheel_speeds,
             &self.field,
+            &self.disturbance,
         ];
         self.pointing_error_rad.is_none_or(f64::is_finite)
             && lists.into_iter().flatten().all(|x| x.is_finite())

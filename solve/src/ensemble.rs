@@ -13,6 +13,10 @@ use super::trajectory::{Bookkeeping, Observables, Sample, Schedule, Trajectory};
 
 /// A few members of an ensemble that take each step together.
 pub trait Members<const N: usize> {
+    /// Takes the numbers of the members that start next, for what differs between members apart from their start: see
+    /// [`Stepper::set_member`].
+    fn set_numbers(&mut self, _numbers: &[u64]) {}
+
     /// Begins at the states, at most [`WIDTH`] of them.
     fn start(&mut self, states: &[State<N>]);
 
@@ -53,6 +57,10 @@ impl<const N: usize> Sequential<N> {
 }
 
 impl<const N: usize> Members<N> for Sequential<N> {
+    fn set_numbers(&mut self, numbers: &[u64]) {
+        self.steppers.iter_mut().zip(numbers).for_each(|(stepper, &m)| stepper.set_member(m));
+    }
+
     fn start(&mut self, states: &[State<N>]) {
         self.knots = Knots::default();
         self.steppers.iter_mut().zip(states).for_each(|(stepper, state)| stepper.start(state));

@@ -10,6 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::failure::{Failure, FailureCode};
 use super::lanes::extras;
+use super::pointing::{Pointed, Pointing};
 use super::so::{self, Mat, Vector};
 use super::stop::Stop;
 use super::system::{Energy, System, free_directions};
@@ -134,6 +135,7 @@ pub struct RigidBody<const N: usize> {
     wheels: Option<Mat<N>>,
     control: Option<Box<Control<N>>>,
     stops: Vec<Stop<N>>,
+    pointing: Option<Box<Pointing<N>>>,
     work: Work,
 }
 
@@ -159,6 +161,7 @@ impl<const N: usize> RigidBody<N> {
             wheels: None,
             control: None,
             stops: Vec::new(),
+            pointing: None,
             work: Work::default(),
         }
     }
@@ -235,6 +238,11 @@ impl<const N: usize> RigidBody<N> {
     /// Ends runs early where one of the conditions holds.
     pub fn with_stops(self, stops: Vec<Stop<N>>) -> Self {
         Self { stops, ..self }
+    }
+
+    /// Lets samples show where the body points.
+    pub fn with_pointing(self, pointing: Pointing<N>) -> Self {
+        Self { pointing: Some(Box::new(pointing)), ..self }
     }
 
     /// Takes over the counts of a body that made steps in its place.
@@ -418,6 +426,10 @@ impl<const N: usize> System<N> for RigidBody<N> {
 
     fn stops(&self) -> &[Stop<N>] {
         &self.stops
+    }
+
+    fn pointed(&self, time_s: f64, g: &Mat<N>, omega: &Mat<N>) -> Option<Pointed> {
+        self.pointing.as_ref()?.at(time_s, g, omega)
     }
 
     fn table_impulse(&self, time_s: f64) -> Option<f64> {

@@ -93,6 +93,10 @@ pub trait Stepper<const N: usize, S: ?Sized = RigidBody<N>>: Send {
     /// Sets that, for a system that is controlled.
     fn set_control(&mut self, _control: &ControlState) {}
 
+    /// Takes the noise of a member of an ensemble from now on, for a system whose control has noise: the stream of the control,
+    /// `member` streams on.
+    fn set_member(&mut self, _member: u64) {}
+
     /// Returns the last sample of the control since [`Stepper::start`] or [`Stepper::resume`].
     fn control_sample(&self) -> Option<&ControlSample> {
         None

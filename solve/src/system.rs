@@ -4,6 +4,7 @@
 //! [`crate::lagrangian::Lagrangian`]. A body with built-in terms, [`crate::hamiltonian::RigidBody`], has both.
 
 use super::failure::Failure;
+use super::pointing::Pointed;
 use super::so::{self, Mat, Vector};
 use super::stop::Stop;
 
@@ -87,6 +88,11 @@ pub trait System<const N: usize> {
     /// Conditions that end a run early, looked at after each step.
     fn stops(&self) -> &[Stop<N>] {
         &[]
+    }
+
+    /// Where the body points at a time in seconds, with the angular velocity `omega`; `None` unless the scene asks for it.
+    fn pointed(&self, _time_s: f64, _g: &Mat<N>, _omega: &Mat<N>) -> Option<Pointed> {
+        None
     }
 
     /// Refuses an attitude at which the law has lost its meaning.

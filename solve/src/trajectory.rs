@@ -8,6 +8,7 @@
 use super::control::ControlSample;
 use super::failure::{Failure, FailureCode};
 use super::nonlinear::Convergence;
+use super::pointing::Pointed;
 use super::so::{self, Mat};
 use super::state::{Checkpoint, Derivatives, Pace, State};
 use super::stepper::{Knots, Stepper};
@@ -39,6 +40,8 @@ pub struct Observables {
     pub pace: bool,
     /// Samples of the control.
     pub control: bool,
+    /// Where the body points.
+    pub pointing: bool,
     /// Derivatives, of a stepper that carries them along.
     pub derivatives: bool,
 }
@@ -48,7 +51,16 @@ impl std::ops::BitOr for Observables {
 
     /// Returns the observables that either of the two asks for.
     fn bitor(self, other: Self) -> Self {
-        let Self { energy, orthogonality, momentum, sigma_min, pace, control, derivatives } = other;
+        let Self {
+            energy,
+            orthogonality,
+            momentum,
+            sigma_min,
+            pace,
+            control,
+            pointing,
+            derivatives,
+        } = other;
         Self {
             energy: self.energy | energy,
             orthogonality: self.orthogonality | orthogonality,
@@ -56,6 +68,7 @@ impl std::ops::BitOr for Observables {
             sigma_min: self.sigma_min | sigma_min,
             pace: self.pace | pace,
             control: self.control | control,
+            pointing: self.pointing | pointing,
             derivatives: self.derivatives | derivatives,
         }
     }
@@ -105,6 +118,8 @@ pub struct Sample<const N: usize> {
     pub pace: Option<Pace>,
     /// Sample of the control at this time; `None` also if there is none then.
     pub control: Option<ControlSample>,
+    /// Where the body points; `None` also where the scene does not ask.
+    pub pointing: Option<Pointed>,
     /// Derivatives by the start and by parameters.
     pub derivatives: Option<Derivatives>,
 }
@@ -131,6 +146,7 @@ impl<const N: usize> Sample<N> {
             sigma_min,
             pace,
             ref control,
+            ref pointing,
             ref derivatives,
         } = self;
         let figures = [
@@ -157,6 +173,7 @@ impl<const N: usize> Sample<N> {
         figures.into_iter().flatten().all(f64::is_finite)
             && pace.is_none_or(|pace| pace.is_finite())
             && control.as_ref().is_none_or(ControlSample::is_finite)
+            && pointing.as_ref().is_none_or(Pointed::is_finite)
             && derivatives.as_ref().is_none_or(Derivatives::is_finite)
             && matrices.into_iter().flatten().flatten().all(|x| x.is_finite())
     }
@@ -496,12 +513,16 @@ impl<const N: usize> Observer<N> {
         // A scheme without an attitude serves free bodies, whose energy needs none.
         let g = attitude.unwrap_or_else(Mat::identity);
         let energy = asked.energy.then(|| system.energy_at(time_s, &g, &momentum));
+        let angular_velocity = system.observed_velocity(&g, &momentum);
+        let pointing = (asked.pointing && attitude.is_some())
+            .then(|| system.pointed(time_s, &g, angular_velocity.as_ref()?))
+            .flatten();
         let sample = Sample {
             step,
             time_s,
             attitude,
             momentum,
-            angular_velocity: system.observed_velocity(&g, &momentum),
+            angular_velocity,
             energy,
             energy_error: energy.map(|now| now.total() - self.initial_energy - work),
             work: energy.filter(|_| self.driven).map(|_| work),
@@ -533,6 +554,7 @@ impl<const N: usize> Observer<N> {
                 .control_sample()
                 .filter(|sample| asked.control && is_at(sample.time_s, time_s))
                 .cloned(),
+            pointing,
             derivatives: stepper.derivatives().filter(|_| asked.derivatives).cloned(),
         };
         if sample.is_finite() { Ok(sample) } else { Err(Failure::not_finite(None)) }

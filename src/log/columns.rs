@@ -42,9 +42,12 @@ pub struct Columns {
     solver_sigma_min: Vectors,
     pace: [Vectors; 4],
     pace_own_steps: Vec<u64>,
-    control: [Vectors; 7],
+    control: [Vectors; 8],
     control_saturated: Vec<u64>,
     pointing_error_rad: Vectors,
+    pointing: [Vectors; 4],
+    relative_rate: Vectors,
+    frame_quaternion: Vectors,
     transition: Vectors,
     sensitivity: Vectors,
     /// The last quaternion: the next has the nearer sign.
@@ -65,7 +68,9 @@ const ENERGY: [&str; 6] = [
 ];
 const PACE: [&str; 4] = ["pace_sigma", "pace_step_s", "pace_least_sigma", "pace_time_error_s"];
 
-const CONTROL: [&str; 7] = [
+const POINTING: [&str; 4] = ["axis_error_rad", "roll_rad", "pitch_rad", "yaw_rad"];
+
+const CONTROL: [&str; 8] = [
     "control_wanted",
     "control_command",
     "attitude_error",
@@ -73,6 +78,7 @@ const CONTROL: [&str; 7] = [
     "wheel_momenta",
     "wheel_speeds",
     "control_field",
+    "control_disturbance",
 ];
 
 /// One quantity of all samples.
@@ -304,8 +310,12 @@ impl Columns {
             self.transition.push(at, derivatives.map_or(&[], |found| &found.transition));
             self.sensitivity.push(at, derivatives.map_or(&[], |found| &found.sensitivity));
         }
+        let points = has(Channel::Pointing);
         if has(Channel::Control) {
             self.add_control(at, messages::Control::of(sample).unwrap_or_default());
+        }
+        if points {
+            self.add_pointing(at, messages::Pointing::of(sample));
         }
         self.room = std::mem::take(room);
         true
@@ -348,12 +358,27 @@ impl Columns {
             &seen.wheel_momenta,
             &seen.wheel_speeds,
             &seen.field,
+            &seen.disturbance,
         ];
         for (column, list) in self.control.iter_mut().zip(lists) {
             column.push(at, list);
         }
         self.control_saturated.push(seen.saturated.into());
         self.pointing_error_rad.push(at, seen.pointing_error_rad.as_slice());
+    }
+
+    /// Adds where the body points at a sample, if that is known.
+    fn add_pointing(&mut self, at: Place, seen: Option<messages::Pointing>) {
+        let figures = seen.as_ref().map_or([None; 4], |seen| {
+            [seen.axis_error_rad, seen.roll_rad, seen.pitch_rad, seen.yaw_rad]
+                .map(|x| Some(as_logged(x)))
+        });
+        for (column, figure) in self.pointing.iter_mut().zip(figures) {
+            column.push(at, figure.as_slice());
+        }
+        let seen = seen.unwrap_or_default();
+        self.relative_rate.push(at, &seen.rate);
+        self.frame_quaternion.push(at, &seen.frame);
     }
 
     /// Adds a sample of a log that begins at `start_ns`.
@@ -371,6 +396,7 @@ impl Columns {
             solver: row.solver.filter(|_| has(Channel::Solver)),
             pace: row.pace.filter(|_| has(Channel::Pace)),
             control: row.control.filter(|_| has(Channel::Control)),
+            pointing: row.pointing.filter(|_| has(Channel::Pointing)),
             derivatives: row.derivatives.filter(|_| has(Channel::Derivatives)),
             ..row
         };
@@ -416,8 +442,12 @@ impl Columns {
             column.push(at, figure.as_slice());
         }
         self.pace_own_steps.push(pace.1);
+        let points = has(Channel::Pointing);
         if has(Channel::Control) {
             self.add_control(at, row.control.unwrap_or_default());
+        }
+        if points {
+            self.add_pointing(at, row.pointing);
         }
         let derivatives = row.derivatives.unwrap_or_default();
         self.transition.push(at, &derivatives.transition);
@@ -475,9 +505,13 @@ impl Columns {
         let found = found.chain(pace).chain([own_steps]).chain(control).chain([
             ("control_saturated", saturated),
             ("pointing_error_rad", self.pointing_error_rad.numbers()),
+            ("relative_rate", self.relative_rate.vectors()),
+            ("frame_quaternion", self.frame_quaternion.vectors()),
             ("transition", self.transition.matrices()),
             ("sensitivity", self.sensitivity.vectors()),
         ]);
+        let pointing = POINTING.into_iter().zip(self.pointing.map(Vectors::numbers));
+        let found = found.chain(pointing);
         all.extend(found.filter_map(|(name, values)| Some((Cow::Borrowed(name), values?))));
         all
     }

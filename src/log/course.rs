@@ -21,11 +21,14 @@ pub enum LogChart {
     Momentum,
     /// Factor by which adaptive steps are shorter than the longest.
     Pace,
+    /// The angle between an axis of the body and its direction.
+    Pointing,
 }
 
 impl LogChart {
     /// All charts.
-    pub const ALL: [Self; 4] = [Self::Energy, Self::Orthogonality, Self::Momentum, Self::Pace];
+    pub const ALL: [Self; 5] =
+        [Self::Energy, Self::Orthogonality, Self::Momentum, Self::Pace, Self::Pointing];
 
     /// Returns the name of its file.
     pub const fn file(self) -> &'static str {
@@ -34,6 +37,7 @@ impl LogChart {
             Self::Orthogonality => "orthogonality.svg",
             Self::Momentum => "momentum.svg",
             Self::Pace => "pace.svg",
+            Self::Pointing => "pointing.svg",
         }
     }
 }
@@ -44,7 +48,7 @@ impl LogChart {
 pub struct Course {
     start_ns: Option<u64>,
     /// Series in the order of [`LogChart::ALL`].
-    series: [Series; 4],
+    series: [Series; 5],
 }
 
 impl Course {
@@ -85,6 +89,9 @@ impl Course {
                 }
             }
             Message::Pace(message) => self.note(time_ns, LogChart::Pace, 1.0 / message.least_sigma),
+            Message::Pointing(message) => {
+                self.note(time_ns, LogChart::Pointing, message.axis_error_rad);
+            }
             _ => {}
         }
     }

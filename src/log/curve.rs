@@ -26,11 +26,17 @@ pub enum Curve {
     AxisAngle,
     /// Length of an adaptive step, in s.
     Step,
+    /// Angle between an axis of the body and its direction, in rad.
+    AxisError,
+    /// Roll, pitch and yaw relative to a frame, in rad.
+    RollPitchYaw,
+    /// Angular velocity relative to that frame, in body coordinates and rad/s.
+    RelativeRate,
 }
 
 impl Curve {
     /// All quantities.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 11] = [
         Self::EnergyError,
         Self::OrthogonalityError,
         Self::MomentumDrift,
@@ -39,6 +45,9 @@ impl Curve {
         Self::SpatialMomentum,
         Self::AxisAngle,
         Self::Step,
+        Self::AxisError,
+        Self::RollPitchYaw,
+        Self::RelativeRate,
     ];
 
     /// Returns its name in queries and answers.
@@ -52,6 +61,9 @@ impl Curve {
             Self::SpatialMomentum => "spatial_momentum",
             Self::AxisAngle => "axis_angle",
             Self::Step => "step",
+            Self::AxisError => "axis_error",
+            Self::RollPitchYaw => "roll_pitch_yaw",
+            Self::RelativeRate => "relative_rate",
         }
     }
 
@@ -60,8 +72,8 @@ impl Curve {
         match self {
             Self::EnergyError => "J",
             Self::OrthogonalityError => "",
-            Self::AngularVelocity => "rad/s",
-            Self::AxisAngle => "rad",
+            Self::AngularVelocity | Self::RelativeRate => "rad/s",
+            Self::AxisAngle | Self::AxisError | Self::RollPitchYaw => "rad",
             Self::Step => "s",
             Self::MomentumDrift | Self::BodyMomentum | Self::SpatialMomentum => "kg m²/s",
         }
@@ -75,6 +87,7 @@ impl Curve {
             Self::MomentumDrift | Self::SpatialMomentum => Channel::Momentum,
             Self::AngularVelocity | Self::BodyMomentum | Self::AxisAngle => Channel::State,
             Self::Step => Channel::Pace,
+            Self::AxisError | Self::RollPitchYaw | Self::RelativeRate => Channel::Pointing,
         }
     }
 
@@ -103,6 +116,11 @@ impl Curve {
                 values.extend((0..n).map(|k| libm::acos(cosine(k))));
             }
             (Self::Step, Message::Pace(pace)) => values.push(pace.step_s),
+            (Self::AxisError, Message::Pointing(seen)) => values.push(seen.axis_error_rad),
+            (Self::RollPitchYaw, Message::Pointing(seen)) => {
+                values.extend([seen.roll_rad, seen.pitch_rad, seen.yaw_rad]);
+            }
+            (Self::RelativeRate, Message::Pointing(seen)) => values.extend_from_slice(&seen.rate),
             _ => {}
         }
     }

@@ -12,6 +12,7 @@ use super::schema::{BodyName, Channel, Topic, timestamp};
 use crate::solve::bodies::trajectory as bodies;
 use crate::solve::control;
 use crate::solve::nonlinear::{Convergence, Rung};
+use crate::solve::pointing::Pointed;
 pub use crate::solve::so::quaternion;
 use crate::solve::so::{self, Mat};
 use crate::solve::state;
@@ -181,7 +182,13 @@ messages_of_samples! {
         control_saturated: count(saturated), pointing_error_rad: number(pointing_error_rad),
         attitude_error: numbers(attitude_error), rate_error: numbers(rate_error),
         wheel_momenta: numbers(wheel_momenta), wheel_speeds: numbers(wheel_speeds),
-        control_field: numbers(field)
+        control_field: numbers(field), control_disturbance: numbers(disturbance)
+    },
+    /// Where the body points.
+    pointing: Pointing {
+        axis_error_rad: number(axis_error_rad), roll_rad: number(roll_rad),
+        pitch_rad: number(pitch_rad), yaw_rad: number(yaw_rad),
+        relative_rate: numbers(rate), frame_quaternion: numbers(frame)
     },
     /// Derivatives by the start and by parameters.
     derivatives: Derivatives { transition: numbers(transition), sensitivity: numbers(sensitivity) },
@@ -397,7 +404,18 @@ impl Control {
             wheel_momenta: seen.wheel_momenta.clone(),
             wheel_speeds: seen.wheel_speeds.clone(),
             field: seen.field.clone(),
+            disturbance: seen.disturbance.clone(),
         })
+    }
+}
+
+impl Pointing {
+    /// Returns where the body points at a sample, if that was asked for.
+    pub fn of<const N: usize>(sample: &Sample<N>) -> Option<Self> {
+        let Pointed { axis_error_rad, roll_pitch_yaw_rad, rate_rad_s, frame } = sample.pointing?;
+        let [roll_rad, pitch_rad, yaw_rad] = roll_pitch_yaw_rad;
+        let (rate, frame) = (rate_rad_s.to_vec(), frame.to_vec());
+        Some(Self { axis_error_rad, roll_rad, pitch_rad, yaw_rad, rate, frame })
     }
 }
 
@@ -618,6 +636,12 @@ pub fn frames(
 ) -> FrameTransforms {
     let body = frame(turn, [0.0; 3], time_ns, body_frame);
     FrameTransforms { transforms: std::iter::once(body).chain(sources).collect() }
+}
+
+/// Returns the frame relative to which the body points, as seen from space, if there is one.
+pub(crate) fn reference_frame(frame: Option<[f64; 4]>, time_ns: u64) -> Option<FrameTransform> {
+    let name = super::scene::REFERENCE_FRAME;
+    frame.map(|turn| self::frame(turn, [0.0; 3], time_ns, name))
 }
 
 /// Returns the frame of a body at a place, as seen from space.

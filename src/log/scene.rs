@@ -20,6 +20,9 @@ pub const SPACE_FRAME: &str = "space";
 /// Name of the frame that turns with the body.
 pub const BODY_FRAME: &str = "body";
 
+/// Name of the frame relative to which the body points.
+pub const REFERENCE_FRAME: &str = "reference";
+
 /// Returns the name of the frame that turns with a member of an ensemble; that of member 0 is the
 /// body's.
 pub fn body_frame(member: u64) -> Cow<'static, str> {

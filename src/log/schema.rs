@@ -78,6 +78,8 @@ channels! {
     Pace = "/pace",
     /// Samples of the control.
     Control = "/control",
+    /// Where the body points, relative to a frame.
+    Pointing = "/pointing",
     /// Derivatives by the start and by fields of the scenario.
     Derivatives = "/derivatives",
     /// The frame of the body, or of each body, for viewers; n = 3.
@@ -114,6 +116,8 @@ enum Scope {
     /// Steps that adapt.
     OwnSteps,
     Controlled,
+    /// Where the body points is asked for.
+    Pointed,
     /// Derivatives are carried along.
     Differentiated,
 }
@@ -133,6 +137,8 @@ pub(crate) struct Scenery {
     /// Steps adapt.
     pub(crate) own_steps: bool,
     pub(crate) controlled: bool,
+    /// Where the body points is asked for.
+    pub(crate) pointed: bool,
     /// Derivatives are carried along.
     pub(crate) differentiated: bool,
 }
@@ -147,6 +153,7 @@ impl Scenery {
         ensemble: true,
         own_steps: true,
         controlled: true,
+        pointed: true,
         differentiated: true,
     };
 }
@@ -256,6 +263,13 @@ impl Channel {
                 sample: sample(6 * momentum, 7 * LIST + 2 * DOUBLE),
                 ..plain("vpd.Control", "the errors and commands of the control")
             },
+            Self::Pointing => Row {
+                needs: Observables { pointing: true, ..nothing },
+                scope: Scope::Pointed,
+                attitude: true,
+                sample: sample(8 * 11, 2 * LIST + 4),
+                ..plain("vpd.Pointing", "attitude, rate and an axis relative to a frame")
+            },
             Self::Derivatives => Row {
                 needs: Observables { derivatives: true, ..nothing },
                 scope: Scope::Differentiated,
@@ -345,6 +359,7 @@ impl Channel {
             Scope::Ensembles => scene.ensemble,
             Scope::OwnSteps => scene.own_steps,
             Scope::Controlled => scene.controlled,
+            Scope::Pointed => scene.pointed,
             Scope::Differentiated => scene.differentiated,
         }
     }
@@ -377,6 +392,11 @@ impl Channel {
     /// Returns whether the channel is for scenes with control only.
     pub fn needs_control(self) -> bool {
         !self.exists(Scenery { controlled: false, ..Scenery::ALL })
+    }
+
+    /// Returns whether the channel is for scenarios that ask where the body points only.
+    pub fn needs_pointing(self) -> bool {
+        !self.exists(Scenery { pointed: false, ..Scenery::ALL })
     }
 
     /// Returns whether the channel is for scenarios with derivatives only.

@@ -591,6 +591,7 @@ impl LogWriter {
             time_s: sample.time_s,
             finite: sample.is_finite(),
             poses: &[(attitude.and_then(messages::quaternion), [0.0; 3])],
+            reference: sample.pointing.map(|pointed| pointed.frame),
         };
         let message = |channel, _, turn| SampleMessage::of_sample(channel, sample, turn);
         self.record_seen(member, seen, &message)
@@ -620,6 +621,7 @@ impl LogWriter {
             time_s: sample.time_s,
             finite: sample.is_finite(),
             poses: &poses.collect::<Vec<_>>(),
+            reference: None,
         };
         let message = |channel, body, turn| SampleMessage::of_bodies(channel, body, sample, turn);
         self.record_seen(0, seen, &message)
@@ -690,6 +692,7 @@ impl LogWriter {
         // Moving objects move alike for all members.
         if member == 0 && !transforms.is_empty() {
             transforms.extend(self.scene.frames(sample.time_s, time_ns));
+            transforms.extend(messages::reference_frame(sample.reference, time_ns));
         }
         FrameTransforms { transforms }
     }
@@ -733,6 +736,8 @@ struct SampleSeen<'a> {
     finite: bool,
     /// Of the body, or of several.
     poses: &'a [Pose],
+    /// The frame relative to which the body points.
+    reference: Option<[f64; 4]>,
 }
 
 impl<const N: usize> Sink<N> for LogWriter {

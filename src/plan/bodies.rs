@@ -192,7 +192,7 @@ fn interaction<const N: usize>(scene: &Bodies, term: &Interaction) -> bodies::In
                     let given = gradient.matrix.as_deref().map_or(own, rows);
                     bodies::Interaction::GravityGradient {
                         body,
-                        strength: gradient.strength,
+                        strength: gradient.strength(),
                         matrix: so::symmetric_part(&matrix(&given)),
                         direction: vector(&gradient.direction),
                     }

@@ -4,11 +4,13 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::rotation::{across, attitude, skew, unit_vector};
 use crate::scenario::{
-    Control, Dipole, Field, Framed, Initial, Law, OrbitTarget, Scenario, ScenarioError, Target,
-    Through, TurningTarget, Wheels, vector,
+    Control, Dipole, Field, Framed, Initial, Law, Orbit, OrbitTarget, Path, Pointing, Scenario,
+    ScenarioError, Target, Through, TurningTarget, Wheels, vector,
 };
 use crate::solve::control::{self, ControlLaw};
 use crate::solve::hamiltonian::{self as body, Actuator, DipoleField, ReactionWheels, RigidBody};
+use crate::solve::noise::Noise;
+use crate::solve::pointing::{self, Frame};
 use crate::solve::so::Mat;
 use crate::solve::stop::{Condition, Stop};
 
@@ -21,7 +23,25 @@ pub(crate) struct ModelControl {
     field: Option<DipoleField>,
     /// A permanent moment of the body, in A m^2.
     moment: Option<[f64; 3]>,
+    /// The noise that has an effect.
+    noise: Option<Noise>,
     stops: Vec<ModelStop>,
+    pointing: Option<ModelPointing>,
+}
+
+/// A frame, and an axis of the body with its direction there.
+#[derive(Clone, Debug)]
+struct ModelPointing {
+    frame: ModelFrame,
+    axis: [f64; 3],
+    towards: [f64; 3],
+}
+
+#[derive(Clone, Debug)]
+enum ModelFrame {
+    Target(ModelTarget),
+    /// Unit vectors across one another, of which the first turns towards the second.
+    Orbit([DVector<f64>; 2], Orbit),
 }
 
 /// An attitude to aim at.
@@ -157,7 +177,10 @@ impl ModelControl {
         let n = scenario.dimension();
         let control = scenario.scene.control.clone();
         let target = control.as_ref().and_then(|control| control.target.as_ref());
-        let target = target.map(|target| ModelTarget::new(target, n)).transpose()?;
+        let at = "/scene/control/target";
+        let target = target.map(|target| ModelTarget::new(at, target, n)).transpose()?;
+        let pointing = scenario.pointing.as_ref();
+        let pointing = pointing.map(|asked| ModelPointing::new(asked, scenario, target.as_ref()));
         let dipole = scenario.scene.field.as_ref().map(|Field::Dipole(dipole)| dipole);
         let stops = scenario.until.iter().enumerate().map(|(number, stop)| {
             let condition = match (&stop.angle_above_rad, stop.pointing_error_below_rad) {
@@ -185,6 +208,8 @@ impl ModelControl {
             wheels,
             field: dipole.map(field),
             moment: dipole.and_then(|dipole| dipole.permanent_moment_a_m2),
+            noise: control.as_ref().and_then(noise),
+            pointing: pointing.transpose()?.flatten(),
             stops: stops.collect::<Result<_, ScenarioError>>()?,
             control,
         })
@@ -251,10 +276,26 @@ impl ModelControl {
             };
             ("/scene/control", true, why)
         });
-        field.into_iter().chain(control).collect()
+        let noise = self.control.as_ref().and_then(|control| control.noise).map(|_| {
+            let why = match &self.noise {
+                None => "no law reads what it changes",
+                Some(Noise { torque: 0.0, .. }) => "changes what the laws read",
+                Some(Noise { attitude: 0.0, rate: 0.0, .. }) => {
+                    "a torque that is held between samples"
+                }
+                Some(_) => "changes what the laws read, and a torque that is held between samples",
+            };
+            ("/scene/control/noise", self.noise.is_some(), why)
+        });
+        field.into_iter().chain(control).chain(noise).collect()
     }
 
-    /// Does it push the body by torques that are no potential's?
+    /// Is there a torque of noise?
+    pub(crate) fn is_disturbed(&self) -> bool {
+        self.noise.is_some_and(|noise| noise.torque > 0.0)
+    }
+
+    /// Do its commands push the body by torques that are no potential's?
     pub(crate) fn is_pushed(&self) -> bool {
         self.control.as_ref().is_some_and(|control| control.through == Through::Torque)
     }
@@ -297,6 +338,7 @@ impl ModelControl {
                 target: target.clone(),
                 laws: control.laws.iter().map(law).collect(),
                 actuator,
+                noise: self.noise,
             });
         }
         let stop = |stop: &ModelStop| {
@@ -317,12 +359,32 @@ impl ModelControl {
             };
             Stop { condition, for_s: stop.for_s }
         };
-        body.with_stops(self.stops.iter().map(stop).collect())
+        let body = body.with_stops(self.stops.iter().map(stop).collect());
+        match &self.pointing {
+            Some(pointing) => body.with_pointing(pointing.of()),
+            None => body,
+        }
     }
 }
 
 fn square<const N: usize>(given: &DMatrix<f64>) -> Mat<N> {
     Mat::from_fn(|i, j| given[(i, j)])
+}
+
+/// Returns the noise of a control that has an effect: of an angle that a law reads, and the like.
+fn noise(control: &Control) -> Option<Noise> {
+    let given = control.noise?;
+    let (mut attitude, mut rate) = (0.0, 0.0);
+    for law in &control.laws {
+        match law {
+            Law::Attitude(_) => (attitude, rate) = (given.attitude_rad, given.rate_rad_s),
+            Law::Damping(_) => rate = given.rate_rad_s,
+            Law::BDot(_) => {}
+        }
+    }
+    let torque = given.torque_n_m;
+    let acts = attitude > 0.0 || rate > 0.0 || torque > 0.0;
+    acts.then_some(Noise { seed: given.seed, stream: given.stream, attitude, rate, torque })
 }
 
 fn law(given: &Law) -> ControlLaw {
@@ -377,9 +439,50 @@ fn field(dipole: &Dipole) -> DipoleField {
     }
 }
 
+impl ModelPointing {
+    /// Reads what a scenario asks for, next to the target of its control; `None` if there is no frame, which a check refuses.
+    fn new(
+        asked: &Pointing,
+        scenario: &Scenario,
+        target: Option<&ModelTarget>,
+    ) -> Result<Option<Self>, ScenarioError> {
+        let followed = asked.orbit_frame.and_then(|k| scenario.scene.driven.get(k as usize));
+        let frame = match (&asked.frame, followed) {
+            (Some(frame), _) => {
+                Some(ModelFrame::Target(ModelTarget::new("/pointing/frame", frame, 3)?))
+            }
+            (None, Some(driven)) => match &driven.path {
+                Some(Path::Orbit(orbit)) => {
+                    let pericentre = unit_vector(driven.term.law().space_vector());
+                    let plane = [pericentre.clone(), across(&orbit.towards, &pericentre)];
+                    Some(ModelFrame::Orbit(plane, orbit.clone()))
+                }
+                _ => None,
+            },
+            (None, None) => target.cloned().map(ModelFrame::Target),
+        };
+        let axis = asked.axis.unwrap_or([0.0, 0.0, 1.0]);
+        let towards = asked.towards.unwrap_or(axis);
+        let unit = |v: [f64; 3]| -> [f64; 3] { Vector3::from(v).normalize().into() };
+        Ok(frame.map(|frame| Self { frame, axis: unit(axis), towards: unit(towards) }))
+    }
+
+    fn of<const N: usize>(&self) -> pointing::Pointing<N> {
+        let frame = match &self.frame {
+            ModelFrame::Target(target) => Frame::Target(target.of()),
+            ModelFrame::Orbit([from, towards], orbit) => Frame::Orbit {
+                plane: [vector(from.as_slice()), vector(towards.as_slice())],
+                mean_motion: orbit.mean_motion_rad_s,
+                eccentricity: orbit.eccentricity,
+                mean_anomaly: orbit.mean_anomaly_rad,
+            },
+        };
+        pointing::Pointing { frame, axis: vector(&self.axis), towards: vector(&self.towards) }
+    }
+}
+
 impl ModelTarget {
-    fn new(given: &Target, n: usize) -> Result<Self, ScenarioError> {
-        let at = "/scene/control/target";
+    fn new(at: &str, given: &Target, n: usize) -> Result<Self, ScenarioError> {
         let read = |of: &str, given: Option<&_>| attitude(&format!("{at}/{of}attitude"), given, n);
         let still = || [vec![0.0; n], vec![0.0; n]];
         Ok(match given {

@@ -263,6 +263,15 @@ impl Plan {
         if !self.model.torques.is_empty() && logged(Channel::Momentum) {
             bytes += 4 + 8 * so::dimension(self.dimension) as u64;
         }
+        if logged(Channel::Pointing) && logged(Channel::Tf) {
+            // Another frame.
+            bytes += Channel::Tf.bytes_per_sample(self.dimension);
+        }
+        if self.model.control.is_disturbed() {
+            let channels = [Channel::Momentum, Channel::Control];
+            let with = channels.into_iter().filter(|&topic| logged(topic)).count() as u64;
+            bytes += with * (4 + 8 * so::dimension(self.dimension) as u64);
+        }
         bytes
     }
 
@@ -272,7 +281,8 @@ impl Plan {
         const PART_NS: f64 = 60.0;
         /// In lanes (`cargo bench -p vpd-solve --bench ratios -- driven`).
         const GRADIENT_IN_LANES_NS: f64 = 14.0;
-        let parts = self.model.driven.len() + self.model.torques.len();
+        let disturbed = usize::from(self.model.control.is_disturbed());
+        let parts = self.model.driven.len() + self.model.torques.len() + disturbed;
         if parts == 0 && self.model.wheels.is_none() {
             return [0.0; 2];
         }

@@ -118,6 +118,7 @@ impl Model {
             (!self.torques.is_empty(), "the work of the torques"),
             (control.has_wheels(), "the work of the motors of the wheels"),
             (control.is_pushed(), "the work of the control"),
+            (control.is_disturbed(), "the work of the torque noise"),
             (control.is_magnetic(), "what the magnetic field and its moments have put in"),
         ];
         let parts: Vec<&str> =
@@ -140,7 +141,8 @@ impl Model {
         free: usize,
         method: Integrator,
     ) -> Option<String> {
-        let pushed = !self.torques.is_empty() || self.control.is_pushed();
+        let pushed =
+            !self.torques.is_empty() || self.control.is_pushed() || self.control.is_disturbed();
         if !pushed || free < 2 {
             return None;
         }

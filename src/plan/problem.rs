@@ -207,7 +207,8 @@ pub(crate) fn driven_term<const N: usize>(given: &DrivenTerm) -> body::DrivenTer
 /// the term, y against the angular momentum of the orbit, x = y cross z. `None` for a term that follows no orbit.
 pub(super) fn orbit_axes(driven: &DrivenTerm, inertia: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let Some(Path::Orbit(orbit)) = &driven.path else { return None };
-    let whole = DrivenTerm { term: with_matrix(&driven.term, inertia), ..driven.clone() };
+    let whole =
+        DrivenTerm { term: with_matrix(&driven.with_strength(), inertia), ..driven.clone() };
     let z = driven_term::<3>(&whole).space_at(0.0).normalize();
     let pericentre = unit_vector(driven.term.law().space_vector());
     let onwards = unit_vector(&orbit.towards) * orbit.mean_motion_rad_s.signum();

@@ -231,8 +231,8 @@ impl Terms {
             let (mut form, mut size) = (DMatrix::zeros(n, n), 0.0);
             for t in group.iter().filter_map(|&k| self.gradient(k)) {
                 let d = DVector::from_column_slice(&t.direction);
-                form += &d * d.transpose() * t.strength;
-                size += t.strength.abs() * d.norm_squared();
+                form += &d * d.transpose() * t.strength();
+                size += t.strength().abs() * d.norm_squared();
             }
             let level = form.trace() / n as f64;
             if group.len() < 2 || (&form - DMatrix::identity(n, n) * level).amax() > ROUNDED * size
@@ -282,7 +282,7 @@ impl Terms {
                     let t = self.gradient(k)?;
                     let own = DVector::from_column_slice(&t.direction);
                     let c = own.dot(&direction) / direction.norm_squared();
-                    Some(t.matrix() * (t.strength * c * c))
+                    Some(t.matrix() * (t.strength() * c * c))
                 })
                 .collect();
             let n = direction.len();
@@ -299,7 +299,7 @@ impl Terms {
             let rows = matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
             let matrix = Some(rows);
             let direction = term.direction;
-            let together = GravityGradient { strength: 1.0, direction, matrix };
+            let together = GravityGradient { strength: Some(1.0), direction, matrix };
             self.stands(first, PotentialTerm::GravityGradient(together));
         }
     }

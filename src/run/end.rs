@@ -207,7 +207,8 @@ fn log_outcome(summary: &Summary, course: &Course) -> LogOutcome {
 /// Draws the pictures in the log: file names and SVG.
 #[cfg(feature = "chart")]
 fn charts(course: &Course) -> Vec<(&'static str, String)> {
-    let charts = [LogChart::Energy, LogChart::Orthogonality, LogChart::Pace].into_iter();
+    let charts = [LogChart::Energy, LogChart::Orthogonality, LogChart::Pace, LogChart::Pointing];
+    let charts = charts.into_iter();
     let charts = charts.filter(|which| course.has_line(*which));
     // One that could not be drawn would be missing; the log is good without.
     charts.filter_map(|which| Some((which.file(), draw_course(course, which).ok()?))).collect()

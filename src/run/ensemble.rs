@@ -227,6 +227,7 @@ impl Ensemble<'_> {
         let per_point = self.planned.samples_per_waypoint(self.plan.samples);
         let mut ways = vec![Way::new(per_point); numbers.len()];
         let members = assembly.members.as_mut().expect("the plan of an ensemble has members");
+        members.set_numbers(numbers);
         let trajectories = ensemble::integrate(
             &assembly.body,
             members.as_mut(),
@@ -245,6 +246,7 @@ impl Ensemble<'_> {
         }
         let ends = trajectories.iter().zip(figures).zip(ways).enumerate();
         let ends = ends.map(|(m, ((end, figures), way))| {
+            assembly.stepper.set_member(numbers[m]);
             let (outcome, diagnosis) = self.outcome(assembly, &starts[m], end);
             let velocity = |momentum: &Mat<N>| assembly.body.velocity(momentum);
             let Checkpoint { step, samples, attitude, momentum, iterations, convergence, .. } =

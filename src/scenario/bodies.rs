@@ -273,6 +273,7 @@ pub(super) fn check(scenario: &Scenario, bodies: &Bodies) -> Check {
     absent(field.is_some(), "/scene/field", only_one)?;
     absent(scenario.ensemble.is_some(), "/ensemble", only_one)?;
     absent(!scenario.until.is_empty(), "/until", only_one)?;
+    absent(scenario.pointing.is_some(), "/pointing", only_one)?;
     absent(scenario.derivatives.is_some(), "/derivatives", only_one)?;
     let adaptive = matches!(scenario.step, Some(Steps::Adaptive(_)));
     absent(adaptive, "/step/adaptive", only_one)?;

@@ -35,9 +35,12 @@ pub(super) fn check(scenario: &Scenario) -> Check {
     super::steps::check(scenario)?;
     duration(scenario)?;
     if let Some(given) = &scenario.ensemble {
-        given.check(scenario.step_count())?;
+        let control = scenario.scene.control.as_ref();
+        let has_noise = control.is_some_and(|control| control.noise.is_some());
+        given.check(scenario.step_count(), has_noise)?;
     }
     super::control::stops(scenario, n)?;
+    scenario.pointing.as_ref().map_or(Ok(()), |pointing| pointing.check(scenario, n))?;
     super::derivatives::check(scenario, n)?;
     log(scenario, n)?;
     expect(scenario, n)
@@ -134,15 +137,7 @@ fn initial(scenario: &Scenario, n: usize) -> Check {
     if let Some(index) = initial.orbit_frame {
         let pointer = format!("{at}/orbit_frame");
         ensure(n == 3, &pointer, || format!("is for n = 3, this body has n = {n}"))?;
-        let driven = &scenario.scene.driven;
-        let term = driven.get(index as usize);
-        let on_orbit = term.is_some_and(|term| matches!(term.path, Some(super::Path::Orbit(_))));
-        ensure(on_orbit, pointer, || {
-            let count = driven.len();
-            format!(
-                "{index} given, the number of a term of `driven` ({count} given, from 0) with the path `orbit` is needed"
-            )
-        })?;
+        super::driven::orbit_frame(&pointer, &scenario.scene.driven, index)?;
     }
     if let Some(given) = &initial.attitude {
         attitude(&format!("{at}/attitude"), given, n)?;
@@ -400,6 +395,11 @@ fn log(scenario: &Scenario, n: usize) -> Check {
                 !channel.needs_control() || scenario.scene.control.is_some(),
                 pointer.clone(),
                 || "is for scenes with control, this one has none".into(),
+            )?;
+            ensure(
+                !channel.needs_pointing() || scenario.pointing.is_some(),
+                pointer.clone(),
+                || "is for scenarios with `pointing`, this one has none".into(),
             )?;
             ensure(
                 !channel.needs_derivatives() || scenario.derivatives.is_some(),

@@ -5,8 +5,8 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::driven::apart;
-use super::range::{Check, attitude, direction, ensure, number, strength};
+use super::driven::{apart, orbit_frame};
+use super::range::{Check, LARGEST_SEED, attitude, direction, ensure, number, strength};
 use super::{Attitude, Scenario, ScenarioError, Turning};
 
 /// Control by samples: every so often the attitude and the angular velocity are read, a command computed, and held until the next
@@ -32,6 +32,32 @@ pub struct Control {
     /// Largest size of each component of a command through `torque`, in N m; none if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub limit_n_m: Option<f64>,
+    /// Noise; none if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<Noise>,
+}
+
+/// Noise of the sensors and of a torque, normally distributed, drawn anew at each sample: numbers by seed, stream and sample, the same
+/// on any machine, whatever the step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Noise {
+    /// Seed of the generator; 0 if absent.
+    #[serde(default)]
+    pub seed: u64,
+    /// Which of the independent streams of that seed; 0 if absent. Member m of an ensemble takes the one m further.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub stream: u64,
+    /// Standard deviation of the attitude that is read: the turn about each body axis (for n > 3 in each coordinate plane), in rad; 0
+    /// if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub attitude_rad: f64,
+    /// Standard deviation of each component of the angular velocity that is read, in rad/s; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rate_rad_s: f64,
+    /// Standard deviation of each component of a torque on the body, which is held between samples, in N m; 0 if absent.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub torque_n_m: f64,
 }
 
 /// An attitude to aim at.
@@ -221,6 +247,24 @@ pub struct FieldOrbit {
     pub towards: Option<[f64; 3]>,
 }
 
+/// Where the body points, at each sample: its attitude and rate relative to a frame, and one of its axes against a direction; n = 3.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pointing {
+    /// The frame; the target of the control if neither it nor `orbit_frame` is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<Target>,
+    /// The number of a term of `driven`, from 0, that follows an orbit, as in the start: the frame of that orbit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub orbit_frame: Option<u32>,
+    /// An axis of the body, of any length; z if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis: Option<[f64; 3]>,
+    /// Where it is to point, in coordinates of the frame, of any length; as `axis` in the body if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub towards: Option<[f64; 3]>,
+}
+
 /// A condition that ends a run after a step; it is then a success that says so.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -273,6 +317,10 @@ impl fmt::Display for Stop {
 
 fn is_zero(x: &f64) -> bool {
     *x == 0.0
+}
+
+fn is_none(number: &u64) -> bool {
+    *number == 0
 }
 
 impl Control {
@@ -329,15 +377,65 @@ impl Control {
             }
         }
         if let Some(target) = &self.target {
-            target.check(n)?;
+            target.check("/scene/control/target", n)?;
+        }
+        if let Some(noise) = &self.noise {
+            noise.check()?;
         }
         self.through.check(n, has_field)
     }
 }
 
+impl Noise {
+    fn check(&self) -> Check {
+        let at = "/scene/control/noise";
+        for (name, number) in [("seed", self.seed), ("stream", self.stream)] {
+            ensure(number <= LARGEST_SEED, format!("{at}/{name}"), || {
+                format!("{number} given, it is at most {LARGEST_SEED}")
+            })?;
+        }
+        let turn = self.attitude_rad;
+        ensure((0.0..=std::f64::consts::PI).contains(&turn), format!("{at}/attitude_rad"), || {
+            format!("{turn:?} given, a deviation of turns is from 0 to pi")
+        })?;
+        limit(&format!("{at}/attitude_rad"), Some(turn), true)?;
+        limit(&format!("{at}/rate_rad_s"), Some(self.rate_rad_s), true)?;
+        limit(&format!("{at}/torque_n_m"), Some(self.torque_n_m), true)?;
+        ensure(turn > 0.0 || self.rate_rad_s > 0.0 || self.torque_n_m > 0.0, at, || {
+            "has no deviation above 0; give `attitude_rad`, `rate_rad_s` or `torque_n_m`".to_owned()
+        })
+    }
+}
+
+impl Pointing {
+    pub(super) fn check(&self, scenario: &Scenario, n: usize) -> Check {
+        let at = "/pointing";
+        only_three(at, n)?;
+        let scene = &scenario.scene;
+        let has_target = scene.control.as_ref().is_some_and(|control| control.target.is_some());
+        match (&self.frame, self.orbit_frame) {
+            (Some(frame), None) => frame.check(&format!("{at}/frame"), n)?,
+            (None, Some(index)) => {
+                orbit_frame(&format!("{at}/orbit_frame"), &scene.driven, index)?;
+            }
+            (Some(_), Some(_)) => ensure(false, format!("{at}/orbit_frame"), || {
+                "is given together with `frame`; give one of the two".to_owned()
+            })?,
+            (None, None) => ensure(has_target, at, || {
+                "needs `frame` or `orbit_frame`, for there is no /scene/control/target".to_owned()
+            })?,
+        }
+        for (name, axis) in [("axis", &self.axis), ("towards", &self.towards)] {
+            if let Some(axis) = axis {
+                direction(&format!("{at}/{name}"), axis, 3)?;
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Target {
-    fn check(&self, n: usize) -> Check {
-        let at = "/scene/control/target";
+    fn check(&self, at: &str, n: usize) -> Check {
         match self {
             Self::Attitude(given) => attitude(&format!("{at}/attitude"), given, n),
             Self::Turning(TurningTarget { attitude: start, from, towards, rate_rad_s }) => {

@@ -213,8 +213,20 @@ impl Turning {
 }
 
 impl DrivenTerm {
+    /// Returns the term with the strength that its orbit gives it, if it was left out.
+    pub(crate) fn with_strength(&self) -> PotentialTerm {
+        let mut term = self.term.clone();
+        if let (PotentialTerm::GravityGradient(gradient), Some(Path::Orbit(orbit))) =
+            (&mut term, &self.path)
+        {
+            let strength = gradient.strength_on_orbit(orbit.mean_motion_rad_s);
+            gradient.strength.get_or_insert(strength);
+        }
+        term
+    }
+
     pub(super) fn check(&self, at: &str, n: usize, duration_s: Option<f64>) -> Check {
-        self.term.law().check(&format!("{at}/term"), n)?;
+        self.with_strength().law().check(&format!("{at}/term"), n)?;
         match &self.path {
             None => {}
             Some(Path::Turning(turning)) => turning.check(&format!("{at}/path/turning"), n)?,
@@ -359,6 +371,18 @@ impl Viscous {
 pub(super) fn wheels(entries: &[Entry], n: usize) -> Check {
     framed("/scene/wheels", &Framed::Body(entries.to_vec()), n).map_err(|error| {
         super::ScenarioError { pointer: error.pointer.replace("/wheels/body", "/wheels"), ..error }
+    })
+}
+
+/// Checks the number of a term that follows an orbit.
+pub(super) fn orbit_frame(pointer: &str, driven: &[DrivenTerm], index: u32) -> Check {
+    let term = driven.get(index as usize);
+    let on_orbit = term.is_some_and(|term| matches!(term.path, Some(Path::Orbit(_))));
+    ensure(on_orbit, pointer, || {
+        let count = driven.len();
+        format!(
+            "{index} given, the number of a term of `driven` ({count} given, from 0) with the path `orbit` is needed"
+        )
     })
 }
 

@@ -70,6 +70,9 @@ impl Scenario {
         if let Some(channels) = &mut self.log.channels {
             channels.retain(|channel| !channel.is_of_ensembles());
         }
+        if let Some(noise) = self.scene.control.as_mut().and_then(|it| it.noise.as_mut()) {
+            noise.stream += number;
+        }
         self.ensemble = None;
         self.expect = None;
         Some(self)
@@ -94,8 +97,8 @@ impl Ensemble {
         }
     }
 
-    /// Checks its form, for runs of `steps`.
-    pub(super) fn check(&self, steps: u64) -> Check {
+    /// Checks its form, for runs of `steps` with noise or without.
+    pub(super) fn check(&self, steps: u64, has_noise: bool) -> Check {
         let Self { members, seed, attitude_spread_rad, momentum_spread, in_full } = self;
         ensure((2..=Self::MOST).contains(members), "/ensemble/members", || {
             format!("{members} given, 2 to {} are allowed", Self::MOST)
@@ -123,8 +126,10 @@ impl Ensemble {
                 || format!("{spread:?} given, a spread is 0 or at least {SMALLEST_SIZE:e}"),
             )?;
         }
-        ensure(*attitude_spread_rad > 0.0 || *momentum_spread > 0.0, "/ensemble", || {
-            "has no spread; give `attitude_spread_rad` or `momentum_spread`".into()
+        let differs = *attitude_spread_rad > 0.0 || *momentum_spread > 0.0 || has_noise;
+        ensure(differs, "/ensemble", || {
+            "has no spread; give `attitude_spread_rad` or `momentum_spread`, or noise to a control"
+                .into()
         })?;
         ensure(in_full.len() <= Self::MOST_IN_FULL, "/ensemble/in_full", || {
             format!(

@@ -331,7 +331,7 @@ fn routes() -> Vec<Route> {
             Read,
             op(
                 "getChart",
-                "`energy.svg`, `orthogonality.svg`, `momentum.svg` or `pace.svg` (of steps that adapt), drawn from the log",
+                "`energy.svg`, `orthogonality.svg`, `momentum.svg`, `pace.svg` (of steps that adapt) or `pointing.svg` (of scenes with `pointing`), drawn from the log",
             )
             .raw(200, "image/svg+xml", "The chart"),
             get(jobs::get_chart),

@@ -340,6 +340,7 @@ impl Task for Measurement<'_> {
             (_, Some(ensemble)) => spread::start(&initial, ensemble, member),
             (_, None) => initial,
         };
+        stepper.set_member(member);
         let near = match begin {
             Begin::Near(point) => Some(Checkpoint::at_start(&point.state())),
             _ => None,
@@ -613,6 +614,7 @@ impl Task for Timing<'_> {
             Some(ensemble) => spread::start(&initial, ensemble, self.member),
             None => initial,
         };
+        stepper.set_member(self.member);
         let begun = Instant::now();
         let mut made = 0;
         while made == 0 || begun.elapsed().as_nanos() < LEAST_NS {

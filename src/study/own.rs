@@ -302,6 +302,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         sigma_min: false,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let mut largest = Largest::default();

@@ -238,6 +238,8 @@ pub(crate) enum Quantity {
     AngularSpeed,
     /// The kinetic energy, in J.
     KineticEnergy,
+    /// The angle between an axis of the body and its direction, in radians: see `pointing` of the scenario.
+    AxisError,
 }
 
 /// Two axes: n numbers each, of any length but zero.
@@ -304,6 +306,20 @@ impl Quantity {
 }
 
 impl Measure {
+    /// Returns the quantity that is looked at, if it is one.
+    fn quantity(&self) -> Option<&Quantity> {
+        match self {
+            Self::Largest(quantity) | Self::Smallest(quantity) => Some(quantity),
+            Self::FirstTime(condition) => Some(&condition.of),
+            Self::LyapunovExponent(_) => None,
+        }
+    }
+
+    /// Does it need to know where the body points?
+    pub(super) fn needs_pointing(&self) -> bool {
+        matches!(self.quantity(), Some(Quantity::AxisError))
+    }
+
     fn check(&self, at: &str, n: usize) -> Result<(), ScenarioError> {
         match self {
             Self::Largest(quantity) => quantity.check(&format!("{at}/largest"), n),
@@ -393,6 +409,14 @@ impl SweepFile {
         ensure(keep_logs.len() <= MOST_LOGS, "/keep_logs", || {
             format!("{} members given, at most {MOST_LOGS} are allowed", keep_logs.len())
         })
+    }
+
+    /// Refuses scores of where the body points if the scenario does not say relative to what.
+    pub(super) fn check_pointing(&self, base: &Scenario) -> Result<(), ScenarioError> {
+        let asks = self.scores.iter().position(|score| score.measure.needs_pointing());
+        let Some(at) = asks.filter(|_| base.pointing.is_none()) else { return Ok(()) };
+        let message = "needs to know where the body is to point; give `pointing` in the scenario";
+        Err(ScenarioError::invalid(format!("/scores/{at}/measure"), message))
     }
 
     /// Checks that something is left of the runs for the exponent, where all last as long as that

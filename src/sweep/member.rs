@@ -105,6 +105,7 @@ impl Task for Member<'_> {
             sigma_min: false,
             pace: false,
             control: false,
+            pointing: scores.iter().any(|score| score.measure.needs_pointing()),
             derivatives: false,
         };
         let Ok(Trajectory { ending, reached }) = trajectory::integrate(

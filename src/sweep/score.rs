@@ -72,6 +72,7 @@ pub(super) enum Gauge<const N: usize> {
     Tilt { body: [f64; N], space: [f64; N] },
     AngularSpeed,
     KineticEnergy,
+    AxisError,
 }
 
 impl<const N: usize> Gauge<N> {
@@ -88,6 +89,7 @@ impl<const N: usize> Gauge<N> {
             }
             Quantity::AngularSpeed => Self::AngularSpeed,
             Quantity::KineticEnergy => Self::KineticEnergy,
+            Quantity::AxisError => Self::AxisError,
         }
     }
 
@@ -107,6 +109,7 @@ impl<const N: usize> Gauge<N> {
             }
             Self::AngularSpeed => Some(norm(&body.velocity(&sample.momentum))),
             Self::KineticEnergy => sample.energy.map(|energy| energy.kinetic),
+            Self::AxisError => sample.pointing.map(|pointed| pointed.axis_error_rad),
         }
     }
 }

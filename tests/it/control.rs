@@ -4,12 +4,18 @@ use std::fs;
 use std::sync::atomic::Ordering;
 use std::thread;
 
+use foxglove::messages::FrameTransforms;
 use serde_json::{Value, json};
 use vpd::advise;
+use vpd::log::columns::Columns;
+use vpd::log::course::{Course, LogChart};
 use vpd::log::inspect::inspect;
+use vpd::log::reader::{Message, read_samples};
 use vpd::run::{Control, JobContext, Outcome, RunError, Summary, execute};
 use vpd::scenario::Scenario;
 use vpd::verify::verify;
+
+use crate::ensemble::ends;
 
 fn shipped(name: &str) -> Value {
     let path = format!("{}/scenarios/{name}.json", env!("CARGO_MANIFEST_DIR"));
@@ -59,6 +65,11 @@ fn an_interrupted_run_has_the_same_bytes() {
         fields.insert("log".to_owned(), json!({ "every": 1 }));
         scenario["scene"]["control"]["every_s"] = json!(1.3);
         scenario["scene"]["control"]["delay_s"] = json!(0.72);
+        scenario["scene"]["control"]["noise"] =
+            json!({ "seed": 4, "attitude_rad": 1e-3, "rate_rad_s": 1e-4, "torque_n_m": 1e-6 });
+        scenario["pointing"] = json!({ "frame": { "orbit": {
+            "from": [0, 0, 1], "towards": [0, -1, 0], "mean_motion_rad_s": 1e-3,
+        } } });
         let whole = place.path().join(format!("{name}.mcap"));
         run(&scenario, &whole, &Control::default()).expect("a log");
         let cut = place.path().join(format!("{name}-cut.mcap"));
@@ -121,6 +132,149 @@ fn members_have_controllers_of_their_own() {
     let many = run(&scenario, &log, &Control::default()).expect("a log");
     assert_eq!(many.ensemble.expect("an ensemble").succeeded, 12);
     assert_eq!(many.last, single.last);
+}
+
+/// Each member of an ensemble has noise of its own, whatever members run next to it: that of a single run with its stream. The
+/// log says which torque it was.
+#[test]
+fn members_have_noise_of_their_own() {
+    let place = tempfile::tempdir().expect("a directory");
+    let mut scenario = shipped("slew");
+    let fields = scenario.as_object_mut().expect("an object");
+    fields.remove("until");
+    fields.insert("duration_s".to_owned(), json!(20));
+    scenario["scene"]["control"]["noise"] =
+        json!({ "seed": 9, "stream": 2, "attitude_rad": 1e-3, "torque_n_m": 1e-4 });
+    let single = |stream: u64| {
+        let mut scenario = scenario.clone();
+        scenario["scene"]["control"]["noise"]["stream"] = json!(stream);
+        let log = place.path().join(format!("{stream}.mcap"));
+        let summary = run(&scenario, &log, &Control::default()).expect("a log");
+        assert!(verify(&log).expect("verified").same);
+        summary.last
+    };
+    let mut many = scenario.clone();
+    many["ensemble"] = json!({ "members": 20, "in_full": [13, 4] });
+    let log = place.path().join("log.mcap");
+    let summary = run(&many, &log, &Control::default()).expect("a log");
+    assert_eq!(summary.ensemble.expect("an ensemble").succeeded, 20);
+    assert_eq!(summary.last, single(2));
+    let ends = ends(&log);
+    assert_eq!(ends.len(), 20);
+    for (m, end) in ends.iter().enumerate() {
+        let alike = ends.iter().filter(|other| *other == end).count();
+        assert_eq!(alike, 1, "member {m}");
+        if [1, 4, 13, 19].contains(&m) {
+            let rows = single(2 + m as u64).attitude.expect("computed").concat();
+            assert_eq!(*end, rows, "member {m}");
+        }
+    }
+    let mut disturbed = 0;
+    read_samples(&place.path().join("2.mcap"), |_, message| {
+        if let Message::Control(control) = message {
+            assert_eq!(control.disturbance.len(), 3);
+            disturbed += usize::from(control.disturbance.iter().all(|x| x.abs() < 1e-3));
+        }
+    })
+    .expect("a log");
+    assert!(disturbed > 100, "{disturbed}");
+}
+
+/// A satellite on an orbit shows where it points, from the angles that it starts with on: in the log, in its frames, in a table and as a
+/// chart, and only if it is asked. The motion has the bits of the run that does not.
+#[test]
+fn a_satellite_shows_where_it_points() {
+    let place = tempfile::tempdir().expect("a directory");
+    let angles = [0.2, -0.1, 0.4];
+    let scenario = json!({
+        "name": "level",
+        "scene": {
+            "inertia": { "principal": [2.0, 2.2, 0.9] },
+            "driven": [{
+                "term": { "kind": "gravity_gradient", "direction": [0, 0, 1] },
+                "path": { "orbit": { "towards": [0, -1, 0], "mean_motion_rad_s": 1e-3, "eccentricity": 0.1 } },
+            }],
+            "initial": { "orbit_frame": 0, "attitude": { "roll_pitch_yaw": { "angles_rad": angles } } },
+        },
+        "step_s": 10, "steps": 600, "log": { "every": 1 },
+    });
+    let mut asked = scenario.clone();
+    asked["pointing"] = json!({ "orbit_frame": 0, "axis": [0, 0, 2], "towards": [0, 1, 0] });
+    let logs = ["without.mcap", "with.mcap"].map(|name| place.path().join(name));
+    let without = run(&scenario, &logs[0], &Control::default()).expect("a log");
+    let with = run(&asked, &logs[1], &Control::default()).expect("a log");
+    assert_eq!(without.last, with.last);
+    assert!(verify(&logs[1]).expect("verified").same);
+
+    let (mut first, mut seen) = (None, 0);
+    read_samples(&logs[1], |_, message| {
+        if let Message::Pointing(pointing) = message {
+            first.get_or_insert(pointing);
+            seen += 1;
+        }
+    })
+    .expect("a log");
+    assert_eq!(seen, 601);
+    let first = first.expect("a sample");
+    let found = [first.roll_rad, first.pitch_rad, first.yaw_rad];
+    for (found, right) in found.iter().zip(angles) {
+        assert!((found - right).abs() < 1e-14, "{found} for {right}");
+    }
+    // The axis is z, turned by the angles: its part along y is -sin(roll) cos(yaw) + ...
+    let [roll, pitch, yaw] = angles;
+    let along = f64::cos(roll) * f64::sin(pitch) * f64::sin(yaw) - f64::sin(roll) * f64::cos(yaw);
+    assert!((first.axis_error_rad.cos() - along).abs() < 1e-14);
+    // At rest in space: the frame turns about -y at the pericentre, n (1 + e)^(1/2) / (1 - e)^(3/2).
+    let turning = 1e-3 * f64::sqrt(1.1 / 0.729);
+    let size = first.rate.iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!((size - turning).abs() < 1e-15, "{size:e} for {turning:e}");
+
+    let frames = |log: &std::path::Path| {
+        let bytes = fs::read(log).expect("a log");
+        let mut names = std::collections::BTreeSet::new();
+        for message in mcap::MessageStream::new(&bytes).expect("an MCAP file") {
+            let message = message.expect("a message");
+            if message.channel.topic == "/tf" {
+                let found: FrameTransforms =
+                    prost::Message::decode(message.data.as_ref()).expect("frames");
+                names.extend(found.transforms.into_iter().map(|frame| frame.child_frame_id));
+            }
+        }
+        names.into_iter().collect::<Vec<_>>()
+    };
+    assert_eq!(frames(&logs[0]), ["body", "source/0"]);
+    assert_eq!(frames(&logs[1]), ["body", "reference", "source/0"]);
+    let drawn =
+        |log: &std::path::Path| Course::of(log).expect("a log").has_line(LogChart::Pointing);
+    assert!(!drawn(&logs[0]) && drawn(&logs[1]));
+    let (columns, _) = Columns::read(&logs[1], 0, &[]).expect("a log");
+    let names: Vec<String> =
+        columns.into_all().into_iter().map(|(name, _)| name.into_owned()).collect();
+    for name in ["axis_error_rad", "roll_rad", "pitch_rad", "yaw_rad", "relative_rate"] {
+        assert!(names.iter().any(|column| column == name), "{name}: {names:?}");
+    }
+    let (columns, _) = Columns::read(&logs[0], 0, &[]).expect("a log");
+    assert!(columns.into_all().iter().all(|(name, _)| name != "roll_rad"));
+}
+
+/// The plan says what noise there is, drops what no law reads, and names the balance with it.
+#[test]
+fn the_plan_sees_noise() {
+    let told = |name: &str, noise: Value| {
+        let mut scenario = shipped(name);
+        scenario["scene"]["control"]["noise"] = noise;
+        let plan = advise::plan(&accepted(&scenario)).expect("a plan");
+        let line = plan.potential.iter().find(|term| term.pointer == "/scene/control/noise");
+        let line = line.expect("a line");
+        (line.kept, line.why.clone(), plan.momentum_balance)
+    };
+    let (kept, why, balance) = told("slew", json!({ "rate_rad_s": 1e-4 }));
+    assert!(kept && why == "changes what the laws read" && balance.is_none(), "{why} {balance:?}");
+    let (kept, why, balance) = told("slew", json!({ "torque_n_m": 1e-4 }));
+    assert!(kept && why.starts_with("a torque that is held"), "{why}");
+    assert!(balance.expect("a torque acts").contains("less the impulse of the torques"));
+    let (kept, why, _) = told("detumble", json!({ "attitude_rad": 1e-4, "rate_rad_s": 1e-4 }));
+    assert!(!kept && why.starts_with("no law reads"), "{why}");
 }
 
 /// An accuracy is reached on the controlled scene: trial runs have the same control.
@@ -196,6 +350,58 @@ fn bad_control_is_refused_at_its_field() {
             json!(-1),
             "/scene/control/through/wheels/limit_n_m",
             "above 0",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "seed": 1 }),
+            "/scene/control/noise",
+            "no deviation above 0",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "torque_n_m": -1 }),
+            "/scene/control/noise/torque_n_m",
+            "at least 0",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "attitude_rad": 4 }),
+            "/scene/control/noise/attitude_rad",
+            "from 0 to pi",
+        ),
+        (
+            "slew",
+            "/scene/control/noise",
+            json!({ "stream": 1_u64 << 60, "rate_rad_s": 1 }),
+            "/scene/control/noise/stream",
+            "at most 9007199254740991",
+        ),
+        ("detumble", "/pointing", json!({}), "/pointing", "needs `frame` or `orbit_frame`"),
+        ("slew", "/pointing", json!({ "axis": [0, 0, 0] }), "/pointing/axis", ""),
+        ("slew", "/pointing", json!({ "orbit_frame": 0 }), "/pointing/orbit_frame", "(0 given"),
+        (
+            "slew",
+            "/pointing",
+            json!({ "frame": { "turning": { "from": [1, 0, 0], "towards": [2, 0, 0], "rate_rad_s": 1 } } }),
+            "/pointing/frame/turning/towards",
+            "parallel",
+        ),
+        (
+            "slew",
+            "/pointing",
+            json!({ "orbit_frame": 0, "frame": { "attitude": { "quaternion": [1, 0, 0, 0] } } }),
+            "/pointing/orbit_frame",
+            "one of the two",
+        ),
+        (
+            "slew",
+            "/log",
+            json!({ "channels": ["/pointing"] }),
+            "/log/channels/0",
+            "with `pointing`",
         ),
         ("slew", "/until/0", json!({ "for_s": 1 }), "/until/0", "0 conditions given"),
         (

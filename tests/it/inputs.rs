@@ -12,6 +12,7 @@ use vpd::plan::Plan;
 use vpd::scenario::{Scenario, ScenarioError};
 
 use crate::cli::{scenario, text, vpd};
+use crate::scenarios::run;
 
 fn refused(at: &Path, arguments: &[&str], said: &[&str]) {
     let output = vpd(at, arguments);
@@ -437,6 +438,10 @@ fn the_plan_warns_of_what_is_easily_overlooked() {
     };
     assert!(warned(&orbit(1e-6), "three times that"));
     assert!(!warned(&orbit(3e-6), "three times that"));
+    let mut longer = orbit(0.25e-6);
+    longer["scene"]["driven"][0]["term"]["direction"] = json!([0, -2, 0]);
+    longer["scene"]["driven"][0]["path"]["orbit"]["towards"] = json!([1, 0, 0]);
+    assert!(warned(&longer, "three times that, 7.5e-7"));
 
     let mut short = free(turning());
     short["step_s"] = json!(1e-10);
@@ -445,6 +450,46 @@ fn the_plan_warns_of_what_is_easily_overlooked() {
     assert!(warned(&short, "whole nanoseconds"));
     short["log"] = json!({ "every": 10 });
     assert!(!warned(&short, "whole nanoseconds"));
+}
+
+/// A gravity gradient on an orbit has the strength of that orbit if none is given: the bits of the same run with `3 n^2`. Elsewhere one
+/// is needed.
+#[test]
+fn an_orbit_gives_a_gravity_gradient_its_strength() {
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let with = |strength: Option<f64>, direction: Value| {
+        let mut document = free(turning());
+        let term = json!({ "kind": "gravity_gradient", "direction": direction });
+        document["scene"]["driven"] = json!([{
+            "term": term,
+            "path": { "orbit": { "towards": [0, 1, 0], "mean_motion_rad_s": 0.03, "eccentricity": 0.2 } }
+        }]);
+        if let Some(strength) = strength {
+            document["scene"]["driven"][0]["term"]["strength"] = json!(strength);
+        }
+        document
+    };
+    let end = |document: &Value| {
+        let log = directory.path().join("log.mcap");
+        let last = run(&document.to_string(), &log).last;
+        std::fs::remove_file(log).expect("written");
+        last
+    };
+    assert_eq!(
+        end(&with(None, json!([1, 0, 0]))),
+        end(&with(Some(3.0 * (0.03 * 0.03)), json!([1, 0, 0])))
+    );
+    assert_eq!(
+        end(&with(None, json!([2, 0, 0]))),
+        end(&with(Some(0.75 * (0.03 * 0.03)), json!([2, 0, 0])))
+    );
+    assert!(planned(&with(None, json!([1, 0, 0]))).warnings.is_empty());
+    let mut turning = with(None, json!([1, 0, 0]));
+    turning["scene"]["driven"][0]["path"] =
+        json!({ "turning": { "from": [1, 0, 0], "towards": [0, 1, 0], "rate_rad_s": 0.03 } });
+    let refused = Scenario::from_json(turning.to_string().as_bytes()).expect_err("none to take");
+    assert_eq!(refused.pointer, "/scene/driven/0/term");
+    assert!(refused.message.contains("missing field `strength`"), "{refused}");
 }
 
 #[test]

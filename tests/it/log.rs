@@ -370,7 +370,10 @@ fn the_estimate_of_the_size_is_close() {
     run_dipole(&mut log, steps);
     log.finish(succeeded()).expect("finish");
     let of_others = |channel: &Channel| {
-        channel.needs_control() || channel.needs_several_bodies() || channel.needs_derivatives()
+        channel.needs_control()
+            || channel.needs_several_bodies()
+            || channel.needs_pointing()
+            || channel.needs_derivatives()
     };
     let logged = Channel::all().into_iter().filter(|channel| !of_others(channel));
     let estimate: u64 = logged.map(|channel| channel.bytes_per_sample(3)).sum();

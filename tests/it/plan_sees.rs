@@ -300,7 +300,7 @@ fn as_given<const N: usize>(
         },
         PotentialTerm::GravityGradient(t) => Term {
             law: Law::GravityGradient {
-                strength: t.strength,
+                strength: t.strength.expect("given"),
                 matrix: t.matrix.as_ref().map_or(*inertia, |m| Mat::from_fn(|i, j| m[i][j])),
             },
             space: point(&t.direction),

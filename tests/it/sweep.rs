@@ -181,6 +181,7 @@ fn a_bad_sweep_is_refused_at_its_field() {
         ("scenario", json!("top.json"), "/scenario"),
         ("scores", score(json!({ "largest": tilt })), "/scores/0/measure/largest/tilt/space_axis"),
         ("scores", score(json!({ "largest": "height" })), "/scores/0/measure/largest"),
+        ("scores", score(json!({ "largest": "axis_error" })), "/scores/0/measure"),
         (
             "scores",
             score(json!({ "first_time": { "of": "angular_speed" } })),
@@ -451,11 +452,13 @@ fn scores_are_those_of_known_motions() {
                 "inertia": { "principal": [1, 2, 3] },
                 "initial": { "angular_velocity": { "body": [0.25, 0, 0] } }
             },
+            "pointing": { "frame": { "turning": { "from": [0, 1, 0], "towards": [0, 0, 1], "rate_rad_s": 0.125 } } },
             "method": { "name": "vpd" }, "step_s": 0.01, "steps": 1000, "log": { "every": 10 }
         },
         "vary": [{ "name": "rate", "pointer": "/scene/initial/angular_velocity/body/0", "values": { "list": [0.25, 0.05] } }],
         "scores": [
             { "name": "largest", "measure": { "largest": { "tilt": { "body_axis": [0, 0, 3], "space_axis": [0, 0, 1] } } } },
+            { "name": "off", "measure": { "first_time": { "of": "axis_error", "above": 0.4 } } },
             { "name": "smallest", "measure": { "smallest": { "tilt": { "body_axis": [0, 0, -1], "space_axis": [0, 0, 1] } } } },
             { "name": "first", "measure": { "first_time": { "of": { "tilt": { "body_axis": [0, 0, 1], "space_axis": [0, 0, 1] } }, "above": 1.01 } } },
             { "name": "slow", "measure": { "first_time": { "of": "angular_speed", "below": 0.1 } } },
@@ -474,6 +477,8 @@ fn scores_are_those_of_known_motions() {
     // 0.25 t > 1.01 from t = 4.04 on; samples come each 0.1 s.
     near(0, "first", 4.1);
     near(0, "energy", 0.5 * 0.25 * 0.25);
+    // Relative to the frame 0.125 t > 0.4 from t = 3.2 on.
+    near(0, "off", 3.3);
     near(1, "largest", 0.5);
     near(1, "slow", 0.0);
     assert!(lines[0]["slow"].is_empty() && lines[1]["first"].is_empty());

@@ -23,6 +23,7 @@ use super::RigidBody;
 use super::driven::{DipoleField, DrivenTerm, Factor, Path, Spin, Torque};
 use super::term::{Law, Term};
 use crate::control::{ControlLaw, ControlSample, ControlState, Target};
+use crate::noise::{Kind, Noise};
 use crate::so::{self, Mat, Vector};
 use crate::time::{Time, rounding_s};
 
@@ -41,6 +42,8 @@ pub struct Control<const N: usize> {
     pub laws: Vec<ControlLaw>,
     /// What commands act through.
     pub actuator: Actuator<N>,
+    /// Noise of what is read, and of a torque that is held between samples.
+    pub noise: Option<Noise>,
 }
 
 /// What a command acts through.
@@ -214,6 +217,7 @@ impl<const N: usize> Control<N> {
         state.samples += 1;
         if self.delay_s > 0.0 {
             state.waiting = sample.command.clone();
+            self.disturb(state, body);
         } else {
             jump += self.act(state, body, sample_s, sample.command.clone(), &g);
         }
@@ -245,8 +249,23 @@ impl<const N: usize> Control<N> {
         jump
     }
 
-    /// Sets the command that acts in the body.
+    /// Sets the torque noise of the last sample in the body.
+    fn disturb(&self, state: &ControlState, body: &mut RigidBody<N>) {
+        let Some(noise) = self.torque_noise() else { return };
+        let Some(last) = state.samples.checked_sub(1) else { return };
+        // Behind the command, if that is a torque.
+        if let Some(Torque::Body(torque)) = body.driven.torques.last_mut() {
+            *torque = noise.draw(Kind::Torque, last);
+        }
+    }
+
+    fn torque_noise(&self) -> Option<&Noise> {
+        self.noise.as_ref().filter(|noise| noise.torque > 0.0)
+    }
+
+    /// Sets what acts in the body: the command, and the torque noise.
     pub(crate) fn hold(&self, state: &ControlState, body: &mut RigidBody<N>) {
+        self.disturb(state, body);
         match &self.actuator {
             Actuator::Torque { .. } => {
                 let commanded = body.driven.commanded;
@@ -282,14 +301,16 @@ impl<const N: usize> Control<N> {
         g: &Mat<N>,
         mu: &Mat<N>,
     ) -> ControlSample {
-        let omega = body.at(Time::of(time_s)).body.velocity(mu);
+        let now = body.at(Time::of(time_s)).body;
+        let omega = now.velocity(mu);
+        let read = self.read(state.samples, &now, (g, &omega, mu));
         let (error, angle, rate_error) = match &self.target {
             Some(target) => {
-                let (error, angle) = target.error(time_s, g);
-                let turning = so::conjugate(&g.transpose(), &target.rate());
-                (error, Some(angle), omega - turning)
+                let (error, angle) = target.error(time_s, &read.attitude);
+                let turning = so::conjugate(&read.attitude.transpose(), &target.rate());
+                (error, Some(angle), read.velocity - turning)
             }
-            None => (Mat::zeros(), None, omega),
+            None => (Mat::zeros(), None, read.velocity),
         };
         for (sum, error) in state.integral.iter_mut().zip(so::vee(&error)) {
             *sum += error * self.every_s;
@@ -310,10 +331,10 @@ impl<const N: usize> Control<N> {
                         + rate_error * rate_gain
                         + so::hat::<N>(&state.integral) * integral_gain;
                     if feed_forward {
-                        torque -= so::asym(&so::product(mu, &omega));
+                        torque -= so::asym(&so::product(&read.momentum, &read.velocity));
                     }
                 }
-                ControlLaw::Damping { rate_gain } => torque -= omega * rate_gain,
+                ControlLaw::Damping { rate_gain } => torque -= read.velocity * rate_gain,
                 ControlLaw::BDot { gain } => {
                     for i in 0..field.len().min(state.field.len()).min(3) {
                         moment[i] -= gain * (field[i] - state.field[i]) / self.every_s;
@@ -386,8 +407,38 @@ impl<const N: usize> Control<N> {
             wheel_momenta,
             wheel_speeds,
             field,
+            disturbance: self.torque_noise().map_or_else(Vec::new, |noise| {
+                so::vee(&noise.draw::<N>(Kind::Torque, state.samples))
+            }),
         }
     }
+
+    /// Returns what the sensors show at sample `number`.
+    fn read(
+        &self,
+        number: u64,
+        now: &RigidBody<N>,
+        (g, omega, mu): (&Mat<N>, &Mat<N>, &Mat<N>),
+    ) -> Read<N> {
+        let mut read = Read { attitude: *g, velocity: *omega, momentum: *mu };
+        let Some(noise) = &self.noise else { return read };
+        if noise.attitude > 0.0 {
+            let turn = so::exp(&noise.draw(Kind::Attitude, number));
+            read.attitude = so::product(g, &turn);
+        }
+        if noise.rate > 0.0 {
+            read.velocity += noise.draw::<N>(Kind::Rate, number);
+            read.momentum = now.momentum(&read.velocity);
+        }
+        read
+    }
+}
+
+/// What the sensors of a controller show.
+struct Read<const N: usize> {
+    attitude: Mat<N>,
+    velocity: Mat<N>,
+    momentum: Mat<N>,
 }
 
 /// The potential of a magnetic moment in the body: `-m . q`.
@@ -408,8 +459,8 @@ pub fn magnetic_term<const N: usize>(m: &[f64; 3], field: DipoleField) -> Driven
 }
 
 impl<const N: usize> RigidBody<N> {
-    /// Adds a control, to be stepped by [`crate::stepper::controlled::Controlled`]. The inertia of a body with wheels is the one
-    /// without theirs about their axes.
+    /// Adds a control, to be stepped by [`crate::stepper::controlled::Controlled`]; after all torques. The inertia of a body with
+    /// wheels is the one without theirs about their axes.
     pub fn with_control(mut self, control: Control<N>) -> Self {
         match &control.actuator {
             Actuator::Torque { .. } => {
@@ -421,6 +472,9 @@ impl<const N: usize> RigidBody<N> {
                 self.driven.commanded = self.driven.terms.len();
                 self.driven.terms.push(magnetic_term(&[0.0; 3], *field));
             }
+        }
+        if control.torque_noise().is_some() {
+            self.driven.torques.push(Torque::Body(Mat::zeros()));
         }
         control.hold(&control.start(), &mut self);
         self.control = Some(Box::new(control));

@@ -6,6 +6,7 @@ use super::{Clock, Stepper};
 use crate::control::{ControlSample, ControlState};
 use crate::failure::Failure;
 use crate::hamiltonian::{Control, RigidBody};
+use crate::noise::Noise;
 use crate::nonlinear::Convergence;
 use crate::so::Mat;
 use crate::state::{Checkpoint, State};
@@ -16,6 +17,8 @@ pub struct Controlled<const N: usize> {
     law: Control<N>,
     body: RigidBody<N>,
     control: ControlState,
+    /// The noise of the control as it was given.
+    noise: Option<Noise>,
     /// The last sample.
     sample: Option<ControlSample>,
     /// The time at which the next step begins, in s.
@@ -28,7 +31,8 @@ impl<const N: usize> Controlled<N> {
     pub fn new(method: Box<dyn Stepper<N>>, body: RigidBody<N>) -> Option<Self> {
         let law = body.control()?.clone();
         let control = law.start();
-        Some(Self { method, law, body, control, sample: None, time_s: 0.0 })
+        let noise = law.noise;
+        Some(Self { method, law, body, control, noise, sample: None, time_s: 0.0 })
     }
 
     /// Lets the control do what is due.
@@ -91,6 +95,12 @@ impl<const N: usize> Stepper<N> for Controlled<N> {
         self.control.clone_from(control);
         self.sample = None;
         self.law.hold(&self.control, &mut self.body);
+    }
+
+    fn set_member(&mut self, member: u64) {
+        if let (Some(noise), Some(given)) = (&mut self.law.noise, &self.noise) {
+            noise.stream = given.stream.wrapping_add(member);
+        }
     }
 
     fn control_sample(&self) -> Option<&ControlSample> {

@@ -347,6 +347,7 @@ const ALL: Observables = Observables {
     sigma_min: true,
     pace: true,
     control: false,
+    pointing: false,
     derivatives: false,
 };
 

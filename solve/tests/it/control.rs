@@ -6,6 +6,7 @@ use vpd_solve::control::{ControlLaw, Target};
 use vpd_solve::hamiltonian::{
     Actuator, Control, DipoleField, Kinetic, Law, ReactionWheels, RigidBody, Term, magnetic_term,
 };
+use vpd_solve::noise::Noise;
 use vpd_solve::nonlinear::StopRule;
 use vpd_solve::so::{self, Mat, Vector};
 use vpd_solve::state::{Checkpoint, State};
@@ -27,6 +28,7 @@ const ALL: Observables = Observables {
     sigma_min: false,
     pace: false,
     control: true,
+    pointing: true,
     derivatives: true,
 };
 
@@ -44,6 +46,10 @@ fn turn<const N: usize>(angle: f64) -> Mat<N> {
     so::exp(&x)
 }
 
+fn noise(torque: f64) -> Option<Noise> {
+    Some(Noise { seed: 3, stream: 0, attitude: 0.02, rate: 0.01, torque })
+}
+
 fn slew() -> ControlLaw {
     ControlLaw::Attitude { gain: 0.4, rate_gain: 1.1, integral_gain: 0.0, feed_forward: false }
 }
@@ -56,6 +62,7 @@ fn control<const N: usize>(every_s: f64, law: ControlLaw, actuator: Actuator<N>)
         target: Some(Target::fixed(turn(0.9))),
         laws: vec![law],
         actuator,
+        noise: None,
     }
 }
 
@@ -159,6 +166,7 @@ fn lanes_and_matrices_agree() {
     ] {
         let mut control = control(0.2, law, actuator);
         control.delay_s = delay_s;
+        control.noise = noise(0.01).filter(|_| delay_s > 0.0);
         let body = RigidBody::new(moments(), vec![weight.clone()], 0.0)
             .with_driven_term(magnetic_term(&[300.0, 0.0, 100.0], field))
             .with_control(control.clone());
@@ -184,15 +192,22 @@ fn lanes_and_matrices_agree() {
 /// Samples are ends of steps: a method keeps its order, though commands jump at each, wherever they lie.
 #[test]
 fn methods_keep_their_order() {
-    let of_wheels = control(0.31, slew(), Actuator::Wheels(wheels(0.05, 0.6)));
-    let body = RigidBody::new(moments(), Vec::new(), 0.0).with_control(of_wheels);
+    let plain = control(0.31, slew(), Actuator::Wheels(wheels(0.05, 0.6)));
+    let noisy = Control { noise: noise(0.02), ..plain.clone() };
+    for of_wheels in [plain, noisy] {
+        let body = RigidBody::new(moments(), Vec::new(), 0.0).with_control(of_wheels);
+        keeps_its_order(&body);
+    }
+}
+
+fn keeps_its_order(body: &RigidBody<3>) {
     // Thirteen samples; 26 steps lie on them, 30 steps do not.
     let time_s = 13.0 * 0.31;
-    let (exact, _) = run(&body, lanes(8), &start(), (time_s / 403.0, 403, 403));
+    let (exact, _) = run(body, lanes(8), &start(), (time_s / 403.0, 403, 403));
     for (stages, few, many) in [(1, 26, 104), (2, 26, 104), (3, 13, 39)] {
         let error = |steps: u64| {
             let at = (time_s / steps as f64, steps, steps);
-            let (found, _) = run(&body, lanes(stages), &start(), at);
+            let (found, _) = run(body, lanes(stages), &start(), at);
             distance(&found[1], &exact[1])
         };
         let order = (error(few) / error(many)).ln() / (many as f64 / few as f64).ln();
@@ -202,7 +217,7 @@ fn methods_keep_their_order() {
     }
     // Another method, of order 8, finds the same end.
     let rk8 = Rkmk::new(Tableau::rk8()).expect("it is explicit");
-    let (found, _) = run(&body, Box::new(rk8), &start(), (time_s / 208.0, 208, 208));
+    let (found, _) = run(body, Box::new(rk8), &start(), (time_s / 208.0, 208, 208));
     assert!(distance(&found[1], &exact[1]) < 1e-12);
 }
 
@@ -228,6 +243,54 @@ fn a_small_slew_is_that_of_linear_theory() {
         let torque = -gain * x[0] - rate_gain * x[1];
         let t = every_s;
         x = [x[0] + t * x[1] + 0.5 * t * t / inertia * torque, x[1] + t / inertia * torque];
+    }
+}
+
+/// Under noise the loop about one axis has the stationary covariance of theory, P = A P A^T + s^2 B B^T, whichever kind the noise
+/// is of; the impulse of the torque noise is counted to round-off.
+#[test]
+fn a_noisy_loop_scatters_as_theory_says() {
+    let (inertia, t, gain, rate_gain) = (2.3, 0.4, 0.5, 0.9);
+    let law = ControlLaw::Attitude { gain, rate_gain, integral_gain: 0.0, feed_forward: false };
+    let size = 1e-6;
+    let none = Noise { seed: 11, ..Noise::default() };
+    for noise in [
+        Noise { attitude: size, ..none },
+        Noise { rate: size, ..none },
+        Noise { torque: size, ..none },
+        Noise { attitude: 2.0 * size, rate: size, torque: 0.5 * size, ..none },
+    ] {
+        let mut control = control(t, law, Actuator::Torque { limit: f64::INFINITY });
+        control.target = Some(Target::fixed(Mat::identity()));
+        control.noise = Some(noise);
+        let body = RigidBody::new(moments(), Vec::new(), 0.0).with_control(control);
+        let at = State { attitude: Mat::identity(), momentum: Mat::zeros() };
+        let (samples, _) = run(&body, lanes(2), &at, (t, 200_000, 1));
+        let b = [0.5 * t * t / inertia, t / inertia];
+        let a = [[1.0 - b[0] * gain, t - b[0] * rate_gain], [-b[1] * gain, 1.0 - b[1] * rate_gain]];
+        let variance = (gain * noise.attitude).powi(2)
+            + (rate_gain * noise.rate).powi(2)
+            + noise.torque * noise.torque;
+        let mut p = [[0.0; 2]; 2];
+        for _ in 0..1000 {
+            let at = |i: usize, j: usize| {
+                let carried: f64 =
+                    (0..4).map(|k| a[i][k / 2] * p[k / 2][k % 2] * a[j][k % 2]).sum();
+                carried + b[i] * b[j] * variance
+            };
+            p = [[at(0, 0), at(0, 1)], [at(1, 0), at(1, 1)]];
+        }
+        let late = &samples[1000..];
+        let mean =
+            |f: &dyn Fn(&Sample<3>) -> f64| late.iter().map(f).sum::<f64>() / late.len() as f64;
+        let angle = |s: &Sample<3>| libm::asin(s.attitude.expect("it carries one")[(1, 0)]);
+        let rate = |s: &Sample<3>| s.momentum[(1, 0)] / inertia;
+        let found = [mean(&|s| angle(s) * angle(s)), mean(&|s| rate(s) * rate(s))];
+        for (found, right) in found.iter().zip([p[0][0], p[1][1]]) {
+            assert!((found / right - 1.0).abs() < 0.05, "{noise:?}: {found:e} for {right:e}");
+        }
+        let most = samples.iter().filter_map(|s| s.momentum_drift).fold(0.0, f64::max);
+        assert!(most < 1e-10 * size, "{noise:?}: {most:e}");
     }
 }
 
@@ -314,8 +377,12 @@ fn a_resumed_run_is_the_whole_one() {
     let coils = Actuator::Magnetorquers { limit: 20.0, field: field() };
     let mut b_dot = self::control(0.35, ControlLaw::BDot { gain: 3e5 }, coils);
     b_dot.delay_s = 0.35;
+    b_dot.noise = noise(0.03);
     let detumbled = RigidBody::new(moments(), Vec::new(), 0.0).with_control(b_dot);
-    for body in [body, detumbled] {
+    let mut shaken = self::control(0.35, slew(), Actuator::Torque { limit: 0.2 });
+    shaken.noise = noise(0.03);
+    let shaken = RigidBody::new(moments(), Vec::new(), 0.0).with_control(shaken);
+    for body in [body, detumbled, shaken] {
         for at in [0, 1, 7, 14, 33] {
             let schedule = Schedule { step_s: 0.1, steps: 60, every: 1 };
             let mut whole = Kept { samples: Vec::new(), at, checkpoint: None };

@@ -230,6 +230,7 @@ fn without_need_no_attitude_is_computed() {
         sigma_min: false,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let count = |with_attitude| {

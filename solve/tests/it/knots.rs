@@ -28,6 +28,7 @@ const ALL: Observables = Observables {
     sigma_min: false,
     pace: false,
     control: false,
+    pointing: false,
     derivatives: false,
 };
 

@@ -19,6 +19,7 @@ mod laws;
 mod literal;
 mod methods;
 mod open;
+mod pointing;
 mod published;
 mod tangent;
 mod verification;

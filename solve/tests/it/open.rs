@@ -157,6 +157,7 @@ fn run<const N: usize, Y: System<N> + ?Sized>(
         sigma_min: true,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let Ok(end) = integrate(system, stepper, start, schedule, observables, &mut kept, |_| true);
@@ -619,6 +620,7 @@ fn a_lagrangian_that_is_not_hyperregular_is_refused() {
         sigma_min: false,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let mut kept = Vec::new();

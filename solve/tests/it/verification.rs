@@ -257,6 +257,7 @@ fn invariants_are_kept(
         sigma_min: false,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let mut seen = Invariants::default();
@@ -315,6 +316,7 @@ fn a_run_stops_when_asked() {
         sigma_min: false,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let mut seen = Invariants::default();

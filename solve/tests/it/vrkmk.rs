@@ -211,6 +211,7 @@ fn long_run(stepper: &mut dyn Stepper<3>, step_s: f64, steps: u64) -> Invariants
         sigma_min: false,
         pace: false,
         control: false,
+        pointing: false,
         derivatives: false,
     };
     let mut seen = Invariants::default();

@@ -29,6 +29,7 @@ pub(super) const EVERYTHING: Observables = Observables {
     sigma_min: true,
     pace: false,
     control: false,
+    pointing: false,
     derivatives: false,
 };
 
@@ -161,6 +162,7 @@ pub(super) fn sample(state: &state::State<3>, time_s: f64) -> Sample<3> {
         sigma_min: None,
         pace: None,
         control: None,
+        pointing: None,
         derivatives: None,
     }
 }
