@@ -561,7 +561,7 @@ fn forces_are_the_gradient_of_the_energy() {
 #[test]
 fn a_planar_chain_is_the_double_pendulum() {
     const GRAVITY: f64 = 9.81;
-    let (m, l, c, j) = ([1.2, 0.7], 0.8, 0.4, [0.06, 0.05]);
+    let (m, c, j) = ([1.2, 0.7], 0.4, [0.06, 0.05]);
     let link = |a: usize| Body {
         // The moment about x is d_y + d_z.
         second_moments: diagonal([0.01, 0.005, j[a] - 0.005]),
