@@ -400,4 +400,6 @@ def main():
         print()
 
 
-main()
+if __name__ == "__main__":
+    main()
+
