@@ -343,9 +343,6 @@ impl Plan {
     /// Returns about what one sweep over all stages costs with all that belongs to it, in
     /// nanoseconds; for a method without sweeps, a step.
     pub(crate) fn sweep_cost_ns(&self) -> f64 {
-        if !self.bodies.is_empty() {
-            return self.step_of_bodies_ns(0.0).max(1.0);
-        }
         let Counts { sweeps, passes, gradients, pieces, .. } = self.usual_work();
         let steps = if sweeps == 1.0 { 1.0 } else { 0.0 };
         let (passes, gradients) = (passes / sweeps, gradients / sweeps);
@@ -501,7 +498,7 @@ fn samples_per_chunk(sample_bytes: u64, sample_s: f64) -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{TABLE, USUAL_SWEEPS_OF_BODIES};
+    use super::TABLE;
     use crate::method::Integrator;
     use crate::plan::Plan;
     use crate::scenario::Scenario;
@@ -519,7 +516,7 @@ mod tests {
     fn the_sweeps_of_several_bodies_are_most_of_a_step() {
         let chain = include_bytes!("../../scenarios/chain.json");
         let plan = Plan::new(&Scenario::from_json(chain).expect("shipped")).expect("a plan");
-        let swept_ns = plan.sweep_cost_ns() * USUAL_SWEEPS_OF_BODIES;
+        let swept_ns = plan.sweep_cost_ns() * plan.usual_work().sweeps;
         assert!(swept_ns > 0.5 * plan.work_step_ns, "{swept_ns} of {}", plan.work_step_ns);
     }
 }

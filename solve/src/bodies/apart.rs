@@ -176,7 +176,10 @@ impl<const N: usize> Bodies<N> {
         };
         let renumbered = |interaction: &Interaction<N>| {
             let mut own = interaction.clone();
-            let rename = |body: &mut usize| Some(*body = number(*body)?);
+            let rename = |body: &mut usize| -> Option<()> {
+                *body = number(*body)?;
+                Some(())
+            };
             match &mut own {
                 Interaction::Uniform { body, .. } | Interaction::GravityGradient { body, .. } => {
                     rename(body)?;
