@@ -137,24 +137,4 @@ impl Factors {
         }
         x
     }
-
-    /// `K^-T rhs`: U^T, L^T, and the rows back in their places.
-    pub(super) fn solve_transposed(&self, mut rhs: Vec<f64>) -> Vec<f64> {
-        let m = self.order.len();
-        for i in 0..m {
-            let row = self.factors.row(i);
-            let x = rhs[i] * row[i];
-            rhs[i] = x;
-            add_scaled(&mut rhs[i + 1..], &row[i + 1..], -x);
-        }
-        for i in (0..m).rev() {
-            let (x, row) = (rhs[i], self.factors.row(i));
-            add_scaled(&mut rhs[..i], &row[..i], -x);
-        }
-        let mut solved = vec![0.0; m];
-        for (i, x) in rhs.into_iter().enumerate() {
-            solved[self.order[i]] = x;
-        }
-        solved
-    }
 }
