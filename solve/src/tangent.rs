@@ -701,3 +701,68 @@ impl<const N: usize> StepTangent<'_, N> {
         rates
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::hamiltonian::{Kinetic, Law, Term};
+    use super::super::nonlinear::StopRule;
+    use super::super::so::Vector;
+    use super::super::stepper::vpd_so3::VpdSo3;
+    use super::*;
+
+    fn relative(a: &[f64], b: &[f64]) -> f64 {
+        assert_eq!(a.len(), b.len());
+        let size = a.iter().fold(1.0, |size: f64, x| size.max(x.abs()));
+        a.iter().zip(b).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs())) / size
+    }
+
+    /// In vectors, from the stages of the stepper, a step has the derivative that it has in matrices, with the same bits with and
+    /// without lanes.
+    #[test]
+    fn in_vectors_it_is_that_in_matrices() {
+        let mut seed = 0.1_f64;
+        let mut next = || {
+            seed = 3.9 * seed * (1.0 - seed);
+            2.0 * seed - 1.0
+        };
+        let space = Vector::<3>::new(2.0, 1.5, 2.5);
+        let laws = Law::<3>::examples(&mut next);
+        let terms: Vec<_> = laws.into_iter().map(|law| Term { law, space }).collect();
+        let rates = terms.iter().map(|term| BodyRate {
+            second_moments: so::symmetric_part(&Mat::from_fn(|_, _| next())),
+            terms: vec![(term.clone(), Term { law: term.law.clone(), space: space * 0.3 })],
+        });
+        let rates: Vec<_> = rates.collect();
+        let body = RigidBody::new(Kinetic::of_moments([1.0, 1.3, 0.6]), terms, 0.0);
+        let start = State {
+            attitude: so::exp(&so::hat(&[0.4, 0.2, -0.3])),
+            momentum: so::hat(&[0.1, 0.2, 0.8]),
+        };
+        for count in 1..=8 {
+            let tableau = Tableau::gauss(count).expect("gauss");
+            let mut stepper = VpdSo3::new(tableau.clone(), StopRule::default()).expect("n = 3");
+            stepper.start(&start);
+            stepper.step(&body, 0.1).expect("a modest step");
+            let stages = stages_of(&stepper);
+            let mut tangent = Tangent::new(&body, tableau).expect("not driven");
+            let mut plain = tangent.clone().on_level(None);
+            assert!(tangent.by_vectors(0.1, &start, &stages), "{count} stages");
+            assert!(plain.by_vectors(0.1, &start, &stages), "{count} stages, no lanes");
+            assert_eq!(tangent.found.transition, plain.found.transition, "{count} stages");
+            let gradient = [0.3, -0.2, 0.5, 0.7, 0.1, -0.4];
+            let all = |of_step: StepTangent<'_, 3>| {
+                let (start, parameters) = of_step.pull_back(&gradient, &rates);
+                let end = of_step.end().momentum.as_slice().to_vec();
+                let by_parameters = of_step.by_parameters(&rates);
+                [of_step.transition().to_vec(), by_parameters, start, parameters, end]
+            };
+            let own = all(StepTangent { tangent: &tangent });
+            // Without stages the equations are solved and differentiated in matrices.
+            let other = all(plain.of_step(0.1, &start, &[]).expect("a modest step"));
+            for (own, other) in own.iter().zip(&other) {
+                let error = relative(own, other);
+                assert!(error < 1e-13, "{count} stages: {error:e}");
+            }
+        }
+    }
+}

@@ -59,12 +59,6 @@ impl Dense {
         }
         sum
     }
-
-    /// `A x`.
-    pub(super) fn times(&self, x: &[f64]) -> Vec<f64> {
-        let dot = |row: &[f64]| row.iter().zip(x).map(|(a, x)| a * x).sum();
-        self.numbers.chunks_exact(self.columns).map(dot).collect()
-    }
 }
 
 /// `sum + x row`, in place.

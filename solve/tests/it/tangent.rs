@@ -298,6 +298,35 @@ fn the_derivative_stays_symplectic() {
     assert!(each < 1e-14 && all < 1e-12, "{each:e}, {all:e}");
 }
 
+#[test]
+#[ignore = "times: cargo test --release the_derivative_costs -- --ignored --nocapture"]
+fn the_derivative_costs() {
+    use std::time::Instant;
+    use vpd_solve::tangent::WithDerivatives;
+    let (body, start) = heavy_top();
+    for (stages, h) in [(1, 0.01), (2, 0.02), (4, 0.05), (8, 0.1), (8, 0.3)] {
+        let tableau = Tableau::gauss(stages).expect("gauss");
+        let new = || VpdSo3::new(tableau.clone(), StopRule::default()).expect("n = 3");
+        let (mut alone, inside) = (new(), Box::new(new()));
+        let with = WithDerivatives::new(inside, &body, tableau.clone(), true, Vec::new());
+        let mut with = with.expect("not driven");
+        let mut best = [f64::INFINITY; 2];
+        for _ in 0..50 {
+            let steppers: [&mut dyn Stepper<3>; 2] = [&mut alone, &mut with];
+            for (stepper, best) in steppers.into_iter().zip(&mut best) {
+                stepper.start(&start);
+                let begin = Instant::now();
+                for _ in 0..200 {
+                    stepper.step(&body, h).expect("a step that can be solved");
+                }
+                *best = best.min(begin.elapsed().as_secs_f64() / 200.0 * 1e9);
+            }
+        }
+        let [alone, with] = best;
+        println!("{stages} stages, h = {h}: {alone:.0} ns, {with:.0} ns: {:.2}", with / alone);
+    }
+}
+
 /// A tangent carried forward and an adjoint carried backward: their pairing is the same at each step.
 #[test]
 fn the_pairing_of_tangent_and_adjoint_is_constant() {
