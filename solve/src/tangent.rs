@@ -22,7 +22,7 @@
 //! ```
 //!
 //! The end changes by `dg1 = g1 (phi + f^T xi f)` and dp1. dOmega is substituted; what is left is one linear system of
-//! (2 s + 2) d unknowns eta, dX, phi, dLambda. For n = 3 and up to eight stages, [`vectors`] solves it by blocks, from the stages
+//! (2 s + 2) d unknowns eta, dX, phi, dLambda. For n = 3 and up to eight stages, `vectors` solves it by blocks, from the stages
 //! as the stepper has solved them.
 //!
 //! A parameter moves the end as the flow of a Hamiltonian would: a step is symplectic, and its rate with a parameter is the
