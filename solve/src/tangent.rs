@@ -22,9 +22,23 @@
 //! ```
 //!
 //! The end changes by `dg1 = g1 (phi + f^T xi f)` and dp1. dOmega is substituted; what is left is one linear system of
-//! (2 s + 2) d unknowns eta, dX, phi, dLambda.
+//! (2 s + 2) d unknowns eta, dX, phi, dLambda. For n = 3 and up to eight stages, `vectors` solves it by blocks, from the stages
+//! as the stepper has solved them.
+//!
+//! A parameter moves the end as the flow of a Hamiltonian would: a step is symplectic, and its rate with a parameter is the
+//! field of `F = sum_k h b_k dH/dp` at the stages, as a function of the start, carried to the end. So the rates of the stages with the
+//! start say all of the parameters:
+//!
+//! ```text
+//! [parameter]  (dg1, dp1)/dp = M (dF/dmu, [mu, dF/dmu] - dF/dxi)
+//! ```
 //!
 //! Invariant: the same state, step and body give the same bits.
+
+use std::any::Any;
+use std::borrow::Cow;
+
+use fearless_simd::Level;
 
 use super::failure::{Failure, FailureCode};
 use super::hamiltonian::{BodyRate, RigidBody};
@@ -34,11 +48,13 @@ use super::state::State;
 use super::stepper::Stepper;
 use super::tableau::Tableau;
 use dense::{Dense, Factors, add_scaled};
+use vectors::Vectors;
 
 mod adjoint;
 mod carried;
 mod dense;
 mod lyapunov;
+mod vectors;
 
 pub use adjoint::Gradient;
 pub use carried::{Parameter, WithDerivatives};
@@ -146,6 +162,24 @@ pub struct Tangent<const N: usize> {
     places: Vec<(usize, usize, f64)>,
     /// J^-1 by coordinates.
     mobility: Dense,
+    /// For n = 3.
+    vectors: Option<Vectors>,
+    found: Found<N>,
+}
+
+/// The derivative of a step.
+#[derive(Clone, Debug)]
+struct Found<const N: usize> {
+    h: f64,
+    start: State<N>,
+    /// U_k and Omega_k.
+    stages: Vec<(Mat<N>, Mat<N>)>,
+    f: Mat<N>,
+    p1: Mat<N>,
+    /// By the start: of the end, and of the stages, (eta + U^T xi U, dmu) of each; rows of 2d numbers. Those of the stages are left
+    /// empty where [`Vectors`] have them.
+    transition: Vec<f64>,
+    changes: Vec<f64>,
 }
 
 impl<const N: usize> Tangent<N> {
@@ -168,23 +202,74 @@ impl<const N: usize> Tangent<N> {
                 mobility.row_mut(a)[b] = x;
             }
         }
-        Ok(Self { body: body.clone(), tableau, places, mobility })
+        let own = body as &dyn Any;
+        let vectors = own.downcast_ref::<RigidBody<3>>();
+        let vectors = vectors.and_then(|body| Vectors::new(body, &tableau));
+        let blank = Mat::identity();
+        let found = Found {
+            h: 0.0,
+            start: State { attitude: blank, momentum: Mat::zeros() },
+            stages: Vec::new(),
+            f: blank,
+            p1: blank,
+            transition: Vec::new(),
+            changes: Vec::new(),
+        };
+        Ok(Self { body: body.clone(), tableau, places, mobility, vectors, found })
     }
 
-    /// The derivative of the step of `h` seconds from `start`. Its equations are solved here to round-off, beginning with `stages`, as the
-    /// stepper that made the step has them ([`stages_of`]); with none they are solved from the start.
+    /// On another instruction set, or one number at a time: for a test of the bits.
+    pub fn on_level(mut self, level: Option<Level>) -> Self {
+        if let Some(vectors) = &mut self.vectors {
+            vectors.set_level(level);
+        }
+        self
+    }
+
+    /// The derivative of the step of `h` seconds from `start`, given its `stages`, as the stepper that made it has them ([`stages_of`]).
+    /// Where they do not solve the equations, or there are none, these are solved here to round-off, beginning with them.
     ///
     /// # Errors
     /// [`TangentError::Step`], [`TangentError::Singular`].
     pub fn of_step(
-        &self,
+        &mut self,
         h: f64,
         start: &State<N>,
         stages: &[State<N>],
     ) -> Result<StepTangent<'_, N>, TangentError> {
-        let step = Step { tangent: self, h, start };
-        let solved = step.solved(stages)?;
-        step.linearised(solved)
+        if !self.by_vectors(h, start, stages) {
+            let step = Step { tangent: self, h, start };
+            let solved = step.solved(stages)?;
+            self.found = step.linearised(solved)?;
+        }
+        Ok(StepTangent { tangent: self })
+    }
+
+    /// Differentiates a step of n = 3 whose stages are solved. `false` where that cannot be.
+    fn by_vectors(&mut self, h: f64, start: &State<N>, stages: &[State<N>]) -> bool {
+        let Self { body, vectors: Some(vectors), found, .. } = self else { return false };
+        // N is 3.
+        let known = |m: &Mat<N>| Mat::<3>::from_fn(|i, j| m[(i, j)]);
+        let state = |state: &State<N>| State {
+            attitude: known(&state.attitude),
+            momentum: known(&state.momentum),
+        };
+        found.stages.clear();
+        let velocity = |stage: &State<N>| body.velocity(&stage.momentum);
+        found.stages.extend(stages.iter().map(|stage| (stage.attitude, velocity(stage))));
+        let given = stages.iter().zip(&found.stages);
+        let given = given.map(|(stage, (_, omega))| (state(stage), known(omega)));
+        if !vectors.differentiate(h, state(start), given) {
+            return false;
+        }
+        let (f, p1) = vectors.end();
+        (found.h, found.f, found.p1) =
+            (h, Mat::from_fn(|i, j| f[(i, j)]), Mat::from_fn(|i, j| p1[(i, j)]));
+        found.start.clone_from(start);
+        found.transition.clear();
+        found.transition.extend_from_slice(vectors.transition());
+        found.changes.clear();
+        true
     }
 
     /// Adds `factor L(A, B)` at a row and a column.
@@ -357,8 +442,8 @@ impl<'t, const N: usize> Step<'t, '_, N> {
         Ok(if change == 0.0 { 0.0 } else { change / size })
     }
 
-    /// Differentiates the solved equations and factors the system.
-    fn linearised(&self, solved: Solved<N>) -> Result<StepTangent<'t, N>, TangentError> {
+    /// Differentiates the solved equations.
+    fn linearised(&self, solved: Solved<N>) -> Result<Found<N>, TangentError> {
         let Self { tangent, h, start } = *self;
         let (s, d) = (solved.stages.len(), tangent.places.len());
         let m = (2 * s + 2) * d;
@@ -472,8 +557,32 @@ impl<'t, const N: usize> Step<'t, '_, N> {
         }
         system.add_product(&by_velocity, &velocities);
         let factors = Factors::of(system).ok_or(TangentError::Singular)?;
-        let start = start.clone();
-        Ok(StepTangent { tangent, h, start, solved, by_velocity, by_start, end, factors })
+        // M = E_0 - E_y K^-1 B
+        let unknowns = factors.solve(&by_start);
+        let mut transition = Dense::zeros(2 * d, 2 * d);
+        transition.add_product(&end.unknowns, &unknowns);
+        for i in 0..2 * d {
+            let row = transition.row_mut(i).iter_mut();
+            row.zip(end.start.row(i)).for_each(|(x, end)| *x = end - *x);
+        }
+        let mut of_momenta = Dense::zeros(s * d, 2 * d);
+        of_momenta.add_product(&momenta, &unknowns);
+        let mut changes = Vec::with_capacity(4 * s * d * d);
+        for (k, Stage { u, .. }) in stages.iter().enumerate() {
+            let turned = tangent.columns(|e| so::product(&so::product(&u.transpose(), e), u));
+            for a in 0..d {
+                let eta = changes.len();
+                changes.extend(unknowns.row(k * d + a).iter().map(|x| -x));
+                add_scaled(&mut changes[eta..], turned.row(a), 1.0);
+            }
+            for a in 0..d {
+                changes.extend(of_momenta.row(k * d + a).iter().map(|x| -x));
+            }
+        }
+        let (f, p1) = (*f, *p1);
+        let stages = stages.iter().map(|stage| (stage.u, stage.omega)).collect();
+        let (start, transition) = (start.clone(), transition.into_numbers());
+        Ok(Found { h, start, stages, f, p1, transition, changes })
     }
 }
 
@@ -502,94 +611,158 @@ struct End {
 #[derive(Clone, Debug)]
 pub struct StepTangent<'a, const N: usize> {
     tangent: &'a Tangent<N>,
-    h: f64,
-    start: State<N>,
-    solved: Solved<N>,
-    by_velocity: Dense,
-    by_start: Dense,
-    end: End,
-    factors: Factors,
 }
 
 impl<const N: usize> StepTangent<'_, N> {
     /// The end of the step.
     pub fn end(&self) -> State<N> {
-        let attitude = so::orthonormalised(&so::product(&self.start.attitude, &self.solved.f));
-        State { attitude, momentum: self.solved.p1 }
+        let Found { start, f, p1, .. } = &self.tangent.found;
+        let attitude = so::orthonormalised(&so::product(&start.attitude, f));
+        State { attitude, momentum: *p1 }
     }
 
     /// The derivative by the start: 2d x 2d, row by row.
-    pub fn transition(&self) -> Vec<f64> {
-        self.resolved(&self.by_start, &self.end.start).into_numbers()
+    pub fn transition(&self) -> &[f64] {
+        &self.tangent.found.transition
     }
 
     /// The derivatives by parameters, one after another: 2d numbers for each.
     pub fn by_parameters(&self, rates: &[BodyRate<N>]) -> Vec<f64> {
-        let mut columns = Vec::with_capacity(rates.len() * self.end.start.rows());
+        let d = self.tangent.places.len();
+        let mut columns = Vec::with_capacity(2 * d * rates.len());
+        if rates.is_empty() {
+            return columns;
+        }
+        let changes = self.changes();
         for rate in rates {
-            let [equations, end] = self.by_parameter(rate);
-            let change = self.resolved(&Dense::of(1, equations), &Dense::of(1, end));
-            columns.extend_from_slice(change.numbers());
+            // [parameter]
+            let mut by_start = vec![0.0; 2 * d];
+            let rates = self.rates_at_stages(rate);
+            for (rate, row) in rates.iter().zip(changes.chunks_exact(2 * d)) {
+                add_scaled(&mut by_start, row, *rate);
+            }
+            let (by_turn, by_momentum) = by_start.split_at(d);
+            let velocity = so::hat::<N>(by_momentum);
+            let turned = so::asym(&so::product(&self.tangent.found.start.momentum, &velocity));
+            let mut change = by_momentum.to_vec();
+            change.extend(so::vee(&turned).iter().zip(by_turn).map(|(x, slope)| x - slope));
+            columns.extend(self.push_forward(&change));
         }
         columns
     }
 
     /// Carries a change of the start, 2d numbers, to the end.
     pub fn push_forward(&self, change: &[f64]) -> Vec<f64> {
-        let equations = Dense::of(1, self.by_start.times(change));
-        let end = Dense::of(1, self.end.start.times(change));
-        self.resolved(&equations, &end).into_numbers()
+        self.transition().chunks_exact(change.len()).map(|row| so::dot(row, change)).collect()
     }
 
-    /// Carries a gradient by the end, 2d numbers, back to the start, by the transposed equations; also returns what it
-    /// says of each parameter.
-    ///
-    /// The change of the end is `E_y y + E_0 z` with `K y = -B z`: so the gradient by z is `E_0^T l - B^T K^-T E_y^T l`.
+    /// Carries a gradient by the end, 2d numbers, back to the start; also returns what it says of each parameter, the
+    /// transpose of [parameter]: with `l = M^T gradient` the rate of F along `(-l_nu, l_xi + [l_nu, mu])`.
     pub fn pull_back(&self, gradient: &[f64], rates: &[BodyRate<N>]) -> (Vec<f64>, Vec<f64>) {
-        let adjoint = self.factors.solve_transposed(self.end.unknowns.transposed_times(gradient));
-        let mut start = self.end.start.transposed_times(gradient);
-        add_scaled(&mut start, &self.by_start.transposed_times(&adjoint), -1.0);
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        let of_parameter = |rate| {
-            let [equations, end] = self.by_parameter(rate);
-            dot(&end, gradient) - dot(&equations, &adjoint)
-        };
+        let d = self.tangent.places.len();
+        let mut start = vec![0.0; 2 * d];
+        for (row, x) in self.transition().chunks_exact(2 * d).zip(gradient) {
+            add_scaled(&mut start, row, *x);
+        }
+        if rates.is_empty() {
+            return (start, Vec::new());
+        }
+        let (by_turn, by_momentum) = start.split_at(d);
+        let momentum = &self.tangent.found.start.momentum;
+        let turned = so::vee(&so::asym(&so::product(&so::hat::<N>(by_momentum), momentum)));
+        let mut change: Vec<f64> = by_momentum.iter().map(|x| -x).collect();
+        change.extend(turned.iter().zip(by_turn).map(|(x, slope)| x + slope));
+        let changes = self.changes();
+        let along: Vec<f64> =
+            changes.chunks_exact(2 * d).map(|row| so::dot(row, &change)).collect();
+        let of_parameter = |rate| so::dot(&self.rates_at_stages(rate), &along);
         (start, rates.iter().map(of_parameter).collect())
     }
 
-    /// `E_0 - E_y K^-1 B`.
-    fn resolved(&self, equations: &Dense, end: &Dense) -> Dense {
-        let unknowns = self.factors.solve(equations);
-        let mut change = Dense::zeros(end.rows(), end.row(0).len());
-        change.add_product(&self.end.unknowns, &unknowns);
-        for i in 0..end.rows() {
-            let row = change.row_mut(i);
-            row.iter_mut().zip(end.row(i)).for_each(|(x, end)| *x = end - *x);
+    /// The changes of the stages with the start, as in [`Found`].
+    fn changes(&self) -> Cow<'_, [f64]> {
+        let Tangent { vectors, found, .. } = self.tangent;
+        match vectors {
+            Some(vectors) if found.changes.is_empty() => Cow::Owned(vectors.changes()),
+            _ => Cow::Borrowed(&found.changes),
         }
-        change
     }
 
-    /// How the equations and the end change with a parameter where the unknowns do not.
-    fn by_parameter(&self, rate: &BodyRate<N>) -> [Vec<f64>; 2] {
-        let Self { tangent, start, solved, .. } = self;
-        let (s, d) = (solved.stages.len(), tangent.places.len());
-        let mut velocities = Vec::with_capacity(s * d);
-        let mut forces = Vec::with_capacity(s * d);
-        let mut impulse = Mat::zeros();
-        for (k, stage) in solved.stages.iter().enumerate() {
-            velocities.extend(so::vee(&tangent.body.velocity_rate_by(rate, &stage.omega)));
-            let g = so::product(&start.attitude, &stage.u);
-            let weight = self.h * tangent.tableau.b(k);
-            let force = tangent.body.gradient_rate_by(rate, &g) * weight;
-            impulse -= so::conjugate(&so::transposed_product(&solved.f, &stage.u), &force);
-            forces.extend(so::vee(&force));
+    /// The derivatives of `h b_k dH/dp` by (eta, mu) at the stages, 2d numbers each.
+    fn rates_at_stages(&self, rate: &BodyRate<N>) -> Vec<f64> {
+        let Tangent { body, tableau, found, .. } = self.tangent;
+        let mut rates = Vec::with_capacity(2 * found.stages.len() * self.tangent.places.len());
+        for (k, (u, omega)) in found.stages.iter().enumerate() {
+            let weight = found.h * tableau.b(k);
+            let g = so::product(&found.start.attitude, u);
+            rates.extend(so::vee(&(body.gradient_rate_by(rate, &g) * weight)));
+            rates.extend(so::vee(&(body.velocity_rate_by(rate, omega) * weight)));
         }
-        let mut equations = self.by_velocity.times(&velocities);
-        add_scaled(&mut equations[s * d..2 * s * d], &forces, 1.0);
-        let impulse = so::vee(&impulse);
-        add_scaled(&mut equations[(2 * s + 1) * d..], &impulse, 1.0);
-        let mut end = vec![0.0; d];
-        end.extend(impulse);
-        [equations, end]
+        rates
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::hamiltonian::{Kinetic, Law, Term};
+    use super::super::nonlinear::StopRule;
+    use super::super::so::Vector;
+    use super::super::stepper::vpd_so3::VpdSo3;
+    use super::*;
+
+    fn relative(a: &[f64], b: &[f64]) -> f64 {
+        assert_eq!(a.len(), b.len());
+        let size = a.iter().fold(1.0, |size: f64, x| size.max(x.abs()));
+        a.iter().zip(b).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs())) / size
+    }
+
+    /// In vectors, from the stages of the stepper, a step has the derivative that it has in matrices, with the same bits with and
+    /// without lanes.
+    #[test]
+    fn in_vectors_it_is_that_in_matrices() {
+        let mut seed = 0.1_f64;
+        let mut next = || {
+            seed = 3.9 * seed * (1.0 - seed);
+            2.0 * seed - 1.0
+        };
+        let space = Vector::<3>::new(2.0, 1.5, 2.5);
+        let laws = Law::<3>::examples(&mut next);
+        let terms: Vec<_> = laws.into_iter().map(|law| Term { law, space }).collect();
+        let rates = terms.iter().map(|term| BodyRate {
+            second_moments: so::symmetric_part(&Mat::from_fn(|_, _| next())),
+            terms: vec![(term.clone(), Term { law: term.law.clone(), space: space * 0.3 })],
+        });
+        let rates: Vec<_> = rates.collect();
+        let body = RigidBody::new(Kinetic::of_moments([1.0, 1.3, 0.6]), terms, 0.0);
+        let start = State {
+            attitude: so::exp(&so::hat(&[0.4, 0.2, -0.3])),
+            momentum: so::hat(&[0.1, 0.2, 0.8]),
+        };
+        for count in 1..=8 {
+            let tableau = Tableau::gauss(count).expect("gauss");
+            let mut stepper = VpdSo3::new(tableau.clone(), StopRule::default()).expect("n = 3");
+            stepper.start(&start);
+            stepper.step(&body, 0.1).expect("a modest step");
+            let stages = stages_of(&stepper);
+            let mut tangent = Tangent::new(&body, tableau).expect("not driven");
+            let mut plain = tangent.clone().on_level(None);
+            assert!(tangent.by_vectors(0.1, &start, &stages), "{count} stages");
+            assert!(plain.by_vectors(0.1, &start, &stages), "{count} stages, no lanes");
+            assert_eq!(tangent.found.transition, plain.found.transition, "{count} stages");
+            let gradient = [0.3, -0.2, 0.5, 0.7, 0.1, -0.4];
+            let all = |of_step: StepTangent<'_, 3>| {
+                let (start, parameters) = of_step.pull_back(&gradient, &rates);
+                let end = of_step.end().momentum.as_slice().to_vec();
+                let by_parameters = of_step.by_parameters(&rates);
+                [of_step.transition().to_vec(), by_parameters, start, parameters, end]
+            };
+            let own = all(StepTangent { tangent: &tangent });
+            // Without stages the equations are solved and differentiated in matrices.
+            let other = all(plain.of_step(0.1, &start, &[]).expect("a modest step"));
+            for (own, other) in own.iter().zip(&other) {
+                let error = relative(own, other);
+                assert!(error < 1e-13, "{count} stages: {error:e}");
+            }
+        }
     }
 }

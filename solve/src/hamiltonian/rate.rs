@@ -2,7 +2,11 @@
 //!
 //! Invariant: each is the derivative of the function of [`RigidBody`] that it names.
 
+use super::super::lanes::StageScalar;
 use super::super::so::{self, Mat, Vector};
+use super::super::space::{Mat3, Vec3, cross, plus, transposed_product, vec3};
+use super::super::stack::Known;
+use super::term::Lanes;
 use super::{Law, RigidBody, Term};
 
 /// The rate at which a body changes with a parameter: with its inertia, or with a strength, a point or another number of its
@@ -56,6 +60,41 @@ impl<const N: usize> RigidBody<N> {
             add_rate(law, &rate.law, &so::to_body(g, space), &q_rate, &mut sum);
         }
         sum
+    }
+}
+
+impl RigidBody<3> {
+    /// vee(dH/dg) at `g = g0 U` and the matrix of [`RigidBody::gradient_rate`] there, at the stages in lanes; without user-defined
+    /// potentials.
+    #[inline(always)]
+    pub(crate) fn torque_and_rate<R: StageScalar<StepScalar = f64>>(
+        &self,
+        g0: &Mat<3>,
+        u: &Mat3<R>,
+    ) -> (Vec3<R>, Mat3<R>) {
+        let zero = u[0][0].constant(0.0);
+        let (mut torque, mut rate) = ([zero; 3], [[zero; 3]; 3]);
+        for Term { law, space } in &self.terms {
+            let (v, law_rate) = (so::to_body(g0, space), law.zero());
+            let q = transposed_product(u, &vec3!(i => zero.constant(v[i])));
+            let q = Lanes { dimension: Known::<3>, numbers: q };
+            let slope = law.numbers().slope(&q, 0.0, &mut zero.constant(0.0)).numbers;
+            let [x, y, z] = q.numbers;
+            torque = plus(&torque, &cross(&slope, &q.numbers));
+            // q x e of the three axes.
+            let q_rates = [[zero, z, -y], [-z, zero, x], [y, -x, zero]];
+            for c in 0..3 {
+                let q_rate = Lanes { dimension: Known::<3>, numbers: q_rates[c] };
+                if let Some(slope_rate) = law.slope_rate(&law_rate, &q, &q_rate) {
+                    let (own, other) =
+                        (cross(&slope_rate.numbers, &q.numbers), cross(&slope, &q_rates[c]));
+                    for r in 0..3 {
+                        rate[r][c] = rate[r][c] + (own[r] + other[r]);
+                    }
+                }
+            }
+        }
+        (torque, rate)
     }
 }
 

@@ -198,12 +198,13 @@ macro_rules! declare {
 
             /// The rate of dU/dq, up to multiples of q, where the fields change at the rates in `rate`, a law of the same
             /// kind, and q at `q_rate`. `None` if the kinds differ.
-            pub(super) fn slope_rate(
+            #[inline(always)]
+            pub(super) fn slope_rate<V: BodyVector>(
                 &self,
                 rate: &Self,
-                q: &Vector<N>,
-                q_rate: &Vector<N>,
-            ) -> Option<Vector<N>> {
+                q: &V,
+                q_rate: &V,
+            ) -> Option<V> {
                 match self.numbers() {
                     $(LawRef::$law { $first, $($field,)* } => {
                         let fields = ($first, $($field,)*);
@@ -327,6 +328,7 @@ pub(super) trait BodyVector {
     fn number(&self, value: f64) -> Self::Number;
     /// A body vector, in as many lanes.
     fn vector(&self, y: &[f64]) -> Self;
+    fn plus(&self, other: &Self) -> Self;
     fn minus(&self, other: &Self) -> Self;
     fn dot(&self, other: &Self) -> Self::Number;
     fn square(&self) -> Self::Number;
@@ -346,6 +348,11 @@ impl<const N: usize> BodyVector for Vector<N> {
     #[inline(always)]
     fn vector(&self, y: &[f64]) -> Self {
         Self::from_column_slice(y)
+    }
+
+    #[inline(always)]
+    fn plus(&self, other: &Self) -> Self {
+        self + other
     }
 
     #[inline(always)]
@@ -396,6 +403,15 @@ impl<R: Real, D: Dimension> BodyVector for Lanes<R, D> {
             vector.numbers[i] = self.number(y[i]);
         }
         vector
+    }
+
+    #[inline(always)]
+    fn plus(&self, other: &Self) -> Self {
+        let mut sum = *self;
+        for i in 0..self.dimension.n() {
+            sum.numbers[i] = self.numbers[i] + other.numbers[i];
+        }
+        sum
     }
 
     #[inline(always)]

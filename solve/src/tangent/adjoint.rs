@@ -26,7 +26,7 @@ impl<const N: usize> Tangent<N> {
     /// # Errors
     /// [`TangentError::Step`] of a step that fails, [`TangentError::Singular`].
     pub fn gradient(
-        &self,
+        &mut self,
         stepper: &mut dyn Stepper<N>,
         start: &State<N>,
         (h, steps): (f64, u64),

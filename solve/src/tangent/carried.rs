@@ -1,7 +1,7 @@
 //! A stepper that carries the derivatives of its state along.
 
-use super::dense::Dense;
-use super::{Tangent, TangentError, stages_of};
+use super::dense::add_scaled;
+use super::{Tangent, TangentError};
 use crate::failure::{Failure, FailureCode};
 use crate::hamiltonian::{BodyRate, RigidBody};
 use crate::nonlinear::Convergence;
@@ -27,6 +27,9 @@ pub struct WithDerivatives<const N: usize> {
     rates: Vec<BodyRate<N>>,
     at_start: Derivatives,
     derivatives: Derivatives,
+    /// Room for the stages of a step, and for a transition matrix.
+    stages: Vec<State<N>>,
+    carried: Vec<f64>,
 }
 
 impl<const N: usize> WithDerivatives<N> {
@@ -54,7 +57,9 @@ impl<const N: usize> WithDerivatives<N> {
             at_start.sensitivity.extend(so::vee(start));
         }
         let rates = parameters.into_iter().map(|parameter| parameter.body).collect();
-        Ok(Self { stepper, tangent, rates, derivatives: at_start.clone(), at_start })
+        let derivatives = at_start.clone();
+        let (stages, carried) = (Vec::new(), Vec::new());
+        Ok(Self { stepper, tangent, rates, at_start, derivatives, stages, carried })
     }
 
     fn state(&self) -> State<N> {
@@ -64,26 +69,33 @@ impl<const N: usize> WithDerivatives<N> {
 
     /// Multiplies the derivatives by those of the step that was made from `before`.
     fn carry(&mut self, h: f64, before: &State<N>) -> Result<(), Failure> {
-        let stages = stages_of(self.stepper.as_ref());
-        let of_step = self.tangent.of_step(h, before, &stages).map_err(|error| match error {
-            TangentError::Step(failure) => failure,
-            // The pivot is zero to working precision.
-            TangentError::Driven | TangentError::UserPotential | TangentError::Singular => {
-                Failure::new(FailureCode::LyapunovSingular, None, 0.0, f64::EPSILON)
-            }
-        })?;
+        self.stages.clear();
+        self.stages.extend((0..).map_while(|k| self.stepper.stage(k)));
+        let of_step =
+            self.tangent.of_step(h, before, &self.stages).map_err(|error| match error {
+                TangentError::Step(failure) => failure,
+                // The pivot is zero to working precision.
+                TangentError::Driven | TangentError::UserPotential | TangentError::Singular => {
+                    Failure::new(FailureCode::LyapunovSingular, None, 0.0, f64::EPSILON)
+                }
+            })?;
         let rows = 2 * so::dimension(N);
-        let step = Dense::of(rows, of_step.transition());
         let Derivatives { transition, sensitivity } = &mut self.derivatives;
         if !transition.is_empty() {
-            let mut carried = Dense::zeros(rows, rows);
-            carried.add_product(&step, &Dense::of(rows, std::mem::take(transition)));
-            *transition = carried.into_numbers();
+            self.carried.clear();
+            self.carried.resize(rows * rows, 0.0);
+            let sums = self.carried.chunks_exact_mut(rows);
+            for (sum, step) in sums.zip(of_step.transition().chunks_exact(rows)) {
+                for (x, row) in step.iter().zip(transition.chunks_exact(rows)) {
+                    add_scaled(sum, row, *x);
+                }
+            }
+            std::mem::swap(transition, &mut self.carried);
         }
         let by_parameters = of_step.by_parameters(&self.rates);
         let columns = sensitivity.chunks_exact_mut(rows).zip(by_parameters.chunks_exact(rows));
         for (column, by_parameter) in columns {
-            let carried = step.times(column);
+            let carried = of_step.push_forward(column);
             let sums = column.iter_mut().zip(carried.iter().zip(by_parameter));
             sums.for_each(|(sum, (carried, by_parameter))| *sum = carried + by_parameter);
         }

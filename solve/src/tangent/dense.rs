@@ -59,12 +59,6 @@ impl Dense {
         }
         sum
     }
-
-    /// `A x`.
-    pub(super) fn times(&self, x: &[f64]) -> Vec<f64> {
-        let dot = |row: &[f64]| row.iter().zip(x).map(|(a, x)| a * x).sum();
-        self.numbers.chunks_exact(self.columns).map(dot).collect()
-    }
 }
 
 /// `sum + x row`, in place.
@@ -136,25 +130,5 @@ impl Factors {
             row.iter_mut().for_each(|x| *x *= upper[i]);
         }
         x
-    }
-
-    /// `K^-T rhs`: U^T, L^T, and the rows back in their places.
-    pub(super) fn solve_transposed(&self, mut rhs: Vec<f64>) -> Vec<f64> {
-        let m = self.order.len();
-        for i in 0..m {
-            let row = self.factors.row(i);
-            let x = rhs[i] * row[i];
-            rhs[i] = x;
-            add_scaled(&mut rhs[i + 1..], &row[i + 1..], -x);
-        }
-        for i in (0..m).rev() {
-            let (x, row) = (rhs[i], self.factors.row(i));
-            add_scaled(&mut rhs[..i], &row[..i], -x);
-        }
-        let mut solved = vec![0.0; m];
-        for (i, x) in rhs.into_iter().enumerate() {
-            solved[self.order[i]] = x;
-        }
-        solved
     }
 }

@@ -30,7 +30,7 @@ impl<const N: usize> Tangent<N> {
     /// # Errors
     /// [`TangentError::Step`] of a step that fails, [`TangentError::Singular`].
     pub fn lyapunov(
-        &self,
+        &mut self,
         stepper: &mut dyn Stepper<N>,
         start: &State<N>,
         (h, steps): (f64, u64),
@@ -52,9 +52,8 @@ impl<const N: usize> Tangent<N> {
             }
             stepper.step(&self.body, h)?;
             let of_step = self.of_step(h, &state, &stages_of(stepper))?;
-            let transition = Dense::of(rows, of_step.transition());
             for i in 0..rows {
-                let carried = transition.times(frame.row(i));
+                let carried = of_step.push_forward(frame.row(i));
                 frame.row_mut(i).copy_from_slice(&carried);
             }
             for (sum, size) in logarithms.iter_mut().zip(orthonormalise(&mut frame)) {

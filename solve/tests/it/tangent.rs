@@ -195,7 +195,7 @@ fn the_derivative_of_a_step_is_that_of_differences() {
             let steps: &[f64] = if tableau.is_symplectic() { &[0.05, 0.2] } else { &[0.05] };
             for &h in steps {
                 let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
-                let tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
+                let mut tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
                 let of_step = tangent.of_step(h, &start, &[]).expect("a modest step");
                 let end = step(&body, &tableau, h, &start);
                 let label = format!("n = {N}, {} stages, h = {h}", tableau.stages());
@@ -208,7 +208,7 @@ fn the_derivative_of_a_step_is_that_of_differences() {
                         let start = changed(&start, number, e);
                         coordinates(&end, &step(&body, &tableau, h, &start))
                     };
-                    let error = relative(&column(&transition, columns, number), &difference(at));
+                    let error = relative(&column(transition, columns, number), &difference(at));
                     assert!(error < 1e-12, "{label}, {number}: {error:e}");
                 }
                 let by = of_step.by_parameters(std::slice::from_ref(&varied.rate));
@@ -238,7 +238,7 @@ fn symplectic_errors<const N: usize>(
     steps: u32,
 ) -> [f64; 2] {
     let size = 2 * so::dimension(N);
-    let tangent = Tangent::new(body, tableau.clone()).expect("not driven");
+    let mut tangent = Tangent::new(body, tableau.clone()).expect("not driven");
     let mut all: Vec<f64> =
         (0..size * size).map(|k| f64::from(u8::from(k % (size + 1) == 0))).collect();
     stepper.start(start);
@@ -249,8 +249,8 @@ fn symplectic_errors<const N: usize>(
         let transition = of_step.transition();
         let next =
             State { attitude: stepper.attitude().expect("carried"), momentum: stepper.momentum() };
-        most = most.max(symplectic_error(&transition, &state.momentum, &next.momentum));
-        all = product(&transition, &all, size);
+        most = most.max(symplectic_error(transition, &state.momentum, &next.momentum));
+        all = product(transition, &all, size);
         state = next;
     }
     [most, symplectic_error(&all, &start.momentum, &state.momentum)]
@@ -298,12 +298,41 @@ fn the_derivative_stays_symplectic() {
     assert!(each < 1e-14 && all < 1e-12, "{each:e}, {all:e}");
 }
 
+#[test]
+#[ignore = "times: cargo test --release the_derivative_costs -- --ignored --nocapture"]
+fn the_derivative_costs() {
+    use std::time::Instant;
+    use vpd_solve::tangent::WithDerivatives;
+    let (body, start) = heavy_top();
+    for (stages, h) in [(1, 0.01), (2, 0.02), (4, 0.05), (8, 0.1), (8, 0.3)] {
+        let tableau = Tableau::gauss(stages).expect("gauss");
+        let new = || VpdSo3::new(tableau.clone(), StopRule::default()).expect("n = 3");
+        let (mut alone, inside) = (new(), Box::new(new()));
+        let with = WithDerivatives::new(inside, &body, tableau.clone(), true, Vec::new());
+        let mut with = with.expect("not driven");
+        let mut best = [f64::INFINITY; 2];
+        for _ in 0..50 {
+            let steppers: [&mut dyn Stepper<3>; 2] = [&mut alone, &mut with];
+            for (stepper, best) in steppers.into_iter().zip(&mut best) {
+                stepper.start(&start);
+                let begin = Instant::now();
+                for _ in 0..200 {
+                    stepper.step(&body, h).expect("a step that can be solved");
+                }
+                *best = best.min(begin.elapsed().as_secs_f64() / 200.0 * 1e9);
+            }
+        }
+        let [alone, with] = best;
+        println!("{stages} stages, h = {h}: {alone:.0} ns, {with:.0} ns: {:.2}", with / alone);
+    }
+}
+
 /// A tangent carried forward and an adjoint carried backward: their pairing is the same at each step.
 #[test]
 fn the_pairing_of_tangent_and_adjoint_is_constant() {
     let (body, start) = heavy_top();
     let (tableau, h, steps) = (Tableau::gauss(3).expect("gauss"), 0.02, 10_000);
-    let tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
+    let mut tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
     let mut stepper = VpdSo3::new(tableau, StopRule::default()).expect("n = 3");
     stepper.start(&start);
     let mut numbers = Numbers(23);
@@ -347,7 +376,7 @@ fn the_gradient_by_the_adjoint_is_that_by_the_tangent() {
         rates.push(varied.rate);
         let start = State { attitude: numbers.rotation(), momentum: numbers.skew() };
         let (tableau, h, size) = (Tableau::gauss(2).expect("gauss"), 0.05, 2 * so::dimension(N));
-        let tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
+        let mut tangent = Tangent::new(&body, tableau.clone()).expect("not driven");
         let weights: Vec<f64> = (0..size).map(|_| numbers.next()).collect();
         // Every seventh state counts, and the end.
         let by_state = |step: u64, state: &State<N>| {
@@ -380,7 +409,7 @@ fn the_gradient_by_the_adjoint_is_that_by_the_tangent() {
             stepper.step(&body, h).expect("a step that can be solved");
             let of_step = tangent.of_step(h, &state, &stages_of(&stepper)).expect("solved");
             let (transition, by) = (of_step.transition(), of_step.by_parameters(&rates));
-            all = product(&transition, &all, size);
+            all = product(transition, &all, size);
             let columns = sensitivity.chunks_exact_mut(size).zip(by.chunks_exact(size));
             for (column, by) in columns {
                 let row = |row: &[f64]| row.iter().zip(&*column).map(|(a, b)| a * b).sum::<f64>();
@@ -438,7 +467,7 @@ fn a_driven_body_is_refused() {
 fn lyapunov_exponents() {
     let gauss = Tableau::gauss(2).expect("gauss");
     let exponents = |(body, start): (RigidBody<3>, State<3>), h: f64, steps: u64| {
-        let tangent = Tangent::new(&body, gauss.clone()).expect("not driven");
+        let mut tangent = Tangent::new(&body, gauss.clone()).expect("not driven");
         let mut stepper = VpdSo3::new(gauss.clone(), StopRule::default()).expect("n = 3");
         let found = tangent.lyapunov(&mut stepper, &start, (h, steps), |_| true).expect("solved");
         let found = found.expect("nobody stops it");

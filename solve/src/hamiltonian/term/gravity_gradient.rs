@@ -27,13 +27,15 @@ pub(super) fn change<V: BodyVector>(strength: f64, m: &[f64], q: &V, rate: &V) -
 }
 
 /// The rate of [`slope`]: `strength' M q + strength (M' q + M q')`.
-pub(super) fn slope_rate<const N: usize>(
+#[inline(always)]
+pub(super) fn slope_rate<V: BodyVector>(
     (strength, m): (f64, &[f64]),
     (strength_rate, m_rate): (f64, &[f64]),
-    q: &Vector<N>,
-    q_rate: &Vector<N>,
-) -> Vector<N> {
-    q.times(m) * strength_rate + (q.times(m_rate) + q_rate.times(m)) * strength
+    q: &V,
+    q_rate: &V,
+) -> V {
+    let by_strength = q.times(m).scaled(q.number(strength_rate));
+    by_strength.plus(&q.times(m_rate).plus(&q_rate.times(m)).scaled(q.number(strength)))
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Mat<N>) -> Option<&Vector<N>> {

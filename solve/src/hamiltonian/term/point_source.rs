@@ -32,18 +32,19 @@ pub(super) fn change<V: BodyVector>(strength: f64, y: &[f64], q: &V, rate: &V) -
 }
 
 /// The rate of [`slope`]: `(strength y)' / r^3 - 3 strength y (a . a') / r^5`, `a = y - q`.
-pub(super) fn slope_rate<const N: usize>(
+#[inline(always)]
+pub(super) fn slope_rate<V: BodyVector>(
     (strength, y): (f64, &[f64]),
     (strength_rate, y_rate): (f64, &[f64]),
-    q: &Vector<N>,
-    q_rate: &Vector<N>,
-) -> Vector<N> {
-    let (y, y_rate) = (Vector::from_column_slice(y), Vector::from_column_slice(y_rate));
-    let (arm, arm_rate) = (y - q, y_rate - q_rate);
+    q: &V,
+    q_rate: &V,
+) -> V {
+    let (y, y_rate) = (q.vector(y), q.vector(y_rate));
+    let (arm, arm_rate) = (y.minus(q), y_rate.minus(q_rate));
     let square = arm.square();
-    let cube = square * square.sqrt();
-    let fall = 3.0 * strength * BodyVector::dot(&arm, &arm_rate) / square;
-    (y * (strength_rate - fall) + y_rate * strength) / cube
+    let fall = arm.dot(&arm_rate) * (3.0 * strength) / square;
+    let slope = y.scaled(-fall + strength_rate).plus(&y_rate.scaled(q.number(strength)));
+    slope.scaled(q.number(1.0) / (square * square.sqrt()))
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, y: &Vector<N>) -> Option<&Vector<N>> {

@@ -53,22 +53,24 @@ pub(super) fn change<V: BodyVector>(
 }
 
 /// The rate of [`slope`]: of `pull y` with `pull = stiffness (rest_length / r - 1)`, where `r' = a . a' / r`, `a = y - q`.
-pub(super) fn slope_rate<const N: usize>(
+#[inline(always)]
+pub(super) fn slope_rate<V: BodyVector>(
     (stiffness, rest_length, y): (f64, f64, &[f64]),
     (stiffness_rate, rest_length_rate, y_rate): (f64, f64, &[f64]),
-    q: &Vector<N>,
-    q_rate: &Vector<N>,
-) -> Vector<N> {
-    let (y, y_rate) = (Vector::from_column_slice(y), Vector::from_column_slice(y_rate));
+    q: &V,
+    q_rate: &V,
+) -> V {
+    let (y, y_rate) = (q.vector(y), q.vector(y_rate));
     if rest_length == 0.0 && rest_length_rate == 0.0 {
-        return -(y * stiffness_rate + y_rate * stiffness);
+        let by_stiffness = y.scaled(q.number(-stiffness_rate));
+        return by_stiffness.plus(&y_rate.scaled(q.number(-stiffness)));
     }
-    let (arm, arm_rate) = (y - q, y_rate - q_rate);
+    let (arm, arm_rate) = (y.minus(q), y_rate.minus(q_rate));
     let r = arm.square().sqrt();
-    let (ratio, r_rate) = (rest_length / r, BodyVector::dot(&arm, &arm_rate) / r);
-    let ratio_rate = (rest_length_rate - ratio * r_rate) / r;
-    let pull_rate = stiffness_rate * (ratio - 1.0) + stiffness * ratio_rate;
-    y * pull_rate + y_rate * (stiffness * (ratio - 1.0))
+    let (ratio, r_rate) = (q.number(rest_length) / r, arm.dot(&arm_rate) / r);
+    let ratio_rate = (-(ratio * r_rate) + rest_length_rate) / r;
+    let pull_rate = (ratio + -1.0) * stiffness_rate + ratio_rate * stiffness;
+    y.scaled(pull_rate).plus(&y_rate.scaled((ratio + -1.0) * stiffness))
 }
 
 pub(super) fn singular_point<'a, const N: usize>(

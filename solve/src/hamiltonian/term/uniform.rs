@@ -21,13 +21,15 @@ pub(super) fn change<V: BodyVector>(weight: f64, y: &[f64], q: &V, rate: &V) -> 
 }
 
 /// The rate of [`slope`]: `weight' y + weight y'`.
-pub(super) fn slope_rate<const N: usize>(
+#[inline(always)]
+pub(super) fn slope_rate<V: BodyVector>(
     (weight, y): (f64, &[f64]),
     (weight_rate, y_rate): (f64, &[f64]),
-    _: &Vector<N>,
-    _: &Vector<N>,
-) -> Vector<N> {
-    Vector::from_column_slice(y) * weight_rate + Vector::from_column_slice(y_rate) * weight
+    q: &V,
+    _: &V,
+) -> V {
+    let by_weight = q.vector(y).scaled(q.number(weight_rate));
+    by_weight.plus(&q.vector(y_rate).scaled(q.number(weight)))
 }
 
 pub(super) fn singular_point<const N: usize>(_: f64, _: &Vector<N>) -> Option<&Vector<N>> {
