@@ -473,6 +473,82 @@ await checks({
     await told.context().close();
     return words;
   },
+  "several bodies stand and turn as the log says, and their joints are closed": async () => {
+    const scene = await open();
+    const show = async name => {
+      const { id } = await submit(url, { ...await shipped(url, name), expect: undefined });
+      await ended(url, id);
+      await scene.goto(`${url}/#/jobs/${id}`);
+      await scene.waitForFunction(id => stage?.g && document.querySelector("#download")?.href.includes(id), id);
+      await scene.evaluate(() => stage.run(false));
+      return id;
+    };
+    const id = await show("chain");
+    const joints = (await shipped(url, "chain")).scene.joints;
+    const names = ["upper", "middle", "lower"];
+    assert.deepEqual(await scene.$$eval(".which option", options => options.map(option => option.textContent)), ["All bodies", ...names]);
+    let [off, open_px] = [0, 0];
+    // At samples of the log, and between two of them.
+    for (const t of [0.3, 2, 2.0037, 7.5, 7.5061]) {
+      await scene.evaluate(t => stage.go(t), t);
+      const drawn = await scene.evaluate(joints => {
+        const poses = stage.poses(stage.index()), { spot } = stage.camera(poses);
+        const spots = joints.map(({ between, points }) => between.map((name, k) => spot(stage.place(name, points[k], poses))));
+        const pen = stage.ink.getContext("2d"), dense = devicePixelRatio;
+        const inked = spots.map(([[x, y]]) => pen.getImageData(Math.round(x * dense), Math.round(y * dense), 1, 1).data[3] > 0);
+        return { time: stage.times[stage.index()], poses: [...poses], spots, inked };
+      }, joints);
+      for (const [[x, y], [u, v]] of drawn.spots) open_px = Math.max(open_px, Math.abs(x - u), Math.abs(y - v));
+      assert.deepEqual(drawn.inked, [true, true, true]);
+      const { time_s, bodies } = await (await fetch(`${url}/jobs/${id}/attitudes.json?from_s=${drawn.time - 0.005}&samples=1`)).json();
+      assert.deepEqual([time_s[0], bodies.map(body => body.name), drawn.poses.map(([name]) => name)], [drawn.time, names, names]);
+      const between = t > drawn.time + 1e-9;
+      drawn.poses.forEach(([, { g, x }], k) => {
+        const far = (a, b) => Math.max(...a.map((value, i) => Math.abs(value - b[i])));
+        const moved = Math.max(far(g.flat(), bodies[k].attitude[0]), far(x, bodies[k].position[0]));
+        if (between) assert.ok(moved > 1e-4 && moved < 0.2, `${moved}`);
+        else off = Math.max(off, moved);
+      });
+    }
+    assert.ok(off < 1e-14, `off by ${off}`);
+    assert.ok(open_px < 0.1, `open by ${open_px} pixels`);
+    // One of them is followed: it stands in the middle, with its own arrows.
+    assert.ok(!await scene.isVisible(".drawn input[value=velocity]"));
+    await scene.selectOption(".which", { label: "lower" });
+    const middle = () => scene.evaluate(() => { const poses = stage.poses(stage.index()), { spot, width, height } = stage.camera(poses); return Math.hypot(...spot(poses.get("lower").x).map((x, i) => x - [width, height][i] / 2)); });
+    assert.ok(await middle() < 1e-9);
+    assert.ok(await scene.isVisible(".drawn input[value=velocity]"));
+    const before = await turned(scene);
+    await scene.click(".play");
+    await scene.waitForFunction(before => stage.g.flat().some((x, i) => x !== before[i]), before);
+    await scene.click(".play");
+    // The charts are those of all bodies.
+    assert.deepEqual(await scene.$$eval(".chart select[aria-label=Quantity] option", options => options.map(option => option.value)), ["energy_error", "orthogonality_error", "momentum_drift", "spatial_momentum"]);
+    await shoot(scene, "page-bodies");
+    // What flies free stays in sight; what is too small to be seen is drawn larger, and said to be; errors of 1e-22 J have an axis.
+    for (const name of ["tether", "orbit-and-attitude", "binary-asteroid"]) {
+      await show(name);
+      for (const part of [0.2, 0.9]) {
+        await scene.evaluate(part => stage.go(part * stage.end), part);
+        const out = await scene.evaluate(() => { const poses = stage.poses(stage.index()), { spot, width, height } = stage.camera(poses);
+          return [...poses].filter(([, { x }]) => { const [left, top] = spot(x); return !(left > 0 && left < width && top > 0 && top < height); }).map(([name]) => name); });
+        assert.deepEqual(out, [], name);
+      }
+      const words = await scene.textContent(".caption");
+      assert.match(words, name === "orbit-and-attitude" ? /^Drawn larger than to scale, to be seen: dumbbell [\d.]+ times\.$/ : /^$/);
+      await scene.waitForSelector(".plot canvas");
+    }
+    // While a job runs its beginning is played.
+    const runs = { ...await shipped(url, "chain"), name: "long chain", expect: undefined, duration_s: 100_000 };
+    const long = await submit(url, runs);
+    await scene.goto(`${url}/#/jobs/${long.id}`);
+    await scene.waitForFunction(() => stage?.g && stage.tracks.length === 3 && document.querySelector("#state").textContent === "running");
+    await press(scene, "#view button:text('Cancel')");
+    await state(scene, "cancelled");
+    assert.deepEqual(scene.wrong, []);
+    await scene.context().close();
+    return `off by ${off.toExponential(1)}, joints open by ${open_px.toExponential(1)} pixels`;
+  },
   "a command is safe to paste, whatever the name of the job": async () => {
     const names = ["$(touch pwned)", "`touch pwned`; touch pwned #", "a'b\"; touch pwned; '", "-rf ../../x & touch pwned", "..", "Kreisel, schräg"];
     const shown = [];
