@@ -106,17 +106,17 @@ impl End {
         }
     }
 
-    /// Passes on the messages of some topics in a stretch of log times, chunk by chunk, until
-    /// `visit` has enough.
+    /// Passes on the messages of the topics that are wanted, with topic and log time, in a stretch of log times, chunk by
+    /// chunk, until `visit` has enough.
     pub(super) fn messages(
         &self,
         file: &mut File,
-        topics: &[&str],
+        is_wanted: impl Fn(&str) -> bool,
         stretch: Range<u64>,
-        mut visit: impl FnMut(u64, &[u8]) -> ControlFlow<()>,
+        mut visit: impl FnMut(&str, u64, &[u8]) -> ControlFlow<()>,
     ) -> Result<(), McapError> {
         let channels = self.channels.iter();
-        let channels = channels.filter(|(_, topic)| topics.contains(&topic.as_str()));
+        let channels = channels.filter(|(_, topic)| is_wanted(topic));
         let channels: Vec<u16> = channels.map(|(&id, _)| id).collect();
         if stretch.is_empty() || channels.is_empty() {
             return Ok(());
@@ -133,9 +133,9 @@ impl End {
             };
             let flow = chunks.read(chunk, &mut |item| match item {
                 Item::Message { topic, time_ns, data, .. }
-                    if topics.contains(&topic) && stretch.contains(&time_ns) =>
+                    if is_wanted(topic) && stretch.contains(&time_ns) =>
                 {
-                    visit(time_ns, data)
+                    visit(topic, time_ns, data)
                 }
                 _ => ControlFlow::Continue(()),
             });

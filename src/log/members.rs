@@ -272,7 +272,7 @@ fn each(path: &Path, mut visit: impl FnMut(Member) -> ControlFlow<()>) -> Result
         })?;
         return Ok(());
     };
-    end.messages(&mut file, &[topic], 0..u64::MAX, |_, data| seen(data))
+    end.messages(&mut file, |of| of == topic, 0..u64::MAX, |_, _, data| seen(data))
         .map_err(|source| LogError::mcap(path, "read", source))
 }
 

@@ -110,7 +110,8 @@ pub fn read_course(
         let log_time = |since_ns: u64| start_ns.saturating_add(since_ns);
         let stretch = log_time(reading.span.start)..log_time(reading.span.end);
         let mut stop = Ok(());
-        end.messages(&mut file, &[curve.channel().topic()], stretch, |time_ns, data| {
+        let of_curve = |topic: &str| topic == curve.channel().topic();
+        end.messages(&mut file, of_curve, stretch, |_, time_ns, data| {
             stop = reading.note(time_ns.saturating_sub(start_ns), data);
             if stop.is_err() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })

@@ -330,7 +330,7 @@ impl Channel {
     }
 
     /// Returns the channel of a topic, and its body if it names one.
-    fn with_body(topic: &str) -> Option<(Self, Option<BodyName>)> {
+    pub(super) fn with_body(topic: &str) -> Option<(Self, Option<BodyName>)> {
         Self::all().into_iter().find_map(|channel| {
             if channel.topic() == topic {
                 return Some((channel, None));

@@ -286,13 +286,16 @@ fn routes() -> Vec<Route> {
         Route::new(
             "/jobs/{id}/attitudes.json",
             Read,
-            op("getAttitudes", "Attitudes one after another, and the shapes of the scene")
+            op("getAttitudes", "Attitudes one after another, of several bodies also their places, and the shapes of the scene")
                 .query::<jobs::Time>(
                     "from_s",
                     "Time of the first one in seconds; 0 if absent; while the job runs always 0",
                 )
                 .query::<jobs::Time>("every_s", "The shortest time between two in seconds; 0 if absent")
-                .query::<jobs::Samples>("samples", "How many at most; 300 if absent")
+                .query::<jobs::Samples>(
+                    "samples",
+                    "How many times at most; 300 if absent; of many bodies fewer, so that there are at most 8000 attitudes",
+                )
                 .json::<Stretch>(200, "Attitudes"),
             get(jobs::get_attitudes),
         ),

@@ -16,9 +16,13 @@ const guarded = await service([], { VPD_TOKENS: "admin a-token-of-the-tests" });
 const shown = await service(["--foxglove-listen", "127.0.0.1:0"]);
 const opened = await browser();
 
+// How long a busy machine may take for what takes a moment: no check measures time by it.
+const PATIENCE_MS = 150_000;
+
 // A page that notes what goes wrong on it and where it turns to.
 async function open(to = url, options = {}) {
   const context = await opened.newContext({ viewport: { width: 1440, height: 1000 }, ...options });
+  context.setDefaultTimeout(PATIENCE_MS);
   const page = await context.newPage();
   page.wrong = [];
   page.asked = [];
@@ -46,7 +50,7 @@ const write = async (page, text) => {
 };
 const holds = (page, words) => page.waitForFunction(words => text.value.includes(words), words);
 
-const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: 30_000 });
+const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: PATIENCE_MS });
 // Chromium draws the pictures; in Firefox the policy of the page keeps Playwright from hiding the cursor for them.
 const shoot = async (page, name) => { if (shots && !FIREFOX) await page.screenshot({ path: `${shots}/${name}.png` }); };
 // A press as a person makes it: down, and 150 ms later up, where the button stands still by then.
@@ -115,7 +119,6 @@ await checks({
   },
   "real time is real, and what is too fast to see is slowed": async () => {
     const body = await open();
-    const seconds = async () => Number((await body.textContent(".time")).match(/[\d.]+/)[0]);
     const shows = async (name, change = x => x) => {
       const { id } = await submit(url, change(await shipped(url, name)));
       await ended(url, id);
@@ -127,18 +130,26 @@ await checks({
     await shows("pendulum");
     assert.match(await body.textContent(".pace"), /^Real time: /);
     assert.equal(await body.inputValue(".rate"), "1");
-    const measured = async () => {
-      const [t0, w0] = [await seconds(), await body.evaluate(() => performance.now())];
-      await body.waitForTimeout(2000);
-      return (await seconds() - t0) / ((await body.evaluate(() => performance.now()) - w0) / 1000);
-    };
+    // From one picture to another, however few there are, and while nothing is fetched, for which the body waits.
+    const measured = () => body.evaluate(() => new Promise(done => {
+      const { onframe } = stage;
+      let first;
+      stage.onframe = t => {
+        onframe(t);
+        const now = document.timeline.currentTime;
+        first = stage.busy ? undefined : first ?? { now, t: stage.t };
+        if (!(first && now - first.now > 2000)) return;
+        stage.onframe = onframe;
+        done((stage.t - first.t) / (now - first.now) * 1000);
+      };
+    }));
     const real = await measured();
-    assert.ok(Math.abs(real - 1) < 0.15, `${real} s in a second`);
+    assert.ok(Math.abs(real - 1) < 0.01, `${real} s in a second`);
     // 40 rad/s: more than six turns in a second.
     await shows("heavy-top");
     assert.match(await body.textContent(".pace"), /^10 times slower than real time: it turns up to 6\.4 times a second/);
     const slow = await measured();
-    assert.ok(Math.abs(slow - 0.1) < 0.03, `${slow} s in a second`);
+    assert.ok(Math.abs(slow - 0.1) < 0.001, `${slow} s in a second`);
     await body.selectOption(".rate", "1");
     assert.match(await body.textContent(".pace"), /^Real time/);
     // Hours, in minutes.
@@ -214,7 +225,7 @@ await checks({
     await whole;
     // A click moves the body, and the line.
     const time = async () => Number((await chart.textContent(".time")).match(/[\d.]+/)[0]);
-    await chart.waitForTimeout(300);
+    await chart.waitForFunction(() => chart.u?.scales.x.max > 100);
     const now = await chart.locator(".plot .u-over").boundingBox();
     await chart.mouse.click(now.x + now.width / 4, now.y + now.height / 2);
     await chart.waitForFunction(() => Math.abs(Number(document.querySelector(".time").textContent.match(/[\d.]+/)[0]) - 30) < 1);
@@ -333,7 +344,7 @@ await checks({
     const worst = await choose("Order of the members", "largest", "order=largest");
     await press(crowd, ".members tbody tr:first-child button");
     await crowd.waitForFunction(id => /jobs/.test(location.hash) && !location.hash.endsWith(id), id);
-    await crowd.waitForFunction(name => document.querySelector("h1").textContent === name, `satellite-ensemble, member ${worst.rows[0].member}`);
+    await crowd.waitForFunction(name => document.querySelector("h1")?.textContent === name, `satellite-ensemble, member ${worst.rows[0].member}`);
     await state(crowd, "succeeded");
     const alone = crowd.url();
     const job = await (await fetch(alone.replace("#/", ""))).json();
@@ -472,6 +483,82 @@ await checks({
     assert.deepEqual(told.wrong, []);
     await told.context().close();
     return words;
+  },
+  "several bodies stand and turn as the log says, and their joints are closed": async () => {
+    const scene = await open();
+    const show = async name => {
+      const { id } = await submit(url, { ...await shipped(url, name), expect: undefined });
+      await ended(url, id);
+      await scene.goto(`${url}/#/jobs/${id}`);
+      await scene.waitForFunction(id => stage?.g && document.querySelector("#download")?.href.includes(id), id);
+      await scene.evaluate(() => stage.run(false));
+      return id;
+    };
+    const id = await show("chain");
+    const joints = (await shipped(url, "chain")).scene.joints;
+    const names = ["upper", "middle", "lower"];
+    assert.deepEqual(await scene.$$eval(".which option", options => options.map(option => option.textContent)), ["All bodies", ...names]);
+    let [off, open_px] = [0, 0];
+    // At samples of the log, and between two of them.
+    for (const t of [0.3, 2, 2.0037, 7.5, 7.5061]) {
+      await scene.evaluate(t => stage.go(t), t);
+      const drawn = await scene.evaluate(joints => {
+        const poses = stage.poses(stage.index()), { spot } = stage.camera(poses);
+        const spots = joints.map(({ between, points }) => between.map((name, k) => spot(stage.place(name, points[k], poses))));
+        const pen = stage.ink.getContext("2d"), dense = devicePixelRatio;
+        const inked = spots.map(([[x, y]]) => pen.getImageData(Math.round(x * dense), Math.round(y * dense), 1, 1).data[3] > 0);
+        return { time: stage.times[stage.index()], poses: [...poses], spots, inked };
+      }, joints);
+      for (const [[x, y], [u, v]] of drawn.spots) open_px = Math.max(open_px, Math.abs(x - u), Math.abs(y - v));
+      assert.deepEqual(drawn.inked, [true, true, true]);
+      const { time_s, bodies } = await (await fetch(`${url}/jobs/${id}/attitudes.json?from_s=${drawn.time - 0.005}&samples=1`)).json();
+      assert.deepEqual([time_s[0], bodies.map(body => body.name), drawn.poses.map(([name]) => name)], [drawn.time, names, names]);
+      const between = t > drawn.time + 1e-9;
+      drawn.poses.forEach(([, { g, x }], k) => {
+        const far = (a, b) => Math.max(...a.map((value, i) => Math.abs(value - b[i])));
+        const moved = Math.max(far(g.flat(), bodies[k].attitude[0]), far(x, bodies[k].position[0]));
+        if (between) assert.ok(moved > 1e-4 && moved < 0.2, `${moved}`);
+        else off = Math.max(off, moved);
+      });
+    }
+    assert.ok(off < 1e-14, `off by ${off}`);
+    assert.ok(open_px < 0.1, `open by ${open_px} pixels`);
+    await shoot(scene, "page-bodies");
+    // One of them is followed: it stands in the middle, with its own arrows.
+    assert.ok(!await scene.isVisible(".drawn input[value=velocity]"));
+    await scene.selectOption(".which", { label: "lower" });
+    const middle = () => scene.evaluate(() => { const poses = stage.poses(stage.index()), { spot, width, height } = stage.camera(poses); return Math.hypot(...spot(poses.get("lower").x).map((x, i) => x - [width, height][i] / 2)); });
+    assert.ok(await middle() < 1e-9);
+    assert.ok(await scene.isVisible(".drawn input[value=velocity]"));
+    const before = await turned(scene);
+    await scene.click(".play");
+    await scene.waitForFunction(before => stage.g.flat().some((x, i) => x !== before[i]), before);
+    await scene.click(".play");
+    // The charts are those of all bodies.
+    assert.deepEqual(await scene.$$eval(".chart select[aria-label=Quantity] option", options => options.map(option => option.value)), ["energy_error", "orthogonality_error", "momentum_drift", "spatial_momentum"]);
+    // What flies free stays in sight; what is too small to be seen is drawn larger, and said to be; errors of 1e-22 J have an axis.
+    for (const name of ["tether", "orbit-and-attitude", "binary-asteroid"]) {
+      await show(name);
+      for (const part of [0.2, 0.9]) {
+        await scene.evaluate(part => stage.go(part * stage.end), part);
+        const out = await scene.evaluate(() => { const poses = stage.poses(stage.index()), { spot, width, height } = stage.camera(poses);
+          return [...poses].filter(([, { x }]) => { const [left, top] = spot(x); return !(left > 0 && left < width && top > 0 && top < height); }).map(([name]) => name); });
+        assert.deepEqual(out, [], name);
+      }
+      const words = await scene.textContent(".caption");
+      assert.match(words, name === "orbit-and-attitude" ? /^Drawn larger than to scale, to be seen: dumbbell [\d.]+ times\.$/ : /^$/);
+      await scene.waitForSelector(".plot canvas");
+    }
+    // While a job runs its beginning is played.
+    const runs = { ...await shipped(url, "chain"), name: "long chain", expect: undefined, duration_s: 100_000 };
+    const long = await submit(url, runs);
+    await scene.goto(`${url}/#/jobs/${long.id}`);
+    await scene.waitForFunction(() => stage?.g && stage.tracks.length === 3 && document.querySelector("#state").textContent === "running");
+    await press(scene, "#view button:text('Cancel')");
+    await state(scene, "cancelled");
+    assert.deepEqual(scene.wrong, []);
+    await scene.context().close();
+    return `off by ${off.toExponential(1)}, joints open by ${open_px.toExponential(1)} pixels`;
   },
   "a command is safe to paste, whatever the name of the job": async () => {
     const names = ["$(touch pwned)", "`touch pwned`; touch pwned #", "a'b\"; touch pwned; '", "-rf ../../x & touch pwned", "..", "Kreisel, schräg"];
@@ -753,6 +840,7 @@ await checks({
   "eight windows on six active jobs hold one stream, and each press is answered": async () => {
     const many = await service(["--workers", "2"]);
     const context = await opened.newContext({ viewport: { width: 1440, height: 1000 } });
+    context.setDefaultTimeout(PATIENCE_MS);
     const scenario = await long();
     const ids = [];
     for (let k = 0; k < 6; k += 1) ids.push((await submit(many.url, { ...scenario, name: `long ${k}` })).id);

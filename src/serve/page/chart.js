@@ -7,6 +7,8 @@ const CURVES = {
 };
 // Those of channels that not every log has.
 const CHANNELS = { step: "/pace", axis_error: "/pointing", roll_pitch_yaw: "/pointing", relative_rate: "/pointing" };
+// Those of a scene of one body.
+const OF_ONE = ["angular_velocity", "body_momentum", "axis_angle"];
 const ERRORS = ["energy_error", "orthogonality_error", "momentum_drift"];
 const PARTS = { axis_angle: k => `axis ${k + 1}`, roll_pitch_yaw: k => ["roll", "pitch", "yaw"][k] };
 const HUES = { light: ["#00598c", "#b34700", "#00654a", "#8a3a78", "#6b5200", "#1c2024"], dark: ["#7cc4f2", "#ffa768", "#63d0ab", "#f0a3d8", "#e6cf6a", "#e8e6e1"] };
@@ -15,10 +17,20 @@ const night = matchMedia("(prefers-color-scheme: dark)");
 // Reads the look of the axes of a chart in the theme of the page, and a colour of it.
 const shade = name => getComputedStyle(document.body).getPropertyValue(name).trim();
 
-function axes() {
+// Of a logarithmic axis powers of ten, and between few of them 2 and 5 times each; uPlot's own do not end for values like 1e-23.
+function decades(u, axis, least, most) {
+  const [low, high] = [Math.floor(Math.log10(least)), Math.ceil(Math.log10(most))];
+  const each = Math.max(1, Math.ceil((high - low) / 6)), steps = high - low < 3 ? [1, 2, 5] : [1];
+  const all = [];
+  for (let power = Math.ceil(low / each) * each; power <= high; power += each) for (const step of steps) all.push(Number(`${step}e${power}`));
+  return all.filter(x => x >= least && x <= most);
+}
+
+// `log` is of a chart whose values are on a logarithmic axis.
+function axes(log = false) {
   const axis = { stroke: shade("--soft"), grid: { stroke: shade("--line"), width: 1 }, ticks: { stroke: shade("--line"), width: 1 }, font: "12px system-ui" };
   const short = (u, values) => values.map(x => x == null ? "" : figure(x));
-  return [{ ...axis, label: "t in s", labelSize: 18, labelFont: "12px system-ui", size: 34 }, { ...axis, values: short, size: 68 }];
+  return [{ ...axis, label: "t in s", labelSize: 18, labelFont: "12px system-ui", size: 34 }, { ...axis, values: short, size: 68, ...log && { splits: decades, filter: (u, splits) => splits } }];
 }
 
 // The last of ascending times at or before a time; the first if there is none.
@@ -35,7 +47,8 @@ class Chart {
     this.known = [];
     const option = ([value, name]) => h("option", { value }, name);
     this.curve = h("select", { ariaLabel: "Quantity", onchange: () => { this.log.checked = ERRORS.includes(this.curve.value); this.load(); } },
-      Object.entries(CURVES).filter(([value]) => !CHANNELS[value] || job.plan?.channels.some(({ topic }) => topic === CHANNELS[value])).map(option));
+      Object.entries(CURVES).filter(([value]) => !CHANNELS[value] || job.plan?.channels.some(({ topic }) => topic === CHANNELS[value]))
+        .filter(([value]) => !job.plan?.bodies?.length || !OF_ONE.includes(value)).map(option));
     this.log = h("input", { type: "checkbox", checked: true, onchange: () => this.draw() });
     this.more = h("select", { ariaLabel: "Compare with another job", onfocus: () => this.ask(), onpointerenter: () => this.ask(), onchange: () => this.add() });
     this.others = h("span", { className: "row" });
@@ -139,7 +152,7 @@ class Chart {
       ...this.size(), series, bands, legend: { show: false }, padding: [8, 26, 0, 0],
       cursor: { y: false, drag: { x: true, y: false, setScale: false }, points: { show: false } },
       scales: { x: { time: false, ...this.span && { range: this.span } }, y: log ? { distr: 3 } : {} },
-      axes: axes(),
+      axes: axes(log),
       hooks: {
         setCursor: [u => this.read(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)],
         setSelect: [u => { if (u.select.width > 4) this.look([u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x")]); }],

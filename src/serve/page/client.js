@@ -141,6 +141,9 @@ const pass = ({ id, state, progress }) => air.postMessage({ id, state, progress 
 
 const shownAgain = () => document.hidden ? new Promise(later => document.addEventListener("visibilitychange", later, { once: true })) : null;
 
+// The shortest time between two pieces of progress that are shown.
+const TOLD_MS = 250;
+
 // Follows a job until it has ended. One window of a browser at a time holds a stream of events, and only while it can be
 // seen; the others hear what it tells, or ask every second.
 async function follow(job, seen, signal) {
@@ -161,6 +164,8 @@ async function follow(job, seen, signal) {
       try {
         await navigator.locks.request(`vpd events ${base}`, { signal: either }, () => events(job.id, fresh => {
           [cuts, streams] = [0, true];
+          // Ten times a second is more than anybody reads, and every window hears of it.
+          if (fresh.state === job.state && Date.now() < told + TOLD_MS) return;
           pass(fresh);
           tell(fresh);
         }, either));

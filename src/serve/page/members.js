@@ -71,7 +71,7 @@ class Members {
       ...this.size(), legend: { show: false }, padding: [8, 26, 0, 0], bands: log && found.channel === "energy_error" ? [] : bands,
       series: [{}, ...lines.map((_, k) => k === middle ? { ...edge, stroke: hue, width: 2 } : edge), { stroke: shade("--velocity"), width: 2, points: { show: false } }],
       cursor: { y: false, drag: { x: false, y: false }, points: { show: false } },
-      scales: { x: { time: false }, y: log ? { distr: 3 } : {} }, axes: axes(),
+      scales: { x: { time: false }, y: log ? { distr: 3 } : {} }, axes: axes(log),
       hooks: { setCursor: [u => this.read(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null)] },
     }, [found.time_s, ...lines, this.line()], this.plot);
     this.plot.ariaLabel = `${SPREADS[found.channel]} of all members over time. Arrow keys read values.`;

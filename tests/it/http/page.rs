@@ -283,6 +283,78 @@ fn a_quantity_over_time_comes_in_few_points_with_its_extremes() {
 }
 
 #[test]
+fn several_bodies_stand_where_the_log_says() {
+    let data = directory();
+    let server = service(&data).start();
+    let mut scenario: Value =
+        serde_json::from_str(include_str!("../../../scenarios/chain.json")).expect("a scenario");
+    scenario.as_object_mut().expect("fields").remove("expect");
+    scenario["duration_s"] = json!(1.0);
+    let id = server.submit(&scenario);
+    server.wait(&id, "succeeded");
+    let path = format!("/jobs/{id}/attitudes.json");
+    let ask = |query: &str| server.get(&format!("{path}{query}")).json();
+    let numbers = |list: &Value| -> Vec<f64> {
+        list.as_array().expect("a list").iter().map(|x| x.as_f64().expect("a number")).collect()
+    };
+
+    let found = ask("");
+    let times = numbers(&found["time_s"]);
+    assert_eq!((times.len(), times[100], &found["end_s"]), (101, 1.0, &json!(1.0)));
+    assert_eq!(found["attitude"], json!([]));
+    let bodies = found["bodies"].as_array().expect("bodies");
+    let names: Vec<_> = bodies.iter().map(|body| body["name"].as_str().expect("a name")).collect();
+    assert_eq!(names, ["upper", "middle", "lower"]);
+    for k in [0, 37, 100] {
+        // Where a point of a body is: the joints of the chain are closed, and it hangs from its anchor.
+        let at = |body: usize, z: f64| -> [f64; 3] {
+            let of = |list: &str| numbers(&bodies[body][list][k]);
+            let (position, attitude) = (of("position"), of("attitude"));
+            std::array::from_fn(|i| position[i] + attitude[3 * i + 2] * z)
+        };
+        let apart =
+            |a: [f64; 3], b: [f64; 3]| (0..3).map(|i| (a[i] - b[i]).abs()).fold(0.0, f64::max);
+        for (above, below) in [
+            ([0.0, 0.0, 1.0], at(0, 0.25)),
+            (at(0, -0.25), at(1, 0.25)),
+            (at(1, -0.25), at(2, 0.25)),
+        ] {
+            assert!(apart(above, below) < 1e-14, "{above:?} {below:?}");
+        }
+    }
+    // The end is the state that the job ended with, and velocities are those of the places.
+    let job = server.get(&format!("/jobs/{id}")).json();
+    for body in bodies {
+        let last = &job["summary"]["final"]["bodies"][body["name"].as_str().expect("a name")];
+        assert_eq!(numbers(&last["position"]), numbers(&body["position"][100]));
+        assert_eq!(numbers(&last["body_momentum"]), numbers(&body["body_momentum"][100]));
+        let (before, after) = (numbers(&body["position"][49]), numbers(&body["position"][51]));
+        let velocity = numbers(&body["velocity"][50]);
+        let off = (0..3).map(|i| ((after[i] - before[i]) / 0.02 - velocity[i]).abs());
+        assert!(off.fold(0.0, f64::max) < 5e-3);
+    }
+
+    // From a time on, and fewer of them: all bodies at the same times.
+    let few = ask("?from_s=0.5&every_s=0.02&samples=4");
+    assert_eq!(numbers(&few["time_s"]), [0.5, 0.52, 0.54, 0.56]);
+    for (few, all) in few["bodies"].as_array().expect("bodies").iter().zip(bodies) {
+        for list in ["attitude", "body_momentum", "angular_velocity", "position", "velocity"] {
+            assert_eq!(few[list].as_array().map(Vec::len), Some(4), "{list}");
+            assert_eq!(few[list][3], all[list][56], "{list}");
+        }
+    }
+    let frames: Vec<_> = found["scene"]
+        .as_array()
+        .expect("drawings")
+        .iter()
+        .map(|drawing| &drawing["frame"])
+        .collect();
+    for frame in names {
+        assert!(frames.contains(&&json!(frame)), "{frame}");
+    }
+}
+
+#[test]
 fn the_members_of_an_ensemble_are_compared_and_each_is_a_run_of_its_own() {
     let data = directory();
     let server = service(&data).start();
