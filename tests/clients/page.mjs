@@ -16,9 +16,13 @@ const guarded = await service([], { VPD_TOKENS: "admin a-token-of-the-tests" });
 const shown = await service(["--foxglove-listen", "127.0.0.1:0"]);
 const opened = await browser();
 
+// How long a busy machine may take for what takes a moment: no check measures time by it.
+const PATIENCE_MS = 150_000;
+
 // A page that notes what goes wrong on it and where it turns to.
 async function open(to = url, options = {}) {
   const context = await opened.newContext({ viewport: { width: 1440, height: 1000 }, ...options });
+  context.setDefaultTimeout(PATIENCE_MS);
   const page = await context.newPage();
   page.wrong = [];
   page.asked = [];
@@ -46,7 +50,7 @@ const write = async (page, text) => {
 };
 const holds = (page, words) => page.waitForFunction(words => text.value.includes(words), words);
 
-const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: 30_000 });
+const state = (page, wanted) => page.waitForFunction(wanted => document.querySelector("#state")?.textContent === wanted, wanted, { timeout: PATIENCE_MS });
 // Chromium draws the pictures; in Firefox the policy of the page keeps Playwright from hiding the cursor for them.
 const shoot = async (page, name) => { if (shots && !FIREFOX) await page.screenshot({ path: `${shots}/${name}.png` }); };
 // A press as a person makes it: down, and 150 ms later up, where the button stands still by then.
@@ -115,7 +119,6 @@ await checks({
   },
   "real time is real, and what is too fast to see is slowed": async () => {
     const body = await open();
-    const seconds = async () => Number((await body.textContent(".time")).match(/[\d.]+/)[0]);
     const shows = async (name, change = x => x) => {
       const { id } = await submit(url, change(await shipped(url, name)));
       await ended(url, id);
@@ -127,18 +130,22 @@ await checks({
     await shows("pendulum");
     assert.match(await body.textContent(".pace"), /^Real time: /);
     assert.equal(await body.inputValue(".rate"), "1");
-    const measured = async () => {
-      const [t0, w0] = [await seconds(), await body.evaluate(() => performance.now())];
-      await body.waitForTimeout(2000);
-      return (await seconds() - t0) / ((await body.evaluate(() => performance.now()) - w0) / 1000);
-    };
+    // From one picture to another, and while nothing is fetched, for which the body waits.
+    const measured = () => body.evaluate(() => new Promise(done => {
+      let first;
+      const frame = now => {
+        first = stage.busy ? undefined : first ?? { now, t: stage.t };
+        if (first && now - first.now > 2000) done((stage.t - first.t) / (now - first.now) * 1000); else requestAnimationFrame(frame);
+      };
+      requestAnimationFrame(frame);
+    }));
     const real = await measured();
-    assert.ok(Math.abs(real - 1) < 0.15, `${real} s in a second`);
+    assert.ok(Math.abs(real - 1) < 0.01, `${real} s in a second`);
     // 40 rad/s: more than six turns in a second.
     await shows("heavy-top");
     assert.match(await body.textContent(".pace"), /^10 times slower than real time: it turns up to 6\.4 times a second/);
     const slow = await measured();
-    assert.ok(Math.abs(slow - 0.1) < 0.03, `${slow} s in a second`);
+    assert.ok(Math.abs(slow - 0.1) < 0.001, `${slow} s in a second`);
     await body.selectOption(".rate", "1");
     assert.match(await body.textContent(".pace"), /^Real time/);
     // Hours, in minutes.
@@ -214,7 +221,7 @@ await checks({
     await whole;
     // A click moves the body, and the line.
     const time = async () => Number((await chart.textContent(".time")).match(/[\d.]+/)[0]);
-    await chart.waitForTimeout(300);
+    await chart.waitForFunction(() => chart.u.scales.x.max > 100);
     const now = await chart.locator(".plot .u-over").boundingBox();
     await chart.mouse.click(now.x + now.width / 4, now.y + now.height / 2);
     await chart.waitForFunction(() => Math.abs(Number(document.querySelector(".time").textContent.match(/[\d.]+/)[0]) - 30) < 1);
@@ -333,7 +340,7 @@ await checks({
     const worst = await choose("Order of the members", "largest", "order=largest");
     await press(crowd, ".members tbody tr:first-child button");
     await crowd.waitForFunction(id => /jobs/.test(location.hash) && !location.hash.endsWith(id), id);
-    await crowd.waitForFunction(name => document.querySelector("h1").textContent === name, `satellite-ensemble, member ${worst.rows[0].member}`);
+    await crowd.waitForFunction(name => document.querySelector("h1")?.textContent === name, `satellite-ensemble, member ${worst.rows[0].member}`);
     await state(crowd, "succeeded");
     const alone = crowd.url();
     const job = await (await fetch(alone.replace("#/", ""))).json();
@@ -829,6 +836,7 @@ await checks({
   "eight windows on six active jobs hold one stream, and each press is answered": async () => {
     const many = await service(["--workers", "2"]);
     const context = await opened.newContext({ viewport: { width: 1440, height: 1000 } });
+    context.setDefaultTimeout(PATIENCE_MS);
     const scenario = await long();
     const ids = [];
     for (let k = 0; k < 6; k += 1) ids.push((await submit(many.url, { ...scenario, name: `long ${k}` })).id);
@@ -843,7 +851,7 @@ await checks({
       windows.push(window);
     }
     // Those of the jobs that run go on to show how far these are; one that waits says for how many.
-    assert.match(await windows[5].textContent("#standing"), /^waiting for a free worker: 3 before it$/);
+    assert.match(await windows[5].textContent("#standing"), /^waiting: 3 before it$/);
     for (const window of windows.filter((_, k) => k % 6 < 2)) {
       const value = await window.$eval("#view progress", bar => bar.value);
       await window.waitForFunction(value => document.querySelector("#view progress").value > value, value);
@@ -861,20 +869,25 @@ await checks({
     await hidden(windows[holder], false);
     const times = [];
     for (const [k, window] of windows.entries()) {
-      const begun = Date.now();
-      if (k < 6) {
-        const answer = window.waitForResponse(answer => answer.url().endsWith(`${ids[k]}/cancel`));
-        await press(window, "#view button:text('Cancel')");
-        await answer;
-      } else {
-        await window.bringToFront();
+      // A person presses in the window in front; the browser draws the others seldom.
+      await window.bringToFront();
+      if (k >= 6) {
         await window.selectOption("#shipped", "free-body");
         await holds(window, '"free-body"');
-        const answer = window.waitForResponse(answer => answer.request().method() === "POST" && answer.url().endsWith("/jobs"));
-        await press(window, "#run");
-        await answer;
       }
-      times.push(Date.now() - begun - 150);
+      const [button, path] = k < 6 ? ["#view button:text('Cancel')", `/jobs/${ids[k]}/cancel`] : ["#run", "/jobs"];
+      await window.evaluate(() => addEventListener("click", () => { window.pressed = performance.now(); }, true));
+      const answer = window.waitForResponse(answer => answer.request().method() === "POST" && answer.url().endsWith(path));
+      await press(window, button);
+      assert.ok((await answer).ok());
+      // From the click to the answer, as the browser notes it.
+      times.push(Math.round(await window.evaluate(url => new Promise(done => {
+        const read = () => {
+          const last = performance.getEntriesByName(url).find(entry => entry.startTime >= pressed);
+          if (last) done(last.responseEnd - pressed); else setTimeout(read, 20);
+        };
+        read();
+      }), many.url + path)));
     }
     for (const id of ids) assert.equal((await ended(many.url, id)).state, "cancelled");
     await context.close();
@@ -930,6 +943,81 @@ await checks({
     assert.equal((await ended(url, id)).state, "cancelled");
     await waits.context().close();
     return `${posts.length} requests`;
+  },
+  "no press is lost while jobs come, go and end": async () => {
+    const many = await service(["--workers", "2"]);
+    const scenario = { ...await shipped(many.url, "free-body"), expect: undefined };
+    const slow = { ...await long(), log: { every: 10_000, channels: ["/state"] } };
+    let going = true, posted = 0;
+    const load = (async () => {
+      for (let k = 0; going; k += 1) {
+        const { id } = await submit(many.url, k % 4 ? { ...scenario, name: `spin ${k}`, duration_s: 1 + 400 * (k % 3) } : { ...slow, name: `long ${k}` });
+        posted += 1;
+        if (k % 4 === 0) setTimeout(() => fetch(`${many.url}/jobs/${id}/cancel`, { method: "POST" }).catch(() => {}), 1500);
+        await new Promise(later => setTimeout(later, 300));
+      }
+    })();
+    const presses = Number(process.env.PRESSES ?? 20), wrong = [];
+    let cancels = 0, waited = 0;
+    try {
+      const list = await open(many.url);
+      await list.waitForFunction(() => document.querySelectorAll("#jobs li a").length > 8);
+      // The same presses each time.
+      let seed = 7;
+      const random = () => { seed = (seed * 16807) % 2147483647; return seed / 2147483647; };
+      const cancelled = new Set();
+      list.on("request", request => { if (request.url().endsWith("/cancel")) cancelled.add(request.url().split("/").at(-2)); });
+      const hash = () => list.evaluate(() => location.hash);
+      for (let k = 0; k < presses;) {
+        const before = await hash();
+        // Every third press is one of a Cancel, if there is one.
+        const rows = await list.$$eval("#jobs li", (rows, before) => rows.map(row => row.id.slice(4)).filter(id => !before.endsWith(id)), before);
+        const active = await list.$$eval("#jobs li:has(progress:not([hidden])):has(button:enabled:not([hidden]))", rows => rows.map(row => row.id.slice(4)));
+        const stop = k % 3 === 2 && active.length > 0, among = stop ? active : rows;
+        const id = among[Math.floor(random() * among.length)];
+        const button = list.locator(`#job-${id} button:text('Cancel')`);
+        const target = stop ? button : list.locator(`#job-${id} a`);
+        // A person scrolls to the row and comes to it. Rows move until the pointer is over the list; one may have left it.
+        if (!await target.hover({ timeout: 1000 }).then(() => true, () => false)) continue;
+        const { x, y, width, height } = await target.boundingBox();
+        const at = [x + Math.min(20, width / 2), y + height / 2];
+        await list.mouse.move(...at);
+        waited += await list.isVisible("#jobs-new");
+        await list.mouse.down();
+        // From here on nothing changes; the job may have ended before.
+        const off = stop && await button.isDisabled();
+        await list.waitForTimeout(120 + Math.round(1380 * random()));
+        // No hand is still.
+        await list.mouse.move(at[0] + 3, at[1] + 2, { steps: 3 });
+        await list.mouse.up();
+        if (off) { await list.mouse.move(2, 2); continue; }
+        k += 1;
+        if (stop) {
+          cancels += 1;
+          for (let wait = 0; wait < 1000 && !cancelled.has(id); wait += 1) await list.waitForTimeout(20);
+          if (!cancelled.has(id)) wrong.push(`${k}: cancel of ${id} was lost`);
+          if (await hash() !== before) wrong.push(`${k}: cancel of ${id} opened ${await hash()}`);
+        } else if (!await list.waitForFunction(id => location.hash.endsWith(id), id, { timeout: 20_000 }).catch(() => null))
+          wrong.push(`${k}: ${id} was pressed, ${await hash()} came`);
+        if (k % 2) { await list.mouse.move(2, 2); await list.waitForTimeout(100); }
+      }
+      // What waits is counted, and shown when somebody asks for it, or leaves.
+      await list.hover("#jobs-title");
+      await list.waitForSelector("#jobs-new:not([hidden])");
+      assert.match(await list.textContent("#jobs-new"), /^\d+ new$/);
+      const first = () => list.getAttribute("#jobs li", "id");
+      const before = await first();
+      await press(list, "#jobs-new");
+      assert.notEqual(await first(), before);
+      assert.deepEqual(wrong, []);
+      assert.deepEqual(list.wrong, []);
+      await list.context().close();
+    } finally {
+      going = false;
+      await load;
+      await many.stop();
+    }
+    return `${presses} presses, ${cancels} of them Cancel, ${waited} while rows waited; ${posted} jobs came`;
   },
   "a running job is linked to the live view": async () => {
     const live = await open(shown.url);

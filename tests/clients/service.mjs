@@ -22,8 +22,13 @@ export async function service(args = [], env = {}) {
     });
     child.on("exit", code => reject(new Error(`vpd serve ended with ${code}: ${words}`)));
   });
+  // A check that fails leaves its service: it ends with this process, which does not wait for it.
+  process.on("exit", () => child.kill());
+  child.unref();
+  child.stderr.unref();
   const stop = async () => {
     const gone = new Promise(resolve => child.on("exit", resolve));
+    child.ref();
     child.kill("SIGTERM");
     await gone;
     rmSync(data, { recursive: true, force: true });

@@ -17,7 +17,7 @@ const night = matchMedia("(prefers-color-scheme: dark)");
 // Reads the look of the axes of a chart in the theme of the page, and a colour of it.
 const shade = name => getComputedStyle(document.body).getPropertyValue(name).trim();
 
-// Of a logarithmic axis powers of ten, and between few of them 2 and 5 times each; uPlot's own do not end below 1e-32.
+// Of a logarithmic axis powers of ten, and between few of them 2 and 5 times each; uPlot's own do not end for values like 1e-23.
 function decades(u, axis, least, most) {
   const [low, high] = [Math.floor(Math.log10(least)), Math.ceil(Math.log10(most))];
   const each = Math.max(1, Math.ceil((high - low) / 6)), steps = high - low < 3 ? [1, 2, 5] : [1];

@@ -2,9 +2,9 @@
 let stage = null, chart = null, members = null;
 // ---- one job
 
-async function picture(path, alt) {
+async function picture(path, alt, className = "") {
   const link = URL.createObjectURL(await (await read(path)).blob());
-  return h("img", { src: link, alt, onload: () => URL.revokeObjectURL(link) });
+  return h("img", { src: link, alt, className, onload: () => URL.revokeObjectURL(link) });
 }
 
 function shell(command) {
@@ -96,7 +96,7 @@ function facts({ plan, summary, attempts }) {
     add("body", `SO(${plan.dimension})`);
     add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
     add("reason", formulation.why);
-    add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
+    add("step", `${figure(plan.step_s)} s, ${counted(plan.steps, "step")}, a sample ${plan.every === 1 ? "after each" : `every ${count(plan.every)}`}`);
     const change = what => what && `the change of ${what}`;
     add("energy error", change(plan.balance));
     add("momentum drift", change(plan.momentum_balance));
@@ -231,7 +231,8 @@ async function showBody(job, looks, current) {
 const CHARTS = { energy: "Energy error over time", orthogonality: "Orthogonality error over time", momentum: "Drift of the conserved momentum over time" };
 
 // A picture, or in its place why it is not there.
-const pictured = (path, alt) => picture(path, alt).catch(error => h("p", { className: "soft" }, `${alt}: not drawn. ${error.message}`));
+const pictured = (path, alt, className) =>
+  picture(path, alt, className).catch(error => h("p", { className: "soft" }, `${alt}: not drawn. ${error.message}`));
 
 async function charts({ links, summary, plan }) {
   if (!links.charts || !summary) return [];
@@ -257,13 +258,13 @@ async function viewStudy(id) {
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
     // A sweep shows the members so far.
     const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
-      .map(link => pictured(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`))) : [];
+      .map(link => pictured(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`, ["stability", "sweep"].includes(study.kind) ? "map" : ""))) : [];
     await calm();
     if (turn !== shown) return;
     if (!card.isConnected) $("view").replaceChildren(card);
     card.replaceChildren(
       h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
-      h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${count(study.runs_done)} runs${ended ? "" : ` of ${count(study.runs)}`}.`),
+      h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${ended ? counted(study.runs_done, "run") : `${count(study.runs_done)} of ${counted(study.runs, "run")}`}.`),
       ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
       h("div", { className: "charts" }, pictures),
       h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
@@ -368,7 +369,7 @@ addEventListener("hashchange", route);
 document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
 setInterval(() => {
   const active = jobs.some(job => !ENDED.includes(job.state)) || studies?.some(study => !ENDED.includes(study.state));
-  if (!document.hidden && (active || Date.now() % 10000 < 2000)) refresh();
+  if (!document.hidden && !refreshing && (active || Date.now() % 10000 < 2000)) refresh();
 }, 2000);
 
 // A service that does not answer at first is asked again.
