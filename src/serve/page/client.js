@@ -145,12 +145,18 @@ const pass = ({ id, state, progress }) => air.postMessage({ id, state, progress 
 const shownAgain = () => document.hidden ? new Promise(later => document.addEventListener("visibilitychange", later, { once: true })) : null;
 
 // Follows a job until it has ended. One window of a browser at a time holds a stream of events, and only while it can be
-// seen; the others hear what it tells, or ask every second.
+// seen; the others hear what it tells, or ask every second. A service that answers slowly is asked less often: all windows
+// share the few connections, and a press must find one of them free.
 async function follow(job, seen, signal) {
-  let told = 0, streams = false;
+  let next = 0, streams = false;
   const over = () => signal.aborted || ENDED.includes(job.state);
-  const tell = fresh => { if (over()) return; [job, told] = [fresh, Date.now()]; seen(job); };
-  const ask = async () => { const fresh = await json(`jobs/${job.id}`, { signal, quiet: true }); pass(fresh); tell(fresh); };
+  const tell = (fresh, rest_ms = 1000) => { if (over()) return; [job, next] = [fresh, Date.now() + rest_ms]; seen(job); };
+  const ask = async () => {
+    const begun = Date.now();
+    const fresh = await json(`jobs/${job.id}`, { signal, quiet: true });
+    pass(fresh);
+    tell(fresh, Math.max(1000, 5 * (Date.now() - begun)));
+  };
   const listen = ({ data }) => { if (data.id === job.id && data.state === job.state) tell({ ...job, progress: data.progress }); };
   air.addEventListener("message", listen);
   const stream = async () => {
@@ -177,7 +183,7 @@ async function follow(job, seen, signal) {
   while (!over()) {
     await new Promise(later => setTimeout(later, 500));
     await shownAgain();
-    if (over() || streams || Date.now() - told < 1000) continue;
+    if (over() || streams || Date.now() < next) continue;
     try { await ask(); } catch (error) { if (error.status === 404) break; }
   }
   air.removeEventListener("message", listen);

@@ -137,14 +137,16 @@ function question(limit, cursor) {
 
 // The number of the latest question, and whether a person still waits for other rows: a later question answers that, too.
 let refreshed = 0, awaited = false;
-// Number of questions without an answer yet: while the service is slow, none is added by the clock.
-let refreshing = 0;
+// Number of questions without an answer yet, and the time before which the clock asks no other: while the service is slow,
+// it adds none, and leaves it time for presses.
+let refreshing = 0, rested = 0;
 
 // Asks for the lists; `asked` is whether a person asks for other rows.
 async function refresh(asked = false) {
   const turn = ++refreshed;
   awaited ||= asked;
   refreshing += 1;
+  const begun = Date.now();
   try {
     const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
     const list = studies ? (await json("studies", { quiet: true })).studies : null;
@@ -163,7 +165,10 @@ async function refresh(asked = false) {
   } catch (error) {
     if (error.shut) askToken();
     else if (asked) say(error.message, true);
-  } finally { refreshing -= 1; }
+  } finally {
+    refreshing -= 1;
+    rested = Date.now() + 2 * (Date.now() - begun);
+  }
 }
 
 function showPages() {

@@ -208,8 +208,15 @@ async function viewJob(id) {
         job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, pressable("Delete", () => forgetJob(job))));
     }
   };
+  // All of a job that has ended: asked for until it comes.
+  const whole = async () => {
+    for (;;) {
+      try { return await json(`jobs/${id}`); } catch (error) { if (error.status === 404 || !current()) return latest; }
+      await new Promise(later => setTimeout(later, 1000));
+    }
+  };
   const first = update(job);
-  if (!ENDED.includes(job.state)) follow(job, async seen => { heard(seen); await update(ENDED.includes(seen.state) ? await json(`jobs/${id}`) : seen); }, signal);
+  if (!ENDED.includes(job.state)) follow(job, async seen => { heard(seen); await update(ENDED.includes(seen.state) ? await whole() : seen); }, signal);
   await first;
 }
 
@@ -219,7 +226,7 @@ async function showBody(job, looks, current) {
     const load = (from, every) => readJson(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}&every_s=${every}`);
     await calm();
     looks.replaceChildren(player.root);
-    const { scene } = await json(job.links.scenario, { quiet: true });
+    const { scene } = await json(job.links.scenario, { quiet: true, patient: true });
     player.onframe = t => chart?.follow(t);
     if (await player.open(load, scene) && current()) { stage = player; return true; }
   } catch { /* Nothing to show. */ }
@@ -293,10 +300,15 @@ function memberForm(study) {
 
 let ready = false;
 
+// What got no answer is asked again after this time, and the page says so meanwhile.
+const AGAIN_MS = 2000;
+const waitForIt = error => $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Waiting for the service"), h("p", {}, error.message)));
+
 async function route() {
   if (!ready) return;
   leaving.abort();
   leaving = new AbortController();
+  const { signal } = leaving;
   stage?.close();
   chart?.close();
   members?.close();
@@ -315,7 +327,12 @@ async function route() {
         h("p", { className: "soft" }, "You will see the body turn, charts of the energy and momentum errors, and links that open the log in a viewer.")));
     }
   } catch (error) {
-    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message),
+    // Something else is shown by now.
+    if (signal.aborted) return;
+    if (error instanceof Problem && !error.status) {
+      waitForIt(error);
+      setTimeout(() => { if (!signal.aborted) route(); }, AGAIN_MS);
+    } else $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message),
       error.status === 404 ? "" : h("button", { type: "button", onclick: route }, "Try again")));
   }
   if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
@@ -369,15 +386,15 @@ addEventListener("hashchange", route);
 document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
 setInterval(() => {
   const active = jobs.some(job => !ENDED.includes(job.state)) || studies?.some(study => !ENDED.includes(study.state));
-  if (!document.hidden && !refreshing && (active || Date.now() % 10000 < 2000)) refresh();
+  if (!document.hidden && !refreshing && Date.now() >= rested && (active || Date.now() % 10000 < 2000)) refresh();
 }, 2000);
 
 // A service that does not answer at first is asked again.
 async function begin() {
   try { await start(); } catch (error) {
     if (error.shut) return;
-    $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Waiting for the service"), h("p", {}, error.message)));
-    setTimeout(begin, 2000);
+    waitForIt(error);
+    setTimeout(begin, AGAIN_MS);
   }
 }
 begin();
