@@ -35,6 +35,10 @@ class Stage {
     };
     this.sizes = new ResizeObserver(() => this.show());
     this.sizes.observe(this.stage);
+    // What is scrolled out of sight is not painted.
+    this.inSight = true;
+    this.sight = new IntersectionObserver(seen => { this.inSight = seen.at(-1).isIntersecting; this.show(); });
+    this.sight.observe(this.stage);
   }
 
   // One finger or the mouse turns the view, two fingers or the wheel bring it nearer.
@@ -164,8 +168,9 @@ class Stage {
     // A paused view shows a sample of the log.
     if (!on) { this.t = this.times[this.index()] ?? this.t; this.show(); return; }
     let before;
+    const run = this.turn = {};
     const tick = now => {
-      if (!this.playing || !this.root.isConnected) return;
+      if (run !== this.turn || !this.playing || !this.root.isConnected) return;
       const { times } = this;
       const last = times.at(-1) ?? 0;
       if (!this.busy) this.t = Math.min(this.t + Math.min(now - (before ?? now), 2000) * 1e-3 * this.speed, last);
@@ -173,7 +178,11 @@ class Stage {
       if (times.length - this.index() < 120 && !this.done && !this.busy) this.fetch(last).catch(() => this.run(false));
       if (this.t >= last && this.done && !this.busy) this.jump(0);
       this.show();
-      requestAnimationFrame(tick);
+      // The next picture comes after this one is on the screen.
+      requestAnimationFrame(after => {
+        const rest = resting(after - now);
+        if (rest > 0) setTimeout(() => requestAnimationFrame(tick), rest); else tick(after);
+      });
     };
     requestAnimationFrame(tick);
   }
@@ -256,7 +265,7 @@ class Stage {
     const middle = this.middle(places);
     const away = x => Math.hypot(...x.map((y, i) => y - middle[i]));
     this.far = Math.max(this.far, ...this.held.map(away), ...places.map((x, k) => away(x) + this.reaches.get(this.tracks[k].name)));
-    const all = 150 / this.far;
+    const all = 0.42 * (Math.min(this.stage.clientWidth, this.stage.clientHeight) || 350) / this.far;
     this.scale = this.followed === null ? all : Math.max(all, 70 / this.reaches.get(this.tracks[this.followed].name));
   }
 
@@ -390,7 +399,7 @@ class Stage {
     const poses = this.poses(k);
     this.g = poses.get(this.tracks[this.followed ?? 0].name).g;
     if (this.several) this.fit([...poses.values()].map(pose => pose.x));
-    this.paint(this.camera(poses), poses, k);
+    if (this.inSight) this.paint(this.camera(poses), poses, k);
     const shown = this.times[k + 1] === undefined ? this.times[k] : Math.max(this.t, this.times[k]);
     put(this.time, `t = ${clock(shown)}`);
     if (document.activeElement !== this.seek) this.seek.value = shown;
@@ -580,6 +589,7 @@ class Stage {
   close() {
     this.run(false);
     this.sizes.disconnect();
+    this.sight.disconnect();
   }
 }
 
@@ -603,6 +613,14 @@ function along({ term, path }, t) {
   let E = M + Math.sign(Math.sin(M)) * 0.85 * e;
   for (let k = 0; k < 20; k += 1) E -= (E - e * Math.sin(E) - M) / (1 - e * Math.cos(E));
   return mix(far * (Math.cos(E) - e), u, far * Math.sqrt(1 - e * e) * Math.sin(E), v);
+}
+
+// How long to wait for the next picture, in ms, after one that took a time to come onto the screen. Where this takes longer
+// than a frame, as with many windows or without a graphics card, pictures take a third of the time; a window that is not in
+// front shows 20 a second at most.
+function resting(took_ms) {
+  const busy = took_ms > 25 ? Math.min(400, 2 * took_ms) : 0;
+  return document.hasFocus() ? busy : Math.max(busy, 50 - took_ms);
 }
 
 // What an answer holds of each sample of a body, and whether only one of several bodies has it.

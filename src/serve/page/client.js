@@ -144,11 +144,14 @@ const pass = ({ id, state, progress }) => air.postMessage({ id, state, progress 
 
 const shownAgain = () => document.hidden ? new Promise(later => document.addEventListener("visibilitychange", later, { once: true })) : null;
 
+// The shortest time between two pieces of progress that are shown.
+const TOLD_MS = 250;
+
 // Follows a job until it has ended. One window of a browser at a time holds a stream of events, and only while it can be
 // seen; the others hear what it tells, or ask every second. A service that answers slowly is asked less often: all windows
 // share the few connections, and a press must find one of them free.
 async function follow(job, seen, signal) {
-  let next = 0, streams = false;
+  let next = 0, told = 0, streams = false;
   const over = () => signal.aborted || ENDED.includes(job.state);
   const tell = (fresh, rest_ms = 1000) => { if (over()) return; [job, next] = [fresh, Date.now() + rest_ms]; seen(job); };
   const ask = async () => {
@@ -170,6 +173,9 @@ async function follow(job, seen, signal) {
       try {
         await navigator.locks.request(`vpd events ${base}`, { signal: either }, () => events(job.id, fresh => {
           [cuts, streams] = [0, true];
+          // Ten times a second is more than anybody reads, and every window hears of it.
+          if (fresh.state === job.state && Date.now() < told + TOLD_MS) return;
+          told = Date.now();
           pass(fresh);
           tell(fresh);
         }, either));
