@@ -238,7 +238,7 @@ class Stage {
       const away = Math.max(0, ...this.tracks.map(({ position: [at] }) => Math.hypot(...three(at).map((x, i) => x - this.middle(this.tracks.map(track => three(track.position[0])))[i]))));
       this.reaches = new Map(this.tracks.map(({ name }) => {
         const drawing = scene.find(({ frame }) => frame === name);
-        return [name, drawing ? farthest(drawing) : Math.max(0, ...this.levers(name).map(at => Math.hypot(...at))) || 0.2 * away || 1];
+        return [name, (drawing && farthest(drawing)) || Math.max(0, ...this.levers(name).map(at => Math.hypot(...at))) || 0.2 * away || 1];
       }));
       const grown = (drawing, by) => Object.fromEntries(Object.entries(drawing).map(([kind, shapes]) => [kind, kind === "frame" ? shapes :
         shapes.map(shape => ({ ...shape, size: shape.size.map(x => x * by) }))]));
