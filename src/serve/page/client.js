@@ -123,15 +123,18 @@ const waiting = [];
 const calm = () => down ? new Promise(later => waiting.push(later)) : Promise.resolve();
 
 function lift() {
-  down = false;
+  [down, lifting] = [false, 0];
   waiting.splice(0).forEach(later => later());
 }
 
-addEventListener("pointerdown", event => { if (event.button === 0) { clearTimeout(lifting); down = true; } }, true);
-// The click comes after the pointer is up.
-const lifted = () => { clearTimeout(lifting); lifting = setTimeout(lift, 60); };
-for (const kind of ["pointerup", "pointercancel", "blur", "dragend"]) addEventListener(kind, lifted, true);
-addEventListener("pointermove", event => { if (down && event.buttons === 0) lifted(); }, true);
+addEventListener("pointerdown", event => { if (event.button === 0) { clearTimeout(lifting); [down, lifting] = [true, 0]; } }, true);
+// The click comes after the pointer is up, on a busy machine some time after; there is none where the pointer has left.
+const lifted = after_ms => { clearTimeout(lifting); lifting = setTimeout(lift, after_ms); };
+for (const kind of ["pointerup", "pointercancel", "dragend"]) addEventListener(kind, () => lifted(300), true);
+// That of the window: what is pressed takes the focus from something else, which blurs too.
+addEventListener("blur", event => { if (event.target === window) lifted(300); }, true);
+addEventListener("pointermove", event => { if (down && !lifting && event.buttons === 0) lifted(300); }, true);
+addEventListener("click", () => { if (down) lifted(0); }, true);
 
 // ---- following jobs
 
@@ -145,12 +148,18 @@ const shownAgain = () => document.hidden ? new Promise(later => document.addEven
 const TOLD_MS = 250;
 
 // Follows a job until it has ended. One window of a browser at a time holds a stream of events, and only while it can be
-// seen; the others hear what it tells, or ask every second.
+// seen; the others hear what it tells, or ask every second. A service that answers slowly is asked less often: all windows
+// share the few connections, and a press must find one of them free.
 async function follow(job, seen, signal) {
-  let told = 0, streams = false;
+  let next = 0, told = 0, streams = false;
   const over = () => signal.aborted || ENDED.includes(job.state);
-  const tell = fresh => { if (over()) return; [job, told] = [fresh, Date.now()]; seen(job); };
-  const ask = async () => { const fresh = await json(`jobs/${job.id}`, { signal, quiet: true }); pass(fresh); tell(fresh); };
+  const tell = (fresh, rest_ms = 1000) => { if (over()) return; [job, next] = [fresh, Date.now() + rest_ms]; seen(job); };
+  const ask = async () => {
+    const begun = Date.now();
+    const fresh = await json(`jobs/${job.id}`, { signal, quiet: true });
+    pass(fresh);
+    tell(fresh, Math.max(1000, 5 * (Date.now() - begun)));
+  };
   const listen = ({ data }) => { if (data.id === job.id && data.state === job.state) tell({ ...job, progress: data.progress }); };
   air.addEventListener("message", listen);
   const stream = async () => {
@@ -166,6 +175,7 @@ async function follow(job, seen, signal) {
           [cuts, streams] = [0, true];
           // Ten times a second is more than anybody reads, and every window hears of it.
           if (fresh.state === job.state && Date.now() < told + TOLD_MS) return;
+          told = Date.now();
           pass(fresh);
           tell(fresh);
         }, either));
@@ -179,7 +189,7 @@ async function follow(job, seen, signal) {
   while (!over()) {
     await new Promise(later => setTimeout(later, 500));
     await shownAgain();
-    if (over() || streams || Date.now() - told < 1000) continue;
+    if (over() || streams || Date.now() < next) continue;
     try { await ask(); } catch (error) { if (error.status === 404) break; }
   }
   air.removeEventListener("message", listen);
@@ -219,6 +229,7 @@ const fileName = name => name.replace(/[^A-Za-z0-9_.-]+/g, "-").replace(/^[-.]+|
 // ---- words and figures
 
 const count = number => number.toLocaleString("en");
+const counted = (number, word) => `${count(number)} ${word}${number === 1 ? "" : "s"}`;
 const figure = x => x === 0 ? "0" : Math.abs(x) >= 1e-3 && Math.abs(x) < 1e6 ? String(Number(x.toPrecision(4))) : x.toExponential(1);
 
 function span(seconds) {
@@ -236,8 +247,8 @@ function clock(seconds) {
   return parts.filter(Boolean).join(" ");
 }
 
-// Text as nodes: a figure and its unit stay in one line.
-const prose = text => text.split(/([-−]?\d[\d.,]*(?:e[-+]?\d+)?(?:\s(?:J|s|ms|ns|min|h|d|days|rad|%|kg m²\/s|N m s)(?![\p{L}\d]))?)/u)
+// Text as nodes: a figure and its unit stay in one line; 2.3e0 is 2.3.
+const prose = text => text.replace(/(?<![\w.])(\d+(?:\.\d+)?)e0(?![\w.])/g, "$1").split(/([-−]?\d[\d.,]*(?:e[-+]?\d+)?(?:\s(?:J|s|ms|ns|min|h|d|days|rad|%|kg m²\/s|N m s)(?![\p{L}\d]))?)/u)
   .map((part, k) => k % 2 ? h("span", { className: "whole" }, part) : part);
 
 // Puts a text with figures.
@@ -256,16 +267,16 @@ let queue = null;
 
 function inQueue(id) {
   const at = queue?.indexOf(id) ?? -1;
-  return at < 0 ? "" : at === 0 ? ": next" : `: ${count(at)} before it`;
+  return at < 0 ? "waiting for a free worker" : at === 0 ? "waiting: next" : `waiting: ${count(at)} before it`;
 }
 
 function standing({ id, state, progress, trouble }) {
   const { percent, steps, steps_done, eta_s } = progress;
   if (state === "queued" && trouble) return "waiting for the disk";
-  if (state === "queued") return `waiting for a free worker${inQueue(id)}`;
+  if (state === "queued") return inQueue(id);
   if (state === "running" && steps === 0) return "searching for a method and a step";
   if (state !== "running" && steps === 0) return "no steps";
-  if (state !== "running") return steps_done === steps ? `${count(steps)} steps` : `${count(steps_done)} of ${count(steps)} steps`;
+  if (state !== "running") return steps_done === steps ? counted(steps, "step") : `${count(steps_done)} of ${counted(steps, "step")}`;
   return `${percent.toFixed(1)} %, ${eta_s == null ? "starting" : `${span(eta_s)} left`}`;
 }
 
@@ -277,12 +288,12 @@ function outcome(job) {
   if (state === "running") return "The job is running. You may close this page: the job continues.";
   if (!summary) return state === "cancelled" ? "Stopped before it began." : "";
   if (summary.steps === 0 && !summary.ensemble) return state === "failed" ? "It failed at its first step: the log holds only the start." : "Stopped before its first step.";
-  const made = `${count(summary.steps)} steps, to t = ${figure(summary.time_s)} s, in ${span(summary.wall_s)}${summary.stopped ? `, where it ended early: ${summary.stopped}` : ""}`;
+  const made = `${counted(summary.steps, "step")}, to t = ${figure(summary.time_s)} s${summary.time_s < 600 ? "" : ` (${clock(summary.time_s)})`}, in ${span(summary.wall_s)}${summary.stopped ? `, where it ended early: ${summary.stopped}` : ""}`;
   const parts = [state === "succeeded" ? `Done: ${made}.` : state === "failed" ? `It failed after ${made}.` : `Stopped after ${made}.`];
   const { energy, orthogonality, momentum, ensemble } = summary;
   if (ensemble) {
     const failed = Object.entries(ensemble.failed ?? {}).map(([code, number]) => `, ${count(number)} ${code}`).join("");
-    parts[0] = `${count(ensemble.succeeded)} of ${count(ensemble.members)} members finished${failed}, in ${span(summary.wall_s)}. Member 0:`;
+    parts[0] = `${count(ensemble.succeeded)} of ${counted(ensemble.members, "member")} finished${failed}, in ${span(summary.wall_s)}. Member 0:`;
   }
   if (energy && plan?.balance) {
     const { initial, least, largest, last } = energy;

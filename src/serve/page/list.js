@@ -11,7 +11,8 @@ let chosen = null;
 let over = false;
 for (const card of ["jobs-card", "studies-card"]) {
   $(card).onpointerenter = () => { over = true; };
-  $(card).onpointerleave = () => { over = false; showLists(); };
+  // A finger leaves before its click comes.
+  $(card).onpointerleave = async () => { over = false; await calm(); showLists(); };
 }
 
 async function act(path, options, word) {
@@ -38,7 +39,8 @@ function forgotten(list, id) {
 // A row of a list, made once: `update` puts what is new into it, so that a press that begins on a button ends on it.
 // A row that is to stay as it is keeps its height and its buttons.
 function jobRow({ id }) {
-  const name = h("a", { href: `#/jobs/${id}` });
+  // A hand that moves while it presses would drag the link, and press nothing.
+  const name = h("a", { href: `#/jobs/${id}`, draggable: false });
   const state = h("span"), progress = h("progress", { max: 100 }), words = h("span");
   let job;
   const box = h("input", { type: "checkbox", onchange: () => { chosen?.[box.checked ? "add" : "delete"](id); showChosen(); } });
@@ -133,11 +135,18 @@ function question(limit, cursor) {
   return `jobs?${new URLSearchParams({ limit, ...name && { name }, ...state && { state }, ...cursor && { cursor } })}`;
 }
 
-let refreshed = 0;
+// The number of the latest question, and whether a person still waits for other rows: a later question answers that, too.
+let refreshed = 0, awaited = false;
+// Number of questions without an answer yet, and the time before which the clock asks no other: while the service is slow,
+// it adds none, and leaves it time for presses.
+let refreshing = 0, rested = 0;
 
 // Asks for the lists; `asked` is whether a person asks for other rows.
 async function refresh(asked = false) {
   const turn = ++refreshed;
+  awaited ||= asked;
+  refreshing += 1;
+  const begun = Date.now();
   try {
     const page = since($("find-from").value, await json(question(PAGE, sought.cursors.at(-1)), { quiet: true }));
     const list = studies ? (await json("studies", { quiet: true })).studies : null;
@@ -150,11 +159,15 @@ async function refresh(asked = false) {
     if (studies) studies = list;
     sought.next = page.next_cursor;
     if (!jobs.length && sought.cursors.length > 1) { sought.cursors.pop(); return await refresh(asked); }
-    if (asked) showAll(); else showLists();
+    if (awaited) showAll(); else showLists();
+    awaited = false;
     dispatchEvent(new Event("listed"));
   } catch (error) {
     if (error.shut) askToken();
     else if (asked) say(error.message, true);
+  } finally {
+    refreshing -= 1;
+    rested = Date.now() + 2 * (Date.now() - begun);
   }
 }
 
@@ -273,7 +286,7 @@ async function forgetStudy(study) {
 }
 
 function studyRow({ id, name, kind }) {
-  const link = h("a", { href: `#/studies/${id}` }, `${name}: ${KINDS[kind] ?? kind}`);
+  const link = h("a", { href: `#/studies/${id}`, draggable: false }, `${name}: ${KINDS[kind] ?? kind}`);
   const state = h("span"), words = h("span");
   let study;
   const progress = h("progress", { ariaLabel: `Progress of ${name}` });
@@ -295,7 +308,7 @@ function studyRow({ id, name, kind }) {
     stop.disabled = ended;
     progress.max = study.runs || 1;
     progress.value = study.runs_done;
-    put(words, `${count(study.runs_done)}${ended ? "" : ` of ${count(study.runs)}`} runs`);
+    put(words, ended ? counted(study.runs_done, "run") : `${count(study.runs_done)} of ${counted(study.runs, "run")}`);
   };
   return { node, update };
 }

@@ -2,9 +2,9 @@
 let stage = null, chart = null, members = null;
 // ---- one job
 
-async function picture(path, alt) {
+async function picture(path, alt, className = "") {
   const link = URL.createObjectURL(await (await read(path)).blob());
-  return h("img", { src: link, alt, onload: () => URL.revokeObjectURL(link) });
+  return h("img", { src: link, alt, className, onload: () => URL.revokeObjectURL(link) });
 }
 
 function shell(command) {
@@ -96,7 +96,7 @@ function facts({ plan, summary, attempts }) {
     add("body", `SO(${plan.dimension})`);
     add("method", `${formulation.method}${formulation.tableau ? ` ${formulation.tableau}` : ""}${formulation.order ? `, order ${formulation.order}` : ""}`);
     add("reason", formulation.why);
-    add("step", `${figure(plan.step_s)} s, ${count(plan.steps)} steps, a sample every ${count(plan.every)}`);
+    add("step", `${figure(plan.step_s)} s, ${counted(plan.steps, "step")}, a sample ${plan.every === 1 ? "after each" : `every ${count(plan.every)}`}`);
     const change = what => what && `the change of ${what}`;
     add("energy error", change(plan.balance));
     add("momentum drift", change(plan.momentum_balance));
@@ -208,8 +208,15 @@ async function viewJob(id) {
         job.plan ? h("h3", {}, "Run details") : "", facts(job), h("div", { className: "row" }, pressable("Delete", () => forgetJob(job))));
     }
   };
+  // All of a job that has ended: asked for until it comes.
+  const whole = async () => {
+    for (;;) {
+      try { return await json(`jobs/${id}`); } catch (error) { if (error.status === 404 || !current()) return latest; }
+      await new Promise(later => setTimeout(later, 1000));
+    }
+  };
   const first = update(job);
-  if (!ENDED.includes(job.state)) follow(job, async seen => { heard(seen); await update(ENDED.includes(seen.state) ? await json(`jobs/${id}`) : seen); }, signal);
+  if (!ENDED.includes(job.state)) follow(job, async seen => { heard(seen); await update(ENDED.includes(seen.state) ? await whole() : seen); }, signal);
   await first;
 }
 
@@ -219,7 +226,7 @@ async function showBody(job, looks, current) {
     const load = (from, every) => readJson(`jobs/${job.id}/attitudes.json?samples=600&from_s=${from}&every_s=${every}`);
     await calm();
     looks.replaceChildren(player.root);
-    const { scene } = await json(job.links.scenario, { quiet: true });
+    const { scene } = await json(job.links.scenario, { quiet: true, patient: true });
     player.onframe = t => chart?.follow(t);
     if (await player.open(load, scene) && current()) { stage = player; return true; }
   } catch { /* Nothing to show. */ }
@@ -231,7 +238,8 @@ async function showBody(job, looks, current) {
 const CHARTS = { energy: "Energy error over time", orthogonality: "Orthogonality error over time", momentum: "Drift of the conserved momentum over time" };
 
 // A picture, or in its place why it is not there.
-const pictured = (path, alt) => picture(path, alt).catch(error => h("p", { className: "soft" }, `${alt}: not drawn. ${error.message}`));
+const pictured = (path, alt, className) =>
+  picture(path, alt, className).catch(error => h("p", { className: "soft" }, `${alt}: not drawn. ${error.message}`));
 
 async function charts({ links, summary, plan }) {
   if (!links.charts || !summary) return [];
@@ -257,13 +265,13 @@ async function viewStudy(id) {
     const files = Object.values(study.links ?? []).filter(link => typeof link === "string");
     // A sweep shows the members so far.
     const pictures = ended || study.kind === "sweep" ? await Promise.all(files.filter(link => link.endsWith(".svg"))
-      .map(link => pictured(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`))) : [];
+      .map(link => pictured(link, `${KINDS[study.kind]} of ${study.name}: ${link.split("/").at(-1)}`, ["stability", "sweep"].includes(study.kind) ? "map" : ""))) : [];
     await calm();
     if (turn !== shown) return;
     if (!card.isConnected) $("view").replaceChildren(card);
     card.replaceChildren(
       h("div", { className: "row" }, h("h1", {}, study.name), h("span", { className: `state ${study.state}`, id: "state" }, study.state)),
-      h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${count(study.runs_done)} runs${ended ? "" : ` of ${count(study.runs)}`}.`),
+      h("p", { className: "outcome" }, study.error ?? `${KINDS[study.kind] ?? study.kind}: ${ended ? counted(study.runs_done, "run") : `${count(study.runs_done)} of ${counted(study.runs, "run")}`}.`),
       ended ? "" : h("progress", { max: study.runs || 1, value: study.runs_done, ariaLabel: "Progress" }),
       h("div", { className: "charts" }, pictures),
       h("div", { className: "links" }, files.filter(link => link.endsWith(".csv"))
@@ -292,10 +300,15 @@ function memberForm(study) {
 
 let ready = false;
 
+// What got no answer is asked again after this time, and the page says so meanwhile.
+const AGAIN_MS = 2000;
+const waitForIt = error => $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Waiting for the service"), h("p", {}, error.message)));
+
 async function route() {
   if (!ready) return;
   leaving.abort();
   leaving = new AbortController();
+  const { signal } = leaving;
   stage?.close();
   chart?.close();
   members?.close();
@@ -314,7 +327,12 @@ async function route() {
         h("p", { className: "soft" }, "You will see the body turn, charts of the energy and momentum errors, and links that open the log in a viewer.")));
     }
   } catch (error) {
-    $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message),
+    // Something else is shown by now.
+    if (signal.aborted) return;
+    if (error instanceof Problem && !error.status) {
+      waitForIt(error);
+      setTimeout(() => { if (!signal.aborted) route(); }, AGAIN_MS);
+    } else $("view").replaceChildren(h("div", { className: "card" }, h("h1", {}, error.status === 404 ? "Not found" : "The request failed"), h("p", {}, error.message),
       error.status === 404 ? "" : h("button", { type: "button", onclick: route }, "Try again")));
   }
   if (id && matchMedia("(max-width: 60rem)").matches) scrollTo(0, 0);
@@ -368,15 +386,15 @@ addEventListener("hashchange", route);
 document.addEventListener("visibilitychange", () => { if (!document.hidden) refresh(); });
 setInterval(() => {
   const active = jobs.some(job => !ENDED.includes(job.state)) || studies?.some(study => !ENDED.includes(study.state));
-  if (!document.hidden && (active || Date.now() % 10000 < 2000)) refresh();
+  if (!document.hidden && !refreshing && Date.now() >= rested && (active || Date.now() % 10000 < 2000)) refresh();
 }, 2000);
 
 // A service that does not answer at first is asked again.
 async function begin() {
   try { await start(); } catch (error) {
     if (error.shut) return;
-    $("view").replaceChildren(h("div", { className: "card hello" }, h("h1", {}, "Waiting for the service"), h("p", {}, error.message)));
-    setTimeout(begin, 2000);
+    waitForIt(error);
+    setTimeout(begin, AGAIN_MS);
   }
 }
 begin();
