@@ -38,10 +38,12 @@ use crate::scenario::{self, Scenario, ScenarioError};
 #[cfg(feature = "serve")]
 use crate::serve::{ServeError, apart};
 use crate::study::StudyError;
+use crate::study::lyapunov::ExponentsError;
 use crate::sweep::SweepError;
 use crate::verify::{self, VerifyError};
 
 mod logs;
+mod lyapunov;
 #[cfg(feature = "serve")]
 mod process;
 #[cfg(feature = "serve")]
@@ -75,6 +77,8 @@ enum Command {
     /// Find the steps at which each method fails on a scenario: a map and the largest usable steps.
     #[cfg(feature = "chart")]
     Stability(study::StabilityArgs),
+    /// Find out how fast neighbouring motions of a scenario part: all its Lyapunov exponents.
+    Lyapunov(lyapunov::LyapunovArgs),
     /// Run a scenario many times over values of its fields: one table, with a line a run.
     Sweep(sweep::SweepArgs),
     /// Put the parts of a sweep, from --shard, together to its table.
@@ -314,6 +318,8 @@ enum CliError {
     Chart(#[from] chart::ChartError),
     #[error(transparent)]
     Study(#[from] StudyError),
+    #[error(transparent)]
+    Exponents(ExponentsError),
     #[cfg(feature = "chart")]
     #[error("scenarios and logs cannot be mixed: give only scenarios, or only logs")]
     Mixed,
@@ -380,7 +386,9 @@ impl CliError {
             #[cfg(feature = "chart")]
             Self::Chart(chart::ChartError::NoFile { .. }) => Status::from(2),
             // As a shell reports a program that SIGINT ended.
-            Self::Run(RunError::Interrupted) => Status::from(130),
+            Self::Run(RunError::Interrupted) | Self::Exponents(ExponentsError::Cancelled) => {
+                Status::from(130)
+            }
             #[cfg(feature = "chart")]
             Self::Mixed => Status::from(2),
             #[cfg(feature = "serve")]
@@ -457,6 +465,7 @@ fn obey(cli: Cli) -> Status {
         Command::Chart(args) => study::draw(&args),
         #[cfg(feature = "chart")]
         Command::Stability(args) => study::map(&args),
+        Command::Lyapunov(args) => lyapunov::lyapunov(&args),
         Command::Sweep(args) => sweep::sweep(&args),
         Command::Merge(args) => sweep::merge(&args),
         #[cfg(feature = "serve")]

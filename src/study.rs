@@ -20,6 +20,7 @@ use crate::plan::{NEAR_SIGMA, Plan};
 use crate::scenario::{Method, Scenario, ScenarioError, SolverKind, TableauChoice, TableauName};
 
 pub mod long_term;
+pub mod lyapunov;
 pub mod measure;
 pub mod own;
 pub mod precision;

@@ -301,8 +301,12 @@ impl Plan {
         if self.settled.derivatives.is_none() {
             return 0.0;
         }
-        let equations = (2 * self.formulation.stages + 2) * so::dimension(self.dimension);
-        let equations = equations as f64;
+        let stages = self.formulation.stages as f64;
+        // In vectors and lanes (`cargo test --release the_derivative_costs -- --ignored --nocapture`).
+        if self.dimension == 3 && self.formulation.stages <= WIDTH {
+            return 300.0 + stages * (550.0 + 50.0 * stages);
+        }
+        let equations = (2.0 * stages + 2.0) * so::dimension(self.dimension) as f64;
         EQUATION_NS * equations + FACTOR_NS * equations * equations * equations
     }
 

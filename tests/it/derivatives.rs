@@ -11,6 +11,8 @@ use vpd::scenario::{Scenario, with_changes};
 use vpd::solve::so;
 use vpd::verify::verify;
 
+use crate::cli::vpd;
+
 /// A heavy body between two charges, which starts with a velocity.
 fn scene() -> Value {
     json!({
@@ -143,4 +145,53 @@ fn the_log_has_a_channel_and_is_repeated() {
     for name in ["transition", "sensitivity"] {
         assert_eq!(last(columns.clone(), name), last(in_memory.clone(), name), "{name}");
     }
+}
+
+/// All exponents of a run, by the command line: of regular motion zero, of chaotic motion in pairs; what has no derivatives is
+/// refused.
+#[test]
+fn lyapunov_exponents_of_a_scenario() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = folder.path();
+    let exponents = |scenario: &Value| -> Value {
+        std::fs::write(at.join("scene.json"), scenario.to_string()).expect("writable");
+        let output = vpd(at, &["lyapunov", "scene.json", "--json"]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).expect("JSON")
+    };
+    let numbers = |found: &Value, field: &str| -> Vec<f64> {
+        found[field].as_array().expect("a list").iter().filter_map(Value::as_f64).collect()
+    };
+    let mut free = scene();
+    free.as_object_mut().expect("fields").remove("derivatives");
+    free["scene"]["potential"] = json!([]);
+    free["steps"] = json!(16_000);
+    let found = exponents(&free);
+    // What grows like t has exponents that fall like log(t) / t.
+    let most = 2.0 * 800.0_f64.ln() / 800.0;
+    assert_eq!(numbers(&found, "exponents_per_s").len(), 6);
+    assert!(numbers(&found, "exponents_per_s").iter().all(|x| x.abs() < most), "{found}");
+    assert!(found["sum_per_s"].as_f64().expect("a number").abs() < 1e-12, "{found}");
+    assert_eq!(found["time_s"], json!(800.0));
+    let text = std::fs::read_to_string("scenarios/dipole.json").expect("shipped");
+    let mut dipole: Value = serde_json::from_str(&text).expect("JSON");
+    dipole.as_object_mut().expect("fields").remove("expect");
+    (dipole["step_s"], dipole["steps"]) = (json!(0.01), json!(20_000));
+    dipole.as_object_mut().expect("fields").remove("duration_s");
+    let found = exponents(&dipole);
+    let (all, errors) =
+        (numbers(&found, "exponents_per_s"), numbers(&found, "standard_errors_per_s"));
+    assert!(all[0] > 3.0 * errors[0], "{found}");
+    assert!((0..6).all(|i| (all[i] + all[5 - i]).abs() < 0.05), "{found}");
+    // In words, and refused.
+    let output = vpd(at, &["lyapunov", "scene.json", "--set", "/steps=100"]);
+    let words = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(words.lines().filter(|line| line.contains("standard error")).count(), 6, "{words}");
+    let output = vpd(
+        at,
+        &["lyapunov", "scene.json", "--set", r#"/scene/torques=[{"viscous":{"coefficient":1}}]"#],
+    );
+    let words = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(words.contains("/derivatives") && words.contains("`scene.torques`"), "{words}");
 }
