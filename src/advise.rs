@@ -476,7 +476,13 @@ fn settle(
         Unmet::Study(error) => reported(error),
         Unmet::Obstacle(why) => out_of_reach(why),
     };
-    trial.decide(&mut contenders, watch).map_err(unmet)?;
+    loop {
+        trial.decide(&mut contenders, watch).map_err(unmet)?;
+        let is_settled = contenders.iter().any(|tried| tried.choice.is_some());
+        if is_settled || !trial.reconsider(&mut contenders, watch).map_err(reported)? {
+            break;
+        }
+    }
     // The sort is stable: among equals the first in the list wins.
     contenders.sort_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
     let least = contenders.iter().filter_map(|tried| tried.least).min_by(f64::total_cmp);

@@ -88,6 +88,8 @@ pub(super) struct Contender {
     sure: Option<Choice>,
     /// The least error that was met.
     pub(super) least: Option<f64>,
+    /// Whether it was given up because another method was cheaper.
+    is_dear: bool,
     tries: u32,
     far_tries: u32,
 }
@@ -213,22 +215,32 @@ impl Trial<'_> {
         let mut cheapest = f64::INFINITY;
         let mut contenders = Vec::new();
         for entry in methods(self.scenario, self.asked, &self.scales) {
-            let (choice, least) = self.search(&entry, cheapest, watch)?;
-            cheapest = cheapest.min(choice.map_or(f64::INFINITY, |choice| choice.cost_ns));
-            let (tries, far_tries) = (0, 0);
-            contenders.push(Contender { entry, choice, sure: None, least, tries, far_tries });
+            let found = self.search(&entry, cheapest, watch)?;
+            cheapest = cheapest.min(found.cost_ns());
+            contenders.push(found);
         }
         Ok(contenders)
     }
 
-    /// Returns the cheapest step of a method that is expected to reach the accuracy, and the least
-    /// error met. Gives up where it costs more than `cheapest`.
-    fn search(
+    /// Searches again for the steps of methods that were given up next to a cheaper one, which did not reach the accuracy
+    /// over the whole run. Returns whether there is another choice.
+    pub(super) fn reconsider(
         &self,
-        entry: &Entry,
-        cheapest: f64,
+        contenders: &mut [Contender],
         watch: &Watch,
-    ) -> Result<(Option<Choice>, Option<f64>), StudyError> {
+    ) -> Result<bool, StudyError> {
+        let mut cheapest = f64::INFINITY;
+        for contender in contenders.iter_mut().filter(|contender| contender.is_dear) {
+            let found = self.search(&contender.entry, cheapest, watch)?;
+            cheapest = cheapest.min(found.cost_ns());
+            *contender = found;
+        }
+        Ok(cheapest.is_finite())
+    }
+
+    /// Returns the cheapest step of a method that is expected to reach the accuracy. Gives up where it costs more than
+    /// `cheapest`.
+    fn search(&self, entry: &Entry, cheapest: f64, watch: &Watch) -> Result<Contender, StudyError> {
         /// Methods that cost this many times more by their usual sweeps are not even tried.
         const TOO_DEAR: f64 = 6.0;
         let (time_s, goal) = (self.near.time_s, self.goal());
@@ -236,10 +248,11 @@ impl Trial<'_> {
         // A radian a step, and then by the order of the method; never back to where a step failed.
         let mut steps = multiple(time_s * self.scales.fastest_rad_s, unit);
         let (mut reached, mut least) = (None::<(u64, Choice)>, None::<f64>);
-        let mut too_few = 0;
+        let (mut too_few, mut is_dear) = (0, false);
         let usual_ns = variant(self.scenario, &entry.method, 1.0, 1)?.step_ns;
         for _ in 0..TRIES {
-            if reached.is_none() && usual_ns * steps as f64 > TOO_DEAR * cheapest * time_s {
+            is_dear = reached.is_none() && usual_ns * steps as f64 > TOO_DEAR * cheapest * time_s;
+            if is_dear {
                 break;
             }
             let run = self.run(entry, time_s, steps, 0, watch)?;
@@ -263,7 +276,8 @@ impl Trial<'_> {
             if expected.is_none_or(|expected| expected > goal) {
                 too_few = too_few.max(steps);
             }
-            if reached.is_none() && cost_ns > 2.0 * cheapest {
+            is_dear = reached.is_none() && cost_ns > 2.0 * cheapest;
+            if is_dear {
                 break;
             }
             // A little more than the order asks for, in bounds.
@@ -275,7 +289,8 @@ impl Trial<'_> {
             };
             steps = next;
         }
-        Ok((reached.map(|(_, choice)| choice), least))
+        let (entry, choice) = (entry.clone(), reached.map(|(_, choice)| choice));
+        Ok(Contender { entry, choice, sure: None, least, is_dear, tries: 0, far_tries: 0 })
     }
 
     /// Runs the cheapest as far as a reference reaches, follows it past that, and corrects its
@@ -288,9 +303,8 @@ impl Trial<'_> {
                 .iter_mut()
                 .filter(|tried| tried.choice.is_some())
                 .min_by(|a, b| a.cost_ns().total_cmp(&b.cost_ns()));
-            let Some(Contender { entry, choice, sure, least, tries, far_tries }) = cheapest else {
-                return Ok(());
-            };
+            let Some(contender) = cheapest else { return Ok(()) };
+            let Contender { entry, choice, sure, least, tries, far_tries, .. } = contender;
             let Some(at) = choice.filter(|choice| !choice.sure) else { return Ok(()) };
             if at.seen_s >= time_s {
                 let until_s =
@@ -323,6 +337,10 @@ impl Trial<'_> {
             let run = self.run(entry, time_s, steps, 0, watch)?;
             let (step_s, cost_ns) = (time_s / steps as f64, run.cost_ns / time_s);
             let expected = run.completed().then(|| self.expected(&self.far, &run)).flatten();
+            if *tries + *far_tries == 0 {
+                // What the first part of the run let expect no longer counts.
+                *least = None;
+            }
             if let Some(expected) = expected {
                 *least = Some(least.map_or(expected, |least| least.min(expected)));
             }

@@ -245,6 +245,35 @@ fn what_stands_in_the_way_has_its_figure() {
     }
 }
 
+/// A falling needle: explicit steps look cheapest in the first part of the run and fail later on; methods that were given up
+/// next to them reach the accuracy.
+#[test]
+fn a_method_given_up_is_tried_again_where_the_cheaper_ones_fail() {
+    let field =
+        json!({"kind": "uniform", "weight": 1, "body_point": [0, 0, 0.5], "direction": [0, 0, 1]});
+    let asked = |symplectic: bool| {
+        json!({
+            "name": "needle", "accuracy": {"error": 1e-6, "symplectic": symplectic}, "duration_s": 100.0,
+            "log": {"every": 1_000_000, "channels": ["/state"]},
+            "scene": {
+                "inertia": {"principal": [1, 1, 1e-8]}, "potential": [field],
+                "initial": {"angular_velocity": {"body": [0.3, 0.4, 0.1]}}
+            }
+        })
+    };
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let ends = [false, true].map(|symplectic| {
+        let summary = run(&asked(symplectic).to_string(), &directory.path().join("log.mcap"));
+        assert_eq!(summary.outcome, Outcome::Succeeded, "{:?}", summary.diagnosis);
+        std::fs::remove_file(directory.path().join("log.mcap")).expect("a log");
+        summary.last.body_momentum
+    });
+    for axis in 0..3 {
+        let [a, b] = ends.each_ref().map(|end| end[axis].as_f64().expect("a number"));
+        assert!((a - b).abs() < 2e-6, "{ends:?}");
+    }
+}
+
 #[test]
 fn a_choice_is_kept_to_the_bit() {
     let asked = scenario(&accurate_dipole(1e-6, 2.0));
@@ -579,6 +608,57 @@ fn the_round_off_of_explicit_steps_is_not_what_can_be_known_of_a_burn() {
     let summary = run(&asked.to_string(), &directory.path().join("log.mcap"));
     let reached = missed(&known, &serde_json::to_value(&summary).expect("JSON"));
     assert!(reached <= 1e-9, "{reached:e}");
+}
+
+/// A thruster burns for 70 s in the middle of hours, far from the first part of the run, that trial runs see. The right end is that
+/// of steps of half a second with four stages: those of a second end 5e-14 from it.
+#[test]
+fn a_late_burn_is_seen_by_accuracies_and_by_the_error_of_a_run() {
+    let burn = json!({"times_s": [0, 600, 603, 667, 670, 17000], "values": [0, 0, 4e-4, 4e-4, 0, 0], "interpolation": "linear"});
+    let given = |fields: &Value| {
+        let mut scenario = json!({
+            "name": "thruster", "duration_s": 17000, "log": {"every": 1_000_000, "channels": ["/state"]},
+            "scene": {
+                "inertia": {"principal": [1, 1.3, 1.7]},
+                "initial": {"angular_velocity": {"body": [0.002, 0.01, -0.004]}},
+                "torques": [{"table": {"along": {"body": [0.3, -0.5, 0.8]}, "table": burn}}]
+            }
+        });
+        for (field, value) in fields.as_object().expect("an object") {
+            scenario[field] = value.clone();
+        }
+        scenario
+    };
+    let directory = tempfile::tempdir().expect("a temporary directory");
+    let end = |fields: &Value| {
+        let path = directory.path().join("log.mcap");
+        let summary = run(&given(fields).to_string(), &path);
+        assert_eq!(summary.outcome, Outcome::Succeeded, "{fields}: {:?}", summary.diagnosis);
+        std::fs::remove_file(path).expect("a log");
+        let list = |value: Value| -> Vec<f64> { serde_json::from_value(value).expect("numbers") };
+        (summary.last.attitude.expect("logged").concat(), list(summary.last.body_momentum))
+    };
+    let right = end(&json!({"method": {"name": "vpd", "tableau": "gauss4"}, "step_s": 0.5}));
+    let size = |of: &[f64]| of.iter().map(|x| x * x).sum::<f64>().sqrt();
+    // The turn between the two, and the difference of the momenta in parts of the momentum.
+    let missed = |end: &(Vec<f64>, Vec<f64>)| {
+        let apart =
+            |a: &[f64], b: &[f64]| size(&a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>());
+        apart(&end.0, &right.0) / 2.0_f64.sqrt() + apart(&end.1, &right.1) / size(&right.1)
+    };
+    for error in [1e-6, 1e-8] {
+        let reached = missed(&end(&json!({"accuracy": {"error": error}})));
+        assert!(reached <= error, "{error:e} asked, {reached:e} reached");
+    }
+    // The first steps have the knots inside of them, the others have some at their ends.
+    for step_s in [8.0, 10.0] {
+        let fields = json!({"method": {"name": "vpd", "tableau": "gauss2"}, "step_s": step_s});
+        let plan = advise::plan(&scenario(&given(&fields))).expect("a plan");
+        let reached = missed(&end(&fields));
+        let told = error_at_end(&plan).expect("a reference");
+        let ErrorAtEnd::About(told) = told else { panic!("{told:?}, {reached:e} reached") };
+        assert!(told > reached / 2.0 && told < 2.0 * reached, "{told:e} told, {reached:e} reached");
+    }
 }
 
 /// The motion diverges within a few of the points at which solutions are compared.

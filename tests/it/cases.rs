@@ -4,11 +4,12 @@
 
 use std::path::Path;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 use vpd::advise;
 use vpd::run::{Outcome, Summary};
 use vpd::scenario::Scenario;
 
+use crate::cli;
 use crate::scenarios::run;
 
 fn text(name: &str) -> String {
@@ -45,6 +46,137 @@ fn bodies_at_rest_set_off_or_stay() {
     // The torque falls within 1e-10 s: half of that is still given.
     let summary = ended(&text("braked-to-rest"));
     assert!((momentum(&summary)[2] + 1e-10).abs() < 1e-15, "{:?}", summary.last);
+}
+
+/// Bodies at rest wherever one may stand: of every n, in an ensemble, next to derivatives and under control.
+#[test]
+fn what_rests_sets_off_or_stays_in_every_kind_of_scene() {
+    let scene = |inertia: Value| json!({ "name": "rest", "scene": { "inertia": inertia }, "step_s": 0.1, "steps": 3 });
+    for n in (2..=16).chain([32]) {
+        let moments: Vec<f64> = (0..n).map(|i| 1.0 + 0.1 * f64::from(i)).collect();
+        let mut document = scene(json!({ "second_moments": moments }));
+        let stays = ended(&document.to_string());
+        let along = |x: f64| match n {
+            3 => json!([0.0, 0.0, x]),
+            _ => {
+                let entry =
+                    |i, j| f64::from(i32::from((i, j) == (1, 0)) - i32::from((i, j) == (0, 1)));
+                (0..n)
+                    .map(|i| (0..n).map(|j| x * entry(i, j)).collect())
+                    .collect::<Vec<Vec<f64>>>()
+                    .into()
+            }
+        };
+        let numbers = |value: &Value| -> Vec<f64> {
+            let flat = value.as_array().expect("a list").iter();
+            flat.flat_map(|entry| match entry.as_array() {
+                Some(row) => row.iter().map(|x| x.as_f64().expect("a number")).collect(),
+                None => vec![entry.as_f64().expect("a number")],
+            })
+            .collect()
+        };
+        let momentum = |summary: &Summary| numbers(&summary.last.body_momentum);
+        assert!(momentum(&stays).iter().all(|x| *x == 0.0), "n = {n}: {:?}", stays.last);
+        // Nothing pushes in the first step; then a torque rises to one.
+        let table =
+            json!({ "times_s": [0, 0.1, 0.3], "values": [0, 0, 1], "interpolation": "linear" });
+        document["scene"]["torques"] =
+            json!([{ "table": { "along": { "body": along(1.0) }, "table": table } }]);
+        let summary = ended(&document.to_string());
+        for (found, right) in momentum(&summary).iter().zip(numbers(&along(0.1))) {
+            assert!((found - right).abs() < 1e-15, "n = {n}: {:?}", summary.last);
+        }
+    }
+    let inertia = json!({ "principal": [1, 2, 2.5] });
+    let weight =
+        json!({ "kind": "uniform", "weight": 1, "body_point": [0, 0, 1], "direction": [0, 0, 1] });
+    let attitude = json!({ "attitude": { "gain_n_m": 0.1, "rate_gain_n_m_s": 0.5 } });
+    let control = json!({
+        "every_s": 0.2, "laws": [attitude], "target": { "attitude": { "quaternion": [1, 0, 0, 0] } },
+        "through": { "wheels": {
+            "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "moments_kg_m2": [0.002, 0.002, 0.002]
+        } }
+    });
+    for (field, value) in [
+        ("/ensemble", json!({ "members": 10, "attitude_spread_rad": 0.2 })),
+        ("/derivatives", json!({ "state": true })),
+        ("/scene/potential", json!([weight])),
+        ("/scene/control", control),
+        ("/accuracy", json!({ "error": 1e-9 })),
+    ] {
+        let mut document = scene(inertia.clone());
+        let (parent, name) = field.rsplit_once('/').expect("a pointer");
+        document.pointer_mut(parent).expect("there")[name] = value;
+        if name == "accuracy" {
+            let fields = document.as_object_mut().expect("an object");
+            fields.remove("step_s");
+            fields.remove("steps");
+            fields.insert("duration_s".to_owned(), json!(2));
+        }
+        let summary = ended(&document.to_string());
+        assert_eq!(momentum(&summary), [0.0; 3], "{field}");
+        assert!(summary.ensemble.is_none_or(|all| all.succeeded == all.members), "{field}");
+    }
+}
+
+/// Several bodies at rest: pinned, free, at the length of a spring, and hanging from each other.
+#[test]
+fn several_bodies_at_rest_stay() {
+    let body =
+        |name: &str| json!({ "name": name, "mass": 1, "inertia": { "principal": [1, 2, 2.5] } });
+    let at = |name: &str, field: &str, place: Value| {
+        let mut body = body(name);
+        match field {
+            "pivot" => body = json!({ "name": name, "inertia": body["inertia"], "pivot": place }),
+            _ => body["initial"] = json!({ field: place }),
+        }
+        body
+    };
+    let ball = |of: [&str; 2], z: f64| json!({ "kind": "ball", "between": of, "points": [[0, 0, z], [0, 0, 0.25]] });
+    let weight = |of: &str| json!({ "kind": "uniform", "body": of, "weight": 9.81, "body_point": [0, 0, 0], "direction": [0, 0, 1] });
+    let spring = json!({ "kind": "spring", "between": ["a", "b"], "stiffness": 1, "rest_length": 3, "points": [[0, 0, 0], [0, 0, 0]] });
+    let apart = |field| json!([at("a", field, json!([0, 0, 0])), at("b", field, json!([3, 0, 0]))]);
+    for (name, scene) in [
+        ("pinned", json!({ "bodies": apart("pivot") })),
+        ("free", json!({ "bodies": apart("position") })),
+        ("spring", json!({ "bodies": apart("position"), "potential": [spring] })),
+        (
+            "hanging",
+            json!({
+                "bodies": [body("a"), body("b")],
+                "joints": [ball(["space", "a"], 1.0), ball(["a", "b"], -0.25)],
+                "potential": [weight("a"), weight("b")]
+            }),
+        ),
+    ] {
+        for method in ["vpd", "rk_projected", "rkmk", "splitting"] {
+            if (name, method) == ("hanging", "splitting") {
+                continue;
+            }
+            let document = json!({
+                "name": name, "scene": scene, "method": { "name": method }, "step_s": 0.1, "steps": 20
+            });
+            let summary = ended(&document.to_string());
+            for (body, last) in &summary.last.bodies {
+                assert_eq!(last.body_momentum, json!([0.0, 0.0, 0.0]), "{name}, {method}: {body}");
+            }
+        }
+    }
+}
+
+/// Members of a sweep at rest succeed like runs.
+#[test]
+fn a_sweep_of_bodies_at_rest_succeeds() {
+    let folder = tempfile::tempdir().expect("a temporary directory");
+    let mut scenario: Value = serde_json::from_str(&text("rest-zero-torque")).expect("JSON");
+    scenario["log"] = json!({ "every": 1 });
+    let varied = json!({ "pointer": "/step_s", "values": { "list": [0.005, 0.01] } });
+    let sweep = json!({ "scenario": scenario, "vary": [varied] });
+    std::fs::write(folder.path().join("sweep.json"), sweep.to_string()).expect("written");
+    let output = cli::vpd(folder.path(), &["sweep", "sweep.json", "-o", "table.csv"]);
+    assert_eq!(output.status.code(), Some(0), "{}", cli::text(&output.stderr));
+    let table = std::fs::read_to_string(folder.path().join("table.csv")).expect("a table");
+    assert_eq!(table.lines().filter(|line| line.contains("succeeded")).count(), 2, "{table}");
 }
 
 /// A burn much shorter than what comes before it is not missed with an accuracy or with fixed steps, and the reports of both are right.
@@ -94,6 +226,36 @@ fn fast_factors_are_seen() {
         let told = plan.warnings.iter().any(|warning| warning.contains("/scene/driven/0"));
         assert_eq!(told, warned, "{step_s}: {:?}", plan.warnings);
     }
+}
+
+/// Two steps of 1e5 s each end where those of 10 s do.
+#[test]
+fn large_steps_of_a_free_body_end_where_small_ones_do() {
+    let mut scenario: Value = serde_json::from_str(&text("free-large-step")).expect("JSON");
+    let large = ended(&scenario.to_string());
+    scenario["step_s"] = json!(10.0);
+    scenario["steps"] = json!(20_000);
+    let small = ended(&scenario.to_string());
+    // 4e4 rad, of which a double has 1e-11 rad.
+    assert!(off(&large, momentum(&small)) < 1e-9, "{:?}, {:?}", large.last, small.last);
+}
+
+#[test]
+fn a_byte_order_mark_is_no_part_of_a_scenario() {
+    let marked = text("bom");
+    assert!(marked.starts_with('\u{feff}'));
+    let plain = ended(marked.trim_start_matches('\u{feff}'));
+    assert_eq!(ended(&marked).last, plain.last);
+}
+
+/// A log that Python's `mcap` 1.6 wrote, without chunks.
+#[test]
+fn a_log_of_another_program_is_called_so() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases");
+    let output = cli::vpd(&folder, &["inspect", "foreign-unchunked.mcap"]);
+    let said = cli::text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("an MCAP file of another program (mcap-python/1.6.0)"), "{said}");
 }
 
 #[test]
