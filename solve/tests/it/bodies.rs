@@ -464,7 +464,7 @@ fn two_spheres_follow_keplers_ellipse() {
     let n = (constant * (m1 + m2)).sqrt();
     // Half of a mild ellipse and more; a whole eccentric one, which ends where it began.
     for (e, time, [fine, coarse]) in
-        [(0.3_f64, 3.0, [60, 300]), (0.9, std::f64::consts::TAU / n, [400, 4000])]
+        [(0.3_f64, 3.0, [60, 300]), (0.9, std::f64::consts::TAU / n, [500, 4000])]
     {
         let (r, speed) = (1.0 - e, n * ((1.0 + e) / (1.0 - e)).sqrt());
         let at = |part: f64| Start {
