@@ -21,6 +21,7 @@ use std::time::{Duration, Instant};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
+use crate::advise;
 pub(crate) use crate::in_order::cores;
 use crate::in_order::in_order;
 use crate::log::part;
@@ -295,13 +296,13 @@ impl Sweep {
         Ok(scenario)
     }
 
-    /// Returns the plan of a member, for [`crate::run::execute`]: its log holds the motion whose
+    /// Returns the plan of a member, for [`crate::run::execute`]: its log is that of `vpd run`, with the motion whose
     /// figures are in the table.
     ///
     /// # Errors
-    /// The errors of [`Sweep::scenario`] and [`Plan::new`].
+    /// The errors of [`Sweep::scenario`] and [`advise::plan`].
     pub fn plan(&self, member: u64) -> Result<Plan, ScenarioError> {
-        member::plan(&self.scenario(member)?, &Arc::default())
+        advise::plan(&self.scenario(member)?)
     }
 
     /// Runs a member: returns its line of the table, and why it was refused if it was. `None` if

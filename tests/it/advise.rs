@@ -754,7 +754,7 @@ fn every_member_keeps_it(asked: &Value) -> Scenario {
     };
     let (coarse, fine) = (ended(&settled), ended(&finer));
     assert_eq!((coarse.len(), fine.len()), (members, members));
-    for (member, (a, b)) in coarse.iter().zip(&fine).enumerate() {
+    for (member, (a, b)) in coarse.values().zip(fine.values()).enumerate() {
         let apart = (0.5 * a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>()).sqrt();
         assert!(apart <= error, "member {member}: {apart:e}");
     }

@@ -161,11 +161,11 @@ fn members_have_noise_of_their_own() {
     assert_eq!(summary.last, single(2));
     let ends = ends(&log);
     assert_eq!(ends.len(), 20);
-    for (m, end) in ends.iter().enumerate() {
-        let alike = ends.iter().filter(|other| *other == end).count();
+    for (&m, end) in &ends {
+        let alike = ends.values().filter(|other| *other == end).count();
         assert_eq!(alike, 1, "member {m}");
         if [1, 4, 13, 19].contains(&m) {
-            let rows = single(2 + m as u64).attitude.expect("computed").concat();
+            let rows = single(2 + m).attitude.expect("computed").concat();
             assert_eq!(*end, rows, "member {m}");
         }
     }
@@ -196,11 +196,12 @@ fn a_satellite_shows_where_it_points() {
             }],
             "initial": { "orbit_frame": 0, "attitude": { "roll_pitch_yaw": { "angles_rad": angles } } },
         },
-        "step_s": 10, "steps": 600, "log": { "every": 1 },
+        "step_s": 10, "steps": 300, "log": { "every": 1 },
     });
     let mut asked = scenario.clone();
     asked["pointing"] = json!({ "orbit_frame": 0, "axis": [0, 0, 2], "towards": [0, 1, 0] });
     let logs = ["without.mcap", "with.mcap"].map(|name| place.path().join(name));
+    // In one chunk of the log, at whose end the stepper starts anew.
     let without = run(&scenario, &logs[0], &Control::default()).expect("a log");
     let with = run(&asked, &logs[1], &Control::default()).expect("a log");
     assert_eq!(without.last, with.last);
@@ -214,7 +215,7 @@ fn a_satellite_shows_where_it_points() {
         }
     })
     .expect("a log");
-    assert_eq!(seen, 601);
+    assert_eq!(seen, 301);
     let first = first.expect("a sample");
     let found = [first.roll_rad, first.pitch_rad, first.yaw_rad];
     for (found, right) in found.iter().zip(angles) {

@@ -89,12 +89,12 @@ fn contents(log: &Path) -> Contents {
     found
 }
 
-/// Returns the attitudes at the end, of member after member.
-pub(crate) fn ends(log: &Path) -> Vec<Vec<f64>> {
+/// Returns the last attitude of each member, by number: in the log those that are logged in full come first.
+pub(crate) fn ends(log: &Path) -> BTreeMap<u64, Vec<f64>> {
     let members = contents(log).members;
     members
         .into_iter()
-        .map(|member| member.last.map_or_else(Vec::new, |last| last.attitude))
+        .map(|member| (member.member, member.last.map_or_else(Vec::new, |last| last.attitude)))
         .collect()
 }
 

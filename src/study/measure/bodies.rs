@@ -250,36 +250,38 @@ impl BodiesTask for Timing {
 
 /// Makes the first steps of a plan of several bodies; returns the sweeps and the nanoseconds of one, `None` if the first fails.
 pub(crate) fn first_steps_of_bodies(plan: &Plan) -> Option<(f64, f64)> {
-    assembled_bodies(plan, FirstStepsOfBodies { step_s: plan.step_s })
+    /// Work that they may be, by the plan's figures: counted, for logs tell of it, and have the same bytes on every machine.
+    const MOST_NS: f64 = 3e8;
+    let steps = (MOST_NS / plan.work_step_ns.max(1.0)).clamp(2.0, 32.0) as u32;
+    assembled_bodies(plan, FirstStepsOfBodies { step_s: plan.step_s, steps })
 }
 
 /// See [`first_steps_of_bodies`].
 struct FirstStepsOfBodies {
     step_s: f64,
+    /// Of which the first ones have no history to begin from.
+    steps: u32,
 }
 
 impl BodiesTask for FirstStepsOfBodies {
     type Output = Option<(f64, f64)>;
 
     fn perform<const N: usize>(self, assembly: BodiesAssembly<N>) -> Self::Output {
-        /// Steps, of which the first ones have no history to begin from; and the time they may take.
-        const STEPS: u32 = 32;
-        const MOST: Duration = Duration::from_millis(300);
         let BodiesAssembly { bodies, mut stepper, initial } = assembly;
         let begun = Instant::now();
         stepper.start(&initial);
         let (mut steps, mut of_first) = (0_u32, Duration::ZERO);
-        while steps < STEPS && begun.elapsed() < MOST {
+        while steps < self.steps {
             if stepper.step(&bodies, self.step_s).is_err() {
                 break;
             }
             steps += 1;
             // Steps that follow others begin from these.
-            if steps == STEPS / 2 {
+            if steps == self.steps / 2 {
                 of_first = begun.elapsed();
             }
         }
-        let later = steps.saturating_sub(STEPS / 2);
+        let later = steps.saturating_sub(self.steps / 2);
         let (counted, time) = match (later, steps) {
             (0, 0) => return None,
             (0, steps) => (steps, begun.elapsed()),
