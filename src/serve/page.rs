@@ -45,12 +45,10 @@ pub(super) const MAX_MEMBERS: usize = 200;
 const READERS: usize = 2;
 
 const STYLE: &str = concat!(include_str!("page/uplot/uplot.css"), include_str!("page/style.css"));
-const SCRIPT: &str = concat!(
-    include_str!("page/body.js"),
-    include_str!("page/codemirror/codemirror.js"),
-    "\n",
-    include_str!("page/uplot/uplot.js"),
-    "\n",
+
+/// Scripts of ours, of which comment lines and indentation are left out: no text of theirs goes over several lines.
+const FIRST: &str = include_str!("page/body.js");
+const OURS: &str = concat!(
     include_str!("page/client.js"),
     include_str!("page/chart.js"),
     include_str!("page/members.js"),
@@ -62,6 +60,19 @@ const SCRIPT: &str = concat!(
     include_str!("page/page.js"),
 );
 
+/// Returns a script without the lines and spaces that are for its readers.
+fn lean(script: &str) -> String {
+    let lines = script.lines().map(str::trim_start);
+    lines.filter(|line| !line.is_empty() && !line.starts_with("//")).fold(
+        String::new(),
+        |mut lean, line| {
+            lean.push_str(line);
+            lean.push('\n');
+            lean
+        },
+    )
+}
+
 /// A page as one file.
 struct OneFile {
     text: String,
@@ -70,8 +81,16 @@ struct OneFile {
     policy: String,
 }
 
-static PAGE: LazyLock<OneFile> =
-    LazyLock::new(|| OneFile::new(include_str!("page/page.html"), STYLE, SCRIPT));
+static PAGE: LazyLock<OneFile> = LazyLock::new(|| {
+    let others = [
+        include_str!("page/codemirror/codemirror.js"),
+        "\n",
+        include_str!("page/uplot/uplot.js"),
+        "\n",
+    ];
+    let script = [lean(FIRST), others.concat(), lean(OURS)].concat();
+    OneFile::new(include_str!("page/page.html"), STYLE, &script)
+});
 
 static DOCS: LazyLock<OneFile> = LazyLock::new(|| {
     let (style, script) = (include_str!("page/docs.css"), include_str!("page/docs.js"));
@@ -334,7 +353,7 @@ mod tests {
     use std::path::PathBuf;
     use std::sync::Arc;
 
-    use super::{LogChart, Pictures, READERS};
+    use super::{FIRST, LogChart, OURS, Pictures, READERS, lean};
 
     #[tokio::test]
     async fn a_chart_is_drawn_once_for_all_who_wait_and_not_at_all_for_nobody() {
@@ -371,5 +390,14 @@ mod tests {
         drop(all);
         // A later visitor is served.
         assert!(ask().await.expect("no panic").expect("an answer").is_err());
+    }
+
+    #[test]
+    fn no_text_of_a_script_goes_over_several_lines() {
+        for line in FIRST.lines().chain(OURS.lines()) {
+            assert!(line.matches('`').count().is_multiple_of(2), "{line}");
+        }
+        let lean = lean(OURS);
+        assert!(lean.len() < OURS.len() && !lean.contains("\n//") && !lean.contains("\n "));
     }
 }
