@@ -193,6 +193,18 @@ pub(crate) enum End {
     Failed(Failure),
 }
 
+impl End {
+    /// Returns the end of a trajectory, which is over once its energy is past the limit.
+    fn of(ending: Ending, blown: bool) -> Self {
+        match ending {
+            Ending::Completed | Ending::Stopped(_) | Ending::Cancelled if blown => Self::BlewUp,
+            Ending::Completed | Ending::Stopped(_) => Self::Completed,
+            Ending::Cancelled => Self::Cancelled,
+            Ending::Failed(failure) => Self::Failed(failure),
+        }
+    }
+}
+
 /// Results of a run of a study.
 #[derive(Clone, Debug)]
 pub(crate) struct Measured {
@@ -392,14 +404,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
     let Gauge { points, series, fastest, kinetic, momentum, least_sigma, .. } = gauge;
     let State { attitude, momentum: last } = reached.state();
     Measured {
-        end: match ending {
-            Ending::Completed | Ending::Stopped(_) | Ending::Cancelled if blown.get() => {
-                End::BlewUp
-            }
-            Ending::Completed | Ending::Stopped(_) => End::Completed,
-            Ending::Cancelled => End::Cancelled,
-            Ending::Failed(failure) => End::Failed(failure),
-        },
+        end: End::of(ending, blown.get()),
         steps: reached.step,
         last: Point::of(&attitude, &last),
         points,

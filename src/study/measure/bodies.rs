@@ -11,9 +11,7 @@ use nalgebra::DMatrix;
 use super::{Begin, End, HARDLY, LEAST_NS, Measured, Point, Probe, Sizes, size};
 use crate::assemble::{BodiesAssembly, BodiesTask, assembled_bodies};
 use crate::plan::Plan;
-use crate::solve::bodies::trajectory::{
-    self, BodySample, Course, Ending, Sample, Sink, Trajectory,
-};
+use crate::solve::bodies::trajectory::{self, BodySample, Course, Sample, Sink, Trajectory};
 use crate::solve::bodies::{Bodies, BodiesState};
 use crate::solve::so::{Mat, Vector};
 use crate::solve::work::Work;
@@ -97,14 +95,7 @@ impl BodiesTask for Measurement<'_> {
         let moved_rad_s = pushed.filter(|rate| rate.is_finite()).fold(0.0, f64::max);
         let work = bodies.work();
         Measured {
-            end: match ending {
-                Ending::Completed | Ending::Stopped(_) | Ending::Cancelled if blown.get() => {
-                    End::BlewUp
-                }
-                Ending::Completed | Ending::Stopped(_) => End::Completed,
-                Ending::Cancelled => End::Cancelled,
-                Ending::Failed(failure) => End::Failed(failure),
-            },
+            end: End::of(ending, blown.get()),
             steps: reached.step,
             last: Point::of_bodies(&seen),
             points,
