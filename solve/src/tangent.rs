@@ -657,7 +657,7 @@ impl<const N: usize> StepTangent<'_, N> {
     }
 
     /// Carries a gradient by the end, 2d numbers, back to the start; also returns what it says of each parameter, the
-    /// transpose of [parameter]: with `l = M^T gradient` the rate of F along `(-l_nu, l_xi + [l_nu, mu])`.
+    /// transpose of `parameter`: with `l = M^T gradient` the rate of F along `(-l_nu, l_xi + [l_nu, mu])`.
     pub fn pull_back(&self, gradient: &[f64], rates: &[BodyRate<N>]) -> (Vec<f64>, Vec<f64>) {
         let d = self.tangent.places.len();
         let mut start = vec![0.0; 2 * d];
