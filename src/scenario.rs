@@ -190,6 +190,19 @@ impl Scene {
             && self.field.is_none()
     }
 
+    /// Returns the time in seconds at which the first of its tables ends, if it has any.
+    pub(crate) fn known_until_s(&self) -> Option<f64> {
+        let factors = self.driven.iter().filter_map(|term| match &term.factor {
+            Some(Factor::Table(table)) => Some(table),
+            _ => None,
+        });
+        let torques = self.torques.iter().filter_map(|torque| match torque {
+            Torque::Table(torque) => Some(&torque.table),
+            _ => None,
+        });
+        factors.chain(torques).filter_map(|table| table.times_s.last().copied()).reduce(f64::min)
+    }
+
     /// Returns a free body with an inertia, at rest in the attitude of the identity.
     pub fn free(inertia: Inertia) -> Self {
         Self { inertia: Some(inertia), ..Self::nothing() }

@@ -9,6 +9,7 @@
 //! Invariant: a study repeats to the bit but for its times, on any number of cores; no time is
 //! measured while another run is made; it ends early only if it is cancelled.
 
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -64,6 +65,8 @@ pub struct Watch {
     /// Work that may still be done, in nanoseconds by the plan's figures: counted, not timed.
     /// Unlimited if absent.
     pub allowance_ns: Option<AtomicU64>,
+    /// Threads for runs that are not timed; all cores if absent.
+    pub threads: Option<NonZeroUsize>,
 }
 
 impl Watch {
@@ -95,11 +98,10 @@ impl Watch {
     }
 }
 
-/// Returns the result for each of the methods, in their order, on `threads` threads. Not for
-/// timings.
+/// Returns the result for each of the methods, in their order, on several threads. Not for timings.
 fn of_each<T: Send>(
     entries: &[Entry],
-    threads: usize,
+    watch: &Watch,
     one: impl Fn(&Entry) -> Result<T, StudyError> + Sync,
 ) -> Result<Vec<T>, StudyError> {
     let mut made = Vec::with_capacity(entries.len());
@@ -110,7 +112,7 @@ fn of_each<T: Send>(
         }
         Some(())
     };
-    in_order(0..entries.len() as u64, 1, threads, work, |found| {
+    in_order(0..entries.len() as u64, 1, threads(watch), work, |found| {
         found.map(|found| made.push(found))
     })?;
     Ok(made)
@@ -119,20 +121,24 @@ fn of_each<T: Send>(
 /// Returns the results for the methods up to one at which the study was cancelled.
 fn of_those_before<T: Send>(
     entries: &[Entry],
-    threads: usize,
+    watch: &Watch,
     one: impl Fn(&Entry) -> Result<T, StudyError> + Sync,
 ) -> Result<Vec<T>, StudyError> {
     let one = |entry: &Entry| match one(entry) {
         Err(StudyError::Cancelled) => Ok(None),
         found => found.map(Some),
     };
-    Ok(of_each(entries, threads, one)?.into_iter().map_while(|found| found).collect())
+    Ok(of_each(entries, watch, one)?.into_iter().map_while(|found| found).collect())
 }
 
 /// Returns the number of threads for runs that are not timed: the cost of one may end others, and
 /// then their order counts.
 fn threads(watch: &Watch) -> usize {
-    if watch.allowance_ns.is_some() { 1 } else { cores() }
+    if watch.allowance_ns.is_some() {
+        1
+    } else {
+        watch.threads.map_or_else(cores, NonZeroUsize::get)
+    }
 }
 
 /// Checks that a scene is valid, whatever method and step it will run with.
@@ -338,79 +344,4 @@ fn usual_time(scene: &Scenario) -> Result<f64, ScenarioError> {
     let duration_s = plan.steps as f64 * plan.step_s;
     let rate = measure::initial_rate(scene)?;
     Ok(duration_s.min(if rate > 0.0 { std::f64::consts::TAU / rate } else { duration_s }))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{Entry, Watch};
-    use super::{long_term, precision, stability};
-    use crate::scenario::{Coefficients, SHIPPED, Scenario, TableauChoice};
-    use std::sync::atomic::Ordering;
-
-    fn top(steps: u64) -> (Scenario, Vec<Entry>) {
-        let (_, text) = SHIPPED.iter().find(|(name, _)| *name == "heavy-top").expect("shipped");
-        let mut scene = Scenario::from_json(text.as_bytes()).expect("a scenario");
-        (scene.steps, scene.duration_s) = (Some(steps), None);
-        let entries = super::usual_methods(&scene).into_iter().take(5).collect();
-        (scene, entries)
-    }
-
-    #[test]
-    fn a_tableau_of_the_scene_takes_part() {
-        let (mut scene, _) = top(400);
-        let midpoint = Coefficients { a: vec![vec![0.5]], b: vec![1.0] };
-        scene.method.tableau = Some(TableauChoice::Custom(midpoint));
-        for entries in [super::usual_methods(&scene), super::all_methods(&scene)] {
-            assert_eq!(entries[0].label(), "vpd given");
-            assert!(entries.len() > 5 && entries[1..].iter().all(|entry| entry.tableau != "given"));
-        }
-    }
-
-    #[test]
-    fn a_cancelled_map_keeps_the_methods_that_were_done() {
-        let (scene, entries) = top(400);
-        let whole =
-            stability::on_threads(&scene, &entries, &Watch::default(), 2).expect("a map").cells;
-        let watch = Watch::default();
-        let map = std::thread::scope(|scope| {
-            scope.spawn(|| {
-                // Some of the methods are done by then, at most all of them.
-                while watch.done.load(Ordering::Relaxed) < 2 * 24 + 12 {
-                    std::thread::yield_now();
-                }
-                watch.cancelled.store(true, Ordering::Relaxed);
-            });
-            stability::stability_so_far(&scene, &entries, &watch).expect("a map")
-        });
-        assert!(!map.cells.is_empty() && map.cells.len() == map.borders.len());
-        assert_eq!(map.cells[..], whole[..map.cells.len()]);
-        let stopped = Watch::default();
-        stopped.cancelled.store(true, Ordering::Relaxed);
-        let none = stability::stability_so_far(&scene, &entries, &stopped);
-        assert_eq!(none, Err(super::StudyError::Cancelled));
-    }
-
-    #[test]
-    fn studies_do_not_depend_on_threads() {
-        let (scene, entries) = top(400);
-        let long = |threads| {
-            long_term::on_threads(&scene, &entries, &Watch::default(), threads).expect("a study")
-        };
-        let (one, three) = (long(1), long(3));
-        assert_eq!(one.table.to_csv(), three.table.to_csv());
-        assert_eq!(one, three);
-        let map = |threads| {
-            stability::on_threads(&scene, &entries[..3], &Watch::default(), threads).expect("a map")
-        };
-        assert_eq!(map(1), map(3));
-        let untimed = |threads| {
-            let watch = Watch::default();
-            let found = precision::on_threads(&scene, &entries, Some(0.05), &watch, threads);
-            let mut found = found.expect("a study");
-            assert!(found.table.rows.iter().any(|row| row.ns_per_step.is_some()));
-            found.table.rows.iter_mut().for_each(|row| row.ns_per_step = None);
-            found
-        };
-        assert_eq!(untimed(1), untimed(3));
-    }
 }

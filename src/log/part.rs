@@ -218,9 +218,18 @@ pub(crate) fn is_busy(error: &io::Error) -> bool {
 fn lock(file: &File, path: &Path) -> io::Result<()> {
     use std::fs::TryLockError;
     use std::os::unix::fs::MetadataExt;
+    use std::time::{Duration, Instant};
+    /// A process that is just being started holds the locks of its parent until it runs its own program.
+    const FORKED: Duration = Duration::from_millis(200);
     let busy = |holder| Err(io::Error::new(io::ErrorKind::ResourceBusy, Busy { holder }));
     let place = |found: std::fs::Metadata| (found.dev(), found.ino());
-    match file.try_lock() {
+    let begun = Instant::now();
+    let mut locked = file.try_lock();
+    while matches!(locked, Err(TryLockError::WouldBlock)) && begun.elapsed() < FORKED {
+        std::thread::sleep(Duration::from_millis(5));
+        locked = file.try_lock();
+    }
+    match locked {
         // The file was finished since it was opened: by now it has another name.
         Ok(()) if place(file.metadata()?) != place(path.symlink_metadata()?) => busy(None),
         Err(TryLockError::WouldBlock) => busy(holder(file.metadata()?.ino())),

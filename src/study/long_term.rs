@@ -2,7 +2,7 @@
 
 use super::measure::{Probe, measure};
 use super::table::{Row, Table};
-use super::{Entry, StudyError, Watch, of_each, threads};
+use super::{Entry, StudyError, Watch, of_each};
 use crate::plan::Plan;
 use crate::scenario::Scenario;
 
@@ -27,18 +27,9 @@ pub fn long_term(
     entries: &[Entry],
     watch: &Watch,
 ) -> Result<LongTerm, StudyError> {
-    on_threads(scene, entries, watch, threads(watch))
-}
-
-pub(super) fn on_threads(
-    scene: &Scenario,
-    entries: &[Entry],
-    watch: &Watch,
-    threads: usize,
-) -> Result<LongTerm, StudyError> {
     let Plan { step_s, steps, .. } = Plan::new(scene)?;
     watch.expect(entries.len() as u64);
-    let runs = of_each(entries, threads, |entry| {
+    let runs = of_each(entries, watch, |entry| {
         let every = steps.div_ceil(SAMPLES);
         let probe = Probe { every, ..Probe::of(&entry.method, step_s, steps) };
         let run = measure(scene, probe, watch)?;

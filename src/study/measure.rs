@@ -142,8 +142,8 @@ pub(crate) struct Probe<'a, M = Method> {
 pub(crate) enum Begin<'a> {
     /// The start of the scene, or of its member.
     Scene,
-    /// Another state.
-    State(&'a Point),
+    /// Another state, which the run reaches after so many of its steps: what depends on time counts from the start.
+    State { point: &'a Point, step: u64 },
     /// A rounding away from the scene's start, whose energy an adaptive method takes for that of
     /// the motion.
     Near(&'a Point),
@@ -348,16 +348,21 @@ impl Task for Measurement<'_> {
         let body = body.with_work(Work::limited(self.most_sweeps, self.watch.cancelled.clone()));
         let Probe { begin, member, .. } = self.probe;
         let initial = match (begin, self.ensemble) {
-            (Begin::State(point), _) => point.state(),
+            (Begin::State { point, .. }, _) => point.state(),
             (_, Some(ensemble)) => spread::start(&initial, ensemble, member),
             (_, None) => initial,
         };
         stepper.set_member(member);
-        let near = match begin {
+        let checkpoint = match begin {
+            Begin::Scene => None,
             Begin::Near(point) => Some(Checkpoint::at_start(&point.state())),
-            _ => None,
+            // The samples of a loop are counted from where it is started.
+            Begin::State { .. } if stepper.control().is_some() => None,
+            Begin::State { step, .. } => {
+                Some(Checkpoint { step, ..Checkpoint::at_start(&initial) })
+            }
         };
-        let origin = Origin { initial: &initial, checkpoint: near.as_ref() };
+        let origin = Origin { initial: &initial, checkpoint: checkpoint.as_ref() };
         let mut run = run_of(&body, stepper.as_mut(), origin, self.probe, self.watch);
         run.force_evaluations = body.work().gradients();
         run.sweeps = body.work().sweeps();
@@ -376,6 +381,8 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
     watch: &Watch,
 ) -> Measured {
     let Probe { step_s, steps, every, energy_limit, keep, .. } = probe;
+    let origin = origin.into();
+    let before = origin.checkpoint.map_or(0, |found| found.step);
     let blown = Cell::new(false);
     let mut gauge = Gauge {
         system,
@@ -395,7 +402,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
         system,
         stepper,
         origin,
-        Schedule { step_s, steps, every },
+        Schedule { step_s, steps: before + steps, every },
         observables,
         &mut gauge,
         |_| !blown.get() && !watch.is_cancelled(),
@@ -405,7 +412,7 @@ pub(super) fn run_of<'a, const N: usize, Y: System<N> + ?Sized, M>(
     let State { attitude, momentum: last } = reached.state();
     Measured {
         end: End::of(ending, blown.get()),
-        steps: reached.step,
+        steps: reached.step - before,
         last: Point::of(&attitude, &last),
         points,
         series,

@@ -15,10 +15,10 @@ use super::table::{Row, Table};
 use super::{Scales, StudyError, Watch};
 use crate::solve::nonlinear::Rung;
 use crate::solve::so;
-use crate::solve::state::State;
+use crate::solve::state::{Checkpoint, State};
 use crate::solve::stepper::{Knots, Stepper};
 use crate::solve::system::System;
-use crate::solve::trajectory::{self, Ending, Observables, Sample, Schedule, Sink};
+use crate::solve::trajectory::{self, Ending, Observables, Origin, Sample, Schedule, Sink};
 
 /// A method that takes part.
 pub struct Candidate<'a, const N: usize, Y: ?Sized> {
@@ -171,10 +171,19 @@ impl<'a, const N: usize, Y: System<N> + ?Sized> Runs for OfSystem<'a, N, Y> {
         let mut stepper = (probe.method.stepper)();
         let elsewhere = match probe.begin {
             Begin::Scene => None,
-            Begin::State(point) | Begin::Near(point) => Some(point.state()),
+            Begin::Near(point) => Some((point.state(), 0)),
+            Begin::State { point, step } => Some((point.state(), step)),
         };
-        let initial = elsewhere.as_ref().unwrap_or(self.question.initial);
-        Ok(run_of(self.question.system, stepper.as_mut(), initial, probe, watch))
+        let checkpoint =
+            elsewhere.map(|(state, step)| Checkpoint { step, ..Checkpoint::at_start(&state) });
+        let state = checkpoint.as_ref().map(Checkpoint::state);
+        let initial = state.as_ref().unwrap_or(self.question.initial);
+        let origin = Origin { initial, checkpoint: checkpoint.as_ref() };
+        Ok(run_of(self.question.system, stepper.as_mut(), origin, probe, watch))
+    }
+
+    fn known_until_s(&self) -> Option<f64> {
+        None
     }
 
     fn exact(&self) -> &Self::Method {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use super::measure::{self, Probe};
 use super::reference::Reference;
 use super::table::{Row, Table};
-use super::{Entry, Scales, StudyError, Watch, of_each, threads, usual_time};
+use super::{Entry, Scales, StudyError, Watch, of_each, usual_time};
 use crate::scenario::Scenario;
 
 /// Results of the measurements on a scene.
@@ -42,23 +42,13 @@ pub fn precision(
     until_s: Option<f64>,
     watch: &Watch,
 ) -> Result<Precision, StudyError> {
-    on_threads(scene, entries, until_s, watch, threads(watch))
-}
-
-pub(super) fn on_threads(
-    scene: &Scenario,
-    entries: &[Entry],
-    until_s: Option<f64>,
-    watch: &Watch,
-    threads: usize,
-) -> Result<Precision, StudyError> {
     let time_s = until_s.map_or_else(|| usual_time(scene), Ok)?;
     let scales = Scales::of(scene, time_s, watch)?;
     let reference = Reference::at(scene, time_s, &scales, watch)?;
     let floor = reference.error.max(f64::EPSILON);
     // The first step turns the body by about a radian where it is fastest.
     let start = (time_s * scales.fastest_rad_s).ceil().max(1.0) as u64;
-    let rows = of_each(entries, threads, |entry| {
+    let rows = of_each(entries, watch, |entry| {
         let (mut rows, mut least) = (Vec::new(), f64::INFINITY);
         for halving in 0..HALVINGS {
             let steps = start << halving;

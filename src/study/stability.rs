@@ -8,9 +8,7 @@ use serde::Serialize;
 use super::long_term::trend;
 use super::measure::{Begin, End, Measured, Probe, measure};
 use super::table::{Row, Table};
-use super::{
-    Entry, Scales, StudyError, Watch, of_each, of_those_before, threads, usual_time, with_tableau,
-};
+use super::{Entry, Scales, StudyError, Watch, of_each, of_those_before, usual_time, with_tableau};
 use crate::method::Integrator;
 use crate::scenario::{Scenario, TableauName};
 use crate::solve::failure::FailureCode;
@@ -121,6 +119,8 @@ const RUN_STEPS: u64 = 4000;
 /// A drift is one that goes on in a run this many times as long. A swing slower than a run comes
 /// back.
 const LONGER: u64 = 4;
+/// Least number of steps of a run where tables end early.
+const LEAST_STEPS: f64 = 16.0;
 /// Least factor by which it goes on: [`LONGER`] if it is steady; on the dipole 1.9 to 5, and 1.2 at
 /// most where it swings.
 const GOES_ON: f64 = 1.5;
@@ -156,7 +156,11 @@ const SWING_SAMPLES: usize = 1024;
 /// # Errors
 /// If the scene cannot be studied, or the study is cancelled.
 pub fn stability(scene: &Scenario, entries: &[Entry], watch: &Watch) -> Result<Map, StudyError> {
-    on_threads(scene, entries, watch, threads(watch))
+    let mapper = Judge::of(scene, watch)?.0;
+    let steps_s = mapper.sweep();
+    watch.expect((entries.len() * SWEEP) as u64);
+    let methods = of_each(entries, watch, |entry| mapper.along(entry, &steps_s, watch))?;
+    Ok(mapper.map(steps_s, methods))
 }
 
 /// Does the same, and if it is cancelled returns the map of the methods before that; it has fewer rows then.
@@ -172,23 +176,10 @@ pub fn stability_so_far(
     let steps_s = mapper.sweep();
     watch.expect((entries.len() * SWEEP) as u64);
     let along = |entry: &Entry| mapper.along(entry, &steps_s, watch);
-    let methods = of_those_before(entries, threads(watch), along)?;
+    let methods = of_those_before(entries, watch, along)?;
     if methods.is_empty() && !entries.is_empty() {
         return Err(StudyError::Cancelled);
     }
-    Ok(mapper.map(steps_s, methods))
-}
-
-pub(super) fn on_threads(
-    scene: &Scenario,
-    entries: &[Entry],
-    watch: &Watch,
-    threads: usize,
-) -> Result<Map, StudyError> {
-    let mapper = Judge::of(scene, watch)?.0;
-    let steps_s = mapper.sweep();
-    watch.expect((entries.len() * SWEEP) as u64);
-    let methods = of_each(entries, threads, |entry| mapper.along(entry, &steps_s, watch))?;
     Ok(mapper.map(steps_s, methods))
 }
 
@@ -217,7 +208,8 @@ impl<'a> Judge<'a> {
     /// # Errors
     /// If no step works on the scene.
     pub fn of(scene: &'a Scenario, watch: &Watch) -> Result<Self, StudyError> {
-        let time_s = 10.0 * usual_time(scene)?;
+        let known_s = scene.scene.known_until_s().unwrap_or(f64::INFINITY);
+        let time_s = (10.0 * usual_time(scene)?).min(known_s);
         let scales = Scales::of(scene, time_s, watch)?;
         let exact = Entry::new(scene, with_tableau(Integrator::Vpd, TableauName::Gauss8))?;
         Ok(Self(Mapper { runs: OfScene { scene, exact }, scales }))
@@ -240,6 +232,9 @@ pub(super) trait Runs {
     /// Makes a run.
     fn run(&self, probe: Probe<'_, Self::Method>, watch: &Watch) -> Result<Measured, StudyError>;
 
+    /// Returns the time in seconds beyond which nothing is known of what acts: the end of a table.
+    fn known_until_s(&self) -> Option<f64>;
+
     /// Returns the method that is taken as exact in steps that are known to work.
     fn exact(&self) -> &Self::Method;
 
@@ -261,6 +256,10 @@ impl Runs for OfScene<'_> {
 
     fn run(&self, probe: Probe<'_, Entry>, watch: &Watch) -> Result<Measured, StudyError> {
         Ok(measure(self.scene, probe.with(&probe.method.method), watch)?)
+    }
+
+    fn known_until_s(&self) -> Option<f64> {
+        self.scene.scene.known_until_s()
     }
 
     fn exact(&self) -> &Entry {
@@ -323,12 +322,23 @@ impl<R: Runs> Mapper<R> {
     pub(super) fn sweep(&self) -> Vec<f64> {
         let (low, high) = TURNS_RAD;
         let ratio = libm::pow(high / low, 1.0 / (SWEEP - 1) as f64);
-        (0..SWEEP).map(|k| low * libm::pow(ratio, k as f64) / self.scales.fastest_rad_s).collect()
+        let longest_s =
+            self.runs.known_until_s().map_or(f64::INFINITY, |end_s| end_s / LEAST_STEPS);
+        // Where the tables end before the body has turned, the sweep ends with them.
+        let less = (longest_s / (high / self.scales.fastest_rad_s)).min(1.0);
+        let step_s = |k: usize| low * libm::pow(ratio, k as f64) / self.scales.fastest_rad_s;
+        (0..SWEEP).map(|k| less * step_s(k)).collect()
+    }
+
+    /// Returns how many steps a run may make, of those that are wanted: it ends with the tables.
+    fn within(&self, wanted: u64, step_s: f64) -> u64 {
+        let known = self.runs.known_until_s().map_or(f64::INFINITY, |end_s| end_s / step_s);
+        wanted.min((known * (1.0 + 1e-12)) as u64).max(1)
     }
 
     fn cell(&self, method: &R::Method, step_s: f64, watch: &Watch) -> Result<Cell, StudyError> {
         let energy_limit = MEANINGLESS * self.scales.kinetic;
-        let whole = Probe::of(method, step_s, RUN_STEPS);
+        let whole = Probe::of(method, step_s, self.within(RUN_STEPS, step_s));
         let probe = Probe { every: 1, energy_limit, keep: true, ..whole };
         let run = self.runs.run(probe, watch)?;
         watch.advance(0)?;
@@ -385,7 +395,12 @@ impl<R: Runs> Mapper<R> {
         run: &Measured,
         watch: &Watch,
     ) -> Result<bool, StudyError> {
-        let probe = Probe { steps: LONGER * probe.steps, every: LONGER, keep: false, ..probe };
+        let steps = LONGER * probe.steps;
+        if self.within(steps, probe.step_s) < steps {
+            // All that is known of the motion was run.
+            return Ok(true);
+        }
+        let probe = Probe { steps, every: LONGER, keep: false, ..probe };
         let longer = self.runs.run(probe, watch)?;
         watch.advance(0)?;
         let late = |run: &Measured| {
@@ -413,7 +428,8 @@ impl<R: Runs> Mapper<R> {
         for at in spread.chain([run.fastest_sample]) {
             let [start, end] = run.points.get(at..at + 2).unwrap_or_default() else { continue };
             let whole = Probe::of(exact, step_s / parts as f64, parts);
-            let probe = Probe { begin: Begin::State(start), ..whole };
+            let begin = Begin::State { point: start, step: at as u64 * parts };
+            let probe = Probe { begin, ..whole };
             let solved = self.runs.run(probe, watch)?;
             if solved.completed() && end.attitude_distance(&solved.last) > WRONG_BRANCH {
                 return Ok(true);
@@ -570,32 +586,4 @@ fn swing_rad(run: &Measured) -> Option<f64> {
     let (next, side) = if right > left { (right, 1.0) } else { (left, -1.0) };
     let ratio = next / peak;
     Some(unit * (line as f64 + side * (2.0 * ratio - 1.0) / (ratio + 1.0)))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::{CHECKED_STEPS, Judge, Probe, measure};
-    use crate::method::Integrator;
-    use crate::scenario::{SHIPPED, Scenario, TableauName};
-    use crate::study::{Watch, with_tableau};
-
-    #[test]
-    fn a_late_step_that_ends_elsewhere_is_told() {
-        let (_, text) = SHIPPED.iter().find(|(name, _)| *name == "dipole").expect("shipped");
-        let scene = Scenario::from_json(text.as_bytes()).expect("the dipole");
-        let watch = Watch::default();
-        let judge = Judge::of(&scene, &watch).expect("scales");
-        let method = with_tableau(Integrator::Vpd, TableauName::Gauss2);
-        let step_s = 0.05;
-        let probe = Probe { every: 1, keep: true, ..Probe::of(&method, step_s, 400) };
-        let mut run = measure(&scene, probe, &watch).expect("a run");
-        assert!(!judge.0.leaves_branch(step_s, &run, &watch).expect("judged"));
-        // Half a turn about the body's third axis: still a rotation, of the same energy where it is
-        // a symmetry.
-        let made = run.points.len() - 1;
-        let end = &mut run.points[3 * made / CHECKED_STEPS + 1].attitude;
-        end.column_mut(0).neg_mut();
-        end.column_mut(1).neg_mut();
-        assert!(judge.0.leaves_branch(step_s, &run, &watch).expect("judged"));
-    }
 }

@@ -286,3 +286,13 @@ fn a_body_by_itself_moves_exactly_and_costs_the_others_nothing() {
     let verified = verify::verify(&log).expect("a run again");
     assert!(verified.same, "{verified:?}");
 }
+
+/// Searches end by counts of sweeps: if these seem cheap, a search takes minutes.
+#[test]
+fn the_sweeps_of_several_bodies_are_most_of_a_step() {
+    let scene = Scenario::from_json(shipped("chain").to_string().as_bytes()).expect("good");
+    let plan = vpd::plan::Plan::new(&scene).expect("a plan");
+    // A step takes three to thirty of them.
+    let (sweep_ns, step_ns) = (plan.sweep_cost_ns(), plan.step_ns);
+    assert!(30.0 * sweep_ns > step_ns && sweep_ns < step_ns, "{sweep_ns} of {step_ns}");
+}

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 use vpd::advise;
 use vpd::run::{Outcome, Summary};
 use vpd::scenario::Scenario;
+use vpd::study::Watch;
 
 use crate::cli;
 use crate::scenarios::run;
@@ -264,4 +265,30 @@ fn a_needle_is_solved() {
     let [x, y, axial] = momentum(&summary);
     assert!((x.hypot(y) - 0.5).abs() < 1e-14, "{:?}", summary.last);
     assert!((axial - 1e-6).abs() < 1e-13, "{:?}", summary.last);
+}
+
+/// A table that ends with the run: the map of the scene goes no further than that, and finds usable steps.
+#[test]
+fn a_map_ends_with_the_tables() {
+    let spun = r#"{"initial":{"angular_velocity":{"body":[0.3,2,0.1]}}}"#;
+    for start in [None, Some(spun)] {
+        let mut scenario: Value = serde_json::from_str(&text("rest-zero-torque")).expect("JSON");
+        if let Some(start) = start {
+            let start: Value = serde_json::from_str(start).expect("JSON");
+            scenario["scene"]["initial"] = start["initial"].clone();
+        }
+        let scene = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
+        let mut entries = vpd::study::usual_methods(&scene);
+        entries
+            .retain(|entry| ["vpd gauss2", "rk_projected rk4"].contains(&entry.label().as_str()));
+        assert_eq!(entries.len(), 2);
+        let map = vpd::study::stability::stability(&scene, &entries, &Watch::default());
+        let map = map.expect("a map");
+        assert!(map.steps_s.iter().all(|step_s| *step_s <= 1.0 / 15.0), "{:?}", map.steps_s);
+        for (border, cells) in map.borders.iter().zip(&map.cells) {
+            assert!(border.usable_step_s.is_some_and(|step_s| step_s > 0.01), "{border:?}");
+            let outside = cells.iter().any(|cell| cell.class.as_str() == "outside_table");
+            assert!(!outside, "{border:?}");
+        }
+    }
 }

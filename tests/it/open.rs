@@ -8,8 +8,9 @@ use vpd::chart::{draw_logs, stability_map};
 use vpd::log::inspect::inspect;
 use vpd::run::{Control, JobContext, Outcome, Recording};
 use vpd::scenario::{Inertia, Scenario, Scene};
+use vpd::solve::failure::Failure;
 use vpd::solve::hamiltonian::{Hamiltonian, Kinetic, Law, RigidBody, Term};
-use vpd::solve::nonlinear::{Rungs, StopRule};
+use vpd::solve::nonlinear::{Convergence, Rungs, StopRule};
 use vpd::solve::so::{self, Mat, Vector};
 use vpd::solve::state::State;
 use vpd::solve::stepper::Stepper;
@@ -253,6 +254,74 @@ fn the_map_of_a_system_of_ones_own() {
     }
     assert!(stability_map("top", &map).expect("drawn").contains("vpd gauss2"));
     assert_eq!(map.table().rows.len(), 2 * map.steps_s.len());
+}
+
+/// `vpd` with two stages, but for a half turn about the body's third axis after some of the late steps: still a rotation, of
+/// the same energy where the body is symmetric.
+struct Straying {
+    steps: Box<dyn Stepper<3>>,
+    made: u32,
+}
+
+impl Stepper<3> for Straying {
+    fn order(&self) -> u32 {
+        self.steps.order()
+    }
+
+    fn start(&mut self, state: &State<3>) {
+        self.steps.start(state);
+        self.made = 0;
+    }
+
+    fn step(&mut self, body: &RigidBody<3>, h: f64) -> Result<Convergence, Failure> {
+        let solved = self.steps.step(body, h)?;
+        self.made += 1;
+        if self.made > 2000 && self.made % 100 == 1 {
+            let mut attitude = self.steps.attitude().expect("carried");
+            attitude.column_mut(0).neg_mut();
+            attitude.column_mut(1).neg_mut();
+            self.steps.start(&State { attitude, momentum: self.steps.momentum() });
+        }
+        Ok(solved)
+    }
+
+    fn attitude(&self) -> Option<Mat<3>> {
+        self.steps.attitude()
+    }
+
+    fn momentum(&self) -> Mat<3> {
+        self.steps.momentum()
+    }
+}
+
+#[test]
+fn late_steps_that_end_elsewhere_are_told() {
+    let law = Law::Uniform { weight: 1.0, body_point: Vector::<3>::new(0.0, 0.0, 1.0) };
+    let field = Term { law, space: Vector::<3>::new(0.3, 0.0, 1.0) };
+    let body = RigidBody::new(Kinetic::of_moments([2.0, 2.0, 1.0]), vec![field], 0.0);
+    let initial = State { attitude: Mat::identity(), momentum: so::hat(&[0.0, 0.0, 1.0]) };
+    let by = |stages: usize| {
+        move || -> Box<dyn Stepper<3>> {
+            let tableau = Tableau::gauss(stages).expect("1 to 8");
+            Box::new(VpdSo3::new(tableau, StopRule::default()).expect("lanes"))
+        }
+    };
+    let (two, eight) = (by(2), by(8));
+    let straying = || -> Box<dyn Stepper<3>> { Box::new(Straying { steps: two(), made: 0 }) };
+    let candidate = |name, stepper| Candidate { name, tableau: "gauss", stepper };
+    let question =
+        Question { system: &body, initial: &initial, time_s: 20.0, first_steps: 40, halvings: 5 };
+    let map = own::stability(
+        question,
+        &candidate("exact", &eight),
+        &[candidate("as it is", &two), candidate("straying", &straying)],
+        &Watch::default(),
+    )
+    .expect("a map");
+    let classes = |k: usize| map.cells[k][..8].iter().map(|cell| cell.class.as_str());
+    assert!(classes(0).all(|class| class == "stable"), "{:?}", classes(0).collect::<Vec<_>>());
+    let told = classes(1).all(|class| class == "wrong_branch");
+    assert!(told, "{:?}", classes(1).collect::<Vec<_>>());
 }
 
 #[test]

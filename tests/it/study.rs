@@ -1,13 +1,20 @@
 //! Studies: the program's own references against digits, orders from the table, and the effect of a
 //! cancel.
 
-use serde_json::Value;
+use std::collections::BTreeSet;
+use std::num::NonZeroUsize;
+use std::sync::atomic::Ordering;
+
+use serde_json::{Value, json};
+use vpd::method::Integrator;
 use vpd::plan::Plan;
-use vpd::scenario::{SHIPPED, Scenario};
+use vpd::scenario::{Coefficients, SHIPPED, Scenario, TableauChoice};
+use vpd::study::long_term::long_term;
 use vpd::study::precision::precision;
 use vpd::study::reference::{Reference, ReferenceError};
+use vpd::study::stability::{stability, stability_so_far};
 use vpd::study::table::Table;
-use vpd::study::{Scales, StudyError, Watch, usual_methods};
+use vpd::study::{Entry, Scales, StudyError, Watch, all_methods, usual_methods};
 
 use crate::cli::vpd;
 use crate::given::reference;
@@ -226,4 +233,120 @@ fn a_run_shows_its_error_if_asked() {
     let summary: Value = serde_json::from_slice(&done.stdout).expect("JSON");
     assert_eq!(summary["outcome"], "succeeded");
     assert!(summary["error"].is_null() && summary["error_below"].is_null(), "{summary}");
+}
+
+/// The heavy top in 400 steps, and five methods.
+fn top() -> (Scenario, Vec<Entry>) {
+    let mut scene = shipped("heavy-top");
+    (scene.steps, scene.duration_s) = (Some(400), None);
+    let entries = usual_methods(&scene).into_iter().take(5).collect();
+    (scene, entries)
+}
+
+#[test]
+fn a_tableau_of_the_scene_takes_part() {
+    let (mut scene, _) = top();
+    let midpoint = Coefficients { a: vec![vec![0.5]], b: vec![1.0] };
+    scene.method.tableau = Some(TableauChoice::Custom(midpoint));
+    for entries in [usual_methods(&scene), all_methods(&scene)] {
+        assert_eq!(entries[0].label(), "vpd given");
+        assert!(entries.len() > 5 && entries[1..].iter().all(|entry| entry.tableau != "given"));
+    }
+}
+
+#[test]
+fn a_cancelled_map_keeps_the_methods_that_were_done() {
+    let (scene, entries) = top();
+    let two_threads = || Watch { threads: NonZeroUsize::new(2), ..Watch::default() };
+    let whole = stability(&scene, &entries, &two_threads()).expect("a map").cells;
+    let watch = two_threads();
+    let map = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            // Some of the methods are done by then, at most all of them.
+            while watch.done.load(Ordering::Relaxed) < 2 * 24 + 12 {
+                std::thread::yield_now();
+            }
+            watch.cancelled.store(true, Ordering::Relaxed);
+        });
+        stability_so_far(&scene, &entries, &watch).expect("a map")
+    });
+    assert!(!map.cells.is_empty() && map.cells.len() == map.borders.len());
+    assert_eq!(map.cells[..], whole[..map.cells.len()]);
+    let stopped = Watch::default();
+    stopped.cancelled.store(true, Ordering::Relaxed);
+    assert_eq!(stability_so_far(&scene, &entries, &stopped), Err(StudyError::Cancelled));
+}
+
+#[test]
+fn studies_do_not_depend_on_threads() {
+    let (scene, entries) = top();
+    let on = |threads| Watch { threads: NonZeroUsize::new(threads), ..Watch::default() };
+    let long = |threads| long_term(&scene, &entries, &on(threads)).expect("a study");
+    let (one, three) = (long(1), long(3));
+    assert_eq!(one.table.to_csv(), three.table.to_csv());
+    assert_eq!(one, three);
+    let map = |threads| stability(&scene, &entries[..3], &on(threads)).expect("a map");
+    assert_eq!(map(1), map(3));
+    let untimed = |threads| {
+        let found = precision(&scene, &entries, Some(0.05), &on(threads));
+        let mut found = found.expect("a study");
+        assert!(found.table.rows.iter().any(|row| row.ns_per_step.is_some()));
+        found.table.rows.iter_mut().for_each(|row| row.ns_per_step = None);
+        found
+    };
+    assert_eq!(untimed(1), untimed(3));
+}
+
+/// Every method of the list takes part for n = 3, those of any n for n = 4 too, and each shows its order there.
+#[test]
+fn each_method_is_of_its_order_in_the_dimensions_that_it_takes() {
+    let scene = |n: usize, kind: &str| {
+        let vector = |x: f64| (0..n).map(|i| (x + i as f64).sin()).collect::<Vec<_>>();
+        let skew = |i: usize, j: usize| match i.cmp(&j) {
+            std::cmp::Ordering::Less => ((1 + i + 2 * j) as f64).cos(),
+            std::cmp::Ordering::Equal => 0.0,
+            std::cmp::Ordering::Greater => -((1 + j + 2 * i) as f64).cos(),
+        };
+        let momentum: Vec<Vec<f64>> =
+            (0..n).map(|i| (0..n).map(|j| skew(i, j)).collect()).collect();
+        let term = match kind {
+            "uniform" => {
+                json!({"kind": "uniform", "weight": 1.5, "body_point": vector(0.4), "direction": vector(0.9)})
+            }
+            _ => {
+                json!({"kind": "point_source", "strength": 0.5, "body_point": vector(0.4), "position": vector(0.9).iter().map(|x| 3.0 * x).collect::<Vec<_>>()})
+            }
+        };
+        let second_moments: Vec<f64> = (0..n).map(|i| 0.4 + 0.3 * i as f64).collect();
+        let scenario = json!({
+            "name": "any", "step_s": 0.01, "steps": 100,
+            "scene": {
+                "inertia": {"second_moments": second_moments},
+                "potential": if kind == "free" { json!([]) } else { json!([term]) },
+                "initial": {"momentum": {"body": momentum}},
+            }
+        });
+        Scenario::from_json(scenario.to_string().as_bytes()).expect("a scene")
+    };
+    for (n, three) in [(3, true), (4, false)] {
+        let mut seen = BTreeSet::new();
+        for kind in ["uniform", "free", "source"] {
+            let scene = scene(n, kind);
+            let mut entries = all_methods(&scene);
+            entries.retain(|entry| entry.order == 4);
+            let found = precision(&scene, &entries, Some(1.0), &Watch::default()).expect("a study");
+            for (line, entry) in entries.iter().enumerate() {
+                // One that is exact on a free body shows none.
+                let Some(order) = found.measured_order(line) else {
+                    assert!(kind == "free", "{} for n = {n}: no order", entry.label());
+                    continue;
+                };
+                assert!((order - 4.0).abs() < 0.35, "{} for n = {n}: {order}", entry.label());
+                seen.insert(entry.integrator.as_str());
+            }
+        }
+        println!("{n}: {seen:?}");
+        let all = Integrator::ALL.len();
+        assert!(if three { seen.len() == all } else { seen.len() < all }, "{n}: {seen:?}");
+    }
 }

@@ -66,7 +66,7 @@ impl BodiesTask for Measurement<'_> {
         let bodies = bodies.watched(Work::limited(most_sweeps, watch.cancelled.clone()));
         let initial = match probe.begin {
             Begin::Scene => initial,
-            Begin::State(point) | Begin::Near(point) => point.state_of_bodies(&bodies),
+            Begin::State { point, .. } | Begin::Near(point) => point.state_of_bodies(&bodies),
         };
         let Probe { step_s, steps, every, energy_limit, keep, .. } = probe;
         let blown = Cell::new(false);
