@@ -18,12 +18,14 @@ use crate::log::course::{Course, LogChart};
 use crate::log::part::irreplaceable;
 
 mod diff;
+mod fit;
 mod map;
 mod plot;
 mod studies;
 mod sweep;
 
 pub use diff::differences;
+pub use fit::residuals;
 pub use map::stability_map;
 pub use plot::{Axis, Line, Plot, Scale, Style};
 pub use studies::{long_term, precision};

@@ -28,6 +28,7 @@ use crate::chart;
 use crate::client::ClientError;
 use crate::diff::DiffError;
 use crate::export::ExportError;
+use crate::fit::FitError;
 use crate::log::inspect::inspect;
 use crate::log::part::irreplaceable;
 use crate::log::reader::is_log;
@@ -42,6 +43,7 @@ use crate::study::lyapunov::ExponentsError;
 use crate::sweep::SweepError;
 use crate::verify::{self, VerifyError};
 
+mod fit;
 mod logs;
 mod lyapunov;
 #[cfg(feature = "serve")]
@@ -79,6 +81,8 @@ enum Command {
     Stability(study::StabilityArgs),
     /// Find out how fast neighbouring motions of a scenario part: all its Lyapunov exponents.
     Lyapunov(lyapunov::LyapunovArgs),
+    /// Fit fields of a scenario, an inertia say, to attitudes that were seen.
+    Fit(fit::FitArgs),
     /// Run a scenario many times over values of its fields: one table, with a line a run.
     Sweep(sweep::SweepArgs),
     /// Put the parts of a sweep, from --shard, together to its table.
@@ -319,6 +323,8 @@ enum CliError {
     #[error(transparent)]
     Study(#[from] StudyError),
     #[error(transparent)]
+    Fit(FitError),
+    #[error(transparent)]
     Exponents(ExponentsError),
     #[cfg(feature = "chart")]
     #[error("scenarios and logs cannot be mixed: give only scenarios, or only logs")]
@@ -375,6 +381,7 @@ impl CliError {
             | Self::Export(ExportError::Log(_) | ExportError::Channel { .. } | ExportError::Empty { .. } | ExportError::Time { .. })
             // 1 says that they differ.
             | Self::Diff(_)
+            | Self::Fit(FitError::Scenario(_) | FitError::Seen(_) | FitError::Undetermined(_))
             | Self::Study(StudyError::Scenario(_)) => Status::from(2),
             Self::Table(error) if error.is_bad_input() => Status::from(2),
             Self::Table(SweepError::Interrupted { .. }) => Status::from(130),
@@ -466,6 +473,7 @@ fn obey(cli: Cli) -> Status {
         #[cfg(feature = "chart")]
         Command::Stability(args) => study::map(&args),
         Command::Lyapunov(args) => lyapunov::lyapunov(&args),
+        Command::Fit(args) => fit::fit(&args),
         Command::Sweep(args) => sweep::sweep(&args),
         Command::Merge(args) => sweep::merge(&args),
         #[cfg(feature = "serve")]

@@ -48,6 +48,7 @@
 //! | torques that your program chooses as it goes | [`run::Simulation`] |
 //! | an accuracy instead of a method | [`advise`] |
 //! | many values of a field | [`sweep`] |
+//! | attitudes that were seen | [`mod@fit`] |
 //!
 //! The features `serve` (the service, the page), `chart` (pictures) and `live` (viewers of a running job) are on by default; without
 //! them (`default-features = false`) a scenario still runs to a log.
@@ -64,6 +65,7 @@ pub use vpd_solve as solve;
 pub mod study;
 pub mod advise;
 pub mod sweep;
+pub mod fit;
 pub mod log;
 #[cfg(feature = "live")]
 pub mod live;

@@ -18,6 +18,8 @@ mod ensemble;
 mod extreme;
 mod failing;
 mod faults;
+#[cfg(feature = "chart")]
+mod fit;
 mod http;
 mod inputs;
 mod gallery;
