@@ -7,6 +7,7 @@ use pyo3::prelude::*;
 
 mod arrays;
 mod errors;
+mod potential;
 mod service;
 mod simulation;
 mod watched;
@@ -18,6 +19,7 @@ mod _native {
     use std::fs;
     use std::num::NonZeroUsize;
     use std::path::PathBuf;
+    use std::sync::Arc;
     use std::sync::atomic::Ordering;
 
     use pyo3::prelude::*;
@@ -30,7 +32,10 @@ mod _native {
     use vpd::log::course::{Course, LogChart};
     use vpd::log::inspect::inspect;
     use vpd::plan::Plan;
-    use vpd::run::{Control, JobContext, Outcome, RunError, Summary, collect, execute};
+    use vpd::run::{
+        Control, JobContext, Outcome, PotentialError, RunError, Summary, collect, execute,
+        execute_with,
+    };
     use vpd::scenario::{self, Scenario, ScenarioError};
     use vpd::study::Watch;
     use vpd::sweep::{
@@ -40,6 +45,7 @@ mod _native {
 
     use crate::arrays::arrays;
     use crate::errors::{Failed, failed, json, no_scenario, other, run_failed};
+    use crate::potential::Law;
     use crate::watched::{Follow, watched};
 
     #[pymodule_export]
@@ -122,6 +128,44 @@ mod _native {
             },
         )?;
         let (summary, columns) = ran.map_err(|error: RunError| failed(py, &error))?;
+        let scenario = String::from_utf8_lossy(&plan.asked.to_json()).into_owned();
+        Ok((json(py, &summary)?, json(py, &plan)?, scenario, arrays(py, columns)?))
+    }
+
+    /// Runs a scenario with a potential of Python in addition: as [`run`], from its log.
+    #[pyfunction]
+    fn run_with_potential<'py>(
+        py: Python<'py>,
+        text: &[u8],
+        potential: &Bound<'py, PyAny>,
+        log: PathBuf,
+        force: bool,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<(String, String, String, Bound<'py, PyDict>)> {
+        let control = Arc::new(Control { replaces_nothing: !force, ..Control::default() });
+        let plan = settled(py, text, &control)?;
+        let law = Arc::new(Law::new(potential, plan.dimension, control.clone())?);
+        let done = || (control.steps_done.load(Ordering::Relaxed), plan.total_steps());
+        let follow = Follow { progress: progress.as_ref(), done: Some(&done) };
+        let context = JobContext { log: &log, control: &control };
+        let ran = watched(
+            py,
+            || control.interrupt(),
+            follow,
+            || {
+                let summary = execute_with(&plan.asked, law.clone(), &context)?;
+                let (columns, _) = Columns::read(&log, 0, &[]).map_err(RunError::from)?;
+                Ok((summary, columns))
+            },
+        )?;
+        if let Some(raised) = law.raised() {
+            return Err(raised);
+        }
+        let (summary, columns) = ran.map_err(|error: PotentialError| match error {
+            PotentialError::Scenario(error) => no_scenario(py, &error, text),
+            PotentialError::Run(error) => failed(py, &error),
+            error => other(py, &error.to_string()),
+        })?;
         let scenario = String::from_utf8_lossy(&plan.asked.to_json()).into_owned();
         Ok((json(py, &summary)?, json(py, &plan)?, scenario, arrays(py, columns)?))
     }

@@ -22,7 +22,18 @@ def damping(time: float, attitude: NDArray[np.float64], velocity: NDArray[np.flo
     return -0.5 * velocity
 
 
+class Hinge:
+    def energy(self, g: NDArray[np.float64]) -> float:
+        return float(0.5 * g[2, 2] ** 2)
+
+    def slope(self, g: NDArray[np.float64]) -> NDArray[np.float64]:
+        slope = np.zeros((3, 3))
+        slope[2, 2] = g[2, 2]
+        return slope
+
+
 def main() -> float:
+    vpd.run(SCENE, potential=Hinge())
     run = vpd.run(SCENE, set={"/step_s": 0.02})
     largest: float = float(np.abs(run.energy.error).max())
     last: NDArray[np.float64] = run.attitude[-1]

@@ -20,16 +20,16 @@ from . import _native
 from ._client import Client, Job
 from ._errors import Absent, Error, RunFailed, ScenarioError, ServiceError
 from ._progress import Progress, follower
-from ._run import Chart, Energy, Momentum, Pace, Run, Solver, read, run
+from ._run import Chart, Energy, Momentum, Pace, Potential, Run, Solver, read, run
 from ._scene import Scene, is_text, text_of
 from ._simulation import Controller, Simulation
 
 __version__: str = _native.__version__
 
 __all__ = [
-    "Absent", "Chart", "Client", "Controller", "Energy", "Error", "Job", "Momentum", "Pace", "Progress", "Run", "RunFailed",
-    "ScenarioError", "Scene", "ServiceError", "Simulation", "Solver", "check", "diff", "plan", "read", "run", "schema", "sweep",
-    "verify",
+    "Absent", "Chart", "Client", "Controller", "Energy", "Error", "Job", "Momentum", "Pace", "Potential", "Progress", "Run",
+    "RunFailed", "ScenarioError", "Scene", "ServiceError", "Simulation", "Solver", "check", "diff", "plan", "read", "run",
+    "schema", "sweep", "verify",
 ]
 
 

@@ -6,10 +6,10 @@ import json
 import os
 import tempfile
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import _arrow, _native
 from ._errors import Absent, Error
@@ -20,6 +20,30 @@ if TYPE_CHECKING:
     import pandas
 
 Numbers = NDArray[np.float64]
+
+
+class Potential(Protocol):
+    """A potential energy U(g) of an attitude g: the n x n matrix from body to space coordinates.
+
+    ```python
+    class Hinge:
+        def energy(self, g):                    # in J
+            return 0.5 * g[2, 2] ** 2
+
+        def slope(self, g):                     # D_ij = dU/dg_ij in J, n x n
+            slope = np.zeros((3, 3))
+            slope[2, 2] = g[2, 2]
+            return slope
+    ```
+
+    A slope that is not that of the energy is refused at the start of the run.
+    """
+
+    def energy(self, g: Numbers, /) -> float: ...
+
+    def slope(self, g: Numbers, /) -> ArrayLike: ...
+
+
 CHARTS = {
     "energy": "energy_error",
     "orthogonality": "orthogonality_error",
@@ -154,7 +178,7 @@ class Run:
         self.log = log
         self.damage = damage
         self._number = number
-        # A log that nobody asked for, of an ensemble, is there as long as the run is.
+        # A log that nobody asked for, of an ensemble or with a potential, is there as long as the run is.
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 
     @property
@@ -357,6 +381,7 @@ def run(
     *,
     log: str | os.PathLike[str] | None = None,
     set: Mapping[str, Any] | None = None,
+    potential: Potential | None = None,
     force: bool = False,
     progress: Progress = False,
 ) -> Run:
@@ -368,6 +393,9 @@ def run(
         scene: a path of a JSON file, JSON text, or a dict.
         log: the MCAP log to write; none if absent. Its bytes are those of `vpd run`.
         set: values of fields by their JSON pointers, as {"/step_s": 0.02}; None removes a field.
+        potential: a potential energy of your own, in addition to the terms of the scene: an object with `energy(g)` and
+            `slope(g)`, see `Potential`. For one body that nothing else drives, by the method vpd. Its log is read by everything but
+            `verify`, which does not know the law. What the functions raise ends the run, and is raised here.
         force: whether an existing log is replaced.
         progress: True for a bar, or a function of the steps done and of all.
 
@@ -378,11 +406,15 @@ def run(
     """
     text = text_of(scene, set)
     folder = None
-    if log is None and b'"ensemble"' in text:
+    if log is None and (potential is not None or b'"ensemble"' in text):
         folder = tempfile.TemporaryDirectory(prefix="vpdsim-")
-        log = os.path.join(folder.name, "ensemble.mcap")
+        log = os.path.join(folder.name, "run.mcap")
     path = None if log is None else os.fspath(log)
-    outcome, plan, scenario, arrays = _native.run(text, path, force, follower(progress, "steps"))
+    follow = follower(progress, "steps")
+    if potential is not None and path is not None:
+        outcome, plan, scenario, arrays = _native.run_with_potential(text, potential, path, force, follow)
+    else:
+        outcome, plan, scenario, arrays = _native.run(text, path, force, follow)
     made = Run(arrays, json.loads(outcome), json.loads(plan), json.loads(scenario), path)
     made._folder = folder
     _native.raise_if_failed(outcome, made)
