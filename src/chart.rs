@@ -21,6 +21,7 @@ mod diff;
 mod fit;
 mod map;
 mod plot;
+mod report;
 mod studies;
 mod sweep;
 
@@ -28,6 +29,7 @@ pub use diff::differences;
 pub use fit::residuals;
 pub use map::stability_map;
 pub use plot::{Axis, Line, Plot, Scale, Style};
+pub use report::report;
 pub use studies::{long_term, precision};
 pub(crate) use sweep::sweep;
 

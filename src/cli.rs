@@ -46,6 +46,7 @@ use crate::verify::{self, VerifyError};
 mod fit;
 mod logs;
 mod lyapunov;
+mod report;
 #[cfg(feature = "serve")]
 mod process;
 #[cfg(feature = "serve")]
@@ -85,6 +86,8 @@ enum Command {
     Fit(fit::FitArgs),
     /// Run a scenario many times over values of its fields: one table, with a line a run.
     Sweep(sweep::SweepArgs),
+    /// Say what the table of a sweep says: quantiles, probabilities, which field matters, and how sure all that is.
+    Report(report::ReportArgs),
     /// Put the parts of a sweep, from --shard, together to its table.
     Merge(sweep::MergeArgs),
     /// Take jobs over HTTP, run them on worker threads, hand out their logs.
@@ -475,6 +478,7 @@ fn obey(cli: Cli) -> Status {
         Command::Lyapunov(args) => lyapunov::lyapunov(&args),
         Command::Fit(args) => fit::fit(&args),
         Command::Sweep(args) => sweep::sweep(&args),
+        Command::Report(args) => report::report(&args),
         Command::Merge(args) => sweep::merge(&args),
         #[cfg(feature = "serve")]
         Command::Serve(args) => serve::serve(&args),

@@ -18,6 +18,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use serde::Serialize;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
@@ -31,15 +32,18 @@ use crate::study::Watch;
 
 mod file;
 mod member;
+mod report;
 mod score;
 #[cfg(feature = "chart")]
 mod shown;
+pub mod statistics;
 mod table;
 mod values;
 
 pub use file::SweepFile;
 use file::{Combine, Vary};
 use member::{Outcome, Row};
+pub use report::{Asked, Column, Histogram, Holds, Probability, Report};
 #[cfg(feature = "chart")]
 pub(crate) use shown::{Cell, Kind, Shown, Side};
 pub use table::merge;
@@ -240,6 +244,16 @@ impl Sweep {
         let counts = self.file.vary.iter().map(|field| field.values.count());
         match self.file.combine {
             Combine::SideBySide => counts.map(|_| member).collect(),
+            Combine::Saltelli => {
+                // A row is A, B, and A with field k of B for each k.
+                let members = self.axes.len() as u64 + 2;
+                let (row, kind) = (member / members, member % members);
+                let second = |field: u64| kind == 1 || kind == field + 2;
+                let place = |(field, count): (usize, u64)| {
+                    if second(field as u64) { count / 2 + row } else { row }
+                };
+                counts.enumerate().map(place).collect()
+            }
             Combine::Product => {
                 let mut rest = member;
                 let mut places: Vec<u64> = counts
@@ -430,7 +444,7 @@ impl fmt::Display for Shard {
 }
 
 /// Outcomes of members.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// Number of members that made all their steps.
     pub succeeded: u64,

@@ -200,6 +200,9 @@ pub(crate) enum Combine {
     Product,
     /// The first of each, the second of each, ..: all have as many values.
     SideBySide,
+    /// For Sobol's indices (Saltelli et al. 2010), of random values, 2 N of each field: N rows, each of a member with the first
+    /// halves, one with the second halves, and for each field one with the first halves but for that.
+    Saltelli,
 }
 
 /// A column of the table that is asked for.
@@ -475,6 +478,27 @@ impl SweepFile {
                     );
                     Err(ScenarioError::invalid(format!("/vary/{at}/values"), message))
                 })
+            }
+            Combine::Saltelli => {
+                for (at, (field, &count)) in self.vary.iter().zip(&counts).enumerate() {
+                    let random = matches!(field.values, Values::Uniform(_) | Values::Normal(_));
+                    let first = counts[0];
+                    let fits = random && count == first && count % 2 == 0;
+                    ensure(fits, format!("/vary/{at}/values"), || {
+                        format!(
+                            "has {count} values; with `saltelli` each field has an even number of values, the same for all ({first}), `uniform` or `normal`"
+                        )
+                    })?;
+                }
+                let members = counts[0] / 2 * (counts.len() as u64 + 2);
+                ensure(members <= MOST_MEMBERS, "/vary", || {
+                    format!(
+                        "{} values of {} fields make {members} members, at most {MOST_MEMBERS} are allowed",
+                        counts[0],
+                        counts.len()
+                    )
+                })?;
+                Ok(members)
             }
         }
     }

@@ -3,14 +3,11 @@
 //! Invariant: it does not grow with the table beyond what can be distinguished in a picture.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use serde_json::Value;
 
 use super::file::{Combine, Values};
-use super::table::{Lines, SEAL, cells};
 use super::{Sweep, SweepError};
 
 /// Largest number of cells of a map along a side, and of places of points.
@@ -122,43 +119,14 @@ impl Sweep {
     /// # Errors
     /// If it cannot be read, is not of this sweep, or has no such column.
     pub(crate) fn shown(&self, table: &Path, column: Option<&str>) -> Result<Shown, SweepError> {
-        let failed = |source| SweepError::io(table, "read", source);
-        let other = || SweepError::NoTable { path: table.to_owned() };
         let column = column.unwrap_or_else(|| self.usual_column());
         let place = |name: &str| self.columns.iter().position(|known| known == name);
         let at = place(column).ok_or_else(|| {
             crate::scenario::ScenarioError::invalid("", format!("there is no column {column:?}"))
         })?;
         let outcome = place("outcome").unwrap_or_default();
-        let mut reader = BufReader::with_capacity(1 << 18, File::open(table).map_err(failed)?);
-        let mut head = String::new();
-        let mut line = |head: &mut String| {
-            head.clear();
-            (&mut reader).take(1 << 20).read_line(head).map_err(failed)
-        };
-        line(&mut head)?;
-        let unfinished = head.starts_with('#');
-        if unfinished {
-            line(&mut head)?;
-        }
-        let names = head.trim_end();
-        let names = if unfinished { names.strip_suffix(SEAL).ok_or_else(other)? } else { names };
-        if cells(names) != self.columns {
-            return Err(other());
-        }
         let mut shown = Collected::new(self);
-        let mut lines = match unfinished {
-            true => Lines::of_part(reader, self.columns.len(), 0),
-            false => Lines::new(reader, self.columns.len(), 0),
-        };
-        let mut member = 0;
-        while member < self.members
-            && let Some((_, cells)) = lines.read().map_err(failed)?
-        {
-            let values = self.values(member);
-            if values.iter().map(super::cell).ne(cells[1..=values.len()].iter().cloned()) {
-                return Err(other());
-            }
+        self.lines(table, |member, values, cells| {
             // Figures of a run until it failed are no value of the whole.
             let cell = match (cells[outcome].as_str(), cells[at].parse::<f64>()) {
                 ("refused", _) => Cell::Refused,
@@ -166,9 +134,8 @@ impl Sweep {
                 (_, Ok(value)) if value.is_finite() => Cell::Value(value),
                 _ => Cell::Empty,
             };
-            shown.add(self, member, &values, cell);
-            member += 1;
-        }
+            shown.add(self, member, values, cell);
+        })?;
         let (kind, without) = shown.end();
         Ok(Shown { name: self.name().to_owned(), column: column.to_owned(), kind, without })
     }

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::{Number, Value};
 
-use super::{Counts, SweepError};
+use super::{Counts, Sweep, SweepError};
 use crate::log::part::{folder, irreplaceable, own, sync_folder};
 use crate::log::part_path;
 
@@ -92,6 +92,53 @@ pub(super) fn cells(line: &str) -> Vec<String> {
         .from_reader(line.as_bytes());
     let record = reader.records().next().and_then(Result::ok).unwrap_or_default();
     record.iter().map(str::to_owned).collect()
+}
+
+impl Sweep {
+    /// Shows each line of a table of this sweep, finished or not, to `visit`: the number of the member, its values and its cells.
+    ///
+    /// # Errors
+    /// If it cannot be read, or is not of this sweep.
+    pub(super) fn lines(
+        &self,
+        table: &Path,
+        mut visit: impl FnMut(u64, &[Value], &[String]),
+    ) -> Result<(), SweepError> {
+        let failed = |source| SweepError::io(table, "read", source);
+        let other = || SweepError::NoTable { path: table.to_owned() };
+        let mut reader = BufReader::with_capacity(1 << 18, File::open(table).map_err(failed)?);
+        let mut head = String::new();
+        let mut line = |head: &mut String| {
+            head.clear();
+            (&mut reader).take(1 << 20).read_line(head).map_err(failed)
+        };
+        line(&mut head)?;
+        let unfinished = head.starts_with('#');
+        if unfinished {
+            line(&mut head)?;
+        }
+        let names = head.trim_end();
+        let names = if unfinished { names.strip_suffix(SEAL).ok_or_else(other)? } else { names };
+        if cells(names) != self.columns {
+            return Err(other());
+        }
+        let mut lines = match unfinished {
+            true => Lines::of_part(reader, self.columns.len(), 0),
+            false => Lines::new(reader, self.columns.len(), 0),
+        };
+        let mut member = 0;
+        while member < self.members
+            && let Some((_, cells)) = lines.read().map_err(failed)?
+        {
+            let values = self.values(member);
+            if values.iter().map(cell).ne(cells[1..=values.len()].iter().cloned()) {
+                return Err(other());
+            }
+            visit(member, &values, &cells);
+            member += 1;
+        }
+        Ok(())
+    }
 }
 
 /// Reads lines of members, in order from `next` on, each with as many cells as the head.

@@ -31,6 +31,8 @@ mod log;
 mod memory;
 mod open;
 mod plan_sees;
+#[cfg(feature = "chart")]
+mod report;
 mod resume;
 mod scenarios;
 mod stability;
