@@ -242,15 +242,25 @@ fn list_words(schema: &mut Value) {
 
 /// Names the parts of a choice, which generators of clients would number: `FramedBody` is the one of `Framed` with `body`,
 /// `PotentialTermSpring` that of `kind` `spring`, and `TorqueWithTable` that of `Torque` with `table`, for `TorqueTable` is taken.
+/// A second `spring`, which has another last field, is named by that too.
 fn name_choices(of: &str, schema: &mut Value, taken: &[String]) {
+    let mut named = Vec::new();
     for word in ["oneOf", "anyOf"] {
         let parts = schema.get_mut(word).and_then(Value::as_array_mut);
         for part in parts.into_iter().flatten() {
             let key = part["properties"]["kind"]["const"].as_str().or(part["required"][0].as_str());
+            let last = part["required"].as_array().and_then(|all| all.last()?.as_str()).map(camel);
             let title = key.map(camel).map(|key| {
                 let short = format!("{of}{key}");
-                if taken.contains(&short) { format!("{of}With{key}") } else { short }
+                if taken.contains(&short) {
+                    format!("{of}With{key}")
+                } else if named.contains(&short) {
+                    format!("{short}{}", last.unwrap_or_default())
+                } else {
+                    short
+                }
             });
+            named.extend(title.clone());
             if let (Some(title), Some(part)) = (title, part.as_object_mut())
                 && part.contains_key("properties")
             {
