@@ -45,10 +45,10 @@ use bodies::BodiesRun;
 use end::{Asked, End, Reached, finish};
 use ensemble::Ensemble;
 pub use give_up::{Reason, give_up};
-pub use potential::{PotentialError, PotentialOfRows, execute_with};
+pub use potential::{PotentialError, PotentialOfRows, collect_with, execute_with};
 pub use record::Recording;
 pub use simulation::{Advanced, Simulation};
-use summary::EnergySeen;
+use summary::{Advised, EnergySeen};
 pub use summary::{
     DerivativesSummary, Diagnosis, EnergySummary, EnsembleSummary, FinalBody, FinalState,
     MomentumSummary, OrthogonalitySummary, Outcome, SolverSummary, Summary,
@@ -187,7 +187,7 @@ pub fn execute(plan: &Plan, context: &JobContext<'_>) -> Result<Summary, RunErro
     if !plan.bodies.is_empty() {
         return assembled_bodies(plan, BodiesRun { plan, context, kept: Kept::Log });
     }
-    assembled(plan, Run { plan, context, kept: Kept::Log })
+    assembled(plan, Run { plan, context, kept: Kept::Log, potential: None })
 }
 
 /// Runs a plan to its end and keeps its samples in memory, and writes no log. The states are those of the log, to the bit. Blocks.
@@ -198,16 +198,20 @@ pub fn collect(plan: &Plan, control: &Control) -> Result<(Summary, Columns), Run
     if plan.ensemble.is_some() {
         return Err(RunError::Invalid("an ensemble needs a log for its members".to_owned()));
     }
-    let channels = plan.channels.iter().map(|channel| channel.topic).collect();
-    let mut columns = Columns::new(channels, plan.asked.epoch_ns(), plan.samples);
+    let mut columns = columns(plan);
     let context = JobContext { log: Path::new(""), control };
     let kept = Kept::Memory(&mut columns);
     let summary = if plan.bodies.is_empty() {
-        assembled(plan, Run { plan, context: &context, kept })
+        assembled(plan, Run { plan, context: &context, kept, potential: None })
     } else {
         assembled_bodies(plan, BodiesRun { plan, context: &context, kept })
     }?;
     Ok((summary, columns))
+}
+
+fn columns(plan: &Plan) -> Columns {
+    let channels = plan.channels.iter().map(|channel| channel.topic).collect();
+    Columns::new(channels, plan.asked.epoch_ns(), plan.samples)
 }
 
 /// Where the samples of a run are kept.
@@ -223,18 +227,20 @@ struct Run<'a> {
     plan: &'a Plan,
     context: &'a JobContext<'a>,
     kept: Kept<'a>,
+    /// One of the caller's own, in addition to the terms.
+    potential: Option<Arc<dyn PotentialOfRows>>,
 }
 
 impl Task for Run<'_> {
     type Output = Result<Summary, RunError>;
 
     fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
-        let Self { plan, context, kept } = self;
+        let Self { plan, context, kept, potential } = self;
         match (&plan.asked.ensemble, &plan.ensemble) {
             (Some(asked), Some(planned)) => {
                 Ensemble { plan, asked, planned, context }.run(assembly)
             }
-            _ => run(plan, assembly, context, kept),
+            _ => run(plan, assembly, context, kept, potential),
         }
     }
 }
@@ -244,12 +250,25 @@ fn run<const N: usize>(
     mut assembly: Assembly<N>,
     context: &JobContext<'_>,
     kept: Kept<'_>,
+    potential: Option<Arc<dyn PotentialOfRows>>,
 ) -> Result<Summary, RunError> {
+    let is_own = potential.is_some();
+    if let Some(potential) = potential {
+        assembly.body = potential::added(assembly.body, potential, &assembly.initial.attitude)?;
+    }
     let Assembly { body, stepper, initial, .. } = &mut assembly;
     let begun = Instant::now();
     let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
     let control = context.control;
     let (mut recorder, checkpoint) = match kept {
+        Kept::Log if is_own => {
+            let mut header = header(plan);
+            header.scenario_json = None;
+            header.job.retain(|key, _| !matches!(key.as_str(), "scenario" | "plan"));
+            let writer = begin_log(context, &header)?;
+            let (figures, course) = (Figures::default(), Course::default());
+            (Recorder::of(writer, figures, course, control, &header), None)
+        }
         Kept::Log => Recorder::open(context, &header(plan))?,
         Kept::Memory(columns) => (Recorder::in_memory(plan, columns, control), None),
     };
@@ -274,6 +293,11 @@ fn run<const N: usize>(
     let steps_done = reached.step;
     control.steps_done.store(steps_done, Ordering::Relaxed);
     let ended = outcome(control, &ending, |failure| {
+        if is_own {
+            // What a law of the caller's own costs is not known.
+            let untried = Advised::Untried;
+            return summary::diagnosis(failure, None, reached.step, plan.step_s, untried);
+        }
         let asked = Some(&plan.asked);
         let broken = Broken { initial, reached: &reached, schedule, asked, failure };
         let patience = Patience::of(plan, control, 1);

@@ -33,8 +33,8 @@ mod _native {
     use vpd::log::inspect::inspect;
     use vpd::plan::Plan;
     use vpd::run::{
-        Control, JobContext, Outcome, PotentialError, RunError, Summary, collect, execute,
-        execute_with,
+        Control, JobContext, Outcome, PotentialError, RunError, Summary, collect, collect_with,
+        execute, execute_with,
     };
     use vpd::scenario::{self, Scenario, ScenarioError};
     use vpd::study::Watch;
@@ -132,13 +132,13 @@ mod _native {
         Ok((json(py, &summary)?, json(py, &plan)?, scenario, arrays(py, columns)?))
     }
 
-    /// Runs a scenario with a potential of Python in addition: as [`run`], from its log.
+    /// Runs a scenario with a potential of Python in addition: as [`run`].
     #[pyfunction]
     fn run_with_potential<'py>(
         py: Python<'py>,
         text: &[u8],
         potential: &Bound<'py, PyAny>,
-        log: PathBuf,
+        log: Option<PathBuf>,
         force: bool,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<(String, String, String, Bound<'py, PyDict>)> {
@@ -147,15 +147,18 @@ mod _native {
         let law = Arc::new(Law::new(potential, plan.dimension, control.clone())?);
         let done = || (control.steps_done.load(Ordering::Relaxed), plan.total_steps());
         let follow = Follow { progress: progress.as_ref(), done: Some(&done) };
-        let context = JobContext { log: &log, control: &control };
         let ran = watched(
             py,
             || control.interrupt(),
             follow,
-            || {
-                let summary = execute_with(&plan.asked, law.clone(), &context)?;
-                let (columns, _) = Columns::read(&log, 0, &[]).map_err(RunError::from)?;
-                Ok((summary, columns))
+            || match &log {
+                None => collect_with(&plan.asked, law.clone(), &control),
+                Some(log) => {
+                    let context = JobContext { log, control: &control };
+                    let summary = execute_with(&plan.asked, law.clone(), &context)?;
+                    let (columns, _) = Columns::read(log, 0, &[]).map_err(RunError::from)?;
+                    Ok((summary, columns))
+                }
             },
         )?;
         if let Some(raised) = law.raised() {
@@ -164,7 +167,6 @@ mod _native {
         let (summary, columns) = ran.map_err(|error: PotentialError| match error {
             PotentialError::Scenario(error) => no_scenario(py, &error, text),
             PotentialError::Run(error) => failed(py, &error),
-            error => other(py, &error.to_string()),
         })?;
         let scenario = String::from_utf8_lossy(&plan.asked.to_json()).into_owned();
         Ok((json(py, &summary)?, json(py, &plan)?, scenario, arrays(py, columns)?))

@@ -1,20 +1,21 @@
 //! A scenario with a potential of the caller's own, for any n → samples → log.
 //!
 //! Invariant: body, terms, start and steps are those of the scenario; the log is one of a user-defined system, see
-//! [`Recording`].
+//! [`super::Recording`].
 
 use std::fmt::Debug;
+use std::path::Path;
 use std::sync::Arc;
 
 use thiserror::Error;
 
-use super::{JobContext, Recording, RunError, Summary, header};
-use crate::assemble::{Assembly, Task, assembled};
+use super::{Control, JobContext, Kept, Run, RunError, Summary};
+use crate::assemble::assembled;
+use crate::log::columns::Columns;
 use crate::plan::{Motion, Plan};
 use crate::scenario::{MethodName, Scenario, ScenarioError};
-use crate::solve::hamiltonian::{Potential, gradient_error};
+use crate::solve::hamiltonian::{Potential, RigidBody, gradient_error};
 use crate::solve::so::{self, Mat};
-use crate::solve::trajectory::Schedule;
 
 /// A potential energy U(g) of a caller who learns n when the program runs, as an interpreter does; in Rust
 /// [`Potential`] is the one for a known n.
@@ -32,17 +33,13 @@ pub enum PotentialError {
     /// The scenario is refused, with a potential or at all.
     #[error(transparent)]
     Scenario(#[from] ScenarioError),
-    /// The slope is not that of the energy.
-    #[error(
-        "at the start the slope of the potential differs by {0:.1e} of its size from differences of its energy; D_ij = dU/dg_ij is needed"
-    )]
-    Slope(f64),
-    /// The run failed.
+    /// The slope is not that of the energy, or the run failed.
     #[error(transparent)]
     Run(#[from] RunError),
 }
 
-/// Runs a scenario with a potential in addition to its terms, by `vpd`, and writes the log. Blocks.
+/// Runs a scenario with a potential in addition to its terms, by `vpd`, and writes the log. Blocks. The log holds no scenario,
+/// because it does not hold the law: `verify` refuses it, and an interrupted one begins anew.
 ///
 /// # Errors
 /// [`PotentialError`]: scenes of several bodies, and those that time, torques, wheels or a control drive, are refused, and so is
@@ -52,6 +49,29 @@ pub fn execute_with(
     potential: Arc<dyn PotentialOfRows>,
     context: &JobContext<'_>,
 ) -> Result<Summary, PotentialError> {
+    let plan = planned(scenario)?;
+    Ok(assembled(&plan, Run { plan: &plan, context, kept: Kept::Log, potential: Some(potential) })?)
+}
+
+/// Does the same, and keeps the samples in memory.
+///
+/// # Errors
+/// The same.
+pub fn collect_with(
+    scenario: &Scenario,
+    potential: Arc<dyn PotentialOfRows>,
+    control: &Control,
+) -> Result<(Summary, Columns), PotentialError> {
+    let plan = planned(scenario)?;
+    let mut columns = super::columns(&plan);
+    let context = JobContext { log: Path::new(""), control };
+    let kept = Kept::Memory(&mut columns);
+    let run = Run { plan: &plan, context: &context, kept, potential: Some(potential) };
+    let summary = assembled(&plan, run)?;
+    Ok((summary, columns))
+}
+
+fn planned(scenario: &Scenario) -> Result<Plan, ScenarioError> {
     let mut asked = scenario.clone();
     let others = [
         (scenario.bodies().is_some(), "/scene/bodies"),
@@ -66,7 +86,7 @@ pub fn execute_with(
     for (given, pointer) in others {
         if given {
             let message = "a potential of your own is for one body that nothing else drives, by vpd in steps of one length";
-            return Err(ScenarioError::invalid(pointer, message).into());
+            return Err(ScenarioError::invalid(pointer, message));
         }
     }
     asked.method.name = MethodName::Vpd;
@@ -74,39 +94,28 @@ pub fn execute_with(
     // What the terms alone would do, nothing or a turn in a plane, no longer counts.
     plan.formulation.motion = Motion::General;
     plan.formulation.carries_attitude = true;
-    assembled(&plan, WithPotential { plan: &plan, potential, context })
+    Ok(plan)
 }
 
-struct WithPotential<'a> {
-    plan: &'a Plan,
+/// Returns the body with the potential.
+///
+/// # Errors
+/// If its slope at an attitude is not that of its energy.
+pub(super) fn added<const N: usize>(
+    body: RigidBody<N>,
     potential: Arc<dyn PotentialOfRows>,
-    context: &'a JobContext<'a>,
-}
-
-impl Task for WithPotential<'_> {
-    type Output = Result<Summary, PotentialError>;
-
-    fn perform<const N: usize>(self, assembly: Assembly<N>) -> Self::Output {
-        /// A slope that is off by more has an error of its formula.
-        const WRONG: f64 = 1e-3;
-        let Self { plan, potential, context } = self;
-        let Assembly { body, mut stepper, initial, .. } = assembly;
-        let potential = Rows(potential);
-        let off = gradient_error::<N>(&potential, &initial.attitude);
-        if !(off < WRONG) {
-            return Err(PotentialError::Slope(off));
-        }
-        let body = body.with_potential(Arc::new(potential));
-        let recording = Recording {
-            channels: plan.channels.iter().map(|channel| channel.topic).collect(),
-            epoch_ns: plan.asked.epoch_ns(),
-            compression: plan.asked.log.compression,
-            scene: header(plan).scene,
-            ..Recording::new(plan.asked.name())
-        };
-        let schedule = Schedule { step_s: plan.step_s, steps: plan.steps, every: plan.every };
-        Ok(recording.run(&body, stepper.as_mut(), &initial, schedule, context)?)
+    attitude: &Mat<N>,
+) -> Result<RigidBody<N>, RunError> {
+    /// A slope that is off by more has an error of its formula.
+    const WRONG: f64 = 1e-3;
+    let potential = Rows(potential);
+    let off = gradient_error::<N>(&potential, attitude);
+    if !(off < WRONG) {
+        return Err(RunError::Invalid(format!(
+            "at the start the slope of the potential differs by {off:.1e} of its size from differences of its energy; D_ij = dU/dg_ij is needed"
+        )));
     }
+    Ok(body.with_potential(Arc::new(potential)))
 }
 
 #[derive(Debug)]

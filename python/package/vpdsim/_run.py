@@ -178,7 +178,7 @@ class Run:
         self.log = log
         self.damage = damage
         self._number = number
-        # A log that nobody asked for, of an ensemble or with a potential, is there as long as the run is.
+        # A log that nobody asked for, of an ensemble, is there as long as the run is.
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 
     @property
@@ -406,12 +406,12 @@ def run(
     """
     text = text_of(scene, set)
     folder = None
-    if log is None and (potential is not None or b'"ensemble"' in text):
+    if log is None and potential is None and b'"ensemble"' in text:
         folder = tempfile.TemporaryDirectory(prefix="vpdsim-")
-        log = os.path.join(folder.name, "run.mcap")
+        log = os.path.join(folder.name, "ensemble.mcap")
     path = None if log is None else os.fspath(log)
     follow = follower(progress, "steps")
-    if potential is not None and path is not None:
+    if potential is not None:
         outcome, plan, scenario, arrays = _native.run_with_potential(text, potential, path, force, follow)
     else:
         outcome, plan, scenario, arrays = _native.run(text, path, force, follow)
