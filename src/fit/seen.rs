@@ -102,10 +102,11 @@ fn of_table(path: &Path) -> Result<Vec<Attitude>, SeenError> {
             let all = (1..=n).flat_map(|i| (1..=n).map(move |j| format!("attitude_{i}_{j}")));
             (all.map(place).collect::<Result<Vec<_>, _>>()?, n)
         }
-        [first, ..] => {
-            return Err(first.err().unwrap_or_else(|| SeenError::Column {
+        given => {
+            let missing = given.into_iter().find_map(Result::err);
+            return Err(missing.unwrap_or_else(|| SeenError::Column {
                 path: path.to_owned(),
-                missing: "quaternion_x".into(),
+                missing: "quaternion_w".into(),
             }));
         }
     };

@@ -279,8 +279,9 @@ fn a_map_ends_with_the_tables() {
         }
         let scene = Scenario::from_json(scenario.to_string().as_bytes()).expect("good");
         let mut entries = vpd::study::usual_methods(&scene);
-        entries
-            .retain(|entry| ["vpd gauss2", "rk_projected rk4"].contains(&entry.label().as_str()));
+        entries.retain(|entry| {
+            ["vpd_lagrangian gauss2", "rk_projected rk4"].contains(&entry.label().as_str())
+        });
         assert_eq!(entries.len(), 2);
         let map = vpd::study::stability::stability(&scene, &entries, &Watch::default());
         let map = map.expect("a map");

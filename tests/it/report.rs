@@ -129,8 +129,8 @@ fn attitudes_have_a_mean_and_a_covariance() {
         let ratio = found.covariance_rad2[i][i].sqrt() / deviation;
         assert!((0.97..1.03).contains(&ratio), "{i}: {ratio}");
     }
-    // Of two half turns apart there is no mean to be preferred, and of one attitude it is that.
-    assert_eq!(mean_attitude(&all[..1]).expect("one").covariance_rad2, [[0.0; 3]; 3]);
+    let one = mean_attitude(&all[..1]).expect("one");
+    assert!(one.covariance_rad2.iter().flatten().all(|x| x.abs() < 1e-28), "{one:?}");
 }
 
 /// A pendulum's largest speed goes by its tilt and hardly by its inertia about the vertical; the table says so, and a half-finished one
