@@ -28,6 +28,7 @@ mod given;
 mod log;
 mod memory;
 mod open;
+mod orbit;
 mod plan_sees;
 mod resume;
 mod scenarios;
